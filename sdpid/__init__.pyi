@@ -1,0 +1,95 @@
+from .assurance.certificate import Certificate, certify, verify
+from .assurance.validation import Validation, validate
+from .errors import (
+    CertificateError,
+    DataError,
+    ExportError,
+    IdentifiabilityError,
+    InfeasibleError,
+    MissingExtraError,
+    ModelError,
+    SdpidError,
+    SolverError,
+)
+from .estimation.constraints import Constraints
+from .estimation.estimate import Estimate
+from .estimation.problem import Problem, build_problem
+from .estimation.sdp import solve_sdp
+from .estimation.slsqp import solve_slsqp
+from .estimation.wls import solve_wls
+from .experiment.excitation import Trajectory, paper_excitation
+from .experiment.plant import simulate
+from .experiment.processing import Processing, process
+from .experiment.readers import read_recording
+from .experiment.recording import Recording
+from .experiment.samples import Samples
+from .output.comparison import Comparison, compare
+from .output.urdf import write_urdf
+from .robot.base import BaseParameters
+from .robot.friction import (
+    AsymmetricCoulomb,
+    Coulomb,
+    Coupling,
+    FrictionTerm,
+    JointwiseTerm,
+    Offset,
+    RotorInertia,
+    Viscous,
+)
+from .robot.mdh import DhJoint, DhTable
+from .robot.model import RobotModel, load_robot
+from .workflow import Identification, identify, mass_matrix
+
+__version__: str
+
+__all__ = [
+    "AsymmetricCoulomb",
+    "BaseParameters",
+    "Certificate",
+    "CertificateError",
+    "Comparison",
+    "Constraints",
+    "Coulomb",
+    "Coupling",
+    "DataError",
+    "DhJoint",
+    "DhTable",
+    "Estimate",
+    "ExportError",
+    "FrictionTerm",
+    "IdentifiabilityError",
+    "Identification",
+    "InfeasibleError",
+    "JointwiseTerm",
+    "MissingExtraError",
+    "ModelError",
+    "Offset",
+    "Problem",
+    "Processing",
+    "Recording",
+    "RobotModel",
+    "RotorInertia",
+    "Samples",
+    "SdpidError",
+    "SolverError",
+    "Trajectory",
+    "Validation",
+    "Viscous",
+    "__version__",
+    "build_problem",
+    "certify",
+    "compare",
+    "identify",
+    "load_robot",
+    "mass_matrix",
+    "paper_excitation",
+    "process",
+    "read_recording",
+    "simulate",
+    "solve_sdp",
+    "solve_slsqp",
+    "solve_wls",
+    "validate",
+    "verify",
+    "write_urdf",
+]

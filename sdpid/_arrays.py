@@ -1,0 +1,74 @@
+"""Array arguments: converted once, checked once, then read-only."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sdpid.errors import DataError
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+Indices = NDArray[np.intp]
+
+
+def frozen(values: Any) -> Array:
+    """Return `values` as a read-only float64 array that nobody else can write to."""
+    array = np.array(values, dtype=np.float64, order="C")
+    array.setflags(write=False)
+    return array
+
+
+def frozen_view(array: NDArray[Any]) -> Any:
+    """Return a read-only view of an array that is too large to copy."""
+    view = array.view()
+    view.setflags(write=False)
+    return view
+
+
+def real_array(values: Any, name: str, *, ndim: int, error: type[Exception] = DataError) -> Array:
+    """Convert to float64, or say which argument is ragged, not numeric, or not finite.
+
+    Parameters
+    ----------
+    values : array_like
+        What was given.
+    name : str
+        What it is called in the message.
+    ndim : int
+        The number of axes it must have.
+    error : type of Exception, optional
+        The class to raise.
+
+    Returns
+    -------
+    ndarray of float64
+        With `ndim` axes, every entry finite.
+
+    Raises
+    ------
+    DataError
+        Or `error`, when the values are ragged, not real numbers, of another dimension, or not
+        finite; the first offending index is named.
+    """
+    try:
+        array = np.asarray(values)
+        if array.dtype.kind == "c":
+            raise TypeError("complex values")
+        array = array.astype(np.float64, copy=False)
+    except (TypeError, ValueError) as cause:
+        message = f"{name}: not a rectangular array of real numbers ({cause}); give numbers only."
+        raise error(message) from None
+    if array.ndim != ndim:
+        raise error(f"{name}: has {array.ndim} axes (shape {array.shape}), expected {ndim}.")
+    finite = np.isfinite(array)
+    if not finite.all():
+        first = tuple(int(i) for i in np.argwhere(~finite)[0])
+        count = int(array.size - np.count_nonzero(finite))
+        raise error(
+            f"{name}: {count} of {array.size} values are not finite, the first at index {first} "
+            f"({array[first]}); remove or repair those samples."
+        )
+    return array

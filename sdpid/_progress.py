@@ -1,0 +1,35 @@
+"""A progress bar for long work, drawn on standard error and only on a terminal."""
+
+from __future__ import annotations
+
+import contextlib
+import sys
+from collections.abc import Callable, Iterator
+
+
+@contextlib.contextmanager
+def progress(
+    total: float, description: str, *, enabled: bool | None = None
+) -> Iterator[Callable[[float], None]]:
+    """Yield a function that advances the bar by a number of units.
+
+    Parameters
+    ----------
+    total : float
+        Units of work in all.
+    description : str
+        What is shown beside the bar.
+    enabled : bool, optional
+        Show it or not; by default only when standard error is a terminal.
+    """
+    if enabled is None:
+        enabled = sys.stderr.isatty()
+    if not enabled:
+        yield lambda _: None
+        return
+    from rich.console import Console
+    from rich.progress import Progress
+
+    with Progress(console=Console(stderr=True), transient=True) as bar:
+        task = bar.add_task(description, total=total)
+        yield lambda step: bar.advance(task, step)
