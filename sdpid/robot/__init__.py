@@ -1,0 +1,1 @@
+"""What moves: kinematics, inertia algebra, friction terms, base parameters."""

@@ -1,0 +1,493 @@
+"""The robot: its kinematics in Pinocchio, and everything that is linear in its parameters."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from sdpid._arrays import Array, frozen, real_array
+from sdpid.errors import DataError, ModelError
+from sdpid.robot.inertia import PARAMETER_NAMES, PARAMETER_UNITS
+from sdpid.robot.library import (
+    bundled_folder,
+    bundled_robots,
+    example_robots,
+    find_example_robot,
+)
+from sdpid.robot.mdh import DhJoint, DhTable
+from sdpid.robot.urdf import Mimic, check_urdf
+
+Root = Literal["free_flyer"]
+
+# Descriptions and our own URDFs write 'no limit' as a number at least this large.
+_UNLIMITED = 1e9
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class RobotModel:
+    """A tree of links with revolute, continuous or prismatic joints, on a fixed or floating base.
+
+    Attributes
+    ----------
+    name : str
+        The robot's name.
+    pin_model : pinocchio.Model
+        The kinematics; not to be changed.
+    joint_names : tuple of str
+        The n velocity coordinates: one name a joint, six for a floating base. Joints that mimic
+        another are not among them.
+    link_names : tuple of str
+        The moving links, named after their joints' bodies, in Pinocchio's order.
+    prior : ndarray, shape (links, 10)
+        Inertial parameters of the description; zero where it gives none.
+    expansion : ndarray, shape (nv, n)
+        Velocities of Pinocchio's joints from the n coordinates: the identity but for mimic joints.
+    offset : ndarray, shape (nv,)
+        Positions of Pinocchio's joints at zero coordinates (mimic offsets).
+    urdf : str or None
+        Text of the description, where there is one.
+    """
+
+    name: str
+    pin_model: Any
+    joint_names: tuple[str, ...]
+    link_names: tuple[str, ...]
+    prior: Array
+    expansion: Array
+    offset: Array
+    urdf: str | None = None
+
+    @classmethod
+    def from_mdh(
+        cls,
+        table: DhTable | str | os.PathLike[str] | Mapping[str, Any] | Iterable[Any],
+        *,
+        gravity: Sequence[float] | None = None,
+        convention: Literal["modified", "standard"] | None = None,
+        base_translation: Sequence[float] | None = None,
+        base_rpy: Sequence[float] | None = None,
+        inertias: ArrayLike | None = None,
+        name: str | None = None,
+    ) -> RobotModel:
+        """Build from a Denavit-Hartenberg table.
+
+        Parameters
+        ----------
+        table : DhTable, path of a TOML file, mapping, or iterable of DhJoint or mappings
+            The table; modified (Khalil) unless it says otherwise.
+        gravity : sequence of 3 floats, optional
+            Gravity in the base link (m/s²); by default what the table says, else -z.
+        convention : {"modified", "standard"}, optional
+            Overrides the table's.
+        base_translation, base_rpy : sequence of 3 floats, optional
+            Placement of frame 0 in the base link (m, rad).
+        inertias : array_like, shape (n, 10), optional
+            Inertial parameters of the links.
+        name : str, optional
+            The robot's name.
+
+        Raises
+        ------
+        ModelError
+            When the table is not understood.
+        """
+        if isinstance(table, (str, os.PathLike)):
+            table = DhTable.from_toml(table)
+        elif isinstance(table, Mapping):
+            table = DhTable.from_mapping(table)
+        elif not isinstance(table, DhTable):
+            if not isinstance(table, Iterable):
+                raise ModelError(f"kinematic table: got {type(table).__name__}; give rows.")
+            rows = tuple(table)
+            table = DhTable(joints=tuple(r if isinstance(r, DhJoint) else _row(r) for r in rows))
+        changes: dict[str, Any] = {
+            "gravity": gravity,
+            "convention": convention,
+            "base_translation": base_translation,
+            "base_rpy": base_rpy,
+            "name": name,
+        }
+        fields = {key: getattr(table, key) for key in changes}
+        fields |= {key: value for key, value in changes.items() if value is not None}
+        table = DhTable(joints=table.joints, **fields)
+        text = table.to_urdf(inertias)
+        return load_robot(text, gravity=table.gravity)
+
+    @property
+    def n(self) -> int:
+        """Number of velocity coordinates."""
+        return len(self.joint_names)
+
+    @property
+    def n_links(self) -> int:
+        """Number of moving links."""
+        return len(self.link_names)
+
+    @property
+    def free_flyer(self) -> bool:
+        """Whether the base floats."""
+        return bool(self.pin_model.njoints > 1 and self.pin_model.joints[1].nv == 6)
+
+    @property
+    def n_base(self) -> int:
+        """Number of velocity coordinates of a floating base: 6 or 0."""
+        return 6 if self.free_flyer else 0
+
+    @property
+    def gravity(self) -> Array:
+        """Gravity in the base link, m/s²."""
+        return np.array(self.pin_model.gravity.linear)
+
+    @property
+    def parameter_names(self) -> tuple[str, ...]:
+        """Names of the 10·links inertial parameters, such as ``xx_2``, counted from 1."""
+        return tuple(f"{p}_{i + 1}" for i in range(self.n_links) for p in PARAMETER_NAMES)
+
+    @property
+    def parameter_units(self) -> tuple[str, ...]:
+        """Units of the 10·links inertial parameters."""
+        return PARAMETER_UNITS * self.n_links
+
+    def _single_joints(self) -> list[tuple[int, Any]]:
+        """Return (column, Pinocchio joint) of each coordinate that is one joint of its own."""
+        columns = {name: j for j, name in enumerate(self.joint_names)}
+        model = self.pin_model
+        return [
+            (columns[model.names[i]], model.joints[i])
+            for i in range(1, model.njoints)
+            if model.names[i] in columns
+        ]
+
+    @property
+    def position_limits(self) -> Array:
+        """Limits of the joints' positions, shape (n, 2), infinite where there are none."""
+        limits = np.tile([-np.inf, np.inf], (self.n, 1))
+        for column, joint in self._single_joints():
+            lower = self.pin_model.lowerPositionLimit[joint.idx_q]
+            upper = self.pin_model.upperPositionLimit[joint.idx_q]
+            if joint.nq == 1 and max(-lower, upper) < _UNLIMITED:
+                limits[column] = lower, upper
+        return limits
+
+    def _rate_limits(self, values: Array) -> Array:
+        limits = np.full(self.n, np.inf)
+        for column, joint in self._single_joints():
+            if values[joint.idx_v] < _UNLIMITED:
+                limits[column] = values[joint.idx_v]
+        return limits
+
+    @property
+    def velocity_limits(self) -> Array:
+        """Largest speeds, shape (n,), infinite where there are none."""
+        return self._rate_limits(self.pin_model.velocityLimit)
+
+    @property
+    def effort_limits(self) -> Array:
+        """Largest efforts, shape (n,), infinite where there are none."""
+        return self._rate_limits(self.pin_model.effortLimit)
+
+    def configuration(self, position: ArrayLike) -> Array:
+        """Return Pinocchio's configurations, (K, n) to (K, nq).
+
+        Continuous joints become cosine and sine, mimic joints their expanded angle. With a
+        floating base the positions are already configurations, (K, nq).
+        """
+        position = real_array(position, "position", ndim=2)
+        model = self.pin_model
+        if self.free_flyer and position.shape[1] == model.nq:
+            return position
+        wanted = model.nq if self.free_flyer else self.n
+        if position.shape[1] != wanted:
+            raise DataError(
+                f"position: {position.shape[1]} columns, the robot '{self.name}' has {wanted}: "
+                f"{', '.join(self.joint_names)}."
+            )
+        angles = position @ self.expansion.T + self.offset
+        if model.nq == model.nv:
+            return np.ascontiguousarray(angles)
+        q = np.empty((len(angles), model.nq))
+        for joint in list(model.joints)[1:]:
+            if joint.nq == 2:
+                q[:, joint.idx_q] = np.cos(angles[:, joint.idx_v])
+                q[:, joint.idx_q + 1] = np.sin(angles[:, joint.idx_v])
+            else:
+                q[:, joint.idx_q] = angles[:, joint.idx_v]
+        return q
+
+    def _states(self, q: ArrayLike, v: ArrayLike, a: ArrayLike) -> tuple[Array, Array, Array]:
+        q = self.configuration(q)
+        rates = []
+        for values, name in ((v, "velocity"), (a, "acceleration")):
+            array = real_array(values, name, ndim=2)
+            if array.shape != (len(q), self.n):
+                raise DataError(
+                    f"{name}: shape {array.shape}, expected {(len(q), self.n)} "
+                    f"for {len(q)} positions of '{self.name}'."
+                )
+            rates.append(np.ascontiguousarray(array @ self.expansion.T))
+        return q, rates[0], rates[1]
+
+    def regressor(self, q: ArrayLike, v: ArrayLike, a: ArrayLike) -> Array:
+        """Return Y with ``effort = Y @ theta`` for the links' inertial parameters.
+
+        Parameters
+        ----------
+        q : array_like, shape (K, n)
+            Joint positions in rad or m; (K, nq) configurations with a floating base.
+        v, a : array_like, shape (K, n)
+            Velocities and accelerations.
+
+        Returns
+        -------
+        ndarray, shape (K, n, 10·links)
+            Columns link by link in Pinocchio's order of parameters [carpentier2019]_.
+
+        Raises
+        ------
+        DataError
+            When a shape does not fit or a value is not finite.
+        """
+        import pinocchio as pin
+
+        q, v, a = self._states(q, v, a)
+        model, data = self.pin_model, self.pin_model.createData()
+        mimics = self.expansion.shape[0] != self.expansion.shape[1]
+        out = np.empty((len(q), self.n, 10 * self.n_links))
+        compute = pin.computeJointTorqueRegressor
+        for k in range(len(q)):
+            # With a single joint the binding drops the axis of length one.
+            Y = compute(model, data, q[k], v[k], a[k]).reshape(model.nv, -1)
+            out[k] = self.expansion.T @ Y if mimics else Y
+        return out
+
+    def inverse_dynamics(
+        self, theta: ArrayLike, q: ArrayLike, v: ArrayLike, a: ArrayLike
+    ) -> Array:
+        """Return the efforts (K, n) of links with the given parameters, without friction."""
+        theta = np.asarray(theta, dtype=np.float64).reshape(-1)
+        return self.regressor(q, v, a) @ theta[: 10 * self.n_links]
+
+    def with_inertias(self, theta: ArrayLike) -> Any:
+        """Return a copy of the Pinocchio model whose links have the given parameters."""
+        import pinocchio as pin
+
+        bodies = np.asarray(theta, dtype=np.float64).reshape(-1)[: 10 * self.n_links]
+        model = self.pin_model.copy()
+        for i, body in enumerate(bodies.reshape(self.n_links, 10)):
+            model.inertias[i + 1] = pin.Inertia.FromDynamicParameters(body)
+        return model
+
+    def mass_matrix(self, theta: ArrayLike, q: ArrayLike) -> Array:
+        """Return the joint-space mass matrices.
+
+        Linear in theta, computed from the regressor at unit accelerations without gravity, so it
+        holds for any parameters, consistent or not, massless links included.
+
+        Parameters
+        ----------
+        theta : array_like, shape (10·links, …) flattened
+            Inertial parameters; further entries (friction) are ignored.
+        q : array_like, shape (K, n) or (n,)
+            Joint positions.
+
+        Returns
+        -------
+        ndarray, shape (K, n, n) or (n, n)
+        """
+        import pinocchio as pin
+
+        positions = np.asarray(q, dtype=np.float64)
+        configurations = self.configuration(np.atleast_2d(positions))
+        bodies = np.asarray(theta, dtype=np.float64).reshape(-1)[: 10 * self.n_links]
+        model = self.pin_model.copy()
+        model.gravity = pin.Motion.Zero()
+        data = model.createData()
+        zero = np.zeros(model.nv)
+        out = np.empty((len(configurations), self.n, self.n))
+        for k, configuration in enumerate(configurations):
+            for j in range(self.n):
+                unit = np.ascontiguousarray(self.expansion[:, j])
+                Y = pin.computeJointTorqueRegressor(model, data, configuration, zero, unit)
+                out[k, :, j] = self.expansion.T @ (Y.reshape(model.nv, -1) @ bodies)
+        out = 0.5 * (out + out.transpose(0, 2, 1))
+        return out[0] if positions.ndim == 1 else out
+
+
+def _row(row: Any) -> DhJoint:
+    if not isinstance(row, Mapping):
+        raise ModelError(
+            f"kinematic table: a row is {row!r}; give a mapping with alpha, d, theta, r."
+        )
+    try:
+        return DhJoint(**row)
+    except TypeError as cause:
+        raise ModelError(f"kinematic table: a row is not understood ({cause}).") from None
+
+
+def load_robot(
+    source: Any, *, root: Root | None = None, gravity: Sequence[float] | None = None
+) -> RobotModel:
+    """Load a robot.
+
+    Parameters
+    ----------
+    source : str, path, or pinocchio.Model
+        Name of a bundled robot (``"denso_vp6242"``), path of a URDF, its text, name of a robot of
+        example-robot-data (file stem, or folder/stem where ambiguous), or a model.
+    root : {"free_flyer"}, optional
+        Let the base float; its link is then identified too.
+    gravity : sequence of 3 floats, optional
+        Gravity in the base link; by default (0, 0, -9.81) m/s², or the model's own.
+
+    Returns
+    -------
+    RobotModel
+
+    Raises
+    ------
+    ModelError
+        When nothing is found under the name, the text is no URDF, a joint kind is not supported,
+        or nothing moves.
+    """
+    if root not in (None, "free_flyer"):
+        raise ModelError(f"root is {root!r}; use None or 'free_flyer'.")
+    if not isinstance(source, (str, os.PathLike)):
+        if root is not None:
+            raise ModelError("root: a pinocchio.Model already has its root; leave it out.")
+        return _from_pinocchio(source, None, (), gravity)
+    text, what, default_gravity = _find_text(source)
+    name, mimics = check_urdf(text, what, floating=root is not None)
+    import pinocchio as pin
+
+    try:
+        if root is None:
+            model = pin.buildModelFromXML(text)
+        else:
+            model = pin.buildModelFromXML(text, pin.JointModelFreeFlyer())
+    except (RuntimeError, ValueError) as cause:
+        raise ModelError(f"{what}: Pinocchio cannot read it ({cause}).") from None
+    model.name = name
+    if gravity is None:
+        gravity = default_gravity
+    return _from_pinocchio(model, text, mimics, gravity)
+
+
+def _find_text(source: str | os.PathLike[str]) -> tuple[str, str, Sequence[float] | None]:
+    """Return the URDF text, what to call it, and the gravity of a bundled robot."""
+    if isinstance(source, str) and source.lstrip().startswith("<"):
+        return source, "URDF text", None
+    if isinstance(source, str) and source in bundled_robots():
+        folder = bundled_folder(source)
+        table = DhTable.from_toml(folder / "kinematics.toml")
+        text = (folder / f"{source}.urdf").read_text(encoding="utf-8")
+        return text, source, table.gravity
+    path = Path(source)
+    if isinstance(source, str) and not _is_file(path):
+        found = find_example_robot(source)
+        if found is None:
+            known = ", ".join((*bundled_robots(), *example_robots()))
+            shown = source if len(source) <= 80 else source[:77] + "..."
+            raise ModelError(
+                f"no robot {shown!r}: not a file, and not one of {known or 'the bundled robots'}."
+            )
+        path = found
+    try:
+        text = path.read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError) as cause:
+        raise ModelError(f"cannot read {path}: {cause}.") from None
+    return text, path.name, None
+
+
+def _is_file(path: Path) -> bool:
+    try:
+        return path.is_file()
+    except OSError:  # such as a name that is too long to be one
+        return False
+
+
+def _from_pinocchio(
+    model: Any, urdf: str | None, mimics: Sequence[Mimic], gravity: Sequence[float] | None
+) -> RobotModel:
+    import pinocchio as pin
+
+    if not isinstance(model, pin.Model):
+        raise ModelError(
+            f"robot: got {type(model).__name__}; give a name, a path, URDF text or a "
+            "pinocchio.Model."
+        )
+    model = model.copy()
+    if model.njoints < 2:
+        raise ModelError(f"robot '{model.name}': no moving joint; nothing can be identified.")
+    if gravity is not None:
+        values = real_array(gravity, "gravity", ndim=1, error=ModelError)
+        if values.shape != (3,):
+            raise ModelError(f"gravity: {values.size} numbers, give 3 (m/s²).")
+        model.gravity.linear = values
+    coordinates = []
+    for i in range(1, model.njoints):
+        joint, name = model.joints[i], model.names[i]
+        if joint.nv == 1 and joint.nq in (1, 2) and joint.shortname() != "JointModelMimic":
+            coordinates.append(name)
+        elif i == 1 and joint.nv == 6 and joint.nq == 7:
+            axes = ("vx", "vy", "vz", "wx", "wy", "wz")
+            coordinates += [f"{name}/{axis}" for axis in axes]
+        else:
+            raise ModelError(
+                f"joint '{name}' is a {joint.shortname()}, which is not supported; "
+                "supported are revolute, continuous and prismatic joints."
+            )
+    expansion, offset, names = _expand_mimics(coordinates, mimics)
+    if any(m.offset for m in mimics) and model.joints[1].nv == 6:
+        raise ModelError("mimic joints with an offset are not supported on a floating base.")
+    prior = [model.inertias[i].toDynamicParameters() for i in range(1, model.njoints)]
+    return RobotModel(
+        name=model.name,
+        pin_model=model,
+        joint_names=names,
+        link_names=_link_names(model),
+        prior=frozen(prior),
+        expansion=frozen(expansion),
+        offset=frozen(offset),
+        urdf=urdf,
+    )
+
+
+def _expand_mimics(
+    coordinates: Sequence[str], mimics: Sequence[Mimic]
+) -> tuple[Array, Array, tuple[str, ...]]:
+    rules = {mimic.joint: mimic for mimic in mimics}
+    names = tuple(name for name in coordinates if name not in rules)
+    expansion = np.zeros((len(coordinates), len(names)))
+    offset = np.zeros(len(coordinates))
+    for row, name in enumerate(coordinates):
+        multiplier, shift, source, seen = 1.0, 0.0, name, {name}
+        while source in rules:
+            rule = rules[source]
+            shift += multiplier * rule.offset
+            multiplier *= rule.multiplier
+            source = rule.source
+            if source in seen:
+                raise ModelError(f"mimic joints repeat each other in a circle at '{source}'.")
+            seen.add(source)
+        if source not in names:
+            raise ModelError(f"joint '{name}' mimics '{source}', which is no moving joint.")
+        expansion[row, names.index(source)] = multiplier
+        offset[row] = shift
+    return expansion, offset, names
+
+
+def _link_names(model: Any) -> tuple[str, ...]:
+    """Return the first body of each joint: the URDF link that the joint moves."""
+    import pinocchio as pin
+
+    bodies: dict[int, str] = {}
+    for frame in model.frames:
+        if frame.type == pin.FrameType.BODY:
+            bodies.setdefault(frame.parentJoint, frame.name)
+    return tuple(bodies.get(i, model.names[i]) for i in range(1, model.njoints))

@@ -1,0 +1,98 @@
+"""What sdpid itself reads from and writes into URDF; Pinocchio does the rest."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from sdpid.errors import ModelError
+from sdpid.robot.inertia import physical_parameters
+from sdpid.robot.xml import parse_xml
+
+_ONE_VARIABLE = ("revolute", "continuous", "prismatic")
+
+
+@dataclass(frozen=True)
+class Mimic:
+    """A joint that repeats another: ``q = multiplier·q_source + offset``."""
+
+    joint: str
+    source: str
+    multiplier: float
+    offset: float
+
+
+def check_urdf(
+    text: str, what: str, *, floating: bool = False
+) -> tuple[str, tuple[Mimic, ...]]:
+    """Check the joints of a URDF and return the robot's name and its mimic joints.
+
+    With a `floating` base the base itself moves, so that no joint needs to.
+
+    Raises
+    ------
+    ModelError
+        When it is not a URDF, has no moving joint, or has a joint of a kind that has more than
+        one variable.
+    """
+    root = parse_xml(text, what)
+    if root.tag != "robot":
+        raise ModelError(f"{what}: the root element is <{root.tag}>, a URDF has <robot>.")
+    moving = 0
+    mimics = []
+    for joint in root.findall("joint"):
+        name, kind = joint.get("name", "?"), joint.get("type", "?")
+        if kind == "fixed":
+            continue
+        if kind not in _ONE_VARIABLE:
+            raise ModelError(
+                f"{what}: joint '{name}' is of kind '{kind}'; supported are "
+                f"{', '.join(_ONE_VARIABLE)} and fixed (a floating base: root='free_flyer')."
+            )
+        moving += 1
+        mimic = joint.find("mimic")
+        if mimic is not None:
+            try:
+                multiplier = float(mimic.get("multiplier", "1"))
+                offset = float(mimic.get("offset", "0"))
+                if not np.isfinite([multiplier, offset]).all():
+                    raise ValueError
+            except ValueError:
+                raise ModelError(
+                    f"{what}: joint '{name}': the mimic's multiplier or offset is not a number."
+                ) from None
+            mimics.append(Mimic(name, mimic.get("joint", ""), multiplier, offset))
+    if moving == 0 and not floating:
+        raise ModelError(f"{what}: no moving joint; nothing can be identified.")
+    return root.get("name", "robot"), tuple(mimics)
+
+
+def inertial_element(body: ArrayLike) -> Any:
+    """Return the <inertial> element of a body given by its ten parameters.
+
+    The inertia is written about the centre of mass along the axes of the frame. A body without
+    mass has no centre of mass: it is refused.
+
+    Raises
+    ------
+    ModelError
+        When the mass is not positive.
+    """
+    from lxml import etree
+
+    body = np.asarray(body, dtype=np.float64)
+    if not body[0] > 0.0:
+        raise ModelError(f"inertial: the mass is {body[0]} kg, a URDF needs a positive one.")
+    mass, com, inertia = physical_parameters(body)
+    element = etree.Element("inertial")
+    xyz = " ".join(repr(float(x) + 0.0) for x in com)
+    etree.SubElement(element, "origin", xyz=xyz, rpy="0 0 0")
+    etree.SubElement(element, "mass", value=repr(float(mass)))
+    names = {"ixx": (0, 0), "ixy": (0, 1), "ixz": (0, 2), "iyy": (1, 1), "iyz": (1, 2)}
+    names["izz"] = (2, 2)
+    entries = {key: repr(float(inertia[ij]) + 0.0) for key, ij in names.items()}
+    etree.SubElement(element, "inertia", entries)
+    return element

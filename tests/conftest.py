@@ -1,0 +1,46 @@
+"""Fixtures and Hypothesis profiles of the whole suite."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import pytest
+from hypothesis import HealthCheck, settings
+
+from sdpid.robot.model import RobotModel, load_robot
+
+_CI = os.environ.get("CI", "").lower() == "true"
+
+# Examples take milliseconds to a second depending on the robot, so no deadline is right for all.
+_QUIET = [HealthCheck.too_slow]
+settings.register_profile("dev", max_examples=25, deadline=None, suppress_health_check=_QUIET)
+settings.register_profile(
+    "ci",
+    max_examples=50,
+    deadline=None,
+    derandomize=True,
+    print_blob=True,
+    suppress_health_check=_QUIET,
+)
+settings.load_profile("ci" if _CI else "dev")
+
+_REPOSITORY = Path(__file__).resolve().parent.parent
+
+
+@pytest.fixture(scope="session")
+def data_folder() -> Path:
+    """Return the folder of real recordings; they are too large to ship with the tests."""
+    folder = Path(os.environ.get("SDPID_DATA", _REPOSITORY.parent / "shared" / "data"))
+    if not folder.is_dir():
+        reason = f"no recordings in {folder}; set SDPID_DATA to their folder"
+        if _CI:
+            pytest.fail(reason)
+        pytest.skip(reason)
+    return folder
+
+
+@pytest.fixture(scope="session")
+def denso() -> RobotModel:
+    """Return the arm of the case study."""
+    return load_robot("denso_vp6242")

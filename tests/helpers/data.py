@@ -1,0 +1,141 @@
+"""Samples made from known parameters, and brute-force sums over their rows."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import Any
+
+import numpy as np
+
+from sdpid._arrays import Array
+from sdpid.estimation.problem import Problem
+from sdpid.experiment.samples import Samples
+from sdpid.robot.friction import FrictionModel, FrictionTerm
+from sdpid.robot.inertia import point_masses
+from sdpid.robot.model import RobotModel
+from tests.helpers.strategies import random_states
+
+FRICTION: tuple[str | FrictionTerm, ...] = ("coulomb", "viscous")
+
+
+def random_links(rng: np.random.Generator, count: int, *, points: int = 8) -> Array:
+    """Return consistent links (count, 10), each made of random point masses."""
+    masses = rng.uniform(0.05, 0.5, (count, points))
+    centres = rng.uniform(-0.2, 0.2, (count, 1, 3))
+    positions = centres + rng.uniform(-0.15, 0.15, (count, points, 3))
+    return point_masses(masses, positions)
+
+
+def friction_model(
+    robot: RobotModel, friction: Iterable[str | FrictionTerm] = FRICTION
+) -> FrictionModel:
+    """Return the friction model of a robot."""
+    return FrictionModel.from_terms(friction, robot.joint_names, first=robot.n_base)
+
+
+def random_theta(
+    robot: RobotModel,
+    rng: np.random.Generator,
+    friction: Iterable[str | FrictionTerm] = FRICTION,
+) -> Array:
+    """Return consistent standard parameters (p,) with positive friction."""
+    terms = friction_model(robot, friction).parameters
+    links = random_links(rng, robot.n_links)
+    return np.concatenate([links.ravel(), rng.uniform(0.1, 2.0, len(terms))])
+
+
+def flat_links(rng: np.random.Generator, count: int) -> Array:
+    """Return links (count, 10) of a single point mass each: on the boundary of what exists."""
+    return random_links(rng, count, points=1)
+
+
+def full_regressor(
+    robot: RobotModel,
+    states: tuple[Array, Array, Array],
+    friction: Iterable[str | FrictionTerm] = FRICTION,
+) -> Array:
+    """Return the regressor of all standard parameters, (K, n, p)."""
+    q, v, a = states
+    columns = friction_model(robot, friction).columns(v, a)
+    return np.concatenate([robot.regressor(q, v, a), columns], axis=2)
+
+
+def make_samples(
+    robot: RobotModel,
+    theta: Array,
+    rng: np.random.Generator,
+    *,
+    count: int = 60,
+    noise: float | Array = 0.0,
+    friction: Iterable[str | FrictionTerm] = FRICTION,
+    **fields: Any,
+) -> Samples:
+    """Return samples at generic states: exact efforts plus noise (a deviation, or an array)."""
+    q, v, a = random_states(rng, robot.n, count)
+    effort = full_regressor(robot, (q, v, a), friction) @ theta
+    error = noise * rng.standard_normal(effort.shape) if np.ndim(noise) == 0 else noise
+    return Samples(position=q, velocity=v, acceleration=a, effort=effort + error, **fields)
+
+
+def random_covariance(rng: np.random.Generator, n: int, count: int | None = None) -> Array:
+    """Return covariances (n, n) or (count, n, n), well conditioned and correlated."""
+    shape = (n, n) if count is None else (count, n, n)
+    root = rng.standard_normal(shape)
+    return np.asarray(0.2 * root @ np.swapaxes(root, -1, -2) + 0.5 * np.eye(n))
+
+
+def raw_rows(problem: Problem) -> tuple[Array, Array, np.ndarray]:
+    """Return the base regressor (K, n, b), efforts (K, n) and mask, from the standard columns."""
+    s = problem.samples
+    full = np.concatenate(
+        [
+            problem.robot.regressor(s.position, s.velocity, s.acceleration),
+            problem.friction.columns(s.velocity, s.acceleration),
+        ],
+        axis=2,
+    )
+    mask = np.ones(s.effort.shape, dtype=bool) if s.mask is None else np.asarray(s.mask)
+    return full[:, :, problem.base.kept], s.effort, mask
+
+
+def matrix_power(matrix: Array, exponent: float) -> Array:
+    """Return a symmetric power, one matrix at a time."""
+    values, vectors = np.linalg.eigh(matrix)
+    return np.asarray(vectors @ np.diag(values**exponent) @ vectors.T)
+
+
+def brute_force_cost(problem: Problem, base: Array, sigma: Array) -> float:
+    """Return the weighted cost, summed sample by sample over the rows that are not masked.
+
+    Parameters
+    ----------
+    problem : Problem
+        Its weighting says which sum.
+    base : ndarray, shape (b,)
+        Base parameters.
+    sigma : ndarray, shape (n, n) or (K, n, n)
+        The covariance that the weighting is meant to use.
+    """
+    W, effort, mask = raw_rows(problem)
+    normal = np.zeros(problem.base.count)
+    total = 0.0
+    for k in range(len(W)):
+        used = np.flatnonzero(mask[k])
+        if not used.size:
+            continue
+        covariance = (sigma if sigma.ndim == 2 else sigma[k])[np.ix_(used, used)]
+        residual = (effort[k] - W[k] @ base)[used]
+        if problem.weighting == "eq9":
+            normal += W[k][used].T @ matrix_power(covariance, -0.5) @ residual
+        else:
+            weighted = np.linalg.solve(covariance, residual)
+            normal += W[k][used].T @ weighted
+            total += float(residual @ weighted)
+    return float(normal @ normal) if problem.weighting in ("eq9", "eq18") else total
+
+
+def relative_error(base: Array, truth: Array, units: tuple[str, ...]) -> float:
+    """Return the largest error, relative to the largest true value of the same unit."""
+    kinds = np.array(units)
+    sizes = np.array([np.abs(truth[kinds == unit]).max() for unit in units])
+    return float(np.max(np.abs(base - truth) / sizes))

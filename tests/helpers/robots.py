@@ -1,0 +1,75 @@
+"""Robots for the tests: a tree with every kind of joint, and small arms."""
+
+from __future__ import annotations
+
+import math
+
+from sdpid.robot.mdh import DhJoint, DhTable
+from sdpid.robot.model import RobotModel
+
+_TREE = """<robot name="tree">
+<link name="base"/>
+<link name="column"><inertial><origin xyz="0.1 0 0.2" rpy="0.1 0 0.3"/><mass value="3"/>
+  <inertia ixx="0.03" iyy="0.04" izz="0.05" ixy="0.001" ixz="0.002" iyz="-0.003"/></inertial></link>
+<link name="left_arm"><inertial><origin xyz="0 0.1 0.2"/><mass value="2"/>
+  <inertia ixx="0.03" iyy="0.02" izz="0.03" ixy="0" ixz="0" iyz="0.002"/></inertial></link>
+<link name="left_slide"><inertial><origin xyz="-0.1 0.1 0"/><mass value="1.5"/>
+  <inertia ixx="0.02" iyy="0.02" izz="0.03" ixy="0.001" ixz="0" iyz="0"/></inertial></link>
+<link name="right_arm"><inertial><origin xyz="0.2 -0.1 0"/><mass value="1"/>
+  <inertia ixx="0.01" iyy="0.02" izz="0.02" ixy="0" ixz="0.001" iyz="0"/></inertial></link>
+<link name="bracket"><inertial><origin xyz="0 0 0.05"/><mass value="0.5"/>
+  <inertia ixx="0.002" iyy="0.002" izz="0.002" ixy="0" ixz="0" iyz="0"/></inertial></link>
+<link name="finger"><inertial><origin xyz="0.03 0 0"/><mass value="0.2"/>
+  <inertia ixx="0.001" iyy="0.001" izz="0.001" ixy="0" ixz="0" iyz="0"/></inertial></link>
+<link name="thumb"><inertial><origin xyz="0 0.03 0"/><mass value="0.2"/>
+  <inertia ixx="0.001" iyy="0.001" izz="0.001" ixy="0" ixz="0" iyz="0"/></inertial></link>
+<joint name="lift" type="prismatic"><parent link="base"/><child link="column"/>
+  <origin xyz="0.1 -0.2 0.3" rpy="0.3 0.2 -0.5"/><axis xyz="0 0.6 0.8"/>
+  <limit lower="-1" upper="1" effort="100" velocity="2"/></joint>
+<joint name="left" type="continuous"><parent link="column"/><child link="left_arm"/>
+  <origin xyz="0 0.2 0.1" rpy="-1 0.4 2"/><axis xyz="0.6 0 0.8"/></joint>
+<joint name="slide" type="prismatic"><parent link="left_arm"/><child link="left_slide"/>
+  <origin xyz="0 0 0.4" rpy="2 0 0.3"/><axis xyz="0 -0.8 0.6"/>
+  <limit lower="-1" upper="1" effort="50" velocity="1"/></joint>
+<joint name="right" type="revolute"><parent link="column"/><child link="right_arm"/>
+  <origin xyz="0.3 0 0" rpy="0.1 1.2 0"/><axis xyz="1 0 0"/>
+  <limit lower="-2" upper="1.5" effort="30" velocity="3"/></joint>
+<joint name="weld" type="fixed"><parent link="right_arm"/><child link="bracket"/>
+  <origin xyz="0.2 0 0.1" rpy="0 0 1"/></joint>
+<joint name="finger" type="revolute"><parent link="bracket"/><child link="finger"/>
+  <origin xyz="0 0.1 0" rpy="0 0.5 0"/><axis xyz="0 1 0"/>
+  <limit lower="-1" upper="1" effort="5" velocity="3"/></joint>
+<joint name="thumb" type="revolute"><parent link="bracket"/><child link="thumb"/>
+  <origin xyz="0 -0.1 0" rpy="0 0 0.7"/><axis xyz="0 0 1"/>
+  <limit lower="-1" upper="1" effort="5" velocity="3"/>{mimic}</joint>
+</robot>"""
+
+# Branches, prismatic, continuous and fixed joints, axes in any direction.
+TREE = _TREE.format(mimic="")
+
+# The same, but the thumb follows the finger.
+TREE_MIMIC = _TREE.format(mimic='<mimic joint="finger" multiplier="-0.7" offset="0.2"/>')
+TREE_MIMIC_NO_OFFSET = _TREE.format(mimic='<mimic joint="finger" multiplier="-0.7"/>')
+MIMIC = {"joint": "thumb", "source": "finger", "multiplier": -0.7, "offset": 0.2}
+
+RIGHT = math.pi / 2
+
+
+def small_arm(joints: int) -> RobotModel:
+    """Return an arm with the given number of revolute joints, axes crossing in turn."""
+    rows = [DhJoint(r=0.2)]
+    rows += [
+        DhJoint(alpha=RIGHT if i % 2 else 0.0, d=0.0 if i % 2 else 0.3) for i in range(1, joints)
+    ]
+    return RobotModel.from_mdh(DhTable(joints=tuple(rows), name=f"arm{joints}"))
+
+
+def pendulum() -> RobotModel:
+    """Return one link on a horizontal axis."""
+    return RobotModel.from_mdh(DhTable(joints=(DhJoint(alpha=RIGHT),), name="pendulum"))
+
+
+def planar_arm() -> RobotModel:
+    """Return two links with parallel horizontal axes."""
+    rows = (DhJoint(alpha=RIGHT), DhJoint(d=0.4))
+    return RobotModel.from_mdh(DhTable(joints=rows, name="planar_arm"))

@@ -1,0 +1,124 @@
+"""Hypothesis strategies: bodies that exist, kinematic tables, states.
+
+Nothing is found by rejection: bodies are made of point masses, so they are consistent because
+of what they are.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any, Literal
+
+import numpy as np
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as hnp
+
+from sdpid._arrays import Array
+from sdpid.robot.inertia import point_masses, transform
+from sdpid.robot.mdh import DhJoint, DhTable
+
+# A core of six equal masses on the axes makes every body three-dimensional: its own second
+# moments about its centre are at least 2·CORE_MASS/6·CORE_RADIUS² in every direction, and no
+# further point mass can take any of that away.
+CORE_MASS = 0.3
+CORE_RADIUS = 0.05
+LEAST_MARGIN = CORE_MASS / 3.0 * CORE_RADIUS**2
+
+SEEDS = st.integers(0, 2**32 - 1)
+
+
+def reals(low: float, high: float) -> st.SearchStrategy[float]:
+    """Floats in a range, without the denormal ones that only test the processor."""
+    return st.floats(low, high, allow_subnormal=False)
+
+
+@st.composite
+def rotations(draw: st.DrawFn) -> Array:
+    """Rotation matrices, from three angles."""
+    a, b, c = draw(hnp.arrays(float, 3, elements=reals(-math.pi, math.pi)))
+    Rz = np.array([[np.cos(a), -np.sin(a), 0], [np.sin(a), np.cos(a), 0], [0, 0, 1]])
+    Ry = np.array([[np.cos(b), 0, np.sin(b)], [0, 1, 0], [-np.sin(b), 0, np.cos(b)]])
+    Rx = np.array([[1, 0, 0], [0, np.cos(c), -np.sin(c)], [0, np.sin(c), np.cos(c)]])
+    return Rz @ Ry @ Rx
+
+
+def core(mass: float = CORE_MASS, radius: float = CORE_RADIUS) -> Array:
+    """Six equal point masses on the axes about the origin, shape (10,)."""
+    points = radius * np.concatenate([np.eye(3), -np.eye(3)])
+    return point_masses(np.full(6, mass / 6.0), points)
+
+
+@st.composite
+def bodies(draw: st.DrawFn, *, points: int = 4) -> Array:
+    """Bodies (10,): up to `points` random point masses and a core, in a random place."""
+    count = draw(st.integers(0, points))
+    masses = draw(hnp.arrays(float, count, elements=reals(0.01, 3.0)))
+    positions = draw(hnp.arrays(float, (count, 3), elements=reals(-0.4, 0.4)))
+    centre = draw(hnp.arrays(float, 3, elements=reals(-0.3, 0.3)))
+    whole = transform(core(), np.eye(3), centre)
+    if count:
+        whole = whole + point_masses(masses, positions)
+    return whole
+
+
+@st.composite
+def links(draw: st.DrawFn, count: int) -> Array:
+    """Links (count, 10)."""
+    return np.stack([draw(bodies()) for _ in range(count)])
+
+
+ANGLES = st.one_of(
+    st.sampled_from([0.0, math.pi / 2, -math.pi / 2, math.pi]), reals(-math.pi, math.pi)
+)
+LENGTHS = st.one_of(st.just(0.0), reals(-0.6, 0.6))
+
+
+@st.composite
+def dh_joints(draw: st.DrawFn, *, prismatic: bool = True) -> DhJoint:
+    """One row of a table."""
+    kinds: list[Any] = ["revolute", "revolute", "prismatic"] if prismatic else ["revolute"]
+    return DhJoint(
+        alpha=draw(ANGLES),
+        d=draw(LENGTHS),
+        theta=draw(ANGLES),
+        r=draw(LENGTHS),
+        kind=draw(st.sampled_from(kinds)),
+    )
+
+
+@st.composite
+def dh_tables(
+    draw: st.DrawFn,
+    *,
+    least: int = 1,
+    most: int = 6,
+    prismatic: bool = True,
+    conventions: tuple[Literal["modified", "standard"], ...] = ("modified", "standard"),
+) -> DhTable:
+    """Tables with base placement and gravity in any direction."""
+    vectors = hnp.arrays(float, 3, elements=reals(-1.0, 1.0)).map(tuple)
+    angles = st.tuples(ANGLES, ANGLES, ANGLES)
+    return DhTable(
+        joints=tuple(draw(st.lists(dh_joints(prismatic=prismatic), min_size=least, max_size=most))),
+        convention=draw(st.sampled_from(conventions)),
+        base_translation=draw(vectors),
+        base_rpy=draw(angles),
+        gravity=tuple(9.81 * float(x) for x in draw(vectors)),
+    )
+
+
+@st.composite
+def states(draw: st.DrawFn, n: int, *, count: int = 5) -> tuple[Array, Array, Array]:
+    """Positions, velocities and accelerations (count, n)."""
+    return random_states(np.random.default_rng(draw(SEEDS)), n, count)
+
+
+def random_states(
+    rng: np.random.Generator, n: int, count: int
+) -> tuple[Array, Array, Array]:
+    """Generic positions, velocities and accelerations (count, n)."""
+    return (
+        rng.uniform(-np.pi, np.pi, (count, n)),
+        rng.uniform(-3.0, 3.0, (count, n)),
+        rng.uniform(-10.0, 10.0, (count, n)),
+    )

@@ -1,0 +1,162 @@
+"""Algebra of single bodies."""
+
+from __future__ import annotations
+
+import numpy as np
+import pinocchio as pin
+import pytest
+from hypothesis import given
+from hypothesis.extra import numpy as hnp
+
+from sdpid._arrays import Array
+from sdpid.robot.inertia import (
+    Consistency,
+    from_pseudo_inertia,
+    inertia_tensor,
+    margin,
+    margin_shift,
+    matrix_basis,
+    matrix_of,
+    physical_parameters,
+    point_masses,
+    pseudo_inertia,
+    second_moment_from_inertia,
+    skew,
+    spatial_inertia,
+    theta_from_physical,
+    transform,
+)
+from tests.helpers.strategies import LEAST_MARGIN, bodies, links, reals, rotations
+from tests.helpers.tolerances import ALGEBRA
+
+BOTH: tuple[Consistency, ...] = ("pseudo_inertia", "spatial_inertia")
+any_vector = hnp.arrays(float, 10, elements=reals(-5.0, 5.0))
+
+
+def assert_close(actual: Array, expected: Array, tolerance: float = ALGEBRA) -> None:
+    scale = max(1.0, float(np.abs(expected).max()))
+    np.testing.assert_allclose(actual, expected, rtol=0, atol=tolerance * scale)
+
+
+@given(any_vector)
+def test_pseudo_inertia_round_trip(theta: Array) -> None:
+    assert_close(from_pseudo_inertia(pseudo_inertia(theta)), theta)
+
+
+@given(bodies())
+def test_physical_round_trip(body: Array) -> None:
+    assert_close(theta_from_physical(*physical_parameters(body)), body)
+
+
+@given(links(3))
+def test_leading_axes_are_bodies(three: Array) -> None:
+    for function in (pseudo_inertia, spatial_inertia, inertia_tensor):
+        np.testing.assert_array_equal(function(three), [function(body) for body in three])
+    for consistency in BOTH:
+        together = margin(three.reshape(3, 1, 10), consistency)
+        assert_close(together[:, 0], [margin(body, consistency) for body in three])
+
+
+@given(any_vector)
+def test_matrices_are_linear_in_the_basis(theta: Array) -> None:
+    for consistency in BOTH:
+        combined = np.einsum("k,kij->ij", theta, matrix_basis(consistency))
+        assert_close(combined, matrix_of(theta, consistency))
+
+
+@given(bodies())
+def test_point_masses_give_positive_definite_matrices(body: Array) -> None:
+    for consistency in BOTH:
+        assert np.linalg.eigvalsh(matrix_of(body, consistency)).min() > 0.0
+    # The core alone accounts for this much; rounding of the parallel-axis shift is far below.
+    assert margin(body, "pseudo_inertia") >= LEAST_MARGIN * (1 - 1e-6)
+
+
+def test_spatial_inertia_of_a_point_mass_pushes_back() -> None:
+    body = point_masses([2.0], [[0.3, -0.2, 0.5]])
+    # Turned about the origin with w the mass moves with w × r, and f = m·(w × r).
+    w, r = np.array([0.4, -1.0, 0.7]), np.array([0.3, -0.2, 0.5])
+    force = 2.0 * np.cross(w, r)
+    wrench = spatial_inertia(body) @ np.append(w, np.zeros(3))
+    np.testing.assert_allclose(wrench, [*np.cross(r, force), *force], atol=1e-15)
+
+
+@given(any_vector)
+def test_tensor_entries_are_pinocchios(theta: Array) -> None:
+    theta[0] = abs(theta[0]) + 0.1
+    inertia = pin.Inertia.FromDynamicParameters(theta)
+    mass, com, about = physical_parameters(theta)
+    assert_close(mass, np.float64(inertia.mass))
+    assert_close(com, inertia.lever, 1e-11)
+    # The shift to the centre of mass can be much larger than what is left.
+    assert_close(about, inertia.inertia, 1e-10)
+    assert_close(theta_from_physical(mass, com, about), inertia.toDynamicParameters(), 1e-10)
+
+
+@given(hnp.arrays(float, (2, 3), elements=reals(-5.0, 5.0)))
+def test_skew_is_the_cross_product(vectors: Array) -> None:
+    v, w = vectors
+    np.testing.assert_allclose(skew(v) @ w, np.cross(v, w), atol=1e-14)
+
+
+@given(bodies(), rotations(), hnp.arrays(float, 3, elements=reals(-1.0, 1.0)))
+def test_transform_is_pinocchios_se3_action(body: Array, R: Array, t: Array) -> None:
+    moved = pin.SE3(R, t).act(pin.Inertia.FromDynamicParameters(body))
+    assert_close(transform(body, R, t), moved.toDynamicParameters())
+
+
+@given(bodies(), rotations(), hnp.arrays(float, 3, elements=reals(-1.0, 1.0)))
+def test_margins_do_not_depend_on_the_frame(body: Array, R: Array, t: Array) -> None:
+    for consistency in BOTH:
+        before, after = margin(body, consistency), margin(transform(body, R, t), consistency)
+        assert_close(after, before, 1e-11)
+
+
+@given(bodies())
+def test_second_moment_margin_implies_twice_that_of_the_inertia(body: Array) -> None:
+    assert margin(body, "spatial_inertia") >= 2.0 * margin(body, "pseudo_inertia") - ALGEBRA
+
+
+def test_the_factor_two_is_sharp_and_the_sets_are_nested_strictly() -> None:
+    ball = theta_from_physical(1.0, np.zeros(3), 0.02 * np.eye(3))
+    assert margin(ball, "pseudo_inertia") == pytest.approx(0.01)
+    assert margin(ball, "spatial_inertia") == pytest.approx(0.02)
+    # Positive inertia, but no body: the largest moment exceeds the sum of the others.
+    impossible = theta_from_physical(1.0, np.zeros(3), np.diag([1.0, 1.0, 3.0]))
+    assert margin(impossible, "spatial_inertia") == pytest.approx(1.0)
+    assert margin(impossible, "pseudo_inertia") == pytest.approx(-0.5)
+
+
+@given(bodies(), reals(-0.5, 0.5))
+def test_margin_is_the_schur_complement(body: Array, shift: float) -> None:
+    """The matrix with t·D taken off is definite exactly when t is below the margin."""
+    for consistency in BOTH:
+        t = float(margin(body, consistency)) + shift
+        matrix = matrix_of(body, consistency) - t * margin_shift(consistency)
+        smallest = np.linalg.eigvalsh(matrix).min()
+        # By congruence the sign is that of −shift; near zero it is rounding's.
+        if abs(shift) > 1e-9:
+            assert (smallest > 0.0) == (shift < 0.0)
+        # And exactly at the margin the determinant vanishes.
+        at = matrix_of(body, consistency) - float(margin(body, consistency)) * margin_shift(
+            consistency
+        )
+        assert abs(np.linalg.eigvalsh(at).min()) < 1e-11 * max(1.0, np.abs(at).max())
+
+
+@given(bodies())
+def test_margin_is_an_eigenvalue_about_the_centre_of_mass(body: Array) -> None:
+    _, _, inertia = physical_parameters(body)
+    assert_close(margin(body, "spatial_inertia"), np.linalg.eigvalsh(inertia).min())
+    moments = np.linalg.eigvalsh(inertia)
+    triangle = 0.5 * (moments[0] + moments[1] - moments[2])
+    assert_close(margin(body, "pseudo_inertia"), triangle)
+    assert_close(second_moment_from_inertia(inertia).trace(), 0.5 * moments.sum())
+
+
+@pytest.mark.parametrize("mass", [0.0, -1.0])
+@pytest.mark.parametrize("consistency", BOTH)
+def test_no_margin_without_mass(mass: float, consistency: Consistency) -> None:
+    assert np.isnan(margin(np.array([mass, *[0.0] * 3, 1, 0, 1, 0, 0, 1]), consistency))
+    mixed = np.array([[mass, *[0.0] * 3, 1, 0, 1, 0, 0, 1], [1.0, *[0.0] * 3, 1, 0, 1, 0, 0, 1]])
+    np.testing.assert_array_equal(np.isfinite(margin(mixed, consistency)), [False, True])
