@@ -1,0 +1,193 @@
+"""`Samples`: what the estimators see, after processing."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sdpid._arrays import Array, frozen_view, real_array
+from sdpid.errors import DataError
+from sdpid.experiment.recording import checked_names
+
+__all__ = ["Samples"]
+
+# A covariance may be this far from symmetric, relative to its largest entry: rounding of a sum of
+# products, with room for one that came through a text file.
+_ASYMMETRY = 1e-6
+
+
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class Samples:
+    """States and efforts, sample by sample, ready for a regression.
+
+    Parameters
+    ----------
+    position : (K, n) or (K, nq) array_like
+        Joint positions in rad; with a free flyer the configuration, one column more than n.
+    velocity, acceleration : (K, n) array_like
+        In rad/s and rad/s².
+    effort : (K, n) array_like
+        In N·m.
+    covariance : (n, n) or (K, n, n) array_like, optional
+        Covariance of the effort in (N·m)², one for all samples or one a sample. From periodic
+        records it is that of a single period, the paper's (11); the mean over `periods` periods
+        has ``covariance / periods``.
+    mask : (K, n) array_like of bool, optional
+        True where the row (sample k, joint j) is to be used. None uses all.
+    time : (K,) array_like, optional
+        In s.
+    joint_names : sequence of str, optional
+        One name a column of `effort`.
+    periods : int, optional
+        Number of periods that were averaged.
+    block : int, optional
+        Number of samples in a block clearly longer than the memory of the filter. Blocks, not
+        samples, are the independent units of standard errors.
+    notes : sequence of str, optional
+        What processing did, and what it noticed.
+    effort_periods : (P, K, n) array_like, optional
+        Effort of each period before averaging, in N·m.
+
+    Raises
+    ------
+    DataError
+        When shapes disagree, a value is not finite, a covariance cannot be one, or a joint has
+        no row left.
+    """
+
+    position: Array
+    velocity: Array
+    acceleration: Array
+    effort: Array
+    covariance: Array | None = None
+    mask: NDArray[np.bool_] | None = None
+    time: Array | None = None
+    joint_names: tuple[str, ...] | None = None
+    periods: int | None = None
+    block: int = 1
+    notes: tuple[str, ...] = ()
+    effort_periods: Array | None = None
+
+    def __post_init__(self) -> None:
+        effort = self._keep("effort", 2)
+        K, n = effort.shape
+        if K == 0 or n == 0:
+            raise DataError(f"effort: has shape {effort.shape}, there is nothing to fit.")
+        position = self._keep("position", 2)
+        if position.shape[0] != K or position.shape[1] < n:
+            raise DataError(
+                f"position: has shape {position.shape}, expected {(K, n)} as effort has (or more "
+                "columns with a free flyer)."
+            )
+        for name in ("velocity", "acceleration"):
+            self._expect(name, self._keep(name, 2), (K, n))
+        if self.time is not None:
+            self._expect("time", self._keep("time", 1), (K,))
+        if self.joint_names is not None:
+            object.__setattr__(self, "joint_names", checked_names(self.joint_names, n))
+        self._check_covariance(K, n)
+        self._check_mask(K, n)
+        for name, least in (("periods", 1), ("block", 1)):
+            value = getattr(self, name)
+            if value is None and name == "periods":
+                continue
+            if isinstance(value, bool) or int(value) != value or value < least:
+                raise DataError(f"{name}: is {value}, expected a whole number of at least {least}.")
+            object.__setattr__(self, name, int(value))
+        if self.effort_periods is not None:
+            self._expect("effort_periods", self._keep("effort_periods", 3), (self.periods, K, n))
+        object.__setattr__(self, "notes", tuple(self.notes))
+
+    def __repr__(self) -> str:
+        parts = [f"{self.n_samples} samples", f"{self.n} joints", f"{self.n_rows} rows used"]
+        if self.periods is not None:
+            parts.append(f"mean of {self.periods} periods")
+        return f"Samples({', '.join(parts)})"
+
+    @property
+    def n(self) -> int:
+        """Number of efforts a sample."""
+        return int(self.effort.shape[1])
+
+    @property
+    def n_samples(self) -> int:
+        """Number of samples, K."""
+        return int(self.effort.shape[0])
+
+    @property
+    def n_rows(self) -> int:
+        """Number of rows (sample, joint) in use."""
+        return int(self.effort.size if self.mask is None else np.count_nonzero(self.mask))
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Joint names for messages: the given ones, or numbers from 1."""
+        if self.joint_names is not None:
+            return self.joint_names
+        return tuple(str(j + 1) for j in range(self.n))
+
+    def _keep(self, name: str, ndim: int) -> Array:
+        """Check the array in a field and put it back as a read-only contiguous view."""
+        array = np.ascontiguousarray(real_array(getattr(self, name), name, ndim=ndim))
+        view: Array = frozen_view(array)
+        object.__setattr__(self, name, view)
+        return view
+
+    @staticmethod
+    def _expect(name: str, array: Array, shape: tuple[Any, ...]) -> None:
+        """Raise when an array has another shape than the rest asks for."""
+        if array.shape != shape:
+            raise DataError(f"{name}: has shape {array.shape}, expected {shape} to match effort.")
+
+    def _check_covariance(self, K: int, n: int) -> None:
+        """Check shape, symmetry, and what every covariance satisfies entry by entry."""
+        if self.covariance is None:
+            return
+        covariance = self._keep("covariance", 2 if np.ndim(self.covariance) == 2 else 3)
+        if covariance.shape not in ((n, n), (K, n, n)):
+            raise DataError(
+                f"covariance: has shape {covariance.shape}, expected {(n, n)} or {(K, n, n)}."
+            )
+        scale = float(np.abs(covariance).max())
+        gap = float(np.abs(covariance - np.swapaxes(covariance, -1, -2)).max())
+        if gap > _ASYMMETRY * scale:
+            raise DataError(
+                f"covariance: is not symmetric; entries differ by {gap:.3g}, the largest is "
+                f"{scale:.3g}."
+            )
+        # Cheap necessary conditions for a positive semidefinite matrix; the eigenvalues are the
+        # business of whoever factorises it.
+        variance = np.diagonal(covariance, axis1=-2, axis2=-1)
+        if variance.min() < 0.0:
+            j = int(np.argwhere(variance < 0.0)[0][-1])
+            raise DataError(
+                f"covariance: joint {self.names[j]} has a negative variance ({variance.min():.3g})."
+            )
+        bound = np.sqrt(variance[..., :, None] * variance[..., None, :])
+        excess = float((np.abs(covariance) - bound).max())
+        if excess > _ASYMMETRY * scale:
+            raise DataError(
+                "covariance: is not positive semidefinite; an entry exceeds the geometric mean of "
+                f"its two variances by {excess:.3g}."
+            )
+
+    def _check_mask(self, K: int, n: int) -> None:
+        """Check shape and type of the mask, and that every joint keeps a row."""
+        if self.mask is None:
+            return
+        mask = np.ascontiguousarray(self.mask)
+        if mask.dtype != np.bool_ or mask.shape != (K, n):
+            raise DataError(
+                f"mask: has shape {mask.shape} and type {mask.dtype}, expected {(K, n)} and bool."
+            )
+        empty = [name for j, name in enumerate(self.names) if not mask[:, j].any()]
+        if empty:
+            raise DataError(
+                f"mask: leaves no row of joint {', '.join(empty)}: it never moves clear of "
+                "standstill. Use a motion that moves it, a shorter reversal_time, or "
+                "reversal_time=None to keep all rows."
+            )
+        object.__setattr__(self, "mask", frozen_view(mask))

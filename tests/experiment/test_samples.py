@@ -1,0 +1,90 @@
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from sdpid.errors import DataError
+from sdpid.experiment.samples import Samples
+
+K, JOINTS = 5, 2
+
+
+def fields(**changes: Any) -> dict[str, Any]:
+    table = np.arange(float(K * JOINTS)).reshape(K, JOINTS)
+    values = dict.fromkeys(("position", "velocity", "acceleration", "effort"), table)
+    return values | changes
+
+
+def test_defaults_and_views():
+    samples = Samples(**fields())
+    assert (samples.n, samples.n_samples, samples.n_rows, samples.block) == (2, 5, 10, 1)
+    assert samples.covariance is None
+    assert samples.mask is None
+    assert samples.notes == ()
+    assert samples.names == ("1", "2")
+    for name in ("position", "velocity", "acceleration", "effort"):
+        assert not getattr(samples, name).flags.writeable
+    assert repr(samples) == "Samples(5 samples, 2 joints, 10 rows used)"
+
+
+def test_everything_given():
+    mask = np.ones((K, JOINTS), dtype=bool)
+    mask[:3, 1] = False
+    samples = Samples(
+        **fields(
+            covariance=np.tile(np.eye(2), (K, 1, 1)),
+            mask=mask,
+            time=np.arange(5),
+            joint_names=["a", "b"],
+            periods=3,
+            block=2,
+            notes=["said"],
+            effort_periods=np.zeros((3, K, JOINTS)),
+        )
+    )
+    assert samples.n_rows == 7
+    assert samples.joint_names == ("a", "b")
+    assert not samples.mask.flags.writeable
+    assert Samples(**fields(covariance=np.eye(2))).covariance.shape == (2, 2)
+
+
+def test_a_free_flyer_has_more_positions():
+    assert Samples(**fields(position=np.zeros((K, 3)))).n == 2
+
+
+nan = np.full((K, JOINTS), np.nan)
+BAD: dict[str, tuple[dict[str, Any], str]] = {
+    "nan": ({"acceleration": nan}, "acceleration: 10 of 10 values are not finite"),
+    "rows": ({"position": np.zeros((4, 2))}, r"position: has shape \(4, 2\)"),
+    "positions": ({"position": np.zeros((K, 1))}, "position: has shape"),
+    "velocity": ({"velocity": np.zeros((K, 3))}, r"velocity: has shape \(5, 3\), expected"),
+    "empty": ({"effort": np.zeros((0, 2))}, "nothing to fit"),
+    "time": ({"time": np.zeros(3)}, "time: has shape"),
+    "names": ({"joint_names": ("a",)}, "1 names"),
+    "covariance shape": ({"covariance": np.eye(3)}, "covariance: has shape"),
+    "covariance count": ({"covariance": np.zeros((2, 2, 2))}, "covariance: has shape"),
+    "asymmetric": ({"covariance": [[1.0, 0.5], [0.4, 1.0]]}, "not symmetric"),
+    "negative": ({"covariance": [[1.0, 0.0], [0.0, -1.0]]}, "joint 2 has a negative variance"),
+    "indefinite": ({"covariance": [[1.0, 2.0], [2.0, 1.0]]}, "not positive semidefinite"),
+    "mask shape": ({"mask": np.ones(K, dtype=bool)}, "mask: has shape"),
+    "mask type": ({"mask": np.ones((K, JOINTS))}, "expected .* bool"),
+    "mask empty": (
+        {"mask": np.tile([True, False], (K, 1)), "joint_names": ("a", "wrist")},
+        "leaves no row of joint wrist",
+    ),
+    "block": ({"block": 0}, "block: is 0"),
+    "periods": ({"periods": 0}, "periods: is 0"),
+    "effort_periods": (
+        {"periods": 2, "effort_periods": np.zeros((3, K, JOINTS))},
+        "effort_periods: has shape",
+    ),
+}
+
+
+@pytest.mark.parametrize("case", BAD)
+def test_bad_input_is_refused(case: str):
+    changes, message = BAD[case]
+    with pytest.raises(DataError, match=message):
+        Samples(**fields(**changes))
