@@ -1,0 +1,109 @@
+"""How well an estimate predicts efforts, on the rows it was made from or on fresh ones."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from sdpid._arrays import Array, frozen
+from sdpid.errors import DataError
+from sdpid.estimation.estimate import Estimate
+from sdpid.experiment.samples import Samples
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Validation:
+    """Prediction errors, joint by joint, on the rows that are not masked.
+
+    Attributes
+    ----------
+    joint_names : tuple of str
+        The joints.
+    effort_predicted : ndarray, shape (K, n)
+        Predicted efforts at every sample, masked ones included, N·m.
+    rmse : ndarray, shape (n,)
+        Root mean square error, N·m.
+    nrmse : ndarray, shape (n,)
+        Root mean square error over root mean square effort.
+    r2 : ndarray, shape (n,)
+        Share of the effort's variance that is explained.
+    relative : float
+        Norm of all errors over the norm of all efforts.
+    rows : ndarray of int, shape (n,)
+        Rows that count.
+    """
+
+    joint_names: tuple[str, ...]
+    effort_predicted: Array
+    rmse: Array
+    nrmse: Array
+    r2: Array
+    relative: float
+    rows: np.ndarray
+
+    def to_dict(self) -> dict[str, object]:
+        """Return the figures as plain values, without the predictions."""
+        return {
+            "relative_residual": self.relative,
+            "joints": {
+                name: {
+                    "rmse": float(self.rmse[j]),
+                    "nrmse": float(self.nrmse[j]),
+                    "r2": float(self.r2[j]),
+                    "rows": int(self.rows[j]),
+                }
+                for j, name in enumerate(self.joint_names)
+            },
+        }
+
+
+def validate(estimate: Estimate, samples: Samples | None = None) -> Validation:
+    """Predict efforts and compare them with measured ones.
+
+    Parameters
+    ----------
+    estimate : Estimate
+        The parameters.
+    samples : Samples, optional
+        Measurements; by default those of the estimate's own problem.
+
+    Returns
+    -------
+    Validation
+
+    Raises
+    ------
+    DataError
+        When the samples' joints are not the robot's, or a joint has no row.
+    """
+    problem = estimate.problem
+    samples = problem.samples if samples is None else samples
+    if samples.effort.shape[1] != problem.robot.n:
+        raise DataError(
+            f"validate: samples have {samples.effort.shape[1]} joints, the robot "
+            f"'{problem.robot.name}' has {problem.robot.n}."
+        )
+    predicted = problem.predict(estimate.base, samples)
+    mask = np.ones(samples.effort.shape, dtype=bool) if samples.mask is None else samples.mask
+    first = problem.robot.n_base
+    names = problem.robot.joint_names
+    rows = mask.sum(axis=0)
+    if np.any(rows[first:] == 0):
+        missing = names[first + int(np.argmin(rows[first:]))]
+        raise DataError(f"validate: joint '{missing}' has no row that is not masked.")
+    error = np.where(mask, samples.effort - predicted, 0.0)
+    effort = np.where(mask, samples.effort, 0.0)
+    count = np.maximum(rows, 1)
+    square, power = (error**2).sum(axis=0), (effort**2).sum(axis=0)
+    spread = power - effort.sum(axis=0) ** 2 / count
+    tiny = np.finfo(float).tiny
+    return Validation(
+        joint_names=names,
+        effort_predicted=frozen(predicted),
+        rmse=frozen(np.sqrt(square / count)),
+        nrmse=frozen(np.sqrt(square / np.maximum(power, tiny))),
+        r2=frozen(1.0 - square / np.maximum(spread, tiny)),
+        relative=float(np.sqrt(square.sum() / max(power.sum(), tiny))),
+        rows=rows,
+    )

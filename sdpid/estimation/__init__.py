@@ -1,0 +1,1 @@
+"""What is solved: constraints, problem, and one module a solver."""

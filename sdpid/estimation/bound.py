@@ -1,0 +1,160 @@
+"""Lower bounds on the cost of all feasible parameters, from multipliers.
+
+For any y and any Z ⪰ 0 the cost obeys, at every feasible theta,
+
+    f(theta) ≥ floor − ‖y‖² − 2·y·rhs − Σ⟨Z_i, F_0⟩ + c·theta,
+    c = 2·G^T·y − Σ L_i*(Z_i),   G = A·B,
+
+since ‖r‖² ≥ 2·y·r − ‖y‖² and ⟨Z_i, F_i(theta)⟩ ≥ 0. Every theta lies in the box of the declared
+bounds, so c·theta is at least its smallest value there.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from sdpid._arrays import Array
+from sdpid.estimation.estimate import Estimate, Multipliers
+from sdpid.estimation.problem import Problem
+from sdpid.estimation.scaling import Scaling, symmetric_basis
+
+# The gap is relative to the cost, or to this share of the weighted squared efforts where the data
+# are exact and the cost is rounding: residuals of a thousandth of the effort.
+TINY_COST = 1e-6
+
+
+# How far the null space of a multiplier may take part in polishing it, tried in turn.
+_SOFT = (1e-10, 1e-8, 1e-7, 1e-6, 1e-5)
+
+
+@dataclass(frozen=True, eq=False)
+class Bound:
+    """A lower bound and the multipliers that prove it.
+
+    Attributes
+    ----------
+    value : float
+        No feasible parameters cost less (in floating point).
+    y : ndarray, shape (b,)
+        Multiplier of the residual.
+    Z : ndarray, shape (links, s, s)
+        Multipliers of the matrix inequalities, positive semidefinite.
+    """
+
+    value: float
+    y: Array
+    Z: Array
+
+
+def adjoint(Z: Array, basis: Array, n_theta: int) -> Array:
+    """Return Σ L_i*(Z_i) as a vector over theta: entry k is ⟨Z_i, F_k⟩."""
+    out = np.zeros(n_theta)
+    values = np.einsum("lij,kij->lk", Z, basis)
+    out[: values.size] = values.ravel()
+    return out
+
+
+def evaluate(problem: Problem, y: Array, Z: Array) -> float:
+    """Return the bound that y and positive semidefinite Z prove."""
+    feasible = problem.feasible
+    linear = 2.0 * (problem.base.matrix.T @ (problem.A.T @ y))
+    constant = problem.floor - y @ y - 2.0 * (y @ problem.rhs)
+    if Z.size:
+        linear = linear - adjoint(Z, feasible.basis(), problem.n_theta)
+        constant -= float(np.einsum("lij,ij->", Z, feasible.constant()))
+    ends = np.where(linear > 0.0, feasible.lower, feasible.upper)
+    return float(constant + linear @ ends)
+
+
+def clip_psd(Z: Array) -> Array:
+    """Return the nearest positive semidefinite matrices."""
+    if not Z.size:
+        return Z
+    values, vectors = np.linalg.eigh(Z)
+    clipped = np.maximum(values, 0.0)
+    return np.asarray((vectors * clipped[..., None, :]) @ np.swapaxes(vectors, -1, -2))
+
+
+def lower_bound(estimate: Estimate) -> Bound:
+    """Turn an estimate's multipliers into a lower bound.
+
+    Parameters
+    ----------
+    estimate : Estimate
+        With multipliers, from `solve_sdp`; without them Z = 0, which is the bound that ignores
+        the physics.
+
+    Returns
+    -------
+    Bound
+        The best of a few choices of y and Z: as found, or polished.
+    """
+    problem = estimate.problem
+    s = problem.feasible.size
+    y = problem.A @ estimate.base - problem.rhs
+    found = estimate.multipliers
+    if found is None or estimate.theta is None or not found.Z.size:
+        Z = np.zeros((0, s, s))
+        return Bound(evaluate(problem, y, Z), y, Z)
+    candidates = [(y, clip_psd(found.Z))]
+    scaling = Scaling.of(problem).around(estimate.theta)
+    candidates += [_polished(problem, scaling, y, found, soft) for soft in _SOFT]
+    values = [evaluate(problem, *pair) for pair in candidates]
+    best = int(np.argmax(values))
+    return Bound(values[best], *candidates[best])
+
+
+def _polished(
+    problem: Problem, scaling: Scaling, y: Array, found: Multipliers, soft: float
+) -> tuple[Array, Array]:
+    """Return y and Z changed as little as needed for the linear term to be what it should.
+
+    A solver leaves errors in the linear term c, which the wide box of theta makes expensive. At
+    the optimum c is the multiplier of the bounds, which the solver gives too, and zero in every
+    parameter without one. That is a linear system in a change of y, in the bounds' multipliers
+    and in D of ``Z + S·D·S``, S being the square root of Z softened so that its null space can
+    take part. Of many solutions the smallest is taken, which leaves Z positive semidefinite but
+    for rounding, and the gap nothing but complementarity.
+    """
+    feasible = problem.feasible
+    links, size = feasible.n_links, feasible.size
+    basis, D = scaling.basis(), scaling.roots(size)
+    unit = float(np.sqrt(scaling.cost))
+    inverse = np.linalg.inv(D)
+    Z = np.swapaxes(D, 1, 2) @ found.Z @ D / scaling.cost
+    values, vectors = np.linalg.eigh(Z)
+    values = np.maximum(values, 0.0)
+    values = values + soft * max(float(values.max()), np.finfo(float).tiny)
+    S = (vectors * np.sqrt(values)[:, None, :]) @ np.swapaxes(vectors, 1, 2)
+    symmetric = symmetric_basis(size)
+    changes = np.zeros((problem.n_theta, links, len(symmetric)))
+    for link in range(links):
+        F = inverse[link] @ feasible.basis() @ inverse[link].T
+        own = slice(10 * link, 10 * link + 10)
+        changes[own, link] = np.einsum("aij,kij->ka", S[link] @ symmetric @ S[link], F)
+    bounded = np.flatnonzero(np.isfinite(found.bounds))
+    mu = np.nan_to_num(found.bounds)
+    GT = 2.0 * problem.base.matrix.T @ problem.A.T / unit
+    missing = (adjoint(found.Z, feasible.basis(), problem.n_theta) + mu) / scaling.cost
+    missing = missing - GT @ (y / unit)
+    scale_y = max(float(np.linalg.norm(y)) / unit, 1e-3)
+    relax = np.eye(problem.n_theta)[:, bounded]
+    relax = relax * (np.abs(mu[bounded]) / scaling.cost + soft / scaling.theta[bounded])
+    system = np.hstack([GT * scale_y, -changes.reshape(problem.n_theta, -1), -relax])
+    step = np.linalg.lstsq(basis.T @ system, basis.T @ missing, rcond=1e-14)[0]
+    part = step[len(y) : len(y) + links * len(symmetric)].reshape(links, -1)
+    polished = Z + S @ np.einsum("la,aij->lij", part, symmetric) @ S
+    polished = scaling.cost * np.swapaxes(inverse, 1, 2) @ clip_psd(polished) @ inverse
+    return y + scale_y * unit * step[: len(y)], clip_psd(polished)
+
+
+def cost_scale(problem: Problem) -> float:
+    """Return the smallest cost that gaps are relative to."""
+    return TINY_COST * (float(problem.rhs @ problem.rhs) + problem.floor)
+
+
+def relative_gap(problem: Problem, cost: float, bound: float) -> float:
+    """Return (cost − bound) relative to the cost, or to a tiny share of the squared efforts."""
+    return (cost - bound) / max(cost, cost_scale(problem))

@@ -1,0 +1,156 @@
+"""What a solver hands back, with everything that can be recomputed recomputed."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from sdpid._arrays import Array, frozen
+from sdpid.estimation.problem import Problem
+from sdpid.estimation.uncertainty import sandwich_covariance
+from sdpid.robot.inertia import margin
+
+# A point this far outside a constraint (kg·m², kg, …) counts as feasible: rounding of its own.
+FEASIBLE = 1e-9
+
+
+@dataclass(frozen=True)
+class Step:
+    """One iteration of a local solver: seconds since its start, cost, worst violation."""
+
+    seconds: float
+    cost: float
+    violation: float
+
+
+@dataclass(frozen=True, eq=False)
+class Multipliers:
+    """Multipliers of the constraints, in units of the cost, as a solver gave them.
+
+    Attributes
+    ----------
+    Z : ndarray, shape (links, s, s)
+        Of the links' matrix inequalities.
+    bounds : ndarray, shape (p,)
+        Of the bounds on theta, lower less upper; NaN where the solver was given none.
+    """
+
+    Z: Array
+    bounds: Array
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Estimate:
+    """Estimated parameters and how they came about.
+
+    Attributes
+    ----------
+    problem : Problem
+        What was solved.
+    method : str
+        ``"wls"``, ``"slsqp"`` or ``"sdp"``.
+    base : ndarray, shape (b,)
+        Base parameters, in the units of ``problem.base.units``.
+    theta : ndarray, shape (p,), or None
+        Standard parameters; None where the method has none.
+    status : str
+        ``"optimal"`` or what went wrong.
+    message : str
+        What the solver said, in words.
+    iterations : int
+        Iterations of the solver.
+    solve_time : float
+        Seconds in the solver.
+    multipliers : Multipliers or None
+        Where the method has them.
+    history : tuple of Step
+        Cost and violation over the iterations, for solvers that show them.
+    start : ndarray or None
+        Standard parameters that a local solver started from.
+    """
+
+    problem: Problem
+    method: str
+    base: Array
+    theta: Array | None
+    status: str
+    message: str = ""
+    iterations: int = 0
+    solve_time: float = 0.0
+    multipliers: Multipliers | None = None
+    history: tuple[Step, ...] = field(default=(), repr=False)
+    start: Array | None = field(default=None, repr=False)
+
+    @classmethod
+    def of_theta(cls, problem: Problem, theta: ArrayLike, **fields: Any) -> Estimate:
+        """Build from standard parameters."""
+        values = frozen(theta)
+        return cls(problem=problem, base=frozen(problem.base_of(values)), theta=values, **fields)
+
+    def __repr__(self) -> str:
+        return (
+            f"Estimate(method={self.method!r}, status={self.status!r}, cost={self.cost:.10g}, "
+            f"worst_margin={self.worst_margin}, iterations={self.iterations}, "
+            f"solve_time={self.solve_time:.3g})"
+        )
+
+    @cached_property
+    def cost(self) -> float:
+        """Weighted cost, recomputed from the base parameters."""
+        return self.problem.cost(self.base)
+
+    @cached_property
+    def margins(self) -> Array | None:
+        """Margin of each link, kg·m², under the problem's consistency; NaN where m ≤ 0.
+
+        None where the method has no standard parameters.
+        """
+        if self.theta is None:
+            return None
+        return frozen(
+            margin(self.problem.feasible.bodies(self.theta), self.problem.feasible.consistency)
+        )
+
+    @property
+    def worst_margin(self) -> float | None:
+        """The smallest margin, None where a link has none."""
+        if self.margins is None or not np.all(np.isfinite(self.margins)):
+            return None
+        return float(np.min(self.margins))
+
+    @cached_property
+    def violation(self) -> float | None:
+        """By how much the worst constraint is violated; 0 when feasible, None without theta."""
+        return None if self.theta is None else self.problem.feasible.violation(self.theta)
+
+    @property
+    def feasible(self) -> bool:
+        """Whether the standard parameters satisfy every constraint."""
+        return self.violation is not None and self.violation <= FEASIBLE
+
+    @cached_property
+    def covariance(self) -> Array:
+        """Covariance of the base parameters, (b, b), as if no constraint were active.
+
+        Sandwich estimate from blocks of samples longer than the filter's memory [white1980]_.
+        """
+        return frozen(sandwich_covariance(self.problem, self.base))
+
+    @cached_property
+    def standard_errors(self) -> Array:
+        """Standard errors of the base parameters, (b,), from `covariance`."""
+        return frozen(np.sqrt(np.diag(self.covariance)))
+
+    def named(self) -> dict[str, float]:
+        """Return base parameters by name."""
+        return dict(zip(self.problem.base.names, self.base.tolist(), strict=True))
+
+    def named_theta(self) -> dict[str, float] | None:
+        """Return standard parameters by name, None where the method has none."""
+        if self.theta is None:
+            return None
+        return dict(zip(self.problem.base.theta_names, self.theta.tolist(), strict=True))

@@ -1,0 +1,284 @@
+"""The estimation problem: one cost, one feasible set, for every solver."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from sdpid._arrays import Array, frozen
+from sdpid.errors import DataError
+from sdpid.estimation.constraints import Constraints, FeasibleSet
+from sdpid.estimation.excitation import Excitation, require_excitation
+from sdpid.estimation.rows import RowSource, Triangle
+from sdpid.estimation.weighting import (
+    WEIGHTINGS,
+    Weighting,
+    pooled,
+    residual_covariance,
+    whitener,
+)
+from sdpid.experiment.samples import Samples
+from sdpid.robot.base import BaseParameters, structural_base
+from sdpid.robot.friction import FrictionModel, FrictionTerm
+from sdpid.robot.inertia import CONSISTENCIES, Consistency
+from sdpid.robot.model import RobotModel
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Problem:
+    """Weighted least squares over the physically possible parameters.
+
+    The cost of base parameters is ``‖A @ base − rhs‖² + floor``, for every weighting. It is
+    the weighted residual of all rows, compressed once.
+
+    Attributes
+    ----------
+    robot : RobotModel
+        The robot.
+    samples : Samples
+        The measurements.
+    friction : FrictionModel
+        Friction and drive terms.
+    base : BaseParameters
+        Names, units and the matrix B.
+    weighting : str
+        How residuals are weighted (see `build_problem`).
+    sigma : ndarray, shape (n, n) or (K, n, n)
+        The covariance that was used.
+    A : ndarray, shape (b, b)
+        Compressed regressor of the base parameters.
+    rhs : ndarray, shape (b,)
+        Compressed efforts.
+    floor : float
+        Cost that no parameters can take away.
+    n_rows : int
+        Rows that are not masked.
+    feasible : FeasibleSet
+        The constraints.
+    """
+
+    robot: RobotModel
+    samples: Samples
+    friction: FrictionModel
+    base: BaseParameters
+    weighting: Weighting
+    sigma: Array
+    A: Array
+    rhs: Array
+    floor: float
+    n_rows: int
+    feasible: FeasibleSet
+
+    @property
+    def consistency(self) -> Consistency:
+        """The consistency that constrained estimates obey."""
+        return self.feasible.consistency
+
+    @property
+    def constraints(self) -> Constraints:
+        """The constraints' numbers."""
+        return self.feasible.constraints
+
+    @property
+    def n_theta(self) -> int:
+        """Number of standard parameters, friction included."""
+        return len(self.base.theta_names)
+
+    @cached_property
+    def excitation(self) -> Excitation:
+        """Which base parameters the data show, and how well."""
+        return Excitation.of(self.A, self.base.names)
+
+    def cost(self, base: ArrayLike) -> float:
+        """Return the cost of base parameters (b,)."""
+        residual = self.A @ np.asarray(base, dtype=np.float64) - self.rhs
+        return float(residual @ residual) + self.floor
+
+    def base_of(self, theta: ArrayLike) -> Array:
+        """Return the base parameters of standard ones."""
+        return np.asarray(self.base.matrix @ np.asarray(theta, dtype=np.float64))
+
+    def cost_of(self, theta: ArrayLike) -> float:
+        """Return the cost of standard parameters (p,)."""
+        return self.cost(self.base_of(theta))
+
+    @property
+    def rows(self) -> RowSource:
+        """The rows that the cost is made of."""
+        return RowSource(self.robot, self.friction, self.base, self.samples)
+
+    def predict(self, base: ArrayLike, samples: Samples | None = None) -> Array:
+        """Return the efforts (K, n) that base parameters give on samples."""
+        values = np.asarray(base, dtype=np.float64)
+        rows = replace(self.rows, samples=self.samples if samples is None else samples)
+        return np.concatenate([W @ values for _, W, _, _ in rows.chunks()])
+
+    @property
+    def score_exponent(self) -> float:
+        """Exponent e of Sigma in the estimating equations ``W^T Sigma^e (Y − W base) = 0``."""
+        return -0.5 if self.weighting == "eq9" else -1.0
+
+    def constrained(
+        self,
+        *,
+        consistency: Consistency | None = None,
+        constraints: Constraints | None = None,
+    ) -> Problem:
+        """Return the same cost under other constraints; nothing is compressed again."""
+        if consistency is not None and consistency not in CONSISTENCIES:
+            raise DataError(f"consistency is {consistency!r}: use one of {CONSISTENCIES}.")
+        feasible = FeasibleSet.build(
+            constraints or self.constraints,
+            consistency or self.consistency,
+            self.robot.n_links,
+            np.array([p.nonnegative for p in self.friction.parameters], dtype=bool),
+        )
+        return replace(self, feasible=feasible)
+
+
+def build_problem(
+    robot: RobotModel,
+    samples: Samples,
+    *,
+    friction: Iterable[str | FrictionTerm] = ("coulomb", "viscous"),
+    weighting: Weighting = "gls",
+    consistency: Consistency = "pseudo_inertia",
+    constraints: Constraints | None = None,
+    base: BaseParameters | None = None,
+) -> Problem:
+    """Build the problem of estimating a robot's parameters from samples.
+
+    Parameters
+    ----------
+    robot : RobotModel
+        The robot.
+    samples : Samples
+        The measurements, n as the robot's.
+    friction : iterable of str or FrictionTerm
+        Terms beside the links' inertia (see `sdpid.robot.friction`).
+    weighting : {"gls", "gls_per_sample", "eq9", "eq18", "residual"}
+        ``gls`` whitens with one covariance pooled over the samples; ``gls_per_sample`` with the
+        covariance of each; ``eq9`` and ``eq18`` minimise the norm of the normal equations'
+        residual with Sigma^(-1/2) and Sigma^(-1), as printed in the paper; ``residual``
+        estimates a variance for each joint from the residuals of the fit.
+    consistency : {"pseudo_inertia", "spatial_inertia", "none"}
+        What constrained solvers demand of every link.
+    constraints : Constraints, optional
+        Margins and bounds.
+    base : BaseParameters, optional
+        Found before for the same robot and terms.
+
+    Returns
+    -------
+    Problem
+
+    Raises
+    ------
+    DataError
+        When shapes, names or options do not fit.
+    IdentifiabilityError
+        When the data leave a base parameter undetermined.
+    """
+    if weighting not in WEIGHTINGS:
+        raise DataError(f"weighting is {weighting!r}: use one of {', '.join(WEIGHTINGS)}.")
+    if consistency not in CONSISTENCIES:
+        raise DataError(f"consistency is {consistency!r}: use one of {', '.join(CONSISTENCIES)}.")
+    _check_samples(robot, samples)
+    model = FrictionModel.from_terms(friction, robot.joint_names, first=robot.n_base)
+    if base is None:
+        base = structural_base(robot, model)
+    rows = RowSource(robot, model, base, samples)
+    sigma = _sigma(rows, weighting)
+    A, rhs, floor, used = _compress(rows, sigma, weighting)
+    problem = Problem(
+        robot=robot,
+        samples=samples,
+        friction=model,
+        base=base,
+        weighting=weighting,
+        sigma=frozen(sigma),
+        A=frozen(A),
+        rhs=frozen(rhs),
+        floor=floor,
+        n_rows=used,
+        feasible=FeasibleSet.build(
+            constraints or Constraints(),
+            consistency,
+            robot.n_links,
+            np.array([p.nonnegative for p in model.parameters], dtype=bool),
+        ),
+    )
+    require_excitation(problem.excitation)
+    return problem
+
+
+def _check_samples(robot: RobotModel, samples: Samples) -> None:
+    n = samples.effort.shape[1]
+    if n != robot.n:
+        raise DataError(
+            f"samples have {n} joints, the robot '{robot.name}' has {robot.n}: "
+            f"{', '.join(robot.joint_names)}."
+        )
+    if samples.joint_names is not None and tuple(samples.joint_names) != robot.joint_names:
+        raise DataError(
+            f"samples name the joints {', '.join(samples.joint_names)}, the robot has "
+            f"{', '.join(robot.joint_names)}; rename or reorder the columns."
+        )
+
+
+def _sigma(rows: RowSource, weighting: Weighting) -> Array:
+    """Return the covariance that the weighting uses, (n, n) or (K, n, n)."""
+    n = rows.robot.n
+    if weighting == "residual":
+        return residual_covariance(rows)
+    covariance = rows.samples.covariance
+    if covariance is None:
+        return np.eye(n)
+    if weighting == "gls":
+        return pooled(covariance)
+    return np.asarray(covariance)
+
+
+def _compress(
+    rows: RowSource, sigma: Array, weighting: Weighting
+) -> tuple[Array, Array, float, int]:
+    count = rows.base.count
+    used = 0
+    if weighting in ("eq9", "eq18"):
+        exponent = -0.5 if weighting == "eq9" else -1.0
+        A, rhs = np.zeros((count, count)), np.zeros(count)
+        for part, W, effort, mask in rows.chunks():
+            weight = whitener(sigma if sigma.ndim == 2 else sigma[part], mask, exponent)
+            weighted = weight @ W
+            A += np.einsum("kib,kic->bc", weighted, W, optimize=True)
+            rhs += np.einsum("kib,ki->b", weighted, effort, optimize=True)
+            used += int(mask.sum())
+        return A, rhs, 0.0, used
+    triangle = Triangle(count + 1)
+    for part, W, effort, mask in rows.chunks():
+        weight = whitener(sigma if sigma.ndim == 2 else sigma[part], mask, -0.5)
+        stacked = weight @ np.concatenate([W, effort[:, :, None]], axis=2)
+        triangle.add(stacked.reshape(-1, count + 1))
+        used += int(mask.sum())
+    return (*triangle.split(), used)
+
+
+def describe(problem: Problem) -> dict[str, Any]:
+    """Return the problem's sizes and choices as plain values."""
+    return {
+        "robot": problem.robot.name,
+        "joints": list(problem.robot.joint_names),
+        "samples": len(problem.samples.effort),
+        "rows_used": problem.n_rows,
+        "standard_parameters": problem.n_theta,
+        "base_parameters": problem.base.count,
+        "weighting": problem.weighting,
+        "consistency": problem.consistency,
+        "margin": problem.constraints.margin,
+        "condition_number": problem.excitation.condition_number,
+    }

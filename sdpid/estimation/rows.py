@@ -1,0 +1,79 @@
+"""The stacked rows of a problem, in chunks, and their compression.
+
+Rows are never held all at once: chunks are whitened and folded into a small triangular factor.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from sdpid._arrays import Array, Mask
+from sdpid.experiment.samples import Samples
+from sdpid.robot.base import BaseParameters
+from sdpid.robot.friction import FrictionModel
+from sdpid.robot.model import RobotModel
+
+# Samples handled at a time: some 10 MB of rows for a six-axis arm.
+CHUNK = 4096
+
+
+@dataclass(frozen=True)
+class RowSource:
+    """The base regressor and the efforts of a sample set.
+
+    Attributes
+    ----------
+    robot, friction, base, samples
+        What the rows are made of.
+    """
+
+    robot: RobotModel
+    friction: FrictionModel
+    base: BaseParameters
+    samples: Samples
+
+    def regressor(self, part: slice) -> Array:
+        """Return the base regressor of some samples, shape (k, n, b)."""
+        s = self.samples
+        q, v, a = s.position[part], s.velocity[part], s.acceleration[part]
+        links = 10 * self.robot.n_links
+        kept = self.base.kept
+        out = np.empty((len(q), self.robot.n, self.base.count))
+        inertial = kept < links
+        out[:, :, inertial] = self.robot.regressor(q, v, a)[:, :, kept[inertial]]
+        out[:, :, ~inertial] = self.friction.columns(v, a)[:, :, kept[~inertial] - links]
+        return out
+
+    def chunks(self, size: int = CHUNK) -> Iterator[tuple[slice, Array, Array, Mask]]:
+        """Yield (slice, base regressor, effort, mask) chunk by chunk."""
+        count = len(self.samples.effort)
+        for start in range(0, count, size):
+            part = slice(start, min(start + size, count))
+            mask = (
+                np.ones((part.stop - part.start, self.robot.n), dtype=bool)
+                if self.samples.mask is None
+                else self.samples.mask[part]
+            )
+            yield part, self.regressor(part), self.samples.effort[part], mask
+
+
+class Triangle:
+    """A growing upper triangle R with R^T·R = Σ rows^T·rows, by orthogonal transformations."""
+
+    def __init__(self, columns: int) -> None:
+        self.R: Array = np.zeros((0, columns))
+
+    def add(self, rows: Array) -> None:
+        """Fold further rows in."""
+        self.R = np.asarray(np.linalg.qr(np.vstack([self.R, rows]), mode="r"))
+
+    def split(self) -> tuple[Array, Array, float]:
+        """Return A (b, b), rhs (b,) and floor, the last column being the right-hand side."""
+        columns = self.R.shape[1]
+        R = np.zeros((columns, columns))
+        R[: len(self.R)] = self.R[:columns]
+        b = columns - 1
+        return R[:b, :b].copy(), R[:b, b].copy(), float(R[b, b] ** 2)

@@ -1,0 +1,140 @@
+"""Units in which a problem's numbers are of order one."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from sdpid._arrays import Array
+from sdpid.estimation.problem import Problem
+from sdpid.robot.base import characteristic_length
+from sdpid.robot.inertia import (
+    from_pseudo_inertia,
+    pseudo_inertia,
+    spatial_inertia,
+)
+
+# The cost is counted in units of its floor; when the data are exact the floor is rounding, and
+# this share of the squared efforts takes its place.
+_COST_FLOOR = 1e-7
+
+# Radius of gyration, as a share of the robot's length, of a body nothing is known of.
+_GYRATION = 0.5
+
+# Second moments of a scale are at least those of this share of the robot's length: bodies of
+# descriptions are sometimes points, and solutions lie on the boundary.
+_THINNEST = 0.1
+
+# And at most these: sizes beyond a few lengths of the robot, or below a gram, are no sizes.
+_FARTHEST = 5.0
+_LIGHTEST = 1e-3
+
+
+def symmetric_basis(size: int) -> Array:
+    """Return an orthonormal basis of the symmetric matrices, (size·(size+1)/2, size, size)."""
+    pairs = [(i, j) for i in range(size) for j in range(i + 1)]
+    basis = np.zeros((len(pairs), size, size))
+    for k, (i, j) in enumerate(pairs):
+        basis[k, i, j] = basis[k, j, i] = 1.0 if i == j else np.sqrt(0.5)
+    return basis
+
+
+@dataclass(frozen=True, eq=False)
+class Scaling:
+    """Scales of one problem.
+
+    Attributes
+    ----------
+    length : float
+        A length of the robot's size, m.
+    mass : float
+        A mass that gives efforts of the measured size, kg.
+    bodies : ndarray, shape (links, 10)
+        A consistent body of each link's size: its prior where there is one.
+    friction : ndarray
+        Size of each friction parameter.
+    cost : float
+        Size of the cost.
+    """
+
+    length: float
+    mass: float
+    bodies: Array
+    friction: Array
+    cost: float
+
+    @classmethod
+    def of(cls, problem: Problem) -> Scaling:
+        """Choose scales from the robot's lengths, its prior and the measured efforts."""
+        length = characteristic_length(problem.robot)
+        total = float(problem.rhs @ problem.rhs) + problem.floor
+        links = problem.robot.n_links
+        G = problem.A @ problem.base.matrix
+        units = np.tile([1.0, *(length,) * 3, *(length**2,) * 6], links)
+        inertial = np.linalg.norm(G[:, : 10 * links] * units, axis=0)
+        seen = inertial[inertial > 1e-9 * inertial.max(initial=1.0)]
+        reach = float(np.sqrt(np.mean(seen**2))) if seen.size else 1.0
+        mass = np.sqrt(total) / (reach * np.sqrt(10.0 * links))
+        mass = float(np.clip(mass, problem.constraints.mass_min, problem.constraints.mass_max))
+        friction = np.linalg.norm(G[:, 10 * links :], axis=0)
+        size = np.sqrt(total / max(problem.robot.n, 1))
+        rest = np.where(friction > 0.0, size / np.where(friction > 0.0, friction, 1.0), 1.0)
+        sphere = from_pseudo_inertia(mass * np.diag([(_GYRATION * length) ** 2] * 3 + [1.0]))
+        known = problem.robot.prior[:, :1] > 0.0
+        bodies = thickened(np.where(known, problem.robot.prior, sphere), length)
+        cost = max(problem.floor, _COST_FLOOR * total, float(np.finfo(float).tiny))
+        return cls(length, mass, bodies, rest, cost)
+
+    @property
+    def theta(self) -> Array:
+        """Size of each standard parameter, shape (p,)."""
+        units = np.array([1.0, *(self.length,) * 3, *(self.length**2,) * 6])
+        return np.concatenate([(self.bodies[:, :1] * units).ravel(), self.friction])
+
+    def around(self, theta: Array) -> Scaling:
+        """Return the same scales with bodies of the sizes of theta's links."""
+        bodies = theta[: self.bodies.size].reshape(self.bodies.shape)
+        return replace(self, bodies=thickened(bodies, self.length))
+
+    def basis(self) -> Array:
+        """Return the map from scaled coordinates to theta, shape (p, p).
+
+        A link's coordinates are the entries, in an orthonormal basis, of U in P = L·U·L^T, with
+        L·L^T the pseudo-inertia of its body of that size: U = E is that body.
+        """
+        count = self.bodies.size
+        out = np.diag(np.concatenate([np.zeros(count), self.friction]))
+        symmetric = symmetric_basis(4)
+        for link, P in enumerate(pseudo_inertia(self.bodies)):
+            L = np.linalg.cholesky(P)
+            columns = from_pseudo_inertia(L @ symmetric @ L.T).T
+            out[10 * link : 10 * link + 10, 10 * link : 10 * link + 10] = columns
+        return out
+
+    def roots(self, size: int) -> Array:
+        """Return D of each link with F = D·F_scaled·D^T for its 4×4 or 6×6 matrix F."""
+        matrices = pseudo_inertia(self.bodies) if size == 4 else spatial_inertia(self.bodies)
+        return np.asarray(np.linalg.cholesky(matrices))
+
+
+def thickened(bodies: Array, length: float) -> Array:
+    """Return bodies made consistent and not too thin, for use as sizes only.
+
+    Centres of mass are kept within a few lengths of the robot, and eigenvalues of the second
+    moments about them between those of a tenth and of a few lengths.
+    """
+    mass = np.maximum(bodies[:, 0], _LIGHTEST)
+    P = pseudo_inertia(bodies)
+    com = P[:, :3, 3] / mass[:, None]
+    about = P[:, :3, :3] - mass[:, None, None] * com[:, :, None] * com[:, None, :]
+    distance = np.linalg.norm(com, axis=1, keepdims=True)
+    com = com * np.minimum(1.0, _FARTHEST * length / np.maximum(distance, 1e-300))
+    values, vectors = np.linalg.eigh(about)
+    lowest = (mass * (_THINNEST * length) ** 2)[:, None]
+    values = np.clip(values, lowest, lowest * (_FARTHEST / _THINNEST) ** 2)
+    about = (vectors * values[:, None, :]) @ np.swapaxes(vectors, 1, 2)
+    P[:, :3, :3] = about + mass[:, None, None] * com[:, :, None] * com[:, None, :]
+    P[:, :3, 3] = P[:, 3, :3] = mass[:, None] * com
+    P[:, 3, 3] = mass
+    return from_pseudo_inertia(P)

@@ -1,0 +1,232 @@
+"""The global optimum, as a semidefinite program in CVXPY, solved by Clarabel."""
+
+from __future__ import annotations
+
+import warnings
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from sdpid._arrays import Array, Indices, Mask, frozen
+from sdpid.errors import SolverError
+from sdpid.estimation.bound import lower_bound, relative_gap
+from sdpid.estimation.estimate import FEASIBLE, Estimate, Multipliers
+from sdpid.estimation.problem import Problem
+from sdpid.estimation.scaling import Scaling
+from sdpid.estimation.wls import solve_wls
+
+# What is taken to be inside: a solution on the boundary is moved in by this share of the link's
+# own second moments, so that rounding cannot take it out again.
+_INSIDE = 1e-10
+
+# Tighter than the solver can reach: it then stops where it makes no further progress, and what
+# it found is judged by the gap that is recomputed here. Each attempt starts with new scales.
+_TOLERANCE = 1e-11
+_ATTEMPTS = 5
+
+# Where nothing was found the cost is counted in units larger by this factor.
+_COARSER = 1e3
+
+# A proven lower bound further than this below the cost is not an optimum.
+_GAP = 1e-6
+
+
+def solve_sdp(problem: Problem, *, verbose: bool = False) -> Estimate:
+    """Minimise the cost over all consistent parameters: the global optimum.
+
+    The parameters are measured from a point that fits the data best, in units in which they are
+    of order one. The result is recomputed: it is moved inside every constraint, and its
+    multipliers are kept for `sdpid.certify`.
+
+    Parameters
+    ----------
+    problem : Problem
+        The problem.
+    verbose : bool, optional
+        Let the solver print.
+
+    Returns
+    -------
+    Estimate
+        With status ``"optimal"``.
+
+    Raises
+    ------
+    InfeasibleError
+        When no parameters satisfy the constraints.
+    SolverError
+        When the solver ends without an optimum; the last point found is attached.
+    """
+    problem.feasible.require_feasible()
+    scaling = Scaling.of(problem)
+    reference = _reference(problem, scaling)
+    boxed = problem.feasible.bounded
+    solve_time, iterations, status = 0.0, 0, ""
+    best: Estimate | None = None
+    best_gap = np.inf
+    for _ in range(_ATTEMPTS):
+        program = _Program.build(problem, scaling, reference, boxed)
+        status = program.run(verbose)
+        solve_time += program.solve_time
+        iterations += program.iterations
+        if program.z.value is None:
+            # Also where Clarabel says infeasible: the constraints were found to hold together.
+            scaling = replace(scaling, cost=_COARSER * scaling.cost)
+            continue
+        theta = program.theta()
+        outside = (theta < problem.feasible.lower) | (theta > problem.feasible.upper)
+        if np.any(outside & ~boxed):
+            # theta_max matters after all: give the solver the bounds that it overstepped.
+            boxed = boxed | outside
+            continue
+        estimate = Estimate.of_theta(
+            problem,
+            repair(problem, theta),
+            method="sdp",
+            status="optimal",
+            message=f"Clarabel: {status}",
+            iterations=iterations,
+            solve_time=solve_time,
+            multipliers=program.multipliers(),
+        )
+        gap = relative_gap(problem, estimate.cost, lower_bound(estimate).value)
+        if gap < best_gap:
+            best, best_gap = estimate, gap
+        if best_gap <= _GAP:
+            break
+        # From now on count the cost in units of itself, and links in units of what was found.
+        scaling = replace(scaling, cost=max(scaling.cost, estimate.cost)).around(theta)
+    if best is None or best_gap > _GAP or (best.violation or 0.0) > FEASIBLE:
+        found = "nothing" if best is None else f"a relative gap of {best_gap:.1e}"
+        raise SolverError(
+            f"SDP of '{problem.robot.name}': Clarabel ended '{status}' with {found} "
+            f"(limit {_GAP:.0e}); check the excitation (problem.excitation) and the margin.",
+            problem=problem,
+            found=best,
+        )
+    return best
+
+
+def _reference(problem: Problem, scaling: Scaling) -> Array:
+    """Return standard parameters whose base parameters fit best, smallest in scaled size."""
+    basis = scaling.basis()
+    target = solve_wls(problem).base
+    return np.asarray(basis @ np.linalg.lstsq(problem.base.matrix @ basis, target, rcond=None)[0])
+
+
+@dataclass(frozen=True, eq=False)
+class _Program:
+    """The CVXPY problem in z, with theta = reference + basis·z, and what Clarabel made of it."""
+
+    problem: Problem
+    scaling: Scaling
+    reference: Array
+    bounded: Indices
+    z: Any
+    blocks: list[Any]
+    model: Any
+
+    @classmethod
+    def build(
+        cls, problem: Problem, scaling: Scaling, reference: Array, boxed: Mask
+    ) -> _Program:
+        """Build with bounds on the parameters in `boxed`."""
+        import cvxpy as cp
+
+        feasible = problem.feasible
+        z = cp.Variable(problem.n_theta)
+        basis = scaling.basis()
+        unit = np.sqrt(scaling.cost)
+        G = problem.A @ (problem.base.matrix @ basis) / unit
+        offset = (problem.A @ problem.base_of(reference) - problem.rhs) / unit
+        bounded = np.flatnonzero(boxed)
+        size = scaling.theta[bounded]
+        rows = basis[bounded] / size[:, None]
+        constraints: list[Any] = [
+            rows @ z >= (feasible.lower - reference)[bounded] / size,
+            rows @ z <= (feasible.upper - reference)[bounded] / size,
+        ]
+        blocks: list[Any] = []
+        if feasible.consistency != "none":
+            s = feasible.size
+            inverses = np.linalg.inv(scaling.roots(s))
+            constant = inverses @ feasible.matrices(reference) @ np.swapaxes(inverses, 1, 2)
+            for link, inverse in enumerate(inverses):
+                own = slice(10 * link, 10 * link + 10)
+                matrices = np.einsum("ka,kij->aij", basis[own, own], feasible.basis())
+                linear = (inverse @ matrices @ inverse.T).reshape(10, -1)
+                F = cp.reshape(linear.T @ z[own], (s, s), order="C") + constant[link]
+                blocks.append(F >> 0)
+        objective = cp.Minimize(cp.sum_squares(G @ z + offset))
+        model = cp.Problem(objective, constraints + blocks)
+        return cls(problem, scaling, reference, bounded, z, blocks, model)
+
+    def run(self, verbose: bool) -> str:
+        """Solve and return the status."""
+        import cvxpy as cp
+
+        settings = {"tol_gap_abs": _TOLERANCE, "tol_gap_rel": _TOLERANCE, "tol_feas": _TOLERANCE}
+        try:
+            with warnings.catch_warnings():
+                # The warning that the solution may be inaccurate: its gap is recomputed.
+                warnings.simplefilter("ignore")
+                self.model.solve(
+                    solver=cp.CLARABEL, verbose=verbose, accept_unknown=True, **settings
+                )
+        except cp.error.SolverError as cause:
+            return f"failed ({cause})"
+        return str(self.model.status)
+
+    @property
+    def solve_time(self) -> float:
+        """Seconds in Clarabel."""
+        return float(getattr(self.model.solver_stats, "solve_time", None) or 0.0)
+
+    @property
+    def iterations(self) -> int:
+        """Iterations of Clarabel."""
+        return int(getattr(self.model.solver_stats, "num_iters", None) or 0)
+
+    def theta(self) -> Array:
+        """Return the standard parameters found."""
+        return np.asarray(self.reference + self.scaling.basis() @ self.z.value)
+
+    def multipliers(self) -> Multipliers:
+        """Return the multipliers in units of the cost."""
+        scaling = self.scaling
+        bounds = np.full(self.problem.n_theta, np.nan)
+        lower, upper = self.model.constraints[:2]
+        bounds[self.bounded] = scaling.cost * (
+            (lower.dual_value - upper.dual_value) / scaling.theta[self.bounded]
+        )
+        s = self.problem.feasible.size
+        if not self.blocks:
+            return Multipliers(np.zeros((0, s, s)), frozen(bounds))
+        duals = np.stack([block.dual_value for block in self.blocks])
+        duals = 0.5 * (duals + np.swapaxes(duals, 1, 2))
+        inverses = np.linalg.inv(scaling.roots(s))
+        Z = scaling.cost * np.swapaxes(inverses, 1, 2) @ duals @ inverses
+        return Multipliers(frozen(Z), frozen(bounds))
+
+
+def repair(problem: Problem, theta: Array) -> Array:
+    """Move parameters that are outside by rounding just inside every constraint.
+
+    Bounds are clipped; a link short of its margin gets the missing second moment in all
+    directions, which raises its margin by exactly that and changes nothing else.
+    """
+    feasible = problem.feasible
+    theta = np.clip(theta, feasible.lower, feasible.upper)
+    if feasible.consistency == "none":
+        return theta
+    bodies = feasible.bodies(theta).copy()
+    moments = np.maximum(bodies[:, 4] + bodies[:, 6] + bodies[:, 9], 0.0)
+    short = feasible.constraints.margin + _INSIDE * np.maximum(moments, 1e-3)
+    short = np.maximum(short - feasible.margins(theta), 0.0)
+    # A second moment t·E about the centre of mass is an inertia of 2·t·E.
+    add = 2.0 * short if feasible.consistency == "pseudo_inertia" else short
+    bodies[:, [4, 6, 9]] += add[:, None]
+    out = theta.copy()
+    out[: bodies.size] = bodies.ravel()
+    return out

@@ -1,0 +1,153 @@
+"""Weights of the torque rows: from samples to whitened rows.
+
+Every weighting is turned into one thing: rows to be stacked and compressed. Rows that are
+masked are zero afterwards, and the covariance of the others is that of the unmasked joints
+alone (masking a joint is not knowing it, not knowing it to be zero).
+"""
+
+from __future__ import annotations
+
+from typing import Literal
+
+import numpy as np
+
+from sdpid._arrays import Array, Mask
+from sdpid.errors import DataError
+from sdpid.estimation.rows import RowSource, Triangle
+
+Weighting = Literal["gls", "gls_per_sample", "eq9", "eq18", "residual"]
+WEIGHTINGS: tuple[Weighting, ...] = ("gls", "gls_per_sample", "eq9", "eq18", "residual")
+
+# A covariance whose reciprocal condition is below this is singular to working accuracy.
+SINGULAR = 1e-12
+
+
+def masked_covariance(covariance: Array, mask: Mask) -> Array:
+    """Return (…, n, n) covariances with masked joints replaced by independent unit ones."""
+    both = mask[..., :, None] & mask[..., None, :]
+    n = mask.shape[-1]
+    return np.asarray(np.where(both, covariance, np.eye(n) * ~mask[..., :, None]))
+
+
+def power(covariance: Array, exponent: float) -> Array:
+    """Return symmetric powers of covariances (…, n, n).
+
+    Raises
+    ------
+    DataError
+        When one of them is not positive definite to working accuracy; the worst is named.
+    """
+    values, vectors = np.linalg.eigh(covariance)
+    ratio = values[..., 0] / np.maximum(values[..., -1], np.finfo(float).tiny)
+    if np.any(ratio < SINGULAR):
+        worst = int(np.argmin(ratio))
+        raise DataError(
+            f"effort covariance {f'of sample {worst} ' if ratio.ndim else ''}is singular: its "
+            f"smallest eigenvalue is {np.min(ratio):.1e} of the largest (limit {SINGULAR:.0e}); "
+            "use more periods than joints, or shrink it (Processing.shrinkage)."
+        )
+    scaled = vectors * values[..., None, :] ** exponent
+    return np.asarray(scaled @ np.swapaxes(vectors, -1, -2))
+
+
+def pooled(covariance: Array) -> Array:
+    """Return one covariance for all samples, (n, n) or (K, n, n) to (n, n)."""
+    return covariance if covariance.ndim == 2 else np.asarray(covariance.mean(axis=0))
+
+
+def whitener(covariance: Array, mask: Mask, exponent: float) -> Array:
+    """Return Sigma^exponent for each sample, (K, n, n), masked rows and columns zero.
+
+    Parameters
+    ----------
+    covariance : ndarray, shape (n, n) or (K, n, n)
+        Effort covariance.
+    mask : ndarray of bool, shape (K, n)
+        Rows that are used.
+    exponent : float
+        -1/2 to whiten.
+    """
+    if covariance.ndim == 2:
+        patterns, index = np.unique(mask, axis=0, return_inverse=True)
+        powers = power(masked_covariance(covariance, patterns), exponent)
+        powers = powers * (patterns[:, :, None] & patterns[:, None, :])
+        return np.asarray(powers[index.reshape(-1)])
+    powers = power(masked_covariance(covariance, mask), exponent)
+    return np.asarray(powers * (mask[:, :, None] & mask[:, None, :]))
+
+
+# Weight floor: a share of the overall effort, so that one nearly silent joint cannot dominate.
+_EFFORT_SHARE = 0.03
+
+# The variances settle within a few rounds; this is where it stops at the latest.
+_ROUNDS = 10
+
+
+def residual_covariance(rows: RowSource) -> Array:
+    """Estimate a diagonal covariance (n, n) from the residuals of the unconstrained fit.
+
+    Each joint has one variance, found by iteration: fit, take the residuals' variance with the
+    degrees of freedom that the fit used up, fit again. A small share of the overall effort is
+    added, since residuals are model error too. The result is multiplied by the number of samples
+    over the number of independent ones, found from the residuals' autocorrelation, so that the
+    cost counts correlated samples as the few independent ones they are.
+
+    Parameters
+    ----------
+    rows : RowSource
+        Regressor and efforts.
+    """
+    n, count = rows.robot.n, rows.base.count
+    triangles = [Triangle(count + 1) for _ in range(n)]
+    used = np.zeros(n)
+    square = np.zeros(n)
+    for _, W, effort, mask in rows.chunks():
+        stacked = np.concatenate([W, effort[:, :, None]], axis=2)
+        for j, triangle in enumerate(triangles):
+            kept = mask[:, j]
+            triangle.add(stacked[kept, j])
+            used[j] += kept.sum()
+            square[j] += float(effort[kept, j] @ effort[kept, j])
+    share = _EFFORT_SHARE**2 * square.sum() / used.sum()
+    variance = np.full(n, square.sum() / used.sum())
+    base = np.zeros(count)
+    for _ in range(_ROUNDS):
+        joined = np.vstack([t.R / np.sqrt(s) for t, s in zip(triangles, variance, strict=True)])
+        base, _, rank, _ = np.linalg.lstsq(joined[:, :-1], joined[:, -1], rcond=None)
+        error = np.append(base, -1.0)
+        residual = np.array([np.sum((t.R @ error) ** 2) for t in triangles])
+        # Each joint gives up degrees of freedom in proportion to its rows.
+        freedom = np.maximum(used * (1.0 - rank / used.sum()), 1.0)
+        updated = residual / freedom + share
+        settled = np.allclose(updated, variance, rtol=1e-6)
+        variance = updated
+        if settled:
+            break
+    return np.diag(variance * _correlation_time(rows, base))
+
+
+def _correlation_time(rows: RowSource, base: Array) -> float:
+    """Return how many samples make one independent one, averaged over the joints, at least 1."""
+    residual, masks = [], []
+    for _, W, effort, mask in rows.chunks():
+        residual.append(np.where(mask, effort - W @ base, 0.0))
+        masks.append(mask)
+    E, M = np.concatenate(residual), np.concatenate(masks)
+    times = [_integrated_time(E[:, j], M[:, j]) for j in range(E.shape[1])]
+    return float(np.mean(times))
+
+
+def _integrated_time(signal: Array, mask: Mask) -> float:
+    """Return 1 + 2·Σ rho over lags up to the first that is not positive (Geyer's cut)."""
+    count = len(signal)
+    size = 1 << (2 * count - 1).bit_length()
+    centred = np.where(mask, signal - signal[mask].mean(), 0.0)
+    lagged = np.fft.irfft(np.abs(np.fft.rfft(centred, size)) ** 2)[:count]
+    pairs = np.fft.irfft(np.abs(np.fft.rfft(mask.astype(float), size)) ** 2)[:count]
+    correlation = lagged / np.maximum(np.round(pairs), 1.0)
+    if correlation[0] <= 0.0:
+        return 1.0
+    correlation /= correlation[0]
+    stop = np.flatnonzero(correlation <= 0.0)
+    last = int(stop[0]) if stop.size else count
+    return float(max(1.0, 1.0 + 2.0 * correlation[1:last].sum()))
