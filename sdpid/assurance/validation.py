@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -107,3 +107,30 @@ def validate(estimate: Estimate, samples: Samples | None = None) -> Validation:
         relative=float(np.sqrt(square.sum() / max(power.sum(), tiny))),
         rows=rows,
     )
+
+
+def implied_error(estimate: Estimate, samples: Samples) -> Array:
+    """Return the prediction error that the estimate's covariance implies, joint by joint.
+
+    Parameters
+    ----------
+    estimate : Estimate
+        With `covariance`.
+    samples : Samples
+        Where to predict; masked rows do not count.
+
+    Returns
+    -------
+    ndarray, shape (n,)
+        Root mean square over the rows of the standard deviation of the predicted effort, N·m.
+    """
+    problem = estimate.problem
+    total, rows = np.zeros(problem.robot.n), np.zeros(problem.robot.n)
+    factor = np.linalg.cholesky(
+        estimate.covariance + np.eye(len(estimate.base)) * np.finfo(float).tiny
+    )
+    for _, W, _, mask in replace(problem.rows, samples=samples).chunks():
+        variance = np.sum((W @ factor) ** 2, axis=2)
+        total += np.where(mask, variance, 0.0).sum(axis=0)
+        rows += mask.sum(axis=0)
+    return np.asarray(np.sqrt(total / np.maximum(rows, 1.0)))

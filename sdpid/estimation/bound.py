@@ -25,8 +25,11 @@ from sdpid.estimation.scaling import Scaling, symmetric_basis
 TINY_COST = 1e-6
 
 
-# How far the null space of a multiplier may take part in polishing it, tried in turn.
-_SOFT = (1e-10, 1e-8, 1e-7, 1e-6, 1e-5)
+# How far the null space of a multiplier may take part in polishing it, relative to its largest
+# eigenvalue: tried in turn, halved in each of so many rounds, until the gap is small enough.
+_SOFT = (1e-6, 1e-8, 1e-10, 1e-5, 1e-4)
+_ROUNDS = 8
+_ENOUGH = 1e-7
 
 
 @dataclass(frozen=True, eq=False)
@@ -98,12 +101,24 @@ def lower_bound(estimate: Estimate) -> Bound:
     if found is None or estimate.theta is None or not found.Z.size:
         Z = np.zeros((0, s, s))
         return Bound(evaluate(problem, y, Z), y, Z)
-    candidates = [(y, clip_psd(found.Z))]
+    Z = clip_psd(found.Z)
+    start = y if found.y is None else found.y
+    best = Bound(evaluate(problem, start, Z), start, Z)
+    if relative_gap(problem, estimate.cost, best.value) <= _ENOUGH:
+        return best
     scaling = Scaling.of(problem).around(estimate.theta)
-    candidates += [_polished(problem, scaling, y, found, soft) for soft in _SOFT]
-    values = [evaluate(problem, *pair) for pair in candidates]
-    best = int(np.argmax(values))
-    return Bound(values[best], *candidates[best])
+    for first in _SOFT:
+        trial, soft = Multipliers(Z, found.bounds), first
+        residual = y
+        for _ in range(_ROUNDS):
+            residual, improved = _polished(problem, scaling, residual, trial, soft)
+            value = evaluate(problem, residual, improved)
+            if value > best.value:
+                best = Bound(value, residual, improved)
+            if relative_gap(problem, estimate.cost, best.value) <= _ENOUGH:
+                return best
+            trial, soft = Multipliers(improved, found.bounds), 0.5 * soft
+    return best
 
 
 def _polished(
@@ -114,9 +129,9 @@ def _polished(
     A solver leaves errors in the linear term c, which the wide box of theta makes expensive. At
     the optimum c is the multiplier of the bounds, which the solver gives too, and zero in every
     parameter without one. That is a linear system in a change of y, in the bounds' multipliers
-    and in D of ``Z + S·D·S``, S being the square root of Z softened so that its null space can
-    take part. Of many solutions the smallest is taken, which leaves Z positive semidefinite but
-    for rounding, and the gap nothing but complementarity.
+    and in D of ``S·(E + D)·S``, S being the square root of Z softened so that its null space can
+    take part. Of many solutions the smallest is taken. As long as D is above −E the result is
+    positive semidefinite; where it is not, it is clipped, and another round takes the rest.
     """
     feasible = problem.feasible
     links, size = feasible.n_links, feasible.size
@@ -128,6 +143,8 @@ def _polished(
     values = np.maximum(values, 0.0)
     values = values + soft * max(float(values.max()), np.finfo(float).tiny)
     S = (vectors * np.sqrt(values)[:, None, :]) @ np.swapaxes(vectors, 1, 2)
+    Z = S @ S
+    full = scaling.cost * np.swapaxes(inverse, 1, 2) @ Z @ inverse
     symmetric = symmetric_basis(size)
     changes = np.zeros((problem.n_theta, links, len(symmetric)))
     for link in range(links):
@@ -137,7 +154,7 @@ def _polished(
     bounded = np.flatnonzero(np.isfinite(found.bounds))
     mu = np.nan_to_num(found.bounds)
     GT = 2.0 * problem.base.matrix.T @ problem.A.T / unit
-    missing = (adjoint(found.Z, feasible.basis(), problem.n_theta) + mu) / scaling.cost
+    missing = (adjoint(full, feasible.basis(), problem.n_theta) + mu) / scaling.cost
     missing = missing - GT @ (y / unit)
     scale_y = max(float(np.linalg.norm(y)) / unit, 1e-3)
     relax = np.eye(problem.n_theta)[:, bounded]
@@ -145,8 +162,8 @@ def _polished(
     system = np.hstack([GT * scale_y, -changes.reshape(problem.n_theta, -1), -relax])
     step = np.linalg.lstsq(basis.T @ system, basis.T @ missing, rcond=1e-14)[0]
     part = step[len(y) : len(y) + links * len(symmetric)].reshape(links, -1)
-    polished = Z + S @ np.einsum("la,aij->lij", part, symmetric) @ S
-    polished = scaling.cost * np.swapaxes(inverse, 1, 2) @ clip_psd(polished) @ inverse
+    polished = clip_psd(Z + S @ np.einsum("la,aij->lij", part, symmetric) @ S)
+    polished = scaling.cost * np.swapaxes(inverse, 1, 2) @ polished @ inverse
     return y + scale_y * unit * step[: len(y)], clip_psd(polished)
 
 

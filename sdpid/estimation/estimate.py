@@ -29,7 +29,7 @@ class Step:
 
 @dataclass(frozen=True, eq=False)
 class Multipliers:
-    """Multipliers of the constraints, in units of the cost, as a solver gave them.
+    """Multipliers of the constraints, in units of the cost.
 
     Attributes
     ----------
@@ -37,10 +37,13 @@ class Multipliers:
         Of the links' matrix inequalities.
     bounds : ndarray, shape (p,)
         Of the bounds on theta, lower less upper; NaN where the solver was given none.
+    y : ndarray, shape (b,), or None
+        Of the residual; None is the estimate's own residual.
     """
 
     Z: Array
     bounds: Array
+    y: Array | None = None
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -90,9 +90,11 @@ def solve_sdp(problem: Problem, *, verbose: bool = False) -> Estimate:
             solve_time=solve_time,
             multipliers=program.multipliers(),
         )
-        gap = relative_gap(problem, estimate.cost, lower_bound(estimate).value)
+        bound = lower_bound(estimate)
+        gap = relative_gap(problem, estimate.cost, bound.value)
         if gap < best_gap:
-            best, best_gap = estimate, gap
+            proof = replace(program.multipliers(), Z=bound.Z, y=bound.y)
+            best, best_gap = replace(estimate, multipliers=proof), gap
         if best_gap <= _GAP:
             break
         # From now on count the cost in units of itself, and links in units of what was found.

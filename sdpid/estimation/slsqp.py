@@ -20,6 +20,15 @@ from sdpid.robot.inertia import theta_from_physical
 FEASIBLE_LOCAL = 1e-7
 
 
+# SLSQP sometimes reports success where it merely stopped making progress. Its word is checked: a
+# Newton step on what the multipliers leave of the gradient must not promise more than this share
+# of the cost.
+STATIONARY = 1e-4
+
+# Constraints this close to zero (scaled) may have a multiplier.
+_ACTIVE = 1e-6
+
+
 def random_start(problem: Problem, rng: np.random.Generator) -> Array:
     """Return random standard parameters that satisfy the constraints.
 
@@ -82,10 +91,10 @@ def solve_slsqp(
     Returns
     -------
     Estimate
-        With status ``"optimal"`` when SLSQP says it converged and the point is feasible; otherwise
-        the status says what happened: ``"infeasible"``, ``"iteration limit"``, ``"stalled"`` or
-        ``"failed"``. Converged means stationary to the tolerance, not globally optimal: `certify`
-        tells how far from it.
+        With status ``"optimal"`` when SLSQP says it converged, the point is feasible, and it is
+        stationary when that is recomputed; otherwise the status says what happened:
+        ``"infeasible"``, ``"iteration limit"``, ``"stalled"`` or ``"failed"``. How far from the
+        global optimum a result is, `certify` tells.
 
     Raises
     ------
@@ -117,7 +126,7 @@ def solve_slsqp(
         problem,
         theta,
         method="slsqp",
-        status=_status(result, violation),
+        status=_status(result, violation, program),
         message=str(result.message),
         iterations=int(result.nit),
         solve_time=program.seconds,
@@ -126,11 +135,12 @@ def solve_slsqp(
     )
 
 
-def _status(result: Any, violation: float) -> str:
+def _status(result: Any, violation: float, program: _Program) -> str:
     if violation > FEASIBLE_LOCAL:
         return "infeasible"
     if result.success:
-        return "optimal"
+        promised = program.promised_decrease(result.x)
+        return "optimal" if promised <= STATIONARY else "stalled"
     # SciPy's exit modes: 9 is the iteration limit, 8 a line search that finds no descent.
     return {9: "iteration limit", 8: "stalled"}.get(int(result.status), "failed")
 
@@ -197,6 +207,32 @@ class _Program:
         J = variables.jacobian(x)[: 10 * links].reshape(links, 10, -1)
         room = -J[:, [4, 6, 9]].reshape(3 * links, -1) / problem.constraints.theta_max
         return np.vstack([eigen, room])
+
+    def promised_decrease(self, x: Array) -> float:
+        """Return the share of the cost that a Newton step along the leftover gradient promises.
+
+        The leftover is what the best multipliers of the active constraints do not explain: zero
+        at a stationary point.
+        """
+        from scipy.optimize import nnls
+
+        theta, J = self.variables.theta(x), self.G @ self.variables.jacobian(x)
+        residual = self.G @ theta - self.rhs
+        gradient = 2.0 * residual @ J
+        values = self.constraints(x)
+        normals = self.constraint_jacobian(x)[values < _ACTIVE]
+        identity = np.eye(len(x))
+        lower, upper = x - self.lower < _ACTIVE, self.upper - x < _ACTIVE
+        active = np.vstack([normals, identity[lower], -identity[upper]])
+        # Variables in units in which the cost has unit curvature, so that sizes mean decrease.
+        curvature = np.sqrt(2.0) * np.linalg.norm(J, axis=0)
+        curvature = np.where(curvature > 0.0, curvature, 1.0)
+        leftover = gradient / curvature
+        if len(active):
+            multipliers, _ = nnls((active / curvature).T, leftover)
+            leftover = leftover - (active / curvature).T @ multipliers
+        cost = float(residual @ residual) + self.scale**2 * self.problem.floor
+        return float(0.5 * leftover @ leftover) / max(cost, np.finfo(float).tiny)
 
     def run(self, x0: Array, max_iterations: int, tolerance: float) -> Any:
         from scipy.optimize import Bounds, minimize

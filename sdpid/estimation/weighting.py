@@ -23,10 +23,15 @@ SINGULAR = 1e-12
 
 
 def masked_covariance(covariance: Array, mask: Mask) -> Array:
-    """Return (…, n, n) covariances with masked joints replaced by independent unit ones."""
+    """Return (…, n, n) covariances with masked joints replaced by independent ones."""
     both = mask[..., :, None] & mask[..., None, :]
     n = mask.shape[-1]
-    return np.asarray(np.where(both, covariance, np.eye(n) * ~mask[..., :, None]))
+    # Of the size of the others, so that the condition number is that of the others.
+    variance = np.where(mask, np.diagonal(covariance, axis1=-2, axis2=-1), 0.0)
+    count = mask.sum(axis=-1)
+    size = np.where(count > 0, variance.sum(axis=-1) / np.maximum(count, 1), 1.0)
+    filler = size[..., None, None] * (np.eye(n) * ~mask[..., :, None])
+    return np.asarray(np.where(both, covariance, filler))
 
 
 def power(covariance: Array, exponent: float) -> Array:
@@ -35,16 +40,17 @@ def power(covariance: Array, exponent: float) -> Array:
     Raises
     ------
     DataError
-        When one of them is not positive definite to working accuracy; the worst is named.
+        When one of them is not positive definite to working accuracy.
     """
     values, vectors = np.linalg.eigh(covariance)
     ratio = values[..., 0] / np.maximum(values[..., -1], np.finfo(float).tiny)
     if np.any(ratio < SINGULAR):
-        worst = int(np.argmin(ratio))
+        worst = float(np.min(ratio))
+        many = f"{np.count_nonzero(ratio < SINGULAR)} of {ratio.size} " if ratio.ndim else ""
         raise DataError(
-            f"effort covariance {f'of sample {worst} ' if ratio.ndim else ''}is singular: its "
-            f"smallest eigenvalue is {np.min(ratio):.1e} of the largest (limit {SINGULAR:.0e}); "
-            "use more periods than joints, or shrink it (Processing.shrinkage)."
+            f"effort covariance: {many}singular: the smallest eigenvalue is {worst:.1e} of the "
+            f"largest (limit {SINGULAR:.0e}); use more periods than joints, or shrink it "
+            "(Processing.shrinkage)."
         )
     scaled = vectors * values[..., None, :] ** exponent
     return np.asarray(scaled @ np.swapaxes(vectors, -1, -2))

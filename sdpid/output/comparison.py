@@ -1,0 +1,214 @@
+"""Estimators side by side on one problem, measured against the proven bound."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from sdpid._progress import progress
+from sdpid.assurance.certificate import Certificate, certify
+from sdpid.errors import DataError, SdpidError
+from sdpid.estimation.estimate import Estimate
+from sdpid.estimation.problem import Problem
+from sdpid.estimation.sdp import solve_sdp
+from sdpid.estimation.slsqp import random_start, solve_slsqp
+from sdpid.estimation.wls import solve_wls
+from sdpid.output.tables import Table
+
+
+@dataclass(frozen=True, kw_only=True)
+class Row:
+    """One solver run.
+
+    Attributes
+    ----------
+    solver, start : str
+        Which solver, from where.
+    status, message : str
+        What happened.
+    cost : float or None
+        Its cost, None when it failed.
+    gap : float or None
+        (cost − proven lower bound) over the cost; negative below the bound, which only an
+        infeasible point can be.
+    worst_margin : float or None
+        Smallest margin of a link, kg·m².
+    violation : float or None
+        By how much the worst constraint is violated.
+    iterations : int or None
+        Iterations.
+    seconds : float or None
+        Time in the solver.
+    """
+
+    solver: str
+    start: str
+    status: str
+    cost: float | None = None
+    gap: float | None = None
+    worst_margin: float | None = None
+    violation: float | None = None
+    iterations: int | None = None
+    seconds: float | None = None
+    message: str = ""
+
+
+_COLUMNS = tuple(Row.__dataclass_fields__)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Comparison:
+    """Solver runs on one problem.
+
+    Attributes
+    ----------
+    rows : tuple of Row
+        One a solver and start.
+    estimates : tuple of Estimate or None
+        What each run found, None where it failed.
+    certificate : Certificate
+        Of the global optimum; its bound is the one that gaps are taken to.
+    """
+
+    rows: tuple[Row, ...]
+    estimates: tuple[Estimate | None, ...]
+    certificate: Certificate
+
+    def table(self) -> str:
+        """Return the rows as aligned text."""
+        header = ("solver", "start", "status", "cost", "gap", "margin", "iterations", "seconds")
+        rows = [
+            (
+                r.solver,
+                r.start,
+                r.status,
+                _text(r.cost, ".8g"),
+                _text(r.gap, ".1e"),
+                _text(r.worst_margin, ".2e"),
+                r.iterations,
+                _text(r.seconds, ".3g"),
+            )
+            for r in self.rows
+        ]
+        return Table(header, tuple(rows)).text()
+
+    def to_frame(self) -> Any:
+        """Return the rows as a pandas DataFrame (extra ``io``)."""
+        from sdpid._extras import require
+
+        pandas = require("pandas", extra="io")
+        return pandas.DataFrame([vars(row) for row in self.rows], columns=list(_COLUMNS))
+
+    def to_csv(self, path: str | os.PathLike[str]) -> None:
+        """Write the rows, a missing value being an empty field."""
+        Table(_COLUMNS, tuple(tuple(vars(row).values()) for row in self.rows)).write(path)
+
+
+def _text(value: float | None, form: str) -> str:
+    return "-" if value is None else format(value, form)
+
+
+def compare(
+    problem: Problem,
+    *,
+    starts: int = 20,
+    seed: int = 0,
+    extra_starts: Sequence[tuple[str, np.ndarray]] = (),
+    max_iterations: int = 3000,
+    n_jobs: int | None = None,
+    show_progress: bool | None = None,
+) -> Comparison:
+    """Run every solver on a problem, the local ones from many starts.
+
+    Parameters
+    ----------
+    problem : Problem
+        The problem, with a consistency.
+    starts : int, optional
+        Random starts of the local solver.
+    seed : int, optional
+        Of the starts.
+    extra_starts : sequence of (label, theta), optional
+        Further starts.
+    max_iterations : int, optional
+        Limit of the local solver.
+    n_jobs : int, optional
+        Processes (joblib); by default one a core.
+    show_progress : bool, optional
+        Show a progress bar; by default on a terminal.
+
+    Returns
+    -------
+    Comparison
+        A local run that raises is a row with its error as the status.
+
+    Raises
+    ------
+    SolverError
+        When the global optimum cannot be found: then there is nothing to compare with.
+    DataError
+        When the problem has no consistency.
+    """
+    if problem.consistency == "none":
+        raise DataError("compare: the problem's consistency is 'none'; choose one first.")
+    from joblib import Parallel, delayed
+
+    best = solve_sdp(problem)
+    certificate = certify(best)
+    wls = solve_wls(problem)
+    rng = np.random.default_rng(seed)
+    points = [(f"random {i + 1}", random_start(problem, rng)) for i in range(starts)]
+    points += [(label, np.asarray(theta)) for label, theta in extra_starts]
+    jobs = Parallel(n_jobs=-1 if n_jobs is None else n_jobs, return_as="generator")
+    with progress(len(points), "local solver", enabled=show_progress) as advance:
+        results = []
+        for result in jobs(delayed(_run)(problem, theta, max_iterations) for _, theta in points):
+            results.append(result)
+            advance(1)
+    entries: list[tuple[str, str, Estimate | str]] = [("wls", "-", wls), ("sdp", "-", best)]
+    for (label, start), result in zip(points, results, strict=True):
+        if isinstance(result, str):
+            entries.append(("slsqp", label, result))
+        else:
+            # A worker's estimate has a copy of the problem; give it this one.
+            fields = {k: getattr(result, k) for k in _RETURNED}
+            entries.append(
+                ("slsqp", label, Estimate.of_theta(problem, result.theta, start=start, **fields))
+            )
+    return Comparison(
+        rows=tuple(_row(solver, label, found, certificate) for solver, label, found in entries),
+        estimates=tuple(None if isinstance(f, str) else f for _, _, f in entries),
+        certificate=certificate,
+    )
+
+
+_RETURNED = ("method", "status", "message", "iterations", "solve_time", "history")
+
+
+def _run(problem: Problem, start: np.ndarray, max_iterations: int) -> Estimate | str:
+    try:
+        return solve_slsqp(problem, start=start, max_iterations=max_iterations)
+    except SdpidError as error:
+        return f"{type(error).__name__}: {error}"
+
+
+def _row(solver: str, start: str, found: Estimate | str, certificate: Certificate) -> Row:
+    if isinstance(found, str):
+        return Row(solver=solver, start=start, status="error", message=found)
+    gap = certify(found, bound=certificate.bound).gap
+    return Row(
+        solver=solver,
+        start=start,
+        status=found.status,
+        cost=found.cost,
+        gap=gap,
+        worst_margin=found.worst_margin,
+        violation=found.violation,
+        iterations=found.iterations,
+        seconds=found.solve_time,
+        message=found.message,
+    )

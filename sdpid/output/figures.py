@@ -1,0 +1,198 @@
+"""What all plots share: figures without global state, colours, long lines, files."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+from typing import Any, cast
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from sdpid._arrays import Array
+from sdpid._extras import require
+from sdpid._files import atomic_path
+from sdpid.errors import DataError, ExportError
+
+# Okabe and Ito's palette, which readers with any colour vision can tell apart.
+BLUE = "#0072B2"
+RED = "#D55E00"
+GREEN = "#009E73"
+ORANGE = "#E69F00"
+PURPLE = "#CC79A7"
+SKY = "#56B4E9"
+GREY = "#6B7280"
+INK = "#1F2933"
+FAINT = "#E5E7EB"
+SHADE = "#D8DCE2"
+
+METHOD_COLOURS = (BLUE, RED, GREEN, PURPLE, ORANGE, SKY)
+METHOD_MARKERS = ("o", "s", "^", "D", "v", "P")
+
+SMALL, NORMAL, LARGE = 8.0, 9.5, 12.0
+
+# Pixels across a panel are a few hundred: more points than this a line do not show.
+POINTS = 3000
+
+_FORMATS = (".png", ".svg", ".pdf")
+
+
+def new_figure(width: float, height: float, title: str | None = None) -> Any:
+    """Return an empty figure of that size in inches, which no window ever shows.
+
+    Raises
+    ------
+    MissingExtraError
+        When matplotlib is not installed (extra ``plot``).
+    """
+    figure_module = require("matplotlib.figure", extra="plot")
+    figure = figure_module.Figure(figsize=(width, height), layout="constrained", facecolor="white")
+    if title:
+        figure.suptitle(title, fontsize=LARGE, fontweight="bold", color=INK)
+    return figure
+
+
+def dress(axis: Any, *, title: str | None = None, xlabel: str = "", ylabel: str = "") -> None:
+    """Give an axis its frame, grid, labels and letter sizes."""
+    for side in ("top", "right"):
+        axis.spines[side].set_visible(False)
+    for side in ("left", "bottom"):
+        axis.spines[side].set_color(GREY)
+    axis.grid(visible=True, color=FAINT, linewidth=0.7)
+    axis.set_axisbelow(True)
+    axis.tick_params(labelsize=SMALL, color=GREY, labelcolor=INK)
+    axis.set_facecolor("white")
+    if title:
+        axis.set_title(title, fontsize=NORMAL, color=INK, loc="left")
+    if xlabel:
+        axis.set_xlabel(xlabel, fontsize=NORMAL, color=INK)
+    if ylabel:
+        axis.set_ylabel(ylabel, fontsize=NORMAL, color=INK)
+
+
+def legend(axis: Any, **options: Any) -> None:
+    """Add a legend in the common style."""
+    defaults = {"fontsize": SMALL, "frameon": True, "framealpha": 0.9, "edgecolor": FAINT}
+    axis.legend(**{**defaults, **options})
+
+
+def bottom_legend(figure: Any, handles: Sequence[Any], labels: Sequence[str]) -> None:
+    """Add one legend for all panels below them."""
+    made = figure.legend(
+        handles,
+        labels,
+        loc="outside lower center",
+        ncols=min(len(labels), 4),
+        fontsize=NORMAL,
+        frameon=False,
+    )
+    for line in made.get_lines():
+        line.set_linewidth(max(float(line.get_linewidth()), 2.0))
+
+
+def long_line(axis: Any, x: Array, y: Array, **style: Any) -> Any:
+    """Draw a line of any number of points; of many, the extremes of each stretch."""
+    options = {"linewidth": 0.9, "solid_joinstyle": "round", **style}
+    return axis.plot(*decimate(x, y), **options)[0]
+
+
+def decimate(x: ArrayLike, y: ArrayLike, *, points: int = POINTS) -> tuple[Array, Array]:
+    """Return at most about `points` points that draw the same line.
+
+    Each stretch keeps its least and its greatest value at their own places, so that peaks and the
+    thickness of noise stay; the first and the last point stay too.
+
+    Parameters
+    ----------
+    x, y : array_like, shape (K,)
+        The line.
+    points : int, optional
+        About how many points to keep.
+
+    Returns
+    -------
+    x, y : ndarray
+    """
+    x, y = np.asarray(x, dtype=np.float64), np.asarray(y, dtype=np.float64)
+    count = len(y)
+    if count <= points:
+        return x, y
+    size = -(-count // max(points // 2, 1))
+    whole = count // size * size
+    blocks = y[:whole].reshape(-1, size)
+    at = np.arange(len(blocks)) * size
+    kept = [at + blocks.argmin(axis=1), at + blocks.argmax(axis=1), [0, count - 1]]
+    if whole < count:
+        kept.append([whole + int(y[whole:].argmin()), whole + int(y[whole:].argmax())])
+    index = np.unique(np.concatenate(kept))
+    return x[index], y[index]
+
+
+def runs(flags: ArrayLike) -> list[tuple[int, int]]:
+    """Return (first, last + 1) of every stretch of true values."""
+    padded = np.concatenate([[False], np.asarray(flags, dtype=bool), [False]])
+    edges = np.flatnonzero(padded[1:] != padded[:-1])
+    return list(zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True))
+
+
+def shade(axis: Any, x: Array, flags: ArrayLike, **style: Any) -> None:
+    """Shade the stretches of x where a flag is set, over the full height."""
+    # A sample stands for the time up to its neighbours' halves.
+    middles = 0.5 * (x[1:] + x[:-1])
+    edges = np.concatenate([x[:1], middles, x[-1:]])
+    spans = [(edges[i], edges[j] - edges[i]) for i, j in runs(flags)]
+    if spans:
+        options = {"facecolor": SHADE, "linewidth": 0, "zorder": 0.5, **style}
+        axis.broken_barh(spans, (0.0, 1.0), transform=axis.get_xaxis_transform(), **options)
+
+
+def same_length(arrays: Iterable[tuple[str, Array]], length: int) -> None:
+    """Check that arrays have `length` rows.
+
+    Raises
+    ------
+    DataError
+        Naming the first that has not.
+    """
+    for name, array in arrays:
+        if len(array) != length:
+            raise DataError(f"plot: {name} has {len(array)} rows, time has {length}.")
+
+
+def save_figure(figure: Any, path: str | os.PathLike[str], *, dpi: float = 150.0) -> Path:
+    """Write a figure as PNG, SVG or PDF, whole or not at all.
+
+    The same figure gives the same file: no dates and no random names are put in.
+
+    Parameters
+    ----------
+    figure : matplotlib.figure.Figure
+        The figure.
+    path : str or path
+        Where to; its suffix says the format.
+    dpi : float, optional
+        Dots an inch of a PNG.
+
+    Returns
+    -------
+    Path
+
+    Raises
+    ------
+    ExportError
+        For another suffix, or a folder that cannot be written to.
+    """
+    target = Path(path)
+    suffix = target.suffix.lower()
+    if suffix not in _FORMATS:
+        raise ExportError(
+            f"figure {target.name}: no format is known by '{target.suffix}'; use "
+            f"{', '.join(_FORMATS)}."
+        )
+    matplotlib = require("matplotlib", extra="plot")
+    undated = {".svg": {"Date": None}, ".pdf": {"CreationDate": None}}
+    metadata = cast("dict[str, Any] | None", undated.get(suffix))
+    with atomic_path(target) as temporary, matplotlib.rc_context({"svg.hashsalt": "sdpid"}):
+        figure.savefig(temporary, format=suffix[1:], dpi=dpi, metadata=metadata)
+    return target

@@ -1,0 +1,210 @@
+"""Plots that tell whether to trust an estimate.
+
+Every function takes plain arrays and returns a `matplotlib.figure.Figure`; nothing is shown and
+no global state of matplotlib is touched. `save_figure` writes it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from sdpid._arrays import Array, real_array
+from sdpid._extras import require
+from sdpid.errors import DataError
+from sdpid.output.convergence_plot import plot_convergence
+from sdpid.output.figures import (
+    BLUE,
+    GREY,
+    INK,
+    NORMAL,
+    RED,
+    SHADE,
+    SMALL,
+    bottom_legend,
+    dress,
+    long_line,
+    new_figure,
+    same_length,
+    save_figure,
+    shade,
+)
+from sdpid.output.parameter_plot import plot_parameters
+
+__all__ = [
+    "plot_convergence",
+    "plot_filtering",
+    "plot_parameters",
+    "plot_reconstruction",
+    "save_figure",
+]
+
+
+def plot_filtering(
+    time: ArrayLike,
+    before: Mapping[str, ArrayLike],
+    after: Mapping[str, ArrayLike],
+    *,
+    units: Mapping[str, str] | None = None,
+    window: tuple[float, float] | None = None,
+    title: str | None = None,
+) -> Any:
+    """Show the signals of one joint before and after filtering, and their differences.
+
+    Parameters
+    ----------
+    time : array_like, shape (K,)
+        Time in s.
+    before, after : mapping of str to array_like, shape (K,)
+        Signals by name (position, torque, velocity, acceleration), the same names in both; one
+        row of panels each, in the order of `before`.
+    units : mapping of str to str, optional
+        Unit of each signal, such as ``"rad/s"``.
+    window : (float, float), optional
+        Instants between which to show them, s; by default all.
+    title : str, optional
+        Heading of the figure.
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+
+    Raises
+    ------
+    DataError
+        When names or lengths differ, or the window holds fewer than two samples.
+    """
+    t = real_array(time, "time", ndim=1)
+    names = list(before)
+    if not names or set(names) != set(after):
+        raise DataError(
+            f"plot: signals before filtering are {', '.join(before) or 'none'}, after it "
+            f"{', '.join(after) or 'none'}; give the same names."
+        )
+    raw = {k: real_array(before[k], f"{k} before", ndim=1) for k in names}
+    smooth = {k: real_array(after[k], f"{k} after", ndim=1) for k in names}
+    for signals in (raw, smooth):
+        same_length(signals.items(), len(t))
+    inside = np.ones(len(t), dtype=bool)
+    if window is not None:
+        inside = (t >= window[0]) & (t <= window[1])
+        if np.count_nonzero(inside) < 2:
+            raise DataError(
+                f"plot: the window {window[0]:g} to {window[1]:g} s holds no samples; the record "
+                f"runs from {t.min():g} to {t.max():g} s."
+            )
+    t = t[inside]
+    figure = new_figure(11.0, 1.2 + 1.95 * len(names), title)
+    axes = figure.subplots(len(names), 2, sharex=True, squeeze=False)
+    for i, name in enumerate(names):
+        symbol = units.get(name, "") if units else ""
+        unit = f" [{symbol}]" if symbol else ""
+        y, z = raw[name][inside], smooth[name][inside]
+        left, right = axes[i]
+        long_line(left, t, y, color=BLUE, label="before filtering")
+        long_line(left, t, z, color=RED, label="after filtering", linewidth=1.1)
+        error = y - z
+        long_line(right, t, error, color=GREY)
+        last = "time [s]" if i == len(names) - 1 else ""
+        label = name[:1].upper() + name[1:]
+        dress(left, ylabel=f"{label}{unit}", xlabel=last)
+        dress(right, ylabel=f"error{unit}", xlabel=last)
+        rms = float(np.sqrt(np.mean(np.square(error))))
+        right.set_title(f"RMS {rms:#.3g} {symbol}".rstrip(), fontsize=SMALL, color=INK, loc="right")
+        left.set_xlim(t[0], t[-1])
+    bottom_legend(figure, *axes[0, 0].get_legend_handles_labels())
+    figure.align_ylabels(axes)
+    return figure
+
+
+def plot_reconstruction(
+    time: ArrayLike | None,
+    measured: ArrayLike,
+    predicted: ArrayLike,
+    joint_names: Sequence[str],
+    rmse: ArrayLike | None = None,
+    *,
+    mask: ArrayLike | None = None,
+    units: str | Sequence[str] = "N·m",
+    title: str | None = None,
+) -> Any:
+    """Show measured against predicted effort, joint by joint, with the errors beside.
+
+    Parameters
+    ----------
+    time : array_like, shape (K,), or None
+        Time in s; None: the samples are counted.
+    measured, predicted : array_like, shape (K, n)
+        Efforts.
+    joint_names : sequence of str
+        The n joints.
+    rmse : array_like, shape (n,), optional
+        Root mean square errors for the titles; by default those of the rows in use.
+    mask : array_like of bool, shape (K, n), optional
+        True where a row is used; the others are shaded.
+    units : str or sequence of str, optional
+        Unit of the efforts, one for all or one a joint.
+    title : str, optional
+        Heading of the figure.
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+
+    Raises
+    ------
+    DataError
+        When shapes do not fit.
+    """
+    y = real_array(measured, "measured", ndim=2)
+    z = real_array(predicted, "predicted", ndim=2)
+    K, n = y.shape
+    t = np.arange(K, dtype=np.float64) if time is None else real_array(time, "time", ndim=1)
+    same_length([("measured", y), ("predicted", z)], len(t))
+    used = np.ones((K, n), dtype=bool) if mask is None else np.asarray(mask, dtype=bool)
+    unit = [units] * n if isinstance(units, str) else list(units)
+    for name, size in (("joint_names", len(joint_names)), ("units", len(unit))):
+        if size != n:
+            raise DataError(f"plot: {name} has {size} entries, measured has {n} columns.")
+    if z.shape != (K, n) or used.shape != (K, n) or K < 2:
+        raise DataError(
+            f"plot: measured has shape {(K, n)}, predicted {z.shape}, mask {used.shape}; they "
+            "must agree and have at least two rows."
+        )
+    errors = _rmse(y - z, used) if rmse is None else real_array(rmse, "rmse", ndim=1)
+    if len(errors) != n:
+        raise DataError(f"plot: rmse has {len(errors)} entries, measured has {n} columns.")
+    figure = new_figure(12.0, 1.3 + 1.75 * n, title)
+    axes = figure.subplots(n, 2, sharex=True, squeeze=False, width_ratios=(1.6, 1.0))
+    for j in range(n):
+        left, right = axes[j]
+        for axis in (left, right):
+            shade(axis, t, ~used[:, j])
+        long_line(left, t, y[:, j], color=BLUE, label="measured", linewidth=1.8)
+        long_line(left, t, z[:, j], color=RED, label="predicted", linewidth=0.9)
+        long_line(right, t, y[:, j] - z[:, j], color=GREY)
+        last = ("sample" if time is None else "time [s]") if j == n - 1 else ""
+        size = _rmse(y, used)[j]
+        share = f"  ({100.0 * errors[j] / size:.2g} % of RMS)" if size > 0.0 else ""
+        dress(left, title=joint_names[j], ylabel=f"effort [{unit[j]}]", xlabel=last)
+        dress(right, ylabel=f"error [{unit[j]}]", xlabel=last)
+        right.set_title(
+            f"RMSE {errors[j]:#.3g} {unit[j]}{share}", fontsize=NORMAL, color=INK, loc="left"
+        )
+        left.set_xlim(t[0], t[-1])
+    handles, labels = axes[0, 0].get_legend_handles_labels()
+    if not used.all():
+        patches = require("matplotlib.patches", extra="plot")
+        handles.append(patches.Patch(facecolor=SHADE, edgecolor=GREY, linewidth=0.5))
+        labels.append("rows not used")
+    bottom_legend(figure, handles, labels)
+    figure.align_ylabels(axes)
+    return figure
+
+
+def _rmse(error: Array, used: np.ndarray) -> Array:
+    count = np.maximum(used.sum(axis=0), 1)
+    return np.asarray(np.sqrt(np.square(np.where(used, error, 0.0)).sum(axis=0) / count))

@@ -1,0 +1,75 @@
+"""Tables of parameters, as CSV."""
+
+from __future__ import annotations
+
+import csv
+import io
+import os
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from sdpid._files import atomic_write_text
+from sdpid.estimation.estimate import Estimate
+
+
+@dataclass(frozen=True)
+class Table:
+    """Rows under a header; None is an empty field.
+
+    Attributes
+    ----------
+    header : tuple of str
+        Column names.
+    rows : tuple of tuple
+        The cells.
+    """
+
+    header: tuple[str, ...]
+    rows: tuple[tuple[object, ...], ...]
+
+    def write(self, path: str | os.PathLike[str]) -> None:
+        """Write as CSV, whole or not at all."""
+        text = io.StringIO()
+        writer = csv.writer(text, lineterminator="\n")
+        writer.writerow(self.header)
+        writer.writerows(["" if cell is None else cell for cell in row] for row in self.rows)
+        atomic_write_text(path, text.getvalue())
+
+    def text(self, digits: int = 4) -> str:
+        """Return aligned text, numbers with so many significant digits."""
+
+        def cell(value: object) -> str:
+            if value is None:
+                return "-"
+            return f"{value:.{digits}g}" if isinstance(value, float) else str(value)
+
+        lines = [self.header, *(tuple(cell(c) for c in row) for row in self.rows)]
+        widths = [max(len(line[i]) for line in lines) for i in range(len(self.header))]
+        return "\n".join(
+            "  ".join(
+                c.ljust(w) if i == 0 else c.rjust(w)
+                for i, (c, w) in enumerate(zip(line, widths, strict=True))
+            ).rstrip()
+            for line in lines
+        )
+
+
+def base_table(estimate: Estimate, wls: Estimate | None = None) -> Table:
+    """Return base parameters with the unconstrained fit and its standard errors."""
+    base = estimate.problem.base
+    header = ["parameter", "unit", "value"]
+    columns: list[Sequence[object]] = [base.names, base.units, estimate.base.tolist()]
+    if wls is not None:
+        header += ["unconstrained", "standard_error"]
+        columns += [wls.base.tolist(), wls.standard_errors.tolist()]
+    header.append("regrouping")
+    columns.append([base.expression(name) for name in base.names])
+    return Table(tuple(header), tuple(zip(*columns, strict=True)))
+
+
+def theta_table(estimate: Estimate) -> Table:
+    """Return standard parameters, one row each."""
+    base = estimate.problem.base
+    values = [None] * len(base.theta_names) if estimate.theta is None else estimate.theta.tolist()
+    rows = zip(base.theta_names, base.theta_units, values, strict=True)
+    return Table(("parameter", "unit", "value"), tuple(rows))

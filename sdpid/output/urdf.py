@@ -1,0 +1,326 @@
+"""Identified inertias and friction, put back into the user's own URDF."""
+
+from __future__ import annotations
+
+import os
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from sdpid._arrays import Array
+from sdpid._files import atomic_write_text
+from sdpid.errors import ExportError, ModelError
+from sdpid.estimation.estimate import Estimate
+from sdpid.output.urdf_tree import FixedChild, UrdfTree, inertial_values
+from sdpid.output.xml_spans import Document, Element
+from sdpid.robot.base import generic_states
+from sdpid.robot.friction import Coulomb, FrictionModel, Viscous
+from sdpid.robot.inertia import (
+    Consistency,
+    margin,
+    physical_parameters,
+    theta_from_physical,
+    transform,
+)
+from sdpid.robot.model import RobotModel, Root, load_robot
+
+# Rounding in the inertia about the centre of mass, as a fraction of the size of the inertia that
+# it is the difference of. A margin negative by no more than this is not negative.
+_ROUNDING = 1e-14
+# Readers reject a body that rounding has put on the edge (MuJoCo: principal moments below 1e-14
+# kg·m², or a triangle inequality missed by one bit). Written bodies are at least this far inside,
+# kg·m²; it changes efforts by some 1e-13 N·m.
+_INSIDE = 1e-13
+# The written file is read back; its efforts may differ by this fraction of the largest one.
+_READ_BACK = 1e-10
+_STATES, _SEED = 8, 20240229
+# Friction negative by no more than this (N·m, N·m·s/rad) is zero with a solver's rounding.
+_FRICTION_ZERO = 1e-9
+
+
+@dataclass(frozen=True, kw_only=True)
+class ExportReport:
+    """What was written, and what could not be.
+
+    Attributes
+    ----------
+    path : Path
+        The file.
+    links_changed : tuple of str
+        Links whose inertial was written, those whose inertial was set to zero included.
+    joints_changed : tuple of str
+        Joints whose damping or friction was written.
+    lumped : tuple of str
+        Moving links that took over the inertia of the links fixed to them, because what was left
+        of the identified body without these, or one of these, could not exist.
+    left_out : tuple of str
+        Parameters for which URDF has no place, such as ``Fo1`` or ``Ia3``.
+    triangle_violations : tuple of str
+        Moving links whose principal moments violate the triangle inequality. Readers that ask for
+        it (MuJoCo) reject them; estimates under ``consistency="pseudo_inertia"`` have none.
+    """
+
+    path: Path
+    links_changed: tuple[str, ...]
+    joints_changed: tuple[str, ...] = ()
+    lumped: tuple[str, ...] = ()
+    left_out: tuple[str, ...] = ()
+    triangle_violations: tuple[str, ...] = ()
+
+    def describe(self) -> str:
+        """Return the report in words, one statement a line."""
+        lines = [f"{self.path}: wrote the inertia of {len(self.links_changed)} links"]
+        if self.joints_changed:
+            lines[0] += f" and the friction of {len(self.joints_changed)} joints"
+        if self.lumped:
+            lines.append(
+                "with the links fixed to them counted in, whose own inertials are now zero: "
+                + ", ".join(self.lumped)
+            )
+        if self.left_out:
+            lines.append("no place in a URDF: " + ", ".join(self.left_out))
+        if self.triangle_violations:
+            lines.append(
+                "triangle inequality violated (MuJoCo will not load it): "
+                + ", ".join(self.triangle_violations)
+            )
+        return "\n".join(lines)
+
+
+def write_urdf(
+    estimate: Estimate,
+    *,
+    target: str | os.PathLike[str],
+    source: str | os.PathLike[str] | None = None,
+) -> ExportReport:
+    """Write the URDF with identified inertias and friction.
+
+    Only the ``<inertial>`` of moving links and the damping and friction of joints change, and of
+    joints only what the problem has: damping with a viscous term (N·m·s/rad, N·s/m for sliding
+    joints), friction with a Coulomb term (N·m, N). All other bytes stay as they are.
+
+    An identified body is what moves with a joint: a link and the links fixed to it. Those keep
+    their inertials and the moving link takes the rest. Where no body can be the rest, or one of
+    theirs is none that a body can have, the moving link takes all and theirs become zero. (Zero
+    rather than removed: readers invent a mass for links without an inertial.)
+
+    Parameters
+    ----------
+    estimate : Estimate
+        Parameters to write; it must have `theta`.
+    target : str or path
+        File to write, whole or not at all; it may be the source.
+    source : str or path, optional
+        URDF to change, as a path or its text; by default the one the robot was loaded from.
+
+    Returns
+    -------
+    ExportReport
+
+    Raises
+    ------
+    ExportError
+        When the estimate has no standard parameters, a link of it is not consistent, friction is
+        negative, or the source describes another robot.
+    ModelError
+        When the source is not a URDF.
+    """
+    problem = estimate.problem
+    robot = problem.robot
+    if estimate.theta is None:
+        raise ExportError(
+            f"URDF of '{robot.name}': the estimate by {estimate.method} has base parameters only, "
+            "which no URDF can hold; use solve_sdp or another solver that returns theta."
+        )
+    text = _source_text(robot, source)
+    bodies = problem.feasible.bodies(estimate.theta)
+    consistency = problem.consistency
+    _require_consistent(robot, bodies, consistency)
+    tree = UrdfTree(text)
+    links = tree.moving_links(robot)
+    document = tree.document
+    changed: list[str] = []
+    lumped: list[str] = []
+    flat: list[str] = []
+    for link, body in zip(links, bodies, strict=True):
+        children = [c for c in tree.fixed_children(link) if c.body is not None and np.any(c.body)]
+        rest = _rest(body, children, consistency)
+        if rest is not None:
+            body = rest
+        else:
+            lumped.append(link)
+            for child in children:
+                _write_inertial(document, tree.links[child.name], np.zeros(10))
+                changed.append(child.name)
+        body = _lifted(body, consistency)
+        if not margin(body, "pseudo_inertia") >= 0.0:
+            flat.append(link)
+        _write_inertial(document, tree.links[link], body)
+        changed.append(link)
+    joints, left_out = _write_friction(tree, robot, problem.friction, estimate.theta)
+    result = document.text()
+    _read_back(robot, bodies, result)
+    atomic_write_text(target, result)
+    return ExportReport(
+        path=Path(target),
+        links_changed=tuple(changed),
+        joints_changed=joints,
+        lumped=tuple(lumped),
+        left_out=left_out,
+        triangle_violations=tuple(flat),
+    )
+
+
+def _source_text(robot: RobotModel, source: str | os.PathLike[str] | None) -> str:
+    if source is None:
+        if robot.urdf is None:
+            raise ExportError(
+                f"URDF of '{robot.name}': the robot was not loaded from a URDF; give the file to "
+                "change as source."
+            )
+        return robot.urdf
+    if isinstance(source, str) and source.lstrip().startswith("<"):
+        return source
+    try:
+        # Bytes, because reading text would change line endings.
+        return Path(source).read_bytes().decode("utf-8-sig")
+    except (OSError, UnicodeDecodeError) as cause:
+        raise ExportError(f"URDF of '{robot.name}': cannot read the source ({cause}).") from None
+
+
+def _rounding(bodies: Array) -> Array:
+    """Return the rounding error of the inertia about the centre of mass, in kg·m²."""
+    return np.asarray(_ROUNDING * np.abs(bodies[..., 4:]).max(axis=-1))
+
+
+def _require_consistent(robot: RobotModel, bodies: Array, consistency: Consistency) -> None:
+    margins = margin(bodies, consistency)
+    for name, body, value, error in zip(
+        robot.link_names, bodies, margins, _rounding(bodies), strict=True
+    ):
+        if not body[0] > 0.0:
+            raise ExportError(
+                f"URDF of '{robot.name}': link '{name}' has a mass of {body[0]:.6g} kg, it must "
+                "be positive; solve with a consistency."
+            )
+        if value < -error:
+            raise ExportError(
+                f"URDF of '{robot.name}': link '{name}' is not consistent, its margin is "
+                f"{value:.3g} kg·m² and the least is 0; solve with a consistency, or with a "
+                "positive Constraints.margin if the solver stopped just outside."
+            )
+
+
+def _rest(body: Array, children: list[FixedChild], consistency: Consistency) -> Array | None:
+    """Return what the moving link has of a body when its children keep theirs, None if nothing.
+
+    It does not work either when a child's own inertial is none that a body can have.
+    """
+    if not children:
+        return body
+    own = np.array([child.body for child in children])
+    if not np.all(margin(own, consistency) >= -_rounding(own)):
+        return None
+    inside = [transform(c.body, c.rotation, c.translation) for c in children if c.body is not None]
+    rest = body - np.sum(inside, axis=0)
+    enough = rest[0] > 0.0 and margin(rest, consistency) >= _INSIDE + _rounding(rest)
+    return rest if enough else None
+
+
+def _lifted(body: Array, consistency: Consistency) -> Array:
+    """Return the body, moved off the edge of the consistent set if rounding has put it there."""
+    short = float(_INSIDE + _rounding(body) - margin(body, consistency))
+    if short <= 0.0:
+        return body
+    mass, com, inertia = physical_parameters(body)
+    # A second moment of t in all directions is an inertia of 2·t.
+    lift = 2.0 * short if consistency == "pseudo_inertia" else short
+    return theta_from_physical(mass, com, inertia + lift * np.eye(3))
+
+
+def _write_inertial(document: Document, link: Element, body: Array) -> None:
+    values = inertial_values(body)
+    inertial = link.find("inertial")
+    lines = [
+        f"  <{tag} " + " ".join(f'{key}="{value}"' for key, value in attributes.items()) + "/>"
+        for tag, attributes in values.items()
+    ]
+    if inertial is None:
+        document.insert_child(link, "\n".join(["<inertial>", *lines, "</inertial>"]))
+        return
+    for tag, line in zip(values, lines, strict=True):
+        element = inertial.find(tag)
+        if element is None:
+            document.insert_child(inertial, line.strip())
+        else:
+            document.set_attributes(element, values[tag])
+
+
+def _write_friction(
+    tree: UrdfTree, robot: RobotModel, friction: FrictionModel, theta: Array
+) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """Write damping and friction; return the joints changed and the parameters left out."""
+    at = 10 * robot.n_links
+    left_out: list[str] = []
+    written: dict[str, dict[str, float]] = {}
+    for term in friction.terms:
+        parameters = term.parameters(friction.joint_names)
+        values = theta[at : at + len(parameters)]
+        at += len(parameters)
+        attribute = {Coulomb: "friction", Viscous: "damping"}.get(type(term))
+        if attribute is None:
+            left_out += [p.name for p in parameters]
+            continue
+        for name, parameter, value in zip(friction.joint_names, parameters, values, strict=True):
+            if value < -_FRICTION_ZERO:
+                raise ExportError(
+                    f"URDF of '{robot.name}': {parameter.name} of joint '{name}' is {value:.3g} "
+                    f"{parameter.unit}, the least is 0; solve with "
+                    "Constraints(friction_nonnegative=True)."
+                )
+            written.setdefault(name, {})[attribute] = max(float(value), 0.0)
+    for joint, source in tree.mimics.items():
+        # What was identified at the source joint holds the friction of its followers.
+        if source in written and tree.joints[joint].find("dynamics") is not None:
+            written[joint] = dict.fromkeys(written[source], 0.0)
+    for name, numbers in written.items():
+        attributes = {key: repr(value + 0.0) for key, value in numbers.items()}
+        element = tree.joints[name].find("dynamics")
+        if element is not None:
+            tree.document.set_attributes(element, attributes)
+        else:
+            line = "<dynamics " + " ".join(f'{k}="{v}"' for k, v in attributes.items()) + "/>"
+            tree.document.insert_child(tree.joints[name], line, last=True)
+    return tuple(written), tuple(left_out)
+
+
+def _read_back(robot: RobotModel, bodies: Array, text: str) -> None:
+    """Check that the written text is the identified robot, by its efforts at generic states.
+
+    Raises
+    ------
+    ExportError
+        When it is not: the source describes other joints or other lengths.
+    """
+    what = f"URDF of '{robot.name}'"
+    root: Root | None = "free_flyer" if robot.free_flyer else None
+    try:
+        written = load_robot(text, root=root, gravity=robot.gravity.tolist())
+    except ModelError as cause:
+        raise ExportError(f"{what}: the changed file cannot be read back ({cause}).") from None
+    if written.joint_names != robot.joint_names:
+        raise ExportError(
+            f"{what}: the source has the joints {', '.join(written.joint_names)}, the robot has "
+            f"{', '.join(robot.joint_names)}; give the URDF of the same robot."
+        )
+    states = generic_states(robot, _STATES, _SEED)
+    expected = robot.inverse_dynamics(bodies, *states)
+    found = written.inverse_dynamics(written.prior, *states)
+    error, scale = float(np.abs(found - expected).max()), float(np.abs(expected).max())
+    if not error <= _READ_BACK * max(scale, 1.0):
+        raise ExportError(
+            f"{what}: the efforts of the written robot differ from the identified ones by "
+            f"{error:.3g} of {scale:.3g} N·m (limit {_READ_BACK:.0e} of it); the source's joints "
+            "are placed differently. Give the URDF that the robot was identified with."
+        )
