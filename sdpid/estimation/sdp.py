@@ -17,8 +17,10 @@ from sdpid.estimation.scaling import Scaling
 from sdpid.estimation.wls import solve_wls
 
 # What is taken to be inside: a solution on the boundary is moved in by this share of the link's
-# own second moments, so that rounding cannot take it out again.
-_INSIDE = 1e-10
+# own second moments, so that rounding cannot take it out again. It is some fifty roundings and no
+# more: moments that the data do not show may be as large as theta_max, and what is added to them
+# is added to those that the data do show.
+_INSIDE = 1e-14
 
 # Tighter than the solver can reach: it then stops where it makes no further progress, and what
 # it found is judged by the gap that is recomputed here. Each attempt starts with new scales.

@@ -231,8 +231,9 @@ class _Program:
         if len(active):
             multipliers, _ = nnls((active / curvature).T, leftover)
             leftover = leftover - (active / curvature).T @ multipliers
-        cost = float(residual @ residual) + self.scale**2 * self.problem.floor
-        return float(0.5 * leftover @ leftover) / max(cost, np.finfo(float).tiny)
+        cost = float(residual @ residual + self.scale**2 * self.problem.floor)
+        promised = 0.5 * float(leftover @ leftover)
+        return promised / max(float(cost), float(np.finfo(float).tiny))
 
     def run(self, x0: Array, max_iterations: int, tolerance: float) -> Any:
         from scipy.optimize import Bounds, minimize

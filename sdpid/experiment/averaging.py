@@ -31,7 +31,8 @@ class Chain:
     decimation : int
         Every so many samples are kept.
     passes : int
-        Zero-phase passes over position and torque, 1 or 2; derivatives always get 2.
+        Zero-phase passes over a signal that is to be differentiated, 1 or 2. What is kept as it
+        is (position, torque, a measured velocity) always gets 1.
     margin : int
         Samples on either side that differences and mask need.
     """
@@ -62,33 +63,36 @@ class Chain:
             length = min(size, window.length - first)
             yield replace(self, window=replace(window, first=window.first + first, length=length))
 
-    def filtered(self, column: Array, *, scale: float = 1.0) -> Iterator[list[Array]]:
-        """Yield each period, with its margins, after each of the `passes` filter passes."""
-        yield from self._filtered(column, self.passes, scale)
+    def filtered(self, column: Array, *, scale: float = 1.0) -> Iterator[Array]:
+        """Yield each period, with its margins, filtered once."""
+        for stages in self._filtered(column, 1, scale):
+            yield stages[0]
 
     def mean(self, column: Array) -> tuple[Array, Array, float]:
-        """Return the averages after `passes` and after two passes, and the periods' spread (rms).
+        """Return the averages after one and after `passes` passes, and the periods' spread.
 
-        The averages still have their margins.
+        The averages still have their margins; with one pass they are the same array. The spread
+        is the rms deviation of the kept samples from their mean over the periods, after the last
+        pass.
         """
         window = self.window
         size = window.length + 2 * self.margin
-        twice = np.zeros(size)
-        first = twice if self.passes == 2 else np.zeros(size)
+        once = np.zeros(size)
+        last = once if self.passes == 1 else np.zeros(size)
         kept = np.empty((window.periods, len(range(0, window.length, self.decimation))))
-        for p, filtered in enumerate(self._filtered(column, 2, 1.0)):
-            twice += filtered[1]
-            if self.passes == 1:
-                first += filtered[0]
-            kept[p] = self.kept(filtered[1])
-        twice /= window.periods
-        if self.passes == 1:
-            first /= window.periods
+        for p, stages in enumerate(self._filtered(column, self.passes, 1.0)):
+            once += stages[0]
+            if self.passes > 1:
+                last += stages[-1]
+            kept[p] = self.kept(stages[-1])
+        once /= window.periods
+        if self.passes > 1:
+            last /= window.periods
         kept -= kept.mean(axis=0)
-        return first, twice, float(np.sqrt(np.mean(kept**2)))
+        return once, last, float(np.sqrt(np.mean(kept**2)))
 
     def _filtered(self, column: Array, passes: int, scale: float) -> Iterator[list[Array]]:
-        """Yield each period, with its margins, after 1, 2, ... zero-phase passes."""
+        """Yield each period, with its margins, after 1, ..., `passes` zero-phase passes."""
         pad = self.low_pass.reach
         for p in range(self.window.periods):
             signal = self.window.read(column, p, pad + self.margin)
@@ -138,7 +142,7 @@ def near_standstill(
 
 
 def period_covariance(torque: Array, mean: Array) -> Array:
-    """Return Sigma_k of the paper's (11) [densocwls]_.
+    """Return Sigma_k of the paper's (11) [denso]_.
 
     Parameters
     ----------

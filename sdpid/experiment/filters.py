@@ -136,7 +136,7 @@ class Stencil:
         return np.correlate(signal, self.second, mode="valid") / step**2
 
 
-# Half of the weights, from the middle outwards; the first derivative's are odd. [fornberg1988]
+# Half of the weights, from the middle outwards; the first derivative's are odd. [fornberg1988]_
 _WEIGHTS: dict[str, tuple[tuple[float, ...], tuple[float, ...]]] = {
     "central": ((1 / 2,), (-2.0, 1.0)),
     "central4": ((2 / 3, -1 / 12), (-5 / 2, 4 / 3, -1 / 12)),

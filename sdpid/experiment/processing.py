@@ -1,6 +1,6 @@
 """From a recording to samples: filter, differentiate, cut, average, decimate.
 
-The chain is that of section III-C of the paper [densocwls]_. Its steps are linear and do not
+The chain is that of section III-C of the paper [denso]_. Its steps are linear and do not
 depend on time, so they may be carried out in any order. Here each channel is filtered period by
 period, together with its neighbours on either side, and folded at once into the average. To
 rounding, that equals filtering the whole record first, and it needs the memory of one period.
@@ -9,8 +9,6 @@ rounding, that equals filtering the whole record first, and it needs the memory 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
-from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,19 +17,22 @@ from sdpid import _progress
 from sdpid._arrays import Array
 from sdpid.errors import DataError
 from sdpid.experiment.averaging import Chain, near_standstill, period_covariance
-from sdpid.experiment.filters import Derivative, ZeroPhaseFilter, butterworth, stencil
+from sdpid.experiment.filters import ZeroPhaseFilter, butterworth, stencil
 from sdpid.experiment.recording import Recording
 from sdpid.experiment.samples import Samples
-from sdpid.experiment.timing import Grid, Timing, make_grid
+from sdpid.experiment.settings import Processing
+from sdpid.experiment.timing import Grid, make_grid
 from sdpid.experiment.window import Window
 
 __all__ = ["Processing", "process"]
 
 # Without periods the ends of the record are guessed, and the guess is forgotten exponentially.
-# On real logs (UR10, Gen3; orders 1 and 4) 10 time constants left at most 4e-4 of the rms
-# acceleration and 1e-4 of the rms torque; 5 left 3 % and 0.9 %.
+# On real logs (UR10, Gen3; orders 1, 2, 4 at 4, 10, 15 Hz) 10 time constants left at most 2e-4 of
+# the rms acceleration and 5e-5 of the rms torque; 5 left 2 % and 0.7 %. Where the derivatives
+# pass the filter twice, 10 left 1e-3 of the acceleration.
 _TRIM_TIME_CONSTANTS = 10.0
-# A block must be clearly longer than the memory of the filter, which is run four times.
+# A block must be clearly longer than the memory of the filter, which is run twice: forward and
+# backward (four times over the derivatives with filter_alike=False).
 _BLOCK_TIME_CONSTANTS = 20.0
 _BLOCK_SECONDS = 1.0
 # Periods of a settled periodic motion repeat to a per cent or so; with a wrong period they
@@ -46,104 +47,15 @@ _RATE_OVER_CUTOFF = 10.0
 _NOISE_FREE = 1e-9
 
 
-@dataclass(frozen=True, kw_only=True)
-class Processing:
-    """How `process` turns a recording into samples.
-
-    Parameters
-    ----------
-    cutoff_hz : float
-        Cut-off of one pass of the Butterworth low-pass filter, in Hz.
-    order : int
-        Order of one pass; forward and backward passes double it.
-    decimation : int or None
-        Every so many samples are kept. None keeps about ten per period of the cut-off frequency,
-        which is the paper's choice (1 kHz, 10 Hz, a factor of 10).
-    filter_alike : bool
-        True: position, velocity, acceleration and torque all pass the same filter (forward and
-        backward, twice), so that the equation of motion still holds between them to first order.
-        False: as in the paper, where position and torque pass it once, velocity and acceleration
-        twice.
-    reversal_speed, reversal_time : float, float or None
-        A joint's rows within `reversal_time` (s) of a sample slower than `reversal_speed` (rad/s,
-        or m/s), or of a change of sign, are masked: there the filter has smeared the Coulomb
-        step. None masks nothing.
-    covariance : {"period", "pooled", None}
-        ``"period"``: Sigma_k of the paper's (11), one a sample, from the spread of the periods.
-        ``"pooled"``: its mean over the samples, (n, n), which also works with few periods. None:
-        no covariance. Records without periods have none either way.
-    shrinkage : float
-        s in [0, 1]: Sigma_k becomes (1 - s) Sigma_k + s mean_k Sigma_k. With P periods Sigma_k
-        has a rank of at most P - 1; s = 0 refuses P <= n. The target is the pooled covariance
-        because it has full rank already for two periods, keeps the correlation of the joints,
-        and is the exact answer when noise is stationary (s = 1).
-    derivative : {"central", "central4", "central6"}
-        Central differences of order 2, 4 or 6. Order 2 loses (w h)²/6 of a velocity at angular
-        frequency w: nothing at 1 kHz, 12 % at 4 Hz sampled at 30 Hz, where order 6 loses 0.4 %.
-    velocity : {"differentiated", "measured"}
-        Whether the velocity is the derivative of the position, or the recorded one. The
-        acceleration is then differentiated from that.
-    trim_s : float, optional
-        Time cut off at either end of a record without periods. By default ten time constants of
-        the filter (that of its slowest mode), after which the guess made at the ends is forgotten
-        to 4e-4 of the acceleration. Records with periods lose nothing.
-    timing : {"auto", "nominal", "resample"}
-        What to do with time stamps that jitter; see `sdpid.experiment.timing.make_grid`.
-
-    Raises
-    ------
-    DataError
-        When a value is out of its range.
-    """
-
-    cutoff_hz: float = 10.0
-    order: int = 1
-    decimation: int | None = 10
-    filter_alike: bool = True
-    reversal_speed: float = 0.02
-    reversal_time: float | None = 0.1
-    covariance: Literal["period", "pooled"] | None = "period"
-    shrinkage: float = 0.0
-    derivative: Derivative = "central"
-    velocity: Literal["differentiated", "measured"] = "differentiated"
-    trim_s: float | None = None
-    timing: Timing = "auto"
-
-    def __post_init__(self) -> None:
-        choices: dict[str, tuple[Any, ...]] = {
-            "covariance": ("period", "pooled", None),
-            "velocity": ("differentiated", "measured"),
-            "timing": ("auto", "nominal", "resample"),
-        }
-        for name, allowed in choices.items():
-            if getattr(self, name) not in allowed:
-                raise DataError(f"{name}: is {getattr(self, name)!r}, expected one of {allowed}.")
-        stencil(self.derivative)
-        _require(self.cutoff_hz > 0.0 and math.isfinite(self.cutoff_hz), "cutoff_hz", self, "> 0")
-        for name in ("order", "decimation"):
-            value = getattr(self, name)
-            whole = value is None or (value >= 1 and int(value) == value)
-            _require(whole and (value is not None or name == "decimation"), name, self, "1, 2, ...")
-        _require(0.0 <= self.shrinkage <= 1.0, "shrinkage", self, "between 0 and 1")
-        _require(self.reversal_speed >= 0.0, "reversal_speed", self, ">= 0")
-        for name in ("reversal_time", "trim_s"):
-            value = getattr(self, name)
-            _require(value is None or (math.isfinite(value) and value >= 0.0), name, self, ">= 0")
-
-    @staticmethod
-    def paper() -> Processing:
-        """Return section III-C of the paper to the letter, the periods' covariance included."""
-        return Processing(filter_alike=False, reversal_time=None)
-
-
 def process(
     log: Recording, processing: Processing | None = None, *, progress: bool | None = None
 ) -> Samples:
     """Turn a recording into samples for a regression.
 
-    In this order: effort to torque; zero-phase low-pass filter; differentiation; the same filter
-    on the derivatives; removal of all but the whole periods; average over the periods;
-    decimation; covariance of the torque from the spread of the periods.
+    In this order: effort to torque; zero-phase low-pass filter; differentiation; with
+    ``filter_alike=False`` the same filter once more on the derivatives; removal of all but the
+    whole periods; average over the periods; decimation; covariance of the torque from the spread
+    of the periods.
 
     No transient of the filter is left in the samples. Records with periods are filtered with 45
     time constants of their neighbourhood: the recorded lead-in and lead-out where they are as
@@ -191,9 +103,10 @@ def process(
         low_pass=low_pass,
         stencil=stencil(processing.derivative),
         decimation=decimation,
-        passes=2 if processing.filter_alike else 1,
-        # A reversal just outside the window masks rows inside it; a periodic window has no outside.
-        margin=stencil(processing.derivative).margin + (0 if window.circular else reach),
+        passes=1 if processing.filter_alike else 2,
+        # A reversal just outside the window masks rows inside it (a change of sign shows one sample
+        # further out); a periodic window has no outside.
+        margin=stencil(processing.derivative).margin + (0 if window.circular else reach + 1),
     )
 
     kept = np.arange(0, window.length, decimation, dtype=np.float64)
@@ -215,10 +128,12 @@ def process(
                     slow = near_standstill(fine, speed, reach, circular=window.circular)
                     mask[rows, j] = ~part.kept(slow)
                 for p, filtered in enumerate(part.filtered(log.effort[:, j], scale=scale)):
-                    torque[p, rows, j] = part.kept(filtered[-1])
+                    torque[p, rows, j] = part.kept(filtered)
                 first = rows.stop
             advance(1)
 
+    if mask is not None:
+        _check_rows(log, processing, mask)
     effort = torque.mean(axis=0) if P > 1 else torque[0]
     notes = _notes(log, processing, chain, grid, mask)
     covariance = None
@@ -264,12 +179,13 @@ def _motion(
 
     The velocity keeps what is left of the margins, for the mask.
 
-    Filtering the derivative of the filtered position is differentiating the position filtered
-    twice, and averaging commutes with both, so only averages are differentiated.
+    Filtering a derivative is differentiating what was filtered, and averaging commutes with
+    both. So no derivative is filtered: only averages are differentiated, of the position after
+    as many passes as its derivatives are to have.
     """
     step = chain.window.grid.step
-    signal, twice, spread = chain.mean(log.position[:, j])
-    motion = float(np.std(twice))
+    signal, last, spread = chain.mean(log.position[:, j])
+    motion = float(np.std(last))
     if spread > max(_PERIOD_SPREAD * motion, _PERIOD_SPREAD_FLOOR):
         raise DataError(
             f"period: the periods of joint {log.names[j]} do not repeat: their positions spread "
@@ -280,12 +196,12 @@ def _motion(
     position = chain.kept(signal)
     differences = chain.stencil
     if processing.velocity == "differentiated":
-        velocity = differences.velocity(twice, step)
-        return position, velocity, chain.kept(differences.acceleration(twice, step))
+        velocity = differences.velocity(last, step)
+        return position, velocity, chain.kept(differences.acceleration(last, step))
     assert log.velocity is not None
-    signal, twice, _ = chain.mean(log.velocity[:, j])
+    signal, last, _ = chain.mean(log.velocity[:, j])
     velocity = signal[differences.margin : -differences.margin]
-    return position, velocity, chain.kept(differences.velocity(twice, step))
+    return position, velocity, chain.kept(differences.velocity(last, step))
 
 
 def _check_period_count(log: Recording, processing: Processing) -> None:
@@ -304,6 +220,18 @@ def _check_period_count(log: Recording, processing: Processing) -> None:
             f"periods: {P} periods for {n} joints: Sigma_k has a rank of at most {P - 1}, so it "
             f"has no inverse; at least {n + 1} periods are needed. Record more, or use "
             "covariance='pooled', shrinkage between 0 and 1, or covariance=None."
+        )
+
+
+def _check_rows(log: Recording, processing: Processing, mask: NDArray[np.bool_]) -> None:
+    """Refuse a joint whose rows are all masked: what holds it still cannot identify it."""
+    empty = [name for j, name in enumerate(log.names) if not mask[:, j].any()]
+    if empty:
+        raise DataError(
+            f"mask: leaves no row of joint {', '.join(empty)}: it never moves clear of standstill, "
+            f"{processing.reversal_time:g} s away from any speed below "
+            f"{processing.reversal_speed:g} rad/s. Use a motion that moves it, a shorter "
+            "reversal_time, or reversal_time=None to keep all rows."
         )
 
 
@@ -346,9 +274,11 @@ def _notes(
     """Say what was done, in the order it was done."""
     window = chain.window
     notes = [] if grid.note is None else [grid.note]
-    alike = "all signals twice"
-    if chain.passes == 1:
+    alike = "all signals once"
+    if chain.passes == 2:
         alike = "position and torque once, velocity and acceleration twice"
+        if processing.velocity == "measured":
+            alike = "position, velocity and torque once, acceleration twice"
     notes.append(
         f"zero-phase Butterworth filter of order {processing.order} at {processing.cutoff_hz:g} "
         f"Hz: {alike}"
@@ -374,9 +304,3 @@ def _notes(
             f"{processing.reversal_speed:g} rad/s: {shares}"
         )
     return notes
-
-
-def _require(holds: bool, name: str, processing: Processing, expected: str) -> None:
-    """Raise when a setting is out of its range."""
-    if not holds:
-        raise DataError(f"{name}: is {getattr(processing, name)!r}, expected {expected}.")

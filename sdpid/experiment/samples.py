@@ -36,7 +36,8 @@ class Samples:
         records it is that of a single period, the paper's (11); the mean over `periods` periods
         has ``covariance / periods``.
     mask : (K, n) array_like of bool, optional
-        True where the row (sample k, joint j) is to be used. None uses all.
+        True where the row (sample k, joint j) is to be used. None uses all. A joint may have no
+        row at all: nobody measures the six efforts of a floating base.
     time : (K,) array_like, optional
         In s.
     joint_names : sequence of str, optional
@@ -54,8 +55,8 @@ class Samples:
     Raises
     ------
     DataError
-        When shapes disagree, a value is not finite, a covariance cannot be one, or a joint has
-        no row left.
+        When shapes disagree, a value is not finite, a covariance cannot be one, or the mask
+        leaves no row at all.
     """
 
     position: Array
@@ -175,7 +176,7 @@ class Samples:
             )
 
     def _check_mask(self, K: int, n: int) -> None:
-        """Check shape and type of the mask, and that every joint keeps a row."""
+        """Check shape and type of the mask, and that it leaves something."""
         if self.mask is None:
             return
         mask = np.ascontiguousarray(self.mask)
@@ -183,11 +184,9 @@ class Samples:
             raise DataError(
                 f"mask: has shape {mask.shape} and type {mask.dtype}, expected {(K, n)} and bool."
             )
-        empty = [name for j, name in enumerate(self.names) if not mask[:, j].any()]
-        if empty:
+        if not mask.any():
             raise DataError(
-                f"mask: leaves no row of joint {', '.join(empty)}: it never moves clear of "
-                "standstill. Use a motion that moves it, a shorter reversal_time, or "
-                "reversal_time=None to keep all rows."
+                f"mask: leaves none of {mask.size} rows, there is nothing to fit; True marks a row "
+                "that is used."
             )
         object.__setattr__(self, "mask", frozen_view(mask))
