@@ -23,6 +23,7 @@ ROBOT = "denso_vp6242"
 
 
 def main() -> int:
+    """Run the experiments and count."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--out", type=Path, default=Path("results"))
     parser.add_argument("--seeds", type=int, help="experiments (default 40)")

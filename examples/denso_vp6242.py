@@ -21,6 +21,7 @@ from typing import Any
 import numpy as np
 
 import sdpid
+from sdpid._files import atomic_write_text
 from sdpid.assurance.validation import implied_error
 from sdpid.estimation.slsqp import FEASIBLE_LOCAL
 from sdpid.experiment.plant import true_parameters
@@ -43,6 +44,7 @@ MARGIN_SPATIAL, MARGIN_PSEUDO = 0.01, 0.005
 
 
 def arguments() -> argparse.Namespace:
+    """Read the command line; sizes default to the paper's, or to small ones with --quick."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--out", type=Path, default=Path("results"), help="folder for the results")
     parser.add_argument("--periods", type=int, help="recorded periods (paper: 12)")
@@ -69,12 +71,14 @@ class Clock:
         self.start = self.last = time.perf_counter()
 
     def __call__(self, what: str) -> None:
+        """Print the time so far and what comes next."""
         now = time.perf_counter()
         print(f"[{now - self.start:6.1f} s] {what}", flush=True)
         self.last = now
 
 
 def published(folder: Path) -> dict[str, dict[str, float]]:
+    """Return the columns of the paper's Table IV by parameter."""
     with (folder / "table_iv.csv").open(encoding="utf-8", newline="") as file:
         return {
             row["parameter"]: {key: float(row[key]) for key in ("cwls", "wls", "sigma")}
@@ -83,6 +87,7 @@ def published(folder: Path) -> dict[str, dict[str, float]]:
 
 
 def write_table_iv(out: Path, columns: dict[str, Any], problem: sdpid.Problem) -> Table:
+    """Write our estimates beside the paper's."""
     base = problem.base
     paper = published(bundled_folder(ROBOT))
     header = ("parameter", "unit", *columns, "paper_cwls", "paper_wls", "paper_sigma")
@@ -97,6 +102,7 @@ def write_table_iv(out: Path, columns: dict[str, Any], problem: sdpid.Problem) -
 
 
 def write_table_v(out: Path, thetas: dict[str, np.ndarray], links: int) -> Table:
+    """Write both margins and the mass of every link beside the paper's."""
     with (bundled_folder(ROBOT) / "table_v.csv").open(encoding="utf-8", newline="") as file:
         paper = list(csv.DictReader(file))
     header = ["link"]
@@ -118,6 +124,7 @@ def write_table_v(out: Path, thetas: dict[str, np.ndarray], links: int) -> Table
 
 
 def main() -> int:
+    """Run the case study."""
     options = arguments()
     out: Path = options.out
     out.mkdir(parents=True, exist_ok=True)
@@ -272,7 +279,7 @@ def main() -> int:
         "mass_matrix_eigenvalue_wls": float(eigenvalue),
         "seconds": time.perf_counter() - say.start,
     }
-    (out / "summary.json").write_text(json.dumps(summary, indent=1) + "\n", encoding="utf-8")
+    atomic_write_text(out / "summary.json", json.dumps(summary, indent=1) + "\n")
     say(f"done: {out}")
     return 0
 

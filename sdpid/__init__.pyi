@@ -36,8 +36,9 @@ from .robot.friction import (
     RotorInertia,
     Viscous,
 )
+from .robot.load import load_robot
 from .robot.mdh import DhJoint, DhTable
-from .robot.model import RobotModel, load_robot
+from .robot.model import RobotModel
 from .workflow import Identification, identify, mass_matrix
 
 __version__: str

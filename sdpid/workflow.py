@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
-from collections.abc import Iterable
+import tempfile
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -16,30 +18,22 @@ from sdpid._arrays import Array
 from sdpid._files import atomic_write_text
 from sdpid.assurance.certificate import Certificate, certify
 from sdpid.assurance.validation import Validation, validate
-from sdpid.errors import DataError
+from sdpid.errors import ExportError
 from sdpid.estimation.constraints import Constraints
 from sdpid.estimation.estimate import Estimate
 from sdpid.estimation.problem import Problem, build_problem, describe
 from sdpid.estimation.sdp import solve_sdp
 from sdpid.estimation.weighting import Weighting
 from sdpid.estimation.wls import solve_wls
-from sdpid.experiment.processing import Processing, process
+from sdpid.experiment.preparation import default_friction, default_processing, prepare
+from sdpid.experiment.processing import Processing
 from sdpid.experiment.readers import read_recording
 from sdpid.experiment.recording import Recording
 from sdpid.experiment.samples import Samples
-from sdpid.experiment.units import require_plausible_units
-from sdpid.robot.friction import Coulomb, FrictionTerm
+from sdpid.robot.friction import FrictionTerm
 from sdpid.robot.inertia import Consistency
-from sdpid.robot.model import RobotModel, load_robot
-
-# Half-width of the smooth sign of real friction, rad/s: sensors' velocity noise makes the exact
-# sign flicker near standstill.
-SMOOTH = 0.02
-
-# The cut-off for records without periods: this many times the frequency below which 95 % of the
-# motion lies, and at most a sixth of the sampling rate.
-_CUTOFF_OVER_MOTION = 40.0
-_CUTOFF_OVER_RATE = 1.0 / 6.0
+from sdpid.robot.load import load_robot
+from sdpid.robot.model import RobotModel
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -116,8 +110,14 @@ class Identification:
             )
         return "\n".join(lines)
 
-    def save(self, folder: str | os.PathLike[str], *, figures: bool = True) -> tuple[Path, ...]:
-        """Write tables, URDF, certificate and plots into a folder, each file whole or not at all.
+    def save(
+        self,
+        folder: str | os.PathLike[str],
+        *,
+        figures: bool = True,
+        report: Callable[[str], None] | None = None,
+    ) -> tuple[Path, ...]:
+        """Write tables, URDF, certificate and plots into a folder: all of them, or none.
 
         Parameters
         ----------
@@ -125,17 +125,31 @@ class Identification:
             Created when it is not there.
         figures : bool, optional
             Draw plots too (extra ``plot``).
+        report : callable, optional
+            Told in words what could not be written as identified (see `ExportReport`).
 
         Returns
         -------
         tuple of Path
             The files.
+
+        Raises
+        ------
+        ExportError
+            When the folder cannot be written to, or the estimate cannot be exported.
         """
+        target = Path(folder)
+        with _staging(target) as stage:
+            files = self._write(stage, figures, report or (lambda _: None))
+            for file in files:
+                file.replace(target / file.name)
+        return tuple(target / file.name for file in files)
+
+    def _write(self, out: Path, figures: bool, report: Callable[[str], None]) -> list[Path]:
+        """Write the files into an empty folder."""
         from sdpid.output.tables import base_table, theta_table
         from sdpid.output.urdf import write_urdf
 
-        out = Path(folder)
-        out.mkdir(parents=True, exist_ok=True)
         files = [out / name for name in ("base_parameters.csv", "parameters.csv")]
         base_table(self.estimate, self.wls).write(files[0])
         theta_table(self.estimate).write(files[1])
@@ -146,70 +160,86 @@ class Identification:
         self.certificate.to_json(files[-1])
         if self.problem.robot.urdf is not None and self.problem.consistency != "none":
             files.append(out / "identified.urdf")
-            write_urdf(self.estimate, target=files[-1])
+            export = write_urdf(self.estimate, target=files[-1])
+            for statement in export.describe().splitlines()[1:]:
+                report(f"identified.urdf: {statement}")
         if figures:
-            from sdpid.output.plots import plot_reconstruction, save_figure
+            from sdpid.output.plots import save_figure
 
             pairs = [("training", self.problem.samples, self.training)]
             if self.validation is not None and self.validation_samples is not None:
                 pairs.append(("validation", self.validation_samples, self.validation))
             for name, samples, fit in pairs:
-                time = np.arange(len(samples.effort)) if samples.time is None else samples.time
-                figure = plot_reconstruction(
-                    time,
-                    samples.effort,
-                    fit.effort_predicted,
-                    self.problem.robot.joint_names,
-                    fit.rmse,
-                    mask=samples.mask,
-                )
                 files.append(out / f"{name}.png")
-                save_figure(figure, files[-1])
-        return tuple(files)
+                save_figure(plot_fit(samples, fit), files[-1])
+        return files
 
 
-def default_processing(log: Recording) -> Processing:
-    """Return how a recording is processed when nothing else is said.
+def plot_fit(samples: Samples, fit: Validation) -> Any:
+    """Return a figure of measured against predicted effort (extra ``plot``).
 
-    A record with periods is averaged over them, filtered at 10 Hz, as in the paper but with
-    torque and regressor inputs filtered alike. A record without periods passes a filter of
-    order 4 whose cut-off is 40 times the frequency below which 95 % of its motion lies, at most
-    a sixth of the sampling rate; a recorded velocity is used where it was sampled below 100 Hz,
-    where differences of the position lose too much.
+    Parameters
+    ----------
+    samples : Samples
+        The measurements.
+    fit : Validation
+        Their prediction.
+
+    Returns
+    -------
+    matplotlib.figure.Figure
     """
-    if log.period is not None:
-        return Processing()
-    rate = log.rate_hz
-    spectrum = np.abs(np.fft.rfft(log.position - log.position.mean(axis=0), axis=0)) ** 2
-    total = spectrum.sum(axis=0)
-    moving = total > 0.0
-    if not np.any(moving):
-        raise DataError("position: no joint moves; nothing can be identified.")
-    share = np.cumsum(spectrum[:, moving] / total[moving], axis=0)
-    frequency = np.fft.rfftfreq(len(log.position), 1.0 / rate)
-    motion = float(np.median(frequency[(share < 0.95).sum(axis=0)]))
-    slowest = rate / len(log.position)
-    cutoff = min(_CUTOFF_OVER_MOTION * max(motion, slowest), _CUTOFF_OVER_RATE * rate)
-    measured = log.velocity is not None and rate < 100.0
-    return Processing(
-        cutoff_hz=cutoff,
-        order=4,
-        decimation=None,
-        reversal_time=None,
-        velocity="measured" if measured else "differentiated",
-        derivative="central4",
+    from sdpid.output.plots import plot_reconstruction
+
+    return plot_reconstruction(
+        samples.time,
+        samples.effort,
+        fit.effort_predicted,
+        fit.joint_names,
+        fit.rmse,
+        mask=samples.mask,
     )
 
 
-def default_friction(log: Recording) -> tuple[str | FrictionTerm, ...]:
-    """Return the friction terms used when nothing else is said.
+@contextlib.contextmanager
+def _staging(folder: Path) -> Iterator[Path]:
+    """Yield an empty folder within one that is made for it, and remove both if they end empty."""
+    made = not folder.exists()
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryDirectory(dir=folder, prefix=".sdpid-") as stage:
+            yield Path(stage)
+    except OSError as cause:
+        raise ExportError(
+            f"cannot write into {folder}: {cause.strerror}; choose another folder."
+        ) from None
+    finally:
+        # A folder that something was written into stays.
+        if made:
+            with contextlib.suppress(OSError):
+                folder.rmdir()
 
-    Records with periods are masked around reversals, where the exact sign is right. Others get
-    a smooth sign and an offset for the sensors' zero errors.
-    """
-    if log.period is not None:
-        return ("coulomb", "viscous")
-    return (Coulomb(width=SMOOTH), "viscous", "offset")
+
+def formulate(
+    robot: RobotModel,
+    log: Recording,
+    *,
+    processing: Processing | None = None,
+    friction: Iterable[str | FrictionTerm] | None = None,
+    weighting: Weighting | None = None,
+    consistency: Consistency = "pseudo_inertia",
+    constraints: Constraints | None = None,
+) -> Problem:
+    """Build the problem that `identify` solves; arguments and errors are those of `identify`."""
+    samples = prepare(robot, log, processing)
+    return build_problem(
+        robot,
+        samples,
+        friction=default_friction(log) if friction is None else friction,
+        weighting=weighting or ("residual" if samples.covariance is None else "gls"),
+        consistency=consistency,
+        constraints=constraints,
+    )
 
 
 def identify(
@@ -256,26 +286,24 @@ def identify(
     """
     model = robot if isinstance(robot, RobotModel) else load_robot(robot)
     record = log if isinstance(log, Recording) else read_recording(log)
-    check = None
-    if validation is not None:
-        check = validation if isinstance(validation, Recording) else read_recording(validation)
-    for each in (record, check):
-        if each is not None:
-            _require_fit(model, each)
     if processing is None:
         processing = default_processing(record)
-    samples = process(_named(model, record), processing)
-    problem = build_problem(
+    fresh = None
+    if validation is not None:
+        check = validation if isinstance(validation, Recording) else read_recording(validation)
+        # Prediction needs no covariance, so any number of periods will do.
+        fresh = prepare(model, check, replace(processing, covariance=None))
+    problem = formulate(
         model,
-        samples,
-        friction=default_friction(record) if friction is None else friction,
-        weighting=weighting or ("residual" if samples.covariance is None else "gls"),
+        record,
+        processing=processing,
+        friction=friction,
+        weighting=weighting,
         consistency=consistency,
         constraints=constraints,
     )
     wls = solve_wls(problem)
     estimate = solve_sdp(problem)
-    fresh = None if check is None else process(_named(model, check), processing)
     return Identification(
         problem=problem,
         wls=wls,
@@ -286,52 +314,6 @@ def identify(
         validation=None if fresh is None else validate(estimate, fresh),
         validation_samples=fresh,
     )
-
-
-def _require_fit(robot: RobotModel, log: Recording) -> None:
-    if log.n != robot.n:
-        raise DataError(
-            f"the recording has {log.n} joints, the robot '{robot.name}' has {robot.n}: "
-            f"{', '.join(robot.joint_names)}."
-        )
-    require_plausible_units(log, robot.position_limits)
-
-
-def _named(robot: RobotModel, log: Recording) -> Recording:
-    """Return the recording with its joints named and ordered as the robot's.
-
-    Columns with the robot's names in another order are reordered. Names that share no joint with
-    the robot (another prefix, say) are taken by position; a partial match is refused.
-    """
-    names = log.joint_names
-    if names is None or tuple(names) == robot.joint_names:
-        return replace(log, joint_names=robot.joint_names)
-    if set(names) == set(robot.joint_names):
-        order = [names.index(name) for name in robot.joint_names]
-        velocity = None if log.velocity is None else log.velocity[:, order]
-        scale = None if log.effort_scale is None else log.effort_scale[order]
-        return replace(
-            log,
-            position=log.position[:, order],
-            effort=log.effort[:, order],
-            velocity=velocity,
-            effort_scale=scale,
-            joint_names=robot.joint_names,
-        )
-    common = set(names) & set(robot.joint_names)
-    if common:
-        missing = ", ".join(sorted(set(robot.joint_names) - common))
-        raise DataError(
-            f"joint names of the recording match the robot's only in part: it lacks {missing}; "
-            "rename its columns."
-        )
-    endings = [name[-1:] for name in names]
-    if endings != [name[-1:] for name in robot.joint_names]:
-        raise DataError(
-            f"joint names of the recording ({', '.join(names)}) are not the robot's "
-            f"({', '.join(robot.joint_names)}); rename them, or leave names out to match by order."
-        )
-    return replace(log, joint_names=robot.joint_names)
 
 
 def mass_matrix(estimate: Estimate, q: ArrayLike) -> Array:
@@ -353,4 +335,3 @@ def mass_matrix(estimate: Estimate, q: ArrayLike) -> Array:
     if estimate.theta is not None:
         return problem.robot.mass_matrix(estimate.theta, q)
     return problem.robot.mass_matrix(np.linalg.pinv(problem.base.matrix) @ estimate.base, q)
-

@@ -8,7 +8,8 @@ from pathlib import Path
 import pytest
 from hypothesis import HealthCheck, settings
 
-from sdpid.robot.model import RobotModel, load_robot
+from sdpid.robot.load import load_robot
+from sdpid.robot.model import RobotModel
 
 _CI = os.environ.get("CI", "").lower() == "true"
 

@@ -91,8 +91,10 @@ class Certificate:
             )
             return f"not feasible: {how}; no feasible parameters cost less than {self.lower_bound}."
         worst = self.estimate.worst_margin
+        # Without a consistency links may have no mass, and then no margin.
+        how = "feasible" if worst is None else f"feasible with margin {worst:.6g} kg.m2"
         return (
-            f"feasible with margin {worst:.6g} kg.m2; cost {self.cost:.10g}; no feasible "
+            f"{how}; cost {self.cost:.10g}; no feasible "
             f"parameters cost less than {self.lower_bound:.10g}; at most "
             f"{100 * max(self.gap, 0.0):.2e} % above the global optimum."
         )

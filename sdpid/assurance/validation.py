@@ -10,6 +10,12 @@ from sdpid._arrays import Array, frozen
 from sdpid.errors import DataError
 from sdpid.estimation.estimate import Estimate
 from sdpid.experiment.samples import Samples
+from sdpid.robot.friction import smooth_sign
+from sdpid.robot.model import RobotModel
+from sdpid.robot.urdf import joint_dynamics
+
+# Samples a piece: the regressor of a piece stays below some 100 MB for an arm.
+_CHUNK = 20_000
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -84,10 +90,65 @@ def validate(estimate: Estimate, samples: Samples | None = None) -> Validation:
             f"validate: samples have {samples.effort.shape[1]} joints, the robot "
             f"'{problem.robot.name}' has {problem.robot.n}."
         )
-    predicted = problem.predict(estimate.base, samples)
+    return _errors(problem.robot, samples, problem.predict(estimate.base, samples))
+
+
+def validate_robot(robot: RobotModel, samples: Samples, *, width: float = 0.0) -> Validation:
+    """Predict efforts from a robot's own description and compare them with measured ones.
+
+    The links' inertias are those of the description. Friction is what its ``<dynamics>``
+    elements say: ``damping·v + friction·sign(v)``. A joint without one has none.
+
+    Parameters
+    ----------
+    robot : RobotModel
+        On a fixed base.
+    samples : Samples
+        Measurements.
+    width : float, optional
+        With a positive width (rad/s), ``tanh(v / width)`` takes the place of the sign.
+
+    Returns
+    -------
+    Validation
+
+    Raises
+    ------
+    DataError
+        When the samples' joints are not the robot's, or a joint has no row.
+    ModelError
+        When the description's friction is not understood.
+    """
+    if samples.effort.shape[1] != robot.n or robot.free_flyer:
+        raise DataError(
+            f"validate: samples have {samples.effort.shape[1]} joints, the robot '{robot.name}' "
+            f"has {robot.n}{' with its floating base' if robot.free_flyer else ''}."
+        )
+    v = samples.velocity
+    damping, friction = _friction(robot)
+    predicted = damping * v + friction * smooth_sign(v, width, 0.0)
+    for first in range(0, len(v), _CHUNK):
+        part = slice(first, first + _CHUNK)
+        states = samples.position[part], v[part], samples.acceleration[part]
+        predicted[part] += robot.inverse_dynamics(robot.prior, *states)
+    return _errors(robot, samples, predicted)
+
+
+def _friction(robot: RobotModel) -> tuple[Array, Array]:
+    """Return viscous and Coulomb friction of each coordinate, (n,), from the description."""
+    given = {} if robot.urdf is None else joint_dynamics(robot.urdf, robot.name)
+    names = list(robot.pin_model.names)[1:]
+    own = np.array([given.get(name, (0.0, 0.0)) for name in names])
+    # Friction of a mimic joint is felt at its source, through the gear between them.
+    ratio = np.abs(robot.expansion)
+    return np.asarray(own[:, 0] @ ratio**2), np.asarray(own[:, 1] @ ratio)
+
+
+def _errors(robot: RobotModel, samples: Samples, predicted: Array) -> Validation:
+    """Return how far predicted efforts (K, n) are off on the rows that are not masked."""
     mask = np.ones(samples.effort.shape, dtype=bool) if samples.mask is None else samples.mask
-    first = problem.robot.n_base
-    names = problem.robot.joint_names
+    first = robot.n_base
+    names = robot.joint_names
     rows = mask.sum(axis=0)
     if np.any(rows[first:] == 0):
         missing = names[first + int(np.argmin(rows[first:]))]

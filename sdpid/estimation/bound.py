@@ -29,6 +29,11 @@ TINY_COST = 1e-6
 # eigenvalue: tried in turn, halved in each of so many rounds, until the gap is small enough.
 _SOFT = (1e-6, 1e-8, 1e-10, 1e-5, 1e-4)
 _ROUNDS = 8
+
+# Equations of the polishing that are this close to dependent are dependent.
+_CUT = 1e-14
+
+# A gap this small is not worth another round.
 _ENOUGH = 1e-7
 
 
@@ -133,6 +138,8 @@ def _polished(
     take part. Of many solutions the smallest is taken. As long as D is above −E the result is
     positive semidefinite; where it is not, it is clipped, and another round takes the rest.
     """
+    from scipy.linalg import lstsq
+
     feasible = problem.feasible
     links, size = feasible.n_links, feasible.size
     basis, D = scaling.basis(), scaling.roots(size)
@@ -160,7 +167,10 @@ def _polished(
     relax = np.eye(problem.n_theta)[:, bounded]
     relax = relax * (np.abs(mu[bounded]) / scaling.cost + soft / scaling.theta[bounded])
     system = np.hstack([GT * scale_y, -changes.reshape(problem.n_theta, -1), -relax])
-    step = np.linalg.lstsq(basis.T @ system, basis.T @ missing, rcond=1e-14)[0]
+    # Smallest solution by pivoted QR: ten times faster than by singular values.
+    step = lstsq(
+        basis.T @ system, basis.T @ missing, cond=_CUT, lapack_driver="gelsy", check_finite=False
+    )[0]
     part = step[len(y) : len(y) + links * len(symmetric)].reshape(links, -1)
     polished = clip_psd(Z + S @ np.einsum("la,aij->lij", part, symmetric) @ S)
     polished = scaling.cost * np.swapaxes(inverse, 1, 2) @ polished @ inverse

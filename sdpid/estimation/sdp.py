@@ -9,11 +9,12 @@ from typing import Any
 import numpy as np
 
 from sdpid._arrays import Array, Indices, Mask, frozen
-from sdpid.errors import SolverError
-from sdpid.estimation.bound import lower_bound, relative_gap
+from sdpid.errors import InfeasibleError, SolverError
+from sdpid.estimation.bound import cost_scale, lower_bound, relative_gap
 from sdpid.estimation.estimate import FEASIBLE, Estimate, Multipliers
 from sdpid.estimation.problem import Problem
 from sdpid.estimation.scaling import Scaling
+from sdpid.estimation.sdp_face import nearest_on_face
 from sdpid.estimation.wls import solve_wls
 
 # What is taken to be inside: a solution on the boundary is moved in by this share of the link's
@@ -22,6 +23,9 @@ from sdpid.estimation.wls import solve_wls
 # is added to those that the data do show.
 _INSIDE = 1e-14
 
+# Rounding of what was added may take a second look, seldom a third.
+_REPAIRS = 10
+
 # Tighter than the solver can reach: it then stops where it makes no further progress, and what
 # it found is judged by the gap that is recomputed here. Each attempt starts with new scales.
 _TOLERANCE = 1e-11
@@ -29,6 +33,9 @@ _ATTEMPTS = 5
 
 # Where nothing was found the cost is counted in units larger by this factor.
 _COARSER = 1e3
+
+# Choosing among the optimal points may cost this share of the cost.
+_FACE = 1e-7
 
 # A proven lower bound further than this below the cost is not an optimum.
 _GAP = 1e-6
@@ -39,7 +46,9 @@ def solve_sdp(problem: Problem, *, verbose: bool = False) -> Estimate:
 
     The parameters are measured from a point that fits the data best, in units in which they are
     of order one. The result is recomputed: it is moved inside every constraint, and its
-    multipliers are kept for `sdpid.certify`.
+    multipliers are kept for `sdpid.certify`. Of all optimal parameters, which differ in
+    directions that the effort does not show, those nearest to the robot's description are
+    returned (see `sdpid.estimation.sdp_face`).
 
     Parameters
     ----------
@@ -60,7 +69,11 @@ def solve_sdp(problem: Problem, *, verbose: bool = False) -> Estimate:
     SolverError
         When the solver ends without an optimum; the last point found is attached.
     """
-    problem.feasible.require_feasible()
+    try:
+        problem.feasible.require_feasible()
+    except InfeasibleError as error:
+        error.problem = problem
+        raise
     scaling = Scaling.of(problem)
     reference = _reference(problem, scaling)
     boxed = problem.feasible.bounded
@@ -109,7 +122,29 @@ def solve_sdp(problem: Problem, *, verbose: bool = False) -> Estimate:
             problem=problem,
             found=best,
         )
-    return best
+    return _settled(best)
+
+
+def _settled(estimate: Estimate) -> Estimate:
+    """Move along the directions that cost nothing, to the point nearest to the description.
+
+    What is found is kept only where it costs no more than the solver's own accuracy.
+    """
+    problem = estimate.problem
+    if problem.consistency == "none" or estimate.theta is None:
+        return estimate
+    found = nearest_on_face(problem, np.array(estimate.theta))
+    if found is None:
+        return replace(estimate, message=f"{estimate.message}; any point of the optimal face")
+    theta = repair(problem, found)
+    moved = replace(
+        estimate,
+        theta=frozen(theta),
+        base=frozen(problem.base_of(theta)),
+        message=f"{estimate.message}; nearest to the description on the optimal face",
+    )
+    limit = estimate.cost + _FACE * max(estimate.cost, cost_scale(problem))
+    return moved if moved.feasible and moved.cost <= limit else estimate
 
 
 def _reference(problem: Problem, scaling: Scaling) -> Array:
@@ -132,9 +167,7 @@ class _Program:
     model: Any
 
     @classmethod
-    def build(
-        cls, problem: Problem, scaling: Scaling, reference: Array, boxed: Mask
-    ) -> _Program:
+    def build(cls, problem: Problem, scaling: Scaling, reference: Array, boxed: Mask) -> _Program:
         """Build with bounds on the parameters in `boxed`."""
         import cvxpy as cp
 
@@ -224,13 +257,17 @@ def repair(problem: Problem, theta: Array) -> Array:
     theta = np.clip(theta, feasible.lower, feasible.upper)
     if feasible.consistency == "none":
         return theta
-    bodies = feasible.bodies(theta).copy()
-    moments = np.maximum(bodies[:, 4] + bodies[:, 6] + bodies[:, 9], 0.0)
-    short = feasible.constraints.margin + _INSIDE * np.maximum(moments, 1e-3)
-    short = np.maximum(short - feasible.margins(theta), 0.0)
-    # A second moment t·E about the centre of mass is an inertia of 2·t·E.
-    add = 2.0 * short if feasible.consistency == "pseudo_inertia" else short
-    bodies[:, [4, 6, 9]] += add[:, None]
     out = theta.copy()
-    out[: bodies.size] = bodies.ravel()
+    bodies = out[: 10 * feasible.n_links].reshape(-1, 10)
+    # A second moment t·E about the centre of mass is an inertia of 2·t·E.
+    factor = 2.0 if feasible.consistency == "pseudo_inertia" else 1.0
+    for step in range(_REPAIRS):
+        moments = np.maximum(bodies[:, 4] + bodies[:, 6] + bodies[:, 9], 1e-3)
+        lacks = feasible.constraints.margin - feasible.margins(out)
+        short = lacks + 2.0**step * _INSIDE * moments
+        # First every link that is near the boundary, then those that rounding left outside.
+        short = np.where((lacks > 0.0) | (step == 0), np.maximum(short, 0.0), 0.0)
+        if not short.any():
+            break
+        bodies[:, [4, 6, 9]] += factor * short[:, None]
     return out

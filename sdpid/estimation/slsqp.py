@@ -7,8 +7,9 @@ from typing import Any
 
 import numpy as np
 
-from sdpid._arrays import Array, frozen
+from sdpid._arrays import Array, frozen, real_array
 from sdpid.errors import DataError
+from sdpid.estimation.bound import TINY_COST
 from sdpid.estimation.estimate import Estimate, Step
 from sdpid.estimation.physical import PhysicalVariables
 from sdpid.estimation.problem import Problem
@@ -107,7 +108,7 @@ def solve_slsqp(
     variables = PhysicalVariables.of(problem)
     if start is None:
         start = random_start(problem, np.random.default_rng(seed))
-    start = np.asarray(start, dtype=np.float64)
+    start = real_array(start, "start", ndim=1)
     if start.shape != (problem.n_theta,):
         raise DataError(f"start: shape {start.shape}, expected ({problem.n_theta},).")
     masses = problem.feasible.bodies(start)[:, 0]
@@ -233,7 +234,8 @@ class _Program:
             leftover = leftover - (active / curvature).T @ multipliers
         cost = float(residual @ residual + self.scale**2 * self.problem.floor)
         promised = 0.5 * float(leftover @ leftover)
-        return promised / max(float(cost), float(np.finfo(float).tiny))
+        # Exact data leave a cost of rounding; the scaled squared efforts are one.
+        return promised / max(cost, TINY_COST)
 
     def run(self, x0: Array, max_iterations: int, tolerance: float) -> Any:
         from scipy.optimize import Bounds, minimize

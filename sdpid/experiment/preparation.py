@@ -30,12 +30,12 @@ _CUTOFF_OVER_RATE = 1.0 / 6.0
 def default_processing(log: Recording) -> Processing:
     """Return how a recording is processed when nothing else is said.
 
-    A record with periods is averaged over them, filtered at 10 Hz, as in the paper but with
-    torque and regressor inputs filtered alike; where the periods are too few for a covariance of
-    each sample, one is pooled over the samples. A record without periods passes a filter of
-    order 4 whose cut-off is 40 times the frequency below which 95 % of its motion lies, at most
-    a sixth of the sampling rate; a recorded velocity is used where it was sampled below 100 Hz,
-    where differences of the position lose too much.
+    A record with periods is averaged over them, filtered as by ``Processing()``; where they are
+    too few for a covariance of each sample, one is pooled over the samples, and one period alone
+    has none. A record without periods passes a filter of order 4 whose cut-off is 40 times the
+    frequency below which 95 % of its motion lies, at most a sixth of the sampling rate; a
+    recorded velocity is used where it was sampled below 100 Hz, where differences of the
+    position lose too much.
     """
     layout = log.period_layout
     if layout is not None:
@@ -75,9 +75,7 @@ def default_friction(log: Recording) -> tuple[str | FrictionTerm, ...]:
     return (Coulomb(width=SMOOTH), "viscous", "offset")
 
 
-def prepare(
-    robot: RobotModel, log: Recording, processing: Processing | None = None
-) -> Samples:
+def prepare(robot: RobotModel, log: Recording, processing: Processing | None = None) -> Samples:
     """Process a recording for a robot: joints matched, units checked.
 
     Parameters

@@ -23,7 +23,8 @@ from sdpid.robot.inertia import (
     theta_from_physical,
     transform,
 )
-from sdpid.robot.model import RobotModel, Root, load_robot
+from sdpid.robot.load import Root, load_robot
+from sdpid.robot.model import RobotModel
 
 # Rounding in the inertia about the centre of mass, as a fraction of the size of the inertia that
 # it is the difference of. A margin negative by no more than this is not negative.

@@ -29,6 +29,9 @@ _FIELD_ORDER = tuple(
 # their axes are meant to be parallel or perpendicular. The gap around it is reported.
 DEPENDENT = 2e-5
 
+# A column this small beside the largest of any kind is rounding.
+_NOTHING = 2e-11
+
 # Regrouping coefficients smaller than this (in the scaled columns) are zeros blurred by rounding.
 ZERO = 1e-9
 
@@ -127,16 +130,20 @@ def generic_states(robot: RobotModel, count: int, seed: int) -> tuple[Array, Arr
     rng = np.random.default_rng(seed)
     n, model = robot.n, robot.pin_model
     rate = np.sqrt(max(float(np.linalg.norm(robot.gravity)), 1.0) / characteristic_length(robot))
-    size = n + 1 if robot.free_flyer else n
-    q = rng.uniform(-np.pi, np.pi, (count, size))
+    q = rng.uniform(-np.pi, np.pi, (count, n))
     if robot.free_flyer:
-        q = rng.uniform(-np.pi, np.pi, (count, model.nq))
+        # Mimic joints follow their source here too: apart they would show more parameters.
+        angles = q @ robot.expansion.T
+        q = np.empty((count, model.nq))
+        q[:, :3] = angles[:, :3]
         q[:, 3:7] = rng.standard_normal((count, 4))
         q[:, 3:7] /= np.linalg.norm(q[:, 3:7], axis=1, keepdims=True)
         for joint in list(model.joints)[2:]:
+            angle = angles[:, joint.idx_v]
             if joint.nq == 2:
-                angle = q[:, joint.idx_q].copy()
                 q[:, joint.idx_q], q[:, joint.idx_q + 1] = np.cos(angle), np.sin(angle)
+            else:
+                q[:, joint.idx_q] = angle
     v = rate * rng.uniform(-1.5, 1.5, (count, n))
     a = rate**2 * rng.uniform(-1.5, 1.5, (count, n))
     return q, v, a
@@ -190,10 +197,12 @@ def structural_base(robot: RobotModel, friction: FrictionModel) -> BaseParameter
     W = _generic_rows(robot, friction, _SEED)
     order = _scan_order(robot, friction)
     norms = np.linalg.norm(W, axis=0)
-    visible = norms > DEPENDENT * norms.max() * 1e-6
+    size = _size_of_kind(robot, friction, norms)
+    visible = (norms > DEPENDENT * size) & (norms > _NOTHING * norms.max())
     scale = np.where(visible, norms, 1.0)
     R = np.asarray(np.linalg.qr((W / scale)[:, order], mode="r"))
     kept, coefficients, residues = _scan(R, visible[order])
+    residues[~visible[order]] = (norms / np.where(size > 0.0, size, 1.0))[order][~visible[order]]
     singular = np.linalg.svd(R, compute_uv=False)
     dropped = residues[~kept]
     K = np.zeros((int(kept.sum()), W.shape[1]))
@@ -221,6 +230,19 @@ def structural_base(robot: RobotModel, friction: FrictionModel) -> BaseParameter
         smallest_kept=float(residues[kept].min()),
         largest_dropped=float(dropped.max()) if dropped.size else 0.0,
     )
+
+
+def _size_of_kind(robot: RobotModel, friction: FrictionModel, norms: Array) -> Array:
+    """Return the largest norm among the columns of each one's unit.
+
+    A column this much longer than rounding may still be nothing but the misalignment of axes
+    that are meant to be parallel: its length counts against that of columns like it.
+    """
+    units = np.array([*robot.parameter_units, *(p.unit for p in friction.parameters)])
+    size = np.empty_like(norms)
+    for unit in set(units.tolist()):
+        size[units == unit] = norms[units == unit].max()
+    return size
 
 
 def _scan(R: Array, visible: Mask) -> tuple[Mask, Array, Array]:
@@ -279,7 +301,7 @@ def _owner(robot: RobotModel, friction: FrictionModel, column: int) -> tuple[int
     """Return (link, 0) of an inertial column and (link of its joint, 1) of a friction column."""
     if column < 10 * robot.n_links:
         return column // 10, 0
-    name = robot.joint_names[friction.parameters[column - 10 * robot.n_links].joint]
+    name = friction.joint_names[friction.parameters[column - 10 * robot.n_links].joint]
     model = robot.pin_model
     if model.existJointName(name):
         return int(model.getJointId(name)) - 1, 1

@@ -334,7 +334,7 @@ class FrictionModel:
         for term in terms:
             if isinstance(term, FrictionTerm):
                 objects.append(term)
-            elif term in _BY_NAME:
+            elif isinstance(term, str) and term in _BY_NAME:
                 objects.append(_BY_NAME[term]())
             else:
                 raise ModelError(

@@ -70,6 +70,35 @@ def check_urdf(
     return root.get("name", "robot"), tuple(mimics)
 
 
+def joint_dynamics(text: str, what: str) -> dict[str, tuple[float, float]]:
+    """Return (damping, friction) of the joints of a URDF that have a ``<dynamics>`` element.
+
+    Raises
+    ------
+    ModelError
+        When one is not a number of at least 0.
+    """
+    found = {}
+    for joint in parse_xml(text, what).findall("joint"):
+        element = joint.find("dynamics")
+        if element is None:
+            continue
+        values = []
+        for key in ("damping", "friction"):
+            try:
+                value = float(element.get(key, "0"))
+            except ValueError:
+                value = float("nan")
+            if not (np.isfinite(value) and value >= 0.0):
+                raise ModelError(
+                    f"{what}: joint '{joint.get('name', '?')}' has {key}="
+                    f"'{element.get(key)}'; give a number of at least 0."
+                )
+            values.append(value)
+        found[joint.get("name", "?")] = (values[0], values[1])
+    return found
+
+
 def inertial_element(body: ArrayLike) -> Any:
     """Return the <inertial> element of a body given by its ten parameters.
 

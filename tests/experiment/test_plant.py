@@ -17,7 +17,8 @@ from sdpid.experiment.mujoco_model import build_mujoco
 from sdpid.experiment.plant import PlantLog, run_plant, simulate, true_parameters
 from sdpid.robot.inertia import theta_from_physical
 from sdpid.robot.library import bundled_folder
-from sdpid.robot.model import RobotModel, load_robot
+from sdpid.robot.load import load_robot
+from sdpid.robot.model import RobotModel
 
 NAME = "denso_vp6242"
 # The agreed accuracy of the plant's torques, N·m.

@@ -72,16 +72,22 @@ ANGLES = st.one_of(
 )
 LENGTHS = st.one_of(st.just(0.0), reals(-0.6, 0.6))
 
+# Axes that are parallel or clearly not: a rank decision about axes a microradian apart is a
+# matter of convention.
+CLEAR_ANGLES = st.integers(-12, 12).map(lambda k: k * math.pi / 12)
+CLEAR_LENGTHS = st.integers(-6, 6).map(lambda k: 0.1 * k)
+
 
 @st.composite
-def dh_joints(draw: st.DrawFn, *, prismatic: bool = True) -> DhJoint:
+def dh_joints(draw: st.DrawFn, *, prismatic: bool = True, clear: bool = False) -> DhJoint:
     """One row of a table."""
     kinds: list[Any] = ["revolute", "revolute", "prismatic"] if prismatic else ["revolute"]
+    angles, lengths = (CLEAR_ANGLES, CLEAR_LENGTHS) if clear else (ANGLES, LENGTHS)
     return DhJoint(
-        alpha=draw(ANGLES),
-        d=draw(LENGTHS),
-        theta=draw(ANGLES),
-        r=draw(LENGTHS),
+        alpha=draw(angles),
+        d=draw(lengths),
+        theta=draw(angles),
+        r=draw(lengths),
         kind=draw(st.sampled_from(kinds)),
     )
 
@@ -93,17 +99,22 @@ def dh_tables(
     least: int = 1,
     most: int = 6,
     prismatic: bool = True,
+    clear: bool = False,
     conventions: tuple[Literal["modified", "standard"], ...] = ("modified", "standard"),
 ) -> DhTable:
-    """Tables with base placement and gravity in any direction."""
-    vectors = hnp.arrays(float, 3, elements=reals(-1.0, 1.0)).map(tuple)
-    angles = st.tuples(ANGLES, ANGLES, ANGLES)
+    """Tables with base placement and gravity in any direction.
+
+    With `clear`, axes are parallel or at 15° at least, and lengths zero or 0.1 m at least.
+    """
+    size, angle = (CLEAR_LENGTHS, CLEAR_ANGLES) if clear else (reals(-1.0, 1.0), ANGLES)
+    rows = st.lists(dh_joints(prismatic=prismatic, clear=clear), min_size=least, max_size=most)
+    x, y, z = draw(st.tuples(size, size, size))
     return DhTable(
-        joints=tuple(draw(st.lists(dh_joints(prismatic=prismatic), min_size=least, max_size=most))),
+        joints=tuple(draw(rows)),
         convention=draw(st.sampled_from(conventions)),
-        base_translation=draw(vectors),
-        base_rpy=draw(angles),
-        gravity=tuple(9.81 * float(x) for x in draw(vectors)),
+        base_translation=draw(st.tuples(size, size, size)),
+        base_rpy=draw(st.tuples(angle, angle, angle)),
+        gravity=(10.0 * x, 10.0 * y, 10.0 * z),
     )
 
 

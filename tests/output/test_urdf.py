@@ -18,7 +18,8 @@ from sdpid.output.urdf import write_urdf
 from sdpid.robot.base import generic_states
 from sdpid.robot.friction import FrictionModel
 from sdpid.robot.inertia import margin, point_masses
-from sdpid.robot.model import RobotModel, load_robot
+from sdpid.robot.load import load_robot
+from sdpid.robot.model import RobotModel
 
 # Efforts of the written robot, relative to the largest one.
 CLOSE = 1e-9

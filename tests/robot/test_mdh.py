@@ -16,8 +16,9 @@ from hypothesis import strategies as st
 from sdpid._arrays import Array
 from sdpid.errors import DataError, ModelError
 from sdpid.robot.library import bundled_folder
+from sdpid.robot.load import load_robot
 from sdpid.robot.mdh import DhJoint, DhTable, matrix_rpy, rpy_matrix
-from sdpid.robot.model import RobotModel, load_robot
+from sdpid.robot.model import RobotModel
 from tests.helpers.strategies import SEEDS, bodies, dh_tables, rotations
 from tests.helpers.tolerances import KINEMATICS
 

@@ -10,7 +10,8 @@ from hypothesis import strategies as st
 
 from sdpid._arrays import Array
 from sdpid.errors import DataError
-from sdpid.robot.model import RobotModel, load_robot
+from sdpid.robot.load import load_robot
+from sdpid.robot.model import RobotModel
 from tests.helpers.data import random_links
 from tests.helpers.robots import MIMIC, TREE, TREE_MIMIC, TREE_MIMIC_NO_OFFSET
 from tests.helpers.strategies import SEEDS, dh_tables, random_states

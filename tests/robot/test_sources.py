@@ -18,7 +18,7 @@ from sdpid.robot.library import (
     example_robots,
     find_example_robot,
 )
-from sdpid.robot.model import load_robot
+from sdpid.robot.load import load_robot
 from sdpid.robot.urdf import check_urdf, inertial_element
 from sdpid.robot.xml import parse_xml
 from tests.helpers.robots import TREE, TREE_MIMIC

@@ -1,0 +1,279 @@
+"""What the commands share: options, their parsing, and how errors leave the program."""
+
+from __future__ import annotations
+
+import errno
+import json
+import traceback
+from collections.abc import Iterable, Sequence
+from enum import Enum
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+from typer.core import TyperGroup
+
+from sdpid.errors import (
+    DataError,
+    ExportError,
+    IdentifiabilityError,
+    InfeasibleError,
+    SdpidError,
+    SolverError,
+)
+
+# Exit statuses.
+OURS, BAD_INPUT, NO_ANSWER, INTERRUPTED = 1, 2, 3, 130
+
+
+class Consistency(str, Enum):
+    """What every link must obey."""
+
+    pseudo_inertia = "pseudo_inertia"
+    spatial_inertia = "spatial_inertia"
+    none = "none"
+
+
+class Weighting(str, Enum):
+    """How residuals are weighted."""
+
+    gls = "gls"
+    gls_per_sample = "gls_per_sample"
+    eq9 = "eq9"
+    eq18 = "eq18"
+    residual = "residual"
+
+
+class Velocity(str, Enum):
+    """Where velocities come from."""
+
+    measured = "measured"
+    differentiated = "differentiated"
+
+
+_READING = "Reading the log"
+_PROCESSING = "Processing"
+_ESTIMATION = "Estimation"
+
+Log = Annotated[Path, typer.Argument(metavar="LOG", help="Recording: .npz, .csv or .parquet.")]
+Robot = Annotated[
+    str, typer.Option(metavar="ROBOT", help="URDF file, or name of a bundled or example robot.")
+]
+Json = Annotated[bool, typer.Option("--json", help="Print JSON, and nothing else, on stdout.")]
+Column = Annotated[
+    list[str] | None,
+    typer.Option(
+        metavar="QUANTITY=NAME",
+        help="Name in the file, such as effort=tau_measured, effort=i1,i2,i3 or velocity=none. "
+        "Quantities: time, position, velocity, effort, ... May be repeated.",
+        rich_help_panel=_READING,
+    ),
+]
+Unit = Annotated[
+    list[str] | None,
+    typer.Option(
+        metavar="QUANTITY=UNIT",
+        help="Unit in the file where it is not SI, such as position=deg or time=ms.",
+        rich_help_panel=_READING,
+    ),
+]
+JointNames = Annotated[
+    str | None,
+    typer.Option(
+        metavar="A,B,...", help="Names of the joints (columns).", rich_help_panel=_READING
+    ),
+]
+EffortScale = Annotated[
+    str | None,
+    typer.Option(
+        metavar="X,Y,...",
+        help="N.m per unit of effort of each joint: torque constant times gear ratio, for "
+        "efforts in A.",
+        rich_help_panel=_READING,
+    ),
+]
+Period = Annotated[
+    float | None,
+    typer.Option(metavar="S", help="Period of the motion, s.", rich_help_panel=_READING),
+]
+Start = Annotated[
+    float | None,
+    typer.Option(
+        metavar="S", help="Time at which the first period begins, s.", rich_help_panel=_READING
+    ),
+]
+Periods = Annotated[
+    int | None,
+    typer.Option(metavar="N", help="Number of whole periods.", rich_help_panel=_READING),
+]
+Cutoff = Annotated[
+    float | None,
+    typer.Option(metavar="HZ", help="Cut-off of the low-pass filter.", rich_help_panel=_PROCESSING),
+]
+Order = Annotated[
+    int | None,
+    typer.Option(metavar="N", help="Order of one pass of it.", rich_help_panel=_PROCESSING),
+]
+VelocityFrom = Annotated[
+    Velocity | None,
+    typer.Option(
+        "--velocity", help="Recorded, or differences of the position.", rich_help_panel=_PROCESSING
+    ),
+]
+ConsistencyOf = Annotated[
+    Consistency,
+    typer.Option("--consistency", help="What every link must obey.", rich_help_panel=_ESTIMATION),
+]
+Margin = Annotated[
+    float,
+    typer.Option(
+        metavar="X", help="Least margin of every link, kg.m2.", rich_help_panel=_ESTIMATION
+    ),
+]
+MassMax = Annotated[
+    float | None,
+    typer.Option(
+        metavar="X", help="Largest mass of a link, kg (default 100).", rich_help_panel=_ESTIMATION
+    ),
+]
+Friction = Annotated[
+    list[str] | None,
+    typer.Option(
+        metavar="TERM",
+        help="coulomb, coulomb=0.02 (smooth over so many rad/s), asymmetric_coulomb, viscous, "
+        "offset, rotor_inertia, or coupling=joint_5,joint_6. Repeat for each term.",
+        rich_help_panel=_ESTIMATION,
+    ),
+]
+WeightingOf = Annotated[
+    Weighting | None,
+    typer.Option(
+        "--weighting",
+        help="By default gls with periods, else residual.",
+        rich_help_panel=_ESTIMATION,
+    ),
+]
+
+
+class Commands(TyperGroup):
+    """The commands, with one way out for every error."""
+
+    def invoke(self, ctx: Any) -> Any:
+        """Run a command; turn an error into one line on stderr and an exit status."""
+        try:
+            return super().invoke(ctx)
+        except KeyboardInterrupt:
+            raise typer.Exit(INTERRUPTED) from None
+        except Exception as error:
+            # Typer's own (usage, exit, abort) are Typer's to show; so is a closed pipe.
+            own = type(error).__module__.split(".")[0] in ("typer", "click")
+            if own or (isinstance(error, OSError) and error.errno == errno.EPIPE):
+                raise
+            if ctx.params.get("debug"):
+                traceback.print_exception(error)
+            typer.echo(f"sdpid: {message(error)}", err=True)
+            raise typer.Exit(exit_status(error)) from None
+
+
+def exit_status(error: Exception) -> int:
+    """Return the exit status of an error."""
+    if isinstance(error, (InfeasibleError, IdentifiabilityError)):
+        return NO_ANSWER
+    if isinstance(error, SolverError):
+        return OURS
+    return BAD_INPUT if isinstance(error, (SdpidError, OSError)) else OURS
+
+
+def message(error: Exception) -> str:
+    """Return what is said about an error."""
+    if isinstance(error, SdpidError):
+        return str(error)
+    if isinstance(error, OSError):
+        where = f"{error.filename}: " if error.filename else ""
+        return f"{where}{error.strerror or error}."
+    return (
+        f"unexpected {type(error).__name__}: {error}. Please report this, with the traceback that "
+        "`sdpid --debug ...` prints."
+    )
+
+
+def pairs(values: Iterable[str] | None, option: str) -> dict[str, str]:
+    """Split ``key=value`` options.
+
+    Raises
+    ------
+    DataError
+        When one has no ``=``, or a key comes twice.
+    """
+    found: dict[str, str] = {}
+    for text in values or ():
+        key, equals, value = text.partition("=")
+        key, value = key.strip(), value.strip()
+        if not (equals and key and value):
+            raise DataError(f"{option} {text}: expected a quantity, '=' and a value.")
+        if key in found:
+            raise DataError(f"{option}: {key} is given twice: {found[key]} and {value}.")
+        found[key] = value
+    return found
+
+
+def reading(
+    column: Sequence[str] | None,
+    unit: Sequence[str] | None,
+    joint_names: str | None,
+    effort_scale: str | None,
+) -> dict[str, Any]:
+    """Return the arguments of `read_recording` that hold for every log of a command."""
+    columns: dict[str, Any] = {}
+    for key, value in pairs(column, "--column").items():
+        columns[key] = value.split(",") if "," in value else value
+        if value.lower() == "none":
+            columns[key] = None
+    return {
+        "columns": columns or None,
+        "units": pairs(unit, "--unit") or None,
+        "joint_names": None if joint_names is None else split_list(joint_names),
+        "effort_scale": None if effort_scale is None else numbers(effort_scale, "--effort-scale"),
+    }
+
+
+def split_list(text: str) -> list[str]:
+    """Split at commas."""
+    return [part.strip() for part in text.split(",")]
+
+
+def numbers(text: str, option: str) -> list[float]:
+    """Split numbers at commas.
+
+    Raises
+    ------
+    DataError
+        When one is not a number.
+    """
+    try:
+        return [float(part) for part in text.split(",")]
+    except ValueError:
+        raise DataError(f"{option} {text}: expected numbers with commas between them.") from None
+
+
+def require_folder(file: Path) -> None:
+    """Refuse a file that cannot be written, before the work is done.
+
+    Raises
+    ------
+    ExportError
+        When its folder is not there, or it is one itself.
+    """
+    if not file.parent.is_dir() or file.is_dir():
+        what = "is a folder" if file.is_dir() else f"there is no folder {file.parent}"
+        raise ExportError(f"cannot write {file}: {what}.")
+
+
+def listed(title: str, lines: Iterable[str]) -> str:
+    """Return indented lines under a title."""
+    return "\n".join((f"{title}:", *(f"  {line}" for line in lines)))
+
+
+def print_json(values: Any) -> None:
+    """Print plain values as JSON on stdout."""
+    typer.echo(json.dumps(values, indent=1, allow_nan=False))

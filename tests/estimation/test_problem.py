@@ -1,0 +1,266 @@
+"""The compressed cost is the cost of the raw rows, whatever the weights and masks."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+import sdpid.estimation.rows as rows_module
+from sdpid._arrays import Array
+from sdpid.errors import DataError, InfeasibleError
+from sdpid.estimation.constraints import Constraints
+from sdpid.estimation.problem import build_problem, describe
+from sdpid.estimation.weighting import WEIGHTINGS, Weighting, residual_covariance
+from sdpid.estimation.wls import solve_wls
+from sdpid.robot.load import load_robot
+from sdpid.robot.model import RobotModel
+from tests.helpers.data import (
+    brute_force_cost,
+    make_samples,
+    matrix_power,
+    random_covariance,
+    random_theta,
+    raw_rows,
+)
+from tests.helpers.robots import TREE, small_arm
+from tests.helpers.strategies import SEEDS, random_states
+from tests.helpers.tolerances import COST
+
+ARM = small_arm(3)
+
+
+def random_mask(rng: np.random.Generator, count: int, n: int) -> np.ndarray:
+    mask = rng.random((count, n)) < 0.7
+    mask[0], mask[1] = True, False
+    return mask
+
+
+def noisy_samples(seed: int, robot: RobotModel = ARM, **options: Any) -> Any:
+    rng = np.random.default_rng(seed)
+    count, n = 60, robot.n
+    covariance = {
+        "none": None,
+        "one": random_covariance(rng, n),
+        "each": random_covariance(rng, n, count),
+    }[options.pop("covariance", "none")]
+    mask = random_mask(rng, count, n) if options.pop("masked", False) else None
+    theta = random_theta(robot, rng)
+    samples = make_samples(robot, theta, rng, noise=0.3, covariance=covariance, mask=mask)
+    return samples, theta, rng
+
+
+@given(
+    SEEDS,
+    st.sampled_from(WEIGHTINGS),
+    st.sampled_from(["none", "one", "each"]),
+    st.booleans(),
+)
+@settings(max_examples=40)
+def test_cost_is_that_of_the_raw_rows(
+    seed: int, weighting: Weighting, covariance: str, masked: bool
+) -> None:
+    samples, theta, rng = noisy_samples(seed, covariance=covariance, masked=masked)
+    problem = build_problem(ARM, samples, weighting=weighting)
+    sigma = np.eye(3) if samples.covariance is None else np.asarray(samples.covariance)
+    if weighting == "gls" and sigma.ndim == 3:
+        sigma = sigma.mean(axis=0)
+    if weighting == "residual":
+        sigma = problem.sigma
+    used = 180 if samples.mask is None else int(samples.mask.sum())
+    assert problem.n_rows == used
+    zero = brute_force_cost(problem, np.zeros(problem.base.count), sigma)
+    for base in (problem.base_of(theta), 3.0 * rng.standard_normal(problem.base.count)):
+        expected = brute_force_cost(problem, base, sigma)
+        assert problem.cost(base) == pytest.approx(expected, rel=1e-8, abs=COST * zero)
+    assert problem.cost_of(theta) == problem.cost(problem.base_of(theta))
+    assert problem.cost(np.zeros(problem.base.count)) == pytest.approx(zero, rel=1e-10)
+
+
+@pytest.mark.parametrize(("weighting", "exponent"), [("eq9", -0.5), ("eq18", -1.0)])
+def test_the_papers_costs_to_the_letter(weighting: Weighting, exponent: float) -> None:
+    """‖W^T Sigma^e (Y − W base)‖² of all rows stacked, with no floor."""
+    samples, _, rng = noisy_samples(5, covariance="each")
+    problem = build_problem(ARM, samples, weighting=weighting)
+    W, effort, _ = raw_rows(problem)
+    base = rng.standard_normal(problem.base.count)
+    weights = np.stack([matrix_power(S, exponent) for S in np.asarray(samples.covariance)])
+    stacked = W.reshape(-1, problem.base.count)
+    whole = np.zeros((len(stacked), len(stacked)))
+    for k, weight in enumerate(weights):
+        whole[3 * k : 3 * k + 3, 3 * k : 3 * k + 3] = weight
+    normal = stacked.T @ whole @ (effort.ravel() - stacked @ base)
+    assert problem.cost(base) == pytest.approx(normal @ normal, rel=1e-10)
+    assert problem.floor == 0.0
+    assert problem.cost(solve_wls(problem).base) < 1e-15 * float(problem.rhs @ problem.rhs)
+
+
+def test_unconstrained_eq18_is_gls_per_sample() -> None:
+    samples, _, _ = noisy_samples(6, covariance="each")
+    one, other = (
+        solve_wls(build_problem(ARM, samples, weighting=w)).base for w in ("gls_per_sample", "eq18")
+    )
+    np.testing.assert_allclose(one, other, rtol=1e-7, atol=1e-9)
+
+
+def test_without_covariance_gls_is_the_sum_of_squares() -> None:
+    samples, theta, _ = noisy_samples(7)
+    problem = build_problem(ARM, samples)
+    residual = samples.effort - problem.predict(problem.base_of(theta))
+    assert problem.cost_of(theta) == pytest.approx(float(np.sum(residual**2)), rel=1e-10)
+
+
+def test_a_scaled_covariance_scales_the_cost_and_changes_no_estimate() -> None:
+    samples, theta, _ = noisy_samples(8, covariance="one")
+    first = build_problem(ARM, samples)
+    second = build_problem(ARM, replace(samples, covariance=100.0 * samples.covariance))
+    assert second.cost_of(theta) == pytest.approx(first.cost_of(theta) / 100.0, rel=1e-10)
+    np.testing.assert_allclose(solve_wls(second).base, solve_wls(first).base, rtol=1e-9)
+
+
+@pytest.mark.parametrize("size", [1e-14, 1e14])
+def test_masked_joints_have_no_scale_of_their_own(size: float) -> None:
+    """A covariance in tiny or huge units is as regular as any, masked or not."""
+    samples, _, _ = noisy_samples(9, covariance="each", masked=True)
+    scaled = replace(samples, covariance=size * np.asarray(samples.covariance))
+    for weighting in ("gls", "gls_per_sample"):
+        first, second = (
+            solve_wls(build_problem(ARM, s, weighting=weighting)).base for s in (samples, scaled)
+        )
+        np.testing.assert_allclose(second, first, rtol=1e-8, atol=1e-10)
+
+
+def test_masked_rows_have_no_influence() -> None:
+    samples, theta, rng = noisy_samples(10, covariance="one", masked=True)
+    spoiled = np.where(samples.mask, samples.effort, 1e6 * rng.standard_normal((60, 3)))
+    one, other = (build_problem(ARM, s) for s in (samples, replace(samples, effort=spoiled)))
+    np.testing.assert_array_equal(one.A, other.A)
+    assert other.cost_of(theta) == pytest.approx(one.cost_of(theta), rel=1e-10)
+
+
+def test_chunks_do_not_change_the_cost(monkeypatch: pytest.MonkeyPatch) -> None:
+    samples, theta, _ = noisy_samples(11, covariance="each", masked=True)
+    whole = build_problem(ARM, samples, weighting="gls_per_sample")
+    original = rows_module.RowSource.chunks
+    monkeypatch.setattr(rows_module.RowSource, "chunks", lambda self: original(self, 7))
+    chunked = build_problem(ARM, samples, weighting="gls_per_sample")
+    assert chunked.cost_of(theta) == pytest.approx(whole.cost_of(theta), rel=1e-11)
+    assert chunked.floor == pytest.approx(whole.floor, rel=1e-9)
+
+
+def test_a_floating_base() -> None:
+    """Six unactuated coordinates whose efforts are not measured are masked."""
+    import pinocchio as pin
+
+    robot = load_robot(TREE, root="free_flyer")
+    rng = np.random.default_rng(12)
+    tangent, v, a = random_states(rng, robot.n, 150)
+    neutral = pin.neutral(robot.pin_model)
+    q = np.stack([pin.integrate(robot.pin_model, neutral, x) for x in tangent])
+    theta = random_theta(robot, rng, ("viscous",))
+    effort = robot.inverse_dynamics(theta, q, v, a)
+    effort[:, 6:] += v[:, 6:] * theta[10 * robot.n_links :]
+    from sdpid.experiment.samples import Samples
+
+    samples = Samples(position=q, velocity=v, acceleration=a, effort=effort)
+    problem = build_problem(robot, samples, friction=("viscous",))
+    base = solve_wls(problem).base
+    np.testing.assert_allclose(base, problem.base_of(theta), rtol=0, atol=1e-8)
+
+
+def test_prediction_is_the_effort_on_exact_data() -> None:
+    rng = np.random.default_rng(13)
+    theta = random_theta(ARM, rng)
+    samples, fresh = (make_samples(ARM, theta, rng) for _ in range(2))
+    problem = build_problem(ARM, samples)
+    predicted = problem.predict(problem.base_of(theta), fresh)
+    np.testing.assert_allclose(predicted, fresh.effort, rtol=0, atol=1e-10)
+
+
+def test_other_constraints_keep_the_cost() -> None:
+    samples, theta, _ = noisy_samples(14)
+    problem = build_problem(ARM, samples)
+    other = problem.constrained(consistency="spatial_inertia", constraints=Constraints(margin=0.01))
+    assert other.A is problem.A
+    assert other.cost_of(theta) == problem.cost_of(theta)
+    assert (other.consistency, other.constraints.margin) == ("spatial_inertia", 0.01)
+    assert problem.consistency == "pseudo_inertia"
+
+
+def test_the_description_of_a_problem_is_plain() -> None:
+    import json
+
+    samples, _, _ = noisy_samples(15, masked=True)
+    plain = describe(build_problem(ARM, samples))
+    assert json.loads(json.dumps(plain)) == plain
+    assert plain["rows_used"] == int(samples.mask.sum())
+
+
+def test_results_are_read_only() -> None:
+    samples, _, _ = noisy_samples(16)
+    problem = build_problem(ARM, samples)
+    for array in (problem.A, problem.rhs, problem.feasible.lower, solve_wls(problem).base):
+        with pytest.raises(ValueError, match="read-only"):
+            array[0] = 1.0
+
+
+BAD: list[tuple[dict[str, Any], type[Exception], str]] = [
+    ({"weighting": "ols"}, DataError, "weighting is 'ols': use one of gls"),
+    ({"consistency": "full"}, DataError, "consistency is 'full'"),
+]
+
+
+@pytest.mark.parametrize(("options", "error", "says"), BAD)
+def test_unknown_options(options: dict[str, Any], error: type[Exception], says: str) -> None:
+    samples, _, _ = noisy_samples(17)
+    with pytest.raises(error, match=says):
+        build_problem(ARM, samples, **options)
+
+
+def test_samples_of_another_robot() -> None:
+    samples, _, _ = noisy_samples(18)
+    with pytest.raises(DataError, match="samples have 3 joints, the robot 'arm2' has 2"):
+        build_problem(small_arm(2), samples)
+    renamed = replace(samples, joint_names=("joint_2", "joint_1", "joint_3"))
+    with pytest.raises(DataError, match="joint_2, joint_1, joint_3"):
+        build_problem(ARM, renamed)
+
+
+def test_a_singular_covariance_is_refused() -> None:
+    samples, _, _ = noisy_samples(19)
+    few = np.zeros((60, 3, 3))
+    few[:] = np.outer([1.0, 2.0, 3.0], [1.0, 2.0, 3.0])
+    with pytest.raises(DataError, match="singular"):
+        build_problem(ARM, replace(samples, covariance=few), weighting="gls_per_sample")
+    few[:30] = np.eye(3)
+    with pytest.raises(DataError, match="30 of 60 singular"):
+        build_problem(ARM, replace(samples, covariance=few), weighting="eq18")
+    # Pooled it is regular again.
+    assert build_problem(ARM, replace(samples, covariance=few)).floor > 0.0
+
+
+@pytest.mark.parametrize(
+    ("options", "error"),
+    [
+        ({"margin": -0.1}, DataError),
+        ({"margin": np.nan}, DataError),
+        ({"mass_min": 0.0}, DataError),
+        ({"mass_max": np.inf}, DataError),
+        ({"theta_max": 1.0, "mass_max": 2.0}, DataError),
+        ({"mass_min": 2.0, "mass_max": 1.0}, InfeasibleError),
+    ],
+)
+def test_bad_constraints(options: dict[str, float], error: type[Exception]) -> None:
+    with pytest.raises(error, match="Constraints"):
+        Constraints(**options)
+
+
+def test_residual_sigma_is_what_its_estimator_says() -> None:
+    samples, _, _ = noisy_samples(20, masked=True)
+    problem = build_problem(ARM, samples, weighting="residual")
+    sigma: Array = residual_covariance(problem.rows)
+    np.testing.assert_array_equal(problem.sigma, sigma)

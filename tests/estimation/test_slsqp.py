@@ -1,0 +1,141 @@
+"""The local solver: derivatives, honesty, and no valleys but one."""
+
+from __future__ import annotations
+
+import itertools
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from sdpid.errors import DataError
+from sdpid.estimation.constraints import Constraints
+from sdpid.estimation.physical import PhysicalVariables
+from sdpid.estimation.problem import Problem, build_problem
+from sdpid.estimation.sdp import solve_sdp
+from sdpid.estimation.slsqp import FEASIBLE_LOCAL, _Program, random_start, solve_slsqp
+from sdpid.robot.inertia import Consistency
+from sdpid.robot.model import RobotModel
+from tests.helpers.data import flat_links, make_samples, random_theta
+from tests.helpers.robots import planar_arm, small_arm
+from tests.helpers.strategies import SEEDS
+from tests.helpers.tolerances import LOCAL_COST
+
+BOTH: tuple[Consistency, ...] = ("pseudo_inertia", "spatial_inertia")
+STARTS = 8
+# Where the scaled cost has long settled on these small arms.
+ENOUGH = 300
+
+
+def noisy(
+    robot: RobotModel, seed: int, consistency: Consistency, *, margin: float = 0.002
+) -> Problem:
+    """Return a problem whose optimum lies on the boundary."""
+    rng = np.random.default_rng(seed)
+    theta = random_theta(robot, rng)
+    theta[: 10 * robot.n_links] = flat_links(rng, robot.n_links).ravel()
+    samples = make_samples(robot, theta, rng, noise=0.5)
+    limits = Constraints(margin=margin, mass_max=10.0)
+    return build_problem(robot, samples, consistency=consistency, constraints=limits)
+
+
+@pytest.fixture(scope="module", params=BOTH)
+def planar(request: pytest.FixtureRequest) -> Problem:
+    return noisy(planar_arm(), 0, request.param)
+
+
+@pytest.mark.parametrize("robot", [planar_arm(), small_arm(3)], ids=["planar", "arm3"])
+@pytest.mark.parametrize("consistency", BOTH)
+def test_derivatives(robot: RobotModel, consistency: Consistency) -> None:
+    problem = noisy(robot, 1, consistency)
+    variables = PhysicalVariables.of(problem)
+    program = _Program(problem, variables)
+    rng = np.random.default_rng(2)
+    step = 1e-6
+    for _ in range(3):
+        x = variables.from_theta(random_start(problem, rng))
+        _, gradient = program.cost(x)
+        jacobian = program.constraint_jacobian(x)
+        for k in range(variables.count):
+            forward, backward = x.copy(), x.copy()
+            forward[k] += step
+            backward[k] -= step
+            slope = (program.cost(forward)[0] - program.cost(backward)[0]) / (2 * step)
+            # Central differences of a function of order one: step² and rounding/step.
+            assert gradient[k] == pytest.approx(slope, rel=1e-5, abs=1e-7)
+            slopes = (program.constraints(forward) - program.constraints(backward)) / (2 * step)
+            np.testing.assert_allclose(jacobian[:, k], slopes, rtol=1e-5, atol=1e-7)
+
+
+def test_hidden_convexity_from_many_starts(planar: Problem) -> None:
+    """Starts that converge all reach the one optimum; none finds anything below it."""
+    best = solve_sdp(planar)
+    converged = 0
+    for seed in range(STARTS):
+        local = solve_slsqp(planar, seed=seed, max_iterations=ENOUGH)
+        if local.status == "infeasible":
+            continue
+        assert best.cost <= local.cost * (1.0 + LOCAL_COST)
+        if local.status == "optimal":
+            converged += 1
+            assert local.cost <= best.cost * (1.0 + LOCAL_COST)
+    assert converged >= STARTS // 2
+
+
+def test_an_estimate_tells_how_it_came_about(planar: Problem) -> None:
+    estimate = solve_slsqp(planar, seed=3, max_iterations=ENOUGH)
+    assert estimate.method == "slsqp"
+    assert estimate.message
+    assert estimate.solve_time > 0.0
+    history = estimate.history
+    # The start and one entry an iteration.
+    assert len(history) == estimate.iterations + 1 or len(history) == estimate.iterations
+    assert all(a.seconds <= b.seconds for a, b in itertools.pairwise(history))
+    assert history[0].cost == pytest.approx(planar.cost_of(np.asarray(estimate.start)))
+    assert estimate.multipliers is None
+
+
+def test_an_iteration_limit_is_no_optimum(planar: Problem) -> None:
+    estimate = solve_slsqp(planar, seed=4, max_iterations=2)
+    assert estimate.status in ("iteration limit", "infeasible")
+    assert estimate.iterations <= 2
+
+
+def test_status_optimal_means_feasible(planar: Problem) -> None:
+    for seed in range(4):
+        estimate = solve_slsqp(planar, seed=seed, max_iterations=ENOUGH)
+        assert estimate.violation is not None
+        assert (estimate.violation <= FEASIBLE_LOCAL) == (estimate.status != "infeasible")
+
+
+def test_the_same_seed_is_the_same_run(planar: Problem) -> None:
+    first, second = (solve_slsqp(planar, seed=5, max_iterations=20) for _ in range(2))
+    np.testing.assert_array_equal(np.asarray(first.theta), np.asarray(second.theta))
+    other = solve_slsqp(planar, seed=6, max_iterations=20)
+    assert not np.array_equal(np.asarray(first.start), np.asarray(other.start))
+
+
+@given(SEEDS, st.sampled_from(BOTH), st.sampled_from([0.0, 0.05]), st.floats(0.001, 5.0))
+@settings(max_examples=20)
+def test_random_starts_are_feasible(
+    seed: int, consistency: Consistency, margin: float, mass_min: float
+) -> None:
+    problem = noisy(small_arm(2), 7, consistency).constrained(
+        constraints=Constraints(margin=margin, mass_min=mass_min, mass_max=5.5)
+    )
+    start = random_start(problem, np.random.default_rng(seed))
+    assert problem.feasible.violation(start) == 0.0
+
+
+def test_bad_starts(planar: Problem) -> None:
+    with pytest.raises(DataError, match=r"start: shape \(3,\)"):
+        solve_slsqp(planar, start=np.ones(3))
+    start = random_start(planar, np.random.default_rng(0))
+    start[10] = -1.0
+    with pytest.raises(DataError, match=r"link 2 has mass -1\.0 kg"):
+        solve_slsqp(planar, start=start)
+    with pytest.raises(DataError, match="start"):
+        solve_slsqp(planar, start=np.full(planar.n_theta, np.nan))
+    with pytest.raises(DataError, match="nothing constrains"):
+        solve_slsqp(planar.constrained(consistency="none"))
