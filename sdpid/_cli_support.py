@@ -25,6 +25,9 @@ from sdpid.errors import (
 # Exit statuses.
 OURS, BAD_INPUT, NO_ANSWER, INTERRUPTED = 1, 2, 3, 130
 
+# Arguments of the library that messages name, as options.
+_OPTIONS = {"columns": "--column QUANTITY=NAME", "units": "--unit QUANTITY=UNIT"}
+
 
 class Consistency(str, Enum):
     """What every link must obey."""
@@ -187,7 +190,10 @@ def exit_status(error: Exception) -> int:
 def message(error: Exception) -> str:
     """Return what is said about an error."""
     if isinstance(error, SdpidError):
-        return str(error)
+        text = str(error)
+        # Messages speak Python; say how the same is said here.
+        hints = [option for argument, option in _OPTIONS.items() if f"{argument}=" in text]
+        return f"{text} On the command line: {', '.join(hints)}." if hints else text
     if isinstance(error, OSError):
         where = f"{error.filename}: " if error.filename else ""
         return f"{where}{error.strerror or error}."

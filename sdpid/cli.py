@@ -125,6 +125,7 @@ def compare(
     robot: cli.Robot,
     starts: Annotated[int, typer.Option(min=0, help="Random starts of the local solver.")] = 20,
     seed: Annotated[int, typer.Option(min=0, help="Of the starts.")] = 0,
+    max_iterations: Annotated[int, typer.Option(min=1, help="Its limit.")] = 3000,
     out: Annotated[Path | None, typer.Option(help="CSV file for the rows.")] = None,
     jobs: Annotated[int | None, typer.Option(help="Processes; by default one a core.")] = None,
     consistency: cli.ConsistencyOf = cli.Consistency.pseudo_inertia,
@@ -162,7 +163,7 @@ def compare(
         consistency=consistency.value,
         constraints=_constraints(margin, mass_max),
     )
-    comparison = run(problem, starts=starts, seed=seed, n_jobs=jobs)
+    comparison = run(problem, starts=starts, seed=seed, max_iterations=max_iterations, n_jobs=jobs)
     if out is not None:
         comparison.to_csv(out)
     bound = comparison.certificate

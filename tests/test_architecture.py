@@ -50,9 +50,10 @@ def module_name(path: Path) -> str:
 def room(name: str) -> str:
     """Return the room of a module: helpers stand at the top level and belong to everyone."""
     parts = name.split(".")
-    if len(parts) == 1 or parts[1] == "errors" or parts[1].startswith("_"):
-        return "helpers"
-    return "workflow" if parts[1] in ("workflow", "cli", "__main__") else parts[1]
+    if len(parts) > 1 and parts[1] in ("workflow", "cli", "__main__"):
+        return "workflow"
+    helper = len(parts) == 1 or parts[1] == "errors" or parts[1].startswith("_")
+    return "helpers" if helper else parts[1]
 
 
 def imports(tree: ast.AST) -> Iterator[tuple[str, int]]:

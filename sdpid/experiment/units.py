@@ -26,8 +26,8 @@ def suspect_units(recording: Recording, position_limits: Any = None) -> tuple[st
     """Name the joints whose positions look like degrees.
 
     A joint with finite limits is named when its positions are far beyond them (more than two
-    turns where the limits are within one turn, or a span of more than 1.5 times that of the
-    limits) and would fit if they were degrees. A joint without limits may turn many times, so it
+    turns where the limits are within one turn, or twice the limits with a span of more than 1.5
+    times theirs) and would fit if they were degrees. A joint without limits may turn many times, so it
     is named only together with one that has limits. Where no limits are known at all, joints
     beyond two turns are named when they are more than half of at least two.
 
@@ -112,6 +112,8 @@ def _suspect_limited(low: Array, high: Array, peak: Array, limits: Array) -> Any
     limits = np.where(finite[:, None], limits, 0.0)
     reach = np.abs(limits).max(axis=1)
     turns = (reach <= _LIMIT_OF_ARMS) & (peak > _TWO_TURNS)
+    # A narrow range may honestly be overstepped, but not to twice its farthest end.
     wide = (high - low) > _SPAN_FACTOR * (limits[:, 1] - limits[:, 0])
+    wide &= peak > 2.0 * reach
     fits = np.radians(peak) <= _FIT_FACTOR * reach
     return finite & fits & (turns | wide)

@@ -9,7 +9,8 @@ from hypothesis import given, settings
 from sdpid._arrays import Array
 from sdpid.estimation.problem import Problem, build_problem
 from sdpid.estimation.sdp import solve_sdp
-from sdpid.estimation.slsqp import random_start, solve_slsqp
+from sdpid.estimation.slsqp import solve_slsqp
+from sdpid.estimation.starts import random_start
 from sdpid.estimation.weighting import WEIGHTINGS, Weighting
 from sdpid.estimation.wls import solve_wls
 from sdpid.robot.inertia import Consistency

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from sdpid._arrays import Array
 from sdpid.estimation.physical import PhysicalVariables
 from sdpid.estimation.problem import Problem, build_problem
-from sdpid.estimation.slsqp import random_start
+from sdpid.estimation.starts import random_start
 from sdpid.robot.inertia import Consistency, margin
 from sdpid.robot.load import load_robot
 from sdpid.robot.model import RobotModel

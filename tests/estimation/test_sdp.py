@@ -13,12 +13,13 @@ from hypothesis import strategies as st
 from sdpid._arrays import Array
 from sdpid.assurance.certificate import GAP, certify
 from sdpid.errors import InfeasibleError, SolverError
-from sdpid.estimation.bound import evaluate, lower_bound
+from sdpid.estimation.bound import cost_scale, evaluate, lower_bound
 from sdpid.estimation.constraints import Constraints
 from sdpid.estimation.estimate import Estimate
 from sdpid.estimation.problem import Problem, build_problem
 from sdpid.estimation.sdp import repair, solve_sdp
-from sdpid.estimation.slsqp import random_start, solve_slsqp
+from sdpid.estimation.slsqp import solve_slsqp
+from sdpid.estimation.starts import random_start
 from sdpid.estimation.weighting import Weighting
 from sdpid.estimation.wls import solve_wls
 from sdpid.robot.inertia import Consistency
@@ -98,7 +99,9 @@ def test_an_optimum_is_feasible_certified_and_below_everything(
     assert estimate.margins.min() >= margin
     assert np.all(np.asarray(estimate.theta) >= problem.feasible.lower)
     assert np.all(np.asarray(estimate.theta) <= problem.feasible.upper)
-    assert solve_wls(problem).cost <= estimate.cost * (1.0 + SAME_OPTIMUM)
+    # Where the free optimum is feasible and the floor is zero, both costs are rounding.
+    rounding = SAME_OPTIMUM * cost_scale(problem)
+    assert solve_wls(problem).cost <= estimate.cost * (1.0 + SAME_OPTIMUM) + rounding
     rng = np.random.default_rng(seed)
     for _ in range(5):
         other = random_feasible(problem, rng)
@@ -164,7 +167,7 @@ def independent_optimum(problem: Problem) -> float:
     """Solve again with SCS, written straight down in theta without any scaling of ours."""
     c, n = problem.constraints, problem.robot.n_links
     theta = cp.Variable(problem.n_theta)
-    constraints = [theta <= c.theta_max, theta >= -c.theta_max, theta[10 * n :] >= 0]
+    constraints: list[cp.Constraint] = [cp.abs(theta) <= c.theta_max, theta[10 * n :] >= 0]
     for i in range(n):
         m, hx, hy, hz, xx, xy, yy, xz, yz, zz = (theta[10 * i + k] for k in range(10))
         if problem.consistency == "pseudo_inertia":
@@ -199,11 +202,11 @@ def independent_optimum(problem: Problem) -> float:
 
 
 @pytest.mark.parametrize("consistency", BOTH)
-@pytest.mark.parametrize(("name", "margin"), [("pendulum", 0.01), ("planar", 0.002)])
+@pytest.mark.parametrize(("name", "margin"), [("pendulum", 0.01), ("planar", 0.01)])
 def test_another_solver_and_formulation_find_the_same(
     name: str, margin: float, consistency: Consistency
 ) -> None:
-    problem = noisy(ROBOTS[name], 3, consistency=consistency, margin=margin)
+    problem = noisy(ROBOTS[name], 1, consistency=consistency, margin=margin)
     # Small bounds keep SCS, a first-order method, in reach of its accuracy.
     problem = problem.constrained(
         constraints=Constraints(margin=margin, mass_max=10.0, theta_max=10.0)

@@ -11,10 +11,12 @@ from hypothesis import strategies as st
 
 from sdpid.errors import DataError
 from sdpid.estimation.constraints import Constraints
+from sdpid.estimation.local import FEASIBLE_LOCAL
 from sdpid.estimation.physical import PhysicalVariables
 from sdpid.estimation.problem import Problem, build_problem
 from sdpid.estimation.sdp import solve_sdp
-from sdpid.estimation.slsqp import FEASIBLE_LOCAL, _Program, random_start, solve_slsqp
+from sdpid.estimation.slsqp import _Program, solve_slsqp
+from sdpid.estimation.starts import random_start
 from sdpid.robot.inertia import Consistency
 from sdpid.robot.model import RobotModel
 from tests.helpers.data import flat_links, make_samples, random_theta
@@ -25,11 +27,11 @@ from tests.helpers.tolerances import LOCAL_COST
 BOTH: tuple[Consistency, ...] = ("pseudo_inertia", "spatial_inertia")
 STARTS = 8
 # Where the scaled cost has long settled on these small arms.
-ENOUGH = 300
+ENOUGH = 400
 
 
 def noisy(
-    robot: RobotModel, seed: int, consistency: Consistency, *, margin: float = 0.002
+    robot: RobotModel, seed: int, consistency: Consistency, *, margin: float = 0.01
 ) -> Problem:
     """Return a problem whose optimum lies on the boundary."""
     rng = np.random.default_rng(seed)
@@ -80,7 +82,7 @@ def test_hidden_convexity_from_many_starts(planar: Problem) -> None:
         if local.status == "optimal":
             converged += 1
             assert local.cost <= best.cost * (1.0 + LOCAL_COST)
-    assert converged >= STARTS // 2
+    assert converged >= STARTS - 2
 
 
 def test_an_estimate_tells_how_it_came_about(planar: Problem) -> None:

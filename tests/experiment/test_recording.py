@@ -253,6 +253,7 @@ UNITS = {
     "only what is clear": (motion((-140, 140), (-2, 2)), [ARM, ARM], ("a",)),
     "small motion far from zero": (motion((89, 91)), [ARM], ("a",)),
     "small range in degrees": (motion((-6, 6)), [ARM], ("a",)),
+    "beyond a narrow range": (motion((-1.0, 1.0)), [(-1.57, -0.7)], ()),
     "a little beyond": (motion((-3.0, 3.0)), [ARM], ()),
     "wrapped by a turn": (motion((5.0, 8.0)), [ARM], ()),
     "one full turn": (motion((-6.2, 6.2)), [TURN], ()),

@@ -1,0 +1,407 @@
+"""The command: what it prints, what it writes, and how it ends."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner, Result
+
+import sdpid
+from sdpid import _cli_support, cli
+from sdpid.experiment.plant import true_parameters
+from sdpid.robot.model import RobotModel
+
+ROBOT = "denso_vp6242"
+
+
+@pytest.fixture(scope="module")
+def log(tmp_path_factory: pytest.TempPathFactory, denso: RobotModel) -> Path:
+    """Return the file of a small simulated experiment."""
+    path = tmp_path_factory.mktemp("log") / "run.parquet"
+    trajectory = sdpid.paper_excitation(ROBOT, 5, periods=2, period=20.0)
+    sdpid.simulate(denso, trajectory, theta=true_parameters(ROBOT), seed=5).to_parquet(path)
+    return path
+
+
+@pytest.fixture(scope="module")
+def results(tmp_path_factory: pytest.TempPathFactory, log: Path) -> Path:
+    """Return the folder that `sdpid identify` filled."""
+    out = tmp_path_factory.mktemp("identified")
+    done = run("identify", log, "--robot", ROBOT, "--out", out, "--no-figures")
+    assert done.exit_code == 0, done.output
+    return out
+
+
+def run(*arguments: Any) -> Result:
+    return CliRunner().invoke(cli.app, [str(argument) for argument in arguments])
+
+
+def refused(done: Result, status: int, *words: str) -> None:
+    """Check an exit status and a message of one line, without a traceback."""
+    assert done.exit_code == status, done.output
+    assert done.stderr.startswith("sdpid: ")
+    assert len(done.stderr.splitlines()) == 1
+    assert "Traceback" not in done.output
+    for word in words:
+        assert word in done.stderr
+
+
+def shell(*arguments: str, **options: Any) -> subprocess.CompletedProcess[str]:
+    command = [sys.executable, "-m", "sdpid", *arguments]
+    return subprocess.run(command, capture_output=True, text=True, timeout=120, **options)
+
+
+def test_help_loads_nothing_heavy() -> None:
+    code = (
+        "import sys\nfrom sdpid.cli import app\n"
+        "try: app(['--help'])\nexcept SystemExit as end: assert end.code == 0\n"
+        "print(sorted({m.split('.')[0] for m in sys.modules} & {'numpy', 'scipy', 'pinocchio', "
+        "'mujoco', 'cvxpy', 'matplotlib', 'pyarrow', 'pandas'}))"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60)
+    assert done.stdout.splitlines()[-1] == "[]", done.stderr
+    for command in ("identify", "compare", "simulate", "verify", "validate", "info"):
+        assert command in done.stdout
+
+
+def test_it_runs_as_a_module() -> None:
+    assert shell("--version").stdout.strip() == sdpid.__version__
+    done = shell("verify", "nowhere.json")
+    assert done.returncode == 2
+    assert done.stdout == ""
+    assert done.stderr.startswith("sdpid: cannot read nowhere.json")
+
+
+def test_identify_prints_and_writes(results: Path, log: Path) -> None:
+    names = {path.name for path in results.iterdir()}
+    assert names == {
+        "base_parameters.csv",
+        "parameters.csv",
+        "result.json",
+        "certificate.json",
+        "identified.urdf",
+    }
+    assert sdpid.load_robot(results / "identified.urdf").n == 6
+    out = results / "again"
+    done = run("identify", log, "--robot", ROBOT, "--out", out, "--validation", log)
+    assert done.exit_code == 0
+    assert done.stderr == ""
+    for text in ("relative residual", "joint_6", "NRMSE", "zero-phase", "validation", "files:"):
+        assert text in done.stdout
+    assert (out / "training.png").is_file()
+    assert (out / "validation.png").is_file()
+
+
+def test_identify_as_json(log: Path, tmp_path: Path) -> None:
+    done = shell(
+        *("identify", str(log), "--robot", ROBOT, "--json", "--no-figures"),
+        *("--margin", "0.001", "--mass-max", "60", "--cutoff", "12", "--order", "1"),
+        *("--consistency", "spatial_inertia", "--friction", "coulomb=0.01"),
+        *("--friction", "viscous", "--friction", "coupling=joint_5,joint_6"),
+        cwd=tmp_path,
+    )
+    assert done.returncode == 0, done.stderr
+    found = json.loads(done.stdout)
+    assert found["certified"] is True
+    assert found["problem"]["consistency"] == "spatial_inertia"
+    assert found["worst_margin"] >= 0.001 - 1e-9
+    assert "Fs5_6" in found["standard_parameters"]
+    assert any("order 1 at 12 Hz" in note for note in found["notes"])
+    assert any("no place in a URDF" in note for note in found["notes"])
+    # Without --out there is a folder of its own.
+    assert all((tmp_path / file).is_file() for file in found["files"])
+    assert [path.name for path in tmp_path.iterdir()] == ["sdpid-results"]
+
+
+def test_without_consistency_there_is_no_urdf(log: Path, tmp_path: Path) -> None:
+    done = run(
+        *("identify", log, "--robot", ROBOT, "--consistency", "none"),
+        *("--out", tmp_path, "--no-figures"),
+    )
+    assert done.exit_code == 0, done.output
+    assert not (tmp_path / "identified.urdf").exists()
+    assert (tmp_path / "certificate.json").exists()
+
+
+def test_simulate_then_info(tmp_path: Path) -> None:
+    path = tmp_path / "run.parquet"
+    done = run("simulate", ROBOT, "--out", path, "--periods", 1, "--period", 10, "--seed", 2)
+    assert done.exit_code == 0, done.output
+    assert "peak velocity" in done.stdout
+    record = sdpid.Recording.from_parquet(path)
+    assert (record.period, record.periods) == (10.0, 1)
+    shown = run("info", path, "--robot", ROBOT)
+    assert shown.exit_code == 0, shown.output
+    assert "cutoff_hz=" in shown.stdout
+    assert "warnings" not in shown.stdout
+    facts = json.loads(run("info", path, "--json").stdout)
+    assert facts["samples"] == record.n_samples
+    assert facts["rate_hz"] == pytest.approx(1000.0)
+    assert facts["periods"] == 1
+    assert facts["lost_samples"] == 0
+    assert facts["velocity"] is None
+    assert [joint["joint"] for joint in facts["joints"]] == list(record.names)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (("nowhere", "--out", "run.parquet"), "neither bundled"),
+        ((ROBOT, "--out", "run.csv"), ".parquet"),
+        ((ROBOT, "--out", "nofolder/run.parquet"), "no folder"),
+    ],
+)
+def test_simulate_refuses(
+    arguments: tuple[str, ...], words: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    refused(run("simulate", *arguments), 2, words)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_compare(log: Path, tmp_path: Path) -> None:
+    arguments = (
+        "compare",
+        log,
+        "--robot",
+        ROBOT,
+        "--starts",
+        1,
+        "--jobs",
+        1,
+        "--max-iterations",
+        20,
+    )
+    done = run(*arguments, "--out", tmp_path / "c.csv")
+    assert done.exit_code == 0, done.output
+    assert "random 1" in done.stdout
+    assert (tmp_path / "c.csv").read_text().startswith("solver,")
+    found = json.loads(run(*arguments, "--starts", 0, "--json").stdout)
+    assert found["certified"] is True
+    assert [row["solver"] for row in found["rows"]] == ["wls", "sdp"]
+
+
+def test_verify(results: Path, tmp_path: Path) -> None:
+    certificate = results / "certificate.json"
+    done = run("verify", certificate)
+    assert done.exit_code == 0, done.output
+    assert done.stdout.rstrip().endswith("passed")
+    assert json.loads(run("verify", certificate, "--json").stdout)["passed"] is True
+    forged = json.loads(certificate.read_text())
+    forged["lower_bound"] = forged["cost"]
+    forged["theta"][0] = -1.0
+    (tmp_path / "forged.json").write_text(json.dumps(forged))
+    done = run("verify", tmp_path / "forged.json")
+    refused(done, 2, "forged.json", "bound")
+    assert "NOT PASSED" in done.stdout
+    done = run("verify", tmp_path / "forged.json", "--json")
+    assert done.exit_code == 2
+    assert json.loads(done.stdout)["passed"] is False
+    refused(run("verify", results / "result.json"), 2, "not a certificate")
+
+
+def test_validate(results: Path, log: Path, tmp_path: Path) -> None:
+    urdf, figure = results / "identified.urdf", tmp_path / "f.png"
+    done = run("validate", log, "--robot", urdf, "--figure", figure)
+    assert done.exit_code == 0, done.output
+    assert "relative residual" in done.stdout
+    assert figure.read_bytes().startswith(b"\x89PNG")
+    found = json.loads(run("validate", log, "--robot", urdf, "--json").stdout)
+    trained = json.loads((results / "result.json").read_text())["training"]
+    assert found["relative_residual"] == pytest.approx(trained["relative_residual"], rel=1e-6)
+    # The bundled description has no dynamics of its own: it predicts worse.
+    other = json.loads(run("validate", log, "--robot", ROBOT, "--json").stdout)
+    assert other["relative_residual"] > 2.0 * found["relative_residual"]
+
+
+def csv_log(path: Path, position: np.ndarray, names: list[str] | None = None) -> Path:
+    """Write a log with columns q1, ... and i1, ..."""
+    K, n = position.shape
+    labels = [f"q{j + 1}" for j in range(n)] if names is None else names
+    header = ",".join(["stamp", *labels, *(f"i{j + 1}" for j in range(n))])
+    table = np.column_stack([1000.0 * np.arange(K) / 100.0, position, np.cos(position)])
+    np.savetxt(path, table, delimiter=",", header=header, comments="")
+    return path
+
+
+def wave(*, degrees: bool = False) -> np.ndarray:
+    """Return motions within the arm's limits."""
+    limits = sdpid.load_robot(ROBOT).position_limits
+    time = np.arange(2000)[:, None] / 100.0
+    rates = 0.3 + 0.1 * np.arange(len(limits))
+    reach = 0.4 * (limits[:, 1] - limits[:, 0])
+    position = limits.mean(axis=1) + reach * np.sin(2.0 * np.pi * time * rates)
+    return np.degrees(position) if degrees else position
+
+
+READ = ("--unit", "time=ms", "--column", "effort=i1,i2,i3,i4,i5,i6")
+
+
+def test_columns_and_units(tmp_path: Path) -> None:
+    motion = wave()
+    path = csv_log(tmp_path / "log.csv", np.degrees(motion))
+    facts = json.loads(
+        run("info", path, *READ, "--robot", ROBOT, "--unit", "position=deg", "--json").stdout
+    )
+    assert facts["rate_hz"] == pytest.approx(100.0)
+    assert facts["warnings"] == []
+    assert facts["joints"][0]["position_max"] == pytest.approx(motion[:, 0].max())
+    done = run("info", path, *READ, "--robot", ROBOT)
+    assert "look like degrees" in done.stdout
+    scaled = json.loads(run("info", path, *READ, "--effort-scale", "2,2,2,2,2,2", "--json").stdout)
+    assert scaled["joints"][0]["effort_max"] == pytest.approx(2.0)
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        (("--robot", ROBOT), ("looks like degrees", "--unit QUANTITY=UNIT")),
+        (("--robot", "panda"), ("6 joints", "has 8")),
+        (("--robot", "nobody"), ("no robot 'nobody'",)),
+        (("--robot", ROBOT, "--unit", "position"), ("--unit position", "'='")),
+        (("--robot", ROBOT, "--unit", "time=s"), ("time is given twice",)),
+        (("--robot", ROBOT, "--unit", "position=grad"), ("grad", "deg")),
+        (("--robot", ROBOT, "--column", "efort=i"), ("efort",)),
+        (("--robot", ROBOT, "--column", "velocity=v"), ("'v'",)),
+        (("--robot", ROBOT, "--effort-scale", "1,x"), ("--effort-scale 1,x",)),
+        (("--robot", ROBOT, "--joint-names", "a,b"), ("joint",)),
+        (("--robot", ROBOT, "--velocity", "measured", "--unit", "position=deg"), ("velocity",)),
+        (("--robot", ROBOT, "--cutoff", "80", "--unit", "position=deg"), ("80",)),
+        (("--robot", ROBOT, "--friction", "glue", "--unit", "position=deg"), ("glue",)),
+        (("--robot", ROBOT, "--friction", "viscous=1"), ("viscous=1",)),
+        (("--robot", ROBOT, "--margin", "-1"), ("margin",)),
+        (("--robot", ROBOT, "--period", "0.77"), ("does not divide",)),
+    ],
+)
+def test_identify_refuses_bad_input(
+    options: tuple[str, ...], words: tuple[str, ...], tmp_path: Path
+) -> None:
+    path = csv_log(tmp_path / "log.csv", wave(degrees=True))
+    out = tmp_path / "out"
+    refused(run("identify", path, *READ, *options, "--out", out, "--no-figures"), 2, *words)
+    assert not out.exists()
+
+
+@pytest.mark.parametrize(
+    ("name", "words"),
+    [("missing.npz", "no such file"), ("log.xlsx", "format '.xlsx'"), ("bad.npz", "bad.npz")],
+)
+def test_files_that_cannot_be_read(name: str, words: str, tmp_path: Path) -> None:
+    if name != "missing.npz":
+        (tmp_path / name).write_text("nonsense")
+    refused(run("info", tmp_path / name), 2, words)
+
+
+def test_names_that_do_not_match(tmp_path: Path, denso: RobotModel) -> None:
+    names = [f"position_{name}" for name in (*denso.joint_names[:5], "wrist")]
+    path = csv_log(tmp_path / "log.csv", wave(), names)
+    arguments = ("identify", path, *READ, "--robot", ROBOT, "--out", tmp_path / "out")
+    refused(run(*arguments), 2, "joint_6")
+    shown = run("info", path, *READ, "--robot", ROBOT)
+    assert shown.exit_code == 0
+    assert "joint_6" in shown.stdout
+
+
+@pytest.mark.parametrize(
+    ("option", "value", "word"),
+    [("--margin", "1e6", "the margin of 1000000"), ("--mass-max", "1e-6", "mass_max 1e-06")],
+)
+def test_the_infeasible_ends_with_3(
+    option: str, value: str, word: str, log: Path, tmp_path: Path
+) -> None:
+    out = tmp_path / "out"
+    done = run("identify", log, "--robot", ROBOT, option, value, "--out", out, "--no-figures")
+    refused(done, 3, word)
+    assert not out.exists()
+
+
+def test_the_unidentifiable_ends_with_3(tmp_path: Path) -> None:
+    motion = wave()
+    motion[:, 0] = 0.0
+    path = csv_log(tmp_path / "log.csv", motion)
+    out = tmp_path / "out"
+    refused(run("identify", path, *READ, "--robot", ROBOT, "--out", out), 3, "do not excite")
+    assert not out.exists()
+
+
+@pytest.mark.parametrize(
+    ("error", "status"),
+    [
+        (sdpid.DataError("x"), 2),
+        (sdpid.ModelError("x"), 2),
+        (sdpid.ExportError("x"), 2),
+        (sdpid.CertificateError("x"), 2),
+        (sdpid.MissingExtraError("x"), 2),
+        (PermissionError(13, "Permission denied", "x"), 2),
+        (sdpid.InfeasibleError("x"), 3),
+        (sdpid.IdentifiabilityError("x"), 3),
+        (sdpid.SolverError("x"), 1),
+        (RuntimeError("x"), 1),
+    ],
+    ids=lambda value: type(value).__name__,
+)
+def test_every_error_has_its_status(error: Exception, status: int) -> None:
+    assert _cli_support.exit_status(error) == status
+
+
+def raising(error: BaseException) -> Any:
+    def fail(*_: object, **__: object) -> None:
+        raise error
+
+    return fail
+
+
+def test_what_nobody_expected(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.delenv("SDPID_DEBUG", raising=False)
+    monkeypatch.setattr("sdpid.experiment.readers.read_recording", raising(KeyError("q")))
+    refused(run("info", tmp_path), 1, "unexpected KeyError", "report", "--debug")
+    assert "Traceback" in run("--debug", "info", tmp_path).stderr
+    monkeypatch.setenv("SDPID_DEBUG", "1")
+    assert "Traceback" in run("info", tmp_path).stderr
+
+
+def test_an_interrupt_is_quiet(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.setattr("sdpid.experiment.readers.read_recording", raising(KeyboardInterrupt()))
+    done = run("info", tmp_path)
+    assert done.exit_code == 130
+    assert done.output == ""
+
+
+def test_a_missing_extra_is_named_before_any_work(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    missing = sdpid.MissingExtraError("pip install 'sdpid[plot]'")
+    monkeypatch.setattr(cli, "require", raising(missing))
+    refused(run("identify", tmp_path / "x.npz", "--robot", ROBOT, "--figures"), 2, "sdpid[plot]")
+
+
+def test_out_must_not_be_a_file(tmp_path: Path) -> None:
+    (tmp_path / "out").write_text("")
+    refused(run("identify", "x.npz", "--robot", ROBOT, "--out", tmp_path / "out"), 2, "is a file")
+
+
+@pytest.mark.parametrize("arguments", [("identify",), ("identify", "x", "--nope"), ("frobnicate",)])
+def test_usage_errors_are_typers(arguments: tuple[str, ...]) -> None:
+    done = run(*arguments)
+    assert done.exit_code == 2
+    assert "Usage" in done.stderr
+
+
+def test_real_recordings(data_folder: Path, tmp_path: Path) -> None:
+    folder = data_folder / "panda_unisa"
+    log, urdf = folder / "panda_exciting.npz", folder / "panda.urdf"
+    shown = run("info", log, "--robot", urdf)
+    assert "fer_joint1 is panda_joint1" in shown.stdout
+    options = ("--cutoff", 4, "--velocity", "measured", "--no-figures", "--json")
+    done = run("identify", log, "--robot", urdf, "--out", tmp_path, *options)
+    assert done.exit_code == 0, done.output
+    found = json.loads(done.stdout)
+    assert found["certified"] is True
+    assert list(found["training"]["joints"]) == [f"panda_joint{j}" for j in range(1, 8)]
+    assert found["training_unconstrained"]["relative_residual"] <= 0.015
