@@ -13,6 +13,8 @@ from .errors import (
 )
 from .estimation.constraints import Constraints
 from .estimation.estimate import Estimate
+from .estimation.log_cholesky import solve_log_cholesky
+from .estimation.prior import Prior
 from .estimation.problem import Problem, build_problem
 from .estimation.sdp import solve_sdp
 from .estimation.slsqp import solve_slsqp
@@ -65,6 +67,7 @@ __all__ = [
     "MissingExtraError",
     "ModelError",
     "Offset",
+    "Prior",
     "Problem",
     "Processing",
     "Recording",
@@ -87,6 +90,7 @@ __all__ = [
     "process",
     "read_recording",
     "simulate",
+    "solve_log_cholesky",
     "solve_sdp",
     "solve_slsqp",
     "solve_wls",

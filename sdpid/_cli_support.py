@@ -133,6 +133,14 @@ Margin = Annotated[
         metavar="X", help="Least margin of every link, kg.m2.", rich_help_panel=_ESTIMATION
     ),
 ]
+PriorOf = Annotated[
+    bool | None,
+    typer.Option(
+        "--prior/--no-prior",
+        help="Believe in the description's inertias; by default for logs without periods.",
+        rich_help_panel=_ESTIMATION,
+    ),
+]
 MassMax = Annotated[
     float | None,
     typer.Option(

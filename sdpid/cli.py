@@ -63,6 +63,7 @@ def identify(
     consistency: cli.ConsistencyOf = cli.Consistency.pseudo_inertia,
     margin: cli.Margin = 0.0,
     mass_max: cli.MassMax = None,
+    prior: cli.PriorOf = None,
     friction: cli.Friction = None,
     weighting: cli.WeightingOf = None,
     cutoff: cli.Cutoff = None,
@@ -100,6 +101,7 @@ def identify(
         weighting=None if weighting is None else weighting.value,
         consistency=consistency.value,
         constraints=_constraints(margin, mass_max),
+        prior=prior,
     )
     notes = list(result.problem.samples.notes)
     files = [str(path) for path in result.save(out, figures=draw, report=notes.append)]
@@ -125,12 +127,15 @@ def compare(
     robot: cli.Robot,
     starts: Annotated[int, typer.Option(min=0, help="Random starts of the local solver.")] = 20,
     seed: Annotated[int, typer.Option(min=0, help="Of the starts.")] = 0,
-    max_iterations: Annotated[int, typer.Option(min=1, help="Its limit.")] = 3000,
+    max_iterations: Annotated[
+        int | None, typer.Option(min=1, help="Limit of the local solvers; each has its own.")
+    ] = None,
     out: Annotated[Path | None, typer.Option(help="CSV file for the rows.")] = None,
     jobs: Annotated[int | None, typer.Option(help="Processes; by default one a core.")] = None,
     consistency: cli.ConsistencyOf = cli.Consistency.pseudo_inertia,
     margin: cli.Margin = 0.0,
     mass_max: cli.MassMax = None,
+    prior: cli.PriorOf = None,
     friction: cli.Friction = None,
     weighting: cli.WeightingOf = None,
     cutoff: cli.Cutoff = None,
@@ -162,6 +167,7 @@ def compare(
         weighting=None if weighting is None else weighting.value,
         consistency=consistency.value,
         constraints=_constraints(margin, mass_max),
+        prior=prior,
     )
     comparison = run(problem, starts=starts, seed=seed, max_iterations=max_iterations, n_jobs=jobs)
     if out is not None:

@@ -21,6 +21,7 @@ from sdpid.assurance.validation import Validation, validate
 from sdpid.errors import ExportError
 from sdpid.estimation.constraints import Constraints
 from sdpid.estimation.estimate import Estimate
+from sdpid.estimation.prior import Prior
 from sdpid.estimation.problem import Problem, build_problem, describe
 from sdpid.estimation.sdp import solve_sdp
 from sdpid.estimation.weighting import Weighting
@@ -84,6 +85,7 @@ class Identification:
             "certified": self.certificate.passed,
             "worst_margin": estimate.worst_margin,
             "solve_time": estimate.solve_time,
+            "prior": None if self.problem.prior is None else list(self.problem.prior.notes),
             "weakly_excited": [{"singular_value": v, "parameters": list(n)} for v, n in weak],
             "base_parameters": estimate.named(),
             "standard_parameters": estimate.named_theta(),
@@ -100,6 +102,9 @@ class Identification:
             f"relative residual {100 * self.training.relative:.2f} % (unconstrained "
             f"{100 * self.training_wls.relative:.2f} %)",
         ]
+        if self.problem.prior is not None:
+            lines.append("the description's own inertias count as a weak belief beside the data")
+            lines += self.problem.prior.notes
         if self.validation is not None:
             lines.append(f"on the validation recording {100 * self.validation.relative:.2f} %")
         weak = self.problem.excitation.weak()
@@ -229,16 +234,23 @@ def formulate(
     weighting: Weighting | None = None,
     consistency: Consistency = "pseudo_inertia",
     constraints: Constraints | None = None,
+    prior: Prior | bool | None = None,
 ) -> Problem:
     """Build the problem that `identify` solves; arguments and errors are those of `identify`."""
     samples = prepare(robot, log, processing)
+    chosen: Weighting = weighting or ("residual" if samples.covariance is None else "gls")
+    if prior is None:
+        prior = chosen == "residual" and bool(np.any(robot.prior[:, 0] > 0.0))
+    if isinstance(prior, bool):
+        prior = Prior() if prior else None
     return build_problem(
         robot,
         samples,
         friction=default_friction(log) if friction is None else friction,
-        weighting=weighting or ("residual" if samples.covariance is None else "gls"),
+        weighting=chosen,
         consistency=consistency,
         constraints=constraints,
+        prior=prior,
     )
 
 
@@ -252,6 +264,7 @@ def identify(
     weighting: Weighting | None = None,
     consistency: Consistency = "pseudo_inertia",
     constraints: Constraints | None = None,
+    prior: Prior | bool | None = None,
 ) -> Identification:
     """Identify a robot from a recording, with defaults for everything.
 
@@ -273,6 +286,10 @@ def identify(
         What every link must obey.
     constraints : Constraints, optional
         Margins and bounds.
+    prior : Prior or bool, optional
+        What is believed beside the data. By default the description's own inertias, with a
+        strength of one nat, for records without periods of a robot whose description has masses;
+        none otherwise.
 
     Returns
     -------
@@ -301,8 +318,9 @@ def identify(
         weighting=weighting,
         consistency=consistency,
         constraints=constraints,
+        prior=prior,
     )
-    wls = solve_wls(problem)
+    wls = solve_wls(replace(problem, prior=None))
     estimate = solve_sdp(problem)
     return Identification(
         problem=problem,

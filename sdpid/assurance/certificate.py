@@ -118,6 +118,8 @@ class Certificate:
             "A": problem.A.tolist(),
             "rhs": problem.rhs.tolist(),
             "floor": problem.floor,
+            "prior_matrix": None if problem.prior is None else problem.prior.matrix.tolist(),
+            "prior_rhs": None if problem.prior is None else problem.prior.rhs.tolist(),
             "base_matrix": problem.base.matrix.tolist(),
             "lower": feasible.lower.tolist(),
             "upper": feasible.upper.tolist(),
@@ -244,11 +246,16 @@ def _recompute(data: dict[str, Any]) -> Verification:
     problems = []
     residual = A @ base - rhs
     cost = float(residual @ residual) + floor
+    count = len(rhs)
+    believed = data["prior_matrix"] is not None
+    R = array("prior_matrix") if believed else np.zeros((0, B.shape[1]))
+    r = array("prior_rhs") if believed else np.zeros(0)
     worst = None
     if data["theta"] is None:
         problems.append("no standard parameters: nothing is feasible")
     else:
         theta = array("theta")
+        cost += float(np.sum((R @ theta - r) ** 2))
         if not np.allclose(B @ theta, base, rtol=1e-9, atol=1e-9):
             problems.append("base is not B·theta")
         outside = float(np.max(np.maximum(lower - theta, theta - upper)))
@@ -260,8 +267,8 @@ def _recompute(data: dict[str, Any]) -> Verification:
                 worst = float(margins.min())
             if worst is None or worst < float(data["margin"]) - FEASIBLE:
                 problems.append(f"a link's margin is {worst}, below {data['margin']}")
-    linear = 2.0 * (B.T @ (A.T @ y))
-    constant = floor - float(y @ y) - 2.0 * float(y @ rhs)
+    linear = 2.0 * (B.T @ (A.T @ y[:count]) + R.T @ y[count:])
+    constant = floor - float(y @ y) - 2.0 * float(y[:count] @ rhs + y[count:] @ r)
     if Z.size:
         smallest = float(np.linalg.eigvalsh(Z)[:, 0].min())
         if smallest < -_PSD * max(float(np.abs(Z).max()), np.finfo(float).tiny):
@@ -270,7 +277,7 @@ def _recompute(data: dict[str, Any]) -> Verification:
         shift = float(data["margin"]) * margin_shift(consistency)
         constant += float(np.einsum("lij,ij->", Z, shift))
     bound = constant + float(linear @ np.where(linear > 0.0, lower, upper))
-    scale = max(cost, TINY_COST * (float(rhs @ rhs) + floor))
+    scale = max(cost, TINY_COST * (float(rhs @ rhs + r @ r) + floor))
     gap = (cost - bound) / scale
     for name, value in (("cost", cost), ("lower_bound", bound)):
         if abs(float(data[name]) - value) > 1e-9 * scale:

@@ -2,11 +2,12 @@
 
 For any y and any Z ⪰ 0 the cost obeys, at every feasible theta,
 
-    f(theta) ≥ floor − ‖y‖² − 2·y·rhs − Σ⟨Z_i, F_0⟩ + c·theta,
-    c = 2·G^T·y − Σ L_i*(Z_i),   G = A·B,
+    f(theta) ≥ floor − ‖y‖² − 2·y·h − Σ⟨Z_i, F_0⟩ + c·theta,
+    c = 2·G^T·y − Σ L_i*(Z_i),   f(theta) = ‖G·theta − h‖² + floor
 
-since ‖r‖² ≥ 2·y·r − ‖y‖² and ⟨Z_i, F_i(theta)⟩ ≥ 0. Every theta lies in the box of the declared
-bounds, so c·theta is at least its smallest value there.
+since ‖r‖² ≥ 2·y·r − ‖y‖² and ⟨Z_i, F_i(theta)⟩ ≥ 0. (G = A·B and h = rhs, with the prior's rows
+below where there is a prior.) Every theta lies in the box of the declared bounds, so c·theta is
+at least its smallest value there.
 """
 
 from __future__ import annotations
@@ -27,7 +28,7 @@ TINY_COST = 1e-6
 
 # How far the null space of a multiplier may take part in polishing it, relative to its largest
 # eigenvalue: tried in turn, halved in each of so many rounds, until the gap is small enough.
-_SOFT = (1e-6, 1e-8, 1e-10, 1e-5, 1e-4)
+_SOFT = (1e-6, 1e-8, 1e-10, 1e-12, 1e-14, 1e-5, 1e-4)
 _ROUNDS = 8
 
 # Equations of the polishing that are this close to dependent are dependent.
@@ -45,8 +46,8 @@ class Bound:
     ----------
     value : float
         No feasible parameters cost less (in floating point).
-    y : ndarray, shape (b,)
-        Multiplier of the residual.
+    y : ndarray, shape (rows,)
+        Multiplier of the residual of `Problem.design`.
     Z : ndarray, shape (links, s, s)
         Multipliers of the matrix inequalities, positive semidefinite.
     """
@@ -64,11 +65,21 @@ def adjoint(Z: Array, basis: Array, n_theta: int) -> Array:
     return out
 
 
+def gradient(problem: Problem, y: Array) -> Array:
+    """Return G^T·y, through the base matrix so that invisible directions vanish exactly."""
+    count = problem.base.count
+    out = problem.base.matrix.T @ (problem.A.T @ y[:count])
+    if problem.prior is not None:
+        out = out + problem.prior.matrix.T @ y[count:]
+    return np.asarray(out)
+
+
 def evaluate(problem: Problem, y: Array, Z: Array) -> float:
     """Return the bound that y and positive semidefinite Z prove."""
     feasible = problem.feasible
-    linear = 2.0 * (problem.base.matrix.T @ (problem.A.T @ y))
-    constant = problem.floor - y @ y - 2.0 * (y @ problem.rhs)
+    h = problem.design[1]
+    linear = 2.0 * gradient(problem, y)
+    constant = problem.floor - y @ y - 2.0 * (y @ h)
     if Z.size:
         linear = linear - adjoint(Z, feasible.basis(), problem.n_theta)
         constant -= float(np.einsum("lij,ij->", Z, feasible.constant()))
@@ -101,8 +112,12 @@ def lower_bound(estimate: Estimate) -> Bound:
     """
     problem = estimate.problem
     s = problem.feasible.size
-    y = problem.A @ estimate.base - problem.rhs
     found = estimate.multipliers
+    if estimate.theta is not None:
+        y = problem.residual_of(estimate.theta)
+    else:
+        y = problem.A @ estimate.base - problem.rhs
+        y = np.concatenate([y, np.zeros(len(problem.design[1]) - len(y))])
     if found is None or estimate.theta is None or not found.Z.size:
         Z = np.zeros((0, s, s))
         return Bound(evaluate(problem, y, Z), y, Z)
@@ -160,9 +175,9 @@ def _polished(
         changes[own, link] = np.einsum("aij,kij->ka", S[link] @ symmetric @ S[link], F)
     bounded = np.flatnonzero(np.isfinite(found.bounds))
     mu = np.nan_to_num(found.bounds)
-    GT = 2.0 * problem.base.matrix.T @ problem.A.T / unit
+    GT = 2.0 * problem.design[0].T / unit
     missing = (adjoint(full, feasible.basis(), problem.n_theta) + mu) / scaling.cost
-    missing = missing - GT @ (y / unit)
+    missing = missing - 2.0 * gradient(problem, y) / scaling.cost
     scale_y = max(float(np.linalg.norm(y)) / unit, 1e-3)
     relax = np.eye(problem.n_theta)[:, bounded]
     relax = relax * (np.abs(mu[bounded]) / scaling.cost + soft / scaling.theta[bounded])
@@ -179,7 +194,8 @@ def _polished(
 
 def cost_scale(problem: Problem) -> float:
     """Return the smallest cost that gaps are relative to."""
-    return TINY_COST * (float(problem.rhs @ problem.rhs) + problem.floor)
+    h = problem.design[1]
+    return TINY_COST * (float(h @ h) + problem.floor)
 
 
 def relative_gap(problem: Problem, cost: float, bound: float) -> float:

@@ -37,8 +37,8 @@ class Multipliers:
         Of the links' matrix inequalities.
     bounds : ndarray, shape (p,)
         Of the bounds on theta, lower less upper; NaN where the solver was given none.
-    y : ndarray, shape (b,), or None
-        Of the residual; None is the estimate's own residual.
+    y : ndarray, or None
+        Of the residual of `Problem.design`; None is the estimate's own residual.
     """
 
     Z: Array
@@ -55,7 +55,7 @@ class Estimate:
     problem : Problem
         What was solved.
     method : str
-        ``"wls"``, ``"slsqp"`` or ``"sdp"``.
+        ``"wls"``, ``"slsqp"``, ``"log_cholesky"`` or ``"sdp"``.
     base : ndarray, shape (b,)
         Base parameters, in the units of ``problem.base.units``.
     theta : ndarray, shape (p,), or None
@@ -103,8 +103,10 @@ class Estimate:
 
     @cached_property
     def cost(self) -> float:
-        """Weighted cost, recomputed from the base parameters."""
-        return self.problem.cost(self.base)
+        """Weighted cost, recomputed; with a prior the prior's part included."""
+        if self.problem.prior is None or self.theta is None:
+            return self.problem.cost(self.base)
+        return self.problem.cost_of(self.theta)
 
     @cached_property
     def margins(self) -> Array | None:

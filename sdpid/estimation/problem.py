@@ -14,6 +14,7 @@ from sdpid._arrays import Array, frozen
 from sdpid.errors import DataError
 from sdpid.estimation.constraints import Constraints, FeasibleSet
 from sdpid.estimation.excitation import Excitation, require_excitation
+from sdpid.estimation.prior import Prior, PriorRows, prior_rows
 from sdpid.estimation.rows import RowSource, Triangle
 from sdpid.estimation.weighting import (
     WEIGHTINGS,
@@ -34,7 +35,7 @@ class Problem:
     """Weighted least squares over the physically possible parameters.
 
     The cost of base parameters is ``‖A @ base − rhs‖² + floor``, for every weighting. It is
-    the weighted residual of all rows, compressed once.
+    the weighted residual of all rows, compressed once. A prior adds ``‖R @ theta − r‖²``.
 
     Attributes
     ----------
@@ -60,6 +61,8 @@ class Problem:
         Rows that are not masked.
     feasible : FeasibleSet
         The constraints.
+    prior : PriorRows or None
+        What is believed beside the data, as further rows of the cost.
     """
 
     robot: RobotModel
@@ -73,6 +76,7 @@ class Problem:
     floor: float
     n_rows: int
     feasible: FeasibleSet
+    prior: PriorRows | None = None
 
     @property
     def consistency(self) -> Consistency:
@@ -94,8 +98,17 @@ class Problem:
         """Which base parameters the data show, and how well."""
         return Excitation.of(self.A, self.base.names)
 
+    @cached_property
+    def design(self) -> tuple[Array, Array]:
+        """G and h with ``cost_of(theta) = ‖G @ theta − h‖² + floor``: data, then prior."""
+        G = self.A @ self.base.matrix
+        if self.prior is None:
+            return frozen(G), self.rhs
+        h = np.concatenate([self.rhs, self.prior.rhs])
+        return frozen(np.vstack([G, self.prior.matrix])), frozen(h)
+
     def cost(self, base: ArrayLike) -> float:
-        """Return the cost of base parameters (b,)."""
+        """Return the cost of base parameters (b,), without the prior's."""
         residual = self.A @ np.asarray(base, dtype=np.float64) - self.rhs
         return float(residual @ residual) + self.floor
 
@@ -104,8 +117,20 @@ class Problem:
         return np.asarray(self.base.matrix @ np.asarray(theta, dtype=np.float64))
 
     def cost_of(self, theta: ArrayLike) -> float:
-        """Return the cost of standard parameters (p,)."""
-        return self.cost(self.base_of(theta))
+        """Return the cost of standard parameters (p,), the prior's included."""
+        cost = self.cost(self.base_of(theta))
+        if self.prior is not None:
+            residual = self.prior.matrix @ np.asarray(theta, dtype=np.float64) - self.prior.rhs
+            cost += float(residual @ residual)
+        return cost
+
+    def residual_of(self, theta: ArrayLike) -> Array:
+        """Return ``G @ theta − h``, through the base parameters for accuracy."""
+        residual = self.A @ self.base_of(theta) - self.rhs
+        if self.prior is None:
+            return np.asarray(residual)
+        believed = self.prior.matrix @ np.asarray(theta, dtype=np.float64) - self.prior.rhs
+        return np.concatenate([residual, believed])
 
     @property
     def rows(self) -> RowSource:
@@ -149,6 +174,7 @@ def build_problem(
     weighting: Weighting = "gls",
     consistency: Consistency = "pseudo_inertia",
     constraints: Constraints | None = None,
+    prior: Prior | None = None,
     base: BaseParameters | None = None,
 ) -> Problem:
     """Build the problem of estimating a robot's parameters from samples.
@@ -170,6 +196,9 @@ def build_problem(
         What constrained solvers demand of every link.
     constraints : Constraints, optional
         Margins and bounds.
+    prior : Prior, optional
+        What is believed beside the data (see `sdpid.estimation.prior`); none by default. With one
+        the data may leave base parameters undetermined.
     base : BaseParameters, optional
         Found before for the same robot and terms.
 
@@ -212,8 +241,10 @@ def build_problem(
             robot.n_links,
             np.array([p.nonnegative for p in model.parameters], dtype=bool),
         ),
+        prior=None if prior is None else prior_rows(prior, rows),
     )
-    require_excitation(problem.excitation)
+    if prior is None:
+        require_excitation(problem.excitation)
     return problem
 
 
@@ -280,5 +311,6 @@ def describe(problem: Problem) -> dict[str, Any]:
         "weighting": problem.weighting,
         "consistency": problem.consistency,
         "margin": problem.constraints.margin,
+        "prior": problem.prior is not None,
         "condition_number": problem.excitation.condition_number,
     }

@@ -68,7 +68,8 @@ class Scaling:
     def of(cls, problem: Problem) -> Scaling:
         """Choose scales from the robot's lengths, its prior and the measured efforts."""
         length = characteristic_length(problem.robot)
-        total = float(problem.rhs @ problem.rhs) + problem.floor
+        h = problem.design[1]
+        total = float(h @ h) + problem.floor
         links = problem.robot.n_links
         G = problem.A @ problem.base.matrix
         units = np.tile([1.0, *(length,) * 3, *(length**2,) * 6], links)

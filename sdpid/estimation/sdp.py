@@ -16,6 +16,7 @@ from sdpid.estimation.problem import Problem
 from sdpid.estimation.scaling import Scaling
 from sdpid.estimation.sdp_face import nearest_on_face
 from sdpid.estimation.wls import solve_wls
+from sdpid.robot.inertia import Consistency
 
 # What is taken to be inside: a solution on the boundary is moved in by this share of the link's
 # own second moments, so that rounding cannot take it out again. It is some fifty roundings and no
@@ -29,7 +30,16 @@ _REPAIRS = 10
 # Tighter than the solver can reach: it then stops where it makes no further progress, and what
 # it found is judged by the gap that is recomputed here. Each attempt starts with new scales.
 _TOLERANCE = 1e-11
-_ATTEMPTS = 5
+
+# What Clarabel adds to the diagonal of its linear systems. Its default of 1e-8 suits the 6×6
+# inequality, whose ten parameters spread over 21 entries; for the 4×4 it is too much where the
+# data are precise and the cost steep: the solver then stops 1e-3 above the optimum.
+_DEGENERATE, _STEEP, _BETWEEN = 1e-8, 1e-12, 1e-10
+
+# Weight of ‖z‖² in some attempts, beside a cost of order one: where the optimal face is unbounded
+# but for theta_max, it keeps the path of the solver from running off along it. What that costs
+# is part of the gap, which decides.
+_ANCHOR = 1e-10
 
 # Where nothing was found the cost is counted in units larger by this factor.
 _COARSER = 1e3
@@ -75,19 +85,22 @@ def solve_sdp(problem: Problem, *, verbose: bool = False) -> Estimate:
         error.problem = problem
         raise
     scaling = Scaling.of(problem)
+    found_scaling = scaling
     reference = _reference(problem, scaling)
     boxed = problem.feasible.bounded
     solve_time, iterations, status = 0.0, 0, ""
     best: Estimate | None = None
     best_gap = np.inf
-    for _ in range(_ATTEMPTS):
-        program = _Program.build(problem, scaling, reference, boxed)
-        status = program.run(verbose)
+    for attempt in _attempts(problem.consistency):
+        chosen = found_scaling if attempt.around else scaling
+        program = _Program.build(problem, chosen, reference, boxed, attempt.anchor)
+        status = program.run(attempt.regularisation, verbose)
         solve_time += program.solve_time
         iterations += program.iterations
         if program.z.value is None:
             # Also where Clarabel says infeasible: the constraints were found to hold together.
             scaling = replace(scaling, cost=_COARSER * scaling.cost)
+            found_scaling = replace(found_scaling, cost=scaling.cost)
             continue
         theta = program.theta()
         outside = (theta < problem.feasible.lower) | (theta > problem.feasible.upper)
@@ -112,8 +125,9 @@ def solve_sdp(problem: Problem, *, verbose: bool = False) -> Estimate:
             best, best_gap = replace(estimate, multipliers=proof), gap
         if best_gap <= _GAP:
             break
-        # From now on count the cost in units of itself, and links in units of what was found.
-        scaling = replace(scaling, cost=max(scaling.cost, estimate.cost)).around(theta)
+        # From now on count the cost in units of itself.
+        scaling = replace(scaling, cost=max(scaling.cost, estimate.cost))
+        found_scaling = scaling.around(theta)
     if best is None or best_gap > _GAP or (best.violation or 0.0) > FEASIBLE:
         found = "nothing" if best is None else f"a relative gap of {best_gap:.1e}"
         raise SolverError(
@@ -125,13 +139,44 @@ def solve_sdp(problem: Problem, *, verbose: bool = False) -> Estimate:
     return _settled(best)
 
 
+@dataclass(frozen=True)
+class _Attempt:
+    """How one attempt is made.
+
+    Attributes
+    ----------
+    regularisation : float
+        Clarabel's.
+    around : bool
+        Whether links are counted in units of what the attempt before found.
+    anchor : float
+        Weight of ‖z‖².
+    """
+
+    regularisation: float
+    around: bool = False
+    anchor: float = 0.0
+
+
+def _attempts(consistency: Consistency) -> tuple[_Attempt, ...]:
+    """Return what is tried in turn until the gap is proven small, the likeliest first."""
+    if consistency == "spatial_inertia":
+        order = ((_DEGENERATE, False), (_STEEP, False), (_DEGENERATE, True), (_STEEP, True))
+    else:
+        order = ((_STEEP, False), (_STEEP, True), (_DEGENERATE, True), (_DEGENERATE, False))
+    plain = (*(_Attempt(*pair) for pair in order), _Attempt(_BETWEEN, True), _Attempt(_BETWEEN))
+    values = (_DEGENERATE, _STEEP, _BETWEEN)
+    return (*plain, *(_Attempt(value, anchor=_ANCHOR) for value in values))
+
+
 def _settled(estimate: Estimate) -> Estimate:
     """Move along the directions that cost nothing, to the point nearest to the description.
 
     What is found is kept only where it costs no more than the solver's own accuracy.
     """
     problem = estimate.problem
-    if problem.consistency == "none" or estimate.theta is None:
+    if problem.consistency == "none" or problem.prior is not None or estimate.theta is None:
+        # Without matrix inequalities nothing says what is near; with a prior nothing is free.
         return estimate
     found = nearest_on_face(problem, np.array(estimate.theta))
     if found is None:
@@ -143,13 +188,17 @@ def _settled(estimate: Estimate) -> Estimate:
         base=frozen(problem.base_of(theta)),
         message=f"{estimate.message}; nearest to the description on the optimal face",
     )
-    limit = estimate.cost + _FACE * max(estimate.cost, cost_scale(problem))
-    return moved if moved.feasible and moved.cost <= limit else estimate
+    allowed = estimate.cost + _FACE * max(estimate.cost, cost_scale(problem))
+    proven = relative_gap(problem, moved.cost, lower_bound(moved).value) <= _GAP
+    return moved if moved.feasible and moved.cost <= allowed and proven else estimate
 
 
 def _reference(problem: Problem, scaling: Scaling) -> Array:
     """Return standard parameters whose base parameters fit best, smallest in scaled size."""
     basis = scaling.basis()
+    if problem.prior is not None:
+        G, h = problem.design
+        return np.asarray(basis @ np.linalg.lstsq(G @ basis, h, rcond=None)[0])
     target = solve_wls(problem).base
     return np.asarray(basis @ np.linalg.lstsq(problem.base.matrix @ basis, target, rcond=None)[0])
 
@@ -167,16 +216,18 @@ class _Program:
     model: Any
 
     @classmethod
-    def build(cls, problem: Problem, scaling: Scaling, reference: Array, boxed: Mask) -> _Program:
-        """Build with bounds on the parameters in `boxed`."""
+    def build(
+        cls, problem: Problem, scaling: Scaling, reference: Array, boxed: Mask, anchor: float
+    ) -> _Program:
+        """Build with bounds on the parameters in `boxed` and a weight of ‖z‖²."""
         import cvxpy as cp
 
         feasible = problem.feasible
         z = cp.Variable(problem.n_theta)
         basis = scaling.basis()
         unit = np.sqrt(scaling.cost)
-        G = problem.A @ (problem.base.matrix @ basis) / unit
-        offset = (problem.A @ problem.base_of(reference) - problem.rhs) / unit
+        G = problem.design[0] @ basis / unit
+        offset = problem.residual_of(reference) / unit
         bounded = np.flatnonzero(boxed)
         size = scaling.theta[bounded]
         rows = basis[bounded] / size[:, None]
@@ -195,15 +246,23 @@ class _Program:
                 linear = (inverse @ matrices @ inverse.T).reshape(10, -1)
                 F = cp.reshape(linear.T @ z[own], (s, s), order="C") + constant[link]
                 blocks.append(F >> 0)
-        objective = cp.Minimize(cp.sum_squares(G @ z + offset))
+        cost = cp.sum_squares(G @ z + offset)
+        if anchor > 0.0:
+            cost = cost + anchor * cp.sum_squares(z)
+        objective = cp.Minimize(cost)
         model = cp.Problem(objective, constraints + blocks)
         return cls(problem, scaling, reference, bounded, z, blocks, model)
 
-    def run(self, verbose: bool) -> str:
+    def run(self, regularisation: float, verbose: bool) -> str:
         """Solve and return the status."""
         import cvxpy as cp
 
-        settings = {"tol_gap_abs": _TOLERANCE, "tol_gap_rel": _TOLERANCE, "tol_feas": _TOLERANCE}
+        settings = {
+            "tol_gap_abs": _TOLERANCE,
+            "tol_gap_rel": _TOLERANCE,
+            "tol_feas": _TOLERANCE,
+            "static_regularization_constant": regularisation,
+        }
         try:
             with warnings.catch_warnings():
                 # The warning that the solution may be inaccurate: its gap is recomputed.

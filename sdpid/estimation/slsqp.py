@@ -7,57 +7,18 @@ from typing import Any
 
 import numpy as np
 
-from sdpid._arrays import Array, frozen, real_array
+from sdpid._arrays import Array, frozen
 from sdpid.errors import DataError
 from sdpid.estimation.bound import TINY_COST
 from sdpid.estimation.estimate import Estimate, Step
+from sdpid.estimation.local import FEASIBLE_LOCAL, STATIONARY
 from sdpid.estimation.physical import PhysicalVariables
 from sdpid.estimation.problem import Problem
 from sdpid.estimation.scaling import Scaling
-from sdpid.robot.inertia import theta_from_physical
-
-# A local result may lie this far outside a constraint (kg·m², kg, …) and still count as feasible;
-# SLSQP works on scaled constraints and stops near 1e-10 of them.
-FEASIBLE_LOCAL = 1e-7
-
-
-# SLSQP sometimes reports success where it merely stopped making progress. Its word is checked: a
-# Newton step on what the multipliers leave of the gradient must not promise more than this share
-# of the cost.
-STATIONARY = 1e-4
+from sdpid.estimation.starts import checked_start
 
 # Constraints this close to zero (scaled) may have a multiplier.
 _ACTIVE = 1e-6
-
-
-def random_start(problem: Problem, rng: np.random.Generator) -> Array:
-    """Return random standard parameters that satisfy the constraints.
-
-    Each link is a random ellipsoid: masses log-uniform within the bounds around the problem's
-    own scale, radii and centres of mass of the size of the robot.
-
-    Parameters
-    ----------
-    problem : Problem
-        The problem.
-    rng : numpy.random.Generator
-        Source of randomness.
-    """
-    scaling = Scaling.of(problem)
-    bounds = problem.constraints
-    links = problem.robot.n_links
-    low = max(bounds.mass_min * 1.01, 0.05 * scaling.mass)
-    high = max(min(bounds.mass_max * 0.99, 3.0 * scaling.mass), low)
-    mass = np.exp(rng.uniform(np.log(low), np.log(high), links))
-    com = rng.normal(0.0, 0.5 * scaling.length, (links, 3))
-    frames = np.linalg.qr(rng.standard_normal((links, 3, 3)))[0]
-    moments = mass[:, None] * (scaling.length * rng.uniform(0.1, 0.8, (links, 3))) ** 2
-    moments = moments + 1.1 * bounds.margin
-    second = np.einsum("lik,lk,ljk->lij", frames, moments, frames)
-    trace = moments.sum(axis=1)[:, None, None] * np.eye(3)
-    friction = scaling.theta[10 * links :] * rng.uniform(0.05, 1.0, problem.n_theta - 10 * links)
-    bodies = theta_from_physical(mass, com, trace - second)
-    return np.concatenate([bodies.ravel(), friction])
 
 
 def solve_slsqp(
@@ -106,18 +67,7 @@ def solve_slsqp(
     if problem.consistency == "none":
         raise DataError("solve_slsqp: consistency is 'none', nothing constrains; use solve_wls.")
     variables = PhysicalVariables.of(problem)
-    if start is None:
-        start = random_start(problem, np.random.default_rng(seed))
-    start = real_array(start, "start", ndim=1)
-    if start.shape != (problem.n_theta,):
-        raise DataError(f"start: shape {start.shape}, expected ({problem.n_theta},).")
-    masses = problem.feasible.bodies(start)[:, 0]
-    if np.any(masses <= 0.0):
-        worst = int(np.argmin(masses))
-        raise DataError(
-            f"start: link {worst + 1} has mass {masses[worst]} kg; a local solver needs positive "
-            "masses to start from."
-        )
+    start = checked_start(problem, start, seed)
     program = _Program(problem, variables)
     x0 = variables.from_theta(start)
     result = program.run(x0, max_iterations, tolerance)
@@ -152,9 +102,10 @@ class _Program:
     def __init__(self, problem: Problem, variables: PhysicalVariables) -> None:
         scaling = Scaling.of(problem)
         self.problem, self.variables = problem, variables
-        self.scale = 1.0 / np.sqrt(float(problem.rhs @ problem.rhs) + problem.floor)
-        self.G = self.scale * problem.A @ problem.base.matrix
-        self.rhs = self.scale * problem.rhs
+        G, h = problem.design
+        self.scale = 1.0 / np.sqrt(float(h @ h) + problem.floor)
+        self.G = self.scale * G
+        self.rhs = self.scale * h
         self.moment = scaling.mass * scaling.length**2
         self.history: list[Step] = []
         self.seconds = 0.0

@@ -6,6 +6,7 @@ import numpy as np
 
 from sdpid._arrays import Array
 from sdpid.errors import DataError
+from sdpid.estimation.excitation import require_excitation
 from sdpid.estimation.problem import Problem
 from sdpid.estimation.rows import CHUNK
 from sdpid.estimation.weighting import whitener
@@ -37,7 +38,10 @@ def sandwich_covariance(problem: Problem, base: Array) -> Array:
     ------
     DataError
         When the record is too short for blocks.
+    IdentifiabilityError
+        When the data leave base parameters undetermined: their errors are infinite.
     """
+    require_excitation(problem.excitation)
     block = problem.samples.block
     size = max(CHUNK // block, 1) * block
     count = problem.base.count

@@ -22,9 +22,24 @@ def solve_wls(problem: Problem) -> Estimate:
     Returns
     -------
     Estimate
-        With `theta` None: base parameters alone say nothing about single links.
+        With `theta` None: base parameters alone say nothing about single links. With a prior
+        (ridge regression) all standard parameters are determined and returned.
     """
     start = time.perf_counter()
+    if problem.prior is not None:
+        G, h = problem.design
+        scale = np.linalg.norm(G, axis=0)
+        scale = np.where(scale > 0.0, scale, 1.0)
+        theta = np.linalg.lstsq(G / scale, h, rcond=None)[0] / scale
+        return Estimate.of_theta(
+            problem,
+            theta,
+            method="wls",
+            status="optimal",
+            message="closed form, with the prior",
+            iterations=1,
+            solve_time=time.perf_counter() - start,
+        )
     # Columns scaled to unit length: their units differ, and so do their sizes by orders.
     scale = np.linalg.norm(problem.A, axis=0)
     scaled = np.linalg.lstsq(problem.A / scale, problem.rhs, rcond=None)[0]

@@ -27,8 +27,8 @@ def suspect_units(recording: Recording, position_limits: Any = None) -> tuple[st
 
     A joint with finite limits is named when its positions are far beyond them (more than two
     turns where the limits are within one turn, or twice the limits with a span of more than 1.5
-    times theirs) and would fit if they were degrees. A joint without limits may turn many times, so it
-    is named only together with one that has limits. Where no limits are known at all, joints
+    times theirs) and would fit if they were degrees. A joint without limits may turn many times,
+    so it is named only together with one that has limits. Where no limits are known at all, joints
     beyond two turns are named when they are more than half of at least two.
 
     Parameters

@@ -13,9 +13,11 @@ from sdpid._progress import progress
 from sdpid.assurance.certificate import Certificate, certify
 from sdpid.errors import DataError, SdpidError
 from sdpid.estimation.estimate import Estimate
+from sdpid.estimation.log_cholesky import solve_log_cholesky
 from sdpid.estimation.problem import Problem
 from sdpid.estimation.sdp import solve_sdp
-from sdpid.estimation.slsqp import random_start, solve_slsqp
+from sdpid.estimation.slsqp import solve_slsqp
+from sdpid.estimation.starts import random_start
 from sdpid.estimation.wls import solve_wls
 from sdpid.output.tables import Table
 
@@ -56,6 +58,9 @@ class Row:
     seconds: float | None = None
     message: str = ""
 
+
+# Local solvers by name.
+_LOCAL = {"slsqp": solve_slsqp, "log_cholesky": solve_log_cholesky}
 
 _COLUMNS = tuple(Row.__dataclass_fields__)
 
@@ -118,7 +123,8 @@ def compare(
     starts: int = 20,
     seed: int = 0,
     extra_starts: Sequence[tuple[str, np.ndarray]] = (),
-    max_iterations: int = 3000,
+    local: Sequence[str] = ("slsqp", "log_cholesky"),
+    max_iterations: int | None = None,
     n_jobs: int | None = None,
     show_progress: bool | None = None,
 ) -> Comparison:
@@ -129,13 +135,15 @@ def compare(
     problem : Problem
         The problem, with a consistency.
     starts : int, optional
-        Random starts of the local solver.
+        Random starts of the local solvers, the same for each.
     seed : int, optional
         Of the starts.
     extra_starts : sequence of (label, theta), optional
         Further starts.
+    local : sequence of str, optional
+        Local solvers, of ``"slsqp"`` and ``"log_cholesky"``.
     max_iterations : int, optional
-        Limit of the local solver.
+        Limit of the local solvers; by default each has its own.
     n_jobs : int, optional
         Processes (joblib); by default one a core.
     show_progress : bool, optional
@@ -151,8 +159,13 @@ def compare(
     SolverError
         When the global optimum cannot be found: then there is nothing to compare with.
     DataError
-        When the problem has no consistency.
+        When the problem has no consistency, or a local solver is not known.
     """
+    unknown = [name for name in local if name not in _LOCAL]
+    if unknown:
+        raise DataError(
+            f"compare: local solver {unknown[0]!r} is not known: use {', '.join(_LOCAL)}."
+        )
     if problem.consistency == "none":
         raise DataError("compare: the problem's consistency is 'none'; choose one first.")
     from joblib import Parallel, delayed
@@ -164,20 +177,22 @@ def compare(
     points = [(f"random {i + 1}", random_start(problem, rng)) for i in range(starts)]
     points += [(label, np.asarray(theta)) for label, theta in extra_starts]
     jobs = Parallel(n_jobs=-1 if n_jobs is None else n_jobs, return_as="generator")
-    with progress(len(points), "local solver", enabled=show_progress) as advance:
+    runs = [(solver, label, start) for solver in local for label, start in points]
+    with progress(len(runs), "local solvers", enabled=show_progress) as advance:
         results = []
-        for result in jobs(delayed(_run)(problem, theta, max_iterations) for _, theta in points):
+        tasks = (delayed(_run)(solver, problem, x, max_iterations) for solver, _, x in runs)
+        for result in jobs(tasks):
             results.append(result)
             advance(1)
     entries: list[tuple[str, str, Estimate | str]] = [("wls", "-", wls), ("sdp", "-", best)]
-    for (label, start), result in zip(points, results, strict=True):
+    for (solver, label, start), result in zip(runs, results, strict=True):
         if isinstance(result, str):
-            entries.append(("slsqp", label, result))
+            entries.append((solver, label, result))
         else:
             # A worker's estimate has a copy of the problem; give it this one.
             fields = {k: getattr(result, k) for k in _RETURNED}
             entries.append(
-                ("slsqp", label, Estimate.of_theta(problem, result.theta, start=start, **fields))
+                (solver, label, Estimate.of_theta(problem, result.theta, start=start, **fields))
             )
     return Comparison(
         rows=tuple(_row(solver, label, found, certificate) for solver, label, found in entries),
@@ -189,9 +204,12 @@ def compare(
 _RETURNED = ("method", "status", "message", "iterations", "solve_time", "history")
 
 
-def _run(problem: Problem, start: np.ndarray, max_iterations: int) -> Estimate | str:
+def _run(
+    solver: str, problem: Problem, start: np.ndarray, max_iterations: int | None
+) -> Estimate | str:
+    limit = {} if max_iterations is None else {"max_iterations": max_iterations}
     try:
-        return solve_slsqp(problem, start=start, max_iterations=max_iterations)
+        return _LOCAL[solver](problem, start=start, **limit)
     except SdpidError as error:
         return f"{type(error).__name__}: {error}"
 

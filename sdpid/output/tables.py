@@ -9,6 +9,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from sdpid._files import atomic_write_text
+from sdpid.errors import IdentifiabilityError
 from sdpid.estimation.estimate import Estimate
 
 
@@ -61,7 +62,13 @@ def base_table(estimate: Estimate, wls: Estimate | None = None) -> Table:
     columns: list[Sequence[object]] = [base.names, base.units, estimate.base.tolist()]
     if wls is not None:
         header += ["unconstrained", "standard_error"]
-        columns += [wls.base.tolist(), wls.standard_errors.tolist()]
+        errors: Sequence[float | None]
+        try:
+            errors = wls.standard_errors.tolist()
+        except IdentifiabilityError:
+            # With a prior the data need not determine everything; then there is no such error.
+            errors = [None] * len(base.names)
+        columns += [wls.base.tolist(), errors]
     header.append("regrouping")
     columns.append([base.expression(name) for name in base.names])
     return Table(tuple(header), tuple(zip(*columns, strict=True)))

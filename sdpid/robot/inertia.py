@@ -53,7 +53,7 @@ def _trace(matrix: Array) -> Any:
     return np.trace(matrix, axis1=-2, axis2=-1)
 
 
-def _complement(matrix: Array) -> Array:
+def complement(matrix: Array) -> Array:
     """Return tr(A)·E − A, which turns second moments into a rotational inertia."""
     return np.asarray(_trace(matrix)[..., None, None] * np.eye(3) - matrix)
 
@@ -79,7 +79,7 @@ def from_pseudo_inertia(matrix: ArrayLike) -> Array:
     theta = np.empty((*matrix.shape[:-2], 10))
     theta[..., 0] = matrix[..., 3, 3]
     theta[..., 1:4] = matrix[..., :3, 3]
-    theta[..., 4:] = _tensor_entries(_complement(matrix[..., :3, :3]))
+    theta[..., 4:] = tensor_entries(complement(matrix[..., :3, :3]))
     return theta
 
 
@@ -94,7 +94,8 @@ def spatial_inertia(theta: ArrayLike) -> Array:
     return matrix
 
 
-def _tensor_entries(tensor: Array) -> Array:
+def tensor_entries(tensor: Array) -> Array:
+    """Return the entries of symmetric matrices in theta's order, (..., 3, 3) to (..., 6)."""
     return np.stack([tensor[..., i, j] for i, j in _TENSOR_INDEX], axis=-1)
 
 
@@ -107,7 +108,7 @@ def physical_parameters(theta: ArrayLike) -> tuple[Array, Array, Array]:
     mass = theta[..., 0]
     with np.errstate(divide="ignore", invalid="ignore"):
         com = theta[..., 1:4] / mass[..., None]
-        shift = mass[..., None, None] * _complement(com[..., :, None] * com[..., None, :])
+        shift = mass[..., None, None] * complement(com[..., :, None] * com[..., None, :])
     return mass.copy(), com, inertia_tensor(theta) - shift
 
 
@@ -131,12 +132,12 @@ def theta_from_physical(mass: ArrayLike, com: ArrayLike, inertia: ArrayLike) -> 
     com = np.asarray(com, dtype=np.float64)
     outer = com[..., :, None] * com[..., None, :]
     about_origin = np.asarray(inertia, dtype=np.float64) + (
-        mass[..., None, None] * _complement(outer)
+        mass[..., None, None] * complement(outer)
     )
     theta = np.empty((*mass.shape, 10))
     theta[..., 0] = mass
     theta[..., 1:4] = mass[..., None] * com
-    theta[..., 4:] = _tensor_entries(about_origin)
+    theta[..., 4:] = tensor_entries(about_origin)
     return theta
 
 

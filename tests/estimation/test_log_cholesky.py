@@ -1,0 +1,192 @@
+"""The local solver in log-Cholesky coordinates: its map, its derivatives, its results."""
+
+from __future__ import annotations
+
+import itertools
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from sdpid.errors import DataError
+from sdpid.estimation.constraints import Constraints
+from sdpid.estimation.estimate import FEASIBLE
+from sdpid.estimation.local import STATIONARY, promised_decrease
+from sdpid.estimation.log_cholesky import LogCholesky, _Program, solve_log_cholesky
+from sdpid.estimation.problem import Problem, build_problem
+from sdpid.estimation.sdp import solve_sdp
+from sdpid.estimation.starts import random_start
+from sdpid.output.comparison import compare
+from sdpid.robot.inertia import Consistency
+from sdpid.robot.model import RobotModel
+from tests.helpers.data import flat_links, make_samples, random_theta, relative_error
+from tests.helpers.robots import planar_arm, small_arm
+from tests.helpers.strategies import SEEDS
+from tests.helpers.tolerances import LOCAL_PARAMETERS, SAME_OPTIMUM
+
+BOTH: tuple[Consistency, ...] = ("pseudo_inertia", "spatial_inertia")
+STARTS = 6
+# The boundary is reached from inside only: the cost that a result called optimal may be above
+# the optimum, relative. Its own test lets 1e-4 of promised decrease pass, direction by
+# direction; together they may be worth some ten times that.
+ABOVE = 1e-3
+
+
+def noisy(robot: RobotModel, seed: int, consistency: Consistency, **limits: float) -> Problem:
+    """Return a problem whose optimum lies on the boundary."""
+    rng = np.random.default_rng(seed)
+    theta = random_theta(robot, rng)
+    theta[: 10 * robot.n_links] = flat_links(rng, robot.n_links).ravel()
+    samples = make_samples(robot, theta, rng, noise=0.5)
+    constraints = Constraints(**{"margin": 0.002, "mass_max": 10.0, **limits})  # type: ignore[arg-type]
+    return build_problem(robot, samples, consistency=consistency, constraints=constraints)
+
+
+PROBLEMS = {kind: noisy(small_arm(3), 1, kind) for kind in BOTH}
+problems = st.sampled_from(BOTH).map(PROBLEMS.__getitem__)
+
+
+@pytest.fixture(scope="module", params=BOTH)
+def planar(request: pytest.FixtureRequest) -> Problem:
+    return noisy(planar_arm(), 0, request.param)
+
+
+@given(problems, SEEDS)
+def test_round_trip(problem: Problem, seed: int) -> None:
+    coordinates = LogCholesky.of(problem)
+    theta = random_start(problem, np.random.default_rng(seed))
+    back = coordinates.theta(coordinates.from_theta(theta))
+    np.testing.assert_allclose(back, theta, rtol=0, atol=1e-10 * np.abs(theta).max())
+
+
+@given(problems, SEEDS)
+def test_every_point_is_consistent(problem: Problem, seed: int) -> None:
+    coordinates = LogCholesky.of(problem)
+    x = np.random.default_rng(seed).normal(0.0, 1.0, problem.n_theta)
+    theta = coordinates.theta(x)
+    margins = problem.feasible.margins(theta)
+    assert np.all(margins >= problem.constraints.margin - 1e-12 * np.abs(theta).max())
+
+
+@given(problems, SEEDS)
+def test_derivatives(problem: Problem, seed: int) -> None:
+    """The Jacobian, and the curvature of a fixed combination, against central differences."""
+    coordinates = LogCholesky.of(problem)
+    rng = np.random.default_rng(seed)
+    x = coordinates.from_theta(random_start(problem, rng))
+    weights = rng.standard_normal(problem.n_theta)
+    links, step = problem.feasible.n_links, 1e-5
+    J = coordinates.link_jacobians(x)
+    H = coordinates.curvatures(x, weights)
+    bodies = problem.feasible.bodies(weights)
+    size, bend = np.abs(J).max(), max(float(np.abs(H).max()), 1.0)
+    for k in range(10 * links):
+        change = np.zeros(problem.n_theta)
+        change[k] = step
+        ends = [x + change, x - change]
+        slope = np.subtract(*(coordinates.theta(e) for e in ends)) / (2 * step)
+        own = np.zeros_like(slope)
+        own[10 * (k // 10) : 10 * (k // 10) + 10] = J[k // 10, :, k % 10]
+        np.testing.assert_allclose(own, slope, rtol=0, atol=1e-7 * max(size, 1.0))
+        slopes = [np.einsum("lk,lkj->lj", bodies, coordinates.link_jacobians(e)) for e in ends]
+        second = (slopes[0] - slopes[1]) / (2 * step)
+        np.testing.assert_allclose(H[k // 10, k % 10], second[k // 10], rtol=0, atol=1e-6 * bend)
+
+
+@pytest.mark.parametrize("consistency", BOTH)
+def test_jacobian_of_the_residual(consistency: Consistency) -> None:
+    program = _Program(PROBLEMS[consistency])
+    start = random_start(program.problem, np.random.default_rng(3))
+    x = program.coordinates.from_theta(start)[program.free]
+    J, rows, step = program.jacobian(x), len(program.rhs), 1e-6
+    for k in range(len(x)):
+        change = step * np.eye(len(x))[k]
+        slope = (program.residual(x + change) - program.residual(x - change)) / (2 * step)
+        np.testing.assert_allclose(J[:rows, k], slope[:rows], rtol=1e-5, atol=1e-8)
+        # The rows that only add curvature have a residual that never changes.
+        np.testing.assert_array_equal(slope[rows:], 0.0)
+
+
+@pytest.mark.parametrize("consistency", BOTH)
+def test_exact_data(consistency: Consistency) -> None:
+    rng = np.random.default_rng(4)
+    robot = small_arm(2)
+    theta = random_theta(robot, rng)
+    samples = make_samples(robot, theta, rng)
+    problem = build_problem(robot, samples, consistency=consistency)
+    estimate = solve_log_cholesky(problem, seed=5)
+    error = relative_error(estimate.base, problem.base_of(theta), problem.base.units)
+    assert error <= LOCAL_PARAMETERS
+
+
+def test_hidden_convexity_from_many_starts(planar: Problem) -> None:
+    best = solve_sdp(planar)
+    converged = 0
+    for seed in range(STARTS):
+        local = solve_log_cholesky(planar, seed=seed)
+        assert local.violation is not None
+        assert local.violation <= FEASIBLE
+        # Feasible to rounding, so never below the optimum by more than its own accuracy.
+        assert best.cost <= local.cost * (1.0 + SAME_OPTIMUM)
+        if local.status == "optimal":
+            converged += 1
+            assert local.cost <= best.cost * (1.0 + ABOVE)
+    assert converged >= STARTS // 2
+
+
+def test_the_optimum_promises_nothing_and_a_start_does(planar: Problem) -> None:
+    best = solve_sdp(planar)
+    assert promised_decrease(planar, np.asarray(best.theta)) <= 0.01 * STATIONARY
+    start = random_start(planar, np.random.default_rng(0))
+    assert promised_decrease(planar, start) > STATIONARY
+
+
+def test_a_start_on_the_boundary(planar: Problem) -> None:
+    """The optimum itself, where the coordinates end."""
+    best = solve_sdp(planar)
+    estimate = solve_log_cholesky(planar, start=np.asarray(best.theta))
+    assert estimate.feasible
+    assert best.cost <= estimate.cost * (1.0 + SAME_OPTIMUM)
+
+
+@pytest.mark.parametrize("consistency", BOTH)
+def test_masses_and_signs_are_respected(consistency: Consistency) -> None:
+    problem = noisy(planar_arm(), 2, consistency, mass_min=1.0, mass_max=1.0)
+    estimate = solve_log_cholesky(problem)
+    theta = np.asarray(estimate.theta)
+    assert estimate.feasible
+    np.testing.assert_allclose(problem.feasible.bodies(theta)[:, 0], 1.0, rtol=1e-12)
+    assert np.all(theta[10 * problem.feasible.n_links :] >= 0.0)
+
+
+def test_an_estimate_tells_how_it_came_about(planar: Problem) -> None:
+    estimate = solve_log_cholesky(planar, seed=3, max_iterations=40)
+    assert estimate.method == "log_cholesky"
+    assert estimate.message
+    history = estimate.history
+    assert len(history) == estimate.iterations + 1
+    assert estimate.iterations <= 44
+    assert all(a.seconds <= b.seconds for a, b in itertools.pairwise(history))
+    again = solve_log_cholesky(planar, seed=3, max_iterations=40)
+    np.testing.assert_array_equal(np.asarray(estimate.theta), np.asarray(again.theta))
+
+
+def test_an_iteration_limit_is_no_optimum(planar: Problem) -> None:
+    assert solve_log_cholesky(planar, seed=4, max_iterations=2).status == "iteration limit"
+
+
+def test_bad_input(planar: Problem) -> None:
+    with pytest.raises(DataError, match=r"start: shape \(3,\)"):
+        solve_log_cholesky(planar, start=np.ones(3))
+    with pytest.raises(DataError, match="nothing constrains"):
+        solve_log_cholesky(planar.constrained(consistency="none"))
+    with pytest.raises(DataError, match="'newton' is not known"):
+        compare(planar, local=("newton",))
+
+
+def test_compare_runs_both_local_solvers_from_the_same_starts(planar: Problem) -> None:
+    comparison = compare(planar, starts=1, n_jobs=1, max_iterations=50, show_progress=False)
+    assert [row.solver for row in comparison.rows] == ["wls", "sdp", "slsqp", "log_cholesky"]
+    first, second = (e for e in comparison.estimates[2:] if e is not None)
+    np.testing.assert_array_equal(np.asarray(first.start), np.asarray(second.start))

@@ -1,0 +1,175 @@
+"""The prior: its definition, its invariance, and what it does to a problem."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from sdpid.assurance.certificate import certify, verify
+from sdpid.errors import DataError, IdentifiabilityError
+from sdpid.estimation.prior import Prior, prior_rows, repaired
+from sdpid.estimation.problem import build_problem
+from sdpid.estimation.rows import RowSource
+from sdpid.estimation.sdp import solve_sdp
+from sdpid.estimation.slsqp import solve_slsqp
+from sdpid.estimation.wls import solve_wls
+from sdpid.experiment.samples import Samples
+from sdpid.robot.base import structural_base
+from sdpid.robot.friction import FrictionModel
+from sdpid.robot.inertia import (
+    from_pseudo_inertia,
+    margin,
+    point_masses,
+    pseudo_inertia,
+    transform,
+)
+from sdpid.robot.load import load_robot
+from sdpid.robot.mdh import DhTable
+
+# Round-off of a few products of numbers of order one.
+ROUNDING = 1e-9
+
+
+def bodies_of(seed: int, links: int = 2) -> np.ndarray:
+    rng = np.random.default_rng(seed)
+    masses = rng.uniform(0.2, 1.0, (links, 8))
+    return point_masses(masses, rng.normal(0.0, 0.1, (links, 8, 3)))
+
+
+def robot_of(bodies: np.ndarray):
+    rows = tuple({"alpha": 0.5 * np.pi * (i % 2), "d": 0.3 * i} for i in range(len(bodies)))
+    table = DhTable.from_mapping({"joint": rows, "name": "arm"})
+    return load_robot(table.to_urdf(bodies))
+
+
+def rows_of(robot, count: int = 40, seed: int = 0, scale: float = 1.0) -> RowSource:
+    rng = np.random.default_rng(seed)
+    friction = FrictionModel.from_terms(("coulomb", "viscous"), robot.joint_names)
+    states = {k: scale * rng.normal(size=(count, robot.n)) for k in ("position", "velocity")}
+    samples = Samples(
+        **states,
+        acceleration=scale * rng.normal(size=(count, robot.n)),
+        effort=rng.normal(size=(count, robot.n)),
+    )
+    return RowSource(robot, friction, structural_base(robot, friction), samples)
+
+
+def penalty(robot, prior: Prior, bodies: np.ndarray) -> float:
+    rows = rows_of(robot)
+    found = prior_rows(prior, rows)
+    theta = np.concatenate([bodies.ravel(), np.zeros(len(rows.friction.parameters))])
+    return float(np.sum((found.matrix @ theta - found.rhs) ** 2))
+
+
+def divergence(P: np.ndarray, P0: np.ndarray) -> float:
+    """Log-det divergence of 4x4 matrices, by its definition."""
+    ratio = np.linalg.solve(P0, P)
+    return float(np.trace(ratio) - np.linalg.slogdet(ratio)[1] - 4.0)
+
+
+@given(st.integers(0, 2**31))
+def test_nothing_is_paid_at_the_prior(seed: int):
+    bodies = bodies_of(seed)
+    robot = robot_of(bodies)
+    believed, _ = repaired(robot.prior)
+    assert penalty(robot, Prior(), believed) < ROUNDING
+
+
+@given(st.integers(0, 2**31), st.floats(0.1, 10.0))
+def test_second_order_expansion_of_the_divergence(seed: int, strength: float):
+    bodies = bodies_of(seed)
+    robot = robot_of(bodies)
+    believed, _ = repaired(robot.prior)
+    rng = np.random.default_rng(seed)
+    L = np.linalg.cholesky(pseudo_inertia(believed))
+    step = rng.normal(size=(len(bodies), 4, 4))
+    step = 1e-3 * (step + np.swapaxes(step, 1, 2))
+    P = L @ (np.eye(4) + step) @ np.swapaxes(L, 1, 2)
+    moved = from_pseudo_inertia(P)
+    exact = sum(divergence(p, p0) for p, p0 in zip(P, pseudo_inertia(believed), strict=True))
+    # Twice the divergence, up to the third order of a step of some 1e-3.
+    expected = 2.0 * strength * exact
+    assert penalty(robot, Prior(strength=strength), moved) == pytest.approx(expected, rel=0.05)
+
+
+@given(st.integers(0, 2**31))
+def test_the_same_in_every_frame(seed: int):
+    rng = np.random.default_rng(seed)
+    P0, P = (pseudo_inertia(bodies_of(seed + k, 1)[0]) for k in (0, 1))
+    rotation = np.linalg.qr(rng.normal(size=(3, 3)))[0]
+    rotation *= np.sign(np.linalg.det(rotation))
+    shift = rng.normal(size=3)
+
+    def distance(a: np.ndarray, b: np.ndarray) -> float:
+        inverse = np.linalg.inv(np.linalg.cholesky(b))
+        return float(np.linalg.norm(inverse @ a @ inverse.T - np.eye(4)))
+
+    moved = [pseudo_inertia(transform(from_pseudo_inertia(M), rotation, shift)) for M in (P, P0)]
+    assert distance(*moved) == pytest.approx(distance(P, P0), rel=1e-6)
+
+
+def test_impossible_links_are_repaired_and_named():
+    bodies = bodies_of(0)
+    bodies[1, 4:] = [1.0, 0.0, 0.1, 0.0, 0.0, 0.1]  # triangle inequality violated
+    fixed, wrong = repaired(bodies)
+    assert wrong == (1,)
+    assert np.all(margin(fixed, "pseudo_inertia") > 0.0)
+    notes = prior_rows(Prior(bodies=bodies), rows_of(robot_of(bodies_of(1)))).notes
+    assert any("link_2" in note for note in notes)
+
+
+def test_a_description_without_masses_is_no_prior():
+    robot = robot_of(bodies_of(0))
+    with pytest.raises(DataError, match="no link a mass"):
+        prior_rows(Prior(bodies=np.zeros((2, 10))), rows_of(robot))
+    with pytest.raises(DataError, match="strength"):
+        Prior(strength=0.0)
+
+
+@pytest.mark.parametrize("consistency", ["pseudo_inertia", "spatial_inertia"])
+def test_data_that_do_not_excite_are_enough_with_a_prior(consistency, tmp_path):
+    bodies = bodies_of(3, 3)
+    robot = robot_of(bodies)
+    count = 60
+    rest = np.zeros((count, robot.n))
+    samples = Samples(
+        position=np.tile([0.1, 0.2, 0.3], (count, 1)), velocity=rest, acceleration=rest, effort=rest
+    )
+    with pytest.raises(IdentifiabilityError):
+        build_problem(robot, samples)
+    problem = build_problem(robot, samples, prior=Prior(), consistency=consistency)
+    estimate = solve_sdp(problem)
+    certificate = certify(estimate)
+    assert certificate.passed, certificate.summary()
+    certificate.to_json(tmp_path / "c.json")
+    assert verify(tmp_path / "c.json").passed
+
+
+def test_a_strong_prior_wins_and_a_weak_one_does_not():
+    truth, belief = bodies_of(5), bodies_of(6)
+    robot = robot_of(belief)
+    rng = np.random.default_rng(0)
+    q, v, a = (rng.normal(size=(200, robot.n)) for _ in range(3))
+    effort = robot.inverse_dynamics(truth.ravel(), q, v, a) + 0.01 * rng.normal(size=q.shape)
+    samples = Samples(position=q, velocity=v, acceleration=a, effort=effort)
+    options = {"weighting": "residual"}
+    free = solve_wls(build_problem(robot, samples, **options))
+    believed, _ = repaired(robot.prior)
+    strong = solve_sdp(build_problem(robot, samples, prior=Prior(strength=1e9), **options))
+    assert np.allclose(strong.theta[:20], believed.ravel(), atol=1e-3)
+    weak = solve_sdp(build_problem(robot, samples, prior=Prior(strength=1e-6), **options))
+    assert weak.problem.cost(weak.base) <= 1.01 * free.cost
+
+
+def test_local_and_global_solvers_share_the_prior():
+    robot = robot_of(bodies_of(7))
+    rows = rows_of(robot, 200)
+    problem = build_problem(robot, rows.samples, prior=Prior(), weighting="residual")
+    best = solve_sdp(problem)
+    local = solve_slsqp(problem, seed=1)
+    assert local.feasible or local.violation < 1e-6
+    assert best.cost <= local.cost * (1.0 + 1e-6)
+    # With a prior the parameters are unique: both find the same ones.
+    assert local.cost == pytest.approx(best.cost, rel=1e-3)
