@@ -17,10 +17,9 @@ from sdpid.experiment.plant import true_parameters
 from sdpid.experiment.preparation import default_processing, match_joints, prepare
 from sdpid.robot.model import RobotModel
 
-# What the records' own descriptions report for an unconstrained fit with the same friction, on
-# the same band: 8 Hz with tanh(v/0.02) for the UR10, 4 Hz with the measured velocity for the
-# Panda.
-UR10_RESIDUAL, PANDA_RESIDUAL, PANDA_CUTOFF = 0.0543, 0.0150, 4.0
+# What the records' own descriptions report for an unconstrained fit with the same friction: with
+# tanh(v/0.02) for the UR10, with the measured velocity for the Panda.
+UR10_RESIDUAL, PANDA_RESIDUAL = 0.0543, 0.0150
 
 
 @pytest.fixture(scope="module")
@@ -118,7 +117,11 @@ def test_ur10(data_folder: Path, tmp_path: Path) -> None:
     folder = data_folder / "ur10_unisa"
     found = sdpid.identify(folder / "ur10.urdf", folder / "ur10_exciting.npz")
     assert found.training_wls.relative <= UR10_RESIDUAL
-    assert found.training_wls.relative <= found.training.relative <= UR10_RESIDUAL
+    # Consistency alone costs next to nothing on the data it was fitted to.
+    plain = sdpid.identify(folder / "ur10.urdf", folder / "ur10_exciting.npz", prior=False)
+    assert plain.training_wls.relative <= plain.training.relative <= UR10_RESIDUAL
+    # The default believes in the description too, which costs a little there and pays elsewhere.
+    assert found.training.relative <= 1.05 * UR10_RESIDUAL
     assert found.certificate.passed
     said: list[str] = []
     found.save(tmp_path, figures=False, report=said.append)
@@ -132,9 +135,8 @@ def test_panda_with_other_joint_names(data_folder: Path, tmp_path: Path) -> None
     robot = sdpid.load_robot(folder / "panda.urdf")
     assert record.joint_names is not None
     assert not set(record.joint_names) & set(robot.joint_names)
-    processing = replace(default_processing(record), cutoff_hz=PANDA_CUTOFF)
-    assert processing.velocity == "measured"
-    found = sdpid.identify(robot, record, processing=processing)
+    assert default_processing(record).velocity == "measured"
+    found = sdpid.identify(robot, record)
     assert found.problem.samples.joint_names == robot.joint_names
     assert found.training_wls.relative <= PANDA_RESIDUAL
     # Consistency costs a little, on the data it was fitted to.
