@@ -118,12 +118,17 @@ def lower_bound(estimate: Estimate) -> Bound:
     else:
         y = problem.A @ estimate.base - problem.rhs
         y = np.concatenate([y, np.zeros(len(problem.design[1]) - len(y))])
+    # Whatever the constraints, nothing costs less than the floor: no multipliers prove that much,
+    # and where the constraints cost nothing it is all there is to prove.
+    none = np.zeros((0, s, s))
+    best = Bound(evaluate(problem, 0.0 * y, none), 0.0 * y, none)
     if found is None or estimate.theta is None or not found.Z.size:
-        Z = np.zeros((0, s, s))
-        return Bound(evaluate(problem, y, Z), y, Z)
+        own = Bound(evaluate(problem, y, none), y, none)
+        return max(best, own, key=lambda bound: bound.value)
     Z = clip_psd(found.Z)
     start = y if found.y is None else found.y
-    best = Bound(evaluate(problem, start, Z), start, Z)
+    given = Bound(evaluate(problem, start, Z), start, Z)
+    best = max(best, given, key=lambda bound: bound.value)
     if relative_gap(problem, estimate.cost, best.value) <= _ENOUGH:
         return best
     scaling = Scaling.of(problem).around(estimate.theta)

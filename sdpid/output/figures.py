@@ -101,7 +101,8 @@ def decimate(x: ArrayLike, y: ArrayLike, *, points: int = POINTS) -> tuple[Array
     """Return at most about `points` points that draw the same line.
 
     Each stretch keeps its least and its greatest value at their own places, so that peaks and the
-    thickness of noise stay; the first and the last point stay too.
+    thickness of noise stay; the first and the last point stay too. Where y is NaN the line is
+    broken.
 
     Parameters
     ----------
@@ -119,13 +120,14 @@ def decimate(x: ArrayLike, y: ArrayLike, *, points: int = POINTS) -> tuple[Array
     if count <= points:
         return x, y
     size = -(-count // max(points // 2, 1))
-    whole = count // size * size
-    blocks = y[:whole].reshape(-1, size)
+    # The last stretch is filled up with the last point; gaps count as nothing, and stay gaps.
+    padded = np.concatenate([y, np.full(-count % size, y[-1])])
+    gaps = np.isnan(padded).reshape(-1, size)
+    blocks = np.where(gaps, 0.0, padded.reshape(-1, size))
     at = np.arange(len(blocks)) * size
     kept = [at + blocks.argmin(axis=1), at + blocks.argmax(axis=1), [0, count - 1]]
-    if whole < count:
-        kept.append([whole + int(y[whole:].argmin()), whole + int(y[whole:].argmax())])
-    index = np.unique(np.concatenate(kept))
+    kept.append((at + gaps.argmax(axis=1))[gaps.any(axis=1)])
+    index = np.unique(np.minimum(np.concatenate(kept), count - 1))
     return x[index], y[index]
 
 

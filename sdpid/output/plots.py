@@ -186,11 +186,7 @@ def plot_reconstruction(
         long_line(left, t, y[:, j], color=BLUE, label="measured", linewidth=1.8)
         long_line(left, t, z[:, j], color=RED, label="predicted", linewidth=0.9)
         error = y[:, j] - z[:, j]
-        long_line(right, t, error, color=GREY)
-        # Errors of the rows in use set the range; those of the others may run out of it.
-        reach = 1.1 * float(np.abs(error[used[:, j]]).max(initial=0.0))
-        if reach > 0.0:
-            right.set_ylim(-reach, reach)
+        long_line(right, t, np.where(used[:, j], error, np.nan), color=GREY)
         last = ("sample" if time is None else "time [s]") if j == n - 1 else ""
         size = _rmse(y, used)[j]
         share = f"  ({100.0 * errors[j] / size:.2g} % of RMS)" if size > 0.0 else ""
