@@ -161,8 +161,10 @@ def _reducible_axis(problem: Problem) -> int | None:
     """Return the axis of the first link when only its moment about that axis matters.
 
     Then no parameter of the link but the inertia about the axis and the first moments across it
-    has a column in B, whatever the direction of gravity.
+    has a column in B, whatever the direction of gravity. A prior looks at all of them.
     """
+    if problem.prior is not None:
+        return None
     B = problem.base.matrix[:, :10]
     seen = np.abs(B).max(axis=0) > _INVISIBLE * max(float(np.abs(problem.base.matrix).max()), 1.0)
     for axis in range(3):
