@@ -1,0 +1,1 @@
+"""What is measured and never asserted: ``python -m tests.benchmarks``."""

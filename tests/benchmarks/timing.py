@@ -1,0 +1,93 @@
+"""Clocks, and ratios of things that were timed side by side."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, fields
+
+import numpy as np
+
+from sdpid._arrays import Array
+from sdpid.output.tables import Table
+
+# What is shorter than this (s) is called again until it is not: one tick of another process
+# would be a large part of it.
+LEAST = 0.02
+
+
+@dataclass(frozen=True, kw_only=True)
+class Row:
+    """One line: median seconds, and the ratio to its reference with its spread."""
+
+    what: str
+    seconds: float
+    ratio: float
+    least: float
+    most: float
+    against: str
+    against_seconds: float
+    repeats: int
+    gap: float | None = None
+    violation: float | None = None
+    status: str | None = None
+
+    @classmethod
+    def of(
+        cls,
+        what: str,
+        seconds: Array,
+        against: str,
+        reference: Array,
+        *,
+        gap: float | None = None,
+        violation: float | None = None,
+        status: str | None = None,
+    ) -> Row:
+        """Build from the seconds of each repeat, those of the reference from the same ones."""
+        ratios = seconds / reference
+        return cls(
+            what=what,
+            seconds=float(np.median(seconds)),
+            ratio=float(np.median(ratios)),
+            least=float(ratios.min()),
+            most=float(ratios.max()),
+            against=against,
+            against_seconds=float(np.median(reference)),
+            repeats=len(ratios),
+            gap=gap,
+            violation=violation,
+            status=status,
+        )
+
+
+def table(rows: Sequence[Row]) -> Table:
+    """Return the rows as a table."""
+    names = tuple(field.name for field in fields(Row))
+    return Table(names, tuple(tuple(getattr(row, name) for name in names) for row in rows))
+
+
+def clock(action: Callable[[], object]) -> float:
+    """Return the seconds of one call, the mean of as many as take `LEAST` together."""
+    calls, begin = 0, time.perf_counter()
+    while True:
+        action()
+        calls += 1
+        elapsed = time.perf_counter() - begin
+        if elapsed >= LEAST:
+            return elapsed / calls
+
+
+def side_by_side(actions: Sequence[Callable[[], object]], repeats: int) -> Array:
+    """Return the seconds (actions, repeats): all in turn in each repeat, each first in its turn.
+
+    Each is called once before, so that imports and caches are not counted.
+    """
+    for action in actions:
+        action()
+    out = np.empty((len(actions), repeats))
+    for repeat in range(repeats):
+        for step in range(len(actions)):
+            i = (repeat + step) % len(actions)
+            out[i, repeat] = clock(actions[i])
+    return out
