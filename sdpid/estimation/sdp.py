@@ -178,19 +178,19 @@ def _settled(estimate: Estimate) -> Estimate:
     if problem.consistency == "none" or problem.prior is not None or estimate.theta is None:
         # Without matrix inequalities nothing says what is near; with a prior nothing is free.
         return estimate
-    found = nearest_on_face(problem, np.array(estimate.theta))
-    if found is None:
-        return replace(estimate, message=f"{estimate.message}; any point of the optimal face")
-    theta = repair(problem, found)
-    moved = replace(
-        estimate,
-        theta=frozen(theta),
-        base=frozen(problem.base_of(theta)),
-        message=f"{estimate.message}; nearest to the description on the optimal face",
-    )
     allowed = estimate.cost + _FACE * max(estimate.cost, cost_scale(problem))
-    proven = relative_gap(problem, moved.cost, lower_bound(moved).value) <= _GAP
-    return moved if moved.feasible and moved.cost <= allowed and proven else estimate
+    for found in nearest_on_face(problem, np.array(estimate.theta)):
+        theta = repair(problem, found)
+        moved = replace(
+            estimate,
+            theta=frozen(theta),
+            base=frozen(problem.base_of(theta)),
+            message=f"{estimate.message}; nearest to the description on the optimal face",
+        )
+        proven = relative_gap(problem, moved.cost, lower_bound(moved).value) <= _GAP
+        if moved.feasible and moved.cost <= allowed and proven:
+            return moved
+    return replace(estimate, message=f"{estimate.message}; any point of the optimal face")
 
 
 def _reference(problem: Problem, scaling: Scaling) -> Array:

@@ -9,6 +9,7 @@ pseudo-inertias with P0 = L·L^T the reference (the constant-pullback metric [le
 from __future__ import annotations
 
 import warnings
+from collections.abc import Iterator
 
 import numpy as np
 
@@ -16,16 +17,23 @@ from sdpid._arrays import Array
 from sdpid.estimation.problem import Problem
 from sdpid.estimation.scaling import Scaling
 
-# The face often has no interior: matrices may be this much below zero in the links' own scale,
-# which the caller repairs. The second is tried where the solver cannot resolve the first.
-_SLACKS = (1e-10, 1e-8)
+# The face often has no interior: matrices may be so much below zero in the links' own scale, which
+# the caller repairs. Tried in turn: links in units of the point itself or of the reference, this
+# slack, and Clarabel's regularisation.
+_TRIALS = (
+    (False, 1e-10, 1e-8),
+    (True, 1e-10, 1e-8),
+    (True, 1e-10, 1e-12),
+    (True, 1e-8, 1e-12),
+    (False, 1e-8, 1e-8),
+)
 
 # Null directions of the scaled base matrix: its singular values are of order one or rounding.
 _NULL = 1e-9
 
 
-def nearest_on_face(problem: Problem, theta: Array) -> Array | None:
-    """Return the feasible parameters with theta's base parameters nearest to the reference.
+def nearest_on_face(problem: Problem, theta: Array) -> Iterator[Array]:
+    """Yield parameters with theta's base parameters, as near to the reference as was found.
 
     Parameters
     ----------
@@ -34,13 +42,12 @@ def nearest_on_face(problem: Problem, theta: Array) -> Array | None:
     theta : ndarray, shape (p,)
         Feasible parameters.
 
-    Returns
-    -------
-    ndarray, shape (p,), or None
-        None when the solver does not find it. Feasible but for rounding.
+    Yields
+    ------
+    ndarray, shape (p,)
+        Nearer than theta and feasible but for rounding, which the caller repairs; of several, the
+        first that is still good enough after that will do. Nothing where the solver finds none.
     """
-    import cvxpy as cp
-
     feasible = problem.feasible
     links = 10 * feasible.n_links
     reference = Scaling.of(problem)
@@ -49,17 +56,40 @@ def nearest_on_face(problem: Problem, theta: Array) -> Array | None:
     rank = int(np.count_nonzero(singular > _NULL * singular[0]))
     null = basis @ rows[rank:].T
     if null.shape[1] == 0:
-        return theta
-    w = cp.Variable(null.shape[1])
-    inertial = basis[:links, :links]
+        yield theta
+        return
     goal = np.concatenate([reference.bodies.ravel(), theta[links:]])
-    distance = np.linalg.solve(inertial, np.column_stack([null[:links], (theta - goal)[:links]]))
+    there = np.column_stack([null[:links], (theta - goal)[:links]])
+    distance = np.linalg.solve(basis[:links, :links], there)
+    for own_scale, slack, regularisation in _TRIALS:
+        scaling = reference.around(theta) if own_scale else reference
+        step = _step(problem, theta, null, distance, scaling, slack, regularisation)
+        if step is None:
+            continue
+        nearer = np.linalg.norm(distance[:, :-1] @ step + distance[:, -1])
+        if nearer <= np.linalg.norm(distance[:, -1]):
+            yield np.asarray(theta + null @ step)
+
+
+def _step(
+    problem: Problem,
+    theta: Array,
+    null: Array,
+    distance: Array,
+    scaling: Scaling,
+    slack: float,
+    regularisation: float,
+) -> Array | None:
+    """Return the step along the null directions that brings theta nearest, None if not found."""
+    import cvxpy as cp
+
+    feasible = problem.feasible
     size = feasible.size
-    slack = cp.Parameter(nonneg=True)
-    inverses = np.linalg.inv(reference.around(theta).roots(size))
+    w = cp.Variable(null.shape[1])
+    inverses = np.linalg.inv(scaling.roots(size))
     constant = inverses @ feasible.matrices(theta) @ np.swapaxes(inverses, 1, 2)
     bounded = np.flatnonzero(feasible.bounded & (np.abs(null).max(axis=1) > 0.0))
-    scale = reference.theta[bounded]
+    scale = scaling.theta[bounded]
     move = (null[bounded] / scale[:, None]) @ w
     constraints = [
         move >= (np.minimum(feasible.lower - theta, 0.0))[bounded] / scale,
@@ -71,19 +101,15 @@ def nearest_on_face(problem: Problem, theta: Array) -> Array | None:
         F = cp.reshape(matrices.reshape(len(matrices), -1).T @ w, (size, size), order="C")
         constraints.append(F + constant[link] + slack * np.eye(size) >> 0)
     objective = cp.Minimize(cp.sum_squares(distance[:, :-1] @ w + distance[:, -1]))
-    model = cp.Problem(objective, constraints)
-    for value in _SLACKS:
-        slack.value = value
-        try:
-            with warnings.catch_warnings():
-                # 'May be inaccurate': any feasible point that is nearer will do.
-                warnings.simplefilter("ignore")
-                model.solve(solver=cp.CLARABEL, accept_unknown=True)
-        except cp.error.SolverError:
-            continue
-        if w.value is None:
-            continue
-        nearer = np.linalg.norm(distance[:, :-1] @ w.value + distance[:, -1])
-        if nearer <= np.linalg.norm(distance[:, -1]):
-            return np.asarray(theta + null @ w.value)
-    return None
+    try:
+        with warnings.catch_warnings():
+            # 'May be inaccurate': any feasible point that is nearer will do.
+            warnings.simplefilter("ignore")
+            cp.Problem(objective, constraints).solve(
+                solver=cp.CLARABEL,
+                accept_unknown=True,
+                static_regularization_constant=regularisation,
+            )
+    except cp.error.SolverError:
+        return None
+    return None if w.value is None else np.asarray(w.value)
