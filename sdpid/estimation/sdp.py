@@ -10,7 +10,7 @@ import numpy as np
 
 from sdpid._arrays import Array, Indices, Mask, frozen
 from sdpid.errors import InfeasibleError, SolverError
-from sdpid.estimation.bound import cost_scale, lower_bound, relative_gap
+from sdpid.estimation.bound import Bound, cost_scale, lower_bound, relative_gap
 from sdpid.estimation.estimate import FEASIBLE, Estimate, Multipliers
 from sdpid.estimation.problem import Problem
 from sdpid.estimation.scaling import Scaling
@@ -40,6 +40,11 @@ _DEGENERATE, _STEEP, _BETWEEN = 1e-8, 1e-12, 1e-10
 # but for theta_max, it keeps the path of the solver from running off along it. What that costs
 # is part of the gap, which decides.
 _ANCHOR = 1e-10
+
+# In some attempts bodies are no larger than this many lengths of the robot. Where far larger ones
+# would fit no better, or hardly, the solver is spared the way to theta_max; a proof covers
+# everything up to theta_max all the same.
+_NEAR = 1.0
 
 # Where nothing was found the cost is counted in units larger by this factor.
 _COARSER = 1e3
@@ -90,17 +95,19 @@ def solve_sdp(problem: Problem, *, verbose: bool = False) -> Estimate:
     boxed = problem.feasible.bounded
     solve_time, iterations, status = 0.0, 0, ""
     best: Estimate | None = None
+    bound: Bound | None = None
     best_gap = np.inf
     for attempt in _attempts(problem.consistency):
         chosen = found_scaling if attempt.around else scaling
-        program = _Program.build(problem, chosen, reference, boxed, attempt.anchor)
+        program = _Program.build(problem, chosen, reference, boxed, attempt)
         status = program.run(attempt.regularisation, verbose)
         solve_time += program.solve_time
         iterations += program.iterations
         if program.z.value is None:
             # Also where Clarabel says infeasible: the constraints were found to hold together.
-            scaling = replace(scaling, cost=_COARSER * scaling.cost)
-            found_scaling = replace(found_scaling, cost=scaling.cost)
+            if best is None:
+                scaling = replace(scaling, cost=_COARSER * scaling.cost)
+                found_scaling = replace(found_scaling, cost=scaling.cost)
             continue
         theta = program.theta()
         outside = (theta < problem.feasible.lower) | (theta > problem.feasible.upper)
@@ -118,16 +125,21 @@ def solve_sdp(problem: Problem, *, verbose: bool = False) -> Estimate:
             solve_time=solve_time,
             multipliers=program.multipliers(),
         )
-        bound = lower_bound(estimate)
-        gap = relative_gap(problem, estimate.cost, bound.value)
-        if gap < best_gap:
-            proof = replace(program.multipliers(), Z=bound.Z, y=bound.y)
-            best, best_gap = replace(estimate, multipliers=proof), gap
+        proven = lower_bound(estimate)
+        # The cheapest point and the strongest proof may come from different attempts.
+        if best is None or estimate.cost < best.cost:
+            best = estimate
+        if bound is None or proven.value > bound.value:
+            bound = proven
+        best_gap = relative_gap(problem, best.cost, bound.value)
         if best_gap <= _GAP:
             break
         # From now on count the cost in units of itself.
-        scaling = replace(scaling, cost=max(scaling.cost, estimate.cost))
-        found_scaling = scaling.around(theta)
+        scaling = replace(scaling, cost=max(scaling.cost, best.cost))
+        found_scaling = scaling.around(np.array(best.theta))
+    if best is not None and best.multipliers is not None and bound is not None:
+        proof = replace(best.multipliers, Z=bound.Z, y=bound.y)
+        best = replace(best, multipliers=proof, iterations=iterations, solve_time=solve_time)
     if best is None or best_gap > _GAP or (best.violation or 0.0) > FEASIBLE:
         found = "nothing" if best is None else f"a relative gap of {best_gap:.1e}"
         raise SolverError(
@@ -151,11 +163,14 @@ class _Attempt:
         Whether links are counted in units of what the attempt before found.
     anchor : float
         Weight of ‖z‖².
+    reach : float or None
+        Largest size of bodies, in lengths of the robot.
     """
 
     regularisation: float
     around: bool = False
     anchor: float = 0.0
+    reach: float | None = None
 
 
 def _attempts(consistency: Consistency) -> tuple[_Attempt, ...]:
@@ -164,9 +179,10 @@ def _attempts(consistency: Consistency) -> tuple[_Attempt, ...]:
         order = ((_DEGENERATE, False), (_STEEP, False), (_DEGENERATE, True), (_STEEP, True))
     else:
         order = ((_STEEP, False), (_STEEP, True), (_DEGENERATE, True), (_DEGENERATE, False))
-    plain = (*(_Attempt(*pair) for pair in order), _Attempt(_BETWEEN, True), _Attempt(_BETWEEN))
-    values = (_DEGENERATE, _STEEP, _BETWEEN)
-    return (*plain, *(_Attempt(value, anchor=_ANCHOR) for value in values))
+    plain = [*(_Attempt(*pair) for pair in order), _Attempt(_BETWEEN, True), _Attempt(_BETWEEN)]
+    near = [_Attempt(order[0][0], reach=_NEAR), _Attempt(_BETWEEN, True, reach=_NEAR)]
+    anchored = [_Attempt(value, anchor=_ANCHOR) for value in (_DEGENERATE, _STEEP, _BETWEEN)]
+    return (*plain[:2], *near, *plain[2:], *anchored)
 
 
 def _settled(estimate: Estimate) -> Estimate:
@@ -211,15 +227,16 @@ class _Program:
     scaling: Scaling
     reference: Array
     bounded: Indices
+    own: Mask
     z: Any
     blocks: list[Any]
     model: Any
 
     @classmethod
     def build(
-        cls, problem: Problem, scaling: Scaling, reference: Array, boxed: Mask, anchor: float
+        cls, problem: Problem, scaling: Scaling, reference: Array, boxed: Mask, attempt: _Attempt
     ) -> _Program:
-        """Build with bounds on the parameters in `boxed` and a weight of ‖z‖²."""
+        """Build with bounds on the parameters in `boxed`, and with what the attempt adds."""
         import cvxpy as cp
 
         feasible = problem.feasible
@@ -228,12 +245,13 @@ class _Program:
         unit = np.sqrt(scaling.cost)
         G = problem.design[0] @ basis / unit
         offset = problem.residual_of(reference) / unit
-        bounded = np.flatnonzero(boxed)
+        limit = np.where(boxed, np.inf, _largest(problem, scaling, attempt.reach))
+        bounded = np.flatnonzero(boxed | np.isfinite(limit))
         size = scaling.theta[bounded]
         rows = basis[bounded] / size[:, None]
         constraints: list[Any] = [
-            rows @ z >= (feasible.lower - reference)[bounded] / size,
-            rows @ z <= (feasible.upper - reference)[bounded] / size,
+            rows @ z >= (np.maximum(feasible.lower, -limit) - reference)[bounded] / size,
+            rows @ z <= (np.minimum(feasible.upper, limit) - reference)[bounded] / size,
         ]
         blocks: list[Any] = []
         if feasible.consistency != "none":
@@ -247,11 +265,11 @@ class _Program:
                 F = cp.reshape(linear.T @ z[own], (s, s), order="C") + constant[link]
                 blocks.append(F >> 0)
         cost = cp.sum_squares(G @ z + offset)
-        if anchor > 0.0:
-            cost = cost + anchor * cp.sum_squares(z)
+        if attempt.anchor > 0.0:
+            cost = cost + attempt.anchor * cp.sum_squares(z)
         objective = cp.Minimize(cost)
         model = cp.Problem(objective, constraints + blocks)
-        return cls(problem, scaling, reference, bounded, z, blocks, model)
+        return cls(problem, scaling, reference, bounded, boxed, z, blocks, model)
 
     def run(self, regularisation: float, verbose: bool) -> str:
         """Solve and return the status."""
@@ -296,6 +314,8 @@ class _Program:
         bounds[self.bounded] = scaling.cost * (
             (lower.dual_value - upper.dual_value) / scaling.theta[self.bounded]
         )
+        # Bounds that only an attempt has are none of the problem's.
+        bounds[~self.own] = np.nan
         s = self.problem.feasible.size
         if not self.blocks:
             return Multipliers(np.zeros((0, s, s)), frozen(bounds))
@@ -304,6 +324,18 @@ class _Program:
         inverses = np.linalg.inv(scaling.roots(s))
         Z = scaling.cost * np.swapaxes(inverses, 1, 2) @ duals @ inverses
         return Multipliers(frozen(Z), frozen(bounds))
+
+
+def _largest(problem: Problem, scaling: Scaling, reach: float | None) -> Array:
+    """Return the largest standard parameters of bodies of so many lengths, infinite if None."""
+    out = np.full(problem.n_theta, np.inf)
+    if reach is not None:
+        far = reach * scaling.length
+        units = np.array([1.0, *(far,) * 3, *(far**2,) * 6])
+        out[: scaling.bodies.size] = np.tile(
+            problem.constraints.mass_max * units, len(scaling.bodies)
+        )
+    return out
 
 
 def repair(problem: Problem, theta: Array) -> Array:

@@ -139,7 +139,7 @@ def _correlation_time(rows: RowSource, base: Array) -> float:
         residual.append(np.where(mask, effort - W @ base, 0.0))
         masks.append(mask)
     E, M = np.concatenate(residual), np.concatenate(masks)
-    times = [_integrated_time(E[:, j], M[:, j]) for j in range(E.shape[1])]
+    times = [_integrated_time(E[:, j], M[:, j]) for j in np.flatnonzero(M.any(axis=0))]
     return float(np.mean(times))
 
 
