@@ -134,7 +134,10 @@ def check_rule(robot: RobotModel, base: BaseParameters, terms: tuple[str, ...], 
     theta = np.random.default_rng(seed).standard_normal(W.shape[1])
     full, reduced = W @ theta, W[:, base.kept] @ (base.matrix @ theta)
     scale = np.abs(W).max() * np.abs(theta).max()
-    np.testing.assert_allclose(reduced, full, rtol=0, atol=REGROUPING * max(scale, 1.0))
+    # What the scan drops below its tolerance (axes off by milliradians) is missing from the
+    # effort in that proportion, and reported: `largest_dropped` is rounding for most robots.
+    share = REGROUPING + 10.0 * base.largest_dropped
+    np.testing.assert_allclose(reduced, full, rtol=0, atol=share * max(scale, 1.0))
     # The kept columns of B are the identity, exactly, and columns fold only into earlier ones.
     np.testing.assert_array_equal(base.matrix[:, base.kept], np.eye(base.count))
     order = {name: i for i, name in enumerate(scan_order(base))}
