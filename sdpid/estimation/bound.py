@@ -19,7 +19,8 @@ import numpy as np
 from sdpid._arrays import Array
 from sdpid.estimation.estimate import Estimate, Multipliers
 from sdpid.estimation.problem import Problem
-from sdpid.estimation.scaling import Scaling, symmetric_basis
+from sdpid.estimation.scaling import Scaling
+from sdpid.robot.inertia import symmetric_basis
 
 # The gap is relative to the cost, or to this share of the weighted squared efforts where the data
 # are exact and the cost is rounding: residuals of a thousandth of the effort.

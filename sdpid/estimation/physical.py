@@ -16,18 +16,17 @@ from sdpid._arrays import Array
 from sdpid.estimation.problem import Problem
 from sdpid.estimation.scaling import Scaling
 from sdpid.robot.inertia import (
+    TENSOR_INDEX,
     inertia_tensor,
     physical_parameters,
     second_moment_from_inertia,
+    tensor_entries,
     theta_from_physical,
 )
 
 # Order of a link's variables: inertia about the centre of mass (6, as in theta), centre of mass
 # (3), mass (1).
-_TENSOR = ((0, 0), (0, 1), (1, 1), (0, 2), (1, 2), (2, 2))
-_TENSOR_BASIS = np.zeros((6, 3, 3))
-for _k, (_i, _j) in enumerate(_TENSOR):
-    _TENSOR_BASIS[_k, _i, _j] = _TENSOR_BASIS[_k, _j, _i] = 1.0
+_TENSOR_BASIS = inertia_tensor(np.eye(10)[4:])
 
 # A column of the regressor this small beside the largest is zero.
 _INVISIBLE = 1e-12
@@ -65,7 +64,7 @@ class PhysicalVariables:
         axis = _reducible_axis(problem)
         free = np.ones(len(scale), dtype=bool)
         if axis is not None:
-            free[:6] = [pair == (axis, axis) for pair in _TENSOR]
+            free[:6] = [pair == (axis, axis) for pair in TENSOR_INDEX]
             free[6 + axis] = False
         index = np.flatnonzero(free)
         return cls(problem, index, scale[index], axis)
@@ -86,8 +85,8 @@ class PhysicalVariables:
         full = np.zeros(10 * links + len(self.problem.friction.parameters))
         full[self.free] = x * self.scale
         if self.axis is not None:
-            about = full[_TENSOR.index((self.axis, self.axis))]
-            for k, (i, j) in enumerate(_TENSOR):
+            about = full[TENSOR_INDEX.index((self.axis, self.axis))]
+            for k, (i, j) in enumerate(TENSOR_INDEX):
                 if i == j != self.axis:
                     # Second moments zz/2, zz/2 across and zz/2 along the axis: a sphere's.
                     full[k] = about
@@ -106,8 +105,7 @@ class PhysicalVariables:
         """Return the scaled free variables of standard parameters with positive masses."""
         bodies = self.problem.feasible.bodies(theta)
         mass, com, inertia = physical_parameters(bodies)
-        entries = np.stack([inertia[:, i, j] for i, j in _TENSOR], axis=1)
-        each = np.concatenate([entries, com, mass[:, None]], axis=1)
+        each = np.concatenate([tensor_entries(inertia), com, mass[:, None]], axis=1)
         full = np.concatenate([each.ravel(), theta[bodies.size :]])
         return np.asarray(full[self.free] / self.scale)
 
@@ -121,8 +119,8 @@ class PhysicalVariables:
             com, mass = full[start + 6 : start + 9], full[start + 9]
             J[start : start + 10, start : start + 10] = _link_jacobian(com, mass)
         if self.axis is not None:
-            about = _TENSOR.index((self.axis, self.axis))
-            for k, (i, j) in enumerate(_TENSOR):
+            about = TENSOR_INDEX.index((self.axis, self.axis))
+            for k, (i, j) in enumerate(TENSOR_INDEX):
                 if i == j != self.axis:
                     J[:, about] += J[:, k]
         return np.asarray(J[:, self.free] * self.scale)
@@ -149,11 +147,11 @@ def _link_jacobian(com: Array, mass: float) -> Array:
     J[1:4, 6:9] = mass * np.eye(3)
     J[1:4, 9] = com
     square = com @ com * np.eye(3) - np.outer(com, com)
-    J[4:, 9] = [square[i, j] for i, j in _TENSOR]
+    J[4:, 9] = tensor_entries(square)
     for k in range(3):
         e = np.eye(3)[k]
         change = 2.0 * com[k] * np.eye(3) - np.outer(e, com) - np.outer(com, e)
-        J[4:, 6 + k] = [mass * change[i, j] for i, j in _TENSOR]
+        J[4:, 6 + k] = mass * tensor_entries(change)
     return J
 
 
@@ -168,11 +166,8 @@ def _reducible_axis(problem: Problem) -> int | None:
     B = problem.base.matrix[:, :10]
     seen = np.abs(B).max(axis=0) > _INVISIBLE * max(float(np.abs(problem.base.matrix).max()), 1.0)
     for axis in range(3):
-        tensor = [pair == (axis, axis) for pair in _TENSOR]
+        tensor = [pair == (axis, axis) for pair in TENSOR_INDEX]
         allowed = np.array([False, *(k != axis for k in range(3)), *tensor])
         if not np.any(seen & ~allowed) and seen[4:][tensor].all():
             return axis
     return None
-
-
-__all__ = ["PhysicalVariables", "inertia_tensor"]

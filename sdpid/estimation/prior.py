@@ -9,7 +9,12 @@ import numpy as np
 from sdpid._arrays import Array, frozen
 from sdpid.errors import DataError
 from sdpid.estimation.rows import RowSource
-from sdpid.robot.inertia import from_pseudo_inertia, margin, pseudo_inertia
+from sdpid.robot.inertia import (
+    from_pseudo_inertia,
+    margin,
+    pseudo_inertia,
+    symmetric_basis,
+)
 
 # Second moments about the centre of mass of a believed body are at least those of a ball whose
 # points are 2 cm from its centre (rms, per axis): descriptions have links that are no bodies, and
@@ -124,16 +129,15 @@ def prior_rows(prior: Prior, rows: RowSource) -> PriorRows:
     links = 10 * robot.n_links
     total = links + len(rows.friction.parameters)
     blocks, targets = [], []
-    pairs = [(i, j) for i in range(4) for j in range(i + 1)]
+    symmetric = symmetric_basis(4)
+    identity = np.trace(symmetric, axis1=1, axis2=2)
     for i in known:
         inverse = np.linalg.inv(np.linalg.cholesky(pseudo_inertia(bodies[i])))
         units = inverse @ pseudo_inertia(np.eye(10)) @ inverse.T
-        block = np.zeros((len(pairs), total))
-        for row, (a, b) in enumerate(pairs):
-            # Off-diagonal entries stand twice in the Frobenius norm.
-            block[row, 10 * i : 10 * i + 10] = units[:, a, b] * (1.0 if a == b else np.sqrt(2.0))
+        block = np.zeros((len(symmetric), total))
+        block[:, 10 * i : 10 * i + 10] = np.einsum("aij,kij->ak", symmetric, units)
         blocks.append(np.sqrt(prior.strength) * block)
-        targets.append(np.sqrt(prior.strength) * np.array([float(a == b) for a, b in pairs]))
+        targets.append(np.sqrt(prior.strength) * identity)
     if prior.friction and len(rows.friction.parameters):
         weights = _friction_weights(rows)
         block = np.zeros((len(weights), total))

@@ -13,6 +13,7 @@ from sdpid.robot.inertia import (
     from_pseudo_inertia,
     pseudo_inertia,
     spatial_inertia,
+    symmetric_basis,
 )
 
 # The cost is counted in units of its floor; when the data are exact the floor is rounding, and
@@ -29,15 +30,6 @@ _THINNEST = 0.1
 # And at most these: sizes beyond a few lengths of the robot, or below a gram, are no sizes.
 _FARTHEST = 5.0
 _LIGHTEST = 1e-3
-
-
-def symmetric_basis(size: int) -> Array:
-    """Return an orthonormal basis of the symmetric matrices, (size·(size+1)/2, size, size)."""
-    pairs = [(i, j) for i in range(size) for j in range(i + 1)]
-    basis = np.zeros((len(pairs), size, size))
-    for k, (i, j) in enumerate(pairs):
-        basis[k, i, j] = basis[k, j, i] = 1.0 if i == j else np.sqrt(0.5)
-    return basis
 
 
 @dataclass(frozen=True, eq=False)

@@ -27,14 +27,15 @@ CONSISTENCIES: tuple[Consistency, ...] = ("pseudo_inertia", "spatial_inertia", "
 PARAMETER_NAMES = ("m", "mx", "my", "mz", "xx", "xy", "yy", "xz", "yz", "zz")
 PARAMETER_UNITS = ("kg", *("kg.m",) * 3, *("kg.m2",) * 6)
 
-_TENSOR_INDEX = ((0, 0), (0, 1), (1, 1), (0, 2), (1, 2), (2, 2))
+# Order of the six entries of a rotational inertia.
+TENSOR_INDEX = ((0, 0), (0, 1), (1, 1), (0, 2), (1, 2), (2, 2))
 
 
 def inertia_tensor(theta: ArrayLike) -> Array:
     """Return the rotational inertia about the frame's origin, (..., 10) to (..., 3, 3)."""
     theta = np.asarray(theta, dtype=np.float64)
     tensor = np.empty((*theta.shape[:-1], 3, 3))
-    for k, (i, j) in enumerate(_TENSOR_INDEX):
+    for k, (i, j) in enumerate(TENSOR_INDEX):
         tensor[..., i, j] = tensor[..., j, i] = theta[..., 4 + k]
     return tensor
 
@@ -96,7 +97,7 @@ def spatial_inertia(theta: ArrayLike) -> Array:
 
 def tensor_entries(tensor: Array) -> Array:
     """Return the entries of symmetric matrices in theta's order, (..., 3, 3) to (..., 6)."""
-    return np.stack([tensor[..., i, j] for i, j in _TENSOR_INDEX], axis=-1)
+    return np.stack([tensor[..., i, j] for i, j in TENSOR_INDEX], axis=-1)
 
 
 def physical_parameters(theta: ArrayLike) -> tuple[Array, Array, Array]:
@@ -217,3 +218,12 @@ def point_masses(masses: ArrayLike, positions: ArrayLike) -> Array:
     return from_pseudo_inertia(
         np.einsum("...k,...ki,...kj->...ij", masses, homogeneous, homogeneous)
     )
+
+
+def symmetric_basis(size: int) -> Array:
+    """Return an orthonormal basis of the symmetric matrices, (size·(size+1)/2, size, size)."""
+    pairs = [(i, j) for i in range(size) for j in range(i + 1)]
+    basis = np.zeros((len(pairs), size, size))
+    for k, (i, j) in enumerate(pairs):
+        basis[k, i, j] = basis[k, j, i] = 1.0 if i == j else np.sqrt(0.5)
+    return basis
