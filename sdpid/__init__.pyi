@@ -11,11 +11,28 @@ from .errors import (
     SdpidError,
     SolverError,
 )
+from .estimation.condition_equations import (
+    EqualLinks,
+    Fixed,
+    FixedLink,
+    MirrorPair,
+    MirrorSymmetry,
+)
+from .estimation.condition_kinds import (
+    CenterOfMassInBox,
+    CenterOfMassInEllipsoid,
+    CenterOfMassInHull,
+    MassInEllipsoid,
+    TotalMass,
+)
 from .estimation.constraints import Constraints
 from .estimation.estimate import Estimate
 from .estimation.log_cholesky import solve_log_cholesky
+from .estimation.modelled import as_cvxpy
 from .estimation.prior import Prior
 from .estimation.problem import Problem, build_problem
+from .estimation.provenance import Provenance
+from .estimation.robust import RobustEstimate, solve_robust
 from .estimation.sdp import solve_sdp
 from .estimation.slsqp import solve_slsqp
 from .estimation.wls import solve_wls
@@ -35,7 +52,12 @@ from .robot.friction import (
     FrictionTerm,
     JointwiseTerm,
     Offset,
+    OpenParameter,
     RotorInertia,
+    SigmoidFriction,
+    SquareRootFriction,
+    Stribeck,
+    TermParameter,
     Viscous,
 )
 from .robot.load import load_robot
@@ -48,6 +70,9 @@ __version__: str
 __all__ = [
     "AsymmetricCoulomb",
     "BaseParameters",
+    "CenterOfMassInBox",
+    "CenterOfMassInEllipsoid",
+    "CenterOfMassInHull",
     "Certificate",
     "CertificateError",
     "Comparison",
@@ -57,29 +82,44 @@ __all__ = [
     "DataError",
     "DhJoint",
     "DhTable",
+    "EqualLinks",
     "Estimate",
     "ExportError",
+    "Fixed",
+    "FixedLink",
     "FrictionTerm",
     "IdentifiabilityError",
     "Identification",
     "InfeasibleError",
     "JointwiseTerm",
+    "MassInEllipsoid",
+    "MirrorPair",
+    "MirrorSymmetry",
     "MissingExtraError",
     "ModelError",
     "Offset",
+    "OpenParameter",
     "Prior",
     "Problem",
     "Processing",
+    "Provenance",
     "Recording",
     "RobotModel",
+    "RobustEstimate",
     "RotorInertia",
     "Samples",
     "SdpidError",
+    "SigmoidFriction",
     "SolverError",
+    "SquareRootFriction",
+    "Stribeck",
+    "TermParameter",
+    "TotalMass",
     "Trajectory",
     "Validation",
     "Viscous",
     "__version__",
+    "as_cvxpy",
     "build_problem",
     "certify",
     "compare",
@@ -91,6 +131,7 @@ __all__ = [
     "read_recording",
     "simulate",
     "solve_log_cholesky",
+    "solve_robust",
     "solve_sdp",
     "solve_slsqp",
     "solve_wls",

@@ -151,8 +151,9 @@ Friction = Annotated[
     list[str] | None,
     typer.Option(
         metavar="TERM",
-        help="coulomb, coulomb=0.02 (smooth over so many rad/s), asymmetric_coulomb, viscous, "
-        "offset, rotor_inertia, or coupling=joint_5,joint_6. Repeat for each term.",
+        help="coulomb, coulomb=0.02 (smooth over so many rad/s), coulomb=fit (over as many as fit "
+        "best), asymmetric_coulomb, viscous, offset, rotor_inertia, stribeck, sigmoid, "
+        "square_root, or coupling=joint_5,joint_6. Repeat for each term.",
         rich_help_panel=_ESTIMATION,
     ),
 ]

@@ -17,6 +17,8 @@ from sdpid._extras import require
 from sdpid.errors import ExportError, ModelError
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from sdpid.assurance.validation import Validation
     from sdpid.experiment.processing import Processing
     from sdpid.experiment.recording import Recording
@@ -365,24 +367,31 @@ def _processing(
 
 
 def _friction(given: list[str] | None) -> list[str | FrictionTerm] | None:
-    """Turn options into terms: names, or names with a width or joints."""
-    from sdpid.robot.friction import AsymmetricCoulomb, Coulomb, Coupling
+    """Turn options into terms: names, or names with a speed or joints."""
+    from sdpid.robot.friction import AsymmetricCoulomb, Coulomb, Coupling, SigmoidFriction, Stribeck
 
-    smooth = {"coulomb": Coulomb, "asymmetric_coulomb": AsymmetricCoulomb}
+    smooth: dict[str, Callable[[float | None], FrictionTerm]] = {
+        "coulomb": lambda width: Coulomb(width=width),
+        "asymmetric_coulomb": lambda width: AsymmetricCoulomb(width=width),
+        "stribeck": lambda speed: Stribeck(velocity=speed),
+        "sigmoid": lambda speed: SigmoidFriction(velocity=speed),
+    }
     terms: list[str | FrictionTerm] = []
     for text in given or ():
         name, equals, value = text.partition("=")
         if not equals:
             terms.append(text)
         elif name in smooth:
-            terms.append(smooth[name](width=cli.numbers(value, f"--friction {name}")[0]))
+            given_speed = None if value == "fit" else cli.numbers(value, f"--friction {name}")[0]
+            terms.append(smooth[name](given_speed))
         elif name == "coupling" and value.count(",") == 1:
             first, second = cli.split_list(value)
             terms.append(Coupling(first, second))
         else:
             raise ModelError(
                 f"--friction {text}: takes no value; with one there are coulomb=WIDTH, "
-                "asymmetric_coulomb=WIDTH and coupling=JOINT,JOINT."
+                "asymmetric_coulomb=WIDTH, stribeck=SPEED, sigmoid=SPEED (a speed in rad/s, or "
+                "fit) and coupling=JOINT,JOINT."
             )
     return terms or None
 

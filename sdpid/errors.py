@@ -55,7 +55,24 @@ class SolverError(SdpidError):
 
 
 class InfeasibleError(SolverError):
-    """The constraints cannot hold together."""
+    """The constraints cannot hold together.
+
+    Attributes
+    ----------
+    conflict : tuple of str
+        A small set of constraints that cannot hold together, empty where it is not known.
+    """
+
+    def __init__(
+        self,
+        message: str,
+        *,
+        problem: Any = None,
+        found: Any = None,
+        conflict: tuple[str, ...] = (),
+    ) -> None:
+        super().__init__(message, problem=problem, found=found)
+        self.conflict = conflict
 
 
 class ExportError(SdpidError):

@@ -37,7 +37,9 @@ HEAVY = {
 # Who may use a library at all, as beginnings of module names.
 ALLOWED = {
     "pinocchio": ("sdpid.robot.", "sdpid.experiment.plant"),
-    "cvxpy": ("sdpid.estimation.sdp", "sdpid.assurance."),
+    "cvxpy": ("sdpid.estimation.modelled", "sdpid.assurance."),
+    "clarabel": ("sdpid.estimation.conic",),
+    "scs": ("sdpid.estimation.conic",),
     "mujoco": ("sdpid.experiment.plant", "sdpid.experiment.mujoco"),
 }
 

@@ -119,6 +119,32 @@ def test_identify_as_json(log: Path, tmp_path: Path) -> None:
     assert [path.name for path in tmp_path.iterdir()] == ["sdpid-results"]
 
 
+def test_friction_options() -> None:
+    from sdpid.robot.friction import AsymmetricCoulomb, Coulomb, Coupling, Stribeck
+
+    texts = ["coulomb=fit", "stribeck=0.2", "stribeck=fit", "asymmetric_coulomb=0.1"]
+    assert cli._friction([*texts, "sigmoid", "coupling=a,b"]) == [
+        *(Coulomb(width=None), Stribeck(0.2), Stribeck(), AsymmetricCoulomb(width=0.1)),
+        *("sigmoid", Coupling("a", "b")),
+    ]
+    with pytest.raises(sdpid.ModelError, match="viscous=1: takes no value"):
+        cli._friction(["viscous=1"])
+
+
+def test_terms_with_chosen_speeds(log: Path, tmp_path: Path) -> None:
+    done = run(
+        *("identify", log, "--robot", ROBOT, "--json", "--no-figures", "--out", tmp_path / "x"),
+        *("--friction", "coulomb=fit", "--friction", "viscous", "--friction", "square_root"),
+        *("--friction", "stribeck"),
+    )
+    assert done.exit_code == 0, done.output
+    problem = json.loads(done.stdout)["problem"]
+    terms = [term["term"] for term in problem["friction_terms"]]
+    assert terms == ["Coulomb", "Viscous", "SquareRootFriction", "Stribeck"]
+    assert len(problem["profiled"]) == 12
+    assert "friction" in (tmp_path / "x" / "identified.urdf").read_text(encoding="utf-8")
+
+
 def test_without_consistency_there_is_no_urdf(log: Path, tmp_path: Path) -> None:
     done = run(
         *("identify", log, "--robot", ROBOT, "--consistency", "none"),

@@ -15,12 +15,13 @@ from sdpid._arrays import Array
 from sdpid._files import atomic_write_text
 from sdpid.errors import CertificateError
 from sdpid.estimation.bound import TINY_COST, Bound, evaluate, lower_bound, relative_gap
+from sdpid.estimation.entropy import Entropy
 from sdpid.estimation.estimate import FEASIBLE, Estimate
 from sdpid.estimation.problem import Problem
 from sdpid.robot.inertia import margin, margin_shift, matrix_basis
 
 SCHEMA = "sdpid-certificate"
-VERSION = 1
+VERSION = 2
 
 # A certificate passes when the cost is proven to be within this share of the global optimum.
 GAP = 1e-6
@@ -102,7 +103,15 @@ class Certificate:
     def to_dict(self) -> dict[str, Any]:
         """Return everything that is needed to check the certificate, as plain values."""
         problem, estimate = self.problem, self.estimate
-        feasible = problem.feasible
+        feasible, dual = problem.feasible, self.bound.dual
+        own = feasible.n_own
+        cones = zip(
+            feasible.block_names[own:],
+            feasible.block_links[own:].tolist(),
+            feasible.block_basis[own:],
+            strict=True,
+        )
+        entropic = None if problem.prior is None else problem.prior.entropic
         return {
             "schema": SCHEMA,
             "version": VERSION,
@@ -123,10 +132,38 @@ class Certificate:
             "base_matrix": problem.base.matrix.tolist(),
             "lower": feasible.lower.tolist(),
             "upper": feasible.upper.tolist(),
+            "rows": [
+                {"name": name, "coefficients": row.tolist(), "lower": low, "upper": high}
+                for name, row, low, high in zip(
+                    feasible.row_names,
+                    feasible.rows,
+                    map(_finite, feasible.row_lower),
+                    map(_finite, feasible.row_upper),
+                    strict=True,
+                )
+            ],
+            "cones": [
+                {
+                    "name": name,
+                    "link": link,
+                    "axis": basis[:, -1, -1].tolist(),
+                    "vectors": basis[:, :3, -1].T.tolist(),
+                }
+                for name, link, basis in cones
+            ],
+            "entropic_prior": None
+            if entropic is None
+            else {
+                "links": entropic.links.tolist(),
+                "inverses": entropic.inverses.tolist(),
+                "strength": entropic.strength,
+            },
             "theta": None if estimate.theta is None else estimate.theta.tolist(),
             "base": estimate.base.tolist(),
-            "y": self.bound.y.tolist(),
-            "Z": self.bound.Z.tolist(),
+            "y": dual.y.tolist(),
+            "Z": dual.Z.tolist(),
+            "row_multipliers": dual.rows.tolist(),
+            "W": None if dual.W is None else dual.W.tolist(),
             "cost": self.cost,
             "lower_bound": self.lower_bound,
             "gap": self.gap,
@@ -136,6 +173,11 @@ class Certificate:
     def to_json(self, path: str | os.PathLike[str]) -> None:
         """Write the certificate to a file, whole or not at all."""
         atomic_write_text(path, json.dumps(self.to_dict(), indent=1, allow_nan=False) + "\n")
+
+
+def _finite(limit: float) -> float | None:
+    """Return a limit for JSON, None where there is none."""
+    return float(limit) if np.isfinite(limit) else None
 
 
 def certify(estimate: Estimate, *, bound: Bound | Estimate | None = None) -> Certificate:
@@ -169,7 +211,7 @@ def certify(estimate: Estimate, *, bound: Bound | Estimate | None = None) -> Cer
         if bound.problem is not estimate.problem:
             raise CertificateError("certify: the bound's estimate is of another problem.")
         bound = lower_bound(bound)
-    value = evaluate(estimate.problem, bound.y, bound.Z)
+    value = evaluate(estimate.problem, bound.dual)
     if value != bound.value:
         raise CertificateError(
             f"certify: the multipliers give the bound {value}, not {bound.value}; they belong to "
@@ -250,32 +292,53 @@ def _recompute(data: dict[str, Any]) -> Verification:
     believed = data["prior_matrix"] is not None
     R = array("prior_matrix") if believed else np.zeros((0, B.shape[1]))
     r = array("prior_rhs") if believed else np.zeros(0)
+    rows = _Rows.of(data["rows"], array("row_multipliers"), B.shape[1])
+    cones = [(int(c["link"]), np.array(c["axis"]), np.array(c["vectors"])) for c in data["cones"]]
+    entropic = _entropic(data["entropic_prior"])
     worst = None
     if data["theta"] is None:
         problems.append("no standard parameters: nothing is feasible")
     else:
         theta = array("theta")
+        bodies = theta[: 10 * links].reshape(links, 10)
         cost += float(np.sum((R @ theta - r) ** 2))
+        if entropic is not None:
+            cost += entropic.value(theta)
         if not np.allclose(B @ theta, base, rtol=1e-9, atol=1e-9):
             problems.append("base is not B·theta")
         outside = float(np.max(np.maximum(lower - theta, theta - upper)))
         if outside > FEASIBLE:
             problems.append(f"a bound is violated by {outside:.2e}")
+        problems += rows.violated(theta)
+        for (link, axis, vectors), cone in zip(cones, data["cones"], strict=True):
+            short = float(np.linalg.norm(vectors @ bodies[link]) - axis @ bodies[link])
+            if short > FEASIBLE:
+                problems.append(f"{cone['name']} is violated by {short:.2e}")
         if consistency != "none":
-            margins = margin(theta[: 10 * links].reshape(links, 10), consistency)
+            margins = margin(bodies, consistency)
             if np.all(np.isfinite(margins)):
                 worst = float(margins.min())
             if worst is None or worst < float(data["margin"]) - FEASIBLE:
                 problems.append(f"a link's margin is {worst}, below {data['margin']}")
-    linear = 2.0 * (B.T @ (A.T @ y[:count]) + R.T @ y[count:])
-    constant = floor - float(y @ y) - 2.0 * float(y[:count] @ rhs + y[count:] @ r)
+    linear = 2.0 * (B.T @ (A.T @ y[:count]) + R.T @ y[count:]) - rows.linear
+    constant = floor - float(y @ y) - 2.0 * float(y[:count] @ rhs + y[count:] @ r) + rows.constant
+    if entropic is not None and data["W"] is not None:
+        gained, slope = entropic.support(array("W"), len(linear))
+        constant, linear = constant + gained, linear + slope
     if Z.size:
         smallest = float(np.linalg.eigvalsh(Z)[:, 0].min())
         if smallest < -_PSD * max(float(np.abs(Z).max()), np.finfo(float).tiny):
             problems.append(f"a multiplier has the eigenvalue {smallest:.2e}")
-        linear[: 10 * links] -= np.einsum("lij,kij->lk", Z, matrix_basis(consistency)).ravel()
-        shift = float(data["margin"]) * margin_shift(consistency)
-        constant += float(np.einsum("lij,ij->", Z, shift))
+        own = 0 if consistency == "none" else links
+        if own:
+            terms = np.einsum("lij,kij->lk", Z[:own], matrix_basis(consistency))
+            linear[: 10 * links] -= terms.ravel()
+            shift = float(data["margin"]) * margin_shift(consistency)
+            constant += float(np.einsum("lij,ij->", Z[:own], shift))
+        for (link, axis, vectors), multiplier in zip(cones, Z[own:], strict=True):
+            # ⟨Z, [[a·E, v], [v^T, a]]⟩ in the ten parameters of the link.
+            terms = np.trace(multiplier) * axis + 2.0 * multiplier[-1, :3] @ vectors
+            linear[10 * link : 10 * link + 10] -= terms
     bound = constant + float(linear @ np.where(linear > 0.0, lower, upper))
     scale = max(cost, TINY_COST * (float(rhs @ rhs + r @ r) + floor))
     gap = (cost - bound) / scale
@@ -292,3 +355,42 @@ def _recompute(data: dict[str, Any]) -> Verification:
         margin=worst,
         problems=tuple(problems),
     )
+
+
+@dataclass(frozen=True, eq=False)
+class _Rows:
+    """The linear rows of a certificate with their multipliers."""
+
+    data: list[dict[str, Any]]
+    linear: Array
+    constant: float
+
+    @classmethod
+    def of(cls, data: list[dict[str, Any]], multipliers: Array, n_theta: int) -> _Rows:
+        if len(multipliers) != len(data):
+            raise ValueError(f"{len(multipliers)} multipliers for {len(data)} rows")
+        linear, constant = np.zeros(n_theta), 0.0
+        for row, multiplier in zip(data, multipliers, strict=True):
+            limit = row["lower"] if multiplier > 0.0 else row["upper"]
+            if limit is not None:
+                linear += multiplier * np.array(row["coefficients"])
+                constant += float(multiplier) * float(limit)
+        return cls(data, linear, constant)
+
+    def violated(self, theta: Array) -> list[str]:
+        """Return in words which rows theta violates."""
+        out = []
+        for row in self.data:
+            value = float(np.array(row["coefficients"]) @ theta)
+            low = -np.inf if row["lower"] is None else float(row["lower"])
+            high = np.inf if row["upper"] is None else float(row["upper"])
+            short = max(low - value, value - high)
+            if not short <= FEASIBLE:
+                out.append(f"{row['name']} is violated by {short:.2e}")
+        return out
+
+
+def _entropic(data: dict[str, Any] | None) -> Entropy | None:
+    if data is None:
+        return None
+    return Entropy(np.array(data["links"]), np.array(data["inverses"]), float(data["strength"]))

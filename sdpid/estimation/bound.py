@@ -1,13 +1,15 @@
 """Lower bounds on the cost of all feasible parameters, from multipliers.
 
-For any y and any Z ⪰ 0 the cost obeys, at every feasible theta,
+For any y, any Z ⪰ 0 and any multipliers of the rows the cost obeys, at every feasible theta,
 
-    f(theta) ≥ floor − ‖y‖² − 2·y·h − Σ⟨Z_i, F_0⟩ + c·theta,
-    c = 2·G^T·y − Σ L_i*(Z_i),   f(theta) = ‖G·theta − h‖² + floor
+    f(theta) ≥ floor − ‖y‖² − 2·y·h − Σ⟨Z_i, F_0i⟩ + Σ_j λ_j·limit_j + c·theta,
+    c = 2·G^T·y − Σ L_i*(Z_i) − Σ_j λ_j·row_j,   f(theta) = ‖G·theta − h‖² + floor
 
-since ‖r‖² ≥ 2·y·r − ‖y‖² and ⟨Z_i, F_i(theta)⟩ ≥ 0. (G = A·B and h = rhs, with the prior's rows
-below where there is a prior.) Every theta lies in the box of the declared bounds, so c·theta is
-at least its smallest value there.
+since ‖r‖² ≥ 2·y·r − ‖y‖² and ⟨Z_i, F_i(theta)⟩ ≥ 0, the limit of a row being the lower one where
+its multiplier is positive and the upper one where it is negative. (G = A·B and h = rhs, with the
+prior's rows below where there is a prior.) A log-det prior adds a convex function, which lies above
+its tangents: for any W ≻ 0 that is another linear function of theta. Every theta lies in the box
+of the declared bounds, so c·theta is at least its smallest value there.
 """
 
 from __future__ import annotations
@@ -17,26 +19,34 @@ from dataclasses import dataclass
 import numpy as np
 
 from sdpid._arrays import Array
-from sdpid.estimation.estimate import Estimate, Multipliers
+from sdpid.estimation.estimate import Estimate
 from sdpid.estimation.problem import Problem
-from sdpid.estimation.scaling import Scaling
-from sdpid.robot.inertia import symmetric_basis
 
 # The gap is relative to the cost, or to this share of the weighted squared efforts where the data
 # are exact and the cost is rounding: residuals of a thousandth of the effort.
 TINY_COST = 1e-6
 
 
-# How far the null space of a multiplier may take part in polishing it, relative to its largest
-# eigenvalue: tried in turn, halved in each of so many rounds, until the gap is small enough.
-_SOFT = (1e-6, 1e-8, 1e-10, 1e-12, 1e-14, 1e-5, 1e-4)
-_ROUNDS = 8
+@dataclass(frozen=True, eq=False)
+class Dual:
+    """Multipliers that prove a bound.
 
-# Equations of the polishing that are this close to dependent are dependent.
-_CUT = 1e-14
+    Attributes
+    ----------
+    y : ndarray, shape (rows of the design,)
+        Multiplier of the residual of `Problem.design`.
+    Z : ndarray, shape (N, s, s) or (0, s, s)
+        Multipliers of the matrix inequalities, positive semidefinite; none are zeros.
+    rows : ndarray, shape (r,)
+        Multipliers of the linear rows: positive at the lower limit, negative at the upper one.
+    W : ndarray, shape (L, 4, 4), or None
+        Where the tangents of a log-det prior touch: inverses of pseudo-inertias.
+    """
 
-# A gap this small is not worth another round.
-_ENOUGH = 1e-7
+    y: Array
+    Z: Array
+    rows: Array
+    W: Array | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,23 +57,12 @@ class Bound:
     ----------
     value : float
         No feasible parameters cost less (in floating point).
-    y : ndarray, shape (rows,)
-        Multiplier of the residual of `Problem.design`.
-    Z : ndarray, shape (links, s, s)
-        Multipliers of the matrix inequalities, positive semidefinite.
+    dual : Dual
+        The proof.
     """
 
     value: float
-    y: Array
-    Z: Array
-
-
-def adjoint(Z: Array, basis: Array, n_theta: int) -> Array:
-    """Return Σ L_i*(Z_i) as a vector over theta: entry k is ⟨Z_i, F_k⟩."""
-    out = np.zeros(n_theta)
-    values = np.einsum("lij,kij->lk", Z, basis)
-    out[: values.size] = values.ravel()
-    return out
+    dual: Dual
 
 
 def gradient(problem: Problem, y: Array) -> Array:
@@ -75,17 +74,32 @@ def gradient(problem: Problem, y: Array) -> Array:
     return np.asarray(out)
 
 
-def evaluate(problem: Problem, y: Array, Z: Array) -> float:
-    """Return the bound that y and positive semidefinite Z prove."""
+def evaluate(problem: Problem, dual: Dual) -> float:
+    """Return the bound that multipliers prove, Z positive semidefinite and W definite."""
     feasible = problem.feasible
-    h = problem.design[1]
-    linear = 2.0 * gradient(problem, y)
-    constant = problem.floor - y @ y - 2.0 * (y @ h)
-    if Z.size:
-        linear = linear - adjoint(Z, feasible.basis(), problem.n_theta)
-        constant -= float(np.einsum("lij,ij->", Z, feasible.constant()))
+    y = dual.y
+    constant, linear = tangent(problem, dual)
+    linear = linear + 2.0 * gradient(problem, y)
+    constant += problem.floor - float(y @ y) - 2.0 * float(y @ problem.design[1])
+    if dual.Z.size:
+        linear = linear - feasible.adjoint(dual.Z)
+        constant -= float(np.einsum("nij,nij->", dual.Z, feasible.block_constants))
+    if dual.rows.size:
+        limits = np.where(dual.rows > 0.0, feasible.row_lower, feasible.row_upper)
+        used = np.where(np.isfinite(limits), dual.rows, 0.0)
+        linear = linear - used @ feasible.rows
+        constant += float(used @ np.where(np.isfinite(limits), limits, 0.0))
     ends = np.where(linear > 0.0, feasible.lower, feasible.upper)
     return float(constant + linear @ ends)
+
+
+def tangent(problem: Problem, dual: Dual) -> tuple[float, Array]:
+    """Return constant and slope of the tangent to a log-det prior, zero where there is none."""
+    prior = problem.prior
+    if prior is None or prior.entropic is None or dual.W is None:
+        # Divergences are not negative.
+        return 0.0, np.zeros(problem.n_theta)
+    return prior.entropic.support(dual.W, problem.n_theta)
 
 
 def clip_psd(Z: Array) -> Array:
@@ -97,7 +111,7 @@ def clip_psd(Z: Array) -> Array:
     return np.asarray((vectors * clipped[..., None, :]) @ np.swapaxes(vectors, -1, -2))
 
 
-def lower_bound(estimate: Estimate) -> Bound:
+def lower_bound(estimate: Estimate, *, enough: float = 0.0) -> Bound:
     """Turn an estimate's multipliers into a lower bound.
 
     Parameters
@@ -105,97 +119,66 @@ def lower_bound(estimate: Estimate) -> Bound:
     estimate : Estimate
         With multipliers, from `solve_sdp`; without them Z = 0, which is the bound that ignores
         the physics.
+    enough : float, optional
+        A relative gap that needs no polishing.
 
     Returns
     -------
     Bound
-        The best of a few choices of y and Z: as found, or polished.
+        The best of a few choices of the multipliers: as found, or polished (see
+        `sdpid.estimation.polish`).
     """
     problem = estimate.problem
     s = problem.feasible.size
     found = estimate.multipliers
-    if estimate.theta is not None:
-        y = problem.residual_of(estimate.theta)
-    else:
-        y = problem.A @ estimate.base - problem.rhs
-        y = np.concatenate([y, np.zeros(len(problem.design[1]) - len(y))])
+    residual = _residual(estimate)
     # Whatever the constraints, nothing costs less than the floor: no multipliers prove that much,
     # and where the constraints cost nothing it is all there is to prove.
-    none = np.zeros((0, s, s))
-    best = Bound(evaluate(problem, 0.0 * y, none), 0.0 * y, none)
-    if found is None or estimate.theta is None or not found.Z.size:
-        own = Bound(evaluate(problem, y, none), y, none)
-        return max(best, own, key=lambda bound: bound.value)
-    Z = clip_psd(found.Z)
-    start = y if found.y is None else found.y
-    given = Bound(evaluate(problem, start, Z), start, Z)
-    best = max(best, given, key=lambda bound: bound.value)
-    if relative_gap(problem, estimate.cost, best.value) <= _ENOUGH:
+    nothing = np.zeros((0, s, s)), np.zeros(len(problem.feasible.rows))
+    W = _touching(estimate)
+    best = best_of(
+        [
+            bounded(problem, Dual(0.0 * residual, *nothing)),
+            bounded(problem, Dual(residual, *nothing, W)),
+        ]
+    )
+    if found is None or estimate.theta is None:
         return best
-    scaling = Scaling.of(problem).around(estimate.theta)
-    for first in _SOFT:
-        trial, soft = Multipliers(Z, found.bounds), first
-        residual = y
-        for _ in range(_ROUNDS):
-            residual, improved = _polished(problem, scaling, residual, trial, soft)
-            value = evaluate(problem, residual, improved)
-            if value > best.value:
-                best = Bound(value, residual, improved)
-            if relative_gap(problem, estimate.cost, best.value) <= _ENOUGH:
-                return best
-            trial, soft = Multipliers(improved, found.bounds), 0.5 * soft
-    return best
+    y = residual if found.y is None else found.y
+    given = Dual(y, clip_psd(found.Z), found.rows, W if found.W is None else found.W)
+    best = best_of([best, bounded(problem, given)])
+    if relative_gap(problem, estimate.cost, best.value) <= enough:
+        return best
+    from sdpid.estimation.polish import polished
+
+    return polished(estimate, residual, given, best)
 
 
-def _polished(
-    problem: Problem, scaling: Scaling, y: Array, found: Multipliers, soft: float
-) -> tuple[Array, Array]:
-    """Return y and Z changed as little as needed for the linear term to be what it should.
+def bounded(problem: Problem, dual: Dual) -> Bound:
+    """Return a bound with its value."""
+    return Bound(evaluate(problem, dual), dual)
 
-    A solver leaves errors in the linear term c, which the wide box of theta makes expensive. At
-    the optimum c is the multiplier of the bounds, which the solver gives too, and zero in every
-    parameter without one. That is a linear system in a change of y, in the bounds' multipliers
-    and in D of ``S·(E + D)·S``, S being the square root of Z softened so that its null space can
-    take part. Of many solutions the smallest is taken. As long as D is above −E the result is
-    positive semidefinite; where it is not, it is clipped, and another round takes the rest.
-    """
-    from scipy.linalg import lstsq
 
-    feasible = problem.feasible
-    links, size = feasible.n_links, feasible.size
-    basis, D = scaling.basis(), scaling.roots(size)
-    unit = float(np.sqrt(scaling.cost))
-    inverse = np.linalg.inv(D)
-    Z = np.swapaxes(D, 1, 2) @ found.Z @ D / scaling.cost
-    values, vectors = np.linalg.eigh(Z)
-    values = np.maximum(values, 0.0)
-    values = values + soft * max(float(values.max()), np.finfo(float).tiny)
-    S = (vectors * np.sqrt(values)[:, None, :]) @ np.swapaxes(vectors, 1, 2)
-    Z = S @ S
-    full = scaling.cost * np.swapaxes(inverse, 1, 2) @ Z @ inverse
-    symmetric = symmetric_basis(size)
-    changes = np.zeros((problem.n_theta, links, len(symmetric)))
-    for link in range(links):
-        F = inverse[link] @ feasible.basis() @ inverse[link].T
-        own = slice(10 * link, 10 * link + 10)
-        changes[own, link] = np.einsum("aij,kij->ka", S[link] @ symmetric @ S[link], F)
-    bounded = np.flatnonzero(np.isfinite(found.bounds))
-    mu = np.nan_to_num(found.bounds)
-    GT = 2.0 * problem.design[0].T / unit
-    missing = (adjoint(full, feasible.basis(), problem.n_theta) + mu) / scaling.cost
-    missing = missing - 2.0 * gradient(problem, y) / scaling.cost
-    scale_y = max(float(np.linalg.norm(y)) / unit, 1e-3)
-    relax = np.eye(problem.n_theta)[:, bounded]
-    relax = relax * (np.abs(mu[bounded]) / scaling.cost + soft / scaling.theta[bounded])
-    system = np.hstack([GT * scale_y, -changes.reshape(problem.n_theta, -1), -relax])
-    # Smallest solution by pivoted QR: ten times faster than by singular values.
-    step = lstsq(
-        basis.T @ system, basis.T @ missing, cond=_CUT, lapack_driver="gelsy", check_finite=False
-    )[0]
-    part = step[len(y) : len(y) + links * len(symmetric)].reshape(links, -1)
-    polished = clip_psd(Z + S @ np.einsum("la,aij->lij", part, symmetric) @ S)
-    polished = scaling.cost * np.swapaxes(inverse, 1, 2) @ polished @ inverse
-    return y + scale_y * unit * step[: len(y)], clip_psd(polished)
+def best_of(bounds: list[Bound]) -> Bound:
+    """Return the highest of several bounds."""
+    return max(bounds, key=lambda bound: bound.value)
+
+
+def _residual(estimate: Estimate) -> Array:
+    """Return the residual of the design, zero in the prior's rows without standard parameters."""
+    problem = estimate.problem
+    if estimate.theta is not None:
+        return problem.residual_of(estimate.theta)
+    y = problem.A @ estimate.base - problem.rhs
+    return np.concatenate([y, np.zeros(len(problem.design[1]) - len(y))])
+
+
+def _touching(estimate: Estimate) -> Array | None:
+    """Return the W at which a log-det prior's tangents touch it at the estimate."""
+    prior = estimate.problem.prior
+    if prior is None or prior.entropic is None or estimate.theta is None:
+        return None
+    return prior.entropic.duals(estimate.theta)
 
 
 def cost_scale(problem: Problem) -> float:

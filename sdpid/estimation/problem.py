@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from functools import cached_property
 from typing import Any
 
@@ -12,9 +12,12 @@ from numpy.typing import ArrayLike
 
 from sdpid._arrays import Array, frozen
 from sdpid.errors import DataError
-from sdpid.estimation.constraints import Constraints, FeasibleSet
+from sdpid.estimation.conditions import Layout
+from sdpid.estimation.constraints import Constraints
 from sdpid.estimation.excitation import Excitation, require_excitation
+from sdpid.estimation.feasible import FeasibleSet
 from sdpid.estimation.prior import Prior, PriorRows, prior_rows
+from sdpid.estimation.profile import Profiled, close_terms
 from sdpid.estimation.rows import RowSource, Triangle
 from sdpid.estimation.weighting import (
     WEIGHTINGS,
@@ -63,6 +66,8 @@ class Problem:
         The constraints.
     prior : PriorRows or None
         What is believed beside the data, as further rows of the cost.
+    profiled : tuple of Profiled
+        Numbers of friction terms that were chosen by the data (see `sdpid.estimation.profile`).
     """
 
     robot: RobotModel
@@ -77,6 +82,7 @@ class Problem:
     n_rows: int
     feasible: FeasibleSet
     prior: PriorRows | None = None
+    profiled: tuple[Profiled, ...] = ()
 
     @property
     def consistency(self) -> Consistency:
@@ -118,10 +124,13 @@ class Problem:
 
     def cost_of(self, theta: ArrayLike) -> float:
         """Return the cost of standard parameters (p,), the prior's included."""
-        cost = self.cost(self.base_of(theta))
+        values = np.asarray(theta, dtype=np.float64)
+        cost = self.cost(self.base_of(values))
         if self.prior is not None:
-            residual = self.prior.matrix @ np.asarray(theta, dtype=np.float64) - self.prior.rhs
+            residual = self.prior.matrix @ values - self.prior.rhs
             cost += float(residual @ residual)
+            if self.prior.entropic is not None:
+                cost += self.prior.entropic.value(values)
         return cost
 
     def residual_of(self, theta: ArrayLike) -> Array:
@@ -160,8 +169,7 @@ class Problem:
         feasible = FeasibleSet.build(
             constraints or self.constraints,
             consistency or self.consistency,
-            self.robot.n_links,
-            np.array([p.nonnegative for p in self.friction.parameters], dtype=bool),
+            Layout(self.robot, self.friction),
         )
         return replace(self, feasible=feasible)
 
@@ -186,7 +194,8 @@ def build_problem(
     samples : Samples
         The measurements, n as the robot's.
     friction : iterable of str or FrictionTerm
-        Terms beside the links' inertia (see `sdpid.robot.friction`).
+        Terms beside the links' inertia (see `sdpid.robot.friction`). Numbers of theirs that are
+        None are chosen by the data (see `sdpid.estimation.profile`).
     weighting : {"gls", "gls_per_sample", "eq9", "eq18", "residual"}
         ``gls`` whitens with one covariance pooled over the samples; ``gls_per_sample`` with the
         covariance of each; ``eq9`` and ``eq18`` minimise the norm of the normal equations'
@@ -219,11 +228,14 @@ def build_problem(
         raise DataError(f"consistency is {consistency!r}: use one of {', '.join(CONSISTENCIES)}.")
     _check_samples(robot, samples)
     model = FrictionModel.from_terms(friction, robot.joint_names, first=robot.n_base)
+    model, profiled = close_terms(model, robot, samples, lambda rows: _sigma(rows, weighting))
     if base is None:
         base = structural_base(robot, model)
     rows = RowSource(robot, model, base, samples)
     sigma = _sigma(rows, weighting)
     A, rhs, floor, used = _compress(rows, sigma, weighting)
+    known = weighting in ("gls", "gls_per_sample") and samples.covariance is not None
+    likelihood = (A, rhs) if weighting == "residual" or known else None
     problem = Problem(
         robot=robot,
         samples=samples,
@@ -235,13 +247,9 @@ def build_problem(
         rhs=frozen(rhs),
         floor=floor,
         n_rows=used,
-        feasible=FeasibleSet.build(
-            constraints or Constraints(),
-            consistency,
-            robot.n_links,
-            np.array([p.nonnegative for p in model.parameters], dtype=bool),
-        ),
-        prior=None if prior is None else prior_rows(prior, rows),
+        feasible=FeasibleSet.build(constraints or Constraints(), consistency, Layout(robot, model)),
+        prior=None if prior is None else prior_rows(prior, rows, data=likelihood),
+        profiled=profiled,
     )
     if prior is None:
         require_excitation(problem.excitation)
@@ -312,5 +320,7 @@ def describe(problem: Problem) -> dict[str, Any]:
         "consistency": problem.consistency,
         "margin": problem.constraints.margin,
         "prior": problem.prior is not None,
+        "friction_terms": problem.friction.described(),
+        "profiled": [asdict(each) for each in problem.profiled],
         "condition_number": problem.excitation.condition_number,
     }

@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from sdpid._arrays import Array
+from sdpid.estimation.feasible import FeasibleSet
 from sdpid.estimation.problem import Problem
 from sdpid.robot.base import characteristic_length
 from sdpid.robot.inertia import (
@@ -109,6 +110,22 @@ class Scaling:
         """Return D of each link with F = D·F_scaled·D^T for its 4×4 or 6×6 matrix F."""
         matrices = pseudo_inertia(self.bodies) if size == 4 else spatial_inertia(self.bodies)
         return np.asarray(np.linalg.cholesky(matrices))
+
+    def block_roots(self, feasible: FeasibleSet) -> Array:
+        """Return D of each of the set's matrix inequalities, shape (N, s, s)."""
+        size = feasible.size
+        own = self.roots(size)[: feasible.n_own]
+        cones = feasible.block_basis[feasible.n_own :, :, -1, -1]
+        bodies = np.abs(self.bodies[feasible.block_links[feasible.n_own :]])
+        # The size of a cone is that of its axis; of the terms, should they cancel.
+        scale = np.einsum("nk,nk->n", np.abs(cones), bodies)
+        rest = np.sqrt(np.maximum(scale, np.finfo(float).tiny))[:, None, None] * np.eye(size)
+        return np.concatenate([own, rest])
+
+    def row_sizes(self, feasible: FeasibleSet) -> Array:
+        """Return the size of each of the set's linear rows, shape (r,)."""
+        size = np.linalg.norm(feasible.rows * self.theta, axis=1)
+        return np.asarray(np.maximum(size, np.finfo(float).tiny))
 
 
 def thickened(bodies: Array, length: float) -> Array:

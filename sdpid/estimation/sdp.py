@@ -1,21 +1,21 @@
-"""The global optimum, as a semidefinite program in CVXPY, solved by Clarabel."""
+"""The global optimum, as a semidefinite program."""
 
 from __future__ import annotations
 
-import warnings
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 
-from sdpid._arrays import Array, Indices, Mask, frozen
+from sdpid._arrays import Array, frozen
 from sdpid.errors import InfeasibleError, SolverError
 from sdpid.estimation.bound import Bound, cost_scale, lower_bound, relative_gap
-from sdpid.estimation.estimate import FEASIBLE, Estimate, Multipliers
+from sdpid.estimation.conflict import explained, require_consistent
+from sdpid.estimation.conic import Solver, solve_conic
+from sdpid.estimation.estimate import FEASIBLE, Estimate
 from sdpid.estimation.problem import Problem
 from sdpid.estimation.scaling import Scaling
 from sdpid.estimation.sdp_face import nearest_on_face
-from sdpid.estimation.wls import solve_wls
+from sdpid.estimation.sdp_program import Coordinates, SdpProgram, best_fit
 from sdpid.robot.inertia import Consistency
 
 # What is taken to be inside: a solution on the boundary is moved in by this share of the link's
@@ -27,19 +27,15 @@ _INSIDE = 1e-14
 # Rounding of what was added may take a second look, seldom a third.
 _REPAIRS = 10
 
-# Tighter than the solver can reach: it then stops where it makes no further progress, and what
-# it found is judged by the gap that is recomputed here. Each attempt starts with new scales.
-_TOLERANCE = 1e-11
-
 # What Clarabel adds to the diagonal of its linear systems. Its default of 1e-8 suits the 6×6
 # inequality, whose ten parameters spread over 21 entries; for the 4×4 it is too much where the
 # data are precise and the cost steep: the solver then stops 1e-3 above the optimum.
 _DEGENERATE, _STEEP, _BETWEEN = 1e-8, 1e-12, 1e-10
 
-# Weight of ‖z‖² in some attempts, beside a cost of order one: where the optimal face is unbounded
-# but for theta_max, it keeps the path of the solver from running off along it. What that costs
-# is part of the gap, which decides.
-_ANCHOR = 1e-10
+# Weight of ‖x‖² in some attempts, beside a cost of order one: where the optimal face is unbounded
+# but for theta_max, it keeps the path of the solver from running off along it. They start from
+# what was found before, so that what it costs vanishes from one to the next.
+_ANCHORS = (1e-10, 1e-12)
 
 # In some attempts bodies are no larger than this many lengths of the robot. Where far larger ones
 # would fit no better, or hardly, the solver is spared the way to theta_max; a proof covers
@@ -51,6 +47,13 @@ _COARSER = 1e3
 
 # Choosing among the optimal points may cost this share of the cost.
 _FACE = 1e-7
+
+# Statuses that come without a point, and those of them that say that there is none.
+_INFEASIBLE = ("PrimalInfeasible", "AlmostPrimalInfeasible", "infeasible", "infeasible_inaccurate")
+_NO_POINT = (*_INFEASIBLE, "DualInfeasible", "AlmostDualInfeasible", "NumericalError", "unbounded")
+
+# A gap this small is not worth polishing the multipliers.
+_ENOUGH = 1e-7
 
 # A proven lower bound further than this below the cost is not an optimum.
 _GAP = 1e-6
@@ -91,7 +94,8 @@ def solve_sdp(problem: Problem, *, verbose: bool = False) -> Estimate:
         raise
     scaling = Scaling.of(problem)
     found_scaling = scaling
-    reference = _reference(problem, scaling)
+    described = _described(problem, scaling)
+    reference = described
     boxed = problem.feasible.bounded
     solve_time, iterations, status = 0.0, 0, ""
     best: Estimate | None = None
@@ -99,56 +103,88 @@ def solve_sdp(problem: Problem, *, verbose: bool = False) -> Estimate:
     best_gap = np.inf
     for attempt in _attempts(problem.consistency):
         chosen = found_scaling if attempt.around else scaling
-        program = _Program.build(problem, chosen, reference, boxed, attempt)
-        status = program.run(attempt.regularisation, verbose)
-        solve_time += program.solve_time
-        iterations += program.iterations
-        if program.z.value is None:
-            # Also where Clarabel says infeasible: the constraints were found to hold together.
+        centre = reference if attempt.around else described
+        coordinates = Coordinates.of(problem, chosen.basis(), centre)
+        if coordinates is None:
+            raise explained(problem)
+        program = SdpProgram.build(
+            problem, chosen, coordinates, boxed, anchor=attempt.anchor, reach=attempt.reach
+        )
+        solution = solve_conic(
+            program.conic,
+            solver=attempt.solver,
+            regularisation=attempt.regularisation,
+            verbose=verbose,
+        )
+        status = f"{attempt.solver}: {solution.status}"
+        solve_time += solution.seconds
+        iterations += solution.iterations
+        if solution.x is None or solution.status in _NO_POINT:
+            if problem.constraints.others and solution.status in _INFEASIBLE:
+                require_consistent(problem)
+            # Where constraints hold together, Clarabel is wrong that they do not.
             if best is None:
                 scaling = replace(scaling, cost=_COARSER * scaling.cost)
                 found_scaling = replace(found_scaling, cost=scaling.cost)
             continue
-        theta = program.theta()
+        theta = program.theta(solution)
         outside = (theta < problem.feasible.lower) | (theta > problem.feasible.upper)
         if np.any(outside & ~boxed):
             # theta_max matters after all: give the solver the bounds that it overstepped.
             boxed = boxed | outside
             continue
+        theta = repair(problem, theta)
         estimate = Estimate.of_theta(
             problem,
-            repair(problem, theta),
+            theta,
             method="sdp",
             status="optimal",
-            message=f"Clarabel: {status}",
+            message=status,
             iterations=iterations,
             solve_time=solve_time,
-            multipliers=program.multipliers(),
+            multipliers=program.multipliers(solution, theta),
         )
-        proven = lower_bound(estimate)
+        proven = lower_bound(estimate, enough=_ENOUGH)
         # The cheapest point and the strongest proof may come from different attempts.
-        if best is None or estimate.cost < best.cost:
+        if best is None or _better(estimate, best):
             best = estimate
         if bound is None or proven.value > bound.value:
             bound = proven
         best_gap = relative_gap(problem, best.cost, bound.value)
-        if best_gap <= _GAP:
+        if best_gap <= _GAP and (best.violation or 0.0) <= FEASIBLE:
             break
         # From now on count the cost in units of itself.
         scaling = replace(scaling, cost=max(scaling.cost, best.cost))
-        found_scaling = scaling.around(np.array(best.theta))
+        reference = np.array(best.theta)
+        found_scaling = scaling.around(reference)
     if best is not None and best.multipliers is not None and bound is not None:
-        proof = replace(best.multipliers, Z=bound.Z, y=bound.y)
+        proof = replace(
+            best.multipliers, y=bound.dual.y, Z=bound.dual.Z, rows=bound.dual.rows, W=bound.dual.W
+        )
         best = replace(best, multipliers=proof, iterations=iterations, solve_time=solve_time)
     if best is None or best_gap > _GAP or (best.violation or 0.0) > FEASIBLE:
-        found = "nothing" if best is None else f"a relative gap of {best_gap:.1e}"
+        if problem.constraints.others:
+            require_consistent(problem)
+        found = (
+            "nothing"
+            if best is None
+            else f"a relative gap of {best_gap:.1e} and a violation of {best.violation:.1e}"
+        )
         raise SolverError(
-            f"SDP of '{problem.robot.name}': Clarabel ended '{status}' with {found} "
-            f"(limit {_GAP:.0e}); check the excitation (problem.excitation) and the margin.",
+            f"SDP of '{problem.robot.name}': ended '{status}' with {found} "
+            f"(limits {_GAP:.0e} and {FEASIBLE:.0e}); check the excitation "
+            "(problem.excitation) and the margin, or give a prior.",
             problem=problem,
             found=best,
         )
     return _settled(best)
+
+
+def _better(first: Estimate, second: Estimate) -> bool:
+    """Whether the first is feasible and the second not, or cheaper where both or none are."""
+    if first.feasible != second.feasible:
+        return first.feasible
+    return first.cost < second.cost
 
 
 @dataclass(frozen=True)
@@ -160,29 +196,45 @@ class _Attempt:
     regularisation : float
         Clarabel's.
     around : bool
-        Whether links are counted in units of what the attempt before found.
+        Whether it starts from what the attempt before found, links in units of theirs; otherwise
+        from the links of the robot's description.
     anchor : float
-        Weight of ‖z‖².
+        Weight of ‖x‖².
     reach : float or None
         Largest size of bodies, in lengths of the robot.
+    solver : {"clarabel", "scs"}
+        Which solver.
     """
 
     regularisation: float
     around: bool = False
     anchor: float = 0.0
     reach: float | None = None
+    solver: Solver = "clarabel"
 
 
 def _attempts(consistency: Consistency) -> tuple[_Attempt, ...]:
     """Return what is tried in turn until the gap is proven small, the likeliest first."""
+    first = (_BETWEEN, _STEEP, _DEGENERATE)
     if consistency == "spatial_inertia":
-        order = ((_DEGENERATE, False), (_STEEP, False), (_DEGENERATE, True), (_STEEP, True))
-    else:
-        order = ((_STEEP, False), (_STEEP, True), (_DEGENERATE, True), (_DEGENERATE, False))
-    plain = [*(_Attempt(*pair) for pair in order), _Attempt(_BETWEEN, True), _Attempt(_BETWEEN)]
-    near = [_Attempt(order[0][0], reach=_NEAR), _Attempt(_BETWEEN, True, reach=_NEAR)]
-    anchored = [_Attempt(value, anchor=_ANCHOR) for value in (_DEGENERATE, _STEEP, _BETWEEN)]
-    return (*plain[:2], *near, *plain[2:], *anchored)
+        first = (_STEEP, _DEGENERATE, _BETWEEN)
+    plain = [_Attempt(value) for value in first]
+    around = [_Attempt(value, around=True) for value in (_BETWEEN, _DEGENERATE, _STEEP)]
+    near = [_Attempt(value, around=True, reach=_NEAR) for value in (_BETWEEN, _DEGENERATE)]
+    anchored = [
+        _Attempt(value, around=True, anchor=anchor)
+        for anchor in _ANCHORS
+        for value in (_BETWEEN, _DEGENERATE)
+    ]
+    # Another algorithm, for a second opinion.
+    other = _Attempt(0.0, around=True, solver="scs")
+    return (plain[0], *around[:2], *plain[1:], around[2], *near, *anchored, other)
+
+
+def _described(problem: Problem, scaling: Scaling) -> Array:
+    """Return the links that the scaling is about, with the friction that fits best."""
+    fit = best_fit(problem, scaling)
+    return np.concatenate([scaling.bodies.ravel(), fit[scaling.bodies.size :]])
 
 
 def _settled(estimate: Estimate) -> Estimate:
@@ -207,135 +259,6 @@ def _settled(estimate: Estimate) -> Estimate:
         if moved.feasible and moved.cost <= allowed and proven:
             return moved
     return replace(estimate, message=f"{estimate.message}; any point of the optimal face")
-
-
-def _reference(problem: Problem, scaling: Scaling) -> Array:
-    """Return standard parameters whose base parameters fit best, smallest in scaled size."""
-    basis = scaling.basis()
-    if problem.prior is not None:
-        G, h = problem.design
-        return np.asarray(basis @ np.linalg.lstsq(G @ basis, h, rcond=None)[0])
-    target = solve_wls(problem).base
-    return np.asarray(basis @ np.linalg.lstsq(problem.base.matrix @ basis, target, rcond=None)[0])
-
-
-@dataclass(frozen=True, eq=False)
-class _Program:
-    """The CVXPY problem in z, with theta = reference + basis·z, and what Clarabel made of it."""
-
-    problem: Problem
-    scaling: Scaling
-    reference: Array
-    bounded: Indices
-    own: Mask
-    z: Any
-    blocks: list[Any]
-    model: Any
-
-    @classmethod
-    def build(
-        cls, problem: Problem, scaling: Scaling, reference: Array, boxed: Mask, attempt: _Attempt
-    ) -> _Program:
-        """Build with bounds on the parameters in `boxed`, and with what the attempt adds."""
-        import cvxpy as cp
-
-        feasible = problem.feasible
-        z = cp.Variable(problem.n_theta)
-        basis = scaling.basis()
-        unit = np.sqrt(scaling.cost)
-        G = problem.design[0] @ basis / unit
-        offset = problem.residual_of(reference) / unit
-        limit = np.where(boxed, np.inf, _largest(problem, scaling, attempt.reach))
-        bounded = np.flatnonzero(boxed | np.isfinite(limit))
-        size = scaling.theta[bounded]
-        rows = basis[bounded] / size[:, None]
-        constraints: list[Any] = [
-            rows @ z >= (np.maximum(feasible.lower, -limit) - reference)[bounded] / size,
-            rows @ z <= (np.minimum(feasible.upper, limit) - reference)[bounded] / size,
-        ]
-        blocks: list[Any] = []
-        if feasible.consistency != "none":
-            s = feasible.size
-            inverses = np.linalg.inv(scaling.roots(s))
-            constant = inverses @ feasible.matrices(reference) @ np.swapaxes(inverses, 1, 2)
-            for link, inverse in enumerate(inverses):
-                own = slice(10 * link, 10 * link + 10)
-                matrices = np.einsum("ka,kij->aij", basis[own, own], feasible.basis())
-                linear = (inverse @ matrices @ inverse.T).reshape(10, -1)
-                F = cp.reshape(linear.T @ z[own], (s, s), order="C") + constant[link]
-                blocks.append(F >> 0)
-        cost = cp.sum_squares(G @ z + offset)
-        if attempt.anchor > 0.0:
-            cost = cost + attempt.anchor * cp.sum_squares(z)
-        objective = cp.Minimize(cost)
-        model = cp.Problem(objective, constraints + blocks)
-        return cls(problem, scaling, reference, bounded, boxed, z, blocks, model)
-
-    def run(self, regularisation: float, verbose: bool) -> str:
-        """Solve and return the status."""
-        import cvxpy as cp
-
-        settings = {
-            "tol_gap_abs": _TOLERANCE,
-            "tol_gap_rel": _TOLERANCE,
-            "tol_feas": _TOLERANCE,
-            "static_regularization_constant": regularisation,
-        }
-        try:
-            with warnings.catch_warnings():
-                # The warning that the solution may be inaccurate: its gap is recomputed.
-                warnings.simplefilter("ignore")
-                self.model.solve(
-                    solver=cp.CLARABEL, verbose=verbose, accept_unknown=True, **settings
-                )
-        except cp.error.SolverError as cause:
-            return f"failed ({cause})"
-        return str(self.model.status)
-
-    @property
-    def solve_time(self) -> float:
-        """Seconds in Clarabel."""
-        return float(getattr(self.model.solver_stats, "solve_time", None) or 0.0)
-
-    @property
-    def iterations(self) -> int:
-        """Iterations of Clarabel."""
-        return int(getattr(self.model.solver_stats, "num_iters", None) or 0)
-
-    def theta(self) -> Array:
-        """Return the standard parameters found."""
-        return np.asarray(self.reference + self.scaling.basis() @ self.z.value)
-
-    def multipliers(self) -> Multipliers:
-        """Return the multipliers in units of the cost."""
-        scaling = self.scaling
-        bounds = np.full(self.problem.n_theta, np.nan)
-        lower, upper = self.model.constraints[:2]
-        bounds[self.bounded] = scaling.cost * (
-            (lower.dual_value - upper.dual_value) / scaling.theta[self.bounded]
-        )
-        # Bounds that only an attempt has are none of the problem's.
-        bounds[~self.own] = np.nan
-        s = self.problem.feasible.size
-        if not self.blocks:
-            return Multipliers(np.zeros((0, s, s)), frozen(bounds))
-        duals = np.stack([block.dual_value for block in self.blocks])
-        duals = 0.5 * (duals + np.swapaxes(duals, 1, 2))
-        inverses = np.linalg.inv(scaling.roots(s))
-        Z = scaling.cost * np.swapaxes(inverses, 1, 2) @ duals @ inverses
-        return Multipliers(frozen(Z), frozen(bounds))
-
-
-def _largest(problem: Problem, scaling: Scaling, reach: float | None) -> Array:
-    """Return the largest standard parameters of bodies of so many lengths, infinite if None."""
-    out = np.full(problem.n_theta, np.inf)
-    if reach is not None:
-        far = reach * scaling.length
-        units = np.array([1.0, *(far,) * 3, *(far**2,) * 6])
-        out[: scaling.bodies.size] = np.tile(
-            problem.constraints.mass_max * units, len(scaling.bodies)
-        )
-    return out
 
 
 def repair(problem: Problem, theta: Array) -> Array:

@@ -8,14 +8,15 @@ pseudo-inertias with P0 = L·L^T the reference (the constant-pullback metric [le
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Iterator
 
 import numpy as np
 
 from sdpid._arrays import Array
+from sdpid.estimation.conic import ConicProgram, solve_conic
 from sdpid.estimation.problem import Problem
 from sdpid.estimation.scaling import Scaling
+from sdpid.estimation.sdp_program import Coordinates
 
 # The face often has no interior: matrices may be so much below zero in the links' own scale, which
 # the caller repairs. Tried in turn: links in units of the point itself or of the reference, this
@@ -52,7 +53,9 @@ def nearest_on_face(problem: Problem, theta: Array) -> Iterator[Array]:
     links = 10 * feasible.n_links
     reference = Scaling.of(problem)
     basis = reference.basis()
-    _, singular, rows = np.linalg.svd(problem.base.matrix @ basis)
+    # The base parameters stay, and so do the equations among the constraints.
+    kept = [problem.base.matrix @ basis, _unit_rows(feasible.rows[feasible.equations] @ basis)]
+    _, singular, rows = np.linalg.svd(np.vstack(kept))
     rank = int(np.count_nonzero(singular > _NULL * singular[0]))
     null = basis @ rows[rank:].T
     if null.shape[1] == 0:
@@ -71,6 +74,12 @@ def nearest_on_face(problem: Problem, theta: Array) -> Iterator[Array]:
             yield np.asarray(theta + null @ step)
 
 
+def _unit_rows(rows: Array) -> Array:
+    """Return rows of unit length; rows of zeros stay."""
+    sizes = np.linalg.norm(rows, axis=1, keepdims=True)
+    return np.asarray(rows / np.where(sizes > 0.0, sizes, 1.0))
+
+
 def _step(
     problem: Problem,
     theta: Array,
@@ -81,35 +90,33 @@ def _step(
     regularisation: float,
 ) -> Array | None:
     """Return the step along the null directions that brings theta nearest, None if not found."""
-    import cvxpy as cp
-
     feasible = problem.feasible
-    size = feasible.size
-    w = cp.Variable(null.shape[1])
-    inverses = np.linalg.inv(scaling.roots(size))
-    constant = inverses @ feasible.matrices(theta) @ np.swapaxes(inverses, 1, 2)
+    inverses = np.linalg.inv(scaling.block_roots(feasible))
+    transposed = np.swapaxes(inverses, 1, 2)
+    blocks = Coordinates(theta, null).matrices(
+        inverses @ feasible.block_constants @ transposed + slack * np.eye(feasible.size),
+        inverses[:, None] @ feasible.block_basis @ transposed[:, None],
+        feasible.block_links,
+    )
     bounded = np.flatnonzero(feasible.bounded & (np.abs(null).max(axis=1) > 0.0))
-    scale = scaling.theta[bounded]
-    move = (null[bounded] / scale[:, None]) @ w
-    constraints = [
-        move >= (np.minimum(feasible.lower - theta, 0.0))[bounded] / scale,
-        move <= (np.maximum(feasible.upper - theta, 0.0))[bounded] / scale,
-    ]
-    for link, inverse in enumerate(inverses):
-        own = slice(10 * link, 10 * link + 10)
-        matrices = inverse @ np.einsum("ka,kij->aij", null[own], feasible.basis()) @ inverse.T
-        F = cp.reshape(matrices.reshape(len(matrices), -1).T @ w, (size, size), order="C")
-        constraints.append(F + constant[link] + slack * np.eye(size) >> 0)
-    objective = cp.Minimize(cp.sum_squares(distance[:, :-1] @ w + distance[:, -1]))
-    try:
-        with warnings.catch_warnings():
-            # 'May be inaccurate': any feasible point that is nearer will do.
-            warnings.simplefilter("ignore")
-            cp.Problem(objective, constraints).solve(
-                solver=cp.CLARABEL,
-                accept_unknown=True,
-                static_regularization_constant=regularisation,
-            )
-    except cp.error.SolverError:
-        return None
-    return None if w.value is None else np.asarray(w.value)
+    scale = scaling.theta[bounded][:, None]
+    unequal = Coordinates(theta, null).limited(problem, scaling)
+    rows, sizes = feasible.rows[unequal], scaling.row_sizes(feasible)[unequal][:, None]
+    C = np.vstack([null[bounded] / scale, rows @ null / sizes])
+    here = np.concatenate([theta[bounded], rows @ theta])
+    scale = np.concatenate([scale, sizes])[:, 0]
+    lower = np.concatenate([feasible.lower[bounded], feasible.row_lower[unequal]])
+    upper = np.concatenate([feasible.upper[bounded], feasible.row_upper[unequal]])
+    solution = solve_conic(
+        ConicProgram(
+            M=distance[:, :-1],
+            m=distance[:, -1],
+            C=C,
+            # Where theta is outside by rounding it need not come back.
+            lower=np.minimum(lower - here, 0.0) / scale,
+            upper=np.maximum(upper - here, 0.0) / scale,
+            blocks=tuple(block for block in blocks if len(block.index)),
+        ),
+        regularisation=regularisation,
+    )
+    return solution.x

@@ -7,6 +7,7 @@ alone (masking a joint is not knowing it, not knowing it to be zero).
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
@@ -89,6 +90,63 @@ _EFFORT_SHARE = 0.03
 _ROUNDS = 10
 
 
+@dataclass(frozen=True, eq=False)
+class JointRows:
+    """Rows compressed joint by joint, so that other variances need no look at the samples.
+
+    Attributes
+    ----------
+    triangles : tuple of Triangle
+        One a joint, not whitened, the efforts in the last column.
+    used : ndarray, shape (n,)
+        Rows that are not masked.
+    effort : float
+        Mean squared effort of all of them, (N·m)².
+    """
+
+    triangles: tuple[Triangle, ...]
+    used: Array
+    effort: float
+
+    @classmethod
+    def of(cls, rows: RowSource) -> JointRows:
+        """Compress the rows of every joint."""
+        n, count = rows.robot.n, rows.base.count
+        triangles = tuple(Triangle(count + 1) for _ in range(n))
+        used = np.zeros(n)
+        square = 0.0
+        for _, W, effort, mask in rows.chunks():
+            stacked = np.concatenate([W, effort[:, :, None]], axis=2)
+            for j, triangle in enumerate(triangles):
+                kept = mask[:, j]
+                triangle.add(stacked[kept, j])
+                used[j] += kept.sum()
+                square += float(effort[kept, j] @ effort[kept, j])
+        return cls(triangles, used, square / used.sum())
+
+    def joined(self, variance: Array) -> Array:
+        """Return the triangles of all joints over their standard deviations, below each other."""
+        pairs = zip(self.triangles, variance, strict=True)
+        return np.vstack([t.R / np.sqrt(s) for t, s in pairs])
+
+    def fit(self, variance: Array) -> tuple[Array, int]:
+        """Return the base parameters that fit best under given variances, and the rank."""
+        joined = self.joined(variance)
+        base, _, rank, _ = np.linalg.lstsq(joined[:, :-1], joined[:, -1], rcond=None)
+        return np.asarray(base), int(rank)
+
+    def variance(self, base: Array, rank: int) -> Array:
+        """Return the variance of every joint's residuals at some base parameters, (n,).
+
+        Each joint gives up degrees of freedom in proportion to its rows, and gets a small share
+        of the overall effort added.
+        """
+        error = np.append(base, -1.0)
+        residual = np.array([np.sum((t.R @ error) ** 2) for t in self.triangles])
+        freedom = np.maximum(self.used * (1.0 - rank / self.used.sum()), 1.0)
+        return np.asarray(residual / freedom + _EFFORT_SHARE**2 * self.effort)
+
+
 def residual_covariance(rows: RowSource) -> Array:
     """Estimate a diagonal covariance (n, n) from the residuals of the unconstrained fit.
 
@@ -103,36 +161,20 @@ def residual_covariance(rows: RowSource) -> Array:
     rows : RowSource
         Regressor and efforts.
     """
-    n, count = rows.robot.n, rows.base.count
-    triangles = [Triangle(count + 1) for _ in range(n)]
-    used = np.zeros(n)
-    square = np.zeros(n)
-    for _, W, effort, mask in rows.chunks():
-        stacked = np.concatenate([W, effort[:, :, None]], axis=2)
-        for j, triangle in enumerate(triangles):
-            kept = mask[:, j]
-            triangle.add(stacked[kept, j])
-            used[j] += kept.sum()
-            square[j] += float(effort[kept, j] @ effort[kept, j])
-    share = _EFFORT_SHARE**2 * square.sum() / used.sum()
-    variance = np.full(n, square.sum() / used.sum())
-    base = np.zeros(count)
+    joints = JointRows.of(rows)
+    variance = np.full(rows.robot.n, joints.effort)
+    base = np.zeros(rows.base.count)
     for _ in range(_ROUNDS):
-        joined = np.vstack([t.R / np.sqrt(s) for t, s in zip(triangles, variance, strict=True)])
-        base, _, rank, _ = np.linalg.lstsq(joined[:, :-1], joined[:, -1], rcond=None)
-        error = np.append(base, -1.0)
-        residual = np.array([np.sum((t.R @ error) ** 2) for t in triangles])
-        # Each joint gives up degrees of freedom in proportion to its rows.
-        freedom = np.maximum(used * (1.0 - rank / used.sum()), 1.0)
-        updated = residual / freedom + share
+        base, rank = joints.fit(variance)
+        updated = joints.variance(base, rank)
         settled = np.allclose(updated, variance, rtol=1e-6)
         variance = updated
         if settled:
             break
-    return np.diag(variance * _correlation_time(rows, base))
+    return np.diag(variance * correlation_time(rows, base))
 
 
-def _correlation_time(rows: RowSource, base: Array) -> float:
+def correlation_time(rows: RowSource, base: Array) -> float:
     """Return how many samples make one independent one, averaged over the joints, at least 1."""
     residual, masks = [], []
     for _, W, effort, mask in rows.chunks():

@@ -75,8 +75,13 @@ def base_table(estimate: Estimate, wls: Estimate | None = None) -> Table:
 
 
 def theta_table(estimate: Estimate) -> Table:
-    """Return standard parameters, one row each."""
+    """Return standard parameters, one row each, with what they come from (shares of one)."""
     base = estimate.problem.base
-    values = [None] * len(base.theta_names) if estimate.theta is None else estimate.theta.tolist()
-    rows = zip(base.theta_names, base.theta_units, values, strict=True)
-    return Table(("parameter", "unit", "value"), tuple(rows))
+    none: list[None] = [None] * len(base.theta_names)
+    sources = estimate.provenance
+    columns: list[Sequence[object]] = [base.theta_names, base.theta_units]
+    columns.append(none if estimate.theta is None else estimate.theta.tolist())
+    for name in ("data", "physics", "prior"):
+        columns.append(none if sources is None else getattr(sources, name).tolist())
+    header = ("parameter", "unit", "value", "data", "physics", "prior")
+    return Table(header, tuple(zip(*columns, strict=True)))

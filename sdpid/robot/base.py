@@ -37,6 +37,9 @@ ZERO = 1e-9
 
 # Generic states: enough rows for the ten parameters of every link many times over.
 _STATES = 120
+
+# Further ones for each speed that friction terms name: a few parameters a joint depend on it.
+_STATES_OF_SPEED = 30
 _SEED = 20210621
 
 
@@ -167,6 +170,15 @@ def _scan_order(robot: RobotModel, friction: FrictionModel) -> Indices:
 
 def _generic_rows(robot: RobotModel, friction: FrictionModel, seed: int) -> Array:
     q, v, a = generic_states(robot, _STATES, seed)
+    slow = friction.characteristic_speeds()
+    if len(slow):
+        # A smooth sign or a Stribeck peak is a sign, or nothing, at generic speeds: states at
+        # which it has its shape are generic ones run at its own speed.
+        more = generic_states(robot, _STATES_OF_SPEED * len(slow), seed + 2)
+        speeds = np.repeat(slow, _STATES_OF_SPEED, axis=0)
+        rng = np.random.default_rng(seed + 3)
+        more[1][:, robot.n_base :] = speeds * rng.uniform(-1.5, 1.5, speeds.shape)
+        q, v, a = (np.concatenate(pair) for pair in zip((q, v, a), more, strict=True))
     columns = np.concatenate([robot.regressor(q, v, a), friction.columns(v, a)], axis=2)
     return columns.reshape(-1, columns.shape[2])
 

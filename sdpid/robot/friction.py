@@ -1,290 +1,50 @@
 """Friction and drive terms: what a joint's effort holds beside the links' inertia.
 
-A term is a small object that names its parameters and gives their regressor columns from the
-joint velocities and accelerations. The effort it stands for is ``columns @ parameters``.
+`FrictionModel` puts the terms of a robot together. What a term is stands in
+`sdpid.robot.friction_base`, the terms there are in `sdpid.robot.friction_terms`.
 """
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
-from typing import ClassVar
+from dataclasses import asdict, dataclass, is_dataclass
 
 import numpy as np
 
 from sdpid._arrays import Array
 from sdpid.errors import ModelError
+from sdpid.robot.friction_base import FrictionTerm, JointwiseTerm, OpenParameter, TermParameter
+from sdpid.robot.friction_terms import (
+    BY_NAME,
+    AsymmetricCoulomb,
+    Coulomb,
+    Coupling,
+    Offset,
+    RotorInertia,
+    SigmoidFriction,
+    SquareRootFriction,
+    Stribeck,
+    Viscous,
+    smooth_sign,
+)
 
-
-@dataclass(frozen=True)
-class TermParameter:
-    """One parameter of a term.
-
-    Attributes
-    ----------
-    name : str
-        Short name with the joint's number counted from 1, such as ``Fs1``.
-    unit : str
-        Its unit; for a prismatic joint read N for N.m and m for rad.
-    nonnegative : bool
-        Whether physics forbids negative values.
-    joint : int
-        Index of the joint after whose link it is listed.
-    """
-
-    name: str
-    unit: str
-    nonnegative: bool
-    joint: int
-
-
-class FrictionTerm(ABC):
-    """Base of every term: its parameters, and their columns."""
-
-    @abstractmethod
-    def parameters(self, joint_names: Sequence[str]) -> tuple[TermParameter, ...]:
-        """Return the parameters of a robot with these joints."""
-
-    @abstractmethod
-    def columns(self, velocity: Array, acceleration: Array, joint_names: Sequence[str]) -> Array:
-        """Return the regressor columns, shape (K, n, number of parameters).
-
-        Parameters
-        ----------
-        velocity, acceleration : ndarray, shape (K, n)
-            Joint velocities (rad/s) and accelerations (rad/s²).
-        joint_names : sequence of str
-            The n joints.
-        """
-
-
-@dataclass(frozen=True)
-class JointwiseTerm(FrictionTerm):
-    """A term with one parameter a joint, which acts on that joint alone."""
-
-    symbol: ClassVar[str]
-    unit: ClassVar[str]
-    nonnegative: ClassVar[bool]
-
-    @abstractmethod
-    def shape(self, velocity: Array, acceleration: Array) -> Array:
-        """Return the effort of a unit parameter at every joint, shape (K, n)."""
-
-    def parameters(self, joint_names: Sequence[str]) -> tuple[TermParameter, ...]:
-        """Return one parameter for each joint."""
-        return tuple(
-            TermParameter(f"{self.symbol}{j + 1}", self.unit, self.nonnegative, j)
-            for j in range(len(joint_names))
-        )
-
-    def columns(self, velocity: Array, acceleration: Array, joint_names: Sequence[str]) -> Array:
-        """Return the columns: diagonal in the joints."""
-        shape = self.shape(velocity, acceleration)
-        count, n = shape.shape
-        columns = np.zeros((count, n, n))
-        joints = np.arange(n)
-        columns[:, joints, joints] = shape
-        return columns
-
-
-def smooth_sign(velocity: Array, width: float, dead_zone: float) -> Array:
-    """Return sign(v), tanh(v / width) when a width is given, zero within the dead zone."""
-    shape = np.sign(velocity) if width == 0.0 else np.tanh(velocity / width)
-    if dead_zone > 0.0:
-        shape = np.where(np.abs(velocity) < dead_zone, 0.0, shape)
-    return np.asarray(shape)
-
-
-@dataclass(frozen=True)
-class _SignTerm(JointwiseTerm):
-    width: float = 0.0
-    dead_zone: float = 0.0
-
-    def __post_init__(self) -> None:
-        for name in ("width", "dead_zone"):
-            value = getattr(self, name)
-            if not (np.isfinite(value) and value >= 0.0):
-                raise ModelError(
-                    f"{type(self).__name__}: {name} is {value}; give a velocity of at least 0."
-                )
-
-    def _sign(self, velocity: Array) -> Array:
-        return smooth_sign(velocity, self.width, self.dead_zone)
-
-
-@dataclass(frozen=True)
-class Coulomb(_SignTerm):
-    """Coulomb friction ``Fs·sign(v)``.
-
-    Attributes
-    ----------
-    width : float
-        With a positive width (rad/s), ``tanh(v / width)`` takes the place of the sign.
-    dead_zone : float
-        Speed (rad/s) below which the term is zero.
-    """
-
-    symbol: ClassVar[str] = "Fs"
-    unit: ClassVar[str] = "N.m"
-    nonnegative: ClassVar[bool] = True
-
-    def shape(self, velocity: Array, acceleration: Array) -> Array:
-        """Return the sign of the velocity, smoothed as asked."""
-        return self._sign(velocity)
-
-
-@dataclass(frozen=True)
-class Viscous(JointwiseTerm):
-    """Viscous friction ``Fv·v``."""
-
-    symbol: ClassVar[str] = "Fv"
-    unit: ClassVar[str] = "N.m.s/rad"
-    nonnegative: ClassVar[bool] = True
-
-    def shape(self, velocity: Array, acceleration: Array) -> Array:
-        """Return the velocity."""
-        return velocity
-
-
-@dataclass(frozen=True)
-class Offset(JointwiseTerm):
-    """A constant effort ``Fo``: a sensor's or a current's zero error."""
-
-    symbol: ClassVar[str] = "Fo"
-    unit: ClassVar[str] = "N.m"
-    nonnegative: ClassVar[bool] = False
-
-    def shape(self, velocity: Array, acceleration: Array) -> Array:
-        """Return ones."""
-        return np.ones_like(velocity)
-
-
-@dataclass(frozen=True)
-class RotorInertia(JointwiseTerm):
-    """Inertia of the rotor seen through the gear, ``Ia·a``, without its gyroscopic effects."""
-
-    symbol: ClassVar[str] = "Ia"
-    unit: ClassVar[str] = "kg.m2"
-    nonnegative: ClassVar[bool] = True
-
-    def shape(self, velocity: Array, acceleration: Array) -> Array:
-        """Return the acceleration."""
-        return acceleration
-
-
-@dataclass(frozen=True)
-class _OneSidedCoulomb(_SignTerm):
-    direction: ClassVar[float]
-    unit: ClassVar[str] = "N.m"
-    nonnegative: ClassVar[bool] = True
-
-    def shape(self, velocity: Array, acceleration: Array) -> Array:
-        sign = self._sign(velocity)
-        return np.where(sign * self.direction > 0.0, sign, 0.0)
-
-
-@dataclass(frozen=True)
-class _PositiveCoulomb(_OneSidedCoulomb):
-    symbol: ClassVar[str] = "Fsp"
-    direction: ClassVar[float] = 1.0
-
-
-@dataclass(frozen=True)
-class _NegativeCoulomb(_OneSidedCoulomb):
-    symbol: ClassVar[str] = "Fsn"
-    direction: ClassVar[float] = -1.0
-
-
-@dataclass(frozen=True)
-class AsymmetricCoulomb(FrictionTerm):
-    """Coulomb friction ``Fsp`` for positive and ``Fsn`` for negative velocity, both ≥ 0.
-
-    Attributes
-    ----------
-    width, dead_zone : float
-        As for `Coulomb`.
-    """
-
-    width: float = 0.0
-    dead_zone: float = 0.0
-
-    def _sides(self) -> tuple[_OneSidedCoulomb, _OneSidedCoulomb]:
-        return (
-            _PositiveCoulomb(self.width, self.dead_zone),
-            _NegativeCoulomb(self.width, self.dead_zone),
-        )
-
-    def parameters(self, joint_names: Sequence[str]) -> tuple[TermParameter, ...]:
-        """Return the positive side of every joint, then the negative side."""
-        return tuple(p for side in self._sides() for p in side.parameters(joint_names))
-
-    def columns(self, velocity: Array, acceleration: Array, joint_names: Sequence[str]) -> Array:
-        """Return the columns of the two sides."""
-        sides = [side.columns(velocity, acceleration, joint_names) for side in self._sides()]
-        return np.concatenate(sides, axis=2)
-
-
-@dataclass(frozen=True)
-class Coupling(FrictionTerm):
-    """The drive of one motor that turns two joints, as in a coupled wrist.
-
-    The motor's speed is the sum of both joints' speeds. Its inertia, viscous and Coulomb
-    friction that the two joints' own terms do not hold appear crosswise:
-    ``tau_i += Ia·a_j + Fv·v_j + Fs·sign(v_i + v_j)`` and the same with i and j exchanged.
-
-    Attributes
-    ----------
-    first, second : str
-        Names of the two joints.
-    width : float
-        As for `Coulomb`.
-    """
-
-    first: str
-    second: str
-    width: float = 0.0
-
-    def _joints(self, joint_names: Sequence[str]) -> tuple[int, int]:
-        for name in (self.first, self.second):
-            if name not in joint_names:
-                raise ModelError(
-                    f"Coupling: the robot has no joint '{name}'; it has {', '.join(joint_names)}."
-                )
-        if self.first == self.second:
-            raise ModelError(f"Coupling: '{self.first}' is named twice; name two joints.")
-        return joint_names.index(self.first), joint_names.index(self.second)
-
-    def parameters(self, joint_names: Sequence[str]) -> tuple[TermParameter, ...]:
-        """Return rotor inertia, viscous and Coulomb friction of the coupling."""
-        i, j = self._joints(joint_names)
-        pair = f"{i + 1}_{j + 1}"
-        last = max(i, j)
-        # The viscous and inertial cross terms may have either sign: they are differences.
-        return (
-            TermParameter(f"Ia{pair}", "kg.m2", False, last),
-            TermParameter(f"Fv{pair}", "N.m.s/rad", False, last),
-            TermParameter(f"Fs{pair}", "N.m", True, last),
-        )
-
-    def columns(self, velocity: Array, acceleration: Array, joint_names: Sequence[str]) -> Array:
-        """Return the three columns, which act on both joints."""
-        i, j = self._joints(joint_names)
-        columns = np.zeros((*velocity.shape, 3))
-        for own, other in ((i, j), (j, i)):
-            columns[:, own, 0] = acceleration[:, other]
-            columns[:, own, 1] = velocity[:, other]
-            columns[:, own, 2] = smooth_sign(velocity[:, i] + velocity[:, j], self.width, 0.0)
-        return columns
-
-
-_BY_NAME: dict[str, type[FrictionTerm]] = {
-    "coulomb": Coulomb,
-    "viscous": Viscous,
-    "offset": Offset,
-    "asymmetric_coulomb": AsymmetricCoulomb,
-    "rotor_inertia": RotorInertia,
-}
+__all__ = [
+    "AsymmetricCoulomb",
+    "Coulomb",
+    "Coupling",
+    "FrictionModel",
+    "FrictionTerm",
+    "JointwiseTerm",
+    "Offset",
+    "OpenParameter",
+    "RotorInertia",
+    "SigmoidFriction",
+    "SquareRootFriction",
+    "Stribeck",
+    "TermParameter",
+    "Viscous",
+    "smooth_sign",
+]
 
 
 @dataclass(frozen=True)
@@ -317,7 +77,8 @@ class FrictionModel:
         Parameters
         ----------
         terms : iterable of str or FrictionTerm
-            Names are coulomb, viscous, offset, asymmetric_coulomb, rotor_inertia.
+            Names are coulomb, viscous, offset, asymmetric_coulomb, rotor_inertia, stribeck,
+            sigmoid, square_root.
         joint_names : sequence of str
             The robot's velocity coordinates.
         first : int, optional
@@ -334,11 +95,11 @@ class FrictionModel:
         for term in terms:
             if isinstance(term, FrictionTerm):
                 objects.append(term)
-            elif isinstance(term, str) and term in _BY_NAME:
-                objects.append(_BY_NAME[term]())
+            elif isinstance(term, str) and term in BY_NAME:
+                objects.append(BY_NAME[term]())
             else:
                 raise ModelError(
-                    f"friction: no term is called {term!r}; there are {', '.join(_BY_NAME)}, "
+                    f"friction: no term is called {term!r}; there are {', '.join(BY_NAME)}, "
                     "or give a FrictionTerm object."
                 )
         names = tuple(joint_names)[first:]
@@ -360,3 +121,18 @@ class FrictionModel:
             columns[:, self.first :, start : start + block.shape[2]] = block
             start += block.shape[2]
         return columns
+
+    def characteristic_speeds(self) -> Array:
+        """Return speeds (k, number of joints) about which columns change their shape."""
+        n = len(self.joint_names)
+        return np.concatenate([np.zeros((0, n)), *(t.characteristic_speeds(n) for t in self.terms)])
+
+    def described(self) -> list[dict[str, object]]:
+        """Return each term's kind, its settings, and its parameters' names, as plain values."""
+        out: list[dict[str, object]] = []
+        for term in self.terms:
+            settings: dict[str, object] = asdict(term) if is_dataclass(term) else {}
+            plain = {k: list(v) if isinstance(v, tuple) else v for k, v in settings.items()}
+            names = [p.name for p in term.parameters(self.joint_names)]
+            out.append({"term": type(term).__name__, **plain, "parameters": names})
+        return out

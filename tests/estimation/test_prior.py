@@ -110,6 +110,77 @@ def test_the_same_in_every_frame(seed: int):
     assert distance(*moved) == pytest.approx(distance(P, P0), rel=1e-6)
 
 
+@given(st.integers(0, 2**31), st.floats(0.1, 10.0))
+def test_euclidean_kinds_are_squared_distances(seed: int, strength: float):
+    bodies = bodies_of(seed)
+    robot = robot_of(bodies)
+    believed, _ = repaired(robot.prior)
+    moved = bodies_of(seed + 1)
+    raw = penalty(robot, Prior(strength=strength, kind="euclidean"), moved)
+    assert raw == pytest.approx(strength * np.sum((moved - believed) ** 2))
+    scaled = 0.0
+    for body, reference in zip(moved, believed, strict=True):
+        mass = reference[0]
+        # tr(I) is twice the second moment about the origin.
+        length = np.sqrt(0.5 * (reference[4] + reference[6] + reference[9]) / mass)
+        units = mass * length ** np.array([0, 1, 1, 1, 2, 2, 2, 2, 2, 2])
+        scaled += strength * np.sum(((body - reference) / units) ** 2)
+    prior = Prior(strength=strength, kind="scaled_euclidean")
+    assert penalty(robot, prior, moved) == pytest.approx(scaled)
+
+
+@pytest.mark.parametrize("kind", ["scaled_euclidean", "pullback"])
+def test_scaled_kinds_do_not_depend_on_units(kind):
+    bodies, moved = bodies_of(0), bodies_of(1)
+    units = 3.0 * 7.0 ** np.array([0, 1, 1, 1, 2, 2, 2, 2, 2, 2])
+    robot = robot_of(bodies)
+
+    def cost(factor: np.ndarray) -> float:
+        # Bodies far above the least size, which is a length that does not scale with them.
+        return penalty(robot, Prior(kind=kind, bodies=bodies * factor), moved * factor)
+
+    assert cost(units) == pytest.approx(cost(np.ones(10)), rel=1e-9)
+
+
+@given(st.integers(0, 2**31), st.floats(0.1, 10.0))
+def test_entropic_kind_is_the_divergence(seed: int, strength: float):
+    bodies = bodies_of(seed)
+    robot = robot_of(bodies)
+    rows = rows_of(robot)
+    found = prior_rows(Prior(strength=strength, kind="entropic"), rows)
+    quadratic = prior_rows(Prior(strength=strength), rows)
+    assert quadratic.entropic is None
+    # The rows are those of the friction terms.
+    assert np.array_equal(found.matrix, quadratic.matrix[20:])
+    assert np.array_equal(found.rhs, quadratic.rhs[20:])
+    assert found.strength == quadratic.strength == strength
+    theta = np.concatenate([bodies_of(seed + 1).ravel(), np.ones(4)])
+    pairs = zip(*map(pseudo_inertia, (theta[:20].reshape(2, 10), repaired(bodies)[0])), strict=True)
+    exact = 2.0 * strength * sum(divergence(P, P0) for P, P0 in pairs)
+    assert found.entropic.value(theta) == pytest.approx(exact, rel=1e-6)
+    alone = prior_rows(Prior(kind="entropic", friction=False), rows)
+    assert alone.matrix.shape == (0, 24)
+    assert alone.rhs.shape == (0,)
+
+
+@pytest.mark.parametrize("kind", ["euclidean", "scaled_euclidean", "pullback", "entropic"])
+def test_every_kind_repairs_first_and_leaves_out_what_has_no_mass(kind):
+    bodies = bodies_of(0, 3)
+    bodies[1, 4:] = [1.0, 0.0, 0.1, 0.0, 0.0, 0.1]
+    bodies[2] = 0.0
+    found = prior_rows(
+        Prior(kind=kind, bodies=bodies, friction=False), rows_of(robot_of(bodies_of(1, 3)))
+    )
+    assert any("link_2 could not exist as described" in note for note in found.notes)
+    assert any("nothing is believed of link_3" in note for note in found.notes)
+    theta = np.concatenate([repaired(bodies)[0].ravel(), np.ones(6)])
+    theta[20:30] = 5.0
+    assert np.linalg.norm(found.matrix @ theta - found.rhs) < ROUNDING
+    if found.entropic is not None:
+        assert found.entropic.value(theta) < ROUNDING
+        assert found.entropic.links.tolist() == [0, 1]
+
+
 def test_impossible_links_are_repaired_and_named():
     bodies = bodies_of(0)
     bodies[1, 4:] = [1.0, 0.0, 0.1, 0.0, 0.0, 0.1]  # triangle inequality violated
@@ -124,8 +195,11 @@ def test_a_description_without_masses_is_no_prior():
     robot = robot_of(bodies_of(0))
     with pytest.raises(DataError, match="no link a mass"):
         prior_rows(Prior(bodies=np.zeros((2, 10))), rows_of(robot))
-    with pytest.raises(DataError, match="strength"):
-        Prior(strength=0.0)
+    for strength in (0.0, -1.0, np.inf, np.nan, "often"):
+        with pytest.raises(DataError, match="strength"):
+            Prior(strength=strength)
+    with pytest.raises(DataError, match="kind"):
+        Prior(kind="flat")
 
 
 @pytest.mark.parametrize("consistency", ["pseudo_inertia", "spatial_inertia"])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from typing import Any
 
 import numpy as np
@@ -15,8 +16,13 @@ from sdpid.robot.friction import (
     Coulomb,
     Coupling,
     FrictionModel,
+    FrictionTerm,
     Offset,
+    OpenParameter,
     RotorInertia,
+    SigmoidFriction,
+    SquareRootFriction,
+    Stribeck,
     Viscous,
 )
 from tests.helpers.strategies import states
@@ -28,6 +34,11 @@ A = np.array([[1.0, 2.0, 3.0], [-4.0, 5.0, -6.0]])
 
 def diagonal(rows: Array) -> Array:
     return np.stack([np.diag(row) for row in rows])
+
+
+def smooth(v: Array, widths: tuple[float, ...]) -> Array:
+    each = [np.tanh(x / w) if w else np.sign(x) for x, w in zip(v.T, widths, strict=True)]
+    return np.transpose(each)
 
 
 def of(*terms: Any) -> FrictionModel:
@@ -43,6 +54,16 @@ def of(*terms: Any) -> FrictionModel:
         ("viscous", "Fv", V, True),
         ("offset", "Fo", np.ones_like(V), False),
         ("rotor_inertia", "Ia", A, True),
+        ("square_root", "Fq", np.sign(V) * np.abs(V) ** 0.5, True),
+        (Coulomb(width=(0.1, 0.0, 2.0)), "Fs", smooth(V, (0.1, 0.0, 2.0)), True),
+        (SigmoidFriction(velocity=0.3), "Fsg", np.tanh(V / 0.3), True),
+        (Stribeck(velocity=0.3), "Fst", np.exp(-((V / 0.3) ** 2)) * np.sign(V), True),
+        (
+            Stribeck(velocity=(0.3, 2.0, 1.0), exponent=0.5, width=0.1),
+            "Fst",
+            np.exp(-np.sqrt(np.abs(V) / [0.3, 2.0, 1.0])) * np.tanh(V / 0.1),
+            True,
+        ),
     ],
 )
 def test_jointwise_terms(term: Any, symbol: str, shape: Array, nonnegative: bool) -> None:
@@ -57,6 +78,9 @@ def test_names_and_objects_are_the_same_terms() -> None:
     objects = of(Coulomb(), Viscous(), Offset(), RotorInertia(), AsymmetricCoulomb())
     names = of("coulomb", "viscous", "offset", "rotor_inertia", "asymmetric_coulomb")
     assert objects == names
+    assert of(Stribeck(), SigmoidFriction(), SquareRootFriction()) == of(
+        "stribeck", "sigmoid", "square_root"
+    )
 
 
 @given(states(3))
@@ -122,7 +146,7 @@ def test_a_floating_base_has_no_friction() -> None:
 @pytest.mark.parametrize(
     ("terms", "says"),
     [
-        (("stribeck",), r"no term is called 'stribeck'; there are coulomb, viscous"),
+        (("Dahl",), r"no term is called 'Dahl'; there are coulomb, viscous.*square_root"),
         (("Coulomb",), "no term is called 'Coulomb'"),
         ((3,), "no term is called 3"),
         ((["coulomb"],), "no term is called"),
@@ -143,3 +167,84 @@ def test_bad_widths_are_model_errors(field: str, value: float) -> None:
     for term in (Coulomb, AsymmetricCoulomb):
         with pytest.raises(ModelError, match=f"{field} is {value}"):
             of(term(**{field: value}))
+
+
+@pytest.mark.parametrize(
+    ("make", "says"),
+    [
+        (lambda: Stribeck(velocity=0.0), "velocity is 0.0; give a positive velocity"),
+        (lambda: Stribeck(exponent=0.0), "exponent is 0.0"),
+        (lambda: Stribeck(width=-1.0), "width is -1.0"),
+        (lambda: SigmoidFriction(velocity=(0.1, -0.1, 0.1)), "give a positive velocity"),
+        (lambda: Coupling("a", "b", width=-1.0), "width is -1.0"),
+        (lambda: Coupling("a", "b", width=(1.0, 1.0)), "give one number"),  # type: ignore[arg-type]
+        (lambda: OpenParameter("x", 0.0, 1.0, "rad/s"), "0 < lower"),
+        (lambda: Coulomb().with_values([1.0]), "no open parameters"),
+        (lambda: Viscous().with_values([1.0]), "no open parameters"),
+        (lambda: Coupling("a", "b").with_values([1.0]), "no open parameters"),
+        (lambda: Stribeck(width=None).with_values([1.0]), "1 values for velocity, width"),
+        (lambda: of(Coulomb(width=(0.1, 0.2))).columns(V, A), "2 values, the robot 3 joints"),
+    ],
+)
+def test_bad_speeds_are_model_errors(make: Any, says: str) -> None:
+    with pytest.raises(ModelError, match=says):
+        make()
+
+
+OPEN: list[FrictionTerm] = [
+    Coulomb(width=None),
+    AsymmetricCoulomb(width=None),
+    Stribeck(),
+    Stribeck(width=None),
+    SigmoidFriction(),
+    Coupling("a", "c", width=None),
+]
+
+
+@pytest.mark.parametrize("term", OPEN)
+def test_open_terms_have_columns_once_they_are_closed(term: FrictionTerm) -> None:
+    speeds = [np.abs(V[:, j]) for j in range(3)]
+    opened = term.open_parameters(speeds, NAMES)
+    assert opened
+    assert len({p.name for p in opened}) == len(opened)
+    with pytest.raises(ModelError, match="is open; give it a value, or let build_problem"):
+        of(term).columns(V, A)
+    closed = term.with_values([p.upper for p in opened])
+    assert closed.open_parameters(speeds, NAMES) == ()
+    assert np.isfinite(of(closed).columns(V, A)).all()
+    assert of(closed).parameters == of(term).parameters
+    assert closed.with_values([]) == closed
+
+
+def test_limits_follow_the_measured_speeds() -> None:
+    speeds = [np.linspace(0.0, 2.0, 101), np.full(9, 3.0), np.zeros(4)]
+    slow, fast, standing = Coulomb(width=None).open_parameters(speeds, NAMES)
+    assert (slow.name, slow.unit) == ("width1", "rad/s")
+    assert (slow.lower, slow.upper) == pytest.approx((0.1, 1.0))
+    assert (fast.lower, fast.upper) == pytest.approx((0.3, 1.5))
+    assert 0.0 < standing.lower < standing.upper
+    nobody = Stribeck().open_parameters([np.zeros(0)] * 3, NAMES)
+    assert all(0.0 < p.lower < p.upper for p in nobody)
+
+
+def test_values_go_field_by_field_over_the_joints() -> None:
+    closed = Stribeck(width=None).with_values([1.0, 2.0, 3.0, 0.1, 0.2, 0.3])
+    assert closed == Stribeck(velocity=(1.0, 2.0, 3.0), width=(0.1, 0.2, 0.3))
+    np.testing.assert_array_equal(
+        closed.characteristic_speeds(3), [[1.0, 2.0, 3.0], [0.1, 0.2, 0.3]]
+    )
+
+
+@given(states(3))
+def test_friction_opposes_motion(random: tuple[Array, Array, Array]) -> None:
+    _, v, a = random
+    for term in (SquareRootFriction(), Stribeck(0.5), SigmoidFriction(0.5)):
+        assert np.einsum("ki,kij->kj", v, of(term).columns(v, a)).min() >= 0.0
+
+
+def test_terms_are_described_in_plain_values() -> None:
+    found = of("viscous", Coulomb(width=(0.1, 0.2, 0.3)), Coupling("a", "b")).described()
+    assert found[0] == {"term": "Viscous", "parameters": ["Fv1", "Fv2", "Fv3"]}
+    assert found[1]["width"] == [0.1, 0.2, 0.3]
+    assert found[2]["parameters"] == ["Ia1_2", "Fv1_2", "Fs1_2"]
+    assert json.loads(json.dumps(found)) == found

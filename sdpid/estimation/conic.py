@@ -1,0 +1,354 @@
+"""Least squares over a cone: the one form that semidefinite programs are solved in.
+
+    minimise ‖M·x + m‖² + cost·x − Σ_i weight·log det(E_i0 + Σ x_k·E_ik)
+    subject to lower ≤ C·x ≤ upper and F_i0 + Σ x_k·F_ik ⪰ 0
+
+It is handed to Clarabel or SCS directly, in their standard form ``A·v + s = b``, s in a cone, over
+v = (x, residual, …): nothing is compiled, and the residual is a variable of its own, so that M is
+never squared.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any, Literal
+
+import numpy as np
+
+from sdpid._arrays import Array, Indices
+from sdpid.robot.inertia import symmetric_basis
+
+# Tighter than a solver can reach: it then stops where it makes no further progress, and what it
+# found is judged by what is recomputed.
+TOLERANCE = 1e-11
+
+# SCS is a first-order method: this is as far as it goes in a reasonable time.
+_SCS_TOLERANCE = 1e-9
+_SCS_ITERATIONS = 20000
+
+Solver = Literal["clarabel", "scs"]
+
+
+@dataclass(frozen=True, eq=False)
+class Matrix:
+    """One symmetric matrix ``constant + Σ x[index_k]·linear_k``.
+
+    Attributes
+    ----------
+    index : ndarray of int, shape (k,)
+        The entries of x that it depends on.
+    linear : ndarray, shape (k, s, s)
+    constant : ndarray, shape (s, s)
+    """
+
+    index: Indices
+    linear: Array
+    constant: Array
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class ConicProgram:
+    """The program above.
+
+    Attributes
+    ----------
+    M, m : ndarray, shapes (r, n) and (r,)
+        Of the squares.
+    cost : ndarray, shape (n,), or None
+        Linear part of the cost.
+    C, lower, upper : ndarray, shapes (c, n), (c,), (c,)
+        Linear inequalities; infinite limits are left out.
+    blocks : tuple of Matrix
+        To be positive semidefinite.
+    log_dets : tuple of Matrix
+        Whose log-determinants count in the cost.
+    weight : float
+        Weight of the log-determinants.
+    """
+
+    M: Array
+    m: Array
+    C: Array
+    lower: Array
+    upper: Array
+    blocks: tuple[Matrix, ...] = ()
+    cost: Array | None = None
+    log_dets: tuple[Matrix, ...] = ()
+    weight: float = 0.0
+
+    @property
+    def n(self) -> int:
+        """Size of x."""
+        return int(self.M.shape[1])
+
+
+@dataclass(frozen=True, eq=False)
+class ConicSolution:
+    """What a solver found; nothing in it is believed.
+
+    Attributes
+    ----------
+    status : str
+        What the solver said, such as ``"Solved"``.
+    x : ndarray, shape (n,), or None
+        None where the solver has none.
+    rows : ndarray, shape (c,)
+        Multipliers of the linear inequalities, lower less upper.
+    blocks : tuple of ndarray
+        Multipliers of the matrix inequalities.
+    iterations : int
+    seconds : float
+        In the solver, by its own clock.
+    """
+
+    status: str
+    x: Array | None
+    rows: Array = field(default_factory=lambda: np.zeros(0))
+    blocks: tuple[Array, ...] = ()
+    iterations: int = 0
+    seconds: float = 0.0
+
+
+class _Rows:
+    """Entries of A, gathered cone by cone."""
+
+    def __init__(self) -> None:
+        self.count = 0
+        self.values: list[Array] = []
+        self.rows: list[Indices] = []
+        self.columns: list[Indices] = []
+        self.b: list[Array] = []
+
+    def add(self, dense: Array, columns: Indices, b: Array) -> None:
+        """Add rows that are dense in some columns; zeros are left out."""
+        i, j = np.nonzero(dense)
+        self.values.append(dense[i, j])
+        self.rows.append(i + self.count)
+        self.columns.append(columns[j])
+        self.b.append(b)
+        self.count += len(b)
+
+    def matrix(self, width: int) -> Any:
+        from scipy.sparse import csc_matrix
+
+        entries = np.concatenate(self.values)
+        where = np.concatenate(self.rows), np.concatenate(self.columns)
+        return csc_matrix((entries, where), shape=(self.count, width))
+
+    def shift(self, columns: Indices, offset: int) -> None:
+        """Add the identity in some columns to rows that were added last."""
+        self.values.append(np.ones(len(columns)))
+        self.rows.append(np.arange(len(columns)) + offset)
+        self.columns.append(columns)
+
+
+@dataclass(frozen=True, eq=False)
+class _Standard:
+    """``minimise ½·v·P·v + q·v, A·v + s = b``; the sizes of the cones in turn."""
+
+    P: Any
+    q: Array
+    A: Any
+    b: Array
+    zero: int
+    positive: int
+    below: Indices
+    above: Indices
+    sizes: tuple[int, ...]
+    exponential: int
+
+
+def solve_conic(
+    program: ConicProgram,
+    *,
+    solver: Solver = "clarabel",
+    regularisation: float = 1e-8,
+    verbose: bool = False,
+) -> ConicSolution:
+    """Solve a program.
+
+    Parameters
+    ----------
+    program : ConicProgram
+        The program.
+    solver : {"clarabel", "scs"}, optional
+        The solver.
+    regularisation : float, optional
+        What Clarabel adds to the diagonal of its linear systems.
+    verbose : bool, optional
+        Let the solver print.
+
+    Returns
+    -------
+    ConicSolution
+        With the point where the solver stopped, whatever it calls it.
+    """
+    standard = _standard(program, lower_triangle=solver == "scs")
+    if solver == "scs":
+        status, v, dual, iterations, seconds = _scs(standard, verbose)
+    else:
+        status, v, dual, iterations, seconds = _clarabel(standard, regularisation, verbose)
+    if not (np.all(np.isfinite(v)) and np.all(np.isfinite(dual))):
+        return ConicSolution(status, None, iterations=iterations, seconds=seconds)
+    at = standard.zero
+    rows = np.zeros(len(program.lower))
+    np.add.at(rows, standard.below, dual[at : at + len(standard.below)])
+    at += len(standard.below)
+    np.subtract.at(rows, standard.above, dual[at : at + len(standard.above)])
+    at += len(standard.above)
+    blocks = []
+    for block in program.blocks:
+        basis = _vectoriser(block.constant.shape[0], lower=solver == "scs")
+        blocks.append(np.einsum("a,aij->ij", dual[at : at + len(basis)], basis))
+        at += len(basis)
+    return ConicSolution(status, v[: program.n], rows, tuple(blocks), iterations, seconds)
+
+
+def _vectoriser(size: int, *, lower: bool) -> Array:
+    """Return the orthonormal basis whose coordinates are a solver's vector of a matrix.
+
+    Clarabel stacks the columns of the upper triangle, SCS those of the lower one.
+    """
+    basis = symmetric_basis(size)
+    if not lower:
+        return basis
+    pairs = [(i, j) for i in range(size) for j in range(i + 1)]
+    return basis[[pairs.index((i, j)) for j in range(size) for i in range(j, size)]]
+
+
+def _standard(program: ConicProgram, *, lower_triangle: bool) -> _Standard:
+    """Bring a program into the solvers' form."""
+    from scipy.sparse import csc_matrix
+
+    n, count = program.n, len(program.m)
+    own = np.arange(n)
+    # Variables: x, the residual, and for each log-determinant a triangle and its logarithms.
+    width = n + count
+    extra = []
+    for matrix in program.log_dets:
+        size = int(matrix.constant.shape[0])
+        triangle = width + np.arange(size * (size + 1) // 2)
+        logs = triangle[-1] + 1 + np.arange(size)
+        extra.append((triangle, logs))
+        width = int(logs[-1]) + 1
+    rows = _Rows()
+    rows.add(-program.M, own, program.m)
+    rows.shift(n + np.arange(count), 0)
+    below = np.flatnonzero(np.isfinite(program.lower))
+    above = np.flatnonzero(np.isfinite(program.upper))
+    rows.add(-program.C[below], own, -program.lower[below])
+    rows.add(program.C[above], own, program.upper[above])
+    sizes = []
+    for block in program.blocks:
+        size = block.constant.shape[0]
+        basis = _vectoriser(size, lower=lower_triangle)
+        flat = basis.reshape(len(basis), -1)
+        rows.add(
+            -flat @ block.linear.reshape(len(block.linear), -1).T,
+            block.index,
+            flat @ block.constant.ravel(),
+        )
+        sizes.append(size)
+    for matrix, (triangle, _) in zip(program.log_dets, extra, strict=True):
+        sizes.append(_add_log_det(rows, matrix, triangle, lower_triangle))
+    exponential = 0
+    for matrix, (triangle, logs) in zip(program.log_dets, extra, strict=True):
+        size = matrix.constant.shape[0]
+        # (t_j, 1, z_jj) in the exponential cone: t_j ≤ log z_jj.
+        diagonal = [i * (i + 3) // 2 for i in range(size)]
+        for j in range(size):
+            rows.add(
+                np.array([[-1.0, 0.0], [0.0, 0.0], [0.0, -1.0]]),
+                np.array([logs[j], triangle[diagonal[j]]]),
+                np.array([0.0, 1.0, 0.0]),
+            )
+            exponential += 1
+    q = np.zeros(width)
+    if program.cost is not None:
+        q[:n] = program.cost
+    for _, logs in extra:
+        q[logs] = -program.weight
+    where = n + np.arange(count)
+    P = csc_matrix((np.full(count, 2.0), (where, where)), shape=(width, width))
+    return _Standard(
+        P=P,
+        q=q,
+        A=rows.matrix(width),
+        b=np.concatenate(rows.b),
+        zero=count,
+        positive=len(below) + len(above),
+        below=below,
+        above=above,
+        sizes=tuple(sizes),
+        exponential=exponential,
+    )
+
+
+def _add_log_det(rows: _Rows, matrix: Matrix, triangle: Indices, lower: bool) -> int:
+    """Add ``[[X, Z], [Z^T, diag(Z)]]`` ⪰ 0 with Z lower triangular: then det X ≥ Π z_jj."""
+    size = int(matrix.constant.shape[0])
+    basis = _vectoriser(2 * size, lower=lower)
+    flat = basis.reshape(len(basis), -1)
+    linear = np.zeros((len(matrix.index) + len(triangle), 2 * size, 2 * size))
+    linear[: len(matrix.index), :size, :size] = matrix.linear
+    at = len(matrix.index)
+    for i in range(size):
+        for j in range(i + 1):
+            linear[at, i, size + j] = linear[at, size + j, i] = 1.0
+            if i == j:
+                linear[at, size + i, size + i] = 1.0
+            at += 1
+    constant = np.zeros((2 * size, 2 * size))
+    constant[:size, :size] = matrix.constant
+    columns = np.concatenate([matrix.index, triangle])
+    rows.add(-flat @ linear.reshape(len(linear), -1).T, columns, flat @ constant.ravel())
+    return 2 * size
+
+
+def _clarabel(
+    standard: _Standard, regularisation: float, verbose: bool
+) -> tuple[str, Array, Array, int, float]:
+    import clarabel
+
+    settings = clarabel.DefaultSettings()
+    settings.verbose = verbose
+    settings.tol_gap_abs = settings.tol_gap_rel = settings.tol_feas = TOLERANCE
+    settings.static_regularization_constant = regularisation
+    cones: list[Any] = [clarabel.ZeroConeT(standard.zero)]
+    if standard.positive:
+        cones.append(clarabel.NonnegativeConeT(standard.positive))
+    cones += [clarabel.PSDTriangleConeT(size) for size in standard.sizes]
+    cones += [clarabel.ExponentialConeT()] * standard.exponential
+    solver = clarabel.DefaultSolver(standard.P, standard.q, standard.A, standard.b, cones, settings)
+    found = solver.solve()
+    return (
+        str(found.status),
+        np.array(found.x),
+        np.array(found.z),
+        int(found.iterations),
+        float(found.solve_time),
+    )
+
+
+def _scs(standard: _Standard, verbose: bool) -> tuple[str, Array, Array, int, float]:
+    import scs
+
+    data = {"P": standard.P, "A": standard.A, "b": standard.b, "c": standard.q}
+    cone = {
+        "z": standard.zero,
+        "l": standard.positive,
+        "s": list(standard.sizes),
+        "ep": standard.exponential,
+    }
+    solver = scs.SCS(
+        data,
+        cone,
+        eps_abs=_SCS_TOLERANCE,
+        eps_rel=_SCS_TOLERANCE,
+        max_iters=_SCS_ITERATIONS,
+        verbose=verbose,
+    )
+    found = solver.solve()
+    info = found["info"]
+    seconds = 1e-3 * float(info["setup_time"] + info["solve_time"])
+    return str(info["status"]), found["x"], found["y"], int(info["iter"]), seconds
