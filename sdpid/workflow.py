@@ -84,6 +84,7 @@ class Identification:
             "gap": self.certificate.gap,
             "certified": self.certificate.passed,
             "worst_margin": estimate.worst_margin,
+            "constraints": [s.to_dict() for s in estimate.constraint_states if s.active],
             "solve_time": estimate.solve_time,
             "prior": None if self.problem.prior is None else list(self.problem.prior.notes),
             "weakly_excited": [{"singular_value": v, "parameters": list(n)} for v, n in weak],

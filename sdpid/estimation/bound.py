@@ -35,8 +35,8 @@ class Dual:
     ----------
     y : ndarray, shape (rows of the design,)
         Multiplier of the residual of `Problem.design`.
-    Z : ndarray, shape (N, s, s) or (0, s, s)
-        Multipliers of the matrix inequalities, positive semidefinite; none are zeros.
+    Z : ndarray, shape (N, s, s)
+        Multipliers of the matrix inequalities, positive semidefinite.
     rows : ndarray, shape (r,)
         Multipliers of the linear rows: positive at the lower limit, negative at the upper one.
     W : ndarray, shape (L, 4, 4), or None
@@ -81,14 +81,12 @@ def evaluate(problem: Problem, dual: Dual) -> float:
     constant, linear = tangent(problem, dual)
     linear = linear + 2.0 * gradient(problem, y)
     constant += problem.floor - float(y @ y) - 2.0 * float(y @ problem.design[1])
-    if dual.Z.size:
-        linear = linear - feasible.adjoint(dual.Z)
-        constant -= float(np.einsum("nij,nij->", dual.Z, feasible.block_constants))
-    if dual.rows.size:
-        limits = np.where(dual.rows > 0.0, feasible.row_lower, feasible.row_upper)
-        used = np.where(np.isfinite(limits), dual.rows, 0.0)
-        linear = linear - used @ feasible.rows
-        constant += float(used @ np.where(np.isfinite(limits), limits, 0.0))
+    linear = linear - feasible.adjoint(dual.Z)
+    constant -= float(np.einsum("nij,nij->", dual.Z, feasible.block_constants))
+    limits = np.where(dual.rows > 0.0, feasible.row_lower, feasible.row_upper)
+    used = np.where(np.isfinite(limits), dual.rows, 0.0)
+    linear = linear - used @ feasible.rows
+    constant += float(used @ np.where(np.isfinite(limits), limits, 0.0))
     ends = np.where(linear > 0.0, feasible.lower, feasible.upper)
     return float(constant + linear @ ends)
 
@@ -111,7 +109,7 @@ def clip_psd(Z: Array) -> Array:
     return np.asarray((vectors * clipped[..., None, :]) @ np.swapaxes(vectors, -1, -2))
 
 
-def lower_bound(estimate: Estimate, *, enough: float = 0.0) -> Bound:
+def lower_bound(estimate: Estimate, *, enough: float = 0.0, patient: bool = False) -> Bound:
     """Turn an estimate's multipliers into a lower bound.
 
     Parameters
@@ -121,6 +119,8 @@ def lower_bound(estimate: Estimate, *, enough: float = 0.0) -> Bound:
         the physics.
     enough : float, optional
         A relative gap that needs no polishing.
+    patient : bool, optional
+        Polish as long as it takes.
 
     Returns
     -------
@@ -128,13 +128,11 @@ def lower_bound(estimate: Estimate, *, enough: float = 0.0) -> Bound:
         The best of a few choices of the multipliers: as found, or polished (see
         `sdpid.estimation.polish`).
     """
-    problem = estimate.problem
-    s = problem.feasible.size
-    found = estimate.multipliers
+    problem, found = estimate.problem, estimate.multipliers
     residual = _residual(estimate)
     # Whatever the constraints, nothing costs less than the floor: no multipliers prove that much,
     # and where the constraints cost nothing it is all there is to prove.
-    nothing = np.zeros((0, s, s)), np.zeros(len(problem.feasible.rows))
+    nothing = np.zeros_like(problem.feasible.block_constants), np.zeros(len(problem.feasible.rows))
     W = _touching(estimate)
     best = best_of(
         [
@@ -151,7 +149,7 @@ def lower_bound(estimate: Estimate, *, enough: float = 0.0) -> Bound:
         return best
     from sdpid.estimation.polish import polished
 
-    return polished(estimate, residual, given, best)
+    return polished(estimate, residual, given, best, patient=patient)
 
 
 def bounded(problem: Problem, dual: Dual) -> Bound:

@@ -74,7 +74,7 @@ class FeasibleSet:
         """
         robot, n_links = layout.robot, layout.robot.n_links
         nonnegative = np.array([p.nonnegative for p in layout.friction.parameters], dtype=bool)
-        upper = np.full(layout.count, constraints.theta_max)
+        upper = np.full(layout.count, float(constraints.theta_max))
         lower = -upper
         if consistency != "none":
             lower[: 10 * n_links : 10] = constraints.mass_min

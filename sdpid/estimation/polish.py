@@ -38,11 +38,14 @@ _ROUNDS = 8
 # Equations of the polishing that are this close to dependent are dependent.
 _CUT = 1e-14
 
-# A gap this small is not worth another round.
-_ENOUGH = 1e-7
+# A gap this small is not worth another round, and a round must close this share of it.
+_ENOUGH = 3e-7
+_PROGRESS = 0.05
 
 
-def polished(estimate: Estimate, residual: Array, given: Dual, best: Bound) -> Bound:
+def polished(
+    estimate: Estimate, residual: Array, given: Dual, best: Bound, *, patient: bool = False
+) -> Bound:
     """Return the best bound of rounds of polishing, or `best` where none is better.
 
     Parameters
@@ -55,6 +58,8 @@ def polished(estimate: Estimate, residual: Array, given: Dual, best: Bound) -> B
         The multipliers as found.
     best : Bound
         The best bound so far.
+    patient : bool, optional
+        Go through all rounds, even where they do not seem to help.
     """
     problem, found = estimate.problem, estimate.multipliers
     if found is None or estimate.theta is None:
@@ -64,12 +69,16 @@ def polished(estimate: Estimate, residual: Array, given: Dual, best: Bound) -> B
     system = _System.of(problem, Scaling.of(problem).around(np.array(estimate.theta)))
     for first in _SOFT:
         trial, soft = replace(given, y=residual), first
+        last = -np.inf
         for _ in range(_ROUNDS):
             trial = system.polish(trial, found.bounds, soft)
-            best = best_of([best, bounded(problem, trial)])
+            bound = bounded(problem, trial)
+            best = best_of([best, bound])
             if relative_gap(problem, estimate.cost, best.value) <= _ENOUGH:
                 return best
-            soft *= 0.5
+            if not patient and bound.value < last + _PROGRESS * (estimate.cost - last):
+                break
+            last, soft = bound.value, 0.5 * soft
     return best
 
 

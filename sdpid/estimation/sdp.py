@@ -53,7 +53,7 @@ _INFEASIBLE = ("PrimalInfeasible", "AlmostPrimalInfeasible", "infeasible", "infe
 _NO_POINT = (*_INFEASIBLE, "DualInfeasible", "AlmostDualInfeasible", "NumericalError", "unbounded")
 
 # A gap this small is not worth polishing the multipliers.
-_ENOUGH = 1e-7
+_ENOUGH = 3e-7
 
 # A proven lower bound further than this below the cost is not an optimum.
 _GAP = 1e-6
@@ -157,12 +157,15 @@ def solve_sdp(problem: Problem, *, verbose: bool = False) -> Estimate:
         scaling = replace(scaling, cost=max(scaling.cost, best.cost))
         reference = np.array(best.theta)
         found_scaling = scaling.around(reference)
+    if best is not None and bound is not None and best_gap > _GAP:
+        bound = max(bound, lower_bound(best, patient=True), key=lambda each: each.value)
+        best_gap = relative_gap(problem, best.cost, bound.value)
     if best is not None and best.multipliers is not None and bound is not None:
         proof = replace(
             best.multipliers, y=bound.dual.y, Z=bound.dual.Z, rows=bound.dual.rows, W=bound.dual.W
         )
         best = replace(best, multipliers=proof, iterations=iterations, solve_time=solve_time)
-    if best is None or best_gap > _GAP or (best.violation or 0.0) > FEASIBLE:
+    if best is None or bound is None or best_gap > _GAP or (best.violation or 0.0) > FEASIBLE:
         if problem.constraints.others:
             require_consistent(problem)
         found = (
@@ -177,7 +180,7 @@ def solve_sdp(problem: Problem, *, verbose: bool = False) -> Estimate:
             problem=problem,
             found=best,
         )
-    return _settled(best)
+    return _settled(best, bound)
 
 
 def _better(first: Estimate, second: Estimate) -> bool:
@@ -237,10 +240,11 @@ def _described(problem: Problem, scaling: Scaling) -> Array:
     return np.concatenate([scaling.bodies.ravel(), fit[scaling.bodies.size :]])
 
 
-def _settled(estimate: Estimate) -> Estimate:
+def _settled(estimate: Estimate, bound: Bound) -> Estimate:
     """Move along the directions that cost nothing, to the point nearest to the description.
 
-    What is found is kept only where it costs no more than the solver's own accuracy.
+    What is found is kept only where it costs no more than the solver's own accuracy, and where
+    the bound proves it too.
     """
     problem = estimate.problem
     if problem.consistency == "none" or problem.prior is not None or estimate.theta is None:
@@ -255,7 +259,7 @@ def _settled(estimate: Estimate) -> Estimate:
             base=frozen(problem.base_of(theta)),
             message=f"{estimate.message}; nearest to the description on the optimal face",
         )
-        proven = relative_gap(problem, moved.cost, lower_bound(moved).value) <= _GAP
+        proven = relative_gap(problem, moved.cost, bound.value) <= _GAP
         if moved.feasible and moved.cost <= allowed and proven:
             return moved
     return replace(estimate, message=f"{estimate.message}; any point of the optimal face")

@@ -9,6 +9,7 @@ pseudo-inertias with P0 = L·L^T the reference (the constant-pullback metric [le
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 
 import numpy as np
 
@@ -16,18 +17,17 @@ from sdpid._arrays import Array
 from sdpid.estimation.conic import ConicProgram, solve_conic
 from sdpid.estimation.problem import Problem
 from sdpid.estimation.scaling import Scaling
-from sdpid.estimation.sdp_program import Coordinates
+from sdpid.estimation.sdp_program import Coordinates, SdpProgram
 
 # The face often has no interior: matrices may be so much below zero in the links' own scale, which
-# the caller repairs. Tried in turn: links in units of the point itself or of the reference, this
+# the caller repairs. Tried in turn: links in units of the reference or of the point itself, this
 # slack, and Clarabel's regularisation.
-_TRIALS = (
-    (False, 1e-10, 1e-8),
-    (True, 1e-10, 1e-8),
-    (True, 1e-10, 1e-12),
-    (True, 1e-8, 1e-12),
-    (False, 1e-8, 1e-8),
-)
+_TRIALS = ((False, 1e-10, 1e-8), (True, 1e-10, 1e-8))
+
+# Where that does not succeed the distance is weighed against the cost instead, in units in which
+# the cost is one: the stronger the nearer, the weaker the cheaper.
+_WEIGHTS = (1e-8, 1e-9, 1e-10, 1e-11, 1e-12)
+_REGULARISATION = 1e-10
 
 # Null directions of the scaled base matrix: its singular values are of order one or rounding.
 _NULL = 1e-9
@@ -72,6 +72,15 @@ def nearest_on_face(problem: Problem, theta: Array) -> Iterator[Array]:
         nearer = np.linalg.norm(distance[:, :-1] @ step + distance[:, -1])
         if nearer <= np.linalg.norm(distance[:, -1]):
             yield np.asarray(theta + null @ step)
+    scaling = replace(reference, cost=max(reference.cost, problem.cost_of(theta)))
+    coordinates = Coordinates.of(problem, basis, goal)
+    if coordinates is None:
+        return
+    for weight in _WEIGHTS:
+        program = SdpProgram.build(problem, scaling, coordinates, feasible.bounded, anchor=weight)
+        solution = solve_conic(program.conic, regularisation=_REGULARISATION)
+        if solution.x is not None:
+            yield program.theta(solution)
 
 
 def _unit_rows(rows: Array) -> Array:
