@@ -171,6 +171,7 @@ def row(
             samples,
             friction=FRICTION,
             weighting="residual",
+            constraints=sdpid.Constraints.of_size(robot),
             prior=sdpid.Prior() if believe else None,
         )
         condition = problem.excitation.condition_number

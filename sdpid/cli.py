@@ -20,9 +20,11 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
     from sdpid.assurance.validation import Validation
+    from sdpid.estimation.constraints import Constraints
     from sdpid.experiment.processing import Processing
     from sdpid.experiment.recording import Recording
     from sdpid.robot.friction import FrictionTerm
+    from sdpid.robot.model import RobotModel
 
 app = typer.Typer(
     cls=cli.Commands,
@@ -93,16 +95,18 @@ def identify(
     record = _read(log, **how, period=period, start=start, periods=periods)
     check = None if validation is None else _read(validation, **how)
     from sdpid import workflow
+    from sdpid.robot.load import load_robot
 
+    model = load_robot(robot)
     result = workflow.identify(
-        robot,
+        model,
         record,
         validation=check,
         processing=_processing(record, cutoff, order, velocity),
         friction=_friction(friction),
         weighting=None if weighting is None else weighting.value,
         consistency=consistency.value,
-        constraints=_constraints(margin, mass_max),
+        constraints=_constraints(model, margin, mass_max),
         prior=prior,
     )
     notes = list(result.problem.samples.notes)
@@ -161,14 +165,15 @@ def compare(
     from sdpid.output.comparison import compare as run
     from sdpid.robot.load import load_robot
 
+    model = load_robot(robot)
     problem = workflow.formulate(
-        load_robot(robot),
+        model,
         record,
         processing=_processing(record, cutoff, order, velocity),
         friction=_friction(friction),
         weighting=None if weighting is None else weighting.value,
         consistency=consistency.value,
-        constraints=_constraints(margin, mass_max),
+        constraints=_constraints(model, margin, mass_max),
         prior=prior,
     )
     comparison = run(problem, starts=starts, seed=seed, max_iterations=max_iterations, n_jobs=jobs)
@@ -396,11 +401,11 @@ def _friction(given: list[str] | None) -> list[str | FrictionTerm] | None:
     return terms or None
 
 
-def _constraints(margin: float, mass_max: float | None) -> Any:
+def _constraints(robot: RobotModel, margin: float, mass_max: float | None) -> Constraints:
     from sdpid.estimation.constraints import Constraints
 
-    constraints = Constraints(margin=margin)
-    return constraints if mass_max is None else constraints.replace(mass_max=mass_max)
+    given = {} if mass_max is None else {"mass_max": mass_max}
+    return Constraints.of_size(robot, margin=margin, **given)
 
 
 def _errors_table(fits: dict[str, Validation]) -> str:

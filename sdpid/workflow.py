@@ -250,7 +250,7 @@ def formulate(
         friction=default_friction(log) if friction is None else friction,
         weighting=chosen,
         consistency=consistency,
-        constraints=constraints,
+        constraints=Constraints.of_size(robot) if constraints is None else constraints,
         prior=prior,
     )
 
@@ -286,7 +286,8 @@ def identify(
     consistency : str, optional
         What every link must obey.
     constraints : Constraints, optional
-        Margins and bounds.
+        Margins and bounds; by default bounds that follow the robot's size
+        (`Constraints.of_size`).
     prior : Prior or bool, optional
         What is believed beside the data. By default the description's own inertias, with a
         strength of one nat, for records without periods of a robot whose description has masses;

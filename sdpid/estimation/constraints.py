@@ -9,6 +9,10 @@ import numpy as np
 
 from sdpid.errors import DataError, InfeasibleError
 from sdpid.estimation.conditions import Condition
+from sdpid.robot.model import RobotModel
+
+# Descriptions are wrong, but not by more than this factor.
+_TIMES = 3.0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -64,6 +68,29 @@ class Constraints:
                 f"Constraints: theta_max {self.theta_max} is below mass_max {self.mass_max} kg; "
                 "raise theta_max or lower mass_max."
             )
+
+    @classmethod
+    def of_size(cls, robot: RobotModel, **changes: Any) -> Constraints:
+        """Return constraints whose widest bounds follow the size of a described robot.
+
+        No link is heavier than three times all links together are said to be, and no mass lies
+        farther from its joint than three times the way from the base to the farthest joint.
+        Tighter bounds make stronger proofs: where the data are weak, what they leave open is only
+        limited by them. Where no link has a mass the defaults stay.
+
+        Parameters
+        ----------
+        robot : RobotModel
+            The robot.
+        **changes
+            Attributes to set, which go before.
+        """
+        total = float(np.sum(np.maximum(robot.prior[:, 0], 0.0)))
+        if total > 0.0:
+            mass = changes.get("mass_max", _TIMES * total)
+            reach = max(_TIMES * robot.reach, 1.0)
+            changes = {"mass_max": mass, "theta_max": mass * reach**2, **changes}
+        return cls(**changes)
 
     def replace(self, **changes: Any) -> Constraints:
         """Return a copy with some bounds changed."""

@@ -231,7 +231,7 @@ def _attempts(consistency: Consistency) -> tuple[_Attempt, ...]:
     ]
     # Another algorithm, for a second opinion.
     other = _Attempt(0.0, around=True, solver="scs")
-    return (plain[0], *around[:2], *plain[1:], around[2], *near, *anchored, other)
+    return (plain[0], *around[:2], *around[:2], *plain[1:], around[2], *near, *anchored, other)
 
 
 def _described(problem: Problem, scaling: Scaling) -> Array:

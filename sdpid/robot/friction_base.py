@@ -194,7 +194,8 @@ class JointwiseTerm(FrictionTerm):
     def characteristic_speeds(self, n: int) -> Array:
         """Return the values of the speed fields."""
         rows = [joint_speeds(self, field, n) for field in self.speed_fields]
-        return np.array([row for row in rows if np.any(row > 0.0)]).reshape(-1, n)
+        kept = [row for row in rows if np.any(row > 0.0)]
+        return np.reshape(kept, (len(kept), n))
 
 
 def check_speeds(term: FrictionTerm, fields: Sequence[str], *, positive: bool = False) -> None:

@@ -156,6 +156,15 @@ class RobotModel:
         ]
 
     @property
+    def reach(self) -> float:
+        """Length of the longest way from the base to a joint, m, from joint to joint."""
+        way = np.zeros(self.pin_model.njoints)
+        for i in range(1, self.pin_model.njoints):
+            offset = float(np.linalg.norm(self.pin_model.jointPlacements[i].translation))
+            way[i] = way[self.pin_model.parents[i]] + offset
+        return float(way.max())
+
+    @property
     def position_limits(self) -> Array:
         """Limits of the joints' positions, shape (n, 2), infinite where there are none."""
         limits = np.tile([-np.inf, np.inf], (self.n, 1))
