@@ -134,6 +134,9 @@ def solve_sdp(problem: Problem, *, verbose: bool = False) -> Estimate:
             boxed = boxed | outside
             continue
         theta = repair(problem, theta)
+        if not np.isfinite(problem.cost_of(theta)):
+            # Outside of what a log-det prior is defined for: where solvers end that find nothing.
+            continue
         estimate = Estimate.of_theta(
             problem,
             theta,
@@ -251,10 +254,12 @@ def _settled(estimate: Estimate, bound: Bound) -> Estimate:
         # Without matrix inequalities nothing says what is near; with a prior nothing is free.
         return estimate
     allowed = estimate.cost + _FACE * max(estimate.cost, cost_scale(problem))
-    for found in nearest_on_face(problem, np.array(estimate.theta)):
-        theta = repair(problem, found)
+    spent = 0.0
+    for found, seconds in nearest_on_face(problem, np.array(estimate.theta)):
+        theta, spent = repair(problem, found), seconds
         moved = replace(
             estimate,
+            solve_time=estimate.solve_time + seconds,
             theta=frozen(theta),
             base=frozen(problem.base_of(theta)),
             message=f"{estimate.message}; nearest to the description on the optimal face",
@@ -262,7 +267,11 @@ def _settled(estimate: Estimate, bound: Bound) -> Estimate:
         proven = relative_gap(problem, moved.cost, bound.value) <= _GAP
         if moved.feasible and moved.cost <= allowed and proven:
             return moved
-    return replace(estimate, message=f"{estimate.message}; any point of the optimal face")
+    return replace(
+        estimate,
+        solve_time=estimate.solve_time + spent,
+        message=f"{estimate.message}; any point of the optimal face",
+    )
 
 
 def repair(problem: Problem, theta: Array) -> Array:

@@ -14,7 +14,7 @@ from dataclasses import replace
 import numpy as np
 
 from sdpid._arrays import Array
-from sdpid.estimation.conic import ConicProgram, solve_conic
+from sdpid.estimation.conic import ConicProgram, ConicSolution, solve_conic
 from sdpid.estimation.problem import Problem
 from sdpid.estimation.scaling import Scaling
 from sdpid.estimation.sdp_program import Coordinates, SdpProgram
@@ -33,7 +33,7 @@ _REGULARISATION = 1e-10
 _NULL = 1e-9
 
 
-def nearest_on_face(problem: Problem, theta: Array) -> Iterator[Array]:
+def nearest_on_face(problem: Problem, theta: Array) -> Iterator[tuple[Array, float]]:
     """Yield parameters with theta's base parameters, as near to the reference as was found.
 
     Parameters
@@ -45,10 +45,13 @@ def nearest_on_face(problem: Problem, theta: Array) -> Iterator[Array]:
 
     Yields
     ------
-    ndarray, shape (p,)
-        Nearer than theta and feasible but for rounding, which the caller repairs; of several, the
+    theta : ndarray, shape (p,)
+        Nearer than before and feasible but for rounding, which the caller repairs; of several, the
         first that is still good enough after that will do. Nothing where the solver finds none.
+    seconds : float
+        In the solver so far.
     """
+    seconds = 0.0
     feasible = problem.feasible
     links = 10 * feasible.n_links
     reference = Scaling.of(problem)
@@ -59,19 +62,20 @@ def nearest_on_face(problem: Problem, theta: Array) -> Iterator[Array]:
     rank = int(np.count_nonzero(singular > _NULL * singular[0]))
     null = basis @ rows[rank:].T
     if null.shape[1] == 0:
-        yield theta
+        yield theta, seconds
         return
     goal = np.concatenate([reference.bodies.ravel(), theta[links:]])
     there = np.column_stack([null[:links], (theta - goal)[:links]])
     distance = np.linalg.solve(basis[:links, :links], there)
     for own_scale, slack, regularisation in _TRIALS:
         scaling = reference.around(theta) if own_scale else reference
-        step = _step(problem, theta, null, distance, scaling, slack, regularisation)
-        if step is None:
+        solution = _step(problem, theta, null, distance, scaling, slack, regularisation)
+        seconds += solution.seconds
+        if solution.x is None:
             continue
-        nearer = np.linalg.norm(distance[:, :-1] @ step + distance[:, -1])
+        nearer = np.linalg.norm(distance[:, :-1] @ solution.x + distance[:, -1])
         if nearer <= np.linalg.norm(distance[:, -1]):
-            yield np.asarray(theta + null @ step)
+            yield np.asarray(theta + null @ solution.x), seconds
     scaling = replace(reference, cost=max(reference.cost, problem.cost_of(theta)))
     coordinates = Coordinates.of(problem, basis, goal)
     if coordinates is None:
@@ -79,8 +83,9 @@ def nearest_on_face(problem: Problem, theta: Array) -> Iterator[Array]:
     for weight in _WEIGHTS:
         program = SdpProgram.build(problem, scaling, coordinates, feasible.bounded, anchor=weight)
         solution = solve_conic(program.conic, regularisation=_REGULARISATION)
+        seconds += solution.seconds
         if solution.x is not None:
-            yield program.theta(solution)
+            yield program.theta(solution), seconds
 
 
 def _unit_rows(rows: Array) -> Array:
@@ -97,8 +102,8 @@ def _step(
     scaling: Scaling,
     slack: float,
     regularisation: float,
-) -> Array | None:
-    """Return the step along the null directions that brings theta nearest, None if not found."""
+) -> ConicSolution:
+    """Return the step along the null directions that brings theta nearest."""
     feasible = problem.feasible
     inverses = np.linalg.inv(scaling.block_roots(feasible))
     transposed = np.swapaxes(inverses, 1, 2)
@@ -116,7 +121,7 @@ def _step(
     scale = np.concatenate([scale, sizes])[:, 0]
     lower = np.concatenate([feasible.lower[bounded], feasible.row_lower[unequal]])
     upper = np.concatenate([feasible.upper[bounded], feasible.row_upper[unequal]])
-    solution = solve_conic(
+    return solve_conic(
         ConicProgram(
             M=distance[:, :-1],
             m=distance[:, -1],
@@ -128,4 +133,3 @@ def _step(
         ),
         regularisation=regularisation,
     )
-    return solution.x
