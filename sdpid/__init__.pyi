@@ -11,6 +11,7 @@ from .errors import (
     SdpidError,
     SolverError,
 )
+from .estimation.activity import ConstraintState
 from .estimation.condition_equations import (
     EqualLinks,
     Fixed,
@@ -76,6 +77,7 @@ __all__ = [
     "Certificate",
     "CertificateError",
     "Comparison",
+    "ConstraintState",
     "Constraints",
     "Coulomb",
     "Coupling",

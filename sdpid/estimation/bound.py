@@ -19,6 +19,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from sdpid._arrays import Array
+from sdpid.errors import DataError
 from sdpid.estimation.estimate import Estimate
 from sdpid.estimation.problem import Problem
 
@@ -143,7 +144,9 @@ def lower_bound(estimate: Estimate, *, enough: float = 0.0, patient: bool = Fals
     if found is None or estimate.theta is None:
         return best
     y = residual if found.y is None else found.y
-    given = Dual(y, clip_psd(found.Z), found.rows, W if found.W is None else found.W)
+    # What was stored with its y is a proof already: clipping again would only add roundings.
+    Z = clip_psd(found.Z) if found.y is None else found.Z
+    given = Dual(y, Z, found.rows, W if found.W is None else found.W)
     best = best_of([best, bounded(problem, given)])
     if relative_gap(problem, estimate.cost, best.value) <= enough:
         return best
@@ -154,7 +157,11 @@ def lower_bound(estimate: Estimate, *, enough: float = 0.0, patient: bool = Fals
 
 def bounded(problem: Problem, dual: Dual) -> Bound:
     """Return a bound with its value."""
-    return Bound(evaluate(problem, dual), dual)
+    try:
+        return Bound(evaluate(problem, dual), dual)
+    except DataError:
+        # A W that is not definite, by rounding or clipping, touches nowhere and proves nothing.
+        return Bound(-np.inf, dual)
 
 
 def best_of(bounds: list[Bound]) -> Bound:

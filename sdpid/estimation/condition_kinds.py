@@ -219,7 +219,8 @@ class MassInEllipsoid(_Ellipsoid):
     With y the position in which the ellipsoid is the unit ball, mass inside has
     ``∫ (1 − ‖y‖²) dm ≥ 0``, which is linear in the pseudo-inertia: tr(Q·J) ≥ 0. Every body inside
     satisfies it. A pseudo-inertia J ⪰ 0 that satisfies it is that of some mass distribution on
-    the ellipsoid, so nothing stronger can be said about the ten parameters.
+    the ellipsoid, so nothing stronger can be said about the ten parameters. (Under 6×6
+    consistency, where second moments may be negative, it is still necessary, but says less.)
 
     Attributes
     ----------

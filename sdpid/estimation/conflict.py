@@ -10,10 +10,15 @@ from sdpid.errors import InfeasibleError
 from sdpid.estimation.conic import ConicProgram, Matrix, solve_conic
 from sdpid.estimation.problem import Problem
 from sdpid.estimation.scaling import Scaling
+from sdpid.estimation.sdp_program import Coordinates
+from sdpid.robot.inertia import pseudo_inertia
 
 # Constraints hold together when all of them do after each has given way by this share of its
 # size: solvers are content with as much.
 _GIVES = 1e-7
+
+# Where theta_max is left out, so many times as much takes its place.
+_WIDER = 1e3
 
 
 @dataclass(frozen=True, eq=False)
@@ -26,9 +31,9 @@ class _Limit:
         What it says.
     group : str
         What it is part of.
-    kind : {"lower", "upper", "row", "block"}
+    kind : {"lower", "upper", "row", "block", "exists", "all"}
     index : int
-        Of the parameter, the row or the block.
+        Of the parameter, the row, the block or the link.
     """
 
     name: str
@@ -82,7 +87,11 @@ def require_consistent(problem: Problem) -> None:
 
 
 def _limits(problem: Problem) -> list[_Limit]:
-    """Return all constraints but theta_max, which always holds; first those to leave out first."""
+    """Return all constraints; first those to leave out first.
+
+    theta_max comes as one; a log-det prior asks for bodies that can exist, whatever the
+    consistency.
+    """
     feasible, robot = problem.feasible, problem.robot
     numbers = problem.constraints
     wide = numbers.theta_max
@@ -99,11 +108,17 @@ def _limits(problem: Problem) -> list[_Limit]:
             continue
         link = robot.link_names[k // 10]
         for side, limit in (("upper", numbers.mass_max), ("lower", numbers.mass_min)):
-            if abs(limit) < wide:
-                word = "most" if side == "upper" else "least"
-                name = f"mass of {link} at {word} {limit:g} kg"
-                bounds[side].append(_Limit(name, f"masses at {word} {limit:g} kg", side, int(k)))
+            word = "most" if side == "upper" else "least"
+            name = f"mass of {link} at {word} {limit:g} kg"
+            bounds[side].append(_Limit(name, f"masses at {word} {limit:g} kg", side, int(k)))
     rows = [_Limit(name, name, "row", i) for i, name in enumerate(feasible.row_names)]
+    widest = f"theta_max {wide:g}"
+    own.append(_Limit(widest, widest, "all", 0))
+    if problem.prior is not None and problem.prior.entropic is not None:
+        own += [
+            _Limit(f"entropic prior of {robot.link_names[i]}", "entropic prior", "exists", int(i))
+            for i in problem.prior.entropic.links
+        ]
     return [
         *own,
         *bounds["friction"],
@@ -122,24 +137,34 @@ def _shortfall(problem: Problem, limits: list[_Limit]) -> float:
     """Return by which share of its size each constraint must give way for all to hold.
 
     Solves for the smallest t ≥ 0 such that bounds and rows hold but for t of their sizes and
-    matrices are at least −t in scaled units. theta_max is not negotiable.
+    matrices are at least −t in scaled units. theta_max gives way by nothing, but where it is not
+    among the limits a thousand times as much is allowed, for the program to be bounded.
     """
-    feasible, scaling = problem.feasible, Scaling.of(problem)
+    feasible, scaling, numbers = problem.feasible, Scaling.of(problem), problem.constraints
     basis, n = scaling.basis(), problem.n_theta
     inverses = np.linalg.inv(scaling.block_roots(feasible))
     sizes = scaling.row_sizes(feasible)
     C, lower, upper = [np.append(np.zeros(n), 1.0)], [0.0], [np.inf]
     blocks = []
+    coordinates = Coordinates(np.zeros(problem.n_theta), basis)
+    units, exist = pseudo_inertia(np.eye(10)), np.linalg.inv(scaling.roots(4))
+    widest = numbers.theta_max * _WIDER
     for limit in limits:
         i = limit.index
-        if limit.kind == "block":
-            own = slice(10 * feasible.block_links[i], 10 * feasible.block_links[i] + 10)
-            index = np.flatnonzero(np.any(basis[own] != 0.0, axis=0))
-            scaled = inverses[i] @ feasible.block_basis[i] @ inverses[i].T
-            linear = np.einsum("ka,kij->aij", basis[own][:, index], scaled)
-            constant = inverses[i] @ feasible.block_constants[i] @ inverses[i].T
+        if limit.kind == "all":
+            widest = numbers.theta_max
+            continue
+        if limit.kind in ("block", "exists"):
+            if limit.kind == "block":
+                link, inverse, F = feasible.block_links[i], inverses[i], feasible.block_basis[i]
+                constant = inverse @ feasible.block_constants[i] @ inverse.T
+            else:
+                link, inverse, F, constant = i, exist[i], units, np.zeros((4, 4))
+            scaled = (inverse @ F @ inverse.T)[None]
+            fixed = coordinates.matrices(constant[None], scaled, np.array([link]))[0]
             give = np.eye(len(constant))[None]
-            blocks.append(Matrix(np.append(index, n), np.concatenate([linear, give]), constant))
+            linear = np.concatenate([fixed.linear, give])
+            blocks.append(Matrix(np.append(fixed.index, n), linear, fixed.constant))
             continue
         if limit.kind == "row":
             row, size = feasible.rows[i] @ basis, sizes[i]
@@ -153,7 +178,7 @@ def _shortfall(problem: Problem, limits: list[_Limit]) -> float:
                 C.append(np.append(row / size, sign))
                 lower.append(end / size if sign > 0.0 else -np.inf)
                 upper.append(end / size if sign < 0.0 else np.inf)
-    wide = problem.constraints.theta_max / scaling.theta
+    wide = widest / scaling.theta
     C += list(np.column_stack([basis / scaling.theta[:, None], np.zeros(n)]))
     solution = solve_conic(
         ConicProgram(

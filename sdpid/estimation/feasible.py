@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections import Counter
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -82,6 +83,7 @@ class FeasibleSet:
         if constraints.friction_nonnegative and consistency != "none":
             lower[10 * n_links :][nonnegative] = 0.0
         said = [part for other in constraints.others for part in other.compile(layout)]
+        said = _told_apart(said)
         rows = [part for part in said if isinstance(part, Row)]
         cones = [part for part in said if isinstance(part, Cone)]
         size = 6 if consistency == "spatial_inertia" else 4
@@ -198,6 +200,19 @@ class FeasibleSet:
         outside = np.maximum(self.row_lower - values, values - self.row_upper)
         worst = max(worst, float(np.max(outside, initial=0.0)))
         return max(worst, float(np.max(-self.rooms(theta), initial=0.0)))
+
+
+def _told_apart(parts: list[Row | Cone]) -> list[Row | Cone]:
+    """Return rows and cones with a number behind names that occur more than once."""
+    counts = Counter(part.name for part in parts)
+    seen: Counter[str] = Counter()
+    out = []
+    for part in parts:
+        seen[part.name] += 1
+        several = counts[part.name] > 1
+        name = f"{part.name} ({seen[part.name]})" if several else part.name
+        out.append(replace(part, name=name))
+    return out
 
 
 def _arrow(cone: Cone, size: int) -> Array:

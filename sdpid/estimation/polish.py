@@ -73,6 +73,8 @@ def polished(
         for _ in range(_ROUNDS):
             trial = system.polish(trial, found.bounds, soft)
             bound = bounded(problem, trial)
+            if not np.isfinite(bound.value):
+                break
             best = best_of([best, bound])
             if relative_gap(problem, estimate.cost, best.value) <= _ENOUGH:
                 return best

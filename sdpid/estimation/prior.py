@@ -13,6 +13,7 @@ from sdpid.errors import DataError
 from sdpid.estimation.entropy import Entropy
 from sdpid.estimation.evidence import STRONGEST, WEAKEST, strength_by_evidence
 from sdpid.estimation.rows import RowSource
+from sdpid.robot.base import characteristic_length
 from sdpid.robot.inertia import (
     from_pseudo_inertia,
     margin,
@@ -30,6 +31,12 @@ _RADIUS = 0.02
 # Friction and offset terms are believed to move the joint's effort by this share of its rms.
 _FRICTION_SHARE = 1.0 / 3.0
 
+
+# A link that the description gives no mass is believed to be a ball of the mean link's mass, its
+# radius of gyration this share of the robot's length; and that with a standard deviation so many
+# times larger than others. Enough to keep it from running off, and next to no belief.
+_BALL = 0.5
+_VAGUE = 10.0
 
 # A strength by evidence this close to an end of the range (relative) is at that end.
 _AT_END = 0.02
@@ -74,7 +81,8 @@ class Prior:
     friction : bool
         Whether friction terms are believed to be small too.
     bodies : ndarray, shape (links, 10), optional
-        The bodies; by default those of the robot's description. A row of zeros is no belief.
+        The bodies; by default those of the robot's description. A row of zeros is next to no
+        belief: an average ball, ten times less certain than others.
         Bodies that could not exist are repaired first, and a note of the problem's prior says so.
     """
 
@@ -107,7 +115,8 @@ class PriorRows:
     notes : tuple of str
         What was repaired, left out or chosen.
     entropic : Entropy or None
-        The links' part when it is no quadratic; the rows are those of the friction terms then.
+        The described links' part when it is no quadratic; the rows are those of the others and
+        of the friction terms then.
     strength : float
         The links' strength, nats.
     """
@@ -162,9 +171,10 @@ def prior_rows(
     """
     bodies, known, notes = _believed(prior, rows)
     theta_size = 10 * rows.robot.n_links + len(rows.friction.parameters)
-    R = np.zeros((10 * len(known), theta_size))
-    for k, i in enumerate(known):
-        R[10 * k : 10 * k + 10, 10 * i : 10 * i + 10] = _block(prior.kind, bodies[i])
+    R = np.zeros((bodies.size, theta_size))
+    for i, body in enumerate(bodies):
+        own = slice(10 * i, 10 * i + 10)
+        R[own, own] = _block(prior.kind, body) / (1.0 if i in known else _VAGUE)
     r = R[:, : bodies.size] @ bodies.ravel()
     weights = _friction_weights(rows) if prior.friction else np.zeros(0)
     F = np.zeros((len(weights), theta_size))
@@ -183,7 +193,8 @@ def prior_rows(
     entropic = None
     if prior.kind == "entropic":
         entropic = Entropy.around(known, bodies[known], strength)
-        R, r = R[:0], r[:0]
+        vague = np.repeat(~np.isin(np.arange(len(bodies)), known), 10)
+        R, r = R[vague], r[vague]
     root = np.sqrt(strength)
     return PriorRows(
         frozen(np.vstack([root * R, F])),
@@ -195,7 +206,7 @@ def prior_rows(
 
 
 def _believed(prior: Prior, rows: RowSource) -> tuple[Array, Indices, list[str]]:
-    """Return bodies that can exist, the links that have one, and what was done to them."""
+    """Return bodies that can exist, the links that are described, and what was done to them."""
     robot = rows.robot
     given = robot.prior if prior.bodies is None else np.asarray(prior.bodies, dtype=np.float64)
     if given.shape != (robot.n_links, 10):
@@ -211,9 +222,13 @@ def _believed(prior: Prior, rows: RowSource) -> tuple[Array, Indices, list[str]]
     if wrong:
         names = ", ".join(robot.link_names[i] for i in wrong)
         notes.append(f"prior: {names} could not exist as described and were repaired first")
-    unknown = [robot.link_names[i] for i in range(robot.n_links) if i not in known]
-    if unknown:
-        notes.append(f"prior: nothing is believed of {', '.join(unknown)}, which have no mass")
+    unknown = np.setdiff1d(np.arange(robot.n_links), known)
+    if unknown.size:
+        size = (_BALL * characteristic_length(robot)) ** 2
+        ball = np.diag([size, size, size, 1.0]) * float(np.mean(given[known, 0]))
+        bodies[unknown] = from_pseudo_inertia(ball)
+        names = ", ".join(robot.link_names[i] for i in unknown)
+        notes.append(f"prior: next to nothing is believed of {names}, which have no mass")
     return bodies, known, notes
 
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import itertools
 
-import cvxpy as cp
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -161,60 +160,6 @@ def test_lower_bounds_hold_for_any_multipliers(seed: int, consistency: Consisten
         bound = evaluate(problem, Dual(y, Z, np.zeros(0)))
         assert bound <= best.cost
         assert bound <= problem.cost_of(random_feasible(problem, rng))
-
-
-def independent_optimum(problem: Problem) -> float:
-    """Solve again with SCS, written straight down in theta without any scaling of ours."""
-    c, n = problem.constraints, problem.robot.n_links
-    theta = cp.Variable(problem.n_theta)
-    constraints: list[cp.Constraint] = [cp.abs(theta) <= c.theta_max, theta[10 * n :] >= 0]
-    for i in range(n):
-        m, hx, hy, hz, xx, xy, yy, xz, yz, zz = (theta[10 * i + k] for k in range(10))
-        if problem.consistency == "pseudo_inertia":
-            t = c.margin
-            F = cp.bmat(
-                [
-                    [(yy + zz - xx) / 2 - t, -xy, -xz, hx],
-                    [-xy, (xx + zz - yy) / 2 - t, -yz, hy],
-                    [-xz, -yz, (xx + yy - zz) / 2 - t, hz],
-                    [hx, hy, hz, m],
-                ]
-            )
-        else:
-            t = c.margin
-            F = cp.bmat(
-                [
-                    [xx - t, xy, xz, 0, -hz, hy],
-                    [xy, yy - t, yz, hz, 0, -hx],
-                    [xz, yz, zz - t, -hy, hx, 0],
-                    [0, hz, -hy, m, 0, 0],
-                    [-hz, 0, hx, 0, m, 0],
-                    [hy, -hx, 0, 0, 0, m],
-                ]
-            )
-        constraints += [F >> 0, m >= c.mass_min, m <= c.mass_max]
-    G = problem.A @ problem.base.matrix
-    objective = cp.Minimize(cp.sum_squares(G @ theta - problem.rhs))
-    program = cp.Problem(objective, constraints)
-    program.solve(solver=cp.SCS, eps_abs=1e-9, eps_rel=1e-9, max_iters=200_000)
-    assert program.status == "optimal"
-    return problem.cost_of(theta.value)
-
-
-@pytest.mark.parametrize("consistency", BOTH)
-@pytest.mark.parametrize(("name", "margin"), [("pendulum", 0.01), ("planar", 0.01)])
-def test_another_solver_and_formulation_find_the_same(
-    name: str, margin: float, consistency: Consistency
-) -> None:
-    problem = noisy(ROBOTS[name], 1, consistency=consistency, margin=margin)
-    # Small bounds keep SCS, a first-order method, in reach of its accuracy.
-    problem = problem.constrained(
-        constraints=Constraints(margin=margin, mass_max=10.0, theta_max=10.0)
-    )
-    ours = solve_sdp(problem)
-    assert independent_optimum(problem) == pytest.approx(ours.cost, rel=SAME_OPTIMUM)
-    # The constraints were active, or this would compare nothing.
-    assert ours.cost > solve_wls(problem).cost * (1.0 + 1e-4)
 
 
 @pytest.mark.parametrize("consistency", BOTH)

@@ -1,0 +1,79 @@
+"""A small arm whose data no body explains, and conditions that each cost it something."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+import sdpid
+from sdpid._arrays import Array
+from sdpid.estimation.conditions import Condition
+from sdpid.estimation.constraints import Constraints
+from sdpid.estimation.estimate import Estimate
+from sdpid.estimation.prior import Prior
+from sdpid.estimation.problem import Problem, build_problem
+from sdpid.robot.inertia import Consistency
+from tests.helpers.data import flat_links, make_samples, random_links, random_theta
+from tests.helpers.robots import small_arm
+
+BOTH: tuple[Consistency, ...] = ("pseudo_inertia", "spatial_inertia")
+ARM = small_arm(2)
+FIRST, LAST = ARM.link_names
+MASS = 0.6
+
+BODIES = random_links(np.random.default_rng(1), 2)
+CUBE = np.stack(np.meshgrid(*[[-0.02, 0.01]] * 3), axis=-1).reshape(-1, 3)
+TURNED = np.linalg.qr(np.random.default_rng(2).standard_normal((3, 3)))[0]
+REFLECTION = np.diag([1.0, -1.0, 1.0, 1.0])
+
+# Without it, mass that nobody sees would make room for most conditions.
+LIGHT = sdpid.TotalMass(MASS, tolerance=0.1)
+CONDITIONS: dict[str, tuple[Condition, ...]] = {
+    "total": (LIGHT,),
+    "group": (sdpid.TotalMass(0.2, links=(LAST,)),),
+    "box": (LIGHT, sdpid.CenterOfMassInBox(LAST, (-0.02, 0.0, -np.inf), (0.02, 0.0, 0.01))),
+    "ellipsoid": (
+        LIGHT,
+        sdpid.CenterOfMassInEllipsoid(LAST, (0, 0.01, 0), (0.02, 0.05, 0.03), rotation=TURNED),
+    ),
+    "all mass": (
+        LIGHT,
+        sdpid.MassInEllipsoid(LAST, (0, 0.1, 0), (0.1, 0.2, 0.3), rotation=TURNED),
+    ),
+    "hull": (LIGHT, sdpid.CenterOfMassInHull(LAST, CUBE)),
+    "fixed": (sdpid.Fixed({"m_2": 0.4, "Fv1": 0.5}),),
+    "fixed link": (sdpid.FixedLink(LAST, body=BODIES[0]),),
+    "equal": (LIGHT, sdpid.EqualLinks(FIRST, LAST)),
+    "symmetric": (LIGHT, sdpid.MirrorSymmetry(LAST, (0, 1, 1), (0, 0.02, 0))),
+    "pair": (LIGHT, sdpid.MirrorPair(FIRST, LAST, reflection=REFLECTION)),
+}
+
+
+def arm_problem(
+    *others: Condition,
+    consistency: Consistency = "pseudo_inertia",
+    prior: Prior | None = None,
+    **numbers: Any,
+) -> Problem:
+    """Return a problem of links that are point masses, with much noise."""
+    rng = np.random.default_rng(3)
+    theta = random_theta(ARM, rng)
+    theta[:20] = flat_links(rng, 2).ravel()
+    samples = make_samples(ARM, theta, rng, noise=1.0)
+    limits: dict[str, Any] = {"margin": 1e-3, "mass_max": 10.0, "theta_max": 20.0, **numbers}
+    constraints = Constraints(others=others, **limits)
+    return build_problem(
+        ARM, samples, consistency=consistency, constraints=constraints, prior=prior
+    )
+
+
+def limited(problem: Problem, *others: Condition, **numbers: Any) -> Problem:
+    """Return the same cost under other constraints."""
+    return problem.constrained(constraints=problem.constraints.replace(others=others, **numbers))
+
+
+def body_of(estimate: Estimate, link: str) -> Array:
+    """Return the ten parameters of a link."""
+    assert estimate.theta is not None
+    return np.array(estimate.problem.feasible.bodies(estimate.theta)[ARM.link_names.index(link)])
