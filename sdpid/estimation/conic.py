@@ -3,6 +3,8 @@
     minimise ‖M·x + m‖² + cost·x − Σ_i weight·log det(E_i0 + Σ x_k·E_ik)
     subject to lower ≤ C·x ≤ upper and F_i0 + Σ x_k·F_ik ⪰ 0
 
+With a radius the squares are no cost but a constraint, ``‖M·x + m‖ ≤ radius``.
+
 It is handed to Clarabel or SCS directly, in their standard form ``A·v + s = b``, s in a cone, over
 v = (x, residual, …): nothing is compiled, and the residual is a variable of its own, so that M is
 never squared.
@@ -10,7 +12,7 @@ never squared.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, Literal
 
 import numpy as np
@@ -64,6 +66,8 @@ class ConicProgram:
         Whose log-determinants count in the cost.
     weight : float
         Weight of the log-determinants.
+    radius : float or None
+        Limit of ‖M·x + m‖, which then is no cost.
     """
 
     M: Array
@@ -75,6 +79,7 @@ class ConicProgram:
     cost: Array | None = None
     log_dets: tuple[Matrix, ...] = ()
     weight: float = 0.0
+    radius: float | None = None
 
     @property
     def n(self) -> int:
@@ -99,6 +104,8 @@ class ConicSolution:
     iterations : int
     seconds : float
         In the solver, by its own clock.
+    ball : ndarray, shape (1 + r,)
+        Multipliers of ‖M·x + m‖ ≤ radius: of the radius, then of the residual; empty without one.
     """
 
     status: str
@@ -107,6 +114,7 @@ class ConicSolution:
     blocks: tuple[Array, ...] = ()
     iterations: int = 0
     seconds: float = 0.0
+    ball: Array = field(default_factory=lambda: np.zeros(0))
 
 
 class _Rows:
@@ -156,6 +164,44 @@ class _Standard:
     above: Indices
     sizes: tuple[int, ...]
     exponential: int
+    ball: int = 0
+
+
+class ConicFamily:
+    """Programs that differ in their linear cost and in their radius, put into form once.
+
+    Parameters
+    ----------
+    program : ConicProgram
+        One of them.
+    """
+
+    def __init__(self, program: ConicProgram) -> None:
+        self.program = program
+        self._standard = _standard(program, lower_triangle=False)
+
+    def solve(
+        self, cost: Array, radius: float | None = None, *, regularisation: float = 1e-8
+    ) -> ConicSolution:
+        """Solve the program of some cost (n,) with Clarabel.
+
+        Parameters
+        ----------
+        cost : ndarray, shape (n,)
+            Linear cost.
+        radius : float, optional
+            Another radius than the program's; only for programs that have one.
+        regularisation : float, optional
+            What Clarabel adds to the diagonal of its linear systems.
+        """
+        standard = self._standard
+        q, b = standard.q.copy(), standard.b
+        q[: self.program.n] = cost
+        if radius is not None:
+            b = b.copy()
+            b[standard.zero + standard.positive] = radius
+        changed = replace(standard, q=q, b=b)
+        return _solved(self.program, changed, "clarabel", regularisation, False)
 
 
 def solve_conic(
@@ -184,6 +230,17 @@ def solve_conic(
         With the point where the solver stopped, whatever it calls it.
     """
     standard = _standard(program, lower_triangle=solver == "scs")
+    return _solved(program, standard, solver, regularisation, verbose)
+
+
+def _solved(
+    program: ConicProgram,
+    standard: _Standard,
+    solver: Solver,
+    regularisation: float,
+    verbose: bool,
+) -> ConicSolution:
+    """Solve in the standard form, and sort the multipliers."""
     if solver == "scs":
         status, v, dual, iterations, seconds = _scs(standard, verbose)
     else:
@@ -196,12 +253,14 @@ def solve_conic(
     at += len(standard.below)
     np.subtract.at(rows, standard.above, dual[at : at + len(standard.above)])
     at += len(standard.above)
+    ball = dual[at : at + standard.ball]
+    at += standard.ball
     blocks = []
     for block in program.blocks:
         basis = _vectoriser(block.constant.shape[0], lower=solver == "scs")
         blocks.append(np.einsum("a,aij->ij", dual[at : at + len(basis)], basis))
         at += len(basis)
-    return ConicSolution(status, v[: program.n], rows, tuple(blocks), iterations, seconds)
+    return ConicSolution(status, v[: program.n], rows, tuple(blocks), iterations, seconds, ball)
 
 
 def _vectoriser(size: int, *, lower: bool) -> Array:
@@ -220,7 +279,9 @@ def _standard(program: ConicProgram, *, lower_triangle: bool) -> _Standard:
     """Bring a program into the solvers' form."""
     from scipy.sparse import csc_matrix
 
-    n, count = program.n, len(program.m)
+    n = program.n
+    # Within a radius there is no cost of the residual, which then needs no variable.
+    count = len(program.m) if program.radius is None else 0
     own = np.arange(n)
     # Variables: x, the residual, and for each log-determinant a triangle and its logarithms.
     width = n + count
@@ -232,12 +293,17 @@ def _standard(program: ConicProgram, *, lower_triangle: bool) -> _Standard:
         extra.append((triangle, logs))
         width = int(logs[-1]) + 1
     rows = _Rows()
-    rows.add(-program.M, own, program.m)
+    rows.add(-program.M[:count], own, program.m[:count])
     rows.shift(n + np.arange(count), 0)
     below = np.flatnonzero(np.isfinite(program.lower))
     above = np.flatnonzero(np.isfinite(program.upper))
     rows.add(-program.C[below], own, -program.lower[below])
     rows.add(program.C[above], own, program.upper[above])
+    ball = 0
+    if program.radius is not None:
+        ball = 1 + len(program.m)
+        rows.add(np.zeros((1, n)), own, np.array([program.radius]))
+        rows.add(-program.M, own, program.m)
     sizes = []
     for block in program.blocks:
         size = block.constant.shape[0]
@@ -281,6 +347,7 @@ def _standard(program: ConicProgram, *, lower_triangle: bool) -> _Standard:
         above=above,
         sizes=tuple(sizes),
         exponential=exponential,
+        ball=ball,
     )
 
 
@@ -314,9 +381,11 @@ def _clarabel(
     settings.verbose = verbose
     settings.tol_gap_abs = settings.tol_gap_rel = settings.tol_feas = TOLERANCE
     settings.static_regularization_constant = regularisation
-    cones: list[Any] = [clarabel.ZeroConeT(standard.zero)]
+    cones: list[Any] = [clarabel.ZeroConeT(standard.zero)] if standard.zero else []
     if standard.positive:
         cones.append(clarabel.NonnegativeConeT(standard.positive))
+    if standard.ball:
+        cones.append(clarabel.SecondOrderConeT(standard.ball))
     cones += [clarabel.PSDTriangleConeT(size) for size in standard.sizes]
     cones += [clarabel.ExponentialConeT()] * standard.exponential
     solver = clarabel.DefaultSolver(standard.P, standard.q, standard.A, standard.b, cones, settings)
@@ -337,6 +406,7 @@ def _scs(standard: _Standard, verbose: bool) -> tuple[str, Array, Array, int, fl
     cone = {
         "z": standard.zero,
         "l": standard.positive,
+        "q": [standard.ball] if standard.ball else [],
         "s": list(standard.sizes),
         "ep": standard.exponential,
     }

@@ -5,37 +5,45 @@ from __future__ import annotations
 import numpy as np
 
 from sdpid._arrays import Array
-from sdpid.estimation.bound import cost_scale
+from sdpid.errors import DataError
+from sdpid.estimation.bound import cost_scale, gradient
+from sdpid.estimation.physical import PhysicalVariables
+from sdpid.estimation.physical_constraints import PhysicalConstraints
 from sdpid.estimation.problem import Problem
-from sdpid.robot.inertia import (
-    complement,
-    inertia_tensor,
-    physical_parameters,
-    second_moment_from_inertia,
-    tensor_entries,
-    theta_from_physical,
-)
+from sdpid.robot.inertia import complement, inertia_tensor
 
 # A local result may lie this far outside a constraint (kg·m², kg, …) and still count as feasible;
 # SLSQP works on scaled constraints and stops near 1e-10 of them.
 FEASIBLE_LOCAL = 1e-7
 
 # Solvers sometimes report success where they merely stopped making progress. Their word is
-# checked: what steps along the leftover gradient promise must not exceed this share of the cost.
+# checked: what the best step promises must not exceed this share of the cost.
 STATIONARY = 1e-4
+
+# Least curvature, as a share of the largest, of directions that the effort does not show. With
+# 1e-6 what is promised of the Denso is up to a thousand times less than what is to be had.
+_FLATTEST = 1e-12
+
+# Times that multipliers of the matrix inequalities are looked for in new directions.
+_ROUNDS = 4
 
 
 def promised_decrease(problem: Problem, theta: Array) -> float:
-    """Return the share of the cost that steps from theta promise, 0 at an optimum.
+    """Return the share of the cost that the best step from theta promises, 0 at an optimum.
 
-    It is measured in the physical variables mass m, centre of mass r and N, the matrix that must
-    exceed the margin eps; there stationary points are optimal (docs/theory.md, section 5), which
-    they need not be in coordinates that have the boundary at infinity. Where
-    ``∇_N = Σ λ_k·u_k·u_k^T``, N may grow along u_k·u_k^T without limit and shrink by at most
-    ``u_k^T·(N − eps·E)·u_k``; masses and friction have their bounds. Along each of these
-    directions, and of the centre of mass, the quadratic cost is followed to its minimum or to
-    the end of the room, and what is gained is added up. So a multiplier counts with its
-    complementarity, and constraints need not be called active or not.
+    It is measured in the physical variables x; there stationary points are optimal
+    (docs/theory.md, section 5), which they need not be in coordinates that have the boundary at
+    infinity. With the gradient g, the Gauss–Newton matrix H and the constraints ``c ≥ 0``, the
+    step d that lowers ``g·d + ½·d^T·H·d`` most while ``c + c'·d ≥ 0`` promises, by duality,
+
+        min over λ of  ½·(g − c'^T·λ)^T·H^(-1)·(g − c'^T·λ) + λ·c,
+
+    with λ ≥ 0 but for equations. Any λ gives an upper bound, so no constraint need be called
+    active: a multiplier counts with its slack. As the problem is convex in theta, no feasible
+    point costs less by more than this (docs/theory.md, (6b)), with a log-det prior to second
+    order. Matrix inequalities take part through
+    ``u^T·(N − margin·E)·u ≥ 0``, u the eigenvectors of N and of the multiplier that the gradient
+    asks for, which makes eigenvalues that meet no special case.
 
     Parameters
     ----------
@@ -47,49 +55,104 @@ def promised_decrease(problem: Problem, theta: Array) -> float:
     Returns
     -------
     float
+        Infinite where the cost is.
     """
-    feasible = problem.feasible
-    links = 10 * feasible.n_links
-    G, rhs = problem.design
-    gradient = 2.0 * (G @ theta - rhs) @ G
-    mass, com, N = physical_parameters(feasible.bodies(theta))
-    # An entry off the diagonal stands for two.
-    slopes = inertia_tensor(gradient[:links].reshape(-1, 10)) * (0.5 + 0.5 * np.eye(3))
-    full = problem.consistency == "pseudo_inertia"
-    if full:
-        N, slopes = second_moment_from_inertia(N), complement(slopes)
-    values, vectors = np.linalg.eigh(slopes)
-    total = 0.0
-    for i, own in enumerate(range(0, links, 10)):
-        part = G[:, own : own + 10]
-        outer = np.einsum("ik,jk->kij", vectors[i], vectors[i])
-        spread = N[i] - feasible.constraints.margin * np.eye(3)
-        room = np.maximum(np.einsum("kij,ij->k", outer, spread), 0.0)
-        entries = tensor_entries(complement(outer) if full else outer)
-        curvature = 2.0 * ((part[:, 4:] @ entries.T) ** 2).sum(axis=0)
-        total += _gain(values[i], curvature, room, np.full(3, np.inf))
-        # Derivatives in m and r.
-        steps = np.zeros((4, 10))
-        steps[0] = theta_from_physical(1.0, com[i], np.zeros((3, 3)))
-        for k in range(3):
-            e = np.eye(3)[k]
-            steps[1 + k, 1 + k] = mass[i]
-            change = complement(np.outer(e, com[i]) + np.outer(com[i], e))
-            steps[1 + k, 4:] = mass[i] * tensor_entries(change)
-        below = np.array([mass[i] - feasible.lower[own], np.inf, np.inf, np.inf])
-        above = np.array([feasible.upper[own] - mass[i], np.inf, np.inf, np.inf])
-        curvature = 2.0 * ((part @ steps.T) ** 2).sum(axis=0)
-        total += _gain(steps @ gradient[own : own + 10], curvature, below, above)
-    below, above = theta - feasible.lower, feasible.upper - theta
-    curvature = 2.0 * (G[:, links:] ** 2).sum(axis=0)
-    total += _gain(gradient[links:], curvature, below[links:], above[links:])
-    return total / max(problem.cost_of(theta), cost_scale(problem))
+    variables = PhysicalVariables.of(problem)
+    constraints = PhysicalConstraints.of(problem, variables)
+    x = variables.from_theta(theta)
+    J = variables.jacobian(x)
+    try:
+        slope = 2.0 * gradient(problem, problem.residual_of(theta))
+        if problem.prior is not None and problem.prior.entropic is not None:
+            slope = slope + problem.prior.entropic.gradient(theta)
+    except DataError:
+        return np.inf
+    steps = preconditioner(problem, theta, J, _FLATTEST)
+    g = slope @ J
+    values = np.maximum(constraints.at_least(x), 0.0)
+    slopes = constraints.at_least_jacobian(x)
+    both = constraints.zero_jacobian(x)
+    slopes = np.vstack([slopes, both, -both])
+    values = np.concatenate([values, np.zeros(2 * len(both))])
+    spectral = np.arange(len(values)) < 3 * problem.feasible.n_links
+    least, rest = np.inf, g
+    for _ in range(_ROUNDS):
+        vectors = _asked(variables, rest)
+        more = constraints.normals(x, vectors)
+        slopes = np.vstack([slopes, more])
+        values = np.concatenate([values, np.maximum(constraints.along(x, vectors), 0.0)])
+        spectral = np.concatenate([spectral, np.ones(len(more), dtype=bool)])
+        multipliers = _multipliers(slopes @ steps, values, steps @ g)
+        left = steps @ (g - multipliers @ slopes)
+        least = min(least, float(0.5 * left @ left + multipliers @ values))
+        # What the others do not explain is left to the matrix inequalities.
+        rest = g - np.where(spectral, 0.0, multipliers) @ slopes
+    return least / max(problem.cost_of(theta), cost_scale(problem))
 
 
-def _gain(slope: Array, curvature: Array, below: Array, above: Array) -> float:
-    """Return the decrease of one-dimensional quadratics within the room below and above."""
-    room = np.maximum(np.where(slope > 0.0, below, above), 0.0)
-    # Directions that the effort does not show have neither slope nor curvature.
-    newton = np.abs(slope) / np.where(curvature > 0.0, curvature, np.inf)
-    step = np.minimum(newton, room)
-    return float(np.sum(np.abs(slope) * step - 0.5 * curvature * step**2))
+def preconditioner(problem: Problem, theta: Array, jacobian: Array, flattest: float) -> Array:
+    """Return H^(-1/2) of the cost's Gauss–Newton matrix H, shape (count, count).
+
+    Parameters
+    ----------
+    problem : Problem
+        The problem.
+    theta : ndarray, shape (p,)
+        Where; a log-det prior only has curvature inside of what can exist.
+    jacobian : ndarray, shape (p, count)
+        Derivative of theta in the variables.
+    flattest : float
+        Least eigenvalue of H, as a share of the largest.
+    """
+    G = problem.design[0] @ jacobian
+    H = 2.0 * G.T @ G
+    if problem.prior is not None and problem.prior.entropic is not None:
+        try:
+            rows = problem.prior.entropic.rows(theta) @ jacobian
+            H = H + 2.0 * rows.T @ rows
+        except DataError:
+            pass
+    values, vectors = np.linalg.eigh(H)
+    values = np.maximum(values, flattest * values[-1])
+    return np.asarray((vectors / np.sqrt(values)) @ vectors.T)
+
+
+def _asked(variables: PhysicalVariables, slope: Array) -> Array:
+    """Return eigenvectors (links, 3, 3) of the slope in what must exceed the margin."""
+    links = variables.problem.robot.n_links
+    full = np.zeros(10 * links)
+    inertial = variables.free < len(full)
+    full[variables.free[inertial]] = (slope / variables.scale)[inertial]
+    # An entry off the diagonal stands for two. A link's six come first here, last in theta.
+    entries = np.roll(full.reshape(links, 10), 4, axis=1)
+    matrices = inertia_tensor(entries) * (0.5 + 0.5 * np.eye(3))
+    if variables.problem.consistency == "pseudo_inertia":
+        matrices = complement(matrices)
+    return np.asarray(np.linalg.eigh(matrices)[1])
+
+
+def _multipliers(slopes: Array, values: Array, gradient: Array) -> Array:
+    """Return λ ≥ 0 that minimises ``½·‖gradient − slopes^T·λ‖² + λ·values``.
+
+    The dual of a step of least distance, solved as nonnegative least squares [lawson1974]_:
+    y = step + gradient is to be shortest with ``slopes·y ≥ slopes·gradient −
+    values``.
+    """
+    from scipy.optimize import nnls
+
+    size = float(np.linalg.norm(gradient))
+    if not size > 0.0:
+        return np.zeros(len(values))
+    # In units of the gradient, and rows of unit length.
+    lengths = np.maximum(np.linalg.norm(slopes, axis=1), np.finfo(float).tiny)
+    rows = slopes / lengths[:, None]
+    limits = (rows @ gradient - values / lengths) / size
+    system = np.vstack([rows.T, limits])
+    target = np.zeros(len(system))
+    target[-1] = 1.0
+    try:
+        found, _ = nnls(system, target)
+    except RuntimeError:
+        return np.zeros(len(values))
+    remainder = 1.0 - float(limits @ found)
+    return np.asarray(found / lengths * size / remainder)

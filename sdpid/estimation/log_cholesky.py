@@ -48,6 +48,9 @@ _FIXED = 1e-12
 # effort does not show from drifting with rounding, and adds nothing to the cost.
 _STILL = 1e-12
 
+# Conditions that a refusal names.
+_NAMED = 4
+
 # The other two tests of convergence: a step or a gradient of rounding.
 _ROUNDING = 1e-14
 
@@ -218,11 +221,11 @@ def solve_log_cholesky(
     along the boundary is much slower.
 
     The boundary lies at infinity, so where links end on it the result stays above the optimum.
-    Measured on the Denso with periods of 76 s, ten random starts: where the optimum is inside
-    (6×6, margin 0.01) all end there, relative gap below 1e-9, in 16 to 29 iterations and 0.06 s;
-    where every link ends on or near the boundary (4×4, margin 0.005) seven end 7e-6 to 1e-4 above
-    the semidefinite program's cost and are ``"optimal"``, three end 4e-3 to 8e-3 above it at the
-    limit of 600 evaluations, each after 1.2 s. The semidefinite program takes 0.01 s.
+    Measured on the Denso with periods of 38 s, ten random starts: where the optimum is inside
+    (6×6, margin 0.01) all end there to every digit, in 17 to 27 iterations and 0.1 s; where
+    every link ends on or near the boundary (4×4, margin 0.005) all reach the limit of 600
+    evaluations after 1.1 s, nine of them 3e-6 to 5e-4 above the semidefinite program's cost and
+    one 2e-2; the two best are ``"optimal"``. The semidefinite program takes 0.01 s.
 
     Parameters
     ----------
@@ -250,14 +253,13 @@ def solve_log_cholesky(
     ------
     DataError
         When the start has another size or masses that are not positive, or the problem has no
-        consistency to obey.
+        consistency to obey, further conditions (`Constraints.others`) or a log-det prior.
     InfeasibleError
         When no parameters satisfy the constraints.
     """
-    if problem.consistency == "none":
-        raise DataError(
-            "solve_log_cholesky: consistency is 'none', nothing constrains; use solve_wls."
-        )
+    reason = unsupported(problem)
+    if reason is not None:
+        raise DataError(f"solve_log_cholesky: {reason}")
     problem.feasible.require_feasible()
     start = checked_start(problem, start, seed)
     program = _Program(problem)
@@ -274,6 +276,27 @@ def solve_log_cholesky(
         history=tuple(program.history),
         start=frozen(start),
     )
+
+
+def unsupported(problem: Problem) -> str | None:
+    """Return why a problem cannot be solved in these coordinates, None where it can."""
+    feasible = problem.feasible
+    if problem.consistency == "none":
+        return "consistency is 'none', nothing constrains; use solve_wls."
+    # Facets of a hull are many; a few names tell.
+    names = [*feasible.row_names, *feasible.block_names[feasible.n_own :]]
+    if names:
+        said = ", ".join(names[:_NAMED]) + (", …" if len(names) > _NAMED else "")
+        return (
+            f"its coordinates cannot express further conditions ({said}), only margins, masses "
+            "and signs; use solve_sdp or solve_slsqp."
+        )
+    if problem.prior is not None and problem.prior.entropic is not None:
+        return (
+            "a log-det prior (kind 'entropic') is no sum of squares; use solve_sdp or "
+            "solve_slsqp, or a prior of kind 'pullback'."
+        )
+    return None
 
 
 def _status(problem: Problem, theta: Array, code: int) -> str:

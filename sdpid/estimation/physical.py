@@ -3,7 +3,8 @@
 The map from these to the standard parameters is a bijection where masses are positive
 (docs/theory.md). Six of the first link's variables have no influence on the effort when its
 joint is revolute on a fixed base: they are left out, and filled in so that the link is
-consistent. For the Denso that makes the paper's 66.
+consistent, unless a prior or a further condition looks at them. For the Denso that makes the
+paper's 66.
 """
 
 from __future__ import annotations
@@ -17,6 +18,7 @@ from sdpid.estimation.problem import Problem
 from sdpid.estimation.scaling import Scaling
 from sdpid.robot.inertia import (
     TENSOR_INDEX,
+    complement,
     inertia_tensor,
     physical_parameters,
     second_moment_from_inertia,
@@ -118,12 +120,31 @@ class PhysicalVariables:
             start = 10 * link
             com, mass = full[start + 6 : start + 9], full[start + 9]
             J[start : start + 10, start : start + 10] = _link_jacobian(com, mass)
+        return self.reduced(J)
+
+    def reduced(self, slopes: Array) -> Array:
+        """Return derivatives in all variables (k, all) as ones in the scaled free variables."""
+        out = slopes.copy()
         if self.axis is not None:
             about = TENSOR_INDEX.index((self.axis, self.axis))
             for k, (i, j) in enumerate(TENSOR_INDEX):
                 if i == j != self.axis:
-                    J[:, about] += J[:, k]
-        return np.asarray(J[:, self.free] * self.scale)
+                    out[:, about] += out[:, k]
+        return np.asarray(out[:, self.free] * self.scale)
+
+    def inside(self, theta: Array) -> Array:
+        """Return theta with eigenvalues below the margin raised to it, masses positive."""
+        bodies = self.problem.feasible.bodies(theta)
+        mass, com, N = physical_parameters(bodies)
+        full = self.problem.consistency == "pseudo_inertia"
+        if full:
+            N = second_moment_from_inertia(N)
+        values, vectors = np.linalg.eigh(N)
+        raised = np.maximum(values, self.problem.constraints.margin)
+        N = (vectors * raised[:, None, :]) @ np.swapaxes(vectors, 1, 2)
+        moved = theta_from_physical(mass, com, complement(N) if full else N)
+        short = values[:, :1] < self.problem.constraints.margin
+        return np.concatenate([np.where(short, moved, bodies).ravel(), theta[bodies.size :]])
 
     def inertias(self, x: Array) -> tuple[Array, Array]:
         """Return what must exceed the margin, (links, 3, 3), and its derivative by entry.
@@ -159,15 +180,20 @@ def _reducible_axis(problem: Problem) -> int | None:
     """Return the axis of the first link when only its moment about that axis matters.
 
     Then no parameter of the link but the inertia about the axis and the first moments across it
-    has a column in B, whatever the direction of gravity. A prior looks at all of them.
+    has a column in B, whatever the direction of gravity. A prior looks at all of them; rows and
+    cones may look at those that stay.
     """
     if problem.prior is not None:
         return None
+    feasible = problem.feasible
+    cones = feasible.block_basis[feasible.n_own :][feasible.block_links[feasible.n_own :] == 0]
+    asked = np.any(feasible.rows[:, :10] != 0.0, axis=0) | np.any(cones != 0.0, axis=(0, 2, 3))
     B = problem.base.matrix[:, :10]
     seen = np.abs(B).max(axis=0) > _INVISIBLE * max(float(np.abs(problem.base.matrix).max()), 1.0)
     for axis in range(3):
         tensor = [pair == (axis, axis) for pair in TENSOR_INDEX]
         allowed = np.array([False, *(k != axis for k in range(3)), *tensor])
-        if not np.any(seen & ~allowed) and seen[4:][tensor].all():
+        kept = allowed | (np.arange(10) == 0)
+        if not np.any((seen & ~allowed) | (asked & ~kept)) and seen[4:][tensor].all():
             return axis
     return None

@@ -9,16 +9,29 @@ import numpy as np
 
 from sdpid._arrays import Array, frozen
 from sdpid.errors import DataError
-from sdpid.estimation.bound import TINY_COST
+from sdpid.estimation.entropy import Entropy
 from sdpid.estimation.estimate import Estimate, Step
-from sdpid.estimation.local import FEASIBLE_LOCAL, STATIONARY
+from sdpid.estimation.local import FEASIBLE_LOCAL, STATIONARY, preconditioner, promised_decrease
 from sdpid.estimation.physical import PhysicalVariables
+from sdpid.estimation.physical_constraints import PhysicalConstraints
 from sdpid.estimation.problem import Problem
-from sdpid.estimation.scaling import Scaling
 from sdpid.estimation.starts import checked_start
+from sdpid.robot.inertia import matrix_basis
 
-# Constraints this close to zero (scaled) may have a multiplier.
-_ACTIVE = 1e-6
+# Iterations after which SLSQP starts again from where it is, with variables in which the cost is
+# round there (measured: 200 and more are worse, 50 no better).
+_ROUND = 100
+
+# Least curvature in a round's variables, as a share of the largest: unseen directions are neither
+# left as they are nor blown up (measured: 1e-4 and above is worse, 1e-8 no better).
+_FLATTEST = 1e-6
+
+# A round that lowers the cost by less than this share of it is the last.
+_SETTLED = 1e-8
+
+# Below this share of the believed body the logarithm of the log-det prior is continued by its
+# second-order expansion: trial steps may leave the cone.
+_CONTINUED = 1e-6
 
 
 def solve_slsqp(
@@ -26,16 +39,38 @@ def solve_slsqp(
     *,
     start: Array | None = None,
     seed: int | np.random.Generator = 0,
-    max_iterations: int = 3000,
+    max_iterations: int = 1000,
     tolerance: float = 1e-12,
 ) -> Estimate:
     """Minimise the cost locally by SciPy's SLSQP [kraft1988]_, as the paper does by fmincon.
 
     The variables are the paper's: inertia about the centre of mass, centre of mass and mass of
-    every link, and the friction terms (66 for the Denso). All are scaled to order one, all
-    derivatives are analytic. The constraints are smooth but for crossing eigenvalues: every
-    eigenvalue of the inertia about the centre of mass (for full consistency: of the second
-    moments about it, which is the triangle inequality) is at least the margin.
+    every link, and the friction terms (66 for the Denso). All derivatives are analytic. The
+    constraints are smooth but for crossing eigenvalues: every eigenvalue of the inertia about
+    the centre of mass (for full consistency: of the second moments about it, which is the
+    triangle inequality) is at least the margin. Further conditions are rows and cones in theta,
+    equations among them.
+
+    SLSQP runs in rounds of 100 iterations. Each begins where the last one ended, with the
+    variables rotated and scaled so that the cost's Gauss–Newton matrix is the identity there,
+    which is SLSQP's own first guess. At the end eigenvalues below the margin are raised to it
+    where that makes the point more nearly feasible. A log-det prior is part of the cost.
+
+    Measured on the Denso with periods of 38 s, ten random starts, against the same without
+    rounds and rescaling: where the optimum is inside (6×6, margin 0.01) all ten end at it
+    (relative excess below 1e-6) after 44 to 118 iterations and 0.2 to 0.5 s; without, seven
+    came within 3e-6 after 900 iterations and 1.3 s, and three stalled at 9.4 times the optimum.
+    Where every link ends on or near the boundary (4×4, margin 0.005) all end feasible, 2e-5 to
+    4e-4 above the optimum, at the limit of 1000 iterations after 2 to 4 s; without, five of ten
+    ended infeasible, the others 4e-4 to 5e-3 above it, after 3000 iterations and 4.5 s. The
+    semidefinite program takes 0.01 s. With a total mass, a box, an ellipsoid and a mirror
+    symmetry beside, four of four are optimal under either inequality, within 1e-6. With a
+    log-det prior of one nat none of four is after 1000 iterations and 4 to 6 s: they are 5e-4
+    to 0.2 above the optimum.
+
+    So what fails is patience: eigenvalues meet or logarithms steepen, steps are short, and each
+    round begins with trial steps far outside. Neither smoothed eigenvalues nor redundant linear
+    cuts helped.
 
     Parameters
     ----------
@@ -46,17 +81,17 @@ def solve_slsqp(
     seed : int or numpy.random.Generator, optional
         Of the random start that is used without `start`.
     max_iterations : int, optional
-        Limit on iterations.
+        Limit on iterations, of all rounds together.
     tolerance : float, optional
         SLSQP's `ftol` on the scaled cost.
 
     Returns
     -------
     Estimate
-        With status ``"optimal"`` when SLSQP says it converged, the point is feasible, and it is
-        stationary when that is recomputed; otherwise the status says what happened:
-        ``"infeasible"``, ``"iteration limit"``, ``"stalled"`` or ``"failed"``. How far from the
-        global optimum a result is, `certify` tells.
+        With status ``"optimal"`` when the point is feasible and, recomputed, stationary, whatever
+        SLSQP says of it; otherwise the status says what happened: ``"infeasible"``,
+        ``"iteration limit"``, ``"stalled"`` or ``"failed"``. How far from the global optimum a
+        result is, `certify` tells.
 
     Raises
     ------
@@ -66,158 +101,154 @@ def solve_slsqp(
     """
     if problem.consistency == "none":
         raise DataError("solve_slsqp: consistency is 'none', nothing constrains; use solve_wls.")
-    variables = PhysicalVariables.of(problem)
     start = checked_start(problem, start, seed)
-    program = _Program(problem, variables)
-    x0 = variables.from_theta(start)
-    result = program.run(x0, max_iterations, tolerance)
-    theta = variables.theta(result.x)
-    violation = problem.feasible.violation(theta)
+    program = _Program(problem)
+    theta, result = program.run(start, max_iterations, tolerance)
     return Estimate.of_theta(
         problem,
         theta,
         method="slsqp",
-        status=_status(result, violation, program),
+        status=_status(problem, theta, int(result.status)),
         message=str(result.message),
-        iterations=int(result.nit),
+        iterations=program.iterations,
         solve_time=program.seconds,
         history=tuple(program.history),
         start=frozen(start),
     )
 
 
-def _status(result: Any, violation: float, program: _Program) -> str:
-    if violation > FEASIBLE_LOCAL:
+def _status(problem: Problem, theta: Array, code: int) -> str:
+    if problem.feasible.violation(theta) > FEASIBLE_LOCAL:
         return "infeasible"
-    if result.success:
-        promised = program.promised_decrease(result.x)
-        return "optimal" if promised <= STATIONARY else "stalled"
-    # SciPy's exit modes: 9 is the iteration limit, 8 a line search that finds no descent.
-    return {9: "iteration limit", 8: "stalled"}.get(int(result.status), "failed")
+    if promised_decrease(problem, theta) <= STATIONARY:
+        return "optimal"
+    # SciPy's exit modes: 0 is its own convergence, 9 the iteration limit, 8 a line search that
+    # finds no descent.
+    return {0: "stalled", 8: "stalled", 9: "iteration limit"}.get(code, "failed")
 
 
 class _Program:
-    """Scaled cost and constraints with their derivatives, and a record of the iterations."""
+    """Scaled cost with its derivative, and a record of the iterations."""
 
-    def __init__(self, problem: Problem, variables: PhysicalVariables) -> None:
-        scaling = Scaling.of(problem)
-        self.problem, self.variables = problem, variables
+    def __init__(self, problem: Problem) -> None:
+        self.problem, self.variables = problem, PhysicalVariables.of(problem)
+        self.constraints = PhysicalConstraints.of(problem, self.variables)
         G, h = problem.design
         self.scale = 1.0 / np.sqrt(float(h @ h) + problem.floor)
         self.G = self.scale * G
         self.rhs = self.scale * h
-        self.moment = scaling.mass * scaling.length**2
         self.history: list[Step] = []
-        self.seconds = 0.0
-        feasible = problem.feasible
-        links = feasible.n_links
-        inertial = variables.free < 10 * links
-        index = variables.free
-        lower = np.full(variables.count, -np.inf)
-        upper = np.full(variables.count, np.inf)
-        mass = inertial & (index % 10 == 9)
-        lower[mass], upper[mass] = problem.constraints.mass_min, problem.constraints.mass_max
-        # Friction variables keep their place: the tail of theta.
-        lower[~inertial] = feasible.lower[index[~inertial]]
-        upper[~inertial] = feasible.upper[index[~inertial]]
-        self.lower, self.upper = lower / variables.scale, upper / variables.scale
+        self.seconds = self.begin = 0.0
+        self.iterations = 0
 
     def cost(self, x: Array) -> tuple[float, Array]:
-        residual = self.G @ self.variables.theta(x) - self.rhs
-        gradient = 2.0 * (residual @ self.G) @ self.variables.jacobian(x)
-        return float(residual @ residual), gradient
-
-    def constraints(self, x: Array) -> Array:
-        """Return eigenvalues above the margin and diagonals below theta_max, all ≥ 0.
-
-        In a consistent link no entry of theta exceeds the largest diagonal of its inertia by
-        more than the mass allows, so bounding the diagonals bounds everything.
-        """
-        matrices, _ = self.variables.inertias(x)
-        eigenvalues = np.linalg.eigvalsh(matrices).ravel() - self.problem.constraints.margin
-        bodies = self.problem.feasible.bodies(self.variables.theta(x))
-        limit = self.problem.constraints.theta_max
-        room = 1.0 - bodies[:, [4, 6, 9]].ravel() / limit
-        return np.concatenate([eigenvalues / self.moment, room])
-
-    def constraint_jacobian(self, x: Array) -> Array:
-        variables, problem = self.variables, self.problem
-        links = problem.robot.n_links
-        matrices, basis = variables.inertias(x)
-        _, vectors = np.linalg.eigh(matrices)
-        slopes = np.einsum("lia,kij,lja->lak", vectors, basis, vectors)
-        # In the six tensor entries of each link, of all variables; then of the free ones.
-        full = np.zeros((3 * links, len(variables.expand(x))))
-        for link in range(links):
-            full[3 * link : 3 * link + 3, 10 * link : 10 * link + 6] = slopes[link]
-        if variables.axis is not None:
-            own = int(variables.free[0])
-            for k in (0, 2, 5):
-                if k != own:
-                    full[:, own] += full[:, k]
-        eigen = full[:, variables.free] * variables.scale / self.moment
-        J = variables.jacobian(x)[: 10 * links].reshape(links, 10, -1)
-        room = -J[:, [4, 6, 9]].reshape(3 * links, -1) / problem.constraints.theta_max
-        return np.vstack([eigen, room])
-
-    def promised_decrease(self, x: Array) -> float:
-        """Return the share of the cost that a Newton step along the leftover gradient promises.
-
-        The leftover is what the best multipliers of the active constraints do not explain: zero
-        at a stationary point.
-        """
-        from scipy.optimize import nnls
-
-        theta, J = self.variables.theta(x), self.G @ self.variables.jacobian(x)
+        """Return the scaled cost without its floor, and its gradient."""
+        theta = self.variables.theta(x)
         residual = self.G @ theta - self.rhs
-        gradient = 2.0 * residual @ J
-        values = self.constraints(x)
-        normals = self.constraint_jacobian(x)[values < _ACTIVE]
-        identity = np.eye(len(x))
-        lower, upper = x - self.lower < _ACTIVE, self.upper - x < _ACTIVE
-        active = np.vstack([normals, identity[lower], -identity[upper]])
-        # Variables in units in which the cost has unit curvature, so that sizes mean decrease.
-        curvature = np.sqrt(2.0) * np.linalg.norm(J, axis=0)
-        curvature = np.where(curvature > 0.0, curvature, 1.0)
-        leftover = gradient / curvature
-        if len(active):
-            multipliers, _ = nnls((active / curvature).T, leftover)
-            leftover = leftover - (active / curvature).T @ multipliers
-        cost = float(residual @ residual + self.scale**2 * self.problem.floor)
-        promised = 0.5 * float(leftover @ leftover)
-        # Exact data leave a cost of rounding; the scaled squared efforts are one.
-        return promised / max(cost, TINY_COST)
+        value, slope = float(residual @ residual), 2.0 * residual @ self.G
+        prior = self.problem.prior
+        if prior is not None and prior.entropic is not None:
+            more, slopes = _continued(prior.entropic, theta)
+            value, slope = value + self.scale**2 * more, slope + self.scale**2 * slopes
+        return value, slope @ self.variables.jacobian(x)
 
-    def run(self, x0: Array, max_iterations: int, tolerance: float) -> Any:
-        from scipy.optimize import Bounds, minimize
-
-        begin = time.perf_counter()
-
-        def record(x: Array) -> None:
-            theta = self.variables.theta(x)
-            self.history.append(
-                Step(
-                    time.perf_counter() - begin,
-                    self.problem.cost_of(theta),
-                    self.problem.feasible.violation(theta),
-                )
+    def record(self, x: Array) -> None:
+        """Add a step to the history."""
+        theta = self.variables.theta(x)
+        self.history.append(
+            Step(
+                time.perf_counter() - self.begin,
+                self.problem.cost_of(theta),
+                self.problem.feasible.violation(theta),
             )
+        )
 
-        x0 = np.clip(x0, self.lower, self.upper)
-        record(x0)
+    def run(self, start: Array, max_iterations: int, tolerance: float) -> tuple[Array, Any]:
+        """Return the standard parameters of the end point, and SciPy's last result."""
+        self.begin = time.perf_counter()
+        x = self._within(self.variables.from_theta(start))
+        self.record(x)
+        while True:
+            before = self.cost(x)[0] + self.scale**2 * self.problem.floor
+            left = max_iterations - self.iterations
+            result, x = self._round(x, min(left, _ROUND), tolerance)
+            self.iterations += int(result.nit)
+            if self.iterations >= max_iterations or result.nit == 0:
+                break
+            after = self.cost(x)[0] + self.scale**2 * self.problem.floor
+            # A round that ended early gets another chance unless it hardly moved.
+            if int(result.status) != 9 and abs(before - after) <= _SETTLED * abs(after):
+                break
+        theta = self._best_of(self.variables.theta(x))
+        self.seconds = time.perf_counter() - self.begin
+        # The last step is the point that is handed back.
+        cost, violation = self.problem.cost_of(theta), self.problem.feasible.violation(theta)
+        self.history[-1] = Step(self.seconds, cost, violation)
+        return theta, result
+
+    def _within(self, x: Array) -> Array:
+        return np.clip(x, self.constraints.lower, self.constraints.upper)
+
+    def _best_of(self, theta: Array) -> Array:
+        """Return theta, moved inside where that makes it more nearly feasible."""
+        moved = self.variables.inside(theta)
+        violation = self.problem.feasible.violation
+        return moved if violation(moved) < violation(theta) else theta
+
+    def _round(self, x: Array, limit: int, tolerance: float) -> tuple[Any, Array]:
+        """Run SLSQP from x; return its result and where it ended."""
+        from scipy.optimize import minimize
+
+        constraints, variables = self.constraints, self.variables
+        theta, J = variables.theta(x), variables.jacobian(x)
+        steps = preconditioner(self.problem, theta, J, _FLATTEST) / self.scale
+
+        def at(z: Array) -> Array:
+            return np.asarray(x + steps @ z)
+
+        def cost(z: Array) -> tuple[float, Array]:
+            value, slope = self.cost(at(z))
+            return value, slope @ steps
+
+        kinds = [("ineq", constraints.at_least, constraints.at_least_jacobian)]
+        if len(constraints.zero(x)):
+            kinds.append(("eq", constraints.zero, constraints.zero_jacobian))
         result = minimize(
-            self.cost,
-            x0,
+            cost,
+            np.zeros(len(x)),
             jac=True,
             method="SLSQP",
-            bounds=Bounds(self.lower, self.upper),
-            constraints={
-                "type": "ineq",
-                "fun": self.constraints,
-                "jac": self.constraint_jacobian,
-            },
-            callback=record,
-            options={"maxiter": max_iterations, "ftol": tolerance},
+            constraints=[
+                {
+                    "type": kind,
+                    "fun": lambda z, value=value: value(at(z)),
+                    "jac": lambda z, slope=slope: slope(at(z)) @ steps,
+                }
+                for kind, value, slope in kinds
+            ],
+            callback=lambda z: self.record(at(z)),
+            options={"maxiter": limit, "ftol": tolerance},
         )
-        self.seconds = time.perf_counter() - begin
-        return result
+        end = at(result.x)
+        return result, self._within(end) if np.all(np.isfinite(end)) else x
+
+
+def _continued(entropy: Entropy, theta: Array) -> tuple[float, Array]:
+    """Return the value and the gradient of a log-det prior, finite everywhere.
+
+    Eigenvalues of the bodies in units of the believed ones enter by ``t − 1 − log t``; below
+    `_CONTINUED` the logarithm is replaced by its second-order expansion there.
+    """
+    roots = entropy.roots
+    t, vectors = np.linalg.eigh(np.swapaxes(roots, 1, 2) @ entropy.matrices(theta) @ roots)
+    near = np.maximum(t, _CONTINUED)
+    below = (t - near) / near
+    value = float((t - 1.0 - np.log(near) - below + 0.5 * below**2).sum())
+    slopes = 1.0 - (1.0 - below) / near
+    turned = roots @ vectors
+    matrices = (turned * slopes[:, None, :]) @ np.swapaxes(turned, 1, 2)
+    out = np.zeros(len(theta))
+    each = np.einsum("lij,kij->lk", matrices, matrix_basis("pseudo_inertia"))
+    for link, part in zip(entropy.links, each, strict=True):
+        out[10 * link : 10 * link + 10] = part
+    return 2.0 * entropy.strength * value, 2.0 * entropy.strength * out

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
@@ -13,7 +13,8 @@ from sdpid._progress import progress
 from sdpid.assurance.certificate import Certificate, certify
 from sdpid.errors import DataError, SdpidError
 from sdpid.estimation.estimate import Estimate
-from sdpid.estimation.log_cholesky import solve_log_cholesky
+from sdpid.estimation.local import FEASIBLE_LOCAL
+from sdpid.estimation.log_cholesky import solve_log_cholesky, unsupported
 from sdpid.estimation.problem import Problem
 from sdpid.estimation.sdp import solve_sdp
 from sdpid.estimation.slsqp import solve_slsqp
@@ -62,6 +63,8 @@ class Row:
 # Local solvers by name.
 _LOCAL = {"slsqp": solve_slsqp, "log_cholesky": solve_log_cholesky}
 
+_LABELS = {"slsqp": "SLSQP", "log_cholesky": "log-Cholesky"}
+
 _COLUMNS = tuple(Row.__dataclass_fields__)
 
 
@@ -108,6 +111,45 @@ class Comparison:
         pandas = require("pandas", extra="io")
         return pandas.DataFrame([vars(row) for row in self.rows], columns=list(_COLUMNS))
 
+    def plot(
+        self, solver: str = "slsqp", *, against: Literal["seconds", "iterations"] = "iterations"
+    ) -> Any:
+        """Draw the costs of a local solver's starts above the proven bound (extra ``plot``).
+
+        Parameters
+        ----------
+        solver : str, optional
+            Which local solver.
+        against : {"iterations", "seconds"}, optional
+            What the horizontal axis shows.
+
+        Returns
+        -------
+        matplotlib.figure.Figure
+
+        Raises
+        ------
+        DataError
+            When no start of the solver has a history.
+        """
+        from sdpid.output.convergence_plot import plot_convergence
+
+        own = [e for r, e in zip(self.rows, self.estimates, strict=True) if r.solver == solver]
+        histories = [e.history for e in own if e is not None and e.history]
+        if not histories:
+            raise DataError(f"plot: no start of {solver!r} has a history; compare it first.")
+        best = self.certificate.estimate
+        return plot_convergence(
+            histories,
+            self.certificate.lower_bound,
+            {"SDP": (best.solve_time, best.cost)},
+            against=against,
+            failed=len(own) - len(histories),
+            label=_LABELS.get(solver, solver),
+            feasible=FEASIBLE_LOCAL,
+            title=f"{_LABELS.get(solver, solver)}: cost above the proven bound",
+        )
+
     def to_csv(self, path: str | os.PathLike[str]) -> None:
         """Write the rows, a missing value being an empty field."""
         Table(_COLUMNS, tuple(tuple(vars(row).values()) for row in self.rows)).write(path)
@@ -152,7 +194,8 @@ def compare(
     Returns
     -------
     Comparison
-        A local run that raises is a row with its error as the status.
+        A local run that raises is a row with status ``"error"`` and its message. A local solver
+        that cannot handle the problem's conditions or prior is left out, and one row says why.
 
     Raises
     ------
@@ -177,7 +220,9 @@ def compare(
     points = [(f"random {i + 1}", random_start(problem, rng)) for i in range(starts)]
     points += [(label, np.asarray(theta)) for label, theta in extra_starts]
     jobs = Parallel(n_jobs=-1 if n_jobs is None else n_jobs, return_as="generator")
-    runs = [(solver, label, start) for solver in local for label, start in points]
+    left_out = {"log_cholesky": unsupported(problem)}
+    able = [solver for solver in local if left_out.get(solver) is None]
+    runs = [(solver, label, start) for solver in able for label, start in points]
     with progress(len(runs), "local solvers", enabled=show_progress) as advance:
         results = []
         tasks = (delayed(_run)(solver, problem, x, max_iterations) for solver, _, x in runs)
@@ -194,6 +239,7 @@ def compare(
             entries.append(
                 (solver, label, Estimate.of_theta(problem, result.theta, start=start, **fields))
             )
+    entries += [(solver, "-", f"{left_out[solver]}") for solver in local if solver not in able]
     return Comparison(
         rows=tuple(_row(solver, label, found, certificate) for solver, label, found in entries),
         estimates=tuple(None if isinstance(f, str) else f for _, _, f in entries),

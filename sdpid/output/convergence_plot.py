@@ -1,9 +1,9 @@
-"""Costs of many solves over time, above the bound that is proven."""
+"""Costs of many solves over time or iterations, above the bound that is proven."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any, Protocol
+from typing import Any, Literal, Protocol
 
 import numpy as np
 
@@ -26,6 +26,8 @@ from sdpid.output.figures import (
 
 # A violation (kg·m², kg, …) up to this counts as feasible: a local solver's own rounding.
 _FEASIBLE = 1e-9
+# The axis ends at so many times the largest gap of a start or of a feasible step.
+_HEADROOM = 3.0
 # Costs relatively closer to the bound than this are drawn at it: rounding of the cost itself.
 _LEAST_GAP = 1e-12
 
@@ -51,11 +53,13 @@ def plot_convergence(
     bound: float,
     references: Mapping[str, tuple[float, float]] | None = None,
     *,
+    against: Literal["seconds", "iterations"] = "seconds",
+    failed: int = 0,
     label: str = "SLSQP",
     feasible: float = _FEASIBLE,
     title: str | None = None,
 ) -> Any:
-    """Show how far above the proven bound the costs of many local solves are, over time.
+    """Show how far above the proven bound the costs of many local solves are, as they go on.
 
     Parameters
     ----------
@@ -64,7 +68,12 @@ def plot_convergence(
     bound : float
         Proven lower bound of the cost over the feasible set.
     references : mapping of str to (seconds, cost), optional
-        Single points to mark, such as the SDP's optimum.
+        Single points to mark, such as the SDP's optimum. Over iterations they are lines, as
+        iterations of different solvers are not alike.
+    against : {"seconds", "iterations"}, optional
+        What the horizontal axis shows.
+    failed : int, optional
+        Number of starts that have no history because they failed; the legend says so.
     label : str, optional
         What the local solver is called.
     feasible : float, optional
@@ -82,7 +91,10 @@ def plot_convergence(
     DataError
         When there is nothing to draw, or the bound is not finite.
     """
-    runs_ = [_steps(history) for history in histories if len(history) > 0]
+    if against not in ("seconds", "iterations"):
+        raise DataError(f"plot: against is {against!r}: use 'seconds' or 'iterations'.")
+    timed = against == "seconds"
+    runs_ = [_steps(history, timed) for history in histories if len(history) > 0]
     points = {name: (float(s), float(c)) for name, (s, c) in (references or {}).items()}
     if not np.isfinite(bound) or not (runs_ or points):
         raise DataError(f"plot: bound is {bound}, with {len(runs_)} histories; nothing to draw.")
@@ -91,7 +103,7 @@ def plot_convergence(
     seconds = np.concatenate([r[0] for r in runs_] + [np.array([s for s, _ in points.values()])])
     positive = seconds[seconds > 0.0]
     # The first step is at time zero, for which a logarithmic axis has no place.
-    earliest = 0.5 * float(positive.min()) if positive.size else 1e-3
+    earliest = 0.5 * float(positive.min()) if positive.size and timed else 1e-3
     honest = [(r[1] - bound)[r[2] <= feasible] / scale for r in runs_]
     gaps = np.concatenate([*honest, [(c - bound) / scale for _, c in points.values()]])
     shown = gaps[gaps > _LEAST_GAP]
@@ -99,12 +111,20 @@ def plot_convergence(
     floor = 10.0 ** (np.floor(np.log10(smallest)) - 1.0)
     figure = new_figure(9.0, 5.6, title)
     axis = figure.subplots()
-    axis.set_xscale("log")
+    if timed:
+        axis.set_xscale("log")
+    else:
+        earliest = 0.0
     axis.set_yscale("log")
     for steps in runs_:
         _draw_run(axis, steps, bound, scale, floor, earliest, feasible)
     for i, (name, (when, cost)) in enumerate(points.items()):
         gap = max((cost - bound) / scale, floor)
+        text = f"{name} (gap {(cost - bound) / scale:.1e}, {when:.3g} s)"
+        if not timed:
+            colour = (RED, PURPLE, ORANGE, SKY)[i % 4]
+            axis.axhline(gap, color=colour, linewidth=1.4, linestyle="--", zorder=4, label=text)
+            continue
         axis.plot(
             [max(when, earliest)],
             [gap],
@@ -115,20 +135,23 @@ def plot_convergence(
             markeredgecolor="white",
             markeredgewidth=0.8,
             zorder=6,
-            label=f"{name} (gap {(cost - bound) / scale:.1e}, {when:.3g} s)",
+            label=text,
         )
     axis.axhline(floor, color=INK, linewidth=2.2, label=f"proven lower bound ({bound:.6g})")
-    axis.set_ylim(bottom=floor / 2.0)
+    # Trial steps far outside may cost any amount; they leave the picture.
+    starts = [max(float((r[1][0] - bound) / scale), 0.0) for r in runs_]
+    top = _HEADROOM * max([*starts, *gaps.tolist(), 10.0 * floor])
+    axis.set_ylim(floor / 2.0, top)
     axis.margins(x=0.05)
-    dress(axis, xlabel="solver time [s]", ylabel=ylabel)
+    dress(axis, xlabel="solver time [s]" if timed else "iteration", ylabel=ylabel)
     axis.minorticks_off()
-    _legend_of_runs(axis, runs_, label, feasible)
+    _legend_of_runs(axis, runs_, label, feasible, failed)
     return figure
 
 
-def _steps(history: Sequence[CostStep]) -> tuple[Array, Array, Array]:
+def _steps(history: Sequence[CostStep], timed: bool) -> tuple[Array, Array, Array]:
     rows = np.array([(s.seconds, s.cost, s.violation) for s in history], dtype=np.float64)
-    return rows[:, 0], rows[:, 1], rows[:, 2]
+    return rows[:, 0] if timed else np.arange(float(len(rows))), rows[:, 1], rows[:, 2]
 
 
 def _draw_run(
@@ -163,7 +186,11 @@ def _draw_run(
 
 
 def _legend_of_runs(
-    axis: Any, histories: Sequence[tuple[Array, Array, Array]], label: str, feasible: float
+    axis: Any,
+    histories: Sequence[tuple[Array, Array, Array]],
+    label: str,
+    feasible: float,
+    failed: int,
 ) -> None:
     Line2D = require("matplotlib.lines", extra="plot").Line2D
     handles, labels = axis.get_legend_handles_labels()
@@ -183,6 +210,9 @@ def _legend_of_runs(
     if not all(ends):
         cross = Line2D([], [], color=GREY, marker="X", markersize=6, linestyle="none")
         entries.append((cross, f"end, infeasible ({len(ends) - sum(ends)})"))
+    if failed:
+        nothing = Line2D([], [], linestyle="none")
+        entries.append((nothing, f"failed, nothing to draw ({failed})"))
     legend(
         axis,
         handles=[h for h, _ in entries] + handles,

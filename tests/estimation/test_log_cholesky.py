@@ -10,17 +10,19 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from sdpid.errors import DataError
+from sdpid.estimation.condition_kinds import CenterOfMassInEllipsoid, TotalMass
 from sdpid.estimation.constraints import Constraints
 from sdpid.estimation.estimate import FEASIBLE
 from sdpid.estimation.local import STATIONARY, promised_decrease
 from sdpid.estimation.log_cholesky import LogCholesky, _Program, solve_log_cholesky
+from sdpid.estimation.prior import Prior, PriorKind
 from sdpid.estimation.problem import Problem, build_problem
 from sdpid.estimation.sdp import solve_sdp
 from sdpid.estimation.starts import random_start
 from sdpid.output.comparison import compare
 from sdpid.robot.inertia import Consistency
 from sdpid.robot.model import RobotModel
-from tests.helpers.data import flat_links, make_samples, random_theta, relative_error
+from tests.helpers.data import flat_links, make_samples, random_links, random_theta, relative_error
 from tests.helpers.robots import planar_arm, small_arm
 from tests.helpers.strategies import SEEDS
 from tests.helpers.tolerances import LOCAL_PARAMETERS, SAME_OPTIMUM
@@ -28,9 +30,8 @@ from tests.helpers.tolerances import LOCAL_PARAMETERS, SAME_OPTIMUM
 BOTH: tuple[Consistency, ...] = ("pseudo_inertia", "spatial_inertia")
 STARTS = 6
 # The boundary is reached from inside only: the cost that a result called optimal may be above
-# the optimum, relative. Its own test lets 1e-4 of promised decrease pass, direction by
-# direction; together they may be worth some ten times that.
-ABOVE = 1e-3
+# the optimum, relative: what its own test lets pass, which is an upper bound of the excess.
+ABOVE = 1.001 * STATIONARY
 
 
 def noisy(robot: RobotModel, seed: int, consistency: Consistency, **limits: float) -> Problem:
@@ -190,3 +191,40 @@ def test_compare_runs_both_local_solvers_from_the_same_starts(planar: Problem) -
     assert [row.solver for row in comparison.rows] == ["wls", "sdp", "slsqp", "log_cholesky"]
     first, second = (e for e in comparison.estimates[2:] if e is not None)
     np.testing.assert_array_equal(np.asarray(first.start), np.asarray(second.start))
+
+
+def test_what_the_coordinates_cannot_express_is_refused(planar: Problem) -> None:
+    name = planar.robot.link_names[1]
+    others = (TotalMass(2.0), CenterOfMassInEllipsoid(name, (0.0, 0.0, 0.0), (0.3, 0.3, 0.3)))
+    limits = planar.constraints.replace(others=others)
+    problem = planar.constrained(constraints=limits)
+    with pytest.raises(DataError, match=f"total mass, centre of mass of {name} in an ellipsoid"):
+        solve_log_cholesky(problem)
+    comparison = compare(problem, starts=1, n_jobs=1, max_iterations=200, show_progress=False)
+    assert [row.solver for row in comparison.rows] == ["wls", "sdp", "slsqp", "log_cholesky"]
+    assert [row.status for row in comparison.rows[1:]] == ["optimal", "optimal", "error"]
+    assert "solve_slsqp" in comparison.rows[-1].message
+    assert comparison.estimates[-1] is None
+    assert "error" in comparison.table()
+    pytest.importorskip("matplotlib")
+    labels = [text.get_text() for text in comparison.plot().axes[0].get_legend().get_texts()]
+    assert "end of a start (1)" in labels
+    with pytest.raises(DataError, match="'log_cholesky' has a history"):
+        comparison.plot("log_cholesky")
+
+
+@pytest.mark.parametrize("kind", ["pullback", "entropic"])
+def test_compare_with_a_prior(kind: PriorKind) -> None:
+    rng = np.random.default_rng(1)
+    robot = small_arm(2)
+    samples = make_samples(robot, random_theta(robot, rng), rng, noise=0.5)
+    prior = Prior(kind=kind, bodies=random_links(rng, 2))
+    others = (TotalMass(3.0, tolerance=1.0),) if kind == "entropic" else ()
+    problem = build_problem(robot, samples, prior=prior, constraints=Constraints(others=others))
+    comparison = compare(problem, starts=1, n_jobs=1, max_iterations=200, show_progress=False)
+    last = "error" if kind == "entropic" else "optimal"
+    assert [row.status for row in comparison.rows[1:]] == ["optimal", "optimal", last]
+    if kind == "entropic":
+        plain = problem.constrained(constraints=Constraints())
+        with pytest.raises(DataError, match="log-det prior"):
+            solve_log_cholesky(plain)

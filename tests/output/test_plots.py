@@ -52,7 +52,11 @@ def parameters() -> object:
     )  # fmt: skip
 
 
-FIGURES = [filtering, reconstruction, convergence, parameters]
+def iterations() -> object:
+    return convergence(against="iterations", failed=1)
+
+
+FIGURES = [filtering, reconstruction, convergence, iterations, parameters]
 
 
 @pytest.mark.parametrize("make", FIGURES)
@@ -150,6 +154,25 @@ def test_convergence_counts_ends() -> None:
     assert "end of a start (1)" in labels
     assert "end, infeasible (1)" in labels
     assert any(label.startswith("SDP (gap 0.0e+00") for label in labels)
+
+
+def test_convergence_over_iterations_with_failures() -> None:
+    figure = convergence(against="iterations", failed=3)
+    axis = figure.axes[0]  # type: ignore[attr-defined]
+    assert axis.get_xlabel() == "iteration"
+    assert axis.get_xscale() == "linear"
+    assert max(line.get_xdata()[-1] for line in axis.get_lines() if len(line.get_xdata()) > 2) == 2
+    labels = [text.get_text() for text in axis.get_legend().get_texts()]
+    assert "failed, nothing to draw (3)" in labels
+    assert any(label.startswith("proven lower bound") for label in labels)
+    with pytest.raises(DataError, match="against is 'hours'"):
+        convergence(against="hours")
+
+
+def test_steps_far_outside_leave_the_picture() -> None:
+    wild = [Step(0.0, 90.0, 0.0), Step(0.1, 1e15, 7.0), Step(0.5, 10.1, 0.0)]
+    axis = plot_convergence([wild], 10.0).axes[0]
+    assert axis.get_ylim()[1] < 100.0
 
 
 def test_convergence_of_exact_data() -> None:
