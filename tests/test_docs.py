@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import re
 import sys
+from dataclasses import replace
 from pathlib import Path
 from types import ModuleType
+from typing import Any
 
 import numpy as np
 import pytest
@@ -13,27 +15,15 @@ import pytest
 import sdpid
 from sdpid.robot.friction import FrictionModel
 from sdpid.robot.friction_terms import BY_NAME
+from tests.helpers.arm import arm_problem
 
+BLOCK = r"^```python\n(.*?)^```"
 DOCS = Path(__file__).resolve().parent.parent / "docs"
 
 
 def code_of(page: str) -> str:
     text = (DOCS / page).read_text(encoding="utf-8")
-    return "\n".join(re.findall(r"^```python\n(.*?)^```", text, flags=re.M | re.S))
-
-
-def test_a_term_of_your_own(monkeypatch: pytest.MonkeyPatch) -> None:
-    # Dataclasses look up the module that they are defined in.
-    module = ModuleType("terms_of_the_docs")
-    monkeypatch.setitem(sys.modules, module.__name__, module)
-    names = module.__dict__
-    exec(compile(code_of("terms.md"), "docs/terms.md", "exec"), names)
-    robot = sdpid.load_robot("denso_vp6242")
-    model = FrictionModel.from_terms(names["friction"], robot.joint_names)
-    v = np.array([[0.25, -0.25, 0.0, 1.0, -1.0, 4.0]])
-    columns = model.columns(v, np.zeros_like(v))[0]
-    assert [p.name for p in model.parameters][-6:] == [f"Fr{j}" for j in range(1, 7)]
-    assert np.allclose(np.diag(columns[:, -6:]), [0.5, -0.5, 0.0, 1.0, -1.0, 2.0])
+    return "\n".join(re.findall(BLOCK, text, flags=re.M | re.S))
 
 
 def test_the_friction_page(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -53,6 +43,40 @@ def test_the_friction_page(monkeypatch: pytest.MonkeyPatch) -> None:
         assert f'| `"{name}"' in page
         symbols = {p.name.rstrip("1") for p in BY_NAME[name]().parameters(("joint",))}
         assert all(symbol in page for symbol in symbols)
+
+
+def test_the_estimation_page() -> None:
+    robot = sdpid.load_robot("denso_vp6242")
+    t = np.arange(0.0, 20.0, 0.02)[:, None]
+    w = 0.4 * np.arange(2.0, 8.0)
+    q, v, a = np.sin(w * t), w * np.cos(w * t), -(w**2) * np.sin(w * t)
+    rng = np.random.default_rng(0)
+    # Weak beside the robot's own bodies, where it has any, and beside balls of 3 kg where not.
+    theta = np.tile([3.0, 0.1, 0.0, 0.2, 0.1, 0.0, 0.1, 0.0, 0.0, 0.1], (robot.n_links, 1))
+    effort = robot.inverse_dynamics(theta, q, v, a) + 0.5 * np.sign(v)
+    log = sdpid.Recording(
+        time=t[:, 0], position=q, effort=effort + 0.1 * rng.standard_normal(q.shape)
+    )
+    names: dict[str, Any] = {"robot": replace(robot, prior=theta), "log": log}
+    exec(compile(code_of("estimation.md"), "docs/estimation.md", "exec"), names)
+    assert names["result"].certificate.passed
+    assert names["model"].value == pytest.approx(names["estimate"].cost, rel=1e-5)
+    assert names["robust"].robust_gap <= 1e-6
+
+
+def test_a_condition_of_your_own(monkeypatch: pytest.MonkeyPatch) -> None:
+    module = ModuleType("condition_of_the_docs")
+    monkeypatch.setitem(sys.modules, module.__name__, module)
+    names = module.__dict__
+    # The other blocks speak of a robot of the reader's.
+    text = (DOCS / "constraints.md").read_text(encoding="utf-8")
+    code = re.findall(BLOCK, text, flags=re.M | re.S)
+    exec(compile(code[-1], "docs/constraints.md", "exec"), names)
+    problem = arm_problem(names["LighterTowardsTheTip"]())
+    theta = sdpid.solve_sdp(problem).theta
+    assert theta is not None
+    masses = theta[: 10 * problem.robot.n_links : 10]
+    assert np.all(np.diff(masses) <= 1e-8)
 
 
 def test_every_page_that_is_linked_exists() -> None:

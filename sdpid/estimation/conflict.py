@@ -20,6 +20,12 @@ _GIVES = 1e-7
 # Where theta_max is left out, so many times as much takes its place.
 _WIDER = 1e3
 
+# Nothing is looked for farther than so many sizes away: solvers lose their way there.
+_FAR = 1e6
+
+# Clarabel's, tried in turn.
+_REGULARISATIONS = (1e-8, 1e-10, 1e-12)
+
 
 @dataclass(frozen=True, eq=False)
 class _Limit:
@@ -130,6 +136,7 @@ def _limits(problem: Problem) -> list[_Limit]:
 
 
 def _contradict(problem: Problem, limits: list[_Limit]) -> bool:
+    """Whether limits are found to contradict each other; not where the solver has no answer."""
     return _shortfall(problem, limits) > _GIVES
 
 
@@ -138,7 +145,8 @@ def _shortfall(problem: Problem, limits: list[_Limit]) -> float:
 
     Solves for the smallest t ≥ 0 such that bounds and rows hold but for t of their sizes and
     matrices are at least −t in scaled units. theta_max gives way by nothing, but where it is not
-    among the limits a thousand times as much is allowed, for the program to be bounded.
+    among the limits a thousand times as much is allowed, for the program to be bounded. NaN where
+    the solver has no answer.
     """
     feasible, scaling, numbers = problem.feasible, Scaling.of(problem), problem.constraints
     basis, n = scaling.basis(), problem.n_theta
@@ -178,17 +186,19 @@ def _shortfall(problem: Problem, limits: list[_Limit]) -> float:
                 C.append(np.append(row / size, sign))
                 lower.append(end / size if sign > 0.0 else -np.inf)
                 upper.append(end / size if sign < 0.0 else np.inf)
-    wide = widest / scaling.theta
+    wide = np.minimum(widest / scaling.theta, _FAR)
     C += list(np.column_stack([basis / scaling.theta[:, None], np.zeros(n)]))
-    solution = solve_conic(
-        ConicProgram(
-            M=np.zeros((0, n + 1)),
-            m=np.zeros(0),
-            cost=np.append(np.zeros(n), 1.0),
-            C=np.array(C),
-            lower=np.concatenate([lower, -wide]),
-            upper=np.concatenate([upper, wide]),
-            blocks=tuple(blocks),
-        )
+    program = ConicProgram(
+        M=np.zeros((0, n + 1)),
+        m=np.zeros(0),
+        cost=np.append(np.zeros(n), 1.0),
+        C=np.array(C),
+        lower=np.concatenate([lower, -wide]),
+        upper=np.concatenate([upper, wide]),
+        blocks=tuple(blocks),
     )
-    return np.inf if solution.x is None else float(solution.x[-1])
+    for regularisation in _REGULARISATIONS:
+        solution = solve_conic(program, regularisation=regularisation)
+        if solution.x is not None and solution.status in ("Solved", "AlmostSolved"):
+            return float(solution.x[-1])
+    return float("nan")

@@ -1,7 +1,7 @@
 """The semidefinite program as a CVXPY problem: to be read, extended, or solved by other solvers.
 
-`solve_sdp` hands the same program to its solvers directly (see `sdpid.estimation.conic`), which
-takes a tenth of the time. This form is written from the definitions, in theta itself.
+`solve_sdp` hands the same program to its solvers directly (see `sdpid.estimation.conic`), and
+repairs and proves what they find. This form is written from the definitions, in theta itself.
 """
 
 from __future__ import annotations
