@@ -1,3 +1,5 @@
+from .assurance.audit_base import BaseAudit, audit_base_parameters
+from .assurance.audit_urdf import UrdfAudit, audit_urdf
 from .assurance.certificate import Certificate, certify, verify
 from .assurance.validation import Validation, validate
 from .errors import (
@@ -70,6 +72,7 @@ __version__: str
 
 __all__ = [
     "AsymmetricCoulomb",
+    "BaseAudit",
     "BaseParameters",
     "CenterOfMassInBox",
     "CenterOfMassInEllipsoid",
@@ -118,10 +121,13 @@ __all__ = [
     "TermParameter",
     "TotalMass",
     "Trajectory",
+    "UrdfAudit",
     "Validation",
     "Viscous",
     "__version__",
     "as_cvxpy",
+    "audit_base_parameters",
+    "audit_urdf",
     "build_problem",
     "certify",
     "compare",

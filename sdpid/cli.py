@@ -14,6 +14,7 @@ import typer
 
 from sdpid import _cli_support as cli
 from sdpid._extras import require
+from sdpid.cli_audit import audit
 from sdpid.errors import ExportError, ModelError
 
 if TYPE_CHECKING:
@@ -236,24 +237,22 @@ def simulate(
     typer.echo(f"{recording!r}\n{cli.listed('files', [str(out)])}")
 
 
+app.command()(audit)
+
+
 @app.command()
 def verify(
     certificate: Annotated[Path, typer.Argument(help="File that `sdpid identify` wrote.")],
     as_json: cli.Json = False,
 ) -> None:
-    """Check a certificate from its own numbers alone; status 2 when it proves nothing."""
+    """Check a certificate in exact arithmetic, from its own numbers; status 2 when it fails."""
     from sdpid.assurance.certificate import verify as run
 
     found = run(certificate)
     if as_json:
         cli.print_json(asdict(found))
     else:
-        margin = "none" if found.margin is None else f"{found.margin:.6g} kg.m2"
-        typer.echo(
-            f"cost {found.cost:.10g}, lower bound {found.lower_bound:.10g}, relative gap "
-            f"{found.gap:.2e}, worst margin {margin}\n"
-            f"{'passed' if found.passed else 'NOT PASSED'}"
-        )
+        typer.echo("\n".join((*found.statements, "PROVEN." if found.passed else "NOT PROVEN.")))
     if not found.passed:
         reasons = "; ".join(found.problems)
         typer.echo(f"sdpid: {certificate}: the certificate does not hold: {reasons}.", err=True)

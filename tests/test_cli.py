@@ -217,15 +217,16 @@ def test_verify(results: Path, tmp_path: Path) -> None:
     certificate = results / "certificate.json"
     done = run("verify", certificate)
     assert done.exit_code == 0, done.output
-    assert done.stdout.rstrip().endswith("passed")
+    assert done.stdout.splitlines()[-1] == "PROVEN."
+    assert "No feasible parameters cost less than" in done.stdout
     assert json.loads(run("verify", certificate, "--json").stdout)["passed"] is True
     forged = json.loads(certificate.read_text())
-    forged["lower_bound"] = forged["cost"]
+    forged["claims"]["lower_bound"] = forged["claims"]["cost"]
     forged["theta"][0] = -1.0
     (tmp_path / "forged.json").write_text(json.dumps(forged))
     done = run("verify", tmp_path / "forged.json")
     refused(done, 2, "forged.json", "bound")
-    assert "NOT PASSED" in done.stdout
+    assert "NOT PROVEN." in done.stdout
     done = run("verify", tmp_path / "forged.json", "--json")
     assert done.exit_code == 2
     assert json.loads(done.stdout)["passed"] is False

@@ -1,46 +1,58 @@
-"""Certificates: how good an estimate is at worst, from numbers that anyone can recompute."""
+"""Certificates: how good an estimate is at worst, from numbers that anyone can recompute.
+
+What a certificate claims is proven in exact arithmetic by `sdpid.assurance.verify`, which needs
+nothing of this package.
+"""
 
 from __future__ import annotations
 
 import json
 import os
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from fractions import Fraction
 from functools import cached_property
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from sdpid._arrays import Array
+from sdpid import __version__
+from sdpid._arrays import Array, frozen
 from sdpid._files import atomic_write_text
+from sdpid.assurance import verify as exact
+from sdpid.assurance.compression import compression_error, rows_digest
+from sdpid.assurance.rounding import (
+    downward,
+    feasible_theta,
+    proven_margins,
+    semidefinite,
+    upward,
+)
 from sdpid.errors import CertificateError
-from sdpid.estimation.bound import TINY_COST, Bound, evaluate, lower_bound, relative_gap
-from sdpid.estimation.entropy import Entropy
-from sdpid.estimation.estimate import FEASIBLE, Estimate
+from sdpid.estimation.bound import Bound, evaluate, lower_bound, relative_gap
+from sdpid.estimation.estimate import Estimate
 from sdpid.estimation.problem import Problem
-from sdpid.robot.inertia import margin, margin_shift, matrix_basis
 
-SCHEMA = "sdpid-certificate"
-VERSION = 2
+SCHEMA, VERSION = exact.SCHEMA, exact.VERSION
 
 # A certificate passes when the cost is proven to be within this share of the global optimum.
 GAP = 1e-6
 
-# Multipliers whose smallest eigenvalue is above minus this share of the largest count as
-# positive semidefinite in floating point.
-_PSD = 1e-12
-
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Certificate:
-    """A proof, in floating point, of how far an estimate can be from the global optimum.
+    """A proof of how far an estimate can be from the global optimum.
+
+    Everything it states is checked in exact arithmetic, when first asked for. What is certified is
+    the estimate to rounding: parameters on the edge of a constraint are moved inside by the last
+    digits, and multipliers that rounding left outside their cone likewise.
 
     Attributes
     ----------
     estimate : Estimate
         What is certified.
     bound : Bound
-        The lower bound and its multipliers.
+        The lower bound in floating point, and its multipliers.
     """
 
     estimate: Estimate
@@ -51,133 +63,219 @@ class Certificate:
         """The problem."""
         return self.estimate.problem
 
+    @cached_property
+    def theta(self) -> Array | None:
+        """The parameters that are certified: the estimate's, inside every constraint exactly."""
+        if self.estimate.theta is None:
+            return None
+        return frozen(feasible_theta(self.problem.feasible, self.estimate.theta))
+
+    @cached_property
+    def _core(self) -> tuple[dict[str, Any], exact.Recomputed]:
+        """Problem, parameters, multipliers and claims; and what they prove."""
+        problem, dual = self.problem, self.bound.dual
+        feasible, theta = problem.feasible, self.theta
+        limits = np.where(dual.rows > 0.0, feasible.row_lower, feasible.row_upper)
+        core: dict[str, Any] = {
+            "problem": _problem(problem),
+            "theta": None if theta is None else theta.tolist(),
+            "multipliers": {
+                "y": dual.y.tolist(),
+                "Z": semidefinite(dual.Z).tolist(),
+                "rows": np.where(np.isfinite(limits), dual.rows, 0.0).tolist(),
+                "W": None if dual.W is None else semidefinite(dual.W).tolist(),
+            },
+        }
+        found = exact.Recomputed(core)
+        bound = downward(found.lower_bound)
+        claims: dict[str, Any] = {"lower_bound": bound, "margins": None}
+        cost = violation = gap = None
+        if theta is not None:
+            claims["margins"] = proven_margins(feasible, theta)
+            violation = upward(found.violation)
+            if not found.broken:
+                cost = upward(found.cost)
+                gap = _gap(cost, bound, found)
+        core["claims"] = {**claims, "violation": violation, "cost": cost, "gap": gap}
+        return core, found
+
+    @cached_property
+    def _proof(self) -> exact.Result:
+        """What the stand-alone check says."""
+        return exact.prove(*self._core)
+
+    @property
+    def _claims(self) -> dict[str, Any]:
+        return dict(self._core[0]["claims"])
+
     @property
     def cost(self) -> float:
-        """Cost of the estimate."""
-        return self.estimate.cost
+        """Cost of the certified parameters, rounded up; without parameters the estimate's."""
+        cost = self._claims["cost"]
+        return self.estimate.cost if cost is None else float(cost)
 
     @property
     def lower_bound(self) -> float:
-        """No feasible parameters cost less."""
-        return self.bound.value
+        """No feasible parameters cost less; rounded down."""
+        return float(self._claims["lower_bound"])
 
     @property
     def gap(self) -> float:
-        """(cost − lower bound) relative to the cost (see `relative_gap`)."""
-        return relative_gap(self.problem, self.cost, self.lower_bound)
+        """(cost − lower bound) relative to the cost (see `relative_gap`), rounded up."""
+        gap = self._claims["gap"]
+        if gap is None:
+            return relative_gap(self.problem, self.cost, self.lower_bound)
+        return float(gap)
 
     @property
     def margins(self) -> Array | None:
-        """Margin of every link in kg·m², None without standard parameters."""
-        return self.estimate.margins
+        """Margin of every link in kg·m², rounded down; NaN for a link without a positive mass.
 
-    @cached_property
+        None without standard parameters, or where no consistency is demanded.
+        """
+        margins = self._claims["margins"]
+        return None if margins is None else frozen([np.nan if m is None else m for m in margins])
+
+    @property
     def feasible(self) -> bool:
-        """Whether the estimate satisfies every constraint, recomputed."""
-        return self.estimate.feasible
+        """Whether the certified parameters are proven to satisfy every constraint."""
+        return self._proof.feasible
 
     @property
     def passed(self) -> bool:
-        """Whether the estimate is feasible and within `GAP` of the optimum."""
-        return self.feasible and self.gap <= GAP
+        """Whether all that is claimed is proven, and the gap is no more than `GAP`."""
+        return not self._proof.problems and self.gap <= GAP
 
     def summary(self) -> str:
         """Return in words what is shown."""
         if not self.feasible:
-            violation = self.estimate.violation
-            how = (
-                "it has no standard parameters"
-                if violation is None
-                else f"a constraint is violated by {violation:.2e}"
+            reason = "; ".join(self._proof.problems)
+            return (
+                f"not feasible: {reason}; no feasible parameters cost less than "
+                f"{self.lower_bound:.10g}."
             )
-            return f"not feasible: {how}; no feasible parameters cost less than {self.lower_bound}."
-        worst = self.estimate.worst_margin
         # Without a consistency links may have no mass, and then no margin.
-        how = "feasible" if worst is None else f"feasible with margin {worst:.6g} kg.m2"
+        margins = self.margins
+        how = "" if margins is None else f" with margin {float(margins.min()):.6g} kg.m2"
         return (
-            f"{how}; cost {self.cost:.10g}; no feasible "
-            f"parameters cost less than {self.lower_bound:.10g}; at most "
-            f"{100 * max(self.gap, 0.0):.2e} % above the global optimum."
+            f"feasible{how}; cost {self.cost:.10g}; no feasible parameters cost less than "
+            f"{self.lower_bound:.10g}; at most {100 * max(self.gap, 0.0):.2e} % above the global "
+            "optimum."
         )
 
     def to_dict(self) -> dict[str, Any]:
-        """Return everything that is needed to check the certificate, as plain values."""
+        """Return everything that is needed to check the certificate, as plain values.
+
+        The rows of the problem are gone through once, for the error of their compression.
+        """
         problem, estimate = self.problem, self.estimate
-        feasible, dual = problem.feasible, self.bound.dual
-        own = feasible.n_own
-        cones = zip(
-            feasible.block_names[own:],
-            feasible.block_links[own:].tolist(),
-            feasible.block_basis[own:],
-            strict=True,
-        )
-        entropic = None if problem.prior is None else problem.prior.entropic
-        return {
+        base = estimate.base if self.theta is None else problem.base_of(self.theta)
+        data: dict[str, Any] = {
             "schema": SCHEMA,
             "version": VERSION,
-            "robot": problem.robot.name,
-            "method": estimate.method,
-            "status": estimate.status,
-            "weighting": problem.weighting,
-            "consistency": problem.consistency,
-            "margin": problem.constraints.margin,
-            "links": feasible.n_links,
-            "theta_names": list(problem.base.theta_names),
-            "base_names": list(problem.base.names),
-            "A": problem.A.tolist(),
-            "rhs": problem.rhs.tolist(),
-            "floor": problem.floor,
-            "prior_matrix": None if problem.prior is None else problem.prior.matrix.tolist(),
-            "prior_rhs": None if problem.prior is None else problem.prior.rhs.tolist(),
-            "base_matrix": problem.base.matrix.tolist(),
-            "lower": feasible.lower.tolist(),
-            "upper": feasible.upper.tolist(),
-            "rows": [
-                {"name": name, "coefficients": row.tolist(), "lower": low, "upper": high}
-                for name, row, low, high in zip(
-                    feasible.row_names,
-                    feasible.rows,
-                    map(_finite, feasible.row_lower),
-                    map(_finite, feasible.row_upper),
-                    strict=True,
-                )
-            ],
-            "cones": [
-                {
-                    "name": name,
-                    "link": link,
-                    "axis": basis[:, -1, -1].tolist(),
-                    "vectors": basis[:, :3, -1].T.tolist(),
-                }
-                for name, link, basis in cones
-            ],
-            "entropic_prior": None
-            if entropic is None
-            else {
-                "links": entropic.links.tolist(),
-                "inverses": entropic.inverses.tolist(),
-                "strength": entropic.strength,
+            "metadata": {
+                "software": f"sdpid {__version__}",
+                "method": estimate.method,
+                "status": estimate.status,
+                "message": estimate.message,
             },
-            "theta": None if estimate.theta is None else estimate.theta.tolist(),
-            "base": estimate.base.tolist(),
-            "y": dual.y.tolist(),
-            "Z": dual.Z.tolist(),
-            "row_multipliers": dual.rows.tolist(),
-            "W": None if dual.W is None else dual.W.tolist(),
-            "cost": self.cost,
-            "lower_bound": self.lower_bound,
-            "gap": self.gap,
-            "passed": self.passed,
+            "origin": {
+                "robot": problem.robot.name,
+                "weighting": problem.weighting,
+                "theta_names": list(problem.base.theta_names),
+                "base_names": list(problem.base.names),
+                "samples": len(problem.samples.effort),
+                "rows": problem.n_rows,
+                "rows_sha256": rows_digest(problem),
+                "compression_error": compression_error(problem, base),
+            },
+            **self._core[0],
         }
+        return {**data, "sha256": exact.digest(data)}
 
     def to_json(self, path: str | os.PathLike[str]) -> None:
         """Write the certificate to a file, whole or not at all."""
-        atomic_write_text(path, json.dumps(self.to_dict(), indent=1, allow_nan=False) + "\n")
+        atomic_write_text(path, _text(self.to_dict()) + "\n")
+
+
+def _gap(cost: float, bound: float, found: exact.Recomputed) -> float:
+    """Return by how much a cost is above a bound, relative to it, rounded up."""
+    scale = max(Fraction(cost), found.scale)
+    return upward((Fraction(cost) - Fraction(bound)) / scale) if scale else 0.0
+
+
+def _problem(problem: Problem) -> dict[str, Any]:
+    """Return the problem as plain values."""
+    feasible, prior = problem.feasible, problem.prior
+    own = feasible.n_own
+    rows = zip(
+        feasible.row_names, feasible.rows, feasible.row_lower, feasible.row_upper, strict=True
+    )
+    cones = zip(
+        feasible.block_names[own:],
+        feasible.block_links[own:].tolist(),
+        feasible.block_basis[own:],
+        strict=True,
+    )
+    entropic = None if prior is None else prior.entropic
+    return {
+        "consistency": problem.consistency,
+        "margin": float(problem.constraints.margin),
+        "links": feasible.n_links,
+        "A": problem.A.tolist(),
+        "base_matrix": problem.base.matrix.tolist(),
+        "rhs": problem.rhs.tolist(),
+        "floor": float(problem.floor),
+        "prior_matrix": [] if prior is None else prior.matrix.tolist(),
+        "prior_rhs": [] if prior is None else prior.rhs.tolist(),
+        "lower": feasible.lower.tolist(),
+        "upper": feasible.upper.tolist(),
+        "rows": [
+            {
+                "name": name,
+                "lower": _finite(low),
+                "upper": _finite(high),
+                "coefficients": row.tolist(),
+            }
+            for name, row, low, high in rows
+        ],
+        "cones": [
+            {
+                "name": name,
+                "link": link,
+                "axis": basis[:, -1, -1].tolist(),
+                "vectors": basis[:, :3, -1].T.tolist(),
+            }
+            for name, link, basis in cones
+        ],
+        "entropic_prior": None
+        if entropic is None
+        else {
+            "links": entropic.links.tolist(),
+            "inverses": semidefinite(entropic.inverses).tolist(),
+            "strength": float(entropic.strength),
+        },
+    }
 
 
 def _finite(limit: float) -> float | None:
     """Return a limit for JSON, None where there is none."""
     return float(limit) if np.isfinite(limit) else None
+
+
+def _text(value: Any, indent: str = "") -> str:
+    """Return JSON with one line a key, and a line for each row of numbers."""
+    deeper = indent + " "
+    if isinstance(value, dict) and value:
+        items = [f"{json.dumps(key)}: {_text(item, deeper)}" for key, item in value.items()]
+        opened, closed = "{", "}"
+    elif isinstance(value, list) and any(isinstance(item, (dict, list)) for item in value):
+        items = [_text(item, deeper) for item in value]
+        opened, closed = "[", "]"
+    else:
+        return json.dumps(value, allow_nan=False, separators=(",", ":"))
+    lines = f",\n{deeper}".join(items)
+    return f"{opened}\n{deeper}{lines}\n{indent}{closed}"
 
 
 def certify(estimate: Estimate, *, bound: Bound | Estimate | None = None) -> Certificate:
@@ -227,25 +325,37 @@ class Verification:
     Attributes
     ----------
     passed : bool
-        Whether every claim holds.
-    cost, lower_bound, gap : float
-        Recomputed.
+        Whether every claim is proven.
+    cost : float or None
+        Of the parameters, recomputed and rounded up; None where there are none, or no proof.
+    lower_bound : float
+        What the multipliers prove, recomputed and rounded down.
+    gap : float or None
+        The one above the other, relative to the cost (see `Certificate.gap`).
     margin : float or None
-        The worst link's margin.
+        The worst link's margin, where all are proven.
     problems : tuple of str
-        What does not hold.
+        What is not proven.
+    statements : tuple of str
+        What is proven, in words.
+    sha256 : str
+        Digest of what was checked.
     """
 
     passed: bool
-    cost: float
+    cost: float | None
     lower_bound: float
-    gap: float
+    gap: float | None
     margin: float | None
     problems: tuple[str, ...]
+    statements: tuple[str, ...] = field(default=())
+    sha256: str = ""
 
 
 def verify(path: str | os.PathLike[str]) -> Verification:
-    """Check a certificate file in floating point, from its own numbers alone.
+    """Check a certificate file in exact arithmetic, from its own numbers alone.
+
+    The same as ``python verify.py certificate.json`` with the package's stand-alone script.
 
     Parameters
     ----------
@@ -262,135 +372,25 @@ def verify(path: str | os.PathLike[str]) -> Verification:
         When the file is not a certificate of this version.
     """
     try:
-        data = json.loads(Path(path).read_text(encoding="utf-8"))
-        if data["schema"] != SCHEMA or data["version"] != VERSION:
-            raise CertificateError(
-                f"{path}: schema {data['schema']} version {data['version']}, expected {SCHEMA} "
-                f"version {VERSION}."
-            )
-        return _recompute(data)
+        data = exact.load(Path(path).read_text(encoding="utf-8"))
+        result = exact.check(data)
+        found = result.exact
+        bound = downward(found.lower_bound)
+        none = found.theta is None or bool(found.broken)
+        cost = None if none else upward(found.cost)
+        gap = None if cost is None else _gap(cost, bound, found)
     except OSError as cause:
         raise CertificateError(f"cannot read {path}: {cause.strerror}.") from None
-    except (KeyError, TypeError, ValueError, IndexError) as cause:
-        raise CertificateError(f"{path}: not a certificate ({cause!r}).") from None
-
-
-def _recompute(data: dict[str, Any]) -> Verification:
-    def array(key: str) -> Array:
-        values = np.asarray(data[key], dtype=np.float64)
-        if not np.all(np.isfinite(values)):
-            raise ValueError(f"{key} is not finite")
-        return values
-
-    A, rhs, B, y = (array(key) for key in ("A", "rhs", "base_matrix", "y"))
-    Z, lower, upper, base = (array(key) for key in ("Z", "lower", "upper", "base"))
-    floor, links, consistency = float(data["floor"]), int(data["links"]), data["consistency"]
-    problems = []
-    residual = A @ base - rhs
-    cost = float(residual @ residual) + floor
-    count = len(rhs)
-    believed = data["prior_matrix"] is not None
-    R = array("prior_matrix") if believed else np.zeros((0, B.shape[1]))
-    r = array("prior_rhs") if believed else np.zeros(0)
-    rows = _Rows.of(data["rows"], array("row_multipliers"), B.shape[1])
-    cones = [(int(c["link"]), np.array(c["axis"]), np.array(c["vectors"])) for c in data["cones"]]
-    entropic = _entropic(data["entropic_prior"])
-    worst = None
-    if data["theta"] is None:
-        problems.append("no standard parameters: nothing is feasible")
-    else:
-        theta = array("theta")
-        bodies = theta[: 10 * links].reshape(links, 10)
-        cost += float(np.sum((R @ theta - r) ** 2))
-        if entropic is not None:
-            cost += entropic.value(theta)
-        if not np.allclose(B @ theta, base, rtol=1e-9, atol=1e-9):
-            problems.append("base is not B·theta")
-        outside = float(np.max(np.maximum(lower - theta, theta - upper)))
-        if outside > FEASIBLE:
-            problems.append(f"a bound is violated by {outside:.2e}")
-        problems += rows.violated(theta)
-        for (link, axis, vectors), cone in zip(cones, data["cones"], strict=True):
-            short = float(np.linalg.norm(vectors @ bodies[link]) - axis @ bodies[link])
-            if short > FEASIBLE:
-                problems.append(f"{cone['name']} is violated by {short:.2e}")
-        if consistency != "none":
-            margins = margin(bodies, consistency)
-            if np.all(np.isfinite(margins)):
-                worst = float(margins.min())
-            if worst is None or worst < float(data["margin"]) - FEASIBLE:
-                problems.append(f"a link's margin is {worst}, below {data['margin']}")
-    linear = 2.0 * (B.T @ (A.T @ y[:count]) + R.T @ y[count:]) - rows.linear
-    constant = floor - float(y @ y) - 2.0 * float(y[:count] @ rhs + y[count:] @ r) + rows.constant
-    if entropic is not None and data["W"] is not None:
-        gained, slope = entropic.support(array("W"), len(linear))
-        constant, linear = constant + gained, linear + slope
-    if Z.size:
-        smallest = float(np.linalg.eigvalsh(Z)[:, 0].min())
-        if smallest < -_PSD * max(float(np.abs(Z).max()), np.finfo(float).tiny):
-            problems.append(f"a multiplier has the eigenvalue {smallest:.2e}")
-        own = 0 if consistency == "none" else links
-        if own:
-            terms = np.einsum("lij,kij->lk", Z[:own], matrix_basis(consistency))
-            linear[: 10 * links] -= terms.ravel()
-            shift = float(data["margin"]) * margin_shift(consistency)
-            constant += float(np.einsum("lij,ij->", Z[:own], shift))
-        for (link, axis, vectors), multiplier in zip(cones, Z[own:], strict=True):
-            # ⟨Z, [[a·E, v], [v^T, a]]⟩ in the ten parameters of the link.
-            terms = np.trace(multiplier) * axis + 2.0 * multiplier[-1, :3] @ vectors
-            linear[10 * link : 10 * link + 10] -= terms
-    bound = constant + float(linear @ np.where(linear > 0.0, lower, upper))
-    scale = max(cost, TINY_COST * (float(rhs @ rhs + r @ r) + floor))
-    gap = (cost - bound) / scale
-    for name, value in (("cost", cost), ("lower_bound", bound)):
-        if abs(float(data[name]) - value) > 1e-9 * scale:
-            problems.append(f"{name} is {value:.12g}, the file says {data[name]:.12g}")
-    if gap > GAP:
-        problems.append(f"the gap is {gap:.2e}, above {GAP:.0e}")
+    except exact.REFUSED as cause:
+        raise CertificateError(f"{path}: not a certificate ({cause}).") from None
+    margins = data["claims"]["margins"] if result.feasible else None
     return Verification(
-        passed=not problems,
+        passed=not result.problems,
         cost=cost,
         lower_bound=bound,
         gap=gap,
-        margin=worst,
-        problems=tuple(problems),
+        margin=min(margins) if margins else None,
+        problems=result.problems,
+        statements=result.statements,
+        sha256=exact.digest(data),
     )
-
-
-@dataclass(frozen=True, eq=False)
-class _Rows:
-    """The linear rows of a certificate with their multipliers."""
-
-    data: list[dict[str, Any]]
-    linear: Array
-    constant: float
-
-    @classmethod
-    def of(cls, data: list[dict[str, Any]], multipliers: Array, n_theta: int) -> _Rows:
-        if len(multipliers) != len(data):
-            raise ValueError(f"{len(multipliers)} multipliers for {len(data)} rows")
-        linear, constant = np.zeros(n_theta), 0.0
-        for row, multiplier in zip(data, multipliers, strict=True):
-            limit = row["lower"] if multiplier > 0.0 else row["upper"]
-            if limit is not None:
-                linear += multiplier * np.array(row["coefficients"])
-                constant += float(multiplier) * float(limit)
-        return cls(data, linear, constant)
-
-    def violated(self, theta: Array) -> list[str]:
-        """Return in words which rows theta violates."""
-        out = []
-        for row in self.data:
-            value = float(np.array(row["coefficients"]) @ theta)
-            low = -np.inf if row["lower"] is None else float(row["lower"])
-            high = np.inf if row["upper"] is None else float(row["upper"])
-            short = max(low - value, value - high)
-            if not short <= FEASIBLE:
-                out.append(f"{row['name']} is violated by {short:.2e}")
-        return out
-
-
-def _entropic(data: dict[str, Any] | None) -> Entropy | None:
-    if data is None:
-        return None
-    return Entropy(np.array(data["links"]), np.array(data["inverses"]), float(data["strength"]))

@@ -159,6 +159,10 @@ class Document:
         at = parent.children[-1].end if last and parent.children else parent.tag_end
         self._edit(at, at, block)
 
+    def replace(self, element: Element, text: str) -> None:
+        """Put markup in the place of a whole element."""
+        self._edit(element.start, element.end, text)
+
     def _edit(self, start: int, end: int, text: str) -> None:
         self._edits.append((start, end, text.encode("utf-8")))
 

@@ -81,16 +81,46 @@ def collision_points(
     for element in parse_xml(robot.urdf, robot.name).findall("link"):
         name = element.get("name")
         if name in bodies:
-            for shape in element.findall("collision"):
-                what = f"'{robot.name}', link '{name}', collision geometry"
-                placement = bodies[name] @ _origin(shape.find("origin"), what)
-                corners = _corners(shape.find("geometry"), what, folders)
-                points.append(corners @ placement[:3, :3].T + placement[:3, 3])
-    if not points:
+            own = link_points(element, "collision", robot.name, folders)
+            points.append(own @ bodies[name][:3, :3].T + bodies[name][:3, 3])
+    if not any(len(own) for own in points):
         raise ModelError(
             f"'{robot.name}': link '{link}' and what is fixed to it have no collision geometry; "
             "give the points, or leave this link out."
         )
+    return np.concatenate(points)
+
+
+def link_points(element: Any, kind: str, robot: str, folders: Sequence[Path]) -> Array:
+    """Return points whose convex hull contains the shapes of a URDF's ``<link>``, in its frame.
+
+    Parameters
+    ----------
+    element : element
+        The ``<link>``.
+    kind : {"collision", "visual"}
+        Which shapes.
+    robot : str
+        What the robot is called in messages.
+    folders : sequence of Path
+        Folders in which the names of meshes are looked up.
+
+    Returns
+    -------
+    ndarray, shape (N, 3)
+        m; N is zero where the link has no such shape.
+
+    Raises
+    ------
+    ModelError
+        When a shape is not understood, or a mesh cannot be found or read.
+    """
+    points = [np.empty((0, 3))]
+    for shape in element.findall(kind):
+        what = f"'{robot}', link '{element.get('name')}', {kind} geometry"
+        placement = _origin(shape.find("origin"), what)
+        corners = _corners(shape.find("geometry"), what, folders)
+        points.append(corners @ placement[:3, :3].T + placement[:3, 3])
     return np.concatenate(points)
 
 

@@ -1,0 +1,120 @@
+"""Tables of published parameters, as CSV: numbers as printed, and how exactly they are known."""
+
+from __future__ import annotations
+
+import csv
+import os
+from collections.abc import Mapping
+from dataclasses import dataclass
+from decimal import Decimal, InvalidOperation
+from fractions import Fraction
+from pathlib import Path
+
+from sdpid.errors import DataError
+
+_NAMES = ("name", "parameter")
+
+
+@dataclass(frozen=True)
+class BaseTable:
+    """Parameters as printed.
+
+    Attributes
+    ----------
+    values, halfwidths : dict
+        By name, as exact numbers.
+    """
+
+    values: Mapping[str, Fraction]
+    halfwidths: Mapping[str, Fraction]
+
+
+def half_unit(text: str) -> Fraction:
+    """Return half a unit in the last place of a printed decimal: 0.005 for ``"7.10"``.
+
+    Raises
+    ------
+    DataError
+        When it is not a decimal number.
+    """
+    exponent = _decimal(text, "value").as_tuple().exponent
+    return Fraction(10) ** int(exponent) / 2
+
+
+def read_base_table(
+    path: str | os.PathLike[str],
+    *,
+    value: str = "value",
+    halfwidth: str | float | None = None,
+) -> BaseTable:
+    """Read a table with a column ``name`` (or ``parameter``) and one of values.
+
+    Parameters
+    ----------
+    path : str or path
+        CSV file with a header. Rows without a value are left out: those parameters are unknown.
+    value : str, optional
+        The column of the values.
+    halfwidth : str or float, optional
+        A column of halfwidths, or one number for all. By default the column ``halfwidth`` where
+        there is one, and where that is empty half a unit in the last place of the printed value.
+
+    Returns
+    -------
+    BaseTable
+
+    Raises
+    ------
+    DataError
+        When a column is missing, a name comes twice, or a number is none.
+    """
+    try:
+        text = Path(path).read_text(encoding="utf-8-sig")
+    except UnicodeDecodeError:
+        raise DataError(f"{path}: is not text; expected CSV.") from None
+    reader = csv.DictReader(text.splitlines(), skipinitialspace=True)
+    columns = [name.strip() for name in reader.fieldnames or ()]
+    reader.fieldnames = columns
+    name_column = next((name for name in _NAMES if name in columns), None)
+    if name_column is None or value not in columns:
+        missing = "name" if name_column is None else value
+        raise DataError(
+            f"{path}: has no column {missing!r}, only {', '.join(columns) or 'none'}; name the "
+            "column of the values."
+        )
+    width = halfwidth
+    if width is None and "halfwidth" in columns:
+        width = "halfwidth"
+    if isinstance(width, str) and width not in columns:
+        raise DataError(
+            f"{path}: has no column {width!r} of halfwidths, only {', '.join(columns)}."
+        )
+    values: dict[str, Fraction] = {}
+    halves: dict[str, Fraction] = {}
+    for row in reader:
+        name, printed = (row[name_column] or "").strip(), (row[value] or "").strip()
+        if not name or not printed:
+            continue
+        if name in values:
+            raise DataError(f"{path}: {name} comes twice.")
+        values[name] = Fraction(_decimal(printed, f"{path}: {name}"))
+        own = (row[width] or "").strip() if isinstance(width, str) else ""
+        if own:
+            halves[name] = Fraction(_decimal(own, f"{path}: halfwidth of {name}"))
+        elif width is None or isinstance(width, str):
+            halves[name] = half_unit(printed)
+        else:
+            halves[name] = Fraction(_decimal(repr(float(width)), "halfwidth"))
+    if not values:
+        raise DataError(f"{path}: column {value!r} has no values.")
+    return BaseTable(values, halves)
+
+
+def _decimal(text: str, what: str) -> Decimal:
+    try:
+        number = Decimal(text)
+    except InvalidOperation:
+        number = Decimal("nan")
+    if not number.is_finite():
+        raise DataError(f"{what}: {text!r} is not a number.")
+    return number

@@ -1,0 +1,147 @@
+"""The command ``sdpid audit``: published base parameters, and robot descriptions."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from sdpid import _cli_support as cli
+from sdpid.errors import DataError, ExportError
+
+if TYPE_CHECKING:
+    from sdpid.assurance.audit_base import BaseAudit
+
+_TABLE = "Base parameters (.csv)"
+_DESCRIPTION = "Robot description (.urdf, .xml)"
+
+
+def audit(
+    source: Annotated[
+        Path,
+        typer.Argument(
+            metavar="FILE", help="Table of base parameters (.csv), URDF, MJCF, or name of a robot."
+        ),
+    ],
+    robot: Annotated[
+        str | None,
+        typer.Option(
+            metavar="ROBOT",
+            help="Whose base parameters: URDF file, or name of a bundled or example robot.",
+            rich_help_panel=_TABLE,
+        ),
+    ] = None,
+    consistency: Annotated[
+        cli.Consistency,
+        typer.Option("--consistency", help="What every link must obey.", rich_help_panel=_TABLE),
+    ] = cli.Consistency.pseudo_inertia,
+    value: Annotated[
+        str, typer.Option(metavar="COLUMN", help="Column of values.", rich_help_panel=_TABLE)
+    ] = "value",
+    halfwidth: Annotated[
+        str | None,
+        typer.Option(
+            metavar="X|COLUMN",
+            help="How far off values may be: a number, or a column. By default the column "
+            "halfwidth, or half a unit in the last printed place.",
+            rich_help_panel=_TABLE,
+        ),
+    ] = None,
+    margin: Annotated[
+        float,
+        typer.Option(metavar="X", help="Least margin of links, kg.m2.", rich_help_panel=_TABLE),
+    ] = 0.0,
+    mass_max: Annotated[
+        float,
+        typer.Option(metavar="X", help="Largest mass of a link, kg.", rich_help_panel=_TABLE),
+    ] = 100.0,
+    friction: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="TERM",
+            help="Friction terms of the table, by name (default coulomb and viscous).",
+            rich_help_panel=_TABLE,
+        ),
+    ] = None,
+    proof: Annotated[
+        Path | None,
+        typer.Option(help="JSON file for the proof, in exact numbers.", rich_help_panel=_TABLE),
+    ] = None,
+    repair: Annotated[
+        Path | None,
+        typer.Option(help="File for the repaired URDF.", rich_help_panel=_DESCRIPTION),
+    ] = None,
+    as_json: cli.Json = False,
+) -> None:
+    """Say what cannot exist: base parameters that no links have, bodies that no mass makes.
+
+    Ends with status 3 when something cannot exist, or when it could not be decided.
+    """
+    for file in (proof, repair):
+        if file is not None:
+            cli.require_folder(file)
+    if source.suffix.lower() == ".csv":
+        if repair is not None:
+            raise ExportError("--repair: a table of base parameters has no bodies to repair.")
+        if robot is None:
+            raise DataError(f"{source}: is a table; say whose parameters they are with --robot.")
+        found = _table(source, robot, consistency, value, halfwidth, margin, mass_max, friction)
+        if proof is not None:
+            _write_proof(proof, found)
+        if as_json:
+            cli.print_json(found.to_dict())
+        else:
+            typer.echo(found.summary())
+        if found.verdict != "realisable":
+            raise typer.Exit(cli.NO_ANSWER)
+        return
+    if proof is not None or robot is not None:
+        raise DataError(f"{source}: is no .csv; --robot and --proof are for tables.")
+    from sdpid.cli_audit_urdf import run_audit_urdf
+
+    status = run_audit_urdf(source, repair, as_json)
+    if status:
+        raise typer.Exit(status)
+
+
+def _table(
+    source: Path,
+    robot: str,
+    consistency: cli.Consistency,
+    value: str,
+    halfwidth: str | None,
+    margin: float,
+    mass_max: float,
+    friction: list[str] | None,
+) -> BaseAudit:
+    from sdpid.assurance.audit_base import audit_base_parameters
+    from sdpid.assurance.base_table import read_base_table
+    from sdpid.robot.load import load_robot
+
+    width: str | float | None = halfwidth
+    if halfwidth is not None:
+        try:
+            width = float(halfwidth)
+        except ValueError:
+            width = halfwidth
+    table = read_base_table(source, value=value, halfwidth=width)
+    return audit_base_parameters(
+        load_robot(robot),
+        table.values,
+        table.halfwidths,
+        consistency=consistency.value,
+        margin=margin,
+        mass_max=mass_max,
+        friction=("coulomb", "viscous") if friction is None else tuple(friction),
+    )
+
+
+def _write_proof(path: Path, found: BaseAudit) -> None:
+    from sdpid._files import atomic_write_text
+
+    if found.certificate is None:
+        typer.echo(f"sdpid: {path}: not written, as there is no proof to write.", err=True)
+        return
+    atomic_write_text(path, json.dumps(found.certificate.to_dict(), indent=1) + "\n")

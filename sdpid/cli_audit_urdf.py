@@ -1,0 +1,76 @@
+"""``sdpid audit robot.urdf``: what is wrong with a description, and its repair."""
+
+from __future__ import annotations
+
+import json
+import os
+from pathlib import Path
+
+from sdpid.errors import ModelError
+
+_CLEAN, _UNREADABLE, _ERRORS = 0, 2, 3
+
+
+def run_audit_urdf(
+    path: str | os.PathLike[str],
+    repair: str | os.PathLike[str] | None = None,
+    as_json: bool = False,
+) -> int:
+    """Audit a URDF or MJCF file, print what was found, and repair it if asked to.
+
+    Parameters
+    ----------
+    path : str or path
+        The file; the name of a bundled robot or of one of example-robot-data where there is none.
+    repair : str or path, optional
+        Where to write the repaired URDF.
+    as_json : bool, optional
+        Print one JSON object.
+
+    Returns
+    -------
+    int
+        Exit status: 0 without errors (warnings may be), 3 with errors in `path`, 2 where it
+        cannot be read.
+
+    Raises
+    ------
+    ExportError
+        When the repaired file cannot be written.
+    """
+    import typer
+
+    from sdpid.assurance.audit_urdf import audit_urdf
+    from sdpid.output.repair import repair_urdf
+
+    try:
+        file = _find(path)
+        audit = audit_urdf(file)
+        report = None if repair is None else repair_urdf(file, target=repair)
+    except ModelError as cause:
+        typer.echo(f"error: {cause}", err=True)
+        return _UNREADABLE
+    if as_json:
+        content = audit.to_dict()
+        content["repair"] = None if report is None else report.to_dict()
+        typer.echo(json.dumps(content, indent=2, allow_nan=False))
+    else:
+        typer.echo(audit.table() + "\n\n" + audit.describe())
+        if report is not None:
+            typer.echo(f"\n{report.path}: {report.describe()}")
+    return _CLEAN if audit.passed else _ERRORS
+
+
+def _find(path: str | os.PathLike[str]) -> Path:
+    from sdpid.robot.library import bundled_folder, bundled_robots, find_example_robot
+
+    file = Path(path)
+    if file.is_file():
+        return file
+    name = str(path)
+    if name in bundled_robots():
+        return bundled_folder(name) / f"{name}.urdf"
+    found = find_example_robot(name)
+    if found is None:
+        raise ModelError(f"cannot read {path}: no such file, and no robot of that name.")
+    return found
