@@ -214,6 +214,32 @@ def rows(names: Sequence[str], seed: int) -> Iterator[tuple[object, ...]]:
                 yield row(name, base, robot, samples, believe)
 
 
+# How a status reads in the short table.
+SHORT = {"IdentifiabilityError": "not identifiable", "SolverError": "no proof"}
+
+
+def markdown(done: Sequence[tuple[object, ...]]) -> str:
+    """Return a line a robot: the proven gap, or what happened, by prior and base."""
+    head = [f"{prior}, {base}" for prior in ("default", "none") for base in BASES]
+    lines = ["| robot | joints | " + " | ".join(head) + " |", "|---" * (len(head) + 2) + "|"]
+    for name in dict.fromkeys(str(cells[0]) for cells in done):
+        own = [dict(zip(HEADER, cells, strict=True)) for cells in done if cells[0] == name]
+        found = {f"{cells['prior']}, {cells['base']}": cells for cells in own}
+        joints = next((cells["joints"] for cells in own if cells["joints"]), "")
+        row = [found.get(column) for column in head]
+        lines.append(f"| {name} | {joints} | " + " | ".join(map(_short, row)) + " |")
+    return "\n".join(lines)
+
+
+def _short(cells: dict[str, object] | None) -> str:
+    if cells is None:
+        return "–"
+    status = str(cells["status"])
+    if status == "certified":
+        return f"{max(float(str(cells['gap'])), 0.0):.0e}"
+    return SHORT.get(status, status)
+
+
 def main() -> int:
     """Run every robot and write the table."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
@@ -235,6 +261,7 @@ def main() -> int:
     for cells in done:
         counts[str(cells[8])] = counts.get(str(cells[8]), 0) + 1
     print("\n" + Table(HEADER, tuple(done)).text(3))
+    (options.out / "every_robot.md").write_text(markdown(done) + "\n", encoding="utf-8")
     print("\n" + ", ".join(f"{count} {status}" for status, count in counts.items()))
     return 0
 
