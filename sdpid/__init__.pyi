@@ -1,7 +1,10 @@
 from .assurance.audit_base import BaseAudit, audit_base_parameters
 from .assurance.audit_urdf import UrdfAudit, audit_urdf
 from .assurance.certificate import Certificate, certify, verify
+from .assurance.intervals import Intervals, intervals
+from .assurance.price import price_of_consistency
 from .assurance.validation import Validation, validate
+from .assurance.worst_mass_matrix import worst_mass_matrix
 from .errors import (
     CertificateError,
     DataError,
@@ -96,6 +99,7 @@ __all__ = [
     "IdentifiabilityError",
     "Identification",
     "InfeasibleError",
+    "Intervals",
     "JointwiseTerm",
     "MassInEllipsoid",
     "MirrorPair",
@@ -132,9 +136,11 @@ __all__ = [
     "certify",
     "compare",
     "identify",
+    "intervals",
     "load_robot",
     "mass_matrix",
     "paper_excitation",
+    "price_of_consistency",
     "process",
     "read_recording",
     "simulate",
@@ -145,5 +151,6 @@ __all__ = [
     "solve_wls",
     "validate",
     "verify",
+    "worst_mass_matrix",
     "write_urdf",
 ]

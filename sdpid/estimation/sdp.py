@@ -16,7 +16,6 @@ from sdpid.estimation.problem import Problem
 from sdpid.estimation.scaling import Scaling
 from sdpid.estimation.sdp_face import nearest_on_face
 from sdpid.estimation.sdp_program import Coordinates, SdpProgram, best_fit
-from sdpid.robot.inertia import Consistency
 
 # What is taken to be inside: a solution on the boundary is moved in by this share of the link's
 # own second moments, so that rounding cannot take it out again. It is some fifty roundings and no
@@ -27,22 +26,23 @@ _INSIDE = 1e-14
 # Rounding of what was added may take a second look, seldom a third.
 _REPAIRS = 10
 
-# What Clarabel adds to the diagonal of its linear systems. Its default of 1e-8 suits the 6×6
-# inequality, whose ten parameters spread over 21 entries; for the 4×4 it is too much where the
+# What Clarabel adds to the diagonal of its linear systems. Its default of 1e-8 suits some 6×6
+# inequalities, whose ten parameters spread over 21 entries; for the 4×4 it is too much where the
 # data are precise and the cost steep: the solver then stops 1e-3 above the optimum.
 _DEGENERATE, _STEEP, _BETWEEN = 1e-8, 1e-12, 1e-10
 
 # Weight of ‖x‖² in some attempts, beside a cost of order one: where the optimal face is unbounded
 # but for theta_max, it keeps the path of the solver from running off along it. They start from
 # what was found before, so that what it costs vanishes from one to the next.
-_ANCHORS = (1e-10, 1e-12)
+_ANCHORS = (1e-13, 1e-12, 1e-10)
 
 # In some attempts bodies are no larger than this many lengths of the robot. Where far larger ones
 # would fit no better, or hardly, the solver is spared the way to theta_max; a proof covers
 # everything up to theta_max all the same.
 _NEAR = 1.0
 
-# Where nothing was found the cost is counted in units larger by this factor.
+# Where so many attempts found nothing the cost is counted in units larger by this factor.
+_PATIENCE = 3
 _COARSER = 1e3
 
 # Choosing among the optimal points may cost this share of the cost.
@@ -101,7 +101,7 @@ def solve_sdp(problem: Problem, *, verbose: bool = False) -> Estimate:
     best: Estimate | None = None
     bound: Bound | None = None
     best_gap = np.inf
-    for attempt in _attempts(problem.consistency):
+    for number, attempt in enumerate(_attempts()):
         chosen = found_scaling if attempt.around else scaling
         centre = reference if attempt.around else described
         coordinates = Coordinates.of(problem, chosen.basis(), centre)
@@ -123,7 +123,7 @@ def solve_sdp(problem: Problem, *, verbose: bool = False) -> Estimate:
             if problem.constraints.others and solution.status in _INFEASIBLE:
                 require_consistent(problem)
             # Where constraints hold together, Clarabel is wrong that they do not.
-            if best is None:
+            if best is None and number >= _PATIENCE:
                 scaling = replace(scaling, cost=_COARSER * scaling.cost)
                 found_scaling = replace(found_scaling, cost=scaling.cost)
             continue
@@ -219,12 +219,9 @@ class _Attempt:
     solver: Solver = "clarabel"
 
 
-def _attempts(consistency: Consistency) -> tuple[_Attempt, ...]:
+def _attempts() -> tuple[_Attempt, ...]:
     """Return what is tried in turn until the gap is proven small, the likeliest first."""
-    first = (_BETWEEN, _STEEP, _DEGENERATE)
-    if consistency == "spatial_inertia":
-        first = (_STEEP, _DEGENERATE, _BETWEEN)
-    plain = [_Attempt(value) for value in first]
+    plain = [_Attempt(value) for value in (_BETWEEN, _STEEP, _DEGENERATE)]
     around = [_Attempt(value, around=True) for value in (_BETWEEN, _DEGENERATE, _STEEP)]
     near = [_Attempt(value, around=True, reach=_NEAR) for value in (_BETWEEN, _DEGENERATE)]
     anchored = [
@@ -234,7 +231,10 @@ def _attempts(consistency: Consistency) -> tuple[_Attempt, ...]:
     ]
     # Another algorithm, for a second opinion.
     other = _Attempt(0.0, around=True, solver="scs")
-    return (plain[0], *around[:2], *around[:2], *plain[1:], around[2], *near, *anchored, other)
+    return (
+        *(plain[0], anchored[0], *around[:2], anchored[1], *around[:2]),
+        *(*plain[1:], anchored[0], around[2], *near, *anchored[2:], other),
+    )
 
 
 def _described(problem: Problem, scaling: Scaling) -> Array:

@@ -42,6 +42,7 @@ def solve_wls(problem: Problem) -> Estimate:
         )
     # Columns scaled to unit length: their units differ, and so do their sizes by orders.
     scale = np.linalg.norm(problem.A, axis=0)
+    scale = np.where(scale > 0.0, scale, 1.0)
     scaled = np.linalg.lstsq(problem.A / scale, problem.rhs, rcond=None)[0]
     return Estimate(
         problem=problem,

@@ -144,8 +144,9 @@ def test_multipliers_of_rows(name: str, consistency: Consistency) -> None:
         rounding = SLOPE * step * abs(multiplier) + 1e-7 * estimate.cost
         for by in (-step, step):
             assert cost(by) >= estimate.cost + by * multiplier - rounding
-        if name != "symmetric":
-            # There the cost has a kink: a thin link in the plane gets thin across it.
+        if name not in ("symmetric", "equal"):
+            # There the cost has a kink (a thin link in the plane gets thin across it), and any
+            # multiplier between the slopes on either side will do.
             assert slope(cost, step) == pytest.approx(multiplier, rel=10.0 * SLOPE, abs=0.05)
 
 

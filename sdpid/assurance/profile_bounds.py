@@ -1,0 +1,288 @@
+"""The extremes of linear functions over all feasible parameters whose cost is within a level.
+
+    minimise, maximise c·theta  over feasible theta with ‖G·theta − h‖² ≤ ‖G·theta* − h‖² + rise
+
+One conic program each way; they share everything but the linear cost. What is returned does not
+rest on the solver's word: with its multipliers u of the residual, Z of the matrices (made positive
+semidefinite) and λ of the rows,
+
+    c·theta ≥ (c − G^T·u − Σ F*(Z) − rows^T·λ)·theta + u·h − ‖u‖·rho − Σ⟨Z, F0⟩ + λ·limits
+
+for every such theta, whatever the multipliers, rho² being the level. The bracket is zero but for
+rounding, and what it can amount to is bounded by the box that theta lies in: first the declared
+one, then the one of the bounds found so, at the highest of all levels.
+
+**The level.** The cost is a log-likelihood only up to the size and correlation of the errors. Were
+it one, a rise of z² would make an interval. Where the extreme is taken, theta has moved away from
+the estimate by a residual d = G·(theta − theta*), and to first order it is this combination of the
+data, d·h, that decides how far. So the rise is t²·(d^T·N·d)/(d^T·d) with N the covariance of h that
+the blocks show (the prior's rows count as stated: variance one), and t the quantile of Student's t
+with the degrees of freedom of that combination. For a base parameter of a problem without active
+constraints that is Gauss-Markov's interval; where a constraint is active only the directions count
+along which it lets theta move. d is known when the program is solved: it is solved again where the
+level changes by much.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from sdpid._arrays import Array
+from sdpid.assurance.score_blocks import ScoreBlocks
+from sdpid.errors import DataError, SolverError
+from sdpid.estimation.bound import clip_psd, cost_scale, gradient
+from sdpid.estimation.conic import ConicFamily, ConicSolution
+from sdpid.estimation.problem import Problem
+from sdpid.estimation.scaling import Scaling
+from sdpid.estimation.sdp_program import Coordinates, SdpProgram
+
+# A level that changes by less than this share is not worth another solve: the multipliers found
+# before prove a bound at the new level too, worse by the square of that share.
+_SETTLED = 0.1
+_ROUNDS = 4
+
+# The estimate itself is known to this share of its cost.
+_LEAST_RISE = 1e-6
+
+# Regularisations, tried until the bound proven is within this share of the point found.
+_REGULARISATIONS = (1e-10, 1e-8, 1e-12)
+_CLOSE = 1e-3
+
+# An end that would move by this share, were a limit twice as far, rests on the limit.
+_RESTS = 0.01
+_AT = 0.999
+
+
+@dataclass(frozen=True, eq=False)
+class End:
+    """One extreme, as a minimum: of c·theta at the lower end, of −c·theta at the upper one.
+
+    Attributes
+    ----------
+    found : float
+        At the solver's point: not proven, and within rounding attained.
+    u, Z, rows : ndarray
+        Multipliers of the residual, the matrices and the linear rows.
+    rise : float
+        The level, above the estimate's cost.
+    solved : float
+        The level at which it was found.
+    rests : tuple of bool
+        Whether it rests on theta_max, and on the largest mass.
+    believed : float
+        Share of the prior's rows in what holds it.
+    """
+
+    found: float
+    u: Array
+    Z: Array
+    rows: Array
+    rise: float
+    solved: float
+    rests: tuple[bool, bool]
+    believed: float
+
+
+class ProfileBounds:
+    """The programs of one estimate.
+
+    Parameters
+    ----------
+    problem : Problem
+        The problem; no log-det prior.
+    theta : ndarray, shape (p,)
+        The estimate.
+    blocks : ScoreBlocks
+        What is known of the errors.
+    level : float
+        Of the intervals, such as 0.95.
+    """
+
+    def __init__(self, problem: Problem, theta: Array, blocks: ScoreBlocks, level: float) -> None:
+        if problem.prior is not None and problem.prior.entropic is not None:
+            raise DataError(
+                "profile intervals: a log-det prior makes the cost more than squares; use "
+                "method='bootstrap'."
+            )
+        self.problem, self.theta, self.blocks, self.level = problem, theta, blocks, level
+        self.residual = problem.residual_of(theta)
+        self.least = _LEAST_RISE * max(float(self.residual @ self.residual), cost_scale(problem))
+        data = problem.A @ blocks.covariance @ problem.A.T
+        self.noise = np.eye(len(self.residual))
+        self.noise[: len(data), : len(data)] = data
+        # The size of the level sets, for numbers of order one.
+        self.unit = float(np.sqrt(self.residual @ self.residual + self._start()))
+        scaling = replace(Scaling.of(problem), cost=self.unit**2)
+        coordinates = Coordinates.of(problem, scaling.basis(), np.array(theta))
+        if coordinates is None:
+            raise SolverError(
+                "profile intervals: the equations among the constraints contradict each other.",
+                problem=problem,
+            )
+        self.program = SdpProgram.build(
+            problem, scaling, coordinates, np.ones(problem.n_theta, dtype=bool)
+        )
+        self.family = ConicFamily(replace(self.program.conic, cost=None, radius=1.0))
+        self.seconds, self.solves = 0.0, 0
+
+    def _start(self) -> float:
+        """Return the rise of a typical direction."""
+        count = self.problem.base.count
+        return max(4.0 * float(np.trace(self.noise[:count, :count])) / count, self.least)
+
+    def rise(self, moved: Array) -> float:
+        """Return the rise for an extreme at which the residual has moved by some vector."""
+        size = float(moved @ moved)
+        if size <= self.least * 1e-3:
+            return self._start()
+        from scipy.stats import t
+
+        functional = moved[: self.problem.base.count] @ self.problem.A
+        freedom = float(self.blocks.freedom(functional[None])[0])
+        quantile = float(t.ppf(0.5 * (1.0 + self.level), freedom))
+        return max(quantile**2 * float(moved @ self.noise @ moved) / size, self.least)
+
+    def expected(self, functional: Array) -> Array:
+        """Return how the residual moves at the extreme of a function (b,) of the base parameters.
+
+        It is that of the problem without constraints.
+        """
+        A = self.problem.A
+        scale = np.linalg.norm(A, axis=0)
+        scale = np.where(scale > 0.0, scale, 1.0)
+        moved = np.zeros(len(self.residual))
+        moved[: len(A)] = np.linalg.lstsq((A / scale).T, functional / scale, rcond=None)[0]
+        return moved
+
+    def minimum(self, c: Array, moved: Array | None = None) -> End:
+        """Return the least of c·theta.
+
+        Parameters
+        ----------
+        c : ndarray, shape (p,)
+            The function.
+        moved : ndarray, optional
+            How the residual is thought to move, for the first level.
+
+        Raises
+        ------
+        SolverError
+            When the solver finds nothing.
+        """
+        rise = self._start() if moved is None else self.rise(moved)
+        for _ in range(_ROUNDS):
+            end = self._at(c, rise)
+            updated = end.rise
+            if abs(updated - rise) <= _SETTLED * rise:
+                break
+            rise = updated
+        return end
+
+    def _at(self, c: Array, rise: float) -> End:
+        """Return the minimum at a level, with the level that its own direction asks for."""
+        directions = self.program.coordinates.directions
+        slope = directions.T @ c
+        size = float(np.linalg.norm(slope)) or 1.0
+        radius = self._radius(rise)
+        best: tuple[float, End] | None = None
+        box = self.problem.feasible.lower, self.problem.feasible.upper
+        for regularisation in _REGULARISATIONS:
+            solution = self.family.solve(
+                slope / size, radius / self.unit, regularisation=regularisation
+            )
+            self.seconds += solution.seconds
+            self.solves += 1
+            if solution.x is None or len(solution.ball) == 0:
+                continue
+            end = self._end(c, size, solution, rise)
+            short = end.found - self.proven(c, end, box, rise)
+            if best is None or short < best[0]:
+                best = short, end
+            if short <= _CLOSE * max(abs(end.found - float(c @ self.theta)), 1e-12):
+                break
+        if best is None:
+            raise SolverError(
+                f"profile intervals: the solver found no extreme ({solution.status}); use "
+                "method='gauss_markov' or 'bootstrap'.",
+                problem=self.problem,
+            )
+        return best[1]
+
+    def _radius(self, rise: float) -> float:
+        return float(np.sqrt(self.residual @ self.residual + rise))
+
+    def _end(self, c: Array, size: float, solution: ConicSolution, rise: float) -> End:
+        """Read a solution."""
+        problem, feasible, program = self.problem, self.problem.feasible, self.program
+        theta = program.theta(solution)
+        found = program.multipliers(solution, theta)
+        share = size / self.unit**2
+        u = solution.ball[1:] * size / self.unit
+        rows = share * found.rows
+        limits = np.where(rows > 0.0, feasible.row_lower, feasible.row_upper)
+        rows = np.where(np.isfinite(limits), rows, 0.0)
+        Z = clip_psd(share * found.Z)
+        if np.any(feasible.equations):
+            left = self._left(c, u, Z, np.where(feasible.equations, 0.0, rows))
+            basis = program.scaling.basis()
+            equations = feasible.rows[feasible.equations] @ basis
+            at_limits = left - np.nan_to_num(share * found.bounds)
+            rows[feasible.equations] = np.linalg.lstsq(
+                equations.T, basis.T @ at_limits, rcond=None
+            )[0]
+        moved = problem.residual_of(theta) - self.residual
+        width = max(abs(float(c @ (theta - self.theta))), 1e-300)
+        # What an end would move by, were all limits that theta is at twice as far.
+        limit = np.maximum(np.abs(feasible.lower), np.abs(feasible.upper))
+        held = share * np.abs(np.nan_to_num(found.bounds)) * limit
+        held = np.where(np.abs(theta) >= _AT * limit, held, 0.0)
+        wide = float(np.sum(held[~feasible.bounded]))
+        mass = float(
+            np.sum(held[: 10 * feasible.n_links][feasible.bounded[: 10 * feasible.n_links]])
+        )
+        count = problem.base.count
+        believed = float(u[count:] @ u[count:]) / max(float(u @ u), 1e-300)
+        return End(
+            found=float(c @ theta),
+            u=u,
+            Z=Z,
+            rows=rows,
+            rise=self.rise(moved),
+            solved=rise,
+            rests=(wide >= _RESTS * width, mass >= _RESTS * width),
+            believed=believed if float(np.linalg.norm(u)) * self.unit > _RESTS * width else 0.0,
+        )
+
+    def _left(self, c: Array, u: Array, Z: Array, rows: Array) -> Array:
+        """Return what multipliers leave of the function."""
+        feasible = self.problem.feasible
+        return np.asarray(
+            c - gradient(self.problem, u) - feasible.adjoint(Z) - rows @ feasible.rows
+        )
+
+    def proven(self, c: Array, end: End, box: tuple[Any, Any], rise: float | None = None) -> float:
+        """Return a value that c·theta is not below, at a level (by default the end's own).
+
+        Parameters
+        ----------
+        c : ndarray, shape (p,)
+            The function.
+        end : End
+            Multipliers.
+        box : tuple of ndarray
+            Lower and upper bounds of theta that hold at this level.
+        rise : float, optional
+            The level.
+        """
+        feasible = self.problem.feasible
+        left = self._left(c, end.u, end.Z, end.rows)
+        radius = self._radius(end.rise if rise is None else rise)
+        limits = np.where(end.rows > 0.0, feasible.row_lower, feasible.row_upper)
+        limits = np.where(end.rows == 0.0, 0.0, limits)
+        value = float(end.u @ self.problem.design[1]) - float(np.linalg.norm(end.u)) * radius
+        value -= float(np.einsum("nij,nij->", end.Z, feasible.block_constants))
+        value += float(end.rows @ limits)
+        return value + float(left @ np.where(left > 0.0, box[0], box[1]))
