@@ -2,6 +2,7 @@ from .assurance.audit_base import BaseAudit, audit_base_parameters
 from .assurance.audit_urdf import UrdfAudit, audit_urdf
 from .assurance.certificate import Certificate, certify, verify
 from .assurance.intervals import Intervals, intervals
+from .assurance.payload import Payload, identify_payload
 from .assurance.price import price_of_consistency
 from .assurance.validation import Validation, validate
 from .assurance.worst_mass_matrix import worst_mass_matrix
@@ -43,12 +44,15 @@ from .estimation.sdp import solve_sdp
 from .estimation.slsqp import solve_slsqp
 from .estimation.wls import solve_wls
 from .experiment.excitation import Trajectory, paper_excitation
+from .experiment.motors import MotorSide
 from .experiment.plant import simulate
 from .experiment.processing import Processing, process
 from .experiment.readers import read_recording
 from .experiment.recording import Recording
 from .experiment.samples import Samples
 from .output.comparison import Comparison, compare
+from .output.mjcf import write_mjcf
+from .output.parameters_file import read_parameters, write_parameters
 from .output.urdf import write_urdf
 from .robot.base import BaseParameters
 from .robot.friction import (
@@ -106,8 +110,10 @@ __all__ = [
     "MirrorSymmetry",
     "MissingExtraError",
     "ModelError",
+    "MotorSide",
     "Offset",
     "OpenParameter",
+    "Payload",
     "Prior",
     "Problem",
     "Processing",
@@ -136,12 +142,14 @@ __all__ = [
     "certify",
     "compare",
     "identify",
+    "identify_payload",
     "intervals",
     "load_robot",
     "mass_matrix",
     "paper_excitation",
     "price_of_consistency",
     "process",
+    "read_parameters",
     "read_recording",
     "simulate",
     "solve_log_cholesky",
@@ -152,5 +160,7 @@ __all__ = [
     "validate",
     "verify",
     "worst_mass_matrix",
+    "write_mjcf",
+    "write_parameters",
     "write_urdf",
 ]

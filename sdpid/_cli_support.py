@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import errno
 import json
+import shlex
 import traceback
 from collections.abc import Iterable, Sequence
 from enum import Enum
@@ -54,11 +55,14 @@ class Velocity(str, Enum):
     differentiated = "differentiated"
 
 
+# Where a context keeps its arguments.
+_ARGUMENTS = "sdpid.arguments"
+
 _READING = "Reading the log"
 _PROCESSING = "Processing"
 _ESTIMATION = "Estimation"
 
-Log = Annotated[Path, typer.Argument(metavar="LOG", help="Recording: .npz, .csv or .parquet.")]
+Log = Annotated[Path, typer.Argument(metavar="LOG", help="CSV, Parquet, NPZ, MAT, HDF5, ROS bag.")]
 Robot = Annotated[
     str, typer.Option(metavar="ROBOT", help="URDF file, or name of a bundled or example robot.")
 ]
@@ -170,6 +174,11 @@ WeightingOf = Annotated[
 class Commands(TyperGroup):
     """The commands, with one way out for every error."""
 
+    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
+        """Keep the arguments as they were given, for `command_line`."""
+        ctx.meta[_ARGUMENTS] = list(args)
+        return super().parse_args(ctx, args)
+
     def invoke(self, ctx: Any) -> Any:
         """Run a command; turn an error into one line on stderr and an exit status."""
         try:
@@ -185,6 +194,11 @@ class Commands(TyperGroup):
                 traceback.print_exception(error)
             typer.echo(f"sdpid: {message(error)}", err=True)
             raise typer.Exit(exit_status(error)) from None
+
+
+def command_line(ctx: typer.Context) -> str:
+    """Return the command as it was given, for a shell."""
+    return shlex.join(["sdpid", *ctx.meta.get(_ARGUMENTS, ())])
 
 
 def exit_status(error: Exception) -> int:

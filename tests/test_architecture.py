@@ -24,6 +24,7 @@ HEAVY = {
     "clarabel",
     "cvxpy",
     "dask",
+    "h5py",
     "joblib",
     "matplotlib",
     "mujoco",
@@ -31,6 +32,7 @@ HEAVY = {
     "pandas",
     "pinocchio",
     "pyarrow",
+    "rosbags",
     "scipy",
 }
 
@@ -52,7 +54,7 @@ def module_name(path: Path) -> str:
 def room(name: str) -> str:
     """Return the room of a module: helpers stand at the top level and belong to everyone."""
     parts = name.split(".")
-    doors = ("workflow", "cli", "cli_audit", "cli_audit_urdf", "__main__")
+    doors = ("workflow", "cli", "cli_audit", "cli_audit_urdf", "cli_payload", "__main__")
     if len(parts) > 1 and parts[1] in doors:
         return "workflow"
     helper = len(parts) == 1 or parts[1] == "errors" or parts[1].startswith("_")

@@ -10,6 +10,7 @@ import numpy as np
 from sdpid.errors import DataError
 from sdpid.experiment.preparation import default_processing, match_joints
 from sdpid.experiment.recording import Recording
+from sdpid.experiment.signals import bandwidth, gaps, noise, signal_warnings
 from sdpid.experiment.units import suspect_units
 from sdpid.robot.model import RobotModel
 
@@ -30,12 +31,17 @@ def overview(recording: Recording, robot: RobotModel | None = None) -> dict[str,
     -------
     dict
         Plain values for JSON: sizes, times (s), the processing chosen by default, ``joints`` with
-        a range each (rad, rad/s, N.m), and ``warnings``. Missing is None.
+        a range each (rad, rad/s, N.m), the standard deviation of its noise, and the frequencies
+        (Hz) at which it mostly moves and below which 95 % of the motion lies; and ``warnings``.
+        Missing is None.
     """
     matched, limits, warnings = _matched(recording, robot)
     suspects = suspect_units(matched, limits)
     if suspects:
         warnings.append(f"positions look like degrees, not radians: {', '.join(suspects)}")
+    else:
+        # Positions in degrees would raise most of the other alarms as well.
+        warnings += signal_warnings(matched, None if limits is None else robot)
     processing = None
     try:
         processing = asdict(default_processing(matched))
@@ -49,6 +55,7 @@ def overview(recording: Recording, robot: RobotModel | None = None) -> dict[str,
         "rate_hz": matched.rate_hz,
         "jitter_of_a_step": float(np.abs(steps - np.rint(steps)).max()),
         "lost_samples": round(matched.duration / matched.step) + 1 - matched.n_samples,
+        **gaps(matched),
         "velocity": None if matched.velocity is None else "measured",
         "effort": "N.m" if matched.effort_scale is None else "turned into N.m by effort_scale",
         "period_s": matched.period,
@@ -89,6 +96,7 @@ def _joints(recording: Recording) -> list[dict[str, Any]]:
     effort = recording.effort
     if recording.effort_scale is not None:
         effort = effort * recording.effort_scale
+    motion = [bandwidth(position[:, j], recording.rate_hz) for j in range(recording.n)]
     return [
         {
             "joint": name,
@@ -97,6 +105,10 @@ def _joints(recording: Recording) -> list[dict[str, Any]]:
             "speed_max": None if velocity is None else float(np.abs(velocity[:, j]).max()),
             "effort_rms": float(np.sqrt(np.mean(effort[:, j] ** 2))),
             "effort_max": float(np.abs(effort[:, j]).max()),
+            "position_noise": noise(position[:, j]),
+            "effort_noise": noise(effort[:, j]),
+            "motion_hz": None if moves is None else moves[0],
+            "bandwidth_hz": None if moves is None else moves[1],
         }
-        for j, name in enumerate(recording.names)
+        for j, (name, moves) in enumerate(zip(recording.names, motion, strict=True))
     ]

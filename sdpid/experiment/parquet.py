@@ -13,6 +13,7 @@ from sdpid._arrays import Array
 from sdpid._extras import require
 from sdpid._files import atomic_path
 from sdpid.errors import DataError
+from sdpid.experiment.sizes import Budget
 
 if TYPE_CHECKING:
     from sdpid.experiment.recording import Recording
@@ -71,6 +72,7 @@ def read_parquet(path: str | os.PathLike[str]) -> Recording:
             names = list(file.schema_arrow.names)
             layout = _layout(names, metadata, path)
             rows = file.metadata.num_rows
+            Budget(Path(path)).take("all columns", (rows, len(names)), 8)
             arrays = {quantity: _empty(rows, where) for quantity, where in layout.items()}
             begin = 0
             for batch in file.iter_batches(batch_size=_ROWS, use_threads=False):

@@ -3,37 +3,29 @@
 from __future__ import annotations
 
 import os
-import re
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, overload
 
 import numpy as np
 from numpy.typing import NDArray
 
 from sdpid.errors import DataError
+from sdpid.experiment.columns import CONVENTIONS, Columns
 from sdpid.experiment.formats import LOADERS, Table
+from sdpid.experiment.mapping import find_mapping, read_mapping
+from sdpid.experiment.motors import MotorSide
 from sdpid.experiment.recording import Recording
 
-__all__ = ["read_recording"]
+__all__ = ["Reading", "read_described", "read_recording"]
 
-# Names under which quantities are usually found, in the order in which they are looked for.
-_CONVENTIONS: dict[str, tuple[str, ...]] = {
-    "time": ("time", "t", "timestamp", "time_s", "stamp"),
-    "position": ("position", "q", "positions", "pos", "joint_position", "joint_positions"),
-    "effort": ("effort", "tau", "torque", "efforts", "torques", "joint_effort", "joint_torque"),
-    "velocity": ("velocity", "dq", "qd", "velocities", "vel", "qdot", "joint_velocity"),
-    "joint_names": ("joint_names", "names"),
-    "rate": ("fs", "rate_hz", "rate", "sample_rate"),
-    "period": ("period",),
-    "start": ("start",),
-    "periods": ("periods",),
-    "effort_scale": ("effort_scale",),
-}
 _TABLES = ("position", "effort", "velocity")
 
 _DEGREE = np.pi / 180.0
-# Factors to SI. Amperes stay amperes: `effort_scale` turns them into torques.
+# Factors to SI. Amperes stay amperes: `effort_scale`, or constants of motors, give torques.
+_CURRENTS = {"A": 1.0, "mA": 1e-3}
 _UNITS: dict[str, dict[str, float]] = {
     "time": {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9},
     "position": {"rad": 1.0, "deg": _DEGREE, "turn": 2.0 * np.pi, "m": 1.0, "mm": 1e-3},
@@ -44,47 +36,89 @@ _UNITS: dict[str, dict[str, float]] = {
         "m/s": 1.0,
         "mm/s": 1e-3,
     },
-    "effort": {"N.m": 1.0, "Nm": 1.0, "N·m": 1.0, "mN.m": 1e-3, "mNm": 1e-3, "N": 1.0, "A": 1.0},
+    "effort": {
+        **{"N.m": 1.0, "Nm": 1.0, "N·m": 1.0, "mN.m": 1e-3, "mNm": 1e-3, "N": 1.0},
+        **_CURRENTS,
+    },
 }
+# Whole numbers beyond this are counts since 1970, which a double cannot hold to the last one.
+_LONG_COUNT = 1 << 50
 
 
+@dataclass(frozen=True, kw_only=True)
+class Reading:
+    """A recording, and where in the file it was found.
+
+    Attributes
+    ----------
+    recording : Recording
+        What was read.
+    file : str
+        From which file.
+    mapping : str or None
+        The mapping that was followed.
+    sources : dict
+        For each quantity, what it was read from, in words.
+    """
+
+    recording: Recording
+    file: str
+    mapping: str | None = None
+    sources: dict[str, str] = field(default_factory=dict)
+
+
+@overload
+def read_recording(path: str | os.PathLike[str], **how: Any) -> Recording: ...
+@overload
+def read_recording(path: Sequence[str | os.PathLike[str]], **how: Any) -> list[Recording]: ...
 def read_recording(
-    path: str | os.PathLike[str],
-    *,
-    columns: Mapping[str, str | Sequence[str] | None] | None = None,
-    units: Mapping[str, str] | None = None,
-    joint_names: Sequence[str] | None = None,
-    period: float | None = None,
-    start: float | None = None,
-    periods: int | None = None,
-    effort_scale: Any = None,
-) -> Recording:
-    """Read a log from a Parquet, CSV or NPZ file.
+    path: str | os.PathLike[str] | Sequence[str | os.PathLike[str]], **how: Any
+) -> Recording | list[Recording]:
+    """Read a log, or several that were logged in the same way.
+
+    CSV, Parquet, NPZ, MATLAB (MAT), HDF5, and ROS bags with ``sensor_msgs/JointState`` (files
+    ``.db3``, ``.mcap``, ``.bag``, or the folder of a ROS 2 bag).
 
     Quantities are found by the usual names (``t``, ``q``, ``dq``, ``tau``, ``time``,
-    ``position``, ``velocity``, ``effort``, ``fs``, ``joint_names``, ...): either an array of
-    samples × joints, or one column a joint, named like ``q1``, ``q_1``, ``q[0]`` or
-    ``position_<joint>``. Without time stamps, ``fs`` gives the sample rate in Hz. Nothing is ever
-    unpickled.
+    ``position``, ``velocity``, ``effort``, ``actual_q``, ``fs``, ``joint_names``, ...): either an
+    array of samples × joints, or one column a joint, named like ``q1``, ``q_1``, ``q[0]``,
+    ``position_<joint>`` or ``<joint>_position``; the name may end with a unit (``time_ms``,
+    ``position_deg_1``). In files with groups or structs the last part of the path counts. Without
+    time stamps, ``fs`` gives the sample rate in Hz. Nothing is ever unpickled or run.
+
+    What is named otherwise is said by arguments, or by a mapping: a small TOML file beside the
+    log, ``run.toml`` for ``run.csv``, with the same names as the arguments. Arguments win.
 
     Parameters
     ----------
-    path : path-like
-        The file; its suffix tells the format.
+    path : path-like, or a sequence of them
+        The file; its suffix tells the format. A sequence gives a list, and all must then have the
+        same joints.
+    mapping : path-like, mapping or False, optional
+        A mapping elsewhere, or its content; False ignores the one beside the log.
     columns : mapping, optional
         Where to find quantities that have other names: ``{"effort": "tau_current"}`` names an
         array (or the beginning of the names of its columns), ``{"effort": ["i1", "i2"]}`` lists
         columns, ``{"velocity": None}`` leaves a quantity out.
     units : mapping, optional
-        Units of the file where they are not SI, as ``{"position": "deg", "time": "ms"}``.
+        Units of the file where they are not SI, as ``{"position": "deg", "time": "ms"}``; a list
+        has one unit for each joint.
+    motors : MotorSide or mapping, optional
+        For what was logged at the motors: gear ratios, signs, offsets, or a full matrix where
+        joints are coupled; a mapping as in `MotorSide.from_mapping`.
     joint_names : sequence of str, optional
-        Overrides the names in the file; also picks and orders columns ``position_<joint>``.
+        Joints in the order wanted: picks and orders those that the file names. Where the file
+        has other names for as many joints, it renames them.
+    topic : str, optional
+        Of a ROS bag.
+    rate_hz : float, optional
+        Sample rate of a log without time stamps.
     period, start, periods, effort_scale : optional
         As in `Recording`; override what the file says.
 
     Returns
     -------
-    Recording
+    Recording, or a list of them
 
     Raises
     ------
@@ -94,7 +128,82 @@ def read_recording(
     MissingExtraError
         When the format needs a package that is not installed.
     """
+    if isinstance(path, (str, os.PathLike)):
+        return read_described(path, **how).recording
+    records = [read_described(one, **how).recording for one in path]
+    for one, record in zip(path, records, strict=True):
+        if (record.n, record.joint_names) != (records[0].n, records[0].joint_names):
+            raise DataError(
+                f"{one}: has the joints {', '.join(record.names)}, {path[0]} has "
+                f"{', '.join(records[0].names)}; give joint_names=."
+            )
+    return records
+
+
+def read_described(
+    path: str | os.PathLike[str],
+    *,
+    mapping: str | os.PathLike[str] | Mapping[str, Any] | bool | None = None,
+    columns: Mapping[str, str | Sequence[str] | None] | None = None,
+    units: Mapping[str, str | Sequence[str]] | None = None,
+    motors: MotorSide | Mapping[str, Any] | None = None,
+    joint_names: Sequence[str] | None = None,
+    topic: str | None = None,
+    rate_hz: float | None = None,
+    period: float | None = None,
+    start: float | None = None,
+    periods: int | None = None,
+    effort_scale: Any = None,
+) -> Reading:
+    """Read a log, and tell where its quantities were found; see `read_recording`."""
     file = Path(path)
+    suffix = _suffix(file)
+    beside = find_mapping(file) if mapping is None or mapping is True else None
+    said: dict[str, Any] = {}
+    if beside is not None:
+        said = read_mapping(beside)
+    elif mapping is True:
+        raise DataError(f"{file}: there is no mapping beside it.")
+    elif mapping is not None and mapping is not False:
+        said = read_mapping(mapping)
+        beside = None if isinstance(mapping, Mapping) else Path(mapping)
+    columns = {**said.get("columns", {}), **_known(columns or {}, CONVENTIONS, "columns")}
+    units = {**said.get("units", {}), **_known(units or {}, _UNITS, "units")}
+    columns, units = _known(columns, CONVENTIONS, "columns"), _known(units, _UNITS, "units")
+    motors = said.get("motors") if motors is None else motors
+    if isinstance(motors, Mapping):
+        motors = MotorSide.from_mapping(motors)
+    joint_names = _tuple(said.get("joint_names") if joint_names is None else joint_names)
+    topic = said.get("topic") if topic is None else topic
+    rate_hz = said.get("rate_hz") if rate_hz is None else rate_hz
+    given = {"period": period, "start": start, "periods": periods, "effort_scale": effort_scale}
+    given = {key: said.get(key) if value is None else value for key, value in given.items()}
+
+    described = partial(Reading, file=str(file), mapping=None if beside is None else str(beside))
+    plain = not columns and not units and joint_names is None and motors is None
+    if suffix == ".parquet" and plain and (recording := _own_recording(file)) is not None:
+        changed = {name: value for name, value in given.items() if value is not None}
+        recording = replace(recording, **changed) if changed else recording
+        return described(recording=recording, sources={"all": "as written by Recording.to_parquet"})
+    if suffix in _BAGS:
+        found: Table = LOADERS[suffix](file, topic=topic, joint_names=joint_names)
+    elif topic is not None:
+        raise DataError(f"{file}: topic is for ROS bags; this is a file {suffix}.")
+    else:
+        found = LOADERS[suffix](file)
+    return _assembled(file, found, columns, units, motors, joint_names, rate_hz, given, described)
+
+
+# Formats whose loaders choose among topics and joints.
+_BAGS = (".db3", ".mcap", ".bag")
+
+
+def _suffix(file: Path) -> str:
+    """Return what tells the format; the folder of a ROS 2 bag counts as a ``.db3``."""
+    if file.is_dir():
+        if (file / "metadata.yaml").is_file():
+            return ".db3"
+        raise DataError(f"{file}: is a folder without metadata.yaml, so it is no ROS 2 bag.")
     suffix = file.suffix.lower()
     if suffix not in LOADERS:
         raise DataError(
@@ -102,68 +211,92 @@ def read_recording(
         )
     if not file.is_file():
         raise DataError(f"{file}: there is no such file.")
-    columns = _known(columns or {}, _CONVENTIONS, "columns")
-    units = _known(units or {}, _UNITS, "units")
-    own_layout = suffix == ".parquet" and not columns and not units and joint_names is None
-    if own_layout and (recording := _own_recording(file)) is not None:
-        given = {"period": period, "start": start, "periods": periods}
-        given |= {"effort_scale": effort_scale}
-        changed = {name: value for name, value in given.items() if value is not None}
-        return _replaced(recording, changed) if changed else recording
+    return suffix
 
-    found = LOADERS[suffix](file)
-    names = joint_names if joint_names is not None else _names(found, columns)
-    tables: dict[str, NDArray[Any] | None] = {}
+
+def _assembled(
+    file: Path,
+    found: Table,
+    columns: Mapping[str, Any],
+    units: Mapping[str, Any],
+    motors: MotorSide | None,
+    wanted: tuple[str, ...] | None,
+    rate_hz: float | None,
+    given: dict[str, Any],
+    described: Any,
+) -> Reading:
+    """Turn the named arrays of a file into a recording."""
+    log = Columns(file, found, columns)
+    stored = log.names()
+    tables: dict[str, NDArray[Any]] = {}
     labels: dict[str, tuple[str, ...]] = {}
     for quantity in _TABLES:
-        table, label = _table(found, quantity, columns, names)
-        if table is None and quantity != "velocity":
-            raise DataError(_missing(file, quantity, found))
-        if table is not None:
-            tables[quantity] = _scaled(table, quantity, units)
+        table, label = log.table(quantity, stored if wanted is None else wanted)
+        if table is None:
+            if quantity == "velocity":
+                continue
+            raise log.missing(quantity)
+        tables[quantity] = _numbers(file, quantity, table)
         if label is not None:
             labels[quantity] = label
-    for quantity, label in labels.items():
-        if label != labels.get("position", label):
-            raise DataError(
-                f"{file}: the columns of {quantity} are of joints {', '.join(label)}, those of "
-                f"position of joints {', '.join(labels['position'])}; give columns=."
-            )
-    if names is None and not all(name.isdigit() for name in labels.get("position", ("1",))):
-        names = labels["position"]
-
-    def scalar(name: str, given: Any) -> Any:
-        if given is not None:
-            return given
-        value = _single(found, name, columns)
-        return None if value is None else value.item() if value.size == 1 else value
-
-    count = scalar("periods", periods)
-    scale = effort_scale
-    if scale is None and (raw := _single(found, "effort_scale", columns)) is not None:
+    _align(file, tables, labels)
+    own = labels.get("position")
+    if own is None or all(name.isdigit() for name in own):
+        # Numbers are no names; arrays, and numbered columns, follow the stored names.
+        own = stored
+    scale = given["effort_scale"]
+    if scale is None and (raw := log.single("effort_scale")) is not None:
         scale = np.atleast_1d(raw)
-        order, stored = labels.get("position"), _names(found, columns)
-        if order is not None and stored is not None and set(order) <= set(stored):
+        if own is not None and stored is not None and own != stored and set(own) <= set(stored):
             # Columns were picked by name: the factors follow them.
-            scale = scale[[stored.index(name) for name in order]]
-    if units.get("effort") == "A" and scale is None:
+            scale = scale[[stored.index(name) for name in own]]
+    units = {**log.implied, **units}
+    tables = {name: _scaled(file, table, name, units) for name, table in tables.items()}
+    if _is_current(units) and scale is None and (motors is None or motors.torque_constants is None):
         raise DataError(
             f"{file}: effort in A needs effort_scale: torque constant times gear ratio, for each "
-            "joint, in N.m/A."
+            "joint, in N.m/A; or torque constants of motors."
         )
-    position = tables["position"]
-    assert position is not None
-    return Recording(
-        time=_time(file, found, columns, units, position.shape[0]),
-        position=position,
-        effort=tables["effort"],  # type: ignore[arg-type]
+    if motors is not None:
+        if scale is not None and "effort" in motors.applies_to:
+            raise DataError(
+                f"{file}: effort_scale is of the joints' side, but motors says that efforts are of "
+                "the motors'; give torque_constants in motors instead."
+            )
+        tables = {name: motors.to_joints(name, table) for name, table in tables.items()}
+    names, order = _ordered(file, own, wanted, tables["position"].shape[1])
+    if order is not None:
+        tables = {name: _picked(file, name, table, order) for name, table in tables.items()}
+        if given["effort_scale"] is None and scale is not None and scale.size > max(order):
+            scale = scale[order]
+
+    def scalar(name: str) -> Any:
+        if given[name] is not None:
+            return given[name]
+        value = log.single(name)
+        return None if value is None else value.item() if value.size == 1 else value
+
+    count = scalar("periods")
+    recording = Recording(
+        time=_time(file, log, units, len(tables["position"]), rate_hz),
+        position=tables["position"],
+        effort=tables["effort"],
         velocity=tables.get("velocity"),
-        joint_names=None if names is None else tuple(names),
-        period=scalar("period", period),
-        start=scalar("start", start),
-        periods=None if count is None else int(count),
+        joint_names=names,
+        period=scalar("period"),
+        start=scalar("start"),
+        periods=_whole(count),
         effort_scale=scale,
     )
+    sources = {}
+    for quantity, used in log.used.items():
+        text = used[0] if len(used) == 1 else f"{used[0]} ... {used[-1]}"
+        unit = units.get(quantity)
+        text += "" if unit is None else f" in {unit if isinstance(unit, str) else '/'.join(unit)}"
+        if motors is not None and quantity in motors.applies_to:
+            text += ", motor side"
+        sources[quantity] = text
+    return described(recording=recording, sources=sources)  # type: ignore[no-any-return]
 
 
 def _own_recording(file: Path) -> Recording | None:
@@ -175,158 +308,135 @@ def _own_recording(file: Path) -> Recording | None:
     return None
 
 
-def _replaced(recording: Recording, changed: dict[str, Any]) -> Recording:
-    """Return the recording with some fields changed; arrays are shared."""
-    from dataclasses import replace
+def _tuple(names: Any) -> tuple[str, ...] | None:
+    """Return joint names as a tuple of texts."""
+    if names is None:
+        return None
+    if isinstance(names, str) or not all(isinstance(name, str) for name in names):
+        raise DataError(f"joint_names: is {names!r}, expected a sequence of names.")
+    return tuple(names)
 
-    return replace(recording, **changed)
+
+def _whole(count: Any) -> Any:
+    """Return a whole number of any numeric type as an int; `Recording` refuses the rest."""
+    if isinstance(count, float) and count.is_integer():
+        return int(count)
+    return count
 
 
-def _known(given: Mapping[str, Any], allowed: Mapping[str, Any], what: str) -> Mapping[str, Any]:
+def _known(given: Mapping[str, Any], allowed: Mapping[str, Any], what: str) -> dict[str, Any]:
     """Return a mapping whose keys are all allowed."""
     unknown = sorted(set(given) - set(allowed))
     if unknown:
         raise DataError(
             f"{what}: {', '.join(unknown)} is not a quantity; known are {', '.join(allowed)}."
         )
-    return given
+    return dict(given)
 
 
-def _missing(file: Path, quantity: str, found: Table) -> str:
-    """Say that a quantity was not found, and what was."""
-    return (
-        f"{file}: {quantity} is missing: none of {', '.join(_CONVENTIONS[quantity])} is there. "
-        f"Found: {', '.join(found) or 'nothing'}. Name it with columns={{'{quantity}': ...}}."
-    )
-
-
-def _keys(found: Table, quantity: str, columns: Mapping[str, Any]) -> list[str]:
-    """Return the names to look for: the one given, or the usual ones, as the file spells them."""
-    if quantity in columns:
-        key = columns[quantity]
-        return [] if key is None else [key] if isinstance(key, str) else list(key)
-    spelled = {name.lower(): name for name in reversed(list(found))}
-    return [spelled.get(name, name) for name in _CONVENTIONS[quantity]]
-
-
-def _single(found: Table, quantity: str, columns: Mapping[str, Any]) -> NDArray[Any] | None:
-    """Read the array of a quantity that is a single array, if there is one."""
-    for key in _keys(found, quantity, columns):
-        if key in found:
-            return found[key]()
-    if columns.get(quantity) is not None:
+def _numbers(file: Path, quantity: str, table: NDArray[Any]) -> NDArray[Any]:
+    """Check that a table has two axes and holds numbers."""
+    if table.dtype.kind not in "fiub":
+        raise DataError(f"{file}: {quantity}: holds {table.dtype}, expected numbers.")
+    if table.ndim != 2:
         raise DataError(
-            f"columns: '{columns[quantity]}' for {quantity} is not there; found: "
-            f"{', '.join(found)}."
+            f"{file}: {quantity}: has the shape {table.shape}, expected samples × joints."
         )
-    return None
-
-
-def _names(found: Table, columns: Mapping[str, Any]) -> tuple[str, ...] | None:
-    """Read the joint names of a file, if it has any."""
-    names = _single(found, "joint_names", columns)
-    if names is None:
-        return None
-    if names.dtype.kind not in "US":
-        raise DataError(f"joint_names: holds {names.dtype}, expected text.")
-    return tuple(str(name) for name in np.atleast_1d(names.astype(np.str_)))
-
-
-def _table(
-    found: Table, quantity: str, columns: Mapping[str, Any], names: Sequence[str] | None
-) -> tuple[NDArray[Any] | None, tuple[str, ...] | None]:
-    """Read samples × joints, and the joints' labels where columns carry them."""
-    given = columns.get(quantity)
-    if given is not None and not isinstance(given, str):
-        absent = [key for key in given if key not in found]
-        if absent:
-            raise DataError(
-                f"columns: {', '.join(absent)} for {quantity} is not there; found: "
-                f"{', '.join(found)}."
-            )
-        return _stacked(found, list(given)), None
-    for key in _keys(found, quantity, columns):
-        if key in found:
-            table = found[key]()
-            return (table[:, None] if table.ndim == 1 else table), None
-        group = _group(found, key, names)
-        if group:
-            return _stacked(found, list(group.values())), tuple(group)
-    if given is not None:
-        raise DataError(
-            f"columns: '{given}' for {quantity} is not there, nor are columns '{given}_<joint>'; "
-            f"found: {', '.join(found)}."
-        )
-    return None, None
-
-
-def _group(found: Table, key: str, names: Sequence[str] | None) -> dict[str, str]:
-    """Return label -> column for the columns that are named `key` and a joint or a number.
-
-    Numbers win over words, so that ``q_1`` is not mixed with ``q_target_1``.
-    """
-    pattern = re.compile(re.escape(key) + r"(?:[_./]?\[?(\d+)\]?|[_./](.+))", re.IGNORECASE)
-    numbered: dict[int, str] = {}
-    labelled: dict[str, str] = {}
-    for name in found:
-        match = pattern.fullmatch(name)
-        if match is not None and match[1] is not None:
-            numbered[int(match[1])] = name
-        if match is not None and match[2] is not None:
-            labelled[match[2]] = name
-        elif match is not None:
-            labelled[match[1]] = name
-    if names is not None and all(name in labelled for name in names):
-        return {name: labelled[name] for name in names}
-    if numbered:
-        return {str(number): numbered[number] for number in sorted(numbered)}
-    return labelled
-
-
-def _stacked(found: Table, keys: list[str]) -> NDArray[Any]:
-    """Read single columns into one array, one after the other."""
-    table: NDArray[Any] | None = None
-    for j, key in enumerate(keys):
-        column = found[key]()
-        if column.ndim != 1 or (table is not None and column.shape != table.shape[:1]):
-            raise DataError(f"columns: '{key}' has shape {column.shape}, expected one column.")
-        if column.dtype.kind not in "fiub":
-            raise DataError(f"columns: '{key}' holds {column.dtype}, expected numbers.")
-        if table is None:
-            table = np.empty((column.size, len(keys)))
-        table[:, j] = column
-    assert table is not None
     return table
 
 
-def _scaled(values: NDArray[Any], quantity: str, units: Mapping[str, str]) -> NDArray[Any]:
+def _align(file: Path, tables: dict[str, NDArray[Any]], labels: dict[str, tuple[str, ...]]) -> None:
+    """Bring columns that carry labels into the order of the positions'."""
+    own = labels.get("position")
+    for quantity, label in labels.items():
+        if own is None or label == own:
+            continue
+        if set(label) != set(own):
+            raise DataError(
+                f"{file}: the columns of {quantity} are of joints {', '.join(label)}, those of "
+                f"position of joints {', '.join(own)}; give columns=."
+            )
+        tables[quantity] = tables[quantity][:, [label.index(name) for name in own]]
+
+
+def _ordered(
+    file: Path, own: tuple[str, ...] | None, wanted: tuple[str, ...] | None, n: int
+) -> tuple[tuple[str, ...] | None, list[int] | None]:
+    """Return the joints' names, and which columns to take where some are picked by name."""
+    if wanted is None or own is None or wanted == own:
+        return (own if wanted is None else wanted), None
+    common = set(own) & set(wanted)
+    if not common and len(wanted) == n:
+        return wanted, None
+    if common != set(wanted) or len(own) != n:
+        raise DataError(
+            f"{file}: joint_names are {', '.join(wanted)}, the file has {', '.join(own)} for "
+            f"{n} columns; give names that are all in the file, or a new one for each column."
+        )
+    return wanted, [own.index(name) for name in wanted]
+
+
+def _picked(file: Path, name: str, table: NDArray[Any], order: list[int]) -> NDArray[Any]:
+    """Return some columns of a table."""
+    if table.shape[1] <= max(order):
+        raise DataError(
+            f"{file}: {name} has {table.shape[1]} columns, too few for column {max(order) + 1}."
+        )
+    return table[:, order]
+
+
+def _is_current(units: Mapping[str, Any]) -> bool:
+    """Tell whether efforts are logged as currents."""
+    unit = units.get("effort")
+    return any(one in _CURRENTS for one in ([unit] if isinstance(unit, str) else unit or ()))
+
+
+def _scaled(
+    file: Path, values: NDArray[Any], quantity: str, units: Mapping[str, Any]
+) -> NDArray[Any]:
     """Convert to SI."""
     unit = units.get(quantity)
     if unit is None:
         return values
-    factors = _UNITS[quantity]
-    if unit not in factors:
-        raise DataError(
-            f"units: '{unit}' is not known for {quantity}; known are {', '.join(factors)}."
-        )
+    each = [unit] if isinstance(unit, str) else list(unit)
+    for one in each:
+        if one not in _UNITS[quantity]:
+            raise DataError(
+                f"units: '{one}' is not known for {quantity}; known are "
+                f"{', '.join(_UNITS[quantity])}."
+            )
     if values.dtype.kind not in "fiu":
-        raise DataError(f"{quantity}: holds {values.dtype}, expected numbers.")
-    return values if factors[unit] == 1.0 else values * factors[unit]
+        raise DataError(f"{file}: {quantity}: holds {values.dtype}, expected numbers.")
+    factors = np.array([_UNITS[quantity][one] for one in each])
+    if isinstance(unit, str):
+        return values if factors[0] == 1.0 else np.asarray(values * factors[0])
+    if values.ndim != 2 or len(each) != values.shape[1]:
+        raise DataError(
+            f"units: {len(each)} units for {quantity}, which has the shape {values.shape}."
+        )
+    return np.asarray(values * factors)
 
 
 def _time(
-    file: Path, found: Table, columns: Mapping[str, Any], units: Mapping[str, str], count: int
+    file: Path, log: Columns, units: Mapping[str, Any], count: int, rate_hz: float | None
 ) -> NDArray[Any]:
     """Read the time stamps, or make them from the sample rate."""
-    time = _single(found, "time", columns)
+    time = log.single("time")
     if time is not None:
         if time.ndim == 2 and 1 in time.shape:
             time = time.ravel()
-        return _scaled(time, "time", units)
-    rate = _single(found, "rate", columns)
+        if time.dtype.kind in "Mm":
+            # Relative, since seconds since 1970 in a double resolve no microsecond.
+            time = (time - time[:1]) / np.timedelta64(1, "ns") * 1e-9
+        elif time.dtype.kind in "iu" and time.ndim == 1 and time.size and time[0] > _LONG_COUNT:
+            time = time.astype(np.int64) - np.int64(time[0])
+        return _scaled(file, np.asarray(time), "time", {**log.implied, **units})
+    rate: Any = rate_hz if rate_hz is not None else log.single("rate")
     if rate is None:
-        raise DataError(_missing(file, "time", found))
+        raise log.missing("time")
+    rate = np.asarray(rate)
     if rate.size != 1 or rate.dtype.kind not in "fiu" or not 0.0 < rate.item() < np.inf:
         raise DataError(f"{file}: the sample rate is {rate!r}, expected one positive number.")
+    log.used["time"] = (f"sample rate, {rate.item():g} Hz",)
     stamps: NDArray[Any] = np.arange(count) / float(rate.item())
     return stamps

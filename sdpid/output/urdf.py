@@ -12,32 +12,24 @@ from sdpid._arrays import Array
 from sdpid._files import atomic_write_text
 from sdpid.errors import ExportError, ModelError
 from sdpid.estimation.estimate import Estimate
-from sdpid.output.urdf_tree import FixedChild, UrdfTree, inertial_values
+from sdpid.output.urdf_tree import UrdfTree, inertial_values
+from sdpid.output.written_bodies import (
+    joint_numbers,
+    lifted,
+    require_consistent,
+    rest_of,
+    standard_parameters,
+)
 from sdpid.output.xml_spans import Document, Element
 from sdpid.robot.base import generic_states
 from sdpid.robot.friction import Coulomb, FrictionModel, Viscous
-from sdpid.robot.inertia import (
-    Consistency,
-    margin,
-    physical_parameters,
-    theta_from_physical,
-    transform,
-)
+from sdpid.robot.inertia import margin
 from sdpid.robot.load import Root, load_robot
 from sdpid.robot.model import RobotModel
 
-# Rounding in the inertia about the centre of mass, as a fraction of the size of the inertia that
-# it is the difference of. A margin negative by no more than this is not negative.
-_ROUNDING = 1e-14
-# Readers reject a body that rounding has put on the edge (MuJoCo: principal moments below 1e-14
-# kg·m², or a triangle inequality missed by one bit). Written bodies are at least this far inside,
-# kg·m²; it changes efforts by some 1e-13 N·m.
-_INSIDE = 1e-13
 # The written file is read back; its efforts may differ by this fraction of the largest one.
 _READ_BACK = 1e-10
 _STATES, _SEED = 8, 20240229
-# Friction negative by no more than this (N·m, N·m·s/rad) is zero with a solver's rounding.
-_FRICTION_ZERO = 1e-9
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -60,6 +52,10 @@ class ExportReport:
     triangle_violations : tuple of str
         Moving links whose principal moments violate the triangle inequality. Readers that ask for
         it (MuJoCo) reject them; estimates under ``consistency="pseudo_inertia"`` have none.
+    kind : str
+        What was written.
+    notes : tuple of str
+        What else there is to say.
     """
 
     path: Path
@@ -68,6 +64,8 @@ class ExportReport:
     lumped: tuple[str, ...] = ()
     left_out: tuple[str, ...] = ()
     triangle_violations: tuple[str, ...] = ()
+    kind: str = "a URDF"
+    notes: tuple[str, ...] = ()
 
     def describe(self) -> str:
         """Return the report in words, one statement a line."""
@@ -80,13 +78,13 @@ class ExportReport:
                 + ", ".join(self.lumped)
             )
         if self.left_out:
-            lines.append("no place in a URDF: " + ", ".join(self.left_out))
+            lines.append(f"no place in {self.kind}: " + ", ".join(self.left_out))
         if self.triangle_violations:
             lines.append(
                 "triangle inequality violated (MuJoCo will not load it): "
                 + ", ".join(self.triangle_violations)
             )
-        return "\n".join(lines)
+        return "\n".join([*lines, *self.notes])
 
 
 def write_urdf(
@@ -129,15 +127,12 @@ def write_urdf(
     """
     problem = estimate.problem
     robot = problem.robot
-    if estimate.theta is None:
-        raise ExportError(
-            f"URDF of '{robot.name}': the estimate by {estimate.method} has base parameters only, "
-            "which no URDF can hold; use solve_sdp or another solver that returns theta."
-        )
-    text = _source_text(robot, source)
-    bodies = problem.feasible.bodies(estimate.theta)
+    what = f"URDF of '{robot.name}'"
+    theta = standard_parameters(estimate, what, "URDF")
+    text = source_text(robot, source, what)
+    bodies = problem.feasible.bodies(theta)
     consistency = problem.consistency
-    _require_consistent(robot, bodies, consistency)
+    require_consistent(robot, bodies, consistency, what)
     tree = UrdfTree(text)
     links = tree.moving_links(robot)
     document = tree.document
@@ -146,7 +141,7 @@ def write_urdf(
     flat: list[str] = []
     for link, body in zip(links, bodies, strict=True):
         children = [c for c in tree.fixed_children(link) if c.body is not None and np.any(c.body)]
-        rest = _rest(body, children, consistency)
+        rest = rest_of(body, children, consistency)
         if rest is not None:
             body = rest
         else:
@@ -154,12 +149,12 @@ def write_urdf(
             for child in children:
                 _write_inertial(document, tree.links[child.name], np.zeros(10))
                 changed.append(child.name)
-        body = _lifted(body, consistency)
+        body = lifted(body, consistency)
         if not margin(body, "pseudo_inertia") >= 0.0:
             flat.append(link)
         _write_inertial(document, tree.links[link], body)
         changed.append(link)
-    joints, left_out = _write_friction(tree, robot, problem.friction, estimate.theta)
+    joints, left_out = _write_friction(tree, robot, problem.friction, theta)
     result = document.text()
     _read_back(robot, bodies, result)
     atomic_write_text(target, result)
@@ -173,12 +168,18 @@ def write_urdf(
     )
 
 
-def _source_text(robot: RobotModel, source: str | os.PathLike[str] | None) -> str:
+def source_text(robot: RobotModel, source: str | os.PathLike[str] | None, what: str) -> str:
+    """Return the text that is to be changed: of a file, itself, or the robot's own.
+
+    Raises
+    ------
+    ExportError
+        When there is none, or it cannot be read.
+    """
     if source is None:
         if robot.urdf is None:
             raise ExportError(
-                f"URDF of '{robot.name}': the robot was not loaded from a URDF; give the file to "
-                "change as source."
+                f"{what}: the robot was not loaded from a URDF; give the file to change as source."
             )
         return robot.urdf
     if isinstance(source, str) and source.lstrip().startswith("<"):
@@ -187,57 +188,7 @@ def _source_text(robot: RobotModel, source: str | os.PathLike[str] | None) -> st
         # Bytes, because reading text would change line endings.
         return Path(source).read_bytes().decode("utf-8-sig")
     except (OSError, UnicodeDecodeError) as cause:
-        raise ExportError(f"URDF of '{robot.name}': cannot read the source ({cause}).") from None
-
-
-def _rounding(bodies: Array) -> Array:
-    """Return the rounding error of the inertia about the centre of mass, in kg·m²."""
-    return np.asarray(_ROUNDING * np.abs(bodies[..., 4:]).max(axis=-1))
-
-
-def _require_consistent(robot: RobotModel, bodies: Array, consistency: Consistency) -> None:
-    margins = margin(bodies, consistency)
-    for name, body, value, error in zip(
-        robot.link_names, bodies, margins, _rounding(bodies), strict=True
-    ):
-        if not body[0] > 0.0:
-            raise ExportError(
-                f"URDF of '{robot.name}': link '{name}' has a mass of {body[0]:.6g} kg, it must "
-                "be positive; solve with a consistency."
-            )
-        if value < -error:
-            raise ExportError(
-                f"URDF of '{robot.name}': link '{name}' is not consistent, its margin is "
-                f"{value:.3g} kg·m² and the least is 0; solve with a consistency, or with a "
-                "positive Constraints.margin if the solver stopped just outside."
-            )
-
-
-def _rest(body: Array, children: list[FixedChild], consistency: Consistency) -> Array | None:
-    """Return what the moving link has of a body when its children keep theirs, None if nothing.
-
-    It does not work either when a child's own inertial is none that a body can have.
-    """
-    if not children:
-        return body
-    own = np.array([child.body for child in children])
-    if not np.all(margin(own, consistency) >= -_rounding(own)):
-        return None
-    inside = [transform(c.body, c.rotation, c.translation) for c in children if c.body is not None]
-    rest = body - np.sum(inside, axis=0)
-    enough = rest[0] > 0.0 and margin(rest, consistency) >= _INSIDE + _rounding(rest)
-    return rest if enough else None
-
-
-def _lifted(body: Array, consistency: Consistency) -> Array:
-    """Return the body, moved off the edge of the consistent set if rounding has put it there."""
-    short = float(_INSIDE + _rounding(body) - margin(body, consistency))
-    if short <= 0.0:
-        return body
-    mass, com, inertia = physical_parameters(body)
-    # A second moment of t in all directions is an inertia of 2·t.
-    lift = 2.0 * short if consistency == "pseudo_inertia" else short
-    return theta_from_physical(mass, com, inertia + lift * np.eye(3))
+        raise ExportError(f"{what}: cannot read the source ({cause}).") from None
 
 
 def _write_inertial(document: Document, link: Element, body: Array) -> None:
@@ -262,25 +213,12 @@ def _write_friction(
     tree: UrdfTree, robot: RobotModel, friction: FrictionModel, theta: Array
 ) -> tuple[tuple[str, ...], tuple[str, ...]]:
     """Write damping and friction; return the joints changed and the parameters left out."""
-    at = 10 * robot.n_links
-    left_out: list[str] = []
-    written: dict[str, dict[str, float]] = {}
-    for term in friction.terms:
-        parameters = term.parameters(friction.joint_names)
-        values = theta[at : at + len(parameters)]
-        at += len(parameters)
-        attribute = {Coulomb: "friction", Viscous: "damping"}.get(type(term))
-        if attribute is None:
-            left_out += [p.name for p in parameters]
-            continue
-        for name, parameter, value in zip(friction.joint_names, parameters, values, strict=True):
-            if value < -_FRICTION_ZERO:
-                raise ExportError(
-                    f"URDF of '{robot.name}': {parameter.name} of joint '{name}' is {value:.3g} "
-                    f"{parameter.unit}, the least is 0; solve with "
-                    "Constraints(friction_nonnegative=True)."
-                )
-            written.setdefault(name, {})[attribute] = max(float(value), 0.0)
+    written, left_out = joint_numbers(
+        friction,
+        theta[10 * robot.n_links :],
+        {Coulomb: "friction", Viscous: "damping"},
+        f"URDF of '{robot.name}'",
+    )
     for joint, source in tree.mimics.items():
         # What was identified at the source joint holds the friction of its followers.
         if source in written and tree.joints[joint].find("dynamics") is not None:
@@ -293,7 +231,7 @@ def _write_friction(
         else:
             line = "<dynamics " + " ".join(f'{k}="{v}"' for k, v in attributes.items()) + "/>"
             tree.document.insert_child(tree.joints[name], line, last=True)
-    return tuple(written), tuple(left_out)
+    return tuple(written), left_out
 
 
 def _read_back(robot: RobotModel, bodies: Array, text: str) -> None:

@@ -1,0 +1,63 @@
+"""The command ``sdpid payload``: what is mounted on the last link."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from sdpid import _cli_support as cli
+
+
+def payload(
+    log: cli.Log,
+    robot: cli.Robot,
+    without: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="LOG",
+            help="Recording without the payload; without one the URDF's inertias are believed.",
+        ),
+    ] = None,
+    frame: Annotated[
+        str | None,
+        typer.Option(help="Frame of the result, fixed to the link, such as tool0."),
+    ] = None,
+    link: Annotated[
+        str | None, typer.Option(help="Link that carries it; by default the last one.")
+    ] = None,
+    strength: Annotated[
+        float | None,
+        typer.Option(
+            metavar="NATS",
+            help="How firmly the URDF's inertias are believed; without a recording without "
+            "payload they count as exact by default.",
+        ),
+    ] = None,
+    level: Annotated[float, typer.Option(help="Probability of the intervals.")] = 0.95,
+    column: cli.Column = None,
+    unit: cli.Unit = None,
+    joint_names: cli.JointNames = None,
+    effort_scale: cli.EffortScale = None,
+    as_json: cli.Json = False,
+) -> None:
+    """Identify what is mounted on the last link: mass, centre of mass and inertia."""
+    how = cli.reading(column, unit, joint_names, effort_scale)
+    from sdpid.assurance.payload import identify_payload
+    from sdpid.estimation.prior import Prior
+    from sdpid.experiment.readers import read_recording
+
+    found = identify_payload(
+        read_recording(log, **how),
+        None if without is None else read_recording(without, **how),
+        robot=robot,
+        frame=frame,
+        link=link,
+        prior=None if strength is None else Prior(strength=strength),
+        level=level,
+    )
+    if as_json:
+        cli.print_json(found.to_dict())
+    else:
+        typer.echo(found.describe())

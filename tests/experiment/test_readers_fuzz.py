@@ -1,0 +1,161 @@
+"""Damaged logs of every format: read, or refused with an error of ours, nothing else.
+
+Longer runs: ``SDPID_FUZZ=5000 pytest tests/experiment/test_readers_fuzz.py``.
+"""
+
+from __future__ import annotations
+
+import os
+import shutil
+import warnings
+from pathlib import Path
+
+import h5py
+import numpy as np
+import pandas as pd
+import pytest
+from scipy.io import savemat
+
+from sdpid.errors import SdpidError
+from sdpid.experiment.readers import read_recording
+from sdpid.experiment.recording import Recording
+from tests.helpers.bags import write_bag
+
+# Damaged files of each kind.
+COUNT = int(os.environ.get("SDPID_FUZZ", "40"))
+N = 30
+RNG = np.random.default_rng(11)
+T = 0.25 * np.arange(N)
+Q, TAU, DQ = (RNG.standard_normal((N, 2)) for _ in range(3))
+TOML = b"""joint_names = ["a", "b"]
+period = 2.5
+start = 0.0
+periods = 3
+[columns]
+velocity = "none"
+position = "q"
+[units]
+position = "deg"
+effort = ["A", "mA"]
+[motors]
+position_matrix = [[32, 0], [1.5, -48]]
+offsets = [0.0, 1.0]
+torque_constants = [0.1, 0.2]
+"""
+
+
+def write_csv(folder: Path) -> Path:
+    frame = pd.DataFrame({"t": T, "q1": Q[:, 0], "q2": Q[:, 1], "tau1": TAU[:, 0]})
+    frame.assign(tau2=TAU[:, 1]).to_csv(folder / "log.csv", index=False)
+    return folder / "log.csv"
+
+
+def write_toml(folder: Path) -> Path:
+    np.savez(folder / "log.npz", t=T, q=Q, tau=TAU)
+    (folder / "log.toml").write_bytes(TOML)
+    return folder / "log.toml"
+
+
+def write_npz(folder: Path, packed: bool = True) -> Path:
+    save = np.savez_compressed if packed else np.savez
+    save(folder / "log.npz", t=T, q=Q, tau=TAU, joint_names=["a", "b"], period=2.5)
+    return folder / "log.npz"
+
+
+def write_mat(folder: Path, version: str) -> Path:
+    content = {"t": T, "tau": TAU, "joint_names": np.array(["up", "down"], dtype=object)}
+    file = folder / "log.mat"
+    if version == "4":
+        savemat(file, {"t": T, "q": Q, "tau": TAU}, format="4")
+    else:
+        inside = {"log": {"q": Q, "dq": DQ}}
+        savemat(file, content | inside, do_compression=version == "7")
+    return file
+
+
+def write_h5(folder: Path) -> Path:
+    with h5py.File(folder / "log.h5", "w") as out:
+        out.create_dataset("arm/q", data=Q, compression="gzip", chunks=(8, 2))
+        out["arm/tau"], out["t"] = TAU, T
+        out["arm"].attrs["joint_names"] = ["a", "b"]
+    return folder / "log.h5"
+
+
+def write_table(folder: Path, own: bool) -> Path:
+    file = folder / "log.parquet"
+    if own:
+        Recording(time=T, position=Q, effort=TAU, velocity=DQ, joint_names=("a", "b")).to_parquet(
+            file
+        )
+    else:
+        pd.DataFrame({"t": T, "q": Q.tolist(), "tau": TAU.tolist()}).to_parquet(file)
+    return file
+
+
+WRITERS = {
+    "csv": write_csv,
+    "toml": write_toml,
+    "npz": write_npz,
+    "npz plain": lambda folder: write_npz(folder, packed=False),
+    "mat 4": lambda folder: write_mat(folder, "4"),
+    "mat 5": lambda folder: write_mat(folder, "5"),
+    "mat 7": lambda folder: write_mat(folder, "7"),
+    "hdf5": write_h5,
+    "parquet": lambda folder: write_table(folder, own=False),
+    "own parquet": lambda folder: write_table(folder, own=True),
+    "db3": lambda folder: write_bag(folder / "bag", "db3", T, Q, DQ, TAU),
+    "mcap": lambda folder: write_bag(folder / "bag", "mcap", T, Q, DQ, TAU),
+    "ros1": lambda folder: write_bag(folder / "bag", "ros1", T, Q, DQ, TAU),
+}
+
+
+def damaged(content: bytes, rng: np.random.Generator, text: bool) -> bytes:
+    """Flip bytes, set counts to extremes, cut, drop or double a piece."""
+    broken = bytearray(content)
+    how = rng.integers(0, 6)
+    # Headers are small, so half of the damage is done to the beginning or the end.
+    reach = len(content) if rng.random() < 0.5 else min(len(content), 400)
+    place = int(rng.integers(0, reach))
+    if rng.random() < 0.3:
+        place = len(content) - 1 - place
+    length = int(rng.integers(1, 1 + min(64, len(content) - place)))
+    if how == 0:
+        for one in rng.integers(0, reach, rng.integers(1, 5)):
+            broken[one] ^= 1 << int(rng.integers(0, 7 if text else 8))
+    elif how == 1:
+        del broken[place:]
+    elif how == 2:
+        del broken[place : place + length]
+    elif how == 3:
+        broken[place:place] = broken[place : place + length] * int(rng.integers(1, 4))
+    elif how == 4:
+        words = [b"nan", b"-1", b"1e308", b'"', b"\n", b",", b"[", b"=", b"\x00"]
+        extremes = [b"\xff" * 4, b"\xff" * 8, b"\x00\xe1\xf5\x05", b"\x00" * 8, b"\xff\xff\xff\x7f"]
+        choice = words if text else extremes
+        word = choice[int(rng.integers(0, len(choice)))]
+        broken[place : place + len(word)] = word
+    else:
+        broken[place : place + length] = rng.bytes(length)
+    return bytes(broken)
+
+
+@pytest.mark.parametrize("kind", WRITERS)
+def test_damaged_logs_are_read_or_refused(tmp_path: Path, kind: str):
+    file = WRITERS[kind](tmp_path)
+    log = tmp_path / "log.npz" if kind == "toml" else file
+    content = file.read_bytes()
+    rng = np.random.default_rng([COUNT, *kind.encode()])
+    with warnings.catch_warnings():
+        # Libraries may warn of what they find in a damaged file; that is not ours.
+        warnings.simplefilter("ignore")
+        assert read_recording(log).n == 2
+        refused = 0
+        for _ in range(COUNT):
+            file.write_bytes(damaged(content, rng, kind in ("csv", "toml")))
+            try:
+                read_recording(log)
+            except SdpidError:
+                refused += 1
+    assert 0 < refused <= COUNT
+    shutil.rmtree(tmp_path)
+    print(f"{kind}: {refused} of {COUNT} damaged files refused, the others read")

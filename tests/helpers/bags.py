@@ -1,0 +1,62 @@
+"""ROS bags written by `rosbags`, with joint states."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+JOINTS = ("up", "down")
+_START = 1_700_000_000 * 10**9
+
+
+def write_bag(
+    folder: Path,
+    kind: str,
+    time: np.ndarray,
+    position: np.ndarray,
+    velocity: np.ndarray,
+    effort: np.ndarray,
+    *,
+    gripper: bool = False,
+    ragged: int | None = None,
+) -> Path:
+    """Write a bag of kind db3, mcap, folder or ros1; it was recorded at half the speed."""
+    from rosbags.rosbag1 import Writer as Writer1
+    from rosbags.rosbag2 import StoragePlugin
+    from rosbags.rosbag2 import Writer as Writer2
+    from rosbags.typesys import Stores, get_typestore
+
+    one = kind == "ros1"
+    store = get_typestore(Stores.ROS1_NOETIC if one else Stores.ROS2_HUMBLE)
+    state: Any = store.types["sensor_msgs/msg/JointState"]
+    header: Any = store.types["std_msgs/msg/Header"]
+    stamp: Any = store.types["builtin_interfaces/msg/Time"]
+    pack = store.serialize_ros1 if one else store.serialize_cdr
+    plugin = StoragePlugin.MCAP if kind == "mcap" else StoragePlugin.SQLITE3
+    file = folder.with_suffix(".bag") if one else folder
+    writer: Any = Writer1(file) if one else Writer2(file, version=9, storage_plugin=plugin)
+    with writer as out:
+        where = out.add_connection("/joint_states", state.__msgtype__, typestore=store)
+
+        def write(k: int, names: tuple[str, ...], *rows: np.ndarray) -> None:
+            when = _START + round(time[k] * 1e9)
+            extra = {"seq": k} if one else {}
+            head = header(stamp=stamp(when // 10**9, when % 10**9), frame_id="", **extra)
+            message = state(head, list(names), *rows)
+            recorded = _START + round(2.0 * time[k] * 1e9)
+            out.write(where, recorded, pack(message, state.__msgtype__))
+
+        for k in range(len(time)):
+            # Drivers may name the joints in any order.
+            turn = slice(None, None, -1 if k % 3 == 2 else 1)
+            rows = [np.ascontiguousarray(a[k, turn]) for a in (position, velocity, effort)]
+            if k == ragged:
+                rows[2] = np.empty(0)
+            write(k, JOINTS[turn], *rows)
+            if gripper:
+                write(k, ("finger",), *(np.zeros(1),) * 3)
+    if kind in ("folder", "ros1"):
+        return file
+    return next(folder.glob(f"*.{kind}"))
