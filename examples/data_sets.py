@@ -26,7 +26,7 @@ from typing import Literal
 import sdpid
 from sdpid._files import atomic_write_text
 from sdpid.estimation.prior import PriorKind
-from sdpid.experiment.preparation import prepare
+from sdpid.experiment.preparation import default_processing, prepare
 from sdpid.output.tables import Table
 from sdpid.robot.inertia import Consistency
 from sdpid.workflow import formulate
@@ -235,7 +235,9 @@ def rows(
     robot = sdpid.load_robot(folder / data.urdf)
     warm = False
     for trained, log, other in cases(folder, data):
-        fresh = None if other is None else prepare(robot, other)
+        # As the training data are: nothing is chosen by what is predicted.
+        alike = default_processing(log)
+        fresh = None if other is None else prepare(robot, other, alike)
         for terms in models:
             for consistency in kinds:
                 for belief, prior in priors.items():

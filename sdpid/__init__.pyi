@@ -5,6 +5,7 @@ from .assurance.intervals import Intervals, intervals
 from .assurance.payload import Payload, identify_payload
 from .assurance.price import price_of_consistency
 from .assurance.validation import Validation, validate
+from .assurance.verdict import verdict
 from .assurance.worst_mass_matrix import worst_mass_matrix
 from .errors import (
     CertificateError,
@@ -53,6 +54,7 @@ from .experiment.samples import Samples
 from .output.comparison import Comparison, compare
 from .output.mjcf import write_mjcf
 from .output.parameters_file import read_parameters, write_parameters
+from .output.report import write_report
 from .output.urdf import write_urdf
 from .robot.base import BaseParameters
 from .robot.friction import (
@@ -158,9 +160,11 @@ __all__ = [
     "solve_slsqp",
     "solve_wls",
     "validate",
+    "verdict",
     "verify",
     "worst_mass_matrix",
     "write_mjcf",
     "write_parameters",
+    "write_report",
     "write_urdf",
 ]

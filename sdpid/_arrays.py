@@ -58,7 +58,7 @@ def real_array(values: Any, name: str, *, ndim: int, error: type[Exception] = Da
         if array.dtype.kind == "c":
             raise TypeError("complex values")
         array = array.astype(np.float64, copy=False)
-    except (TypeError, ValueError) as cause:
+    except (TypeError, ValueError, OverflowError) as cause:
         message = f"{name}: not a rectangular array of real numbers ({cause}); give numbers only."
         raise error(message) from None
     if array.ndim != ndim:

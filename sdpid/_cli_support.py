@@ -5,6 +5,7 @@ from __future__ import annotations
 import errno
 import json
 import shlex
+import signal
 import traceback
 from collections.abc import Iterable, Sequence
 from enum import Enum
@@ -25,9 +26,19 @@ from sdpid.errors import (
 
 # Exit statuses.
 OURS, BAD_INPUT, NO_ANSWER, INTERRUPTED = 1, 2, 3, 130
+# Characters of a message; more do not help.
+_LONGEST = 4000
+# Of a program that a signal ended, by the shells' convention.
+_SIGNALLED = 128
 
 # Arguments of the library that messages name, as options.
-_OPTIONS = {"columns": "--column QUANTITY=NAME", "units": "--unit QUANTITY=UNIT"}
+_OPTIONS = {
+    "columns": "--column QUANTITY=NAME",
+    "units": "--unit QUANTITY=UNIT",
+    "joint_names": "--joint-names A,B,...",
+    "mapping": "--mapping FILE (none: ignore the one beside the log)",
+    "topic": "--topic NAME",
+}
 
 
 class Consistency(str, Enum):
@@ -88,6 +99,21 @@ JointNames = Annotated[
     str | None,
     typer.Option(
         metavar="A,B,...", help="Names of the joints (columns).", rich_help_panel=_READING
+    ),
+]
+Mapping = Annotated[
+    str | None,
+    typer.Option(
+        metavar="FILE",
+        help="TOML file with names, units, motors, ...; by default the one beside the log, "
+        "run.toml for run.csv, and with none not even that. Other options win over it.",
+        rich_help_panel=_READING,
+    ),
+]
+Topic = Annotated[
+    str | None,
+    typer.Option(
+        metavar="NAME", help="Topic of a ROS bag that has several.", rich_help_panel=_READING
     ),
 ]
 EffortScale = Annotated[
@@ -192,8 +218,28 @@ class Commands(TyperGroup):
                 raise
             if ctx.params.get("debug"):
                 traceback.print_exception(error)
-            typer.echo(f"sdpid: {message(error)}", err=True)
+            typer.echo(f"sdpid: {_one_line(message(error))}", err=True)
             raise typer.Exit(exit_status(error)) from None
+
+
+def _one_line(text: str) -> str:
+    """Return a message without what damaged files bring into it: ends of lines, escapes, reams."""
+    shown = "".join(c if c.isprintable() or c.isspace() else "\ufffd" for c in text)
+    shown = " ".join(shown.split())
+    return shown if len(shown) <= _LONGEST else f"{shown[:_LONGEST]} ..."
+
+
+def clean_up_when_ended() -> None:
+    """Let signals that end a program leave as Ctrl-C does, so that unfinished files are removed."""
+
+    def leave(number: int, _: object) -> None:
+        raise SystemExit(_SIGNALLED + number)
+
+    for name in ("SIGTERM", "SIGHUP"):
+        # What the caller had ignored (nohup) stays so; Windows has no SIGHUP.
+        number = getattr(signal, name, None)
+        if number is not None and signal.getsignal(number) is signal.SIG_DFL:
+            signal.signal(number, leave)
 
 
 def command_line(ctx: typer.Context) -> str:
@@ -251,6 +297,8 @@ def reading(
     unit: Sequence[str] | None,
     joint_names: str | None,
     effort_scale: str | None,
+    mapping: str | None = None,
+    topic: str | None = None,
 ) -> dict[str, Any]:
     """Return the arguments of `read_recording` that hold for every log of a command."""
     columns: dict[str, Any] = {}
@@ -263,6 +311,8 @@ def reading(
         "units": pairs(unit, "--unit") or None,
         "joint_names": None if joint_names is None else split_list(joint_names),
         "effort_scale": None if effort_scale is None else numbers(effort_scale, "--effort-scale"),
+        "mapping": False if mapping == "none" else mapping,
+        "topic": topic,
     }
 
 

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import contextlib
 import os
+import signal
 import tempfile
-from collections.abc import Iterator
+import threading
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 
 from sdpid.errors import ExportError
@@ -40,6 +42,35 @@ def atomic_path(path: str | os.PathLike[str]) -> Iterator[Path]:
         temporary.replace(target)
     finally:
         temporary.unlink(missing_ok=True)
+
+
+@contextlib.contextmanager
+def undisturbed() -> Iterator[None]:
+    """Hold back signals that end a program until the block is over: it must take a moment only."""
+    if threading.current_thread() is not threading.main_thread():
+        yield  # signals are handled in the main thread
+        return
+    caught: list[int] = []
+    names = ("SIGINT", "SIGTERM", "SIGHUP")
+    before = {}
+    try:
+        for number in (getattr(signal, name) for name in names if hasattr(signal, name)):
+            if (handler := signal.getsignal(number)) is not None:
+                before[number] = handler
+                signal.signal(number, lambda got, _: caught.append(got))
+        yield
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+        for got in caught:
+            signal.raise_signal(got)
+
+
+def move_into(folder: Path, files: Iterable[Path]) -> None:
+    """Move finished files into a folder of the same disk; no signal comes between them."""
+    with undisturbed():
+        for file in files:
+            file.replace(folder / file.name)
 
 
 def atomic_write_text(path: str | os.PathLike[str], text: str) -> None:

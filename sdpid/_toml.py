@@ -28,5 +28,5 @@ def load_toml(path: str | os.PathLike[str]) -> dict[str, Any]:
             return dict(tomllib.load(file))
     except OSError as cause:
         raise DataError(f"cannot read {path}: {cause.strerror}.") from None
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as cause:
+    except (ValueError, RecursionError) as cause:  # wrong, of endless digits, or nested endlessly
         raise DataError(f"{path}: not a TOML file ({cause}).") from None

@@ -15,6 +15,7 @@ import typer
 from sdpid import _cli_support as cli
 from sdpid._extras import require
 from sdpid.cli_audit import audit
+from sdpid.cli_payload import payload
 from sdpid.errors import ExportError, ModelError
 
 if TYPE_CHECKING:
@@ -59,6 +60,7 @@ def options(
 
 @app.command()
 def identify(
+    ctx: typer.Context,
     log: cli.Log,
     robot: cli.Robot,
     out: Annotated[Path, typer.Option(help="Folder for the results.")] = Path("sdpid-results"),
@@ -81,18 +83,20 @@ def identify(
     unit: cli.Unit = None,
     joint_names: cli.JointNames = None,
     effort_scale: cli.EffortScale = None,
+    mapping: cli.Mapping = None,
+    topic: cli.Topic = None,
     figures: Annotated[
         bool | None, typer.Option(help="By default where matplotlib is installed.")
     ] = None,
     as_json: cli.Json = False,
 ) -> None:
-    """Identify a robot: URDF and log in, consistent URDF, tables, plots and certificate out."""
+    """Identify a robot: URDF and log in, consistent URDF, tables, report and certificate out."""
     if out.exists() and not out.is_dir():
         raise ExportError(f"--out {out}: is a file; name a folder.")
     draw = importlib.util.find_spec("matplotlib") is not None if figures is None else figures
     if draw:
         require("matplotlib", extra="plot")
-    how = cli.reading(column, unit, joint_names, effort_scale)
+    how = cli.reading(column, unit, joint_names, effort_scale, mapping, topic)
     record = _read(log, **how, period=period, start=start, periods=periods)
     check = None if validation is None else _read(validation, **how)
     from sdpid import workflow
@@ -111,7 +115,9 @@ def identify(
         prior=prior,
     )
     notes = list(result.problem.samples.notes)
-    files = [str(path) for path in result.save(out, figures=draw, report=notes.append)]
+    command = cli.command_line(ctx)
+    saved = result.save(out, figures=draw, report=notes.append, command=command)
+    files = [str(path) for path in saved]
     if figures is None and not draw:
         notes.append("no figures: matplotlib is not installed (pip install 'sdpid[plot]')")
     if as_json:
@@ -155,12 +161,14 @@ def compare(
     unit: cli.Unit = None,
     joint_names: cli.JointNames = None,
     effort_scale: cli.EffortScale = None,
+    mapping: cli.Mapping = None,
+    topic: cli.Topic = None,
     as_json: cli.Json = False,
 ) -> None:
     """Run every solver on one problem and measure them against the proven bound."""
     if out is not None:
         cli.require_folder(out)
-    how = cli.reading(column, unit, joint_names, effort_scale)
+    how = cli.reading(column, unit, joint_names, effort_scale, mapping, topic)
     record = _read(log, **how, period=period, start=start, periods=periods)
     from sdpid import workflow
     from sdpid.output.comparison import compare as run
@@ -238,6 +246,7 @@ def simulate(
 
 
 app.command()(audit)
+app.command()(payload)
 
 
 @app.command()
@@ -274,6 +283,8 @@ def validate(
     unit: cli.Unit = None,
     joint_names: cli.JointNames = None,
     effort_scale: cli.EffortScale = None,
+    mapping: cli.Mapping = None,
+    topic: cli.Topic = None,
     as_json: cli.Json = False,
 ) -> None:
     """Predict a log's efforts with a URDF: its inertias, its damping and its friction.
@@ -283,8 +294,9 @@ def validate(
     if figure is not None:
         require("matplotlib", extra="plot")
         cli.require_folder(figure)
-    how = cli.reading(column, unit, joint_names, effort_scale)
+    how = cli.reading(column, unit, joint_names, effort_scale, mapping, topic)
     record = _read(log, **how, period=period, start=start, periods=periods)
+    from sdpid.assurance.prediction_verdict import prediction_findings
     from sdpid.assurance.validation import validate_robot
     from sdpid.experiment.preparation import SMOOTH, default_processing, prepare
     from sdpid.robot.load import load_robot
@@ -300,13 +312,18 @@ def validate(
 
         save_figure(plot_fit(samples, fit), figure)
         files.append(str(figure))
+    verdict = [finding.text for finding in prediction_findings(samples, fit)]
     if as_json:
-        cli.print_json({**fit.to_dict(), "notes": list(samples.notes), "files": files})
+        notes = list(samples.notes)
+        cli.print_json({**fit.to_dict(), "verdict": verdict, "notes": notes, "files": files})
         return
     typer.echo(f"{model.name}: relative residual {100 * fit.relative:.2f} %")
-    typer.echo(
-        "\n\n".join((cli.listed("notes", samples.notes), _errors_table({"prediction": fit})))
+    parts = (
+        cli.listed("verdict", verdict),
+        cli.listed("notes", samples.notes),
+        _errors_table({"prediction": fit}),
     )
+    typer.echo("\n\n".join(parts))
     if files:
         typer.echo(cli.listed("\nfiles", files))
 
@@ -322,15 +339,19 @@ def info(
     unit: cli.Unit = None,
     joint_names: cli.JointNames = None,
     effort_scale: cli.EffortScale = None,
+    mapping: cli.Mapping = None,
+    topic: cli.Topic = None,
     as_json: cli.Json = False,
 ) -> None:
     """Show what was understood of a log, and what looks wrong with it."""
-    how = cli.reading(column, unit, joint_names, effort_scale)
-    record = _read(log, **how, period=period, start=start, periods=periods)
+    how = cli.reading(column, unit, joint_names, effort_scale, mapping, topic)
     from sdpid.experiment.overview import overview
+    from sdpid.experiment.readers import read_described
     from sdpid.robot.load import load_robot
 
-    facts = overview(record, None if robot is None else load_robot(robot))
+    read = read_described(log, **how, period=period, start=start, periods=periods)
+    facts = overview(read.recording, None if robot is None else load_robot(robot))
+    facts = {"file": read.file, "mapping": read.mapping, "read_from": read.sources, **facts}
     if as_json:
         cli.print_json(facts)
         return
@@ -338,12 +359,14 @@ def info(
 
     joints = facts.pop("joints")
     warnings = facts.pop("warnings")
+    sources = [f"{quantity}: {source}" for quantity, source in facts.pop("read_from").items()]
     facts["processing"] = ", ".join(f"{k}={v}" for k, v in (facts["processing"] or {}).items())
     width = max(map(len, facts))
     for key, value in facts.items():
         shown = f"{value:.6g}" if isinstance(value, float) else value
         typer.echo(f"{key.replace('_', ' '):{width}}  {'-' if shown is None else shown}")
     rows = tuple(tuple(joint.values()) for joint in joints)
+    typer.echo("\n" + cli.listed("read from", sources))
     typer.echo("\n" + Table(tuple(joints[0]), rows).text())
     if warnings:
         typer.echo("\n" + cli.listed("warnings", warnings))
@@ -421,4 +444,5 @@ def _errors_table(fits: dict[str, Validation]) -> str:
 
 def main() -> None:
     """Run the command."""
+    cli.clean_up_when_ended()
     app(prog_name="sdpid")

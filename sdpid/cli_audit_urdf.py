@@ -8,7 +8,7 @@ from pathlib import Path
 
 from sdpid.errors import ModelError
 
-_CLEAN, _UNREADABLE, _ERRORS = 0, 2, 3
+_CLEAN, _ERRORS = 0, 3
 
 
 def run_audit_urdf(
@@ -30,11 +30,12 @@ def run_audit_urdf(
     Returns
     -------
     int
-        Exit status: 0 without errors (warnings may be), 3 with errors in `path`, 2 where it
-        cannot be read.
+        Exit status: 0 without errors (warnings may be), 3 with errors in `path`.
 
     Raises
     ------
+    ModelError
+        When `path` cannot be read.
     ExportError
         When the repaired file cannot be written.
     """
@@ -43,13 +44,9 @@ def run_audit_urdf(
     from sdpid.assurance.audit_urdf import audit_urdf
     from sdpid.output.repair import repair_urdf
 
-    try:
-        file = _find(path)
-        audit = audit_urdf(file)
-        report = None if repair is None else repair_urdf(file, target=repair)
-    except ModelError as cause:
-        typer.echo(f"error: {cause}", err=True)
-        return _UNREADABLE
+    file = _find(path)
+    audit = audit_urdf(file)
+    report = None if repair is None else repair_urdf(file, target=repair)
     if as_json:
         content = audit.to_dict()
         content["repair"] = None if report is None else report.to_dict()

@@ -40,10 +40,12 @@ def payload(
     unit: cli.Unit = None,
     joint_names: cli.JointNames = None,
     effort_scale: cli.EffortScale = None,
+    mapping: cli.Mapping = None,
+    topic: cli.Topic = None,
     as_json: cli.Json = False,
 ) -> None:
     """Identify what is mounted on the last link: mass, centre of mass and inertia."""
-    how = cli.reading(column, unit, joint_names, effort_scale)
+    how = cli.reading(column, unit, joint_names, effort_scale, mapping, topic)
     from sdpid.assurance.payload import identify_payload
     from sdpid.estimation.prior import Prior
     from sdpid.experiment.readers import read_recording

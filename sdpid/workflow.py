@@ -3,21 +3,23 @@
 from __future__ import annotations
 
 import contextlib
+import importlib.util
 import json
 import os
 import tempfile
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from sdpid._arrays import Array
-from sdpid._files import atomic_write_text
+from sdpid._files import atomic_write_text, move_into
 from sdpid.assurance.certificate import Certificate, certify
 from sdpid.assurance.validation import Validation, validate
+from sdpid.assurance.verdict import verdict
 from sdpid.errors import ExportError
 from sdpid.estimation.constraints import Constraints
 from sdpid.estimation.estimate import Estimate
@@ -35,6 +37,9 @@ from sdpid.robot.friction import FrictionTerm
 from sdpid.robot.inertia import Consistency
 from sdpid.robot.load import load_robot
 from sdpid.robot.model import RobotModel
+
+if TYPE_CHECKING:
+    from sdpid.output.report import GivenIntervals
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -77,6 +82,7 @@ class Identification:
         return {
             "problem": describe(self.problem),
             "processing": list(self.problem.samples.notes),
+            "verdict": list(verdict(self)),
             "status": estimate.status,
             "cost": estimate.cost,
             "cost_unconstrained": self.wls.cost,
@@ -122,8 +128,10 @@ class Identification:
         *,
         figures: bool = True,
         report: Callable[[str], None] | None = None,
+        command: str | None = None,
+        intervals: GivenIntervals | None = None,
     ) -> tuple[Path, ...]:
-        """Write tables, URDF, certificate and plots into a folder: all of them, or none.
+        """Write tables, URDF, certificate, plots and a report into a folder: all, or none.
 
         Parameters
         ----------
@@ -132,7 +140,12 @@ class Identification:
         figures : bool, optional
             Draw plots too (extra ``plot``).
         report : callable, optional
-            Told in words what could not be written as identified (see `ExportReport`).
+            Told in words what could not be written as identified (see `ExportReport`), and when
+            there is no report.html for want of the extra ``report``.
+        command : str, optional
+            The command line, for report.html.
+        intervals : Intervals, optional
+            For report.html (see `sdpid.intervals`).
 
         Returns
         -------
@@ -146,9 +159,23 @@ class Identification:
         """
         target = Path(folder)
         with _staging(target) as stage:
-            files = self._write(stage, figures, report or (lambda _: None))
-            for file in files:
-                file.replace(target / file.name)
+            tell = report or (lambda _: None)
+            files = self._write(stage, figures, tell)
+            if importlib.util.find_spec("jinja2") is None:
+                tell("no report.html: jinja2 is not installed (pip install 'sdpid[report]')")
+            else:
+                from sdpid.output.report import certificate_digest, write_report
+
+                page = write_report(
+                    self,
+                    stage / "report.html",
+                    command=command,
+                    intervals=intervals,
+                    figures=figures,
+                    sha256=certificate_digest(stage / "certificate.json"),
+                )
+                files.append(page)
+            move_into(target, files)
         return tuple(target / file.name for file in files)
 
     def _write(self, out: Path, figures: bool, report: Callable[[str], None]) -> list[Path]:

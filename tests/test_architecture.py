@@ -43,6 +43,7 @@ ALLOWED = {
     "clarabel": ("sdpid.estimation.conic",),
     "scs": ("sdpid.estimation.conic",),
     "mujoco": ("sdpid.experiment.plant", "sdpid.experiment.mujoco"),
+    "numba": ("sdpid.robot.kernels",),
 }
 
 

@@ -16,6 +16,7 @@ import sdpid
 from sdpid import _cli_support, cli
 from sdpid.experiment.plant import true_parameters
 from sdpid.robot.model import RobotModel
+from tests.helpers.bags import write_bag
 
 ROBOT = "denso_vp6242"
 
@@ -86,7 +87,10 @@ def test_identify_prints_and_writes(results: Path, log: Path) -> None:
         "result.json",
         "certificate.json",
         "identified.urdf",
+        "report.html",
     }
+    page = (results / "report.html").read_text(encoding="utf-8")
+    assert f"sdpid identify {log} --robot {ROBOT} --out {results} --no-figures" in page
     assert sdpid.load_robot(results / "identified.urdf").n == 6
     out = results / "again"
     done = run("identify", log, "--robot", ROBOT, "--out", out, "--validation", log)
@@ -247,6 +251,14 @@ def test_validate(results: Path, log: Path, tmp_path: Path) -> None:
     assert other["relative_residual"] > 2.0 * found["relative_residual"]
 
 
+def test_validate_says_what_to_trust(results: Path, log: Path) -> None:
+    done = run("validate", log, "--robot", results / "identified.urdf")
+    assert "verdict:\n  Trust it for the effort of " in done.stdout
+    assert "on this recording" in done.stdout
+    other = json.loads(run("validate", log, "--robot", ROBOT, "--json").stdout)
+    assert any(text.startswith("Do not trust it for the effort of") for text in other["verdict"])
+
+
 def csv_log(path: Path, position: np.ndarray, names: list[str] | None = None) -> Path:
     """Write a log with columns q1, ... and i1, ..."""
     K, n = position.shape
@@ -283,6 +295,42 @@ def test_columns_and_units(tmp_path: Path) -> None:
     assert "look like degrees" in done.stdout
     scaled = json.loads(run("info", path, *READ, "--effort-scale", "2,2,2,2,2,2", "--json").stdout)
     assert scaled["joints"][0]["effort_max"] == pytest.approx(2.0)
+
+
+def test_a_mapping_elsewhere(tmp_path: Path) -> None:
+    path = csv_log(tmp_path / "log.csv", np.degrees(wave()))
+    mapping = tmp_path / "elsewhere" / "map.toml"
+    mapping.parent.mkdir()
+    mapping.write_text('[columns]\neffort = "i"\n[units]\ntime = "ms"\nposition = "deg"\n')
+    facts = json.loads(run("info", path, "--mapping", mapping, "--json").stdout)
+    assert facts["mapping"] == str(mapping)
+    assert facts["rate_hz"] == pytest.approx(100.0)
+    # Options win over it; what it says of the other quantities stays.
+    said = ("--mapping", mapping, "--unit", "time=s")
+    assert json.loads(run("info", path, *said, "--json").stdout)["rate_hz"] == pytest.approx(0.1)
+    arguments = ("--robot", ROBOT, "--mapping", mapping, "--json")
+    validated = run("validate", path, *arguments)
+    assert validated.exit_code == 0, validated.output
+    # The one beside the log is followed without asking, and ignored when asked.
+    mapping.replace(tmp_path / "log.toml")
+    assert json.loads(run("info", path, "--json").stdout)["mapping"] == str(tmp_path / "log.toml")
+    refused(run("info", path, "--mapping", "none"), 2, "effort", "--column QUANTITY=NAME")
+    refused(run("info", path, "--mapping", tmp_path / "no.toml"), 2, "no.toml")
+    (tmp_path / "log.toml").write_text("title = 'not a mapping'\n")
+    refused(run("info", path), 2, "title", "--mapping FILE")
+
+
+def test_a_topic_of_a_bag(tmp_path: Path) -> None:
+    t = 0.01 * np.arange(50)
+    table = np.random.default_rng(1).standard_normal((50, 2))
+    bag = write_bag(tmp_path / "bag", "db3", t, table, table, table)
+    facts = json.loads(run("info", bag, "--topic", "/joint_states", "--json").stdout)
+    assert [joint["joint"] for joint in facts["joints"]] == ["up", "down"]
+    refused(run("info", bag, "--topic", "/other"), 2, "no topic /other", "/joint_states")
+    path = csv_log(tmp_path / "log.csv", wave())
+    for command in ("identify", "compare", "validate"):
+        arguments = (command, path, *READ, "--robot", ROBOT, "--topic", "/x")
+        refused(run(*arguments), 2, "topic is for ROS bags")
 
 
 @pytest.mark.parametrize(
@@ -386,7 +434,7 @@ def raising(error: BaseException) -> Any:
 
 def test_what_nobody_expected(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     monkeypatch.delenv("SDPID_DEBUG", raising=False)
-    monkeypatch.setattr("sdpid.experiment.readers.read_recording", raising(KeyError("q")))
+    monkeypatch.setattr("sdpid.experiment.readers.read_described", raising(KeyError("q")))
     refused(run("info", tmp_path), 1, "unexpected KeyError", "report", "--debug")
     assert "Traceback" in run("--debug", "info", tmp_path).stderr
     monkeypatch.setenv("SDPID_DEBUG", "1")
@@ -394,7 +442,7 @@ def test_what_nobody_expected(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -
 
 
 def test_an_interrupt_is_quiet(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    monkeypatch.setattr("sdpid.experiment.readers.read_recording", raising(KeyboardInterrupt()))
+    monkeypatch.setattr("sdpid.experiment.readers.read_described", raising(KeyboardInterrupt()))
     done = run("info", tmp_path)
     assert done.exit_code == 130
     assert done.output == ""

@@ -66,6 +66,7 @@ def test_everything_is_saved_and_loads(result: sdpid.Identification, tmp_path: P
         "identified.urdf",
         "training.png",
         "validation.png",
+        "report.html",
     }
     assert {path.name for path in files[0].parent.iterdir()} == {path.name for path in files}
     folder = files[0].parent

@@ -14,6 +14,10 @@ from sdpid.errors import DataError
 
 _NAMES = ("name", "parameter")
 
+# No parameter of a robot has more digits before the point, or more after it. Exponents beyond
+# would be written out in exact arithmetic.
+_BEFORE, _AFTER = 12, 400
+
 
 @dataclass(frozen=True)
 class BaseTable:
@@ -73,8 +77,12 @@ def read_base_table(
     except UnicodeDecodeError:
         raise DataError(f"{path}: is not text; expected CSV.") from None
     reader = csv.DictReader(text.splitlines(), skipinitialspace=True)
-    columns = [name.strip() for name in reader.fieldnames or ()]
-    reader.fieldnames = columns
+    try:
+        columns = [name.strip() for name in reader.fieldnames or ()]
+        reader.fieldnames = columns
+        rows = list(reader)
+    except csv.Error as cause:
+        raise DataError(f"{path}: line {reader.line_num}: is no CSV ({cause}).") from None
     name_column = next((name for name in _NAMES if name in columns), None)
     if name_column is None or value not in columns:
         missing = "name" if name_column is None else value
@@ -91,7 +99,7 @@ def read_base_table(
         )
     values: dict[str, Fraction] = {}
     halves: dict[str, Fraction] = {}
-    for row in reader:
+    for row in rows:
         name, printed = (row[name_column] or "").strip(), (row[value] or "").strip()
         if not name or not printed:
             continue
@@ -116,5 +124,14 @@ def _decimal(text: str, what: str) -> Decimal:
     except InvalidOperation:
         number = Decimal("nan")
     if not number.is_finite():
-        raise DataError(f"{what}: {text!r} is not a number.")
+        raise DataError(f"{what}: {_brief(text)} is not a number.")
+    if number.adjusted() > _BEFORE or int(number.as_tuple().exponent) < -_AFTER:
+        raise DataError(
+            f"{what}: {_brief(text)} has more than {_BEFORE} digits before the point or {_AFTER} "
+            "after it; no robot has such a parameter."
+        )
     return number
+
+
+def _brief(text: str) -> str:
+    return repr(text if len(text) <= 40 else text[:37] + "...")

@@ -389,7 +389,13 @@ def _clarabel(
     cones += [clarabel.PSDTriangleConeT(size) for size in standard.sizes]
     cones += [clarabel.ExponentialConeT()] * standard.exponential
     solver = clarabel.DefaultSolver(standard.P, standard.q, standard.A, standard.b, cones, settings)
-    found = solver.solve()
+    try:
+        found = solver.solve()
+    except BaseException as cause:
+        # Where numbers overflow, the solver panics, which is no `Exception`: no point was found.
+        if type(cause).__name__ != "PanicException":
+            raise
+        return f"panic: {cause}", np.array([np.nan]), np.array([np.nan]), 0, 0.0
     return (
         str(found.status),
         np.array(found.x),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import tokenize
 import zipfile
 import zlib
 from collections.abc import Callable
@@ -28,6 +29,7 @@ Table = dict[str, Callable[[], NDArray[Any]]]
 
 # What reading a damaged archive can raise; a broken header may also ask for too much memory.
 _DAMAGE = (
+    tokenize.TokenError,
     zipfile.BadZipFile,
     zlib.error,
     OSError,

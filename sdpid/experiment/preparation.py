@@ -12,7 +12,7 @@ from sdpid.experiment.processing import Processing, process
 from sdpid.experiment.recording import Recording
 from sdpid.experiment.samples import Samples
 from sdpid.experiment.units import require_plausible_units
-from sdpid.robot.friction import Coulomb, FrictionTerm
+from sdpid.robot.friction import Coulomb, FrictionTerm, SigmoidFriction
 from sdpid.robot.model import RobotModel
 
 __all__ = ["default_friction", "default_processing", "match_joints", "prepare"]
@@ -32,12 +32,12 @@ _CUTOFF_OVER_RATE = 1.0 / 7.5
 def default_processing(log: Recording) -> Processing:
     """Return how a recording is processed when nothing else is said.
 
-    A record with periods is averaged over them, filtered as by ``Processing()``; where they are
-    too few for a covariance of each sample, one is pooled over the samples, and one period alone
-    has none. A record without periods passes a filter of order 4 whose cut-off is 30 times the
-    frequency below which 95 % of its motion lies, at most 2/15 of the sampling rate; a
-    recorded velocity is used where it was sampled below 100 Hz, where differences of the
-    position lose too much.
+    A record with periods is averaged over them, filtered as by ``Processing()``; where they are too
+    few for a covariance of each sample, one is pooled over the samples, and one period alone has
+    none. A record without periods passes a filter of order 4 whose cut-off is 30 times the
+    frequency below which 95 % of its motion lies, at most 2/15 of the sampling rate (20 to 60 times
+    predict alike on five real robots, docs/real_robots.md); a recorded velocity is used where it
+    was sampled below 100 Hz, where differences of the position lose too much.
     """
     layout = log.period_layout
     if layout is not None:
@@ -73,11 +73,15 @@ def default_friction(log: Recording) -> tuple[str | FrictionTerm, ...]:
     """Return the friction terms used when nothing else is said.
 
     Records with periods are masked around reversals, where the exact sign is right. Others get
-    a smooth sign and an offset for the sensors' zero errors.
+    a smooth sign, beside it a sigmoid whose speeds the data choose, joint by joint, and an offset
+    for the sensors' zero errors. The same terms serve torque sensors and motor currents: on five
+    real robots none predicted worse for the sigmoid, and the others choose it whichever is left
+    out (docs/real_robots.md). Rotor inertia and couplings are knowledge of the drives that
+    a log does not hold; on torque sensors, which do not feel it, rotor inertia did harm.
     """
     if log.period is not None:
         return ("coulomb", "viscous")
-    return (Coulomb(width=SMOOTH), "viscous", "offset")
+    return (Coulomb(width=SMOOTH), SigmoidFriction(), "viscous", "offset")
 
 
 def prepare(robot: RobotModel, log: Recording, processing: Processing | None = None) -> Samples:

@@ -27,10 +27,11 @@ from sdpid.experiment.window import Window
 __all__ = ["Processing", "process"]
 
 # Without periods the ends of the record are guessed, and the guess is forgotten exponentially.
-# On real logs (UR10, Gen3; orders 1, 2, 4 at 4, 10, 15 Hz) 10 time constants left at most 2e-4 of
-# the rms acceleration and 5e-5 of the rms torque; 5 left 2 % and 0.7 %. Where the derivatives
-# pass the filter twice, 10 left 1e-3 of the acceleration.
-_TRIM_TIME_CONSTANTS = 10.0
+# On real logs (UR10, Gen3; orders 1, 2, 4 at 4, 10, 15 Hz) 5 time constants left at most 2 % of
+# the rms acceleration and 0.7 % of the rms torque, on the outermost samples only and below what
+# any model of these robots misses; 10 left 2e-4 and 5e-5 and would cost a third of a record of
+# two seconds at 10 Hz.
+_TRIM_TIME_CONSTANTS = 5.0
 # A block must be clearly longer than the memory of the filter, which is run twice: forward and
 # backward (four times over the derivatives with filter_alike=False).
 _BLOCK_TIME_CONSTANTS = 20.0

@@ -24,6 +24,11 @@ _NEIGHBOURS = 8
 _PERIOD_SLACK = 0.5
 # Below two samples a period has no motion at all.
 _LEAST_SAMPLES = 2
+# No robot moves, turns or pulls so much, in SI units, nor since 1970 have so many seconds passed;
+# squares of what is below are far from overflow.
+_LARGEST = 1e12
+# No robot's controller steps faster, in s.
+_SHORTEST = 1e-9
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
@@ -274,6 +279,12 @@ def checked_names(names: Any, n: int) -> tuple[str, ...]:
 def _kept(record: Recording, name: str, ndim: int) -> Array:
     """Check the array in a field and put it back as a read-only contiguous view."""
     array = np.ascontiguousarray(real_array(getattr(record, name), name, ndim=ndim))
+    if array.size and max(array.max(), -array.min()) > _LARGEST:
+        first = tuple(int(i) for i in np.argwhere(np.abs(array) > _LARGEST)[0])
+        raise DataError(
+            f"{name}: is {array[first]:.3g} at index {first}, more than {_LARGEST:g}, which no "
+            "robot has; repair that sample, or say its unit."
+        )
     view: Array = frozen_view(array)
     object.__setattr__(record, name, view)
     return view
@@ -283,6 +294,10 @@ def _check_time(time: Array) -> None:
     """Raise when time stamps do not increase, naming the first row that does not."""
     wrong = time[1:] <= time[:-1]
     if not wrong.any():
+        if time[-1] - time[0] < _SHORTEST * (time.size - 1):
+            raise DataError(
+                f"time: {time.size} samples within {time[-1] - time[0]:.3g} s; say their unit."
+            )
         return
     row = int(np.argmax(wrong)) + 1
     how = "repeats" if time[row] == time[row - 1] else "runs backwards"
@@ -311,10 +326,12 @@ def _number(value: Any, name: str) -> float:
     """Return `value` as a float, or raise when it is not a finite number."""
     try:
         number = float(value)
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         number = float("nan")
-    if not np.isfinite(number):
-        raise DataError(f"{name}: is {value!r}, expected a finite number.")
+    if not abs(number) <= _LARGEST:
+        # Python refuses to print an int of thousands of digits.
+        shown = "a huge number" if isinstance(value, int) else repr(value)
+        raise DataError(f"{name}: is {shown}, expected a finite number of at most {_LARGEST:g}.")
     return number
 
 

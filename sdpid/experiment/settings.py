@@ -51,10 +51,10 @@ class Processing:
         Whether the velocity is the derivative of the position, or the recorded one, which passes
         the filter once. The acceleration is then the derivative of that.
     trim_s : float, optional
-        Time cut off at either end of a record without periods. By default ten time constants of
+        Time cut off at either end of a record without periods. By default five time constants of
         the filter (that of its slowest mode), after which the guess made at the ends is forgotten
-        to 2e-4 of the acceleration (1e-3 where that is filtered twice). Records with periods lose
-        nothing.
+        to 2 % of the acceleration and 0.7 % of the torque on the outermost samples, and to a
+        hundredth of that five time constants further in. Records with periods lose nothing.
     timing : {"auto", "nominal", "resample"}
         What to do with time stamps that jitter; see `sdpid.experiment.timing.make_grid`.
 

@@ -18,6 +18,7 @@ from sdpid.output.mjcf_skeleton import inertial_markup, mjcf_skeleton, numbers
 from sdpid.output.urdf import ExportReport, source_text
 from sdpid.output.urdf_tree import FixedChild, UrdfTree
 from sdpid.output.written_bodies import (
+    add_shapes,
     joint_numbers,
     lifted,
     require_consistent,
@@ -101,15 +102,16 @@ def write_mjcf(
     bodies = problem.feasible.bodies(theta)
     # MuJoCo loads no others, whatever the problem asked for.
     require_consistent(robot, bodies, "pseudo_inertia", what)
-    written, left_out = joint_numbers(problem.friction, theta[10 * robot.n_links :], _PLACES, what)
-    notes: tuple[str, ...] = ()
+    tail = theta[10 * robot.n_links :]
+    written, left_out = joint_numbers(problem.friction, tail, _PLACES, what)
+    left_out, notes = add_shapes(problem, tail, written, left_out, "frictionloss", "damping")
     if source is None and robot.urdf is None:
         text, folder = mjcf_skeleton(robot, None)[0], None
     else:
         text, folder = source_text(robot, source, what), _folder(source)
         if not is_mjcf(text):
             text, impossible = mjcf_skeleton(robot, UrdfTree(text))
-            notes = (
+            notes += (
                 "shapes of the URDF are not in it; to keep them, convert the URDF with MuJoCo and "
                 "give that file as the source",
             )

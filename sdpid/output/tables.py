@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from sdpid._files import atomic_write_text
-from sdpid.errors import IdentifiabilityError
+from sdpid.errors import DataError, IdentifiabilityError
 from sdpid.estimation.estimate import Estimate
 
 
@@ -65,8 +65,9 @@ def base_table(estimate: Estimate, wls: Estimate | None = None) -> Table:
         errors: Sequence[float | None]
         try:
             errors = wls.standard_errors.tolist()
-        except IdentifiabilityError:
-            # With a prior the data need not determine everything; then there is no such error.
+        except (IdentifiabilityError, DataError):
+            # With a prior the data need not determine everything, or may be too few for blocks;
+            # then there is no such error.
             errors = [None] * len(base.names)
         columns += [wls.base.tolist(), errors]
     header.append("regrouping")

@@ -12,8 +12,10 @@ from sdpid._arrays import Array
 from sdpid._files import atomic_write_text
 from sdpid.errors import ExportError, ModelError
 from sdpid.estimation.estimate import Estimate
+from sdpid.estimation.problem import Problem
 from sdpid.output.urdf_tree import UrdfTree, inertial_values
 from sdpid.output.written_bodies import (
+    add_shapes,
     joint_numbers,
     lifted,
     require_consistent,
@@ -22,7 +24,7 @@ from sdpid.output.written_bodies import (
 )
 from sdpid.output.xml_spans import Document, Element
 from sdpid.robot.base import generic_states
-from sdpid.robot.friction import Coulomb, FrictionModel, Viscous
+from sdpid.robot.friction import Coulomb, Viscous
 from sdpid.robot.inertia import margin
 from sdpid.robot.load import Root, load_robot
 from sdpid.robot.model import RobotModel
@@ -154,7 +156,7 @@ def write_urdf(
             flat.append(link)
         _write_inertial(document, tree.links[link], body)
         changed.append(link)
-    joints, left_out = _write_friction(tree, robot, problem.friction, theta)
+    joints, left_out, notes = _write_friction(tree, problem, theta)
     result = document.text()
     _read_back(robot, bodies, result)
     atomic_write_text(target, result)
@@ -165,6 +167,7 @@ def write_urdf(
         lumped=tuple(lumped),
         left_out=left_out,
         triangle_violations=tuple(flat),
+        notes=notes,
     )
 
 
@@ -210,15 +213,17 @@ def _write_inertial(document: Document, link: Element, body: Array) -> None:
 
 
 def _write_friction(
-    tree: UrdfTree, robot: RobotModel, friction: FrictionModel, theta: Array
-) -> tuple[tuple[str, ...], tuple[str, ...]]:
-    """Write damping and friction; return the joints changed and the parameters left out."""
+    tree: UrdfTree, problem: Problem, theta: Array
+) -> tuple[tuple[str, ...], tuple[str, ...], tuple[str, ...]]:
+    """Write damping and friction; return joints changed, parameters left out, and notes."""
+    tail = theta[10 * problem.robot.n_links :]
     written, left_out = joint_numbers(
-        friction,
-        theta[10 * robot.n_links :],
+        problem.friction,
+        tail,
         {Coulomb: "friction", Viscous: "damping"},
-        f"URDF of '{robot.name}'",
+        f"URDF of '{problem.robot.name}'",
     )
+    left_out, notes = add_shapes(problem, tail, written, left_out, "friction", "damping")
     for joint, source in tree.mimics.items():
         # What was identified at the source joint holds the friction of its followers.
         if source in written and tree.joints[joint].find("dynamics") is not None:
@@ -231,7 +236,7 @@ def _write_friction(
         else:
             line = "<dynamics " + " ".join(f'{k}="{v}"' for k, v in attributes.items()) + "/>"
             tree.document.insert_child(tree.joints[name], line, last=True)
-    return tuple(written), left_out
+    return tuple(written), left_out, notes
 
 
 def _read_back(robot: RobotModel, bodies: Array, text: str) -> None:

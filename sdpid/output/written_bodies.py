@@ -9,8 +9,15 @@ import numpy as np
 from sdpid._arrays import Array
 from sdpid.errors import ExportError
 from sdpid.estimation.estimate import Estimate
+from sdpid.estimation.problem import Problem
 from sdpid.output.urdf_tree import FixedChild
-from sdpid.robot.friction import FrictionModel, FrictionTerm
+from sdpid.robot.friction import (
+    FrictionModel,
+    FrictionTerm,
+    SigmoidFriction,
+    SquareRootFriction,
+    Stribeck,
+)
 from sdpid.robot.inertia import (
     Consistency,
     margin,
@@ -155,3 +162,70 @@ def joint_numbers(
                 )
             numbers.setdefault(name, {})[attribute] = max(float(value), 0.0)
     return numbers, tuple(left_out)
+
+
+# Functions of speed that no format has a place for.
+_SHAPES = (SigmoidFriction, SquareRootFriction, Stribeck)
+
+
+def add_shapes(
+    problem: Problem,
+    tail: Array,
+    numbers: dict[str, dict[str, float]],
+    left_out: tuple[str, ...],
+    coulomb: str,
+    viscous: str,
+) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """Add other functions of speed as the Coulomb and viscous friction that fit them best.
+
+    They fit at the speeds of the problem's samples; neither is negative.
+
+    Parameters
+    ----------
+    problem : Problem
+        Terms and samples.
+    tail : ndarray
+        The friction parameters.
+    numbers : dict
+        Attributes of every joint, to be added to.
+    left_out : tuple of str
+        Parameters for which there is no place.
+    coulomb, viscous : str
+        The attributes.
+
+    Returns
+    -------
+    left_out : tuple of str
+        What there is still no place for.
+    notes : tuple of str
+        What was added, and how well it fits.
+    """
+    from scipy.optimize import nnls
+
+    friction, samples = problem.friction, problem.samples
+    names = friction.joint_names
+    velocity = np.asarray(samples.velocity)[:, friction.first :]
+    acceleration = np.asarray(samples.acceleration)[:, friction.first :]
+    effort, added, at = np.zeros_like(velocity), [], 0
+    for term in friction.terms:
+        parameters = term.parameters(names)
+        values = tail[at : at + len(parameters)]
+        at += len(parameters)
+        if isinstance(term, _SHAPES):
+            effort += term.columns(velocity, acceleration, names) @ values
+            added += [p.name for p in parameters]
+    if not added:
+        return left_out, ()
+    worst = 0.0
+    for j, name in enumerate(names):
+        columns = np.column_stack([np.sign(velocity[:, j]), velocity[:, j]])
+        found, missed = nnls(columns, effort[:, j])
+        worst = max(worst, float(missed) / np.sqrt(len(effort)))
+        own = numbers.setdefault(name, {})
+        for attribute, value in zip((coulomb, viscous), found, strict=True):
+            own[attribute] = own.get(attribute, 0.0) + float(value)
+    note = (
+        f"{', '.join(added)} are written as the Coulomb and viscous friction that fit them best at "
+        f"the speeds of the samples, to {worst:.2g} N.m rms at the worst joint"
+    )
+    return tuple(name for name in left_out if name not in added), (note,)

@@ -19,6 +19,7 @@ import numpy as np
 from sdpid._arrays import Array, frozen
 from sdpid.errors import ModelError
 from sdpid.robot.inertia import TENSOR_INDEX, theta_from_physical
+from sdpid.robot.urdf import LARGEST
 from sdpid.robot.xml import parse_xml
 
 # In the order of `TENSOR_INDEX`.
@@ -223,10 +224,14 @@ def _number(element: Any, key: str, what: str, problems: list[str]) -> Fraction 
         problems.append(f"{what} is missing")
         return None
     try:
-        return exact_decimal(text)
+        number = exact_decimal(text)
     except ValueError:
         problems.append(f"{what} is '{text}', which is no finite number")
         return None
+    if abs(number) > LARGEST:
+        problems.append(f"{what} is '{text}', more than {LARGEST:g}, which no robot has")
+        return None
+    return number
 
 
 def _half_digit(text: str) -> float:
@@ -269,7 +274,7 @@ def _placement(element: Any, what: str, problems: list[str]) -> Array:
             numbers = np.array([float(word) for word in text.split()])
         except ValueError:
             numbers = np.array([])
-        if numbers.shape != (3,) or not np.isfinite(numbers).all():
+        if numbers.shape != (3,) or not (np.abs(numbers) <= LARGEST).all():
             problems.append(f"{key} of {what} is '{text}', expected 3 finite numbers")
             return np.full((4, 4), np.nan)
         values.append(numbers)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import os
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
@@ -12,6 +13,7 @@ from numpy.typing import ArrayLike
 
 from sdpid._arrays import Array, real_array
 from sdpid.errors import DataError, ModelError
+from sdpid.robot import kernels
 from sdpid.robot.inertia import PARAMETER_NAMES, PARAMETER_UNITS
 from sdpid.robot.mdh import DhJoint, DhTable
 
@@ -208,7 +210,7 @@ class RobotModel:
                 f"position: {position.shape[1]} columns, the robot '{self.name}' has {wanted}: "
                 f"{', '.join(self.joint_names)}."
             )
-        angles = position @ self.expansion.T + self.offset
+        angles = self._expand(position) + self.offset if self._mimics else position.copy()
         if model.nq == model.nv:
             return np.ascontiguousarray(angles)
         q = np.empty((len(angles), model.nq))
@@ -220,6 +222,15 @@ class RobotModel:
                 q[:, joint.idx_q] = angles[:, joint.idx_v]
         return q
 
+    @functools.cached_property
+    def _mimics(self) -> bool:
+        rows, columns = self.expansion.shape
+        plain = rows == columns and np.array_equal(self.expansion, np.eye(rows))
+        return not plain or bool(self.offset.any())
+
+    def _expand(self, values: Array) -> Array:
+        return values @ self.expansion.T if self._mimics else values
+
     def _states(self, q: ArrayLike, v: ArrayLike, a: ArrayLike) -> tuple[Array, Array, Array]:
         q = self.configuration(q)
         rates = []
@@ -230,7 +241,7 @@ class RobotModel:
                     f"{name}: shape {array.shape}, expected {(len(q), self.n)} "
                     f"for {len(q)} positions of '{self.name}'."
                 )
-            rates.append(np.ascontiguousarray(array @ self.expansion.T))
+            rates.append(np.ascontiguousarray(self._expand(array)))
         return q, rates[0], rates[1]
 
     def regressor(self, q: ArrayLike, v: ArrayLike, a: ArrayLike) -> Array:
@@ -246,16 +257,30 @@ class RobotModel:
         Returns
         -------
         ndarray, shape (K, n, 10·links)
-            Columns link by link in Pinocchio's order of parameters [carpentier2019]_.
+            Columns link by link in Pinocchio's order of parameters [carpentier2019]_. Compiled
+            where Numba is installed (the extra ``fast``) and there is at least a megabyte of it,
+            else Pinocchio's own, sample by sample; they differ by rounding.
 
         Raises
         ------
         DataError
             When a shape does not fit or a value is not finite.
         """
+        q, v, a = self._states(q, v, a)
+        if self._tree is not None:
+            out = kernels.regressor(self._tree, q, v, a)
+            if out is not None:
+                return out
+        return self._pinocchio_regressor(q, v, a)
+
+    @functools.cached_property
+    def _tree(self) -> kernels.Tree | None:
+        return kernels.flatten(self.pin_model, self.expansion)
+
+    def _pinocchio_regressor(self, q: Array, v: Array, a: Array) -> Array:
+        """Return the same from Pinocchio, sample by sample."""
         import pinocchio as pin
 
-        q, v, a = self._states(q, v, a)
         model, data = self.pin_model, self.pin_model.createData()
         mimics = self.expansion.shape[0] != self.expansion.shape[1]
         out = np.empty((len(q), self.n, 10 * self.n_links))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass
 from typing import Any
 
@@ -11,6 +12,21 @@ from numpy.typing import ArrayLike
 from sdpid.errors import ModelError
 from sdpid.robot.inertia import physical_parameters
 from sdpid.robot.xml import parse_xml
+
+# No length, mass or inertia of a robot is larger; squares of these are far from overflow.
+LARGEST = 1e12
+
+# Where the numbers are that make a model: elements within links and joints, their attributes, how
+# many numbers each has, and whether it may be left out.
+_PLACES = (
+    ("link", "inertial/origin", ("xyz", "rpy"), 3, True),
+    ("link", "inertial/mass", ("value",), 1, False),
+    ("link", "inertial/inertia", ("ixx", "ixy", "ixz", "iyy", "iyz", "izz"), 1, False),
+    ("joint", "origin", ("xyz", "rpy"), 3, True),
+    ("joint", "axis", ("xyz",), 3, True),
+)
+# What the parser of URDF takes for a number; Python takes more.
+_NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?", re.ASCII)
 
 _ONE_VARIABLE = ("revolute", "continuous", "prismatic")
 
@@ -41,6 +57,7 @@ def check_urdf(
     root = parse_xml(text, what)
     if root.tag != "robot":
         raise ModelError(f"{what}: the root element is <{root.tag}>, a URDF has <robot>.")
+    _check_numbers(root, what)
     moving = 0
     mimics = []
     for joint in root.findall("joint"):
@@ -70,6 +87,37 @@ def check_urdf(
     return root.get("name", "robot"), tuple(mimics)
 
 
+def _check_numbers(root: Any, what: str) -> None:
+    """Refuse numbers that are none, missing or absurdly large.
+
+    The parser only complains on standard error, and leaves out the whole inertia of such a link.
+    """
+    for kind, path, keys, count, optional in _PLACES:
+        for owner in root.findall(kind):
+            for element in owner.findall(path):
+                for key in keys:
+                    text = element.get(key)
+                    if text is None and optional:
+                        continue
+                    words = [] if text is None else text.split()
+                    wrong = len(words) != count or not all(map(_NUMBER.fullmatch, words))
+                    if wrong or not all(abs(float(word)) <= LARGEST for word in words):
+                        given = "missing" if text is None else f"'{text[:60]}'"
+                        raise ModelError(
+                            f"{what}: {kind} '{owner.get('name', '?')}': {key} of "
+                            f"<{element.tag}> is {given}, expected {count} number"
+                            f"{'s' if count > 1 else ''} of at most {LARGEST:g}."
+                        )
+    for link in root.findall("link"):
+        inertial = link.find("inertial")
+        for name in ("mass", "inertia"):
+            if inertial is not None and inertial.find(name) is None:
+                raise ModelError(
+                    f"{what}: link '{link.get('name', '?')}': its <inertial> has no <{name}>; add "
+                    "it, or leave out the whole <inertial>."
+                )
+
+
 def joint_dynamics(text: str, what: str) -> dict[str, tuple[float, float]]:
     """Return (damping, friction) of the joints of a URDF that have a ``<dynamics>`` element.
 
@@ -89,10 +137,10 @@ def joint_dynamics(text: str, what: str) -> dict[str, tuple[float, float]]:
                 value = float(element.get(key, "0"))
             except ValueError:
                 value = float("nan")
-            if not (np.isfinite(value) and value >= 0.0):
+            if not 0.0 <= value <= LARGEST:
                 raise ModelError(
                     f"{what}: joint '{joint.get('name', '?')}' has {key}="
-                    f"'{element.get(key)}'; give a number of at least 0."
+                    f"'{element.get(key)}'; give a number of at least 0, and at most {LARGEST:g}."
                 )
             values.append(value)
         found[joint.get("name", "?")] = (values[0], values[1])

@@ -233,7 +233,8 @@ def test_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     good.write_text(chain(GOOD))
     bad.write_text(chain(diagonal(1.0, 0.01, 0.01, 0.03)))
     assert run_audit_urdf(good) == 0
-    assert run_audit_urdf(none) == 2
+    with pytest.raises(ModelError, match=r"none\.urdf"):
+        run_audit_urdf(none)
     out = tmp_path / "out.urdf"
     capsys.readouterr()
     assert run_audit_urdf(bad, repair=out, as_json=True) == 3

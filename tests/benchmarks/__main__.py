@@ -56,6 +56,7 @@ def main() -> int:
     samples = process(log, progress=False)
     say("regressor")
     rows += chain.regressor(robot, samples, repeats)
+    rows += chain.regressor_blocks(repeats)
     say("compression")
     problem = build_problem(robot, samples)
     rows += chain.compression(problem, repeats)

@@ -20,6 +20,7 @@ from sdpid.errors import SdpidError
 from sdpid.experiment.readers import read_recording
 from sdpid.experiment.recording import Recording
 from tests.helpers.bags import write_bag
+from tests.helpers.damage import damaged
 
 # Damaged files of each kind.
 COUNT = int(os.environ.get("SDPID_FUZZ", "40"))
@@ -107,36 +108,6 @@ WRITERS = {
     "mcap": lambda folder: write_bag(folder / "bag", "mcap", T, Q, DQ, TAU),
     "ros1": lambda folder: write_bag(folder / "bag", "ros1", T, Q, DQ, TAU),
 }
-
-
-def damaged(content: bytes, rng: np.random.Generator, text: bool) -> bytes:
-    """Flip bytes, set counts to extremes, cut, drop or double a piece."""
-    broken = bytearray(content)
-    how = rng.integers(0, 6)
-    # Headers are small, so half of the damage is done to the beginning or the end.
-    reach = len(content) if rng.random() < 0.5 else min(len(content), 400)
-    place = int(rng.integers(0, reach))
-    if rng.random() < 0.3:
-        place = len(content) - 1 - place
-    length = int(rng.integers(1, 1 + min(64, len(content) - place)))
-    if how == 0:
-        for one in rng.integers(0, reach, rng.integers(1, 5)):
-            broken[one] ^= 1 << int(rng.integers(0, 7 if text else 8))
-    elif how == 1:
-        del broken[place:]
-    elif how == 2:
-        del broken[place : place + length]
-    elif how == 3:
-        broken[place:place] = broken[place : place + length] * int(rng.integers(1, 4))
-    elif how == 4:
-        words = [b"nan", b"-1", b"1e308", b'"', b"\n", b",", b"[", b"=", b"\x00"]
-        extremes = [b"\xff" * 4, b"\xff" * 8, b"\x00\xe1\xf5\x05", b"\x00" * 8, b"\xff\xff\xff\x7f"]
-        choice = words if text else extremes
-        word = choice[int(rng.integers(0, len(choice)))]
-        broken[place : place + len(word)] = word
-    else:
-        broken[place : place + length] = rng.bytes(length)
-    return bytes(broken)
 
 
 @pytest.mark.parametrize("kind", WRITERS)

@@ -155,7 +155,7 @@ def test_parquet_keeps_everything(tmp_path: Path, data: st.DataObject):
     n = data.draw(st.integers(1, 3))
     rng = np.random.default_rng(data.draw(st.integers(0, 1000)))
     size = data.draw(st.sampled_from([4, 12]))
-    draw = lambda: rng.standard_normal((size, n)) * 10.0 ** rng.integers(-300, 300)  # noqa: E731
+    draw = lambda: rng.standard_normal((size, n)) * 10.0 ** rng.integers(-300, 10)  # noqa: E731
     periodic = data.draw(st.booleans())
     recording = Recording(
         time=data.draw(st.floats(-1e9, 1e9)) + 0.25 * np.arange(size),
@@ -283,3 +283,16 @@ def test_degrees_are_suspected(case: str):
 def test_limits_of_another_shape():
     with pytest.raises(DataError, match="position_limits"):
         suspect_units(motion((0, 1)), [1.0, 2.0])
+
+
+def test_absurd_sizes_are_refused():
+    time, table = 0.01 * np.arange(20), np.ones((20, 2))
+    wrong = table.copy()
+    wrong[7, 1] = -2e18
+    with pytest.raises(DataError, match=r"effort: is -2e\+18 at index \(7, 1\)"):
+        Recording(time=time, position=table, effort=wrong)
+    with pytest.raises(DataError, match="say their unit"):
+        Recording(time=1e-12 * time, position=table, effort=table)
+    for period in (1e308, 10**400, 10**5000):
+        with pytest.raises(DataError, match=r"period: is .*finite number of at most"):
+            Recording(time=time, position=table, effort=table, period=period)

@@ -6,6 +6,7 @@ import difflib
 import re
 from dataclasses import replace
 from pathlib import Path
+from xml.etree import ElementTree
 
 import numpy as np
 import pytest
@@ -16,10 +17,11 @@ from sdpid.estimation.problem import Problem, build_problem
 from sdpid.experiment.samples import Samples
 from sdpid.output.urdf import write_urdf
 from sdpid.robot.base import generic_states
-from sdpid.robot.friction import FrictionModel
+from sdpid.robot.friction import FrictionModel, SigmoidFriction
 from sdpid.robot.inertia import margin, point_masses
 from sdpid.robot.load import load_robot
 from sdpid.robot.model import RobotModel
+from tests.helpers.robots import small_arm
 
 # Efforts of the written robot, relative to the largest one.
 CLOSE = 1e-9
@@ -316,7 +318,7 @@ def test_refusals(tmp_path: Path, arm: Problem) -> None:
         write_urdf(good, target=target, source=tmp_path / "absent.urdf")
     with pytest.raises(ModelError, match="document type"):
         write_urdf(good, target=target, source=ARM.replace("<!-- an", "<!DOCTYPE r><!-- an"))
-    with pytest.raises(ModelError, match="the mass of link 'tool'"):
+    with pytest.raises(ModelError, match="link 'tool': value of <mass>"):
         write_urdf(good, target=target, source=ARM.replace('value="0.2"', 'value="heavy"'))
     with pytest.raises(ExportError, match="cannot write"):
         write_urdf(good, target=tmp_path / "no" / "out.urdf")
@@ -324,3 +326,29 @@ def test_refusals(tmp_path: Path, arm: Problem) -> None:
     with pytest.raises(ExportError, match="as source"):
         write_urdf(estimate_of(nameless, links), target=target)
     assert list(tmp_path.iterdir()) == []
+
+
+def test_other_friction_becomes_what_fits_best(tmp_path: Path) -> None:
+    """A sigmoid that saturates at once is Coulomb friction; a wide one is viscous."""
+    robot = small_arm(2)
+    rng = np.random.default_rng(0)
+    velocity = rng.uniform(-2.0, 2.0, (200, 2))
+    terms = ("viscous", SigmoidFriction(velocity=(1e-9, 1e3)))
+    body = [1.0, 0.0, 0.0, 0.0, 0.1, 0.0, 0.1, 0.0, 0.0, 0.1]
+    theta = np.array([*body, *body, 0.5, 0.5, 3.0, 4e3])
+    position = rng.uniform(-1.0, 1.0, (200, 2))
+    samples = Samples(
+        position=position,
+        velocity=velocity,
+        acceleration=velocity[::-1],
+        effort=rng.standard_normal((200, 2)),
+    )
+    problem = build_problem(robot, samples, friction=terms)
+    estimate = Estimate.of_theta(problem, theta, method="sdp", status="optimal")
+    report = write_urdf(estimate, target=tmp_path / "arm.urdf")
+    assert report.left_out == ()
+    assert "Fsg1" in report.describe()
+    joints = ElementTree.parse(tmp_path / "arm.urdf").iter("joint")
+    found = [joint.find("dynamics") for joint in joints]
+    numbers = [(float(d.get("friction")), float(d.get("damping"))) for d in found if d is not None]
+    np.testing.assert_allclose(numbers, [(3.0, 0.5), (0.0, 4.5)], atol=0.01)

@@ -1,0 +1,296 @@
+"""What a model can be trusted for, and what not, in words.
+
+Every statement follows from a number against a limit that is named here, with its reason.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Protocol
+
+import numpy as np
+
+from sdpid.assurance.certificate import Certificate
+from sdpid.assurance.prediction_verdict import (
+    Finding,
+    effort_findings,
+    friction_findings,
+    listed,
+    percent,
+)
+from sdpid.assurance.residuals import JointErrors, joint_errors
+from sdpid.assurance.validation import Validation, validate
+from sdpid.estimation.estimate import Estimate
+from sdpid.estimation.problem import Problem
+from sdpid.experiment.samples import Samples
+
+# Held-out over training error. Another motion weighs the same defects differently, which makes
+# some 20 % either way; at 1.5 half as much again is wrong on what was not seen as on what was.
+CARRIES, FAILS = 1.2, 1.5
+
+# The constraints' share in the error: where they make the relative residual larger by this, they
+# contradict the data by more than rounding and noise, which cost a correct model far below 1 %.
+PRICE = 0.05
+
+# A parameter is the prior's where more than half of the uncertainty that it would leave remains.
+PRIOR = 0.5
+
+# Motion beyond the recorded range by more than a tenth of it is extrapolation.
+BEYOND = 0.1
+
+# A description's speed limit is hardly reached in a recording; below half of it friction and
+# inertia at full speed are guesses.
+SLOW = 0.5
+
+
+class Judged(Protocol):
+    """What is judged: `sdpid.Identification`, or anything with these."""
+
+    @property
+    def problem(self) -> Problem:
+        """What was solved."""
+
+    @property
+    def wls(self) -> Estimate:
+        """The unconstrained fit."""
+
+    @property
+    def estimate(self) -> Estimate:
+        """The estimate."""
+
+    @property
+    def certificate(self) -> Certificate:
+        """Its certificate."""
+
+    @property
+    def training(self) -> Validation:
+        """The estimate on the rows it was made from."""
+
+    @property
+    def training_wls(self) -> Validation:
+        """The unconstrained fit there."""
+
+    @property
+    def validation(self) -> Validation | None:
+        """The estimate on other rows."""
+
+    @property
+    def validation_samples(self) -> Samples | None:
+        """Those rows."""
+
+
+def verdict(identification: Judged) -> tuple[str, ...]:
+    """Return in plain words what a model can be trusted for, and what not.
+
+    Parameters
+    ----------
+    identification : Identification
+        What `identify` found.
+
+    Returns
+    -------
+    tuple of str
+        Statements, the most important first.
+    """
+    return tuple(finding.text for finding in findings(identification))
+
+
+def findings(
+    identification: Judged, errors: tuple[JointErrors, ...] | None = None
+) -> tuple[Finding, ...]:
+    """Return the statements of `verdict` with what each means for the model.
+
+    Parameters
+    ----------
+    identification : Identification
+        What `identify` found.
+    errors : tuple of JointErrors, optional
+        Of the prediction that counts (see `judged`), where they are known.
+
+    Returns
+    -------
+    tuple of Finding
+    """
+    if errors is None:
+        errors = joint_errors(*judged(identification))
+    return (
+        *effort_findings(*judged(identification), _seen_on(identification)),
+        *_held_out(identification),
+        *friction_findings(judged(identification)[1], errors),
+        *_reach(identification),
+        *_weak(identification),
+        *_sources(identification),
+        *_constraints(identification),
+        *_proof(identification),
+    )
+
+
+def judged(identification: Judged) -> tuple[Samples, Validation]:
+    """Return the rows and the prediction that count: held-out ones where there are some."""
+    if identification.validation is not None and identification.validation_samples is not None:
+        return identification.validation_samples, identification.validation
+    return identification.problem.samples, identification.training
+
+
+def _seen_on(result: Judged) -> str:
+    """Return what the prediction that counts was made on, in words."""
+    return "motion that was not used for the fit" if result.validation else "its own training data"
+
+
+def _held_out(result: Judged) -> Iterator[Finding]:
+    """Compare held-out with training error."""
+    if result.validation is None:
+        yield Finding(
+            "caution",
+            "Nothing was held out, so every error here is on the data that were fitted: how well "
+            "it predicts other motion is not known. Give a second recording (--validation).",
+        )
+        return
+    held, own = result.validation.relative, result.training.relative
+    ratio = held / max(own, np.finfo(float).tiny)
+    numbers = f"relative residual {percent(held)}, on the training data {percent(own)}"
+    if ratio <= CARRIES:
+        yield Finding("good", f"It carries over to other motion: {numbers}.")
+    elif ratio <= FAILS:
+        yield Finding("caution", f"It is somewhat worse on other motion: {numbers}.")
+    else:
+        yield Finding(
+            "bad",
+            f"It does not carry over to other motion: {numbers}, {ratio:.1f} times as much. The "
+            "motion was too poor for the model, or the robot changed in between (load, "
+            "temperature).",
+        )
+
+
+def _reach(result: Judged) -> Iterator[Finding]:
+    """Say where prediction is extrapolation."""
+    problem, samples = result.problem, result.problem.samples
+    robot = problem.robot
+    joints = range(robot.n_base, robot.n)
+    peaks = np.abs(samples.velocity).max(axis=0)
+    slow = [
+        f"{robot.joint_names[j]} ({peaks[j]:.2g} of {robot.velocity_limits[j]:.2g} rad/s)"
+        for j in joints
+        if np.isfinite(robot.velocity_limits[j]) and peaks[j] < SLOW * robot.velocity_limits[j]
+    ]
+    if slow:
+        yield Finding(
+            "caution",
+            "Beyond the recorded speeds it extrapolates; these joints stayed below half of what "
+            f"the description allows: {listed(slow)}.",
+        )
+    fresh = result.validation_samples
+    if fresh is None:
+        return
+    beyond = []
+    for j in joints:
+        for what, own, other in (
+            ("velocity", samples.velocity, fresh.velocity),
+            ("acceleration", samples.acceleration, fresh.acceleration),
+        ):
+            room = np.abs(own[:, j]).max()
+            if np.abs(other[:, j]).max() > (1.0 + BEYOND) * room:
+                beyond.append(f"{robot.joint_names[j]} ({what})")
+    if beyond:
+        yield Finding(
+            "caution",
+            f"The validation motion goes beyond the training motion: {listed(beyond)}. Its errors "
+            "include extrapolation.",
+        )
+
+
+def _weak(result: Judged) -> Iterator[Finding]:
+    """Name weakly excited directions."""
+    weak = result.problem.excitation.weak()
+    if not weak:
+        return
+    count = len(result.problem.base.names)
+    shown = [" with ".join(names) or "a mixture of many" for _, names in weak[::-1]]
+    held = (
+        "the description's inertias decide there"
+        if result.problem.prior is not None
+        else "their values are as good as arbitrary, and other motion may bring that to light"
+    )
+    yield Finding(
+        "caution",
+        f"{len(weak)} of {count} directions of the base parameters are weakly excited; {held}. "
+        f"The weakest: {listed(shown)}. Do not read these parameters one by one.",
+    )
+
+
+def _sources(result: Judged) -> Iterator[Finding]:
+    """Count parameters that the prior gave."""
+    sources = result.estimate.provenance
+    if sources is None:
+        return
+    from_prior = int(np.count_nonzero(sources.prior > PRIOR))
+    if not from_prior:
+        return
+    links = result.problem.robot.link_names
+    masses = [name for i, name in enumerate(links) if sources.prior[10 * i] > PRIOR]
+    told = f" The mass is the description's for {listed(masses)}." if masses else ""
+    yield Finding(
+        "caution",
+        f"{from_prior} of {len(sources.names)} standard parameters are the description's or the "
+        "choice nearest to it, not measured: many do not act on the effort at all. The effort is "
+        f"predicted all the same; do not quote them as masses or inertias of the robot.{told}",
+    )
+
+
+def _constraints(result: Judged) -> Iterator[Finding]:
+    """Say what physics costs, and name parameters at the end of what is allowed."""
+    own, free = result.training.relative, result.training_wls.relative
+    states = [s for s in result.estimate.constraint_states if s.active]
+    pressing = sorted((s for s in states if s.multiplier), key=lambda s: -abs(s.multiplier or 0.0))
+    if own > (1.0 + PRICE) * free:
+        names = listed([s.name for s in pressing]) if pressing else "none"
+        if result.problem.prior is None:
+            why = "The constraints contradict the data"
+            end = "Something is not in the model, or a limit is wrong."
+        else:
+            why, end = "The prior and the constraints hold the fit back", _whether_it_pays(result)
+        yield Finding(
+            "caution",
+            f"{why}: the relative residual on the training data is {percent(own)}, without them "
+            f"{percent(free)}. {end} Active constraints: {names} (price_of_consistency tells "
+            "what each costs).",
+        )
+    limit = f"{result.problem.constraints.theta_max:g}"
+    ends = [s.name for s in states if s.name.endswith((f" most {limit}", f" least -{limit}"))]
+    if ends:
+        yield Finding(
+            "bad",
+            f"Nothing but a numerical limit holds {listed(ends)}: the data do not determine these "
+            "parameters. Use a prior, or a richer motion.",
+        )
+    heavy = [s.name for s in states if s.name.startswith("mass of ") and " at most " in s.name]
+    if heavy:
+        yield Finding(
+            "caution",
+            f"Masses are as large as is allowed: {listed(heavy)}. The data hardly tell them from "
+            "those of their neighbours; lower --mass-max to what the link can weigh, or use a "
+            "prior.",
+        )
+
+
+def _whether_it_pays(result: Judged) -> str:
+    """Compare with the unconstrained fit on other motion."""
+    if result.validation is None or result.validation_samples is None:
+        return "Only held-out data tell whether that pays."
+    held = result.validation.relative
+    free = validate(result.wls, result.validation_samples).relative
+    outcome = "it pays" if held <= free else "it does not pay"
+    return f"On the validation data {outcome}: {percent(held)}, without them {percent(free)}."
+
+
+def _proof(result: Judged) -> Iterator[Finding]:
+    """Say whether the optimum is proven."""
+    if result.certificate.passed:
+        if result.problem.consistency != "none":
+            yield Finding(
+                "good",
+                "Every link is physically possible, and no possible parameters fit better: proven "
+                "in exact arithmetic. That says nothing about what the model leaves out.",
+            )
+    elif result.problem.consistency != "none":
+        yield Finding("bad", f"It is not proven to be the best fit: {result.certificate.summary()}")

@@ -1,0 +1,70 @@
+"""Small identifications, made in a moment."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+import sdpid
+from sdpid._arrays import Array
+from sdpid.estimation.problem import Problem, build_problem
+from sdpid.experiment.samples import Samples
+from tests.helpers.data import full_regressor, random_theta
+from tests.helpers.robots import small_arm
+
+ARM = small_arm(2)
+FRICTION = ("coulomb", "viscous", "offset")
+RATE = 50.0
+
+
+def arm_theta() -> Array:
+    """Return consistent parameters of the arm."""
+    return random_theta(ARM, np.random.default_rng(7), FRICTION)
+
+
+def moved(
+    theta: Array,
+    seed: int,
+    *,
+    seconds: float = 20.0,
+    noise: float = 0.02,
+    speed: float = 1.0,
+    amplitude: float = 1.0,
+    robot: sdpid.RobotModel = ARM,
+    **fields: Any,
+) -> Samples:
+    """Return samples of a smooth motion."""
+    rng = np.random.default_rng(seed)
+    t = np.arange(0.0, seconds, 1.0 / RATE)
+    w = speed * rng.uniform(0.5, 4.0, (3, robot.n))
+    angle = w * t[:, None, None] + rng.uniform(0.0, 6.0, (3, robot.n))
+    q = amplitude * np.sin(angle).sum(axis=1)
+    v = amplitude * (w * np.cos(angle)).sum(axis=1)
+    a = -amplitude * (w**2 * np.sin(angle)).sum(axis=1)
+    effort = full_regressor(robot, (q, v, a), FRICTION) @ theta
+    effort = effort + noise * rng.standard_normal(effort.shape)
+    return Samples(position=q, velocity=v, acceleration=a, effort=effort, time=t, **fields)
+
+
+def identified(
+    samples: Samples | Problem, validation: Samples | None = None, **options: Any
+) -> sdpid.Identification:
+    """Identify the arm."""
+    problem = samples
+    if isinstance(problem, Samples):
+        problem = build_problem(
+            options.pop("robot", ARM), problem, friction=FRICTION, weighting="residual", **options
+        )
+    wls, estimate = sdpid.solve_wls(replace(problem, prior=None)), sdpid.solve_sdp(problem)
+    return sdpid.Identification(
+        problem=problem,
+        wls=wls,
+        estimate=estimate,
+        certificate=sdpid.certify(estimate),
+        training=sdpid.validate(estimate),
+        training_wls=sdpid.validate(wls),
+        validation=None if validation is None else sdpid.validate(estimate, validation),
+        validation_samples=validation,
+    )

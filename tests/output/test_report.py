@@ -1,0 +1,308 @@
+"""The report is one valid page that needs nothing else and believes no name."""
+
+from __future__ import annotations
+
+import base64
+import importlib.util
+import json
+import os
+import re
+import shutil
+import subprocess
+import warnings
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from lxml import etree
+
+import sdpid
+from sdpid.output import report
+from sdpid.output.report import report_html, write_report
+from tests.helpers.identified import arm_theta, identified, moved
+
+# A browser of this family, wherever it is called what.
+BROWSERS = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable", "chrome")
+
+EVIL = "<script>alert(1)</script>"
+EVIL_LINK = "\"'><img src=http://example.org/x onerror=alert(1)>"
+COMMAND = "sdpid identify 'a <b>.csv' --robot arm.urdf"
+
+
+@dataclass(frozen=True)
+class Given:
+    """Intervals as anybody may make them."""
+
+    names: tuple[str, ...]
+    lower: np.ndarray
+    upper: np.ndarray
+    label: tuple[str, ...]
+
+
+@pytest.fixture(scope="module")
+def result() -> sdpid.Identification:
+    theta = arm_theta()
+    notes = ("low-pass filter at 10 Hz", EVIL)
+    return identified(moved(theta, 1, notes=notes), moved(theta, 2))
+
+
+@pytest.fixture(scope="module")
+def page(result: sdpid.Identification) -> str:
+    return report_html(result, command=COMMAND)
+
+
+@pytest.fixture(scope="module")
+def evil_page() -> str:
+    """Return the report of a robot with names that want to run."""
+    text = (
+        '<robot name="&lt;b&gt;arm$"><link name="base"/>'
+        f'<link name="{quoted(EVIL_LINK)}">{body(1.0)}</link>'
+        f'<link name="tip">{body(0.5)}</link>'
+        f'<joint name="{quoted(EVIL)}" type="continuous"><parent link="base"/>'
+        f'<child link="{quoted(EVIL_LINK)}"/><axis xyz="0 1 0"/></joint>'
+        f'<joint name="$\\undefined$" type="continuous"><parent link="{quoted(EVIL_LINK)}"/>'
+        '<child link="tip"/><origin xyz="0.3 0 0"/><axis xyz="0 1 0"/></joint></robot>'
+    )
+    robot = sdpid.load_robot(text)
+    return report_html(identified(moved(arm_theta(), 1, robot=robot), robot=robot), command=EVIL)
+
+
+def quoted(text: str) -> str:
+    for character, entity in (("&", "amp"), ("<", "lt"), (">", "gt"), ('"', "quot")):
+        text = text.replace(character, f"&{entity};")
+    return text
+
+
+def body(mass: float) -> str:
+    return (
+        f'<inertial><origin xyz="0.1 0 0"/><mass value="{mass}"/>'
+        '<inertia ixx="0.01" iyy="0.01" izz="0.01" ixy="0" ixz="0" iyz="0"/></inertial>'
+    )
+
+
+def tree(page: str) -> Any:
+    """Parse as the standard says, without forgiving anything."""
+    with warnings.catch_warnings():
+        # The parser speaks of its own dependencies.
+        warnings.simplefilter("ignore", DeprecationWarning)
+        html5lib = pytest.importorskip("html5lib")
+        builder = html5lib.getTreeBuilder("lxml")
+        return html5lib.HTMLParser(tree=builder, strict=True).parse(page)
+
+
+def elements(page: str, name: str) -> list[Any]:
+    return list(tree(page).iter(f"{{http://www.w3.org/1999/xhtml}}{name}"))
+
+
+def words(page: str) -> str:
+    found = tree(page)
+    for style in list(found.iter("{*}style")):
+        style.getparent().remove(style)
+    return re.sub(r"\s+", " ", "".join(found.getroot().itertext()))
+
+
+def self_contained(page: str) -> None:
+    """Check that nothing is fetched and nothing runs."""
+    allowed = {"img": r"data:image/svg\+xml;base64,", "a": r"#"}
+    for element in tree(page).iter("{*}*"):
+        name = etree.QName(element).localname
+        assert name not in ("script", "link", "iframe", "object", "embed", "base", "form")
+        for key, value in element.attrib.items():
+            assert not key.startswith("on")
+            if key in ("src", "href", "srcset", "data", "action", "poster", "background"):
+                assert re.match(allowed[name], value), (name, key, value[:60])
+    style = "".join(element.text or "" for element in elements(page, "style"))
+    assert style
+    assert "url(" not in style
+    assert "@import" not in style
+    for image in elements(page, "img"):
+        picture = base64.b64decode(image.get("src").partition(",")[2])
+        assert b"<script" not in picture
+        # Its root names the format's vocabulary; nothing in it is fetched.
+        for reference in re.findall(rb'(?:href|src)="([^"]*)"', picture):
+            assert reference.startswith((b"#", b"data:"))
+
+
+def test_it_is_valid_and_self_contained(page: str, evil_page: str) -> None:
+    for text in (page, evil_page):
+        assert text.startswith("<!DOCTYPE html>")
+        self_contained(text)
+        ids = [e.get("id") for e in tree(text).iter("{*}*") if e.get("id")]
+        assert len(ids) == len(set(ids))
+        assert all(a.get("href")[1:] in ids for a in elements(text, "a"))
+
+
+def test_names_are_escaped(evil_page: str) -> None:
+    shown = words(evil_page)
+    assert EVIL in shown
+    assert EVIL_LINK in shown
+    assert "<b>arm$" in shown
+    assert "$\\undefined$" in shown
+    assert "<script" not in evil_page
+    assert not elements(evil_page, "b")[0].get("onerror")
+    # Two pictures a joint, and none that a name brought.
+    assert len(elements(evil_page, "img")) == 4
+
+
+def test_it_tells_the_whole_story(result: sdpid.Identification, page: str) -> None:
+    shown = words(page)
+    certificate = result.certificate
+    for text in (
+        result.problem.robot.name,
+        "low-pass filter at 10 Hz",
+        EVIL,
+        "50 Hz",
+        "20 s",
+        "Condition number",
+        "validation (held out)",
+        f"{result.validation.r2[0]:.4f}",
+        f"{result.training.r2[1]:.4f}",
+        "standard error",
+        "Coulomb",
+        certificate.to_dict()["sha256"],
+        f"{certificate.lower_bound:#.10g}",
+        COMMAND,
+        *sdpid.verdict(result),
+        *result.problem.base.names,
+        *result.problem.base.theta_names,
+        *(s.name for s in result.estimate.constraint_states if s.active),
+        *result.problem.robot.joint_names,
+    ):
+        assert text in shown, text
+    # A bar for every standard parameter, each of them full.
+    bars = [e for e in elements(page, "span") if e.get("class") == "bar"]
+    assert len(bars) == result.problem.n_theta
+    for bar in bars:
+        widths = [float(re.search(r"width:([\d.]+)%", part.get("style"))[1]) for part in bar]
+        assert sum(widths) == pytest.approx(100.0, abs=0.2)
+
+
+def test_the_same_result_gives_the_same_page(result: sdpid.Identification, page: str) -> None:
+    assert report_html(result, command=COMMAND) == page
+
+
+def test_without_validation_figures_or_command(result: sdpid.Identification) -> None:
+    alone = replace(result, validation=None, validation_samples=None)
+    text = report_html(alone, figures=False)
+    self_contained(text)
+    shown = words(text)
+    assert "held out)" not in shown
+    assert "Nothing was held out" in shown
+    assert "No plots were drawn" in shown
+    assert "From Python" in shown
+    assert not elements(text, "img")
+
+
+def test_plots_are_left_out_without_matplotlib(
+    result: sdpid.Identification, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(report.importlib.util, "find_spec", lambda _: None)
+    assert not elements(report_html(result, sha256="0"), "img")
+
+
+def test_samples_without_time_and_with_masked_rows(result: sdpid.Identification) -> None:
+    samples = moved(arm_theta(), 1, seconds=8.0)
+    mask = np.ones(samples.effort.shape, dtype=bool)
+    mask[100:200, 0] = False
+    text = report_html(identified(replace(samples, time=None, mask=mask)))
+    self_contained(text)
+    assert "700 of 800" in words(text)
+
+
+def test_intervals_are_shown(result: sdpid.Identification) -> None:
+    base, theta = result.problem.base.names[0], result.problem.base.theta_names[0]
+    names, label = (base, theta), ("from data", "from physics")
+    given = Given(names, np.array([-1.25, 0.0]), np.array([2.5, np.inf]), label)
+    shown = words(report_html(result, intervals=given, figures=False))
+    assert "−1.250 … 2.500" in shown
+    assert "0 … –" in shown
+    assert "from physics" in shown
+    gauss = sdpid.intervals(result.estimate, method="gauss_markov")
+    assert "from data" in words(report_html(result, intervals=gauss, figures=False))
+
+
+def test_it_is_written_whole_or_not_at_all(
+    result: sdpid.Identification, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = write_report(result, tmp_path / "report.html", figures=False, sha256="0")
+    before = path.read_text(encoding="utf-8")
+    with pytest.raises(sdpid.ExportError):
+        write_report(result, tmp_path / "nowhere" / "report.html", figures=False, sha256="0")
+
+    def fail(*_: object, **__: object) -> None:
+        raise sdpid.ExportError("no")
+
+    monkeypatch.setattr(report, "atomic_write_text", fail)
+    with pytest.raises(sdpid.ExportError):
+        result.save(tmp_path, figures=False)
+    assert [p.name for p in tmp_path.iterdir()] == ["report.html"]
+    assert path.read_text(encoding="utf-8") == before
+
+
+def test_save_writes_it_with_the_digest_of_the_certificate(
+    result: sdpid.Identification, tmp_path: Path
+) -> None:
+    files = result.save(tmp_path, figures=False, command=COMMAND)
+    assert files[-1] == tmp_path / "report.html"
+    text = files[-1].read_text(encoding="utf-8")
+    digest = json.loads((tmp_path / "certificate.json").read_text(encoding="utf-8"))["sha256"]
+    assert digest in text
+    assert COMMAND in words(text)
+
+
+def test_save_goes_on_without_the_extra(
+    result: sdpid.Identification, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    found: Callable[..., Any] = importlib.util.find_spec
+    monkeypatch.setattr(
+        importlib.util, "find_spec", lambda name, *a: None if name == "jinja2" else found(name, *a)
+    )
+    said: list[str] = []
+    files = result.save(tmp_path, figures=False, report=said.append)
+    assert "report.html" not in {file.name for file in files}
+    assert any("sdpid[report]" in text for text in said)
+
+
+@pytest.mark.parametrize("width", [390, 1280])
+def test_a_browser_shows_it(page: str, tmp_path: Path, width: int) -> None:
+    """At the width of a phone and of a desk: no sideways scrolling, every picture drawn."""
+    browser = os.environ.get("SDPID_BROWSER") or next(filter(None, map(shutil.which, BROWSERS)), "")
+    if not browser:
+        pytest.skip(f"no browser: none of {', '.join(BROWSERS)} is installed")
+    measure = (
+        "<script>addEventListener('load', () => { const d = document, e = d.documentElement;"
+        "d.title = JSON.stringify({inner: innerWidth, wide: e.scrollWidth, high: e.scrollHeight,"
+        "drawn: [...d.images].filter(i => i.complete && i.naturalWidth > 0).length,"
+        "all: d.images.length}); })</script>"
+    )
+    # A narrow frame, since windows have a least width of their own.
+    (tmp_path / "report.html").write_text(page + measure, encoding="utf-8")
+    frame = (
+        "<!DOCTYPE html><style>body { margin: 0 } iframe { border: 0; height: 3000px; "
+        f"width: {width}px }}</style><iframe src='report.html'></iframe><script>"
+        "addEventListener('load', () => setTimeout(() => { document.title = "
+        "frames[0].document.title }, 0))</script>"
+    )
+    (tmp_path / "frame.html").write_text(frame, encoding="utf-8")
+    command = [browser, "--headless", "--disable-gpu", "--hide-scrollbars", "--no-first-run"]
+    command += [f"--user-data-dir={tmp_path / 'profile'}", "--allow-file-access-from-files"]
+    # As root there is no sandbox to be had; the page is our own.
+    command += ["--no-sandbox"] if os.name == "posix" and os.geteuid() == 0 else []
+    picture = tmp_path / f"report-{width}.png"
+    address = (tmp_path / "frame.html").as_uri()
+    run = {"capture_output": True, "text": True, "timeout": 120, "check": True}
+    shown = subprocess.run([*command, "--dump-dom", address], **run).stdout
+    title = re.search(r"<title>(.*?)</title>", shown)
+    assert title, shown[:300]
+    seen = json.loads(title[1])
+    assert seen["inner"] == width
+    assert seen["wide"] <= width
+    assert seen["high"] > 2000
+    assert seen["drawn"] == seen["all"] == 4
+    size = f"--window-size={max(width, 500)},3000"
+    subprocess.run([*command, size, f"--screenshot={picture}", address], **run)
+    assert picture.read_bytes().startswith(b"\x89PNG")
+    assert picture.stat().st_size > 50_000

@@ -1,0 +1,107 @@
+"""A run that a signal ends leaves earlier results whole."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from sdpid._files import move_into, undisturbed
+from tests.helpers.arm_files import ARM_URDF, arm_log
+
+pytestmark = pytest.mark.skipif(os.name != "posix", reason="signals of POSIX")
+
+
+def identify(folder: Path, *more: str) -> subprocess.Popen[str]:
+    command = [sys.executable, "-m", "sdpid", "identify", "log.npz", "--robot", "arm.urdf"]
+    return subprocess.Popen(
+        [*command, "--out", "out", *more],
+        cwd=folder,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+
+
+def contents(folder: Path) -> dict[str, bytes]:
+    return {path.name: path.read_bytes() for path in folder.iterdir()}
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return a folder with a robot, a log, and results of an earlier run."""
+    folder = tmp_path_factory.mktemp("interrupted")
+    (folder / "arm.urdf").write_text(ARM_URDF)
+    t, q, tau = arm_log(folder / "arm.urdf")
+    np.savez(folder / "log.npz", t=t, q=q, tau=tau)
+    run = identify(folder)
+    _, said = run.communicate(timeout=120)
+    assert run.returncode == 0, said
+    return folder
+
+
+@pytest.mark.parametrize("delay", [0.0, 0.1])
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
+def test_earlier_results_stay(folder: Path, number: signal.Signals, delay: float) -> None:
+    before = contents(folder / "out")
+    # Another margin, so that files of this run would differ.
+    run = identify(folder, "--margin", "1e-4")
+    ends = time.monotonic() + 60.0
+    while not any(path.name.startswith(".sdpid-") for path in (folder / "out").iterdir()):
+        assert run.poll() is None, run.communicate()
+        assert time.monotonic() < ends
+        time.sleep(0.002)
+    time.sleep(delay)
+    run.send_signal(number)
+    _, said = run.communicate(timeout=60)
+    assert run.returncode == 128 + number
+    assert "Traceback" not in said
+    assert contents(folder / "out") == before
+
+
+def test_a_first_run_leaves_nothing(folder: Path) -> None:
+    fresh = folder / "fresh"
+    run = identify(folder, "--out", "fresh")
+    ends = time.monotonic() + 60.0
+    while not fresh.exists():
+        assert run.poll() is None
+        assert time.monotonic() < ends
+        time.sleep(0.002)
+    run.terminate()
+    _, said = run.communicate(timeout=60)
+    assert run.returncode == 128 + signal.SIGTERM
+    assert said == ""
+    assert not fresh.exists()
+
+
+def test_files_move_together(tmp_path: Path) -> None:
+    stage = tmp_path / "stage"
+    stage.mkdir()
+    files = [stage / name for name in "abc"]
+
+    def given() -> list[Path]:
+        # The signal comes when one file has moved.
+        return [file for file in files if file.write_text(file.name)]
+
+    def moved():  # type: ignore[no-untyped-def]
+        for i, file in enumerate(given()):
+            if i == 1:
+                os.kill(os.getpid(), signal.SIGINT)
+            yield file
+
+    with pytest.raises(KeyboardInterrupt):
+        move_into(tmp_path, moved())
+    assert [(tmp_path / file.name).read_text() for file in files] == ["a", "b", "c"]
+    assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
+
+
+def test_nothing_is_held_back_without_a_signal() -> None:
+    with undisturbed():
+        pass
+    assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
