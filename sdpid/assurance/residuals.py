@@ -13,6 +13,7 @@ import numpy as np
 
 from sdpid._arrays import Array, Mask, frozen
 from sdpid.assurance.validation import Validation
+from sdpid.estimation.weighting import autocorrelation
 from sdpid.experiment.samples import Samples
 
 # Velocities are sorted into this many bins of equally many rows: enough for the two sides of a
@@ -117,7 +118,8 @@ def _of_joint(
 
     mean = float(error[kept].mean())
     centred = np.where(kept, error - mean, 0.0)
-    correlation = _autocorrelation(centred, kept, rate)
+    lags = int(max(min(_LAG_SHARE * len(error), _LAG_SECONDS * rate), 1)) + 1
+    correlation = autocorrelation(error, kept)[:lags]
     effort = samples.effort[:, j]
     size = min(_PIECE, len(error))
     densities = []
@@ -147,23 +149,6 @@ def _of_joint(
         with_sign=_squared_correlation(np.sign(v), e),
         with_velocity=_squared_correlation(v, e),
     )
-
-
-def _autocorrelation(centred: Array, kept: Mask, rate: float) -> Array:
-    """Return the autocorrelation of errors that are zero where they do not count."""
-    K = len(centred)
-    lags = int(max(min(_LAG_SHARE * K, _LAG_SECONDS * rate), 1)) + 1
-    size = 1 << int(np.ceil(np.log2(K + lags)))
-    sums = []
-    for signal in (centred, kept.astype(np.float64)):
-        spectrum = np.fft.rfft(signal, size)
-        sums.append(np.fft.irfft(np.abs(spectrum) ** 2, size)[: min(lags, K)])
-    # Each lag is the mean over the pairs of which both count.
-    pairs = np.maximum(np.round(sums[1]), 1.0)
-    covariance = sums[0] / pairs
-    if covariance[0] <= 0.0:
-        return np.concatenate([[1.0], np.zeros(len(covariance) - 1)])
-    return np.asarray(covariance / covariance[0])
 
 
 def _over_velocity(v: Array, e: Array, independent: float) -> tuple[Array, float]:

@@ -105,16 +105,12 @@ def _step(
 ) -> ConicSolution:
     """Return the step along the null directions that brings theta nearest."""
     feasible = problem.feasible
-    inverses = np.linalg.inv(scaling.block_roots(feasible))
-    transposed = np.swapaxes(inverses, 1, 2)
-    blocks = Coordinates(theta, null).matrices(
-        inverses @ feasible.block_constants @ transposed + slack * np.eye(feasible.size),
-        inverses[:, None] @ feasible.block_basis @ transposed[:, None],
-        feasible.block_links,
-    )
+    coordinates = Coordinates(theta, null)
+    inverses = np.asarray(np.linalg.inv(scaling.block_roots(feasible)))
+    blocks = coordinates.inequalities(feasible, inverses, slack=slack)
     bounded = np.flatnonzero(feasible.bounded & (np.abs(null).max(axis=1) > 0.0))
     scale = scaling.theta[bounded][:, None]
-    unequal = Coordinates(theta, null).limited(problem, scaling)
+    unequal = coordinates.limited(problem, scaling)
     rows, sizes = feasible.rows[unequal], scaling.row_sizes(feasible)[unequal][:, None]
     C = np.vstack([null[bounded] / scale, rows @ null / sizes])
     here = np.concatenate([theta[bounded], rows @ theta])

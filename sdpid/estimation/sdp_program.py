@@ -10,6 +10,7 @@ from sdpid._arrays import Array, Indices, Mask, frozen
 from sdpid.estimation.bound import gradient
 from sdpid.estimation.conic import ConicProgram, ConicSolution, Matrix
 from sdpid.estimation.estimate import Multipliers
+from sdpid.estimation.feasible import FeasibleSet
 from sdpid.estimation.problem import Problem
 from sdpid.estimation.scaling import Scaling
 from sdpid.estimation.wls import solve_wls
@@ -86,6 +87,17 @@ class Coordinates:
         moved = np.abs(feasible.rows @ self.directions).max(axis=1, initial=0.0)
         moves = moved > _FIXED * scaling.row_sizes(feasible)
         return np.flatnonzero(~feasible.equations & moves)
+
+    def inequalities(
+        self, feasible: FeasibleSet, inverses: Array, *, slack: float = 0.0
+    ) -> list[Matrix]:
+        """Return a set's matrix inequalities, each scaled by its inverse, as functions of x."""
+        transposed = np.swapaxes(inverses, 1, 2)
+        return self.matrices(
+            inverses @ feasible.block_constants @ transposed + slack * np.eye(feasible.size),
+            inverses[:, None] @ feasible.block_basis @ transposed[:, None],
+            feasible.block_links,
+        )
 
     def matrices(self, constants: Array, basis: Array, links: Indices) -> list[Matrix]:
         """Return matrices of links, ``constant + Σ body_k·basis_k``, as functions of x."""
@@ -182,12 +194,7 @@ class SdpProgram:
             (feasible.row_upper[unequal] - rows @ origin) / sizes,
         ]
         inverses = np.asarray(np.linalg.inv(scaling.block_roots(feasible)))
-        transposed = np.swapaxes(inverses, 1, 2)
-        blocks = coordinates.matrices(
-            inverses @ feasible.block_constants @ transposed,
-            inverses[:, None] @ feasible.block_basis @ transposed[:, None],
-            feasible.block_links,
-        )
+        blocks = coordinates.inequalities(feasible, inverses)
         moving = [
             i for i, block in enumerate(blocks) if np.abs(block.linear).max(initial=0.0) > _FIXED
         ]

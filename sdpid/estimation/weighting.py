@@ -187,6 +187,27 @@ def correlation_time(rows: RowSource, base: Array) -> float:
 
 def _integrated_time(signal: Array, mask: Mask) -> float:
     """Return 1 + 2·Σ rho over lags up to the first that is not positive (Geyer's cut)."""
+    correlation = autocorrelation(signal, mask)
+    stop = np.flatnonzero(correlation <= 0.0)
+    last = int(stop[0]) if stop.size else len(correlation)
+    return float(max(1.0, 1.0 + 2.0 * correlation[1:last].sum()))
+
+
+def autocorrelation(signal: Array, mask: Mask) -> Array:
+    """Return the autocorrelation of a signal about its mean, at every lag, 1 at the first.
+
+    Each lag is the mean over the pairs of which both count. A constant has none.
+
+    Parameters
+    ----------
+    signal : ndarray, shape (K,)
+    mask : ndarray of bool, shape (K,)
+        Which samples count.
+
+    Returns
+    -------
+    ndarray, shape (K,)
+    """
     count = len(signal)
     size = 1 << (2 * count - 1).bit_length()
     centred = np.where(mask, signal - signal[mask].mean(), 0.0)
@@ -194,8 +215,5 @@ def _integrated_time(signal: Array, mask: Mask) -> float:
     pairs = np.fft.irfft(np.abs(np.fft.rfft(mask.astype(float), size)) ** 2)[:count]
     correlation = lagged / np.maximum(np.round(pairs), 1.0)
     if correlation[0] <= 0.0:
-        return 1.0
-    correlation /= correlation[0]
-    stop = np.flatnonzero(correlation <= 0.0)
-    last = int(stop[0]) if stop.size else count
-    return float(max(1.0, 1.0 + 2.0 * correlation[1:last].sum()))
+        return np.asarray(np.eye(1, count)[0])
+    return np.asarray(correlation / correlation[0])
