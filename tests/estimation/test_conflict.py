@@ -32,7 +32,7 @@ HOLDS, FAILS = 1e-7, 1e-4
 def shortfall(problem: Problem, names: Iterable[str] | None = None) -> float:
     """Return by how much named constraints (or all) must give way to hold together.
 
-    Consistency is written out again; theta_max is not negotiable.
+    Consistency is written out again; theta_max is widened where it is not among the names.
     """
     feasible, limits = problem.feasible, problem.constraints
     theta, t = cp.Variable(problem.n_theta), cp.Variable(nonneg=True)
@@ -71,11 +71,13 @@ def shortfall(problem: Problem, names: Iterable[str] | None = None) -> float:
         vectors = feasible.block_basis[i][:, :3, -1].T
         body = theta[10 * link : 10 * link + 10]
         say(cp.norm(vectors @ body) <= axis @ body + t, name)
-    # theta_max is part of every program here.
-    said = None if names is None else [n for n in names if not n.startswith("theta_max")]
+    given = None if names is None else list(names)
+    said = None if given is None else [n for n in given if not n.startswith("theta_max")]
+    # As in the search for conflicts, or the program would be unbounded.
+    wide = limits.theta_max * (1.0 if given is None or len(said or ()) < len(given) else 1e3)
     chosen = parts if said is None else {name: parts[name] for name in said}
     constraints = [c for group in chosen.values() for c in group]
-    program = cp.Problem(cp.Minimize(t), [cp.abs(theta) <= limits.theta_max, *constraints])
+    program = cp.Problem(cp.Minimize(t), [cp.abs(theta) <= wide, *constraints])
     program.solve(solver=cp.CLARABEL)
     # What was not solved says nothing.
     return float(t.value) if program.status == "optimal" else float(np.sqrt(HOLDS * FAILS))
