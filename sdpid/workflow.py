@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from sdpid._arrays import Array
-from sdpid._files import atomic_write_text, move_into, undisturbed
+from sdpid._files import atomic_write_text, move_into
 from sdpid.assurance.certificate import Certificate, certify
 from sdpid.assurance.validation import Validation, validate
 from sdpid.assurance.verdict import verdict
@@ -238,25 +238,19 @@ def plot_fit(samples: Samples, fit: Validation) -> Any:
 def _staging(folder: Path) -> Iterator[Path]:
     """Yield an empty folder within one that is made for it, and remove both if they end empty."""
     made = not folder.exists()
-    stage: tempfile.TemporaryDirectory[str] | None = None
     try:
-        # A signal between making a folder and knowing of it would leave it behind.
-        with undisturbed():
-            folder.mkdir(parents=True, exist_ok=True)
-            stage = tempfile.TemporaryDirectory(dir=folder, prefix=".sdpid-")
-        yield Path(stage.name)
+        folder.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryDirectory(dir=folder, prefix=".sdpid-") as stage:
+            yield Path(stage)
     except OSError as cause:
         raise ExportError(
             f"cannot write into {folder}: {cause.strerror}; choose another folder."
         ) from None
     finally:
-        with undisturbed():
-            if stage is not None:
-                stage.cleanup()
-            # A folder that something was written into stays.
-            if made:
-                with contextlib.suppress(OSError):
-                    folder.rmdir()
+        # A folder that something was written into stays.
+        if made:
+            with contextlib.suppress(OSError):
+                folder.rmdir()
 
 
 def formulate(
