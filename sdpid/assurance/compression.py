@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 
 from sdpid._arrays import Array
 from sdpid.estimation.problem import Problem
-from sdpid.estimation.weighting import whitener
+from sdpid.estimation.weighting import whitened
 
 # What the rows are made of, in the order in which it is hashed.
 _FIELDS = ("position", "velocity", "acceleration", "effort", "mask", "covariance")
@@ -18,17 +18,15 @@ _FIELDS = ("position", "velocity", "acceleration", "effort", "mask", "covariance
 
 def summed_cost(problem: Problem, base: ArrayLike) -> float:
     """Return the cost of base parameters (b,), summed over the rows themselves."""
-    values = np.asarray(base, dtype=np.float64)
-    sigma = np.asarray(problem.sigma)
+    values = np.append(np.asarray(base, dtype=np.float64), -1.0)
+    printed = problem.weighting in ("eq9", "eq18")
     normal: Array = np.zeros(problem.base.count)
     total = 0.0
-    printed = problem.weighting in ("eq9", "eq18")
-    exponent = -0.5 if problem.weighting in ("eq9", "gls", "gls_per_sample", "residual") else -1.0
-    for part, W, effort, mask in problem.rows.chunks():
-        weight = whitener(sigma if sigma.ndim == 2 else sigma[part], mask, exponent)
-        residual = np.einsum("kij,kj->ki", weight, W @ values - effort)
+    exponent = -0.25 if problem.weighting == "eq9" else -0.5
+    for _, rows, _ in whitened(problem.rows, np.asarray(problem.sigma), exponent=exponent):
+        residual = rows @ values
         if printed:
-            normal += np.einsum("kib,ki->b", W, residual)
+            normal += np.einsum("kib,ki->b", rows[:, :, :-1], residual)
         else:
             total += float(np.sum(residual**2))
     return float(normal @ normal) if printed else total

@@ -13,7 +13,7 @@ import numpy as np
 
 from sdpid._arrays import Array, Mask, frozen
 from sdpid.assurance.validation import Validation
-from sdpid.estimation.weighting import autocorrelation
+from sdpid.estimation.weighting import LaggedSums
 from sdpid.experiment.samples import Samples
 
 # Velocities are sorted into this many bins of equally many rows: enough for the two sides of a
@@ -119,7 +119,8 @@ def _of_joint(
     mean = float(error[kept].mean())
     centred = np.where(kept, error - mean, 0.0)
     lags = int(max(min(_LAG_SHARE * len(error), _LAG_SECONDS * rate), 1)) + 1
-    correlation = autocorrelation(error, kept)[:lags]
+    paired = LaggedSums.of(centred[:, None], kept[:, None], samples.parts)
+    correlation = paired.correlation[0, :lags]
     effort = samples.effort[:, j]
     size = min(_PIECE, len(error))
     densities = []

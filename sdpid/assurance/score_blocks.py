@@ -28,7 +28,7 @@ from sdpid.estimation.excitation import UNDETERMINED
 from sdpid.estimation.problem import Problem
 from sdpid.estimation.rows import CHUNK
 from sdpid.estimation.uncertainty import FEWEST_BLOCKS
-from sdpid.estimation.weighting import whitener
+from sdpid.estimation.weighting import whitened, whitener
 
 Groups = Literal["blocks", "periods"]
 
@@ -67,14 +67,13 @@ class ScoreBlocks:
             return cls._of_periods(problem)
         block = problem.samples.block
         information, target = [], []
-        for part, W, effort, mask in problem.rows.chunks(max(CHUNK // block, 1) * block):
-            sigma = problem.sigma if problem.sigma.ndim == 2 else problem.sigma[part]
-            weight = whitener(sigma, mask, 0.5 * problem.score_exponent)
-            X, Y = weight @ W, np.einsum("kij,kj->ki", weight, effort)
-            for start in range(0, len(X), block):
-                rows = X[start : start + block].reshape(-1, W.shape[2])
-                information.append(rows.T @ rows)
-                target.append(rows.T @ Y[start : start + block].ravel())
+        size, exponent = max(CHUNK // block, 1) * block, 0.5 * problem.score_exponent
+        for _, weighted, _ in whitened(problem.rows, problem.sigma, exponent=exponent, size=size):
+            for start in range(0, len(weighted), block):
+                rows = weighted[start : start + block].reshape(-1, weighted.shape[2])
+                product = rows[:, :-1].T @ rows
+                information.append(product[:, :-1])
+                target.append(product[:, -1])
         if len(information) < FEWEST_BLOCKS:
             raise DataError(
                 f"intervals: {len(information)} blocks of {block} samples, at least "

@@ -34,7 +34,7 @@ from sdpid.estimation.bound import lower_bound
 from sdpid.estimation.estimate import Estimate
 from sdpid.estimation.problem import Problem
 from sdpid.estimation.rows import CHUNK, Triangle
-from sdpid.estimation.weighting import whitener
+from sdpid.estimation.weighting import whitened, whitener
 from sdpid.estimation.wls import solve_wls
 
 # The median size of a standard normal variable.
@@ -80,11 +80,8 @@ class WhitenedRows:
         if self._kept:
             yield from self._kept
             return
-        sigma = self.problem.sigma
         made = []
-        for part, W, effort, mask in self.problem.rows.chunks():
-            weight = whitener(sigma if sigma.ndim == 2 else sigma[part], mask, -0.5)
-            rows = weight @ np.concatenate([W, effort[:, :, None]], axis=2)
+        for part, rows, mask in whitened(self.problem.rows, self.problem.sigma):
             if self._keeps:
                 made.append((part, rows, mask))
             yield part, rows, mask

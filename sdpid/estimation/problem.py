@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import cached_property
 from typing import Any
@@ -15,17 +15,12 @@ from sdpid.errors import DataError
 from sdpid.estimation.conditions import Layout
 from sdpid.estimation.constraints import Constraints
 from sdpid.estimation.excitation import Excitation, require_excitation
+from sdpid.estimation.factor import Factor, covariance
 from sdpid.estimation.feasible import FeasibleSet
 from sdpid.estimation.prior import Prior, PriorRows, prior_rows
 from sdpid.estimation.profile import Profiled, close_terms
-from sdpid.estimation.rows import RowSource, Triangle
-from sdpid.estimation.weighting import (
-    WEIGHTINGS,
-    Weighting,
-    pooled,
-    residual_covariance,
-    whitener,
-)
+from sdpid.estimation.rows import RowSource
+from sdpid.estimation.weighting import WEIGHTINGS, Weighting
 from sdpid.experiment.samples import Samples
 from sdpid.robot.base import BaseParameters, structural_base
 from sdpid.robot.friction import FrictionModel, FrictionTerm
@@ -176,7 +171,7 @@ class Problem:
 
 def build_problem(
     robot: RobotModel,
-    samples: Samples,
+    samples: Samples | Sequence[Samples],
     *,
     friction: Iterable[str | FrictionTerm] = ("coulomb", "viscous"),
     weighting: Weighting = "gls",
@@ -191,8 +186,8 @@ def build_problem(
     ----------
     robot : RobotModel
         The robot.
-    samples : Samples
-        The measurements, n as the robot's.
+    samples : Samples or sequence of Samples
+        The measurements, n as the robot's; those of several recordings are joined.
     friction : iterable of str or FrictionTerm
         Terms beside the links' inertia (see `sdpid.robot.friction`). Numbers of theirs that are
         None are chosen by the data (see `sdpid.estimation.profile`).
@@ -226,14 +221,16 @@ def build_problem(
         raise DataError(f"weighting is {weighting!r}: use one of {', '.join(WEIGHTINGS)}.")
     if consistency not in CONSISTENCIES:
         raise DataError(f"consistency is {consistency!r}: use one of {', '.join(CONSISTENCIES)}.")
+    if not isinstance(samples, Samples):
+        samples = Samples.join(samples)
     _check_samples(robot, samples)
     model = FrictionModel.from_terms(friction, robot.joint_names, first=robot.n_base)
-    model, profiled = close_terms(model, robot, samples, lambda rows: _sigma(rows, weighting))
+    model, profiled = close_terms(model, robot, samples, lambda rows: covariance(rows, weighting))
     if base is None:
         base = structural_base(robot, model)
     rows = RowSource(robot, model, base, samples)
-    sigma = _sigma(rows, weighting)
-    A, rhs, floor, used = _compress(rows, sigma, weighting)
+    found = Factor.of(rows, weighting)
+    A, rhs = found.A, found.rhs
     known = weighting in ("gls", "gls_per_sample") and samples.covariance is not None
     likelihood = (A, rhs) if weighting == "residual" or known else None
     problem = Problem(
@@ -242,11 +239,11 @@ def build_problem(
         friction=model,
         base=base,
         weighting=weighting,
-        sigma=frozen(sigma),
+        sigma=frozen(found.sigma),
         A=frozen(A),
         rhs=frozen(rhs),
-        floor=floor,
-        n_rows=used,
+        floor=found.floor,
+        n_rows=found.used,
         feasible=FeasibleSet.build(constraints or Constraints(), consistency, Layout(robot, model)),
         prior=None if prior is None else prior_rows(prior, rows, data=likelihood),
         profiled=profiled,
@@ -268,43 +265,6 @@ def _check_samples(robot: RobotModel, samples: Samples) -> None:
             f"samples name the joints {', '.join(samples.joint_names)}, the robot has "
             f"{', '.join(robot.joint_names)}; rename or reorder the columns."
         )
-
-
-def _sigma(rows: RowSource, weighting: Weighting) -> Array:
-    """Return the covariance that the weighting uses, (n, n) or (K, n, n)."""
-    n = rows.robot.n
-    if weighting == "residual":
-        return residual_covariance(rows)
-    covariance = rows.samples.covariance
-    if covariance is None:
-        return np.eye(n)
-    if weighting == "gls":
-        return pooled(covariance)
-    return np.asarray(covariance)
-
-
-def _compress(
-    rows: RowSource, sigma: Array, weighting: Weighting
-) -> tuple[Array, Array, float, int]:
-    count = rows.base.count
-    used = 0
-    if weighting in ("eq9", "eq18"):
-        exponent = -0.5 if weighting == "eq9" else -1.0
-        A, rhs = np.zeros((count, count)), np.zeros(count)
-        for part, W, effort, mask in rows.chunks():
-            weight = whitener(sigma if sigma.ndim == 2 else sigma[part], mask, exponent)
-            weighted = weight @ W
-            A += np.einsum("kib,kic->bc", weighted, W, optimize=True)
-            rhs += np.einsum("kib,ki->b", weighted, effort, optimize=True)
-            used += int(mask.sum())
-        return A, rhs, 0.0, used
-    triangle = Triangle(count + 1)
-    for part, W, effort, mask in rows.chunks():
-        weight = whitener(sigma if sigma.ndim == 2 else sigma[part], mask, -0.5)
-        stacked = weight @ np.concatenate([W, effort[:, :, None]], axis=2)
-        triangle.add(stacked.reshape(-1, count + 1))
-        used += int(mask.sum())
-    return (*triangle.split(), used)
 
 
 def describe(problem: Problem) -> dict[str, Any]:

@@ -192,8 +192,8 @@ def _reweighted(
 ) -> RobustEstimate:
     """Estimate every joint's variance from the constrained estimate's residuals, in turn."""
     rows = problem.rows
-    joints = JointRows.of(rows)
-    sigma = residual_covariance(rows)
+    joints = JointRows.merged(rows.map(JointRows.of))
+    sigma = residual_covariance(rows, joints)
     variance = np.zeros(len(sigma))
     rank = joints.fit(np.diag(sigma))[1]
     seconds, iterations = 0.0, 0
@@ -226,7 +226,7 @@ def _reweighted(
         )
         if change <= _VARIANCE_SETTLED:
             return estimate
-        sigma = np.diag(variance * correlation_time(rows, found.base))
+        sigma = np.diag(variance * correlation_time(rows, found.base, joints))
     raise SolverError(
         f"joint-wise reweighting of '{problem.robot.name}': not settled after {max_rounds} rounds "
         f"({'' if estimate is None else estimate.message}; limit {_VARIANCE_SETTLED:.0e}); allow "

@@ -5,8 +5,9 @@ Rows are never held all at once: chunks are whitened and folded into a small tri
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from typing import TypeVar
 
 import numpy as np
 
@@ -15,6 +16,8 @@ from sdpid.experiment.samples import Samples
 from sdpid.robot.base import BaseParameters
 from sdpid.robot.friction import FrictionModel
 from sdpid.robot.model import RobotModel
+
+T = TypeVar("T")
 
 # Samples handled at a time: some 10 MB of rows for a six-axis arm.
 CHUNK = 4096
@@ -34,6 +37,10 @@ class RowSource:
     friction: FrictionModel
     base: BaseParameters
     samples: Samples
+
+    def map(self, function: Callable[..., T], *arguments: object) -> list[T]:
+        """Return what a function says of the rows, piece by piece: here there is one piece."""
+        return [function(self, *arguments)]
 
     def regressor(self, part: slice) -> Array:
         """Return the base regressor of some samples, shape (k, n, b)."""

@@ -9,7 +9,7 @@ from sdpid.errors import DataError
 from sdpid.estimation.excitation import require_excitation
 from sdpid.estimation.problem import Problem
 from sdpid.estimation.rows import CHUNK
-from sdpid.estimation.weighting import whitener
+from sdpid.estimation.weighting import whitened
 
 # Fewer blocks than this say next to nothing about a variance.
 FEWEST_BLOCKS = 8
@@ -47,16 +47,14 @@ def sandwich_covariance(problem: Problem, base: Array) -> Array:
     count = problem.base.count
     H = np.zeros((count, count))
     scores = []
-    for part, W, effort, mask in problem.rows.chunks(size):
-        sigma = problem.sigma if problem.sigma.ndim == 2 else problem.sigma[part]
-        weight = whitener(sigma, mask, 0.5 * problem.score_exponent)
-        rows = weight @ W
-        residual = np.einsum("kij,kj->ki", weight, effort - W @ base)
+    exponent = 0.5 * problem.score_exponent
+    for _, weighted, _ in whitened(problem.rows, problem.sigma, exponent=exponent, size=size):
+        rows = weighted[:, :, :-1]
+        residual = weighted @ np.append(-base, 1.0)
         flat = rows.reshape(-1, count)
         H += flat.T @ flat
         each = np.einsum("kib,ki->kb", rows, residual)
-        starts = np.arange(0, len(each), block)
-        scores.append(np.add.reduceat(each, starts, axis=0))
+        scores.append(np.add.reduceat(each, np.arange(0, len(each), block), axis=0))
     S = np.concatenate(scores)
     blocks = len(S)
     if blocks < FEWEST_BLOCKS:

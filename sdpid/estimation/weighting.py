@@ -7,6 +7,7 @@ alone (masking a joint is not knowing it, not knowing it to be zero).
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
@@ -83,6 +84,32 @@ def whitener(covariance: Array, mask: Mask, exponent: float) -> Array:
     return np.asarray(powers * (mask[:, :, None] & mask[:, None, :]))
 
 
+def whitened(
+    rows: RowSource, sigma: Array, *, exponent: float = -0.5, size: int | None = None
+) -> Iterator[tuple[slice, Array, Mask]]:
+    """Yield (slice, Sigma^exponent times the rows (k, n, b + 1), mask), efforts last.
+
+    Parameters
+    ----------
+    rows : RowSource
+        Regressor and efforts.
+    sigma : ndarray, shape (n, n) or (K, n, n)
+        Effort covariance.
+    exponent : float, optional
+        -1/2 makes rows of unit covariance.
+    size : int, optional
+        Samples at a time.
+    """
+    everywhere = rows.samples.mask is None and sigma.ndim == 2
+    constant = power(sigma, exponent) if everywhere else None
+    for part, W, effort, mask in rows.chunks() if size is None else rows.chunks(size):
+        stacked = np.concatenate([W, effort[:, :, None]], axis=2)
+        weight = constant
+        if weight is None:
+            weight = whitener(sigma if sigma.ndim == 2 else sigma[part], mask, exponent)
+        yield part, weight @ stacked, mask
+
+
 # Weight floor: a share of the overall effort, so that one nearly silent joint cannot dominate.
 _EFFORT_SHARE = 0.03
 
@@ -100,29 +127,61 @@ class JointRows:
         One a joint, not whitened, the efforts in the last column.
     used : ndarray, shape (n,)
         Rows that are not masked.
-    effort : float
-        Mean squared effort of all of them, (N·m)².
+    squares : ndarray, shape (n,)
+        Sum of the squared efforts of those, (N·m)².
+    sums : ndarray, shape (n, b + 1)
+        Sum of those rows, efforts last.
     """
 
     triangles: tuple[Triangle, ...]
     used: Array
-    effort: float
+    squares: Array
+    sums: Array
 
     @classmethod
     def of(cls, rows: RowSource) -> JointRows:
         """Compress the rows of every joint."""
         n, count = rows.robot.n, rows.base.count
         triangles = tuple(Triangle(count + 1) for _ in range(n))
-        used = np.zeros(n)
-        square = 0.0
+        used, squares, sums = np.zeros(n), np.zeros(n), np.zeros((n, count + 1))
         for _, W, effort, mask in rows.chunks():
             stacked = np.concatenate([W, effort[:, :, None]], axis=2)
+            everything = bool(mask.all())
             for j, triangle in enumerate(triangles):
-                kept = mask[:, j]
-                triangle.add(stacked[kept, j])
-                used[j] += kept.sum()
-                square += float(effort[kept, j] @ effort[kept, j])
-        return cls(triangles, used, square / used.sum())
+                own = stacked[:, j] if everything else stacked[mask[:, j], j]
+                triangle.add(own)
+                used[j] += len(own)
+                squares[j] += float(own[:, -1] @ own[:, -1])
+                sums[j] += own.sum(axis=0)
+        return cls(triangles, used, squares, sums)
+
+    @classmethod
+    def merged(cls, pieces: Sequence[JointRows]) -> JointRows:
+        """Return the rows of several pieces as if they were one: nothing is approximated."""
+        first = pieces[0]
+        if len(pieces) == 1:
+            return first
+        triangles = []
+        for j in range(len(first.triangles)):
+            triangle = Triangle(first.sums.shape[1])
+            for piece in pieces:
+                triangle.add(piece.triangles[j].R)
+            triangles.append(triangle)
+        return cls(
+            tuple(triangles),
+            np.sum([piece.used for piece in pieces], axis=0),
+            np.sum([piece.squares for piece in pieces], axis=0),
+            np.sum([piece.sums for piece in pieces], axis=0),
+        )
+
+    @property
+    def effort(self) -> float:
+        """Mean squared effort over all rows, (N·m)²."""
+        return float(self.squares.sum() / self.used.sum())
+
+    def mean_residual(self, base: Array) -> Array:
+        """Return the mean of every joint's residual ``effort − W @ base``, (n,)."""
+        return np.asarray(self.sums @ np.append(-base, 1.0) / np.maximum(self.used, 1.0))
 
     def joined(self, variance: Array) -> Array:
         """Return the triangles of all joints over their standard deviations, below each other."""
@@ -147,7 +206,7 @@ class JointRows:
         return np.asarray(residual / freedom + _EFFORT_SHARE**2 * self.effort)
 
 
-def residual_covariance(rows: RowSource) -> Array:
+def residual_covariance(rows: RowSource, joints: JointRows | None = None) -> Array:
     """Estimate a diagonal covariance (n, n) from the residuals of the unconstrained fit.
 
     Each joint has one variance, found by iteration: fit, take the residuals' variance with the
@@ -160,8 +219,11 @@ def residual_covariance(rows: RowSource) -> Array:
     ----------
     rows : RowSource
         Regressor and efforts.
+    joints : JointRows, optional
+        The same rows, compressed before.
     """
-    joints = JointRows.of(rows)
+    if joints is None:
+        joints = JointRows.merged(rows.map(JointRows.of))
     variance = np.full(rows.robot.n, joints.effort)
     base = np.zeros(rows.base.count)
     for _ in range(_ROUNDS):
@@ -171,49 +233,87 @@ def residual_covariance(rows: RowSource) -> Array:
         variance = updated
         if settled:
             break
-    return np.diag(variance * correlation_time(rows, base))
+    return np.diag(variance * correlation_time(rows, base, joints))
 
 
-def correlation_time(rows: RowSource, base: Array) -> float:
+def correlation_time(rows: RowSource, base: Array, joints: JointRows) -> float:
     """Return how many samples make one independent one, averaged over the joints, at least 1."""
-    residual, masks = [], []
-    for _, W, effort, mask in rows.chunks():
-        residual.append(np.where(mask, effort - W @ base, 0.0))
-        masks.append(mask)
-    E, M = np.concatenate(residual), np.concatenate(masks)
-    times = [_integrated_time(E[:, j], M[:, j]) for j in np.flatnonzero(M.any(axis=0))]
-    return float(np.mean(times))
+    mean = joints.mean_residual(base)
+    sums = LaggedSums.merged(rows.map(LaggedSums.of_residuals, base, mean))
+    return float(np.mean([_integrated_time(c) for c in sums.correlation[joints.used > 0]]))
 
 
-def _integrated_time(signal: Array, mask: Mask) -> float:
+def _integrated_time(correlation: Array) -> float:
     """Return 1 + 2·Σ rho over lags up to the first that is not positive (Geyer's cut)."""
-    correlation = autocorrelation(signal, mask)
     stop = np.flatnonzero(correlation <= 0.0)
     last = int(stop[0]) if stop.size else len(correlation)
     return float(max(1.0, 1.0 + 2.0 * correlation[1:last].sum()))
 
 
-def autocorrelation(signal: Array, mask: Mask) -> Array:
-    """Return the autocorrelation of a signal about its mean, at every lag, 1 at the first.
+@dataclass(frozen=True, eq=False)
+class LaggedSums:
+    """Products of signals with themselves, later: what an autocorrelation is made of.
 
-    Each lag is the mean over the pairs of which both count. A constant has none.
-
-    Parameters
+    Attributes
     ----------
-    signal : ndarray, shape (K,)
-    mask : ndarray of bool, shape (K,)
-        Which samples count.
-
-    Returns
-    -------
-    ndarray, shape (K,)
+    products : ndarray, shape (n, lags)
+        Of the centred signals, summed over the pairs of which both count.
+    pairs : ndarray, shape (n, lags)
+        How many pairs there are.
     """
-    count = len(signal)
-    size = 1 << (2 * count - 1).bit_length()
-    centred = np.where(mask, signal - signal[mask].mean(), 0.0)
-    lagged = np.fft.irfft(np.abs(np.fft.rfft(centred, size)) ** 2)[:count]
-    pairs = np.fft.irfft(np.abs(np.fft.rfft(mask.astype(float), size)) ** 2)[:count]
-    correlation = lagged / np.maximum(np.round(pairs), 1.0)
-    if correlation[0] <= 0.0:
-        return np.asarray(np.eye(1, count)[0])
-    return np.asarray(correlation / correlation[0])
+
+    products: Array
+    pairs: Array
+
+    @classmethod
+    def of(cls, centred: Array, mask: Mask, parts: Sequence[slice]) -> LaggedSums:
+        """Sum over pairs within pieces.
+
+        Parameters
+        ----------
+        centred : ndarray, shape (K, n)
+            Signals less their mean.
+        mask : ndarray of bool, shape (K, n)
+            Which samples count.
+        parts : sequence of slice
+            Pieces without a break.
+        """
+        longest = max(part.stop - part.start for part in parts)
+        products, pairs = np.zeros((2, centred.shape[1], longest))
+        for part in parts:
+            count = part.stop - part.start
+            size = 1 << (2 * count - 1).bit_length()
+            used = mask[part].T.astype(float)
+            for signals, sums in ((centred[part].T * used, products), (used, pairs)):
+                power = np.abs(np.fft.rfft(signals, size, axis=1)) ** 2
+                sums[:, :count] += np.fft.irfft(power, size, axis=1)[:, :count]
+        return cls(products, np.round(pairs))
+
+    @classmethod
+    def of_residuals(cls, rows: RowSource, base: Array, mean: Array) -> LaggedSums:
+        """Sum over the residuals of rows at some base parameters, about a mean (n,)."""
+        residual, masks = [], []
+        for _, W, effort, mask in rows.chunks():
+            residual.append(effort - W @ base - mean)
+            masks.append(mask)
+        return cls.of(np.concatenate(residual), np.concatenate(masks), rows.samples.parts)
+
+    @classmethod
+    def merged(cls, pieces: Sequence[LaggedSums]) -> LaggedSums:
+        """Return the sums over the pairs of all pieces."""
+        longest = max(piece.products.shape[1] for piece in pieces)
+        products, pairs = np.zeros((2, len(pieces[0].products), longest))
+        for piece in pieces:
+            lags = piece.products.shape[1]
+            products[:, :lags] += piece.products
+            pairs[:, :lags] += piece.pairs
+        return cls(products, pairs)
+
+    @property
+    def correlation(self) -> Array:
+        """Autocorrelations (n, lags), 1 at the first lag; a constant has none at others."""
+        found = self.products / np.maximum(self.pairs, 1.0)
+        first = found[:, :1]
+        none = np.zeros_like(found)
+        none[:, 0] = 1.0
+        return np.where(first > 0.0, found / np.where(first > 0.0, first, 1.0), none)

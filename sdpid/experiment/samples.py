@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -51,6 +53,8 @@ class Samples:
         What processing did, and what it noticed.
     effort_periods : (P, K, n) array_like, optional
         Effort of each period before averaging, in N·m.
+    starts : sequence of int, optional
+        First sample of each piece that was recorded without a break, in rising order from 0.
 
     Raises
     ------
@@ -71,6 +75,7 @@ class Samples:
     block: int = 1
     notes: tuple[str, ...] = ()
     effort_periods: Array | None = None
+    starts: tuple[int, ...] = (0,)
 
     def __post_init__(self) -> None:
         effort = self._keep("effort", 2)
@@ -101,11 +106,97 @@ class Samples:
         if self.effort_periods is not None:
             self._expect("effort_periods", self._keep("effort_periods", 3), (self.periods, K, n))
         object.__setattr__(self, "notes", tuple(self.notes))
+        starts = tuple(int(start) for start in self.starts)
+        rising = all(first < second for first, second in pairwise((*starts, K)))
+        if starts[:1] != (0,) or not rising:
+            raise DataError(
+                f"starts: are {self.starts}, expected rising sample numbers from 0, below {K}."
+            )
+        object.__setattr__(self, "starts", starts)
+
+    @staticmethod
+    def join(pieces: Sequence[Samples]) -> Samples:
+        """Put samples of several recordings, or of parts of one, behind each other.
+
+        Parameters
+        ----------
+        pieces : sequence of Samples
+            Of the same joints. Averages over periods cannot be joined: what they average, and
+            so their covariance, would differ from sample to sample.
+
+        Returns
+        -------
+        Samples
+            `starts` says where the pieces begin; covariances and masks are kept sample by sample,
+            the longest block holds for all, and `notes` name each piece.
+
+        Raises
+        ------
+        DataError
+            When there is nothing to join, or joints, kinds of configuration or covariances do
+            not agree.
+        """
+        pieces = tuple(pieces)
+        if len(pieces) == 1:
+            return pieces[0]
+        if not pieces:
+            raise DataError("samples: there are none to join.")
+        first = pieces[0]
+        for number, piece in enumerate(pieces[1:], 2):
+            for name in ("position", "effort"):
+                had, has = getattr(first, name).shape[1], getattr(piece, name).shape[1]
+                if had != has:
+                    raise DataError(
+                        f"samples: {name} of piece {number} has {has} columns, that of the first "
+                        f"{had}; join recordings of one robot."
+                    )
+            if piece.joint_names != first.joint_names:
+                raise DataError(
+                    f"samples: the joints of piece {number} are {', '.join(piece.names)}, those "
+                    f"of the first {', '.join(first.names)}; put them in one order."
+                )
+        if any(piece.periods is not None for piece in pieces):
+            raise DataError(
+                "samples: averages over periods cannot be joined with others; identify from one "
+                "periodic recording, or leave its period out."
+            )
+        counts = [piece.n_samples for piece in pieces]
+        offsets = np.cumsum([0, *counts[:-1]]).tolist()
+
+        def stacked(of: Callable[[Samples], Array]) -> Array:
+            return np.concatenate([of(piece) for piece in pieces])
+
+        timed = all(piece.time is not None for piece in pieces)
+        masked = any(piece.mask is not None for piece in pieces)
+        return Samples(
+            position=stacked(lambda piece: piece.position),
+            velocity=stacked(lambda piece: piece.velocity),
+            acceleration=stacked(lambda piece: piece.acceleration),
+            effort=stacked(lambda piece: piece.effort),
+            covariance=_joined_covariance(pieces),
+            mask=np.concatenate([_mask_of(piece) for piece in pieces]) if masked else None,
+            time=np.concatenate([np.asarray(piece.time) for piece in pieces]) if timed else None,
+            joint_names=first.joint_names,
+            block=max(piece.block for piece in pieces),
+            notes=_joined_notes(pieces),
+            starts=tuple(
+                offset + start
+                for offset, piece in zip(offsets, pieces, strict=True)
+                for start in piece.starts
+            ),
+        )
+
+    @property
+    def parts(self) -> tuple[slice, ...]:
+        """The pieces, as slices of the samples."""
+        return tuple(slice(a, b) for a, b in pairwise((*self.starts, self.n_samples)))
 
     def __repr__(self) -> str:
         parts = [f"{self.n_samples} samples", f"{self.n} joints", f"{self.n_rows} rows used"]
         if self.periods is not None:
             parts.append(f"mean of {self.periods} periods")
+        if len(self.starts) > 1:
+            parts.append(f"{len(self.starts)} pieces")
         return f"Samples({', '.join(parts)})"
 
     @property
@@ -190,3 +281,38 @@ class Samples:
                 "that is used."
             )
         object.__setattr__(self, "mask", frozen_view(mask))
+
+
+def _mask_of(samples: Samples) -> NDArray[np.bool_]:
+    if samples.mask is None:
+        return np.ones(samples.effort.shape, dtype=np.bool_)
+    return samples.mask
+
+
+def _joined_covariance(pieces: Sequence[Samples]) -> Array | None:
+    """Return one covariance for all pieces, or one a sample where they differ."""
+    given = [piece.covariance for piece in pieces if piece.covariance is not None]
+    if not given:
+        return None
+    if len(given) < len(pieces):
+        raise DataError(
+            f"samples: {len(given)} of {len(pieces)} pieces have a covariance of the effort; give "
+            "it for all, or for none."
+        )
+    if all(each.ndim == 2 and np.array_equal(each, given[0]) for each in given):
+        return given[0]
+    n = pieces[0].n
+    shapes = [(piece.n_samples, n, n) for piece in pieces]
+    return np.concatenate([np.broadcast_to(c, s) for c, s in zip(given, shapes, strict=True)])
+
+
+def _joined_notes(pieces: Sequence[Samples]) -> tuple[str, ...]:
+    """Return what all pieces say, then what each says alone."""
+    common = [note for note in pieces[0].notes if all(note in p.notes for p in pieces)]
+    own = [
+        f"piece {number}: {note}"
+        for number, piece in enumerate(pieces, 1)
+        for note in piece.notes
+        if note not in common
+    ]
+    return (*common, f"{len(pieces)} pieces joined", *own)

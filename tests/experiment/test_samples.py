@@ -93,3 +93,53 @@ def test_bad_input_is_refused(case: str):
     changes, message = BAD[case]
     with pytest.raises(DataError, match=message):
         Samples(**fields(**changes))
+
+
+def test_pieces_are_joined_in_order():
+    first = Samples(**fields(time=np.arange(5.0), notes=["filtered", "short"], block=2))
+    mask = np.ones((K, JOINTS), dtype=bool)
+    mask[0, 0] = False
+    second = Samples(
+        **fields(effort=np.full((K, JOINTS), 9.0), time=np.arange(5.0), mask=mask, block=4),
+        notes=["filtered"],
+    )
+    joined = Samples.join([first, second])
+    assert joined.starts == (0, 5)
+    assert joined.parts == (slice(0, 5), slice(5, 10))
+    assert (joined.n_samples, joined.n_rows, joined.block) == (10, 19, 4)
+    np.testing.assert_array_equal(joined.effort[5:], second.effort)
+    np.testing.assert_array_equal(joined.time, [*range(5), *range(5)])
+    assert joined.notes == ("filtered", "2 pieces joined", "piece 1: short")
+    assert Samples.join([joined, first]).starts == (0, 5, 10)
+    assert Samples.join([first]) is first
+    assert "2 pieces" in repr(joined)
+
+
+def test_covariances_are_kept_sample_by_sample():
+    one, other = (Samples(**fields(covariance=c * np.eye(2))) for c in (1.0, 4.0))
+    assert Samples.join([one, one]).covariance.shape == (2, 2)
+    joined = Samples.join([one, other]).covariance
+    assert joined.shape == (2 * K, 2, 2)
+    np.testing.assert_array_equal(joined[:, 0, 0], [1.0] * K + [4.0] * K)
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        ({"covariance": np.eye(2)}, "1 of 2 pieces have a covariance"),
+        ({"joint_names": ("a", "b")}, "the joints of piece 2"),
+        ({"periods": 3}, "averages over periods"),
+        ({"position": np.zeros((K, 3))}, "position of piece 2 has 3 columns"),
+    ],
+)
+def test_what_does_not_belong_together_is_refused(change, said):
+    with pytest.raises(DataError, match=said):
+        Samples.join([Samples(**fields()), Samples(**fields(**change))])
+    with pytest.raises(DataError, match="none to join"):
+        Samples.join([])
+
+
+@pytest.mark.parametrize("starts", [(1,), (), (0, 3, 3), (0, 5), (0, 4, 2)])
+def test_starts_rise_from_zero(starts):
+    with pytest.raises(DataError, match="rising sample numbers"):
+        Samples(**fields(starts=starts))
