@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike
 
 from sdpid._arrays import Array
 from sdpid.estimation.problem import Problem
+from sdpid.estimation.rows import RowSource
 from sdpid.estimation.weighting import whitened
 
 # What the rows are made of, in the order in which it is hashed.
@@ -18,18 +19,22 @@ _FIELDS = ("position", "velocity", "acceleration", "effort", "mask", "covariance
 
 def summed_cost(problem: Problem, base: ArrayLike) -> float:
     """Return the cost of base parameters (b,), summed over the rows themselves."""
-    values = np.append(np.asarray(base, dtype=np.float64), -1.0)
     printed = problem.weighting in ("eq9", "eq18")
-    normal: Array = np.zeros(problem.base.count)
-    total = 0.0
+    values = np.append(np.asarray(base, dtype=np.float64), -1.0)
     exponent = -0.25 if problem.weighting == "eq9" else -0.5
-    for _, rows, _ in whitened(problem.rows, np.asarray(problem.sigma), exponent=exponent):
-        residual = rows @ values
-        if printed:
-            normal += np.einsum("kib,ki->b", rows[:, :, :-1], residual)
-        else:
-            total += float(np.sum(residual**2))
-    return float(normal @ normal) if printed else total
+    sums = problem.rows.map(_sums, exponent, values, sigma=problem.sigma)
+    normal = np.sum([normal for normal, _ in sums], axis=0)
+    return float(normal @ normal) if printed else float(sum(square for _, square in sums))
+
+
+def _sums(rows: RowSource, sigma: Array, exponent: float, values: Array) -> tuple[Array, float]:
+    """Return the normal equations' residual (b,) and the squared residuals of whitened rows."""
+    normal, total = np.zeros(rows.base.count), 0.0
+    for _, weighted, _ in whitened(rows, sigma, exponent=exponent):
+        residual = weighted @ values
+        normal += np.einsum("kib,ki->b", weighted[:, :, :-1], residual)
+        total += float(np.sum(residual**2))
+    return normal, total
 
 
 def compression_error(problem: Problem, base: ArrayLike) -> float:
@@ -42,10 +47,21 @@ def compression_error(problem: Problem, base: ArrayLike) -> float:
 
 
 def rows_digest(problem: Problem) -> str:
-    """Return the SHA-256 of the samples: shape and little-endian doubles of each array."""
+    """Return the SHA-256 of the samples: shape and little-endian doubles of each array.
+
+    Of several pieces it is that of their digests, one behind the other.
+    """
+    digests = problem.rows.map(_digest)
+    if len(digests) == 1:
+        return digests[0]
+    return hashlib.sha256("".join(digests).encode()).hexdigest()
+
+
+def _digest(rows: RowSource) -> str:
+    """Return the SHA-256 of the samples of one piece."""
     found = hashlib.sha256()
     for name in _FIELDS:
-        values: Any = getattr(problem.samples, name)
+        values: Any = getattr(rows.samples, name)
         if values is None:
             found.update(f"{name}: none\n".encode())
             continue

@@ -26,7 +26,7 @@ from sdpid._arrays import Array, frozen
 from sdpid.errors import DataError
 from sdpid.estimation.excitation import UNDETERMINED
 from sdpid.estimation.problem import Problem
-from sdpid.estimation.rows import CHUNK
+from sdpid.estimation.rows import CHUNK, RowSource
 from sdpid.estimation.uncertainty import FEWEST_BLOCKS
 from sdpid.estimation.weighting import whitened, whitener
 
@@ -55,8 +55,19 @@ class ScoreBlocks:
     target: Array
 
     @classmethod
-    def of(cls, problem: Problem, groups: Groups = "blocks") -> ScoreBlocks:
+    def of(
+        cls, problem: Problem, groups: Groups = "blocks", *, size: int | None = None
+    ) -> ScoreBlocks:
         """Gather the rows of a problem.
+
+        Parameters
+        ----------
+        problem : Problem
+            The problem.
+        groups : {"blocks", "periods"}, optional
+            What a group is.
+        size : int, optional
+            Samples a block; by default those of the samples.
 
         Raises
         ------
@@ -65,15 +76,10 @@ class ScoreBlocks:
         """
         if groups == "periods":
             return cls._of_periods(problem)
-        block = problem.samples.block
-        information, target = [], []
-        size, exponent = max(CHUNK // block, 1) * block, 0.5 * problem.score_exponent
-        for _, weighted, _ in whitened(problem.rows, problem.sigma, exponent=exponent, size=size):
-            for start in range(0, len(weighted), block):
-                rows = weighted[start : start + block].reshape(-1, weighted.shape[2])
-                product = rows[:, :-1].T @ rows
-                information.append(product[:, :-1])
-                target.append(product[:, -1])
+        block, exponent = size or problem.samples.block, 0.5 * problem.score_exponent
+        found = problem.rows.map(_block_products, exponent, block, sigma=problem.sigma)
+        products = np.concatenate(found)
+        information, target = products[:, :, :-1], products[:, :, -1]
         if len(information) < FEWEST_BLOCKS:
             raise DataError(
                 f"intervals: {len(information)} blocks of {block} samples, at least "
@@ -165,3 +171,14 @@ class ScoreBlocks:
             square = float(np.sum(own**2) - 2.0 * own @ cross + np.sum((u.T @ u) ** 2))
             out[k] = max(trace**2 / max(square, np.finfo(float).tiny), 1.0)
         return out
+
+
+def _block_products(rows: RowSource, sigma: Array, exponent: float, block: int) -> Array:
+    """Return H_g and c_g of all blocks, (G, b, b + 1)."""
+    found = []
+    size = max(CHUNK // block, 1) * block
+    for _, weighted, _ in whitened(rows, sigma, exponent=exponent, size=size):
+        for start in range(0, len(weighted), block):
+            own = weighted[start : start + block].reshape(-1, weighted.shape[2])
+            found.append(own[:, :-1].T @ own)
+    return np.asarray(found)

@@ -45,11 +45,13 @@ class Factor:
         sigma = covariance(rows, weighting)
         if weighting in ("eq9", "eq18"):
             # W^T·Sigma^e·W, as a product of equal factors.
-            pairs = rows.map(_normal_equations, sigma, -0.25 if weighting == "eq9" else -0.5)
+            pairs = rows.map(
+                _normal_equations, -0.25 if weighting == "eq9" else -0.5, sigma=sigma
+            )
             H = np.sum([found for found, _ in pairs], axis=0)
             return cls(sigma, H[:, :-1], H[:, -1], 0.0, sum(used for _, used in pairs))
         triangle, used = Triangle(rows.base.count + 1), 0
-        for R, count in rows.map(_triangle, sigma):
+        for R, count in rows.map(_triangle, sigma=sigma):
             triangle.add(R)
             used += count
         return cls(sigma, *triangle.split(), used)

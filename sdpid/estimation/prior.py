@@ -12,7 +12,7 @@ from sdpid._arrays import Array, Indices, frozen
 from sdpid.errors import DataError
 from sdpid.estimation.entropy import Entropy
 from sdpid.estimation.evidence import STRONGEST, WEAKEST, strength_by_evidence
-from sdpid.estimation.rows import RowSource
+from sdpid.estimation.rows import CHUNK, RowSource
 from sdpid.robot.base import characteristic_length
 from sdpid.robot.inertia import (
     from_pseudo_inertia,
@@ -256,14 +256,27 @@ def _at_end(strength: float) -> str:
 
 def _friction_weights(rows: RowSource) -> Array:
     """Return 1/standard deviation of every friction term."""
-    s = rows.samples
-    columns = rows.friction.columns(s.velocity, s.acceleration)
-    mask = np.ones(s.effort.shape, dtype=bool) if s.mask is None else s.mask
-    count = np.maximum(mask.sum(axis=0), 1)
-    effort = np.sqrt((np.where(mask, s.effort, 0.0) ** 2).sum(axis=0) / count)
+    sums = rows.map(_squares)
+    count, efforts, terms = (np.sum(each, axis=0) for each in zip(*sums, strict=True))
+    count = np.maximum(count, 1)
+    effort = np.sqrt(efforts / count)
     # A joint that is all but silent gets a thousandth of the loudest one's effort.
     effort = np.maximum(effort, 1e-3 * float(effort.max()) or 1.0)
     # Size of a term's effect relative to the effort of each joint that it acts on.
-    square = (np.where(mask[:, :, None], columns, 0.0) ** 2).sum(axis=0) / count[:, None]
-    share = np.sqrt((square / effort[:, None] ** 2).max(axis=0))
+    share = np.sqrt((terms / count[:, None] / effort[:, None] ** 2).max(axis=0))
     return np.asarray(share / _FRICTION_SHARE)
+
+
+def _squares(rows: RowSource) -> tuple[Array, Array, Array]:
+    """Return rows used (n,), and sums of squares of efforts (n,) and friction terms (n, f)."""
+    s, n = rows.samples, rows.robot.n
+    count, efforts = np.zeros(n), np.zeros(n)
+    terms = np.zeros((n, len(rows.friction.parameters)))
+    for start in range(0, s.n_samples, CHUNK):
+        part = slice(start, start + CHUNK)
+        columns = rows.friction.columns(s.velocity[part], s.acceleration[part])
+        mask = np.ones(s.effort[part].shape, dtype=bool) if s.mask is None else s.mask[part]
+        count += mask.sum(axis=0)
+        efforts += (np.where(mask, s.effort[part], 0.0) ** 2).sum(axis=0)
+        terms += (np.where(mask[:, :, None], columns, 0.0) ** 2).sum(axis=0)
+    return count, efforts, terms

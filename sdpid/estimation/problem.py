@@ -272,7 +272,7 @@ def describe(problem: Problem) -> dict[str, Any]:
     return {
         "robot": problem.robot.name,
         "joints": list(problem.robot.joint_names),
-        "samples": len(problem.samples.effort),
+        "samples": problem.samples.n_samples,
         "rows_used": problem.n_rows,
         "standard_parameters": problem.n_theta,
         "base_parameters": problem.base.count,

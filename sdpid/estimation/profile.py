@@ -92,7 +92,7 @@ def close_terms(
     tuple of Profiled
         What was chosen.
     """
-    thin = _thinned(samples)
+    thin = samples.thinned(_MOST_SAMPLES)
     speeds = _speeds(thin, friction.first)
     opened: list[OpenTerm] = []
     for place, term in enumerate(friction.terms):
@@ -119,25 +119,6 @@ def close_terms(
         for parameter, value, flat in zip(each.parameters, each.values, each.flat, strict=True)
     )
     return _closed(friction, opened), chosen
-
-
-def _thinned(samples: Samples) -> Samples:
-    """Return at most so many samples, evenly spread."""
-    step = -(-samples.n_samples // _MOST_SAMPLES)
-    if step == 1:
-        return samples
-    covariance = samples.covariance
-    if covariance is not None and covariance.ndim == 3:
-        covariance = covariance[::step]
-    return Samples(
-        position=samples.position[::step],
-        velocity=samples.velocity[::step],
-        acceleration=samples.acceleration[::step],
-        effort=samples.effort[::step],
-        covariance=covariance,
-        mask=None if samples.mask is None else samples.mask[::step],
-        joint_names=samples.joint_names,
-    )
 
 
 def _speeds(samples: Samples, first: int) -> list[Array]:

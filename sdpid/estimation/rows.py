@@ -6,7 +6,7 @@ Rows are never held all at once: chunks are whitened and folded into a small tri
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TypeVar
 
 import numpy as np
@@ -38,9 +38,28 @@ class RowSource:
     base: BaseParameters
     samples: Samples
 
-    def map(self, function: Callable[..., T], *arguments: object) -> list[T]:
-        """Return what a function says of the rows, piece by piece: here there is one piece."""
-        return [function(self, *arguments)]
+    def map(
+        self, function: Callable[..., T], *arguments: object, sigma: Array | None = None
+    ) -> list[T]:
+        """Return what a function says of the rows of every piece, in order.
+
+        What is added up over the pieces is the same wherever they are, to the last bit.
+
+        Parameters
+        ----------
+        function : callable
+            Of the rows of a piece, of its part of `sigma` if there is one, and of the arguments.
+        *arguments
+            The same for all pieces.
+        sigma : ndarray, shape (n, n) or (K, n, n), optional
+            A covariance, for all samples or one a sample.
+        """
+        samples = self.samples
+        found = []
+        for part, piece in zip(samples.parts, samples.pieces, strict=True):
+            own = () if sigma is None else (sigma if sigma.ndim == 2 else sigma[part],)
+            found.append(function(replace(self, samples=piece), *own, *arguments))
+        return found
 
     def regressor(self, part: slice) -> Array:
         """Return the base regressor of some samples, shape (k, n, b)."""

@@ -8,7 +8,7 @@ from sdpid._arrays import Array
 from sdpid.errors import DataError
 from sdpid.estimation.excitation import require_excitation
 from sdpid.estimation.problem import Problem
-from sdpid.estimation.rows import CHUNK
+from sdpid.estimation.rows import CHUNK, RowSource
 from sdpid.estimation.weighting import whitened
 
 # Fewer blocks than this say next to nothing about a variance.
@@ -42,20 +42,11 @@ def sandwich_covariance(problem: Problem, base: Array) -> Array:
         When the data leave base parameters undetermined: their errors are infinite.
     """
     require_excitation(problem.excitation)
-    block = problem.samples.block
-    size = max(CHUNK // block, 1) * block
-    count = problem.base.count
-    H = np.zeros((count, count))
-    scores = []
+    block, count = problem.samples.block, problem.base.count
     exponent = 0.5 * problem.score_exponent
-    for _, weighted, _ in whitened(problem.rows, problem.sigma, exponent=exponent, size=size):
-        rows = weighted[:, :, :-1]
-        residual = weighted @ np.append(-base, 1.0)
-        flat = rows.reshape(-1, count)
-        H += flat.T @ flat
-        each = np.einsum("kib,ki->kb", rows, residual)
-        scores.append(np.add.reduceat(each, np.arange(0, len(each), block), axis=0))
-    S = np.concatenate(scores)
+    parts = problem.rows.map(_scores, exponent, base, block, sigma=problem.sigma)
+    H = np.sum([H for H, _ in parts], axis=0)
+    S = np.concatenate([scores for _, scores in parts])
     blocks = len(S)
     if blocks < FEWEST_BLOCKS:
         raise DataError(
@@ -65,3 +56,20 @@ def sandwich_covariance(problem: Problem, base: Array) -> Array:
     correction = blocks / (blocks - 1) * problem.n_rows / max(problem.n_rows - count, 1)
     half = np.linalg.solve(H, S.T)
     return np.asarray(correction * half @ half.T)
+
+
+def _scores(
+    rows: RowSource, sigma: Array, exponent: float, base: Array, block: int
+) -> tuple[Array, Array]:
+    """Return W^T·Sigma^e·W (b, b), and the scores of all blocks (G, b)."""
+    count = rows.base.count
+    H, scores = np.zeros((count, count)), []
+    size = max(CHUNK // block, 1) * block
+    for _, weighted, _ in whitened(rows, sigma, exponent=exponent, size=size):
+        W = weighted[:, :, :-1]
+        residual = weighted @ np.append(-base, 1.0)
+        flat = W.reshape(-1, count)
+        H += flat.T @ flat
+        each = np.einsum("kib,ki->kb", W, residual)
+        scores.append(np.add.reduceat(each, np.arange(0, len(each), block), axis=0))
+    return H, np.concatenate(scores)

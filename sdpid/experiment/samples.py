@@ -191,6 +191,34 @@ class Samples:
         """The pieces, as slices of the samples."""
         return tuple(slice(a, b) for a, b in pairwise((*self.starts, self.n_samples)))
 
+    @property
+    def pieces(self) -> tuple[Samples, ...]:
+        """The pieces, each by itself."""
+        return (self,) if len(self.starts) == 1 else tuple(self._picked(p) for p in self.parts)
+
+    def thinned(self, most: int) -> Samples:
+        """Return about so many samples at most, evenly spread over every piece."""
+        step = -(-self.n_samples // most)
+        if step == 1:
+            return self
+        return Samples.join([piece._picked(slice(None, None, step)) for piece in self.pieces])
+
+    def _picked(self, which: slice) -> Samples:
+        """Return some samples of one piece; averages are no longer said to be any."""
+        covariance, mask, time = self.covariance, self.mask, self.time
+        return Samples(
+            position=self.position[which],
+            velocity=self.velocity[which],
+            acceleration=self.acceleration[which],
+            effort=self.effort[which],
+            covariance=covariance if covariance is None or covariance.ndim == 2
+            else covariance[which],
+            mask=None if mask is None else mask[which],
+            time=None if time is None else time[which],
+            joint_names=self.joint_names,
+            block=self.block,
+        )
+
     def __repr__(self) -> str:
         parts = [f"{self.n_samples} samples", f"{self.n} joints", f"{self.n_rows} rows used"]
         if self.periods is not None:

@@ -34,25 +34,12 @@ def pieces(seed: int, counts: tuple[int, ...] = (90, 40, 70), **fields: Any) -> 
     return [make_samples(ARM, THETA, rng, count=k, noise=0.1, **fields) for k in counts]
 
 
-class Split(RowSource):
-    """Rows that are looked at piece by piece, as on several machines."""
+class Together(RowSource):
+    """Rows that are looked at without regard to their pieces."""
 
-    def map(self, function: Callable[..., Any], *arguments: object) -> list[Any]:
-        """Return what a function says of each piece."""
-        out = []
-        for part in self.samples.parts:
-            s = self.samples
-            own = Samples(
-                position=s.position[part],
-                velocity=s.velocity[part],
-                acceleration=s.acceleration[part],
-                effort=s.effort[part],
-                covariance=None if s.covariance is None else s.covariance,
-                mask=None if s.mask is None else s.mask[part],
-            )
-            rows = RowSource(self.robot, self.friction, self.base, own)
-            out.append(function(rows, *arguments))
-        return out
+    def map(self, function: Callable[..., Any], *args: object, sigma: Any = None) -> list[Any]:
+        """Return what a function says of all rows."""
+        return [function(self, *(() if sigma is None else (sigma,)), *args)]
 
 
 def same(found: Array, expected: Array) -> None:
@@ -64,19 +51,22 @@ def same(found: Array, expected: Array) -> None:
 @pytest.mark.parametrize("masked", [False, True])
 def test_a_sequence_of_samples_is_one_problem(weighting: Weighting, masked: bool) -> None:
     rng = np.random.default_rng(1)
-    made = pieces(1, covariance=random_covariance(rng, 2))
+    made = [
+        replace(p, covariance=np.stack([random_covariance(rng, 2) for _ in p.effort]))
+        for p in pieces(1)
+    ]
     if masked:
         made = [replace(p, mask=rng.random(p.effort.shape) < 0.8) for p in made]
     together = build_problem(ARM, made, weighting=weighting)
     assert together.samples.starts == (0, 90, 130)
     assert together.n_rows == sum(p.n_rows for p in made)
     whole = together.rows
-    apart = Factor.of(Split(whole.robot, whole.friction, whole.base, whole.samples), weighting)
-    same(apart.sigma, together.sigma)
-    same(apart.A.T @ apart.A, together.A.T @ together.A)
-    same(apart.A.T @ apart.rhs, together.A.T @ together.rhs)
-    same(np.array(apart.floor), np.array(together.floor))
-    assert apart.used == together.n_rows
+    once = Factor.of(Together(whole.robot, whole.friction, whole.base, whole.samples), weighting)
+    same(once.sigma, together.sigma)
+    same(once.A.T @ once.A, together.A.T @ together.A)
+    same(once.A.T @ once.rhs, together.A.T @ together.rhs)
+    same(np.array(once.floor), np.array(together.floor))
+    assert once.used == together.n_rows
 
 
 @given(SEEDS, st.lists(st.integers(1, 60), min_size=1, max_size=4))
