@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from sdpid._arrays import Array, frozen
+from sdpid._arrays import Array, Mask, frozen
 from sdpid.errors import InfeasibleError, SolverError
 from sdpid.estimation.bound import Bound, cost_scale, lower_bound, relative_gap
 from sdpid.estimation.conflict import explained, require_consistent
@@ -93,98 +93,189 @@ def solve_sdp(problem: Problem, *, verbose: bool = False) -> Estimate:
     except InfeasibleError as error:
         error.problem = problem
         raise
-    scaling = Scaling.of(problem)
-    found_scaling = scaling
-    described = _described(problem, scaling)
-    reference = described
-    boxed = problem.feasible.bounded
-    solve_time, iterations, status = 0.0, 0, ""
+    search = _Search.of(problem, verbose=verbose)
+    for number, attempt in enumerate(_attempts()):
+        search.try_once(attempt, patient=number >= _PATIENCE)
+        if search.proven:
+            break
+    return _settled(*search.result())
+
+
+@dataclass(eq=False)
+class _Search:
+    """What the attempts have found so far, and where the next one begins.
+
+    Attributes
+    ----------
+    problem : Problem
+        The problem.
+    verbose : bool
+        Whether the solver prints.
+    scaling, around : Scaling
+        Units of the description's links, and of those found last.
+    described, reference : ndarray, shape (p,)
+        Where attempts are measured from: the description's links, and those found last.
+    boxed : ndarray of bool, shape (p,)
+        Parameters whose bounds the solver is given.
+    seconds, iterations, status
+        Of the solver, over all attempts; the status is the last one's.
+    best : Estimate or None
+        The cheapest feasible point.
+    bound : Bound or None
+        The strongest proof. It may come from another attempt than the point.
+    """
+
+    problem: Problem
+    verbose: bool
+    scaling: Scaling
+    around: Scaling
+    described: Array
+    reference: Array
+    boxed: Mask
+    seconds: float = 0.0
+    iterations: int = 0
+    status: str = ""
     best: Estimate | None = None
     bound: Bound | None = None
-    best_gap = np.inf
-    for number, attempt in enumerate(_attempts()):
-        chosen = found_scaling if attempt.around else scaling
-        centre = reference if attempt.around else described
-        coordinates = Coordinates.of(problem, chosen.basis(), centre)
-        if coordinates is None:
-            raise explained(problem)
-        program = SdpProgram.build(
-            problem, chosen, coordinates, boxed, anchor=attempt.anchor, reach=attempt.reach
+
+    @classmethod
+    def of(cls, problem: Problem, *, verbose: bool) -> _Search:
+        """Begin at the links of the description."""
+        scaling = Scaling.of(problem)
+        described = _described(problem, scaling)
+        boxed = problem.feasible.bounded
+        return cls(problem, verbose, scaling, scaling, described, described, boxed)
+
+    @property
+    def gap(self) -> float:
+        """Gap between the point and the proof."""
+        if self.best is None or self.bound is None:
+            return np.inf
+        return relative_gap(self.problem, self.best.cost, self.bound.value)
+
+    @property
+    def proven(self) -> bool:
+        """Whether what was found is an optimum."""
+        return (
+            self.best is not None and self.gap <= _GAP and (self.best.violation or 0.0) <= FEASIBLE
         )
+
+    def try_once(self, attempt: _Attempt, *, patient: bool) -> None:
+        """Solve once, and keep what is better than before.
+
+        Parameters
+        ----------
+        attempt : _Attempt
+            How.
+        patient : bool
+            Whether the cost is counted in larger units where nothing was found so far.
+        """
+        problem = self.problem
+        program = self._program(attempt)
         solution = solve_conic(
             program.conic,
             solver=attempt.solver,
             regularisation=attempt.regularisation,
-            verbose=verbose,
+            verbose=self.verbose,
         )
-        status = f"{attempt.solver}: {solution.status}"
-        solve_time += solution.seconds
-        iterations += solution.iterations
+        self.status = f"{attempt.solver}: {solution.status}"
+        self.seconds += solution.seconds
+        self.iterations += solution.iterations
         if solution.x is None or solution.status in _NO_POINT:
             if problem.constraints.others and solution.status in _INFEASIBLE:
                 require_consistent(problem)
             # Where constraints hold together, Clarabel is wrong that they do not.
-            if best is None and number >= _PATIENCE:
-                scaling = replace(scaling, cost=_COARSER * scaling.cost)
-                found_scaling = replace(found_scaling, cost=scaling.cost)
-            continue
+            if self.best is None and patient:
+                self._count_in(_COARSER * self.scaling.cost)
+            return
         theta = program.theta(solution)
         outside = (theta < problem.feasible.lower) | (theta > problem.feasible.upper)
-        if np.any(outside & ~boxed):
+        if np.any(outside & ~self.boxed):
             # theta_max matters after all: give the solver the bounds that it overstepped.
-            boxed = boxed | outside
-            continue
+            self.boxed = self.boxed | outside
+            return
         theta = repair(problem, theta)
         if not np.isfinite(problem.cost_of(theta)):
             # Outside of what a log-det prior is defined for: where solvers end that find nothing.
-            continue
-        estimate = Estimate.of_theta(
-            problem,
-            theta,
-            method="sdp",
-            status="optimal",
-            message=status,
-            iterations=iterations,
-            solve_time=solve_time,
-            multipliers=program.multipliers(solution, theta),
+            return
+        self._keep(
+            Estimate.of_theta(
+                problem,
+                theta,
+                method="sdp",
+                status="optimal",
+                message=self.status,
+                iterations=self.iterations,
+                solve_time=self.seconds,
+                multipliers=program.multipliers(solution, theta),
+            )
         )
-        proven = lower_bound(estimate, enough=_ENOUGH)
-        # The cheapest point and the strongest proof may come from different attempts.
-        if best is None or _better(estimate, best):
-            best = estimate
-        if bound is None or proven.value > bound.value:
-            bound = proven
-        best_gap = relative_gap(problem, best.cost, bound.value)
-        if best_gap <= _GAP and (best.violation or 0.0) <= FEASIBLE:
-            break
+
+    def _program(self, attempt: _Attempt) -> SdpProgram:
+        """Return the problem in the units of an attempt, measured from its centre."""
+        scaling = self.around if attempt.around else self.scaling
+        centre = self.reference if attempt.around else self.described
+        coordinates = Coordinates.of(self.problem, scaling.basis(), centre)
+        if coordinates is None:
+            raise explained(self.problem)
+        return SdpProgram.build(
+            self.problem,
+            scaling,
+            coordinates,
+            self.boxed,
+            anchor=attempt.anchor,
+            reach=attempt.reach,
+        )
+
+    def _keep(self, estimate: Estimate) -> None:
+        """Keep a point, its proof, or both, and begin from there next time."""
+        bound = lower_bound(estimate, enough=_ENOUGH)
+        if self.best is None or _better(estimate, self.best):
+            self.best = estimate
+        if self.bound is None or bound.value > self.bound.value:
+            self.bound = bound
+        if self.proven:
+            return
         # From now on count the cost in units of itself.
-        scaling = replace(scaling, cost=max(scaling.cost, best.cost))
-        reference = np.array(best.theta)
-        found_scaling = scaling.around(reference)
-    if best is not None and bound is not None and best_gap > _GAP:
-        bound = max(bound, lower_bound(best, patient=True), key=lambda each: each.value)
-        best_gap = relative_gap(problem, best.cost, bound.value)
-    if best is not None and best.multipliers is not None and bound is not None:
-        proof = replace(
-            best.multipliers, y=bound.dual.y, Z=bound.dual.Z, rows=bound.dual.rows, W=bound.dual.W
-        )
-        best = replace(best, multipliers=proof, iterations=iterations, solve_time=solve_time)
-    if best is None or bound is None or best_gap > _GAP or (best.violation or 0.0) > FEASIBLE:
-        if problem.constraints.others:
-            require_consistent(problem)
-        found = (
-            "nothing"
-            if best is None
-            else f"a relative gap of {best_gap:.1e} and a violation of {best.violation:.1e}"
-        )
+        self._count_in(max(self.scaling.cost, self.best.cost))
+        self.reference = np.array(self.best.theta)
+        self.around = self.scaling.around(self.reference)
+
+    def _count_in(self, cost: float) -> None:
+        self.scaling = replace(self.scaling, cost=cost)
+        self.around = replace(self.around, cost=cost)
+
+    def result(self) -> tuple[Estimate, Bound]:
+        """Return the optimum and its proof.
+
+        Raises
+        ------
+        SolverError
+            When what was found is none; InfeasibleError when the constraints are to blame.
+        """
+        if self.best is not None and self.bound is not None and self.gap > _GAP:
+            patient = lower_bound(self.best, patient=True)
+            self.bound = max(self.bound, patient, key=lambda each: each.value)
+        if self.best is not None and self.best.multipliers is not None and self.bound is not None:
+            dual = self.bound.dual
+            proof = replace(self.best.multipliers, y=dual.y, Z=dual.Z, rows=dual.rows, W=dual.W)
+            self.best = replace(
+                self.best, multipliers=proof, iterations=self.iterations, solve_time=self.seconds
+            )
+        if self.proven and self.best is not None and self.bound is not None:
+            return self.best, self.bound
+        if self.problem.constraints.others:
+            require_consistent(self.problem)
+        found = "nothing"
+        if self.best is not None:
+            found = f"a relative gap of {self.gap:.1e} and a violation of {self.best.violation:.1e}"
         raise SolverError(
-            f"SDP of '{problem.robot.name}': ended '{status}' with {found} "
+            f"SDP of '{self.problem.robot.name}': ended '{self.status}' with {found} "
             f"(limits {_GAP:.0e} and {FEASIBLE:.0e}); check the excitation "
             "(problem.excitation) and the margin, or give a prior.",
-            problem=problem,
-            found=best,
+            problem=self.problem,
+            found=self.best,
         )
-    return _settled(best, bound)
 
 
 def _better(first: Estimate, second: Estimate) -> bool:
