@@ -8,6 +8,7 @@ it, carried along from link to link. One row of a link's block is then that axis
 from __future__ import annotations
 
 import functools
+import itertools
 import logging
 import math
 import sys
@@ -29,10 +30,14 @@ _PURE = 1e-12
 
 # Bytes that Pinocchio writes in about a millisecond; only to load Numba takes half a second. The
 # size decides, not whether it is loaded, so that the same call gives the same bits every time.
-_SMALL = 1 << 20
+SMALL = 1 << 20
 
-# Bytes from which the C library takes an array from the system, at the latest, as zeros.
+# Bytes from which the C library takes an array from the system, at the latest, as zeros, and from
+# which threads are worth their start.
 _LARGE = 1 << 25
+
+# Parts of a large array for every thread: one whose core is busy elsewhere does fewer.
+_SHARES = 4
 
 # Other arrays, read-only ones among them, would be compiled for anew; they are copied.
 _COMPILED_FOR: tuple[Literal["C", "A", "W"], ...] = ("C", "A", "W")
@@ -86,6 +91,12 @@ class Tree:
     axis: Array
     gravity: Array
     n: int
+
+    @functools.cached_property
+    def arrays(self) -> tuple[Any, ...]:
+        """The arrays, in the order in which the compiled function takes them."""
+        names = "kind parent first_q first_v unbounded column factor shared turn place axis gravity"
+        return tuple(getattr(self, name) for name in names.split())
 
 
 def flatten(model: Any, expansion: Array) -> Tree | None:
@@ -152,7 +163,16 @@ def flatten(model: Any, expansion: Array) -> Tree | None:
     )
 
 
-def regressor(tree: Tree, q: Array, v: Array, a: Array) -> Array | None:
+def regressor(
+    tree: Tree,
+    q: Array,
+    v: Array,
+    a: Array,
+    *,
+    out: Array | None = None,
+    places: Indices | None = None,
+    always: bool = False,
+) -> Array | None:
     """Return the regressor of samples, None without Numba or when there are few.
 
     Parameters
@@ -163,38 +183,56 @@ def regressor(tree: Tree, q: Array, v: Array, a: Array) -> Array | None:
         Pinocchio's configurations.
     v, a : ndarray, shape (K, nv)
         Velocities and accelerations of Pinocchio's joints.
+    out : ndarray, shape (K, n, columns), optional
+        Where to write, C-contiguous. All of it is written: columns that are no parameter's become
+        zero.
+    places : ndarray of int, shape (10·links,), optional
+        The column that each parameter's goes to, -1 for none; by default its own.
+    always : bool
+        Do not leave few samples to Pinocchio, such as the last block of a log.
 
     Returns
     -------
-    ndarray of shape (K, n, 10·links), or None
+    ndarray of shape (K, n, 10·links) or that of `out`, or None
     """
-    shape = (len(q), tree.n, 10 * len(tree.kind))
+    count = 10 * len(tree.kind)
+    shape = (len(q), tree.n, count) if out is None else out.shape
     size = 8 * math.prod(shape)
-    fill = None if size < _SMALL else compiled()
+    fill = compiled() if always or size >= SMALL else None
     if fill is None:
         return None
-    # Most of it is zero. A large array comes as zeros from the system and only the others are
-    # written; a smaller one is memory used before, and cleared sample by sample in the cache.
-    clear = size < _LARGE
-    out = np.empty(shape) if clear else np.zeros(shape)
-    fill(
-        tree.kind,
-        tree.parent,
-        tree.first_q,
-        tree.first_v,
-        tree.unbounded,
-        tree.column,
-        tree.factor,
-        tree.shared,
-        tree.turn,
-        tree.place,
-        tree.axis,
-        tree.gravity,
-        clear,
-        *(np.require(x, np.float64, _COMPILED_FOR) for x in (q, v, a)),
-        out,
-    )
-    return out
+    states = [np.require(x, np.float64, _COMPILED_FOR) for x in (q, v, a)]
+    whole = places is None
+    route = np.arange(count) if places is None else np.require(places, np.intp, _COMPILED_FOR)
+    # Most of a sample is zero. A large new array comes as zeros from the system; any other is
+    # cleared sample by sample in the cache.
+    clear, threads = True, 1
+    if out is not None:
+        threads = _threads() if size >= _LARGE else 1
+    elif size >= _LARGE:
+        # The system clears pages no faster for two threads than for one.
+        out, clear = np.zeros(shape), False
+    rows = np.empty(shape) if out is None else out
+
+    def work(part: slice) -> None:
+        fill(*tree.arrays, route, whole, clear, *(x[part] for x in states), rows[part])
+
+    if threads == 1:
+        work(slice(None))
+    else:
+        from concurrent.futures import ThreadPoolExecutor
+
+        ends = np.linspace(0, len(q), _SHARES * threads + 1).astype(int)
+        with ThreadPoolExecutor(threads) as pool:
+            list(pool.map(work, itertools.starmap(slice, itertools.pairwise(ends))))
+    return rows
+
+
+def _threads() -> int:
+    """Return how many threads Numba was given: the cores, or NUMBA_NUM_THREADS."""
+    import numba
+
+    return max(1, int(numba.config.NUMBA_NUM_THREADS))
 
 
 @functools.cache
@@ -204,14 +242,22 @@ def compiled() -> Callable[..., None] | None:
         import numba
     except ImportError:  # missing, or it refuses this NumPy
         return None
-    options = {"nogil": True, "error_model": "numpy", "fastmath": {"contract", "nsz", "reassoc"}}
+    options = {"fastmath": {"contract", "nsz", "reassoc"}}
+    return _compile(numba.njit, _fill, _first_call, **options)
+
+
+def _compile(
+    njit: Any, function: Any, first: Callable[[Any], None], **options: Any
+) -> Callable[..., None]:
+    """Compile a function and keep the result on the disk where that is possible."""
+    options = {"nogil": True, "error_model": "numpy", **options}
     try:
         # Beside the module or, where that is not writable, in the user's cache folder.
-        quick = numba.njit(cache=True, **options)(_fill)
-        _first_call(quick)
+        quick = njit(cache=True, **options)(function)
+        first(quick)
     except (OSError, RuntimeError):  # neither is writable, or the disk is full
-        quick = numba.njit(**options)(_fill)
-        _first_call(quick)
+        quick = njit(**options)(function)
+        first(quick)
     done: Callable[..., None] = quick
     return done
 
@@ -234,6 +280,8 @@ def _first_call(fill: Callable[..., None]) -> None:
             np.zeros((0, 2, 3)),
             np.zeros((0, 3)),
             np.zeros(3),
+            index,
+            True,
             True,
             *(table,) * 3,
             np.zeros((0, 0, 0)),
@@ -262,6 +310,8 @@ def _fill(
     place: Array,
     axis: Array,
     gravity: Array,
+    route: Indices,
+    whole: bool,
     clear: bool,
     q: Array,
     v: Array,
@@ -300,6 +350,14 @@ def _fill(
                 S[i, n, start + c] = axis[i, c]
             n += 1
         count[i] = n
+    # Which of a link's parameters have a place: wanted[first[i] : first[i + 1]].
+    first, wanted = np.zeros(links + 1, dtype=np.intp), np.zeros(10 * links, dtype=np.intp)
+    row, total = np.empty(10), 0
+    for c in range(10 * links):
+        if route[c] >= 0:
+            wanted[total] = c
+            total += 1
+        first[c // 10 + 1] = total
     for k in range(len(out)):
         if clear:
             out[k] = 0.0
@@ -447,20 +505,8 @@ def _fill(
                 r8 = ux * M[i, 3, 8] + uy * M[i, 4, 8] + uz * M[i, 5, 8]
                 r9 = ux * M[i, 3, 9] + uy * M[i, 4, 9] + uz * M[i, 5, 9]
                 m, to = moves[i, j], 10 * i
-                h = column[m]
-                if shared[m]:
-                    f = factor[m]
-                    out[k, h, to + 0] += f * r0
-                    out[k, h, to + 1] += f * r1
-                    out[k, h, to + 2] += f * r2
-                    out[k, h, to + 3] += f * r3
-                    out[k, h, to + 4] += f * r4
-                    out[k, h, to + 5] += f * r5
-                    out[k, h, to + 6] += f * r6
-                    out[k, h, to + 7] += f * r7
-                    out[k, h, to + 8] += f * r8
-                    out[k, h, to + 9] += f * r9
-                else:
+                h, f = column[m], factor[m]
+                if whole and not shared[m]:
                     out[k, h, to + 0] = r0
                     out[k, h, to + 1] = r1
                     out[k, h, to + 2] = r2
@@ -471,3 +517,20 @@ def _fill(
                     out[k, h, to + 7] = r7
                     out[k, h, to + 8] = r8
                     out[k, h, to + 9] = r9
+                    continue
+                row[0] = r0
+                row[1] = r1
+                row[2] = r2
+                row[3] = r3
+                row[4] = r4
+                row[5] = r5
+                row[6] = r6
+                row[7] = r7
+                row[8] = r8
+                row[9] = r9
+                if shared[m]:
+                    for t in range(first[i], first[i + 1]):
+                        out[k, h, route[wanted[t]]] += f * row[wanted[t] - to]
+                else:
+                    for t in range(first[i], first[i + 1]):
+                        out[k, h, route[wanted[t]]] = row[wanted[t] - to]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Literal
@@ -19,9 +20,13 @@ from sdpid.robot.library import (
 )
 from sdpid.robot.mdh import DhTable
 from sdpid.robot.model import RobotModel
+from sdpid.robot.quiet import Caught, caught_stderr
 from sdpid.robot.urdf import Mimic, check_urdf
 
 Root = Literal["free_flyer"]
+
+# Places in the parser's own source, which help nobody.
+_LINES = re.compile(r"\s*at line \d+ in \S+")
 
 
 def load_robot(
@@ -59,13 +64,16 @@ def load_robot(
     name, mimics = check_urdf(text, what, floating=root is not None)
     import pinocchio as pin
 
+    free = () if root is None else (pin.JointModelFreeFlyer(),)
+    said = Caught()
     try:
-        if root is None:
-            model = pin.buildModelFromXML(text)
-        else:
-            model = pin.buildModelFromXML(text, pin.JointModelFreeFlyer())
+        # The parser of URDF says what is wrong on standard error, not in its error.
+        with caught_stderr() as said:
+            model = pin.buildModelFromXML(text, *free)
     except (RuntimeError, ValueError) as cause:
-        raise ModelError(f"{what}: Pinocchio cannot read it ({cause}).") from None
+        raise ModelError(
+            f"{what}: Pinocchio cannot read it ({_LINES.sub('', said.text) or cause})."
+        ) from None
     model.name = name
     if gravity is None:
         gravity = default_gravity

@@ -16,7 +16,7 @@ import pytest
 from hypothesis import given
 
 from sdpid._arrays import Array
-from sdpid.errors import SdpidError
+from sdpid.errors import DataError, SdpidError
 from sdpid.robot import kernels
 from sdpid.robot.library import example_robots
 from sdpid.robot.load import load_robot
@@ -34,7 +34,7 @@ SAMPLE = ("allegro_left_hand", "iris", "panda", "solo12", "talos_reduced", "tiag
 @pytest.fixture(scope="module", autouse=True)
 def _however_few() -> Iterator[None]:
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(kernels, "_SMALL", 0)
+        patch.setattr(kernels, "SMALL", 0)
         yield
 
 
@@ -95,13 +95,57 @@ def test_every_robot_of_example_robot_data(name: str) -> None:
         check(robot, 2)
 
 
-def test_an_array_from_the_system_and_one_cleared_are_the_same(
-    denso: RobotModel, monkeypatch: pytest.MonkeyPatch
+@pytest.mark.parametrize("threads", [1, 3])
+@pytest.mark.parametrize("text", [TREE, TREE_MIMIC])
+def test_small_new_and_used_memory_are_filled_the_same(
+    text: str, threads: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    q, v, a = states(denso, np.random.default_rng(3), 50)
-    cleared = denso.regressor(q, v, a)
+    """As zeros from the system, and cleared sample by sample, in several threads."""
+    robot = load_robot(text)
+    arrays = states(robot, np.random.default_rng(3), 50)
+    tree = robot._tree
+    assert tree is not None
+    cleared = kernels.regressor(tree, *arrays)
+    assert cleared is not None
     monkeypatch.setattr(kernels, "_LARGE", 0)
-    np.testing.assert_array_equal(denso.regressor(q, v, a), cleared)
+    monkeypatch.setattr(kernels, "_threads", lambda: threads)
+    np.testing.assert_array_equal(kernels.regressor(tree, *arrays), cleared)
+    memory = np.full(cleared.shape, np.nan)
+    assert kernels.regressor(tree, *arrays, out=memory) is memory
+    np.testing.assert_array_equal(memory, cleared)
+
+
+@pytest.mark.parametrize("numba", [True, False])
+def test_some_columns_in_a_wider_block(numba: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+    if not numba:
+        monkeypatch.setattr(kernels, "compiled", lambda: None)
+    for robot in (load_robot(TREE), load_robot(TREE_MIMIC)):
+        rng = np.random.default_rng(4)
+        q, v, a = rng.uniform(-1.0, 1.0, (3, 20, robot.n))
+        whole = robot.regressor(q, v, a)
+        places = np.full(10 * robot.n_links, -1)
+        wanted = np.sort(rng.choice(len(places), len(places) // 2, replace=False))
+        places[wanted] = rng.permutation(len(wanted) + 3)[: len(wanted)]
+        out = np.full((20, robot.n, len(wanted) + 3), np.nan)
+        assert robot.regressor_columns(q, v, a, places=places, out=out) is out
+        np.testing.assert_allclose(out[:, :, places[wanted]], whole[:, :, wanted], atol=1e-13)
+        others = np.setdiff1d(np.arange(out.shape[2]), places[wanted])
+        assert not out[:, :, others].any()
+
+
+def test_memory_of_the_wrong_shape_is_refused(denso: RobotModel) -> None:
+    q = np.zeros((4, 6))
+    for wrong in (
+        np.zeros((4, 6, 59)),
+        np.zeros((4, 6, 60), dtype=np.float32),
+        np.zeros((60, 6, 4)).T,
+    ):
+        with pytest.raises(DataError, match="out: shape"):
+            denso.regressor(q, q, q, out=wrong)
+    out = np.zeros((4, 6, 60))
+    assert denso.regressor(q, q, q, out=out) is out
+    with pytest.raises(DataError, match="places: 60 entries up to 60"):
+        denso.regressor_columns(q, q, q, places=np.arange(1, 61), out=out)
 
 
 def test_samples_do_not_depend_on_their_neighbours(denso: RobotModel) -> None:
