@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from typing import Any
@@ -10,10 +11,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sdpid._arrays import Array
-from sdpid.experiment.filters import Stencil, ZeroPhaseFilter
+from sdpid.experiment.differences import Stencil
+from sdpid.experiment.filters import ZeroPhaseFilter
 from sdpid.experiment.window import Window
 
-__all__ = ["Chain", "near_standstill", "period_covariance"]
+__all__ = ["Chain", "near_standstill"]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -63,47 +65,50 @@ class Chain:
             length = min(size, window.length - first)
             yield replace(self, window=replace(window, first=window.first + first, length=length))
 
-    def filtered(self, column: Array, *, scale: float = 1.0) -> Iterator[Array]:
-        """Yield each period, with its margins, filtered once."""
-        for stages in self._filtered(column, 1, scale):
-            yield stages[0]
+    def period(self, column: Array, p: int, *, scale: float = 1.0) -> Array:
+        """Return one period, with its margins, scaled and filtered once."""
+        pad = self.low_pass.reach
+        signal = self.window.read(column, p, pad + self.margin)
+        if scale != 1.0:
+            signal = np.multiply(signal, scale, out=_own(signal))
+        return self.low_pass.apply(signal)[pad : signal.size - pad]
 
     def mean(self, column: Array) -> tuple[Array, Array, float]:
         """Return the averages after one and after `passes` passes, and the periods' spread.
 
-        The averages still have their margins; with one pass they are the same array. The spread
-        is the rms deviation of the kept samples from their mean over the periods, after the last
-        pass.
+        The averages still have their margins; with one pass they are the same array. Averaging
+        commutes with the filter, so only averages are filtered. The spread is the rms deviation of
+        the unfiltered periods from their mean: at least as large as that of the filtered ones,
+        which `spread` returns.
         """
-        window = self.window
-        size = window.length + 2 * self.margin
-        once = np.zeros(size)
-        last = once if self.passes == 1 else np.zeros(size)
-        kept = np.empty((window.periods, len(range(0, window.length, self.decimation))))
-        for p, stages in enumerate(self._filtered(column, self.passes, 1.0)):
-            once += stages[0]
-            if self.passes > 1:
-                last += stages[-1]
-            kept[p] = self.kept(stages[-1])
-        once /= window.periods
-        if self.passes > 1:
-            last /= window.periods
-        kept -= kept.mean(axis=0)
-        return once, last, float(np.sqrt(np.mean(kept**2)))
+        window, pad = self.window, self.low_pass.reach
+        size = window.length + 2 * (pad + self.margin)
+        inner = slice(pad + self.margin, size - pad - self.margin)
+        signal, squares = np.zeros(size), 0.0
+        for p in range(window.periods):
+            period = self.window.read(column, p, pad + self.margin)
+            change = np.subtract(period, signal, out=_own(period))
+            if p:
+                squares += p / (p + 1) * float(np.dot(change[inner], change[inner]))
+                change /= p + 1
+            signal += change
+        once = signal = self.low_pass.apply(signal)
+        for _ in range(self.passes - 1):
+            signal = self.low_pass.apply(signal)
+        keep = slice(pad, size - pad)
+        return once[keep], signal[keep], math.sqrt(squares / (window.periods * window.length))
 
-    def _filtered(self, column: Array, passes: int, scale: float) -> Iterator[list[Array]]:
-        """Yield each period, with its margins, after 1, ..., `passes` zero-phase passes."""
-        pad = self.low_pass.reach
-        for p in range(self.window.periods):
-            signal = self.window.read(column, p, pad + self.margin)
-            if scale != 1.0:
-                signal = signal * scale
-            keep = slice(pad, signal.size - pad)
-            stages = []
-            for _ in range(passes):
-                signal = self.low_pass.apply(signal)
-                stages.append(signal[keep])
-            yield stages
+    def spread(self, column: Array) -> float:
+        """Return the rms deviation of the kept samples, filtered, from their mean over periods."""
+        window = self.window
+        kept = np.array([self.kept(self.period(column, p)) for p in range(window.periods)])
+        kept -= kept.mean(axis=0)
+        return float(np.sqrt(np.mean(kept**2)))
+
+
+def _own(signal: Array) -> Array | None:
+    """Return the array that was read where it is a copy: what was recorded is read-only."""
+    return signal if signal.flags.writeable else None
 
 
 def near_standstill(
@@ -139,29 +144,3 @@ def near_standstill(
     counts = np.concatenate(([0], np.cumsum(around)))
     near: NDArray[np.bool_] = counts[2 * reach + 1 :] != counts[: -2 * reach - 1]
     return near
-
-
-def period_covariance(torque: Array, mean: Array) -> Array:
-    """Return Sigma_k of the paper's (11) [denso]_.
-
-    Parameters
-    ----------
-    torque : (P, K, n) ndarray
-        Torque of each period, in N·m.
-    mean : (K, n) ndarray
-        Its mean over the periods.
-
-    Returns
-    -------
-    (K, n, n) ndarray
-        In (N·m)², of a rank of at most P - 1.
-    """
-    P, K, n = torque.shape
-    covariance = np.empty((K, n, n))
-    for i in range(n):
-        left = torque[:, :, i] - mean[:, i]
-        for j in range(i, n):
-            right = left if i == j else torque[:, :, j] - mean[:, j]
-            covariance[:, i, j] = np.einsum("pk,pk->k", left, right) / (P - 1)
-            covariance[:, j, i] = covariance[:, i, j]
-    return covariance

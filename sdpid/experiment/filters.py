@@ -1,19 +1,21 @@
-"""Zero-phase Butterworth filters and central differences."""
+"""Zero-phase low-pass filters: Butterworth and Bessel."""
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, get_args
 
 import numpy as np
 
 from sdpid._arrays import Array, frozen
 from sdpid.errors import DataError
 
-__all__ = ["Derivative", "Stencil", "ZeroPhaseFilter", "butterworth", "stencil"]
+__all__ = ["FILTERS", "FilterType", "ZeroPhaseFilter", "butterworth", "low_pass"]
 
-Derivative = Literal["central", "central4", "central6"]
+FilterType = Literal["butterworth", "bessel"]
+
+FILTERS: tuple[str, ...] = get_args(FilterType)
 
 # After so many time constants exp(-45) = 3e-20 of a disturbance is left: below rounding, also
 # with the polynomial factors that repeated passes bring.
@@ -74,11 +76,16 @@ class ZeroPhaseFilter:
         return gain
 
 
-def butterworth(cutoff_hz: float, order: int, rate_hz: float) -> ZeroPhaseFilter:
-    """Design a zero-phase Butterworth low-pass filter.
+def low_pass(kind: FilterType, cutoff_hz: float, order: int, rate_hz: float) -> ZeroPhaseFilter:
+    """Design a zero-phase low-pass filter.
 
     Parameters
     ----------
+    kind : {"butterworth", "bessel"}
+        ``"butterworth"`` has the flattest pass band. ``"bessel"`` follows a step with next to no
+        overshoot (0.3 % of it at order 4, where Butterworth has 6.8 %), forgets 2.6 times as fast
+        there, and takes more from the pass band: at a tenth of the cut-off 0.64 %, where
+        Butterworth takes 1e-8.
     cutoff_hz : float
         Frequency at which a single pass has lost 3 dB, in Hz; forward and backward lose 6 dB.
     order : int
@@ -93,69 +100,28 @@ def butterworth(cutoff_hz: float, order: int, rate_hz: float) -> ZeroPhaseFilter
     Raises
     ------
     DataError
-        When the cut-off is not below half the sample rate.
+        When the type is unknown or the cut-off is not below half the sample rate.
     """
+    if kind not in FILTERS:
+        raise DataError(f"filter: {kind!r} is unknown; choose one of {', '.join(FILTERS)}.")
     if not cutoff_hz < rate_hz / 2.0:
         raise DataError(
             f"cutoff_hz: {cutoff_hz:g} Hz is not below half the sample rate of {rate_hz:.6g} Hz; "
             f"choose one below {rate_hz / 2.0:.6g} Hz."
         )
-    from scipy.signal import butter, sos2zpk
+    from scipy.signal import bessel, butter, zpk2sos
 
-    sections = butter(order, cutoff_hz, fs=rate_hz, output="sos")
-    slowest = float(np.abs(sos2zpk(sections)[1]).max())
+    if kind == "bessel":
+        zeros, poles, factor = bessel(order, cutoff_hz, fs=rate_hz, norm="mag", output="zpk")
+    else:
+        zeros, poles, factor = butter(order, cutoff_hz, fs=rate_hz, output="zpk")
+    sections = zpk2sos(zeros, poles, factor)
+    slowest = float(np.abs(poles).max())
     # A cut-off close to half the rate puts the poles near the origin: at least one sample.
     time_constant = max(1.0, -1.0 / math.log(slowest)) if slowest > 0.0 else 1.0
     return ZeroPhaseFilter(sections=frozen(sections), time_constant=time_constant)
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Stencil:
-    """Weights of central differences, for a unit step.
-
-    Attributes
-    ----------
-    first, second : (2 m + 1,) ndarray
-        Weights of the first and of the second derivative.
-    """
-
-    first: Array
-    second: Array
-
-    @property
-    def margin(self) -> int:
-        """Number of samples m needed on either side."""
-        return self.first.size // 2
-
-    def velocity(self, signal: Array, step: float) -> Array:
-        """Return the first derivative of (N,) samples at the inner N - 2 m ones."""
-        return np.correlate(signal, self.first, mode="valid") / step
-
-    def acceleration(self, signal: Array, step: float) -> Array:
-        """Return the second derivative of (N,) samples at the inner N - 2 m ones."""
-        return np.correlate(signal, self.second, mode="valid") / step**2
-
-
-# Half of the weights, from the middle outwards; the first derivative's are odd. [fornberg1988]_
-_WEIGHTS: dict[str, tuple[tuple[float, ...], tuple[float, ...]]] = {
-    "central": ((1 / 2,), (-2.0, 1.0)),
-    "central4": ((2 / 3, -1 / 12), (-5 / 2, 4 / 3, -1 / 12)),
-    "central6": ((3 / 4, -3 / 20, 1 / 60), (-49 / 18, 3 / 2, -3 / 20, 1 / 90)),
-}
-
-
-def stencil(name: str) -> Stencil:
-    """Return the central differences of order 2 (``"central"``), 4 or 6.
-
-    Raises
-    ------
-    DataError
-        When there is no such scheme.
-    """
-    if name not in _WEIGHTS:
-        raise DataError(f"derivative: {name!r} is unknown; choose one of {', '.join(_WEIGHTS)}.")
-    odd, even = _WEIGHTS[name]
-    return Stencil(
-        first=frozen([-w for w in odd[::-1]] + [0.0] + list(odd)),
-        second=frozen(list(even[:0:-1]) + list(even)),
-    )
+def butterworth(cutoff_hz: float, order: int, rate_hz: float) -> ZeroPhaseFilter:
+    """Design a zero-phase Butterworth filter; see `low_pass`."""
+    return low_pass("butterworth", cutoff_hz, order, rate_hz)

@@ -8,7 +8,8 @@ from typing import Any
 import numpy as np
 
 from sdpid.errors import DataError
-from sdpid.experiment.preparation import default_processing, match_joints
+from sdpid.experiment.choice import choose_processing
+from sdpid.experiment.preparation import match_joints
 from sdpid.experiment.recording import Recording
 from sdpid.experiment.signals import bandwidth, gaps, noise, signal_warnings
 from sdpid.experiment.units import suspect_units
@@ -30,10 +31,10 @@ def overview(recording: Recording, robot: RobotModel | None = None) -> dict[str,
     Returns
     -------
     dict
-        Plain values for JSON: sizes, times (s), the processing chosen by default, ``joints`` with
-        a range each (rad, rad/s, N.m), the standard deviation of its noise, and the frequencies
-        (Hz) at which it mostly moves and below which 95 % of the motion lies; and ``warnings``.
-        Missing is None.
+        Plain values for JSON: sizes, times (s), the processing chosen by default and why,
+        ``joints`` with a range each (rad, rad/s, N.m), the standard deviation of its noise, and
+        the frequencies (Hz) at which it mostly moves and below which 95 % of the motion lies; and
+        ``warnings``. Missing is None.
     """
     matched, limits, warnings = _matched(recording, robot)
     suspects = suspect_units(matched, limits)
@@ -42,9 +43,12 @@ def overview(recording: Recording, robot: RobotModel | None = None) -> dict[str,
     else:
         # Positions in degrees would raise most of the other alarms as well.
         warnings += signal_warnings(matched, None if limits is None else robot)
-    processing = None
+    processing, reasons = None, None
     try:
-        processing = asdict(default_processing(matched))
+        choice = choose_processing(matched)
+        processing = asdict(choice.processing)
+        del processing["reasons"]
+        reasons = "; ".join(choice.reasons)
     except DataError as cause:
         warnings.append(str(cause))
     steps = np.diff(matched.time) / matched.step
@@ -62,6 +66,7 @@ def overview(recording: Recording, robot: RobotModel | None = None) -> dict[str,
         "periods": None if layout is None else layout[2],
         "start_s": matched.start,
         "processing": processing,
+        "processing_chosen_for": reasons,
         "joints": _joints(matched),
         "warnings": warnings,
     }

@@ -9,19 +9,20 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from sdpid._arrays import Array
 from sdpid._extras import require
 from sdpid._files import atomic_path
 from sdpid.errors import DataError
 from sdpid.experiment.sizes import Budget
+from sdpid.experiment.stored import StoredTable
+from sdpid.experiment.stored_file import ROWS, StoredFile, numbers, readable
 
 if TYPE_CHECKING:
     from sdpid.experiment.recording import Recording
 
-__all__ = ["read_metadata", "read_parquet", "write_parquet"]
+__all__ = ["LARGE", "read_metadata", "read_parquet", "write_parquet"]
 
-# Rows converted at a time: a few tens of MB for a six-axis arm.
-_ROWS = 1 << 17
+# Values that would take more bytes than that stay in their file.
+LARGE = 1 << 28
 _KEY = b"sdpid"
 _FORMAT = 1
 _QUANTITIES = ("position", "effort", "velocity")
@@ -51,62 +52,76 @@ def write_parquet(recording: Recording, path: str | os.PathLike[str]) -> None:
     # Noisy doubles do not repeat, so a dictionary is a waste; splitting their bytes compresses.
     options = {"compression": "zstd", "use_dictionary": False, "use_byte_stream_split": True}
     with atomic_path(path) as temporary, pq.ParquetWriter(temporary, schema, **options) as writer:
-        for begin in range(0, recording.n_samples, _ROWS):
-            rows = slice(begin, begin + _ROWS)
+        for begin in range(0, recording.n_samples, ROWS):
+            rows = slice(begin, begin + ROWS)
             arrays = [pa.array(np.ascontiguousarray(values[rows])) for values in columns.values()]
             writer.write_batch(pa.record_batch(arrays, schema=schema))
 
 
-def read_parquet(path: str | os.PathLike[str]) -> Recording:
+def read_parquet(path: str | os.PathLike[str], *, stored: bool | None = None) -> Recording:
     """Read a recording; see `Recording.from_parquet`."""
     from sdpid.experiment.recording import Recording
 
-    pa = require("pyarrow", extra="io")
-    pq = require("pyarrow.parquet", extra="io")
     if not Path(path).is_file():
         raise DataError(f"{path}: there is no such file.")
-    try:
-        # Buffered ahead, the whole file would be in memory beside the arrays.
-        with pq.ParquetFile(path, pre_buffer=False) as file:
-            metadata = read_metadata(file.schema_arrow.metadata, path)
-            names = list(file.schema_arrow.names)
-            layout = _layout(names, metadata, path)
-            rows = file.metadata.num_rows
-            Budget(Path(path)).take("all columns", (rows, len(names)), 8)
-            arrays = {quantity: _empty(rows, where) for quantity, where in layout.items()}
-            begin = 0
-            for batch in file.iter_batches(batch_size=_ROWS, use_threads=False):
-                end = begin + batch.num_rows
-                for quantity, where in layout.items():
-                    for j, index in enumerate(where):
-                        column = batch.column(index)
-                        if column.null_count:
-                            raise DataError(f"{path}: column '{names[index]}' has missing values.")
-                        values = column.to_numpy(zero_copy_only=False)
-                        if values.dtype.kind not in "fiu":
-                            raise DataError(f"{path}: column '{names[index]}' is not numeric.")
-                        arrays[quantity][begin:end, j] = values
-                begin = end
-            if begin != rows:
-                raise DataError(f"{path}: holds {begin} rows where {rows} are announced.")
-    except (pa.lib.ArrowException, OSError, ValueError, MemoryError) as cause:
-        raise DataError(f"{path}: not a readable Parquet file ({_first_line(cause)}).") from None
+    # Buffered ahead, the whole file would be in memory beside the arrays.
+    with readable(path) as pq, pq.ParquetFile(path, pre_buffer=False) as file:
+        metadata = read_metadata(file.schema_arrow.metadata, path)
+        names = list(file.schema_arrow.names)
+        layout = _layout(names, metadata, path)
+        size = 8 * file.metadata.num_rows * sum(len(where) for where in layout.values())
+        found: dict[str, Any]
+        if size > LARGE if stored is None else stored:
+            found = _columns(file, layout, path)
+        else:
+            found = _arrays(file, layout, path)
     joint_names = metadata.get("joint_names")
     if not metadata:
         joint_names = _suffixes(names)
         if all(name.isdigit() for name in joint_names):
             joint_names = None
     return Recording(
-        time=arrays["time"][:, 0],
-        position=arrays["position"],
-        effort=arrays["effort"],
-        velocity=arrays.get("velocity"),
+        **found,
         joint_names=joint_names,
         period=metadata.get("period"),
         start=metadata.get("start"),
         periods=metadata.get("periods"),
         effort_scale=metadata.get("effort_scale"),
     )
+
+
+def _columns(file: Any, layout: dict[str, list[int]], path: Any) -> dict[str, Any]:
+    """Return the columns of a recording, left where they are."""
+    names = file.schema_arrow.names
+    if file.metadata.num_columns != len(names):
+        raise DataError(f"{path}: has columns of more than one number; read it with stored=False.")
+    for where in layout.values():
+        for index in where:
+            Budget(Path(path)).plausible(names[index], (file.metadata.num_rows,), 8)
+    source = StoredFile.of(path, file.metadata, names)
+    tables = {quantity: StoredTable(source, where) for quantity, where in layout.items()}
+    return tables | {"time": tables["time"].column(0)}
+
+
+def _arrays(file: Any, layout: dict[str, list[int]], path: Any) -> dict[str, Any]:
+    """Return the arrays of a recording, filled piece by piece."""
+    names, rows = file.schema_arrow.names, file.metadata.num_rows
+    Budget(Path(path)).take("all columns", (rows, len(names)), 8)
+    arrays = {
+        quantity: np.empty((rows, len(where)), dtype=np.float64)
+        for quantity, where in layout.items()
+    }
+    begin = 0
+    for batch in file.iter_batches(batch_size=ROWS, use_threads=False):
+        end = begin + batch.num_rows
+        for quantity, where in layout.items():
+            for j, index in enumerate(where):
+                values = numbers(batch.column(index), names[index], path)
+                arrays[quantity][begin:end, j] = values
+        begin = end
+    if begin != rows:
+        raise DataError(f"{path}: holds {begin} rows where {rows} are announced.")
+    return arrays | {"time": arrays["time"][:, 0]}
 
 
 def read_metadata(raw: dict[bytes, bytes] | None, path: Any) -> dict[str, Any]:
@@ -154,13 +169,3 @@ def _layout(names: list[str], metadata: dict[str, Any], path: Any) -> dict[str, 
 def _suffixes(names: list[str]) -> list[str]:
     """Return what follows ``position_`` in the names of columns."""
     return [name.removeprefix("position_") for name in names if name.startswith("position_")]
-
-
-def _empty(rows: int, where: list[int]) -> Array:
-    """Return an array to be filled column by column."""
-    return np.empty((rows, len(where)), dtype=np.float64)
-
-
-def _first_line(cause: BaseException) -> str:
-    """Return the first line of a library's message."""
-    return (str(cause).splitlines() or [type(cause).__name__])[0]

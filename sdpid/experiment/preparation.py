@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Literal
-
-import numpy as np
 
 from sdpid.errors import DataError
+from sdpid.experiment.choice import default_processing
 from sdpid.experiment.processing import Processing, process
 from sdpid.experiment.recording import Recording
 from sdpid.experiment.samples import Samples
@@ -20,53 +18,6 @@ __all__ = ["default_friction", "default_processing", "match_joints", "prepare"]
 # Half-width of the smooth sign of real friction, rad/s: sensors' velocity noise makes the exact
 # sign flicker near standstill.
 SMOOTH = 0.02
-
-# The cut-off for records without periods: this many times the frequency below which 95 % of the
-# motion lies (the paper's decade above the fastest motion, which reaches some three times as far),
-# and at most this share of the sampling rate, up to which differences of fourth order
-# lose no more than 2 % of a velocity.
-_CUTOFF_OVER_MOTION = 30.0
-_CUTOFF_OVER_RATE = 1.0 / 7.5
-
-
-def default_processing(log: Recording) -> Processing:
-    """Return how a recording is processed when nothing else is said.
-
-    A record with periods is averaged over them, filtered as by ``Processing()``; where they are too
-    few for a covariance of each sample, one is pooled over the samples, and one period alone has
-    none. A record without periods passes a filter of order 4 whose cut-off is 30 times the
-    frequency below which 95 % of its motion lies, at most 2/15 of the sampling rate (20 to 60 times
-    predict alike on five real robots, docs/real_robots.md); a recorded velocity is used where it
-    was sampled below 100 Hz, where differences of the position lose too much.
-    """
-    layout = log.period_layout
-    if layout is not None:
-        periods = layout[2]
-        covariance: Literal["period", "pooled"] = "period" if periods > log.n else "pooled"
-        return Processing(covariance=covariance if periods > 1 else None)
-    rate = log.rate_hz
-    # A window, so that a record that does not end where it began does not look fast.
-    window = np.hanning(len(log.position))[:, None]
-    spectrum = np.fft.rfft(window * (log.position - log.position.mean(axis=0)), axis=0)
-    spectrum = np.abs(spectrum) ** 2
-    total = spectrum.sum(axis=0)
-    moving = total > 0.0
-    if not np.any(moving):
-        raise DataError("position: no joint moves; nothing can be identified.")
-    share = np.cumsum(spectrum[:, moving] / total[moving], axis=0)
-    frequency = np.fft.rfftfreq(len(log.position), 1.0 / rate)
-    motion = float(np.median(frequency[(share < 0.95).sum(axis=0)]))
-    slowest = rate / len(log.position)
-    cutoff = min(_CUTOFF_OVER_MOTION * max(motion, slowest), _CUTOFF_OVER_RATE * rate)
-    measured = log.velocity is not None and rate < 100.0
-    return Processing(
-        cutoff_hz=cutoff,
-        order=4,
-        decimation=None,
-        reversal_time=None,
-        velocity="measured" if measured else "differentiated",
-        derivative="central4",
-    )
 
 
 def default_friction(log: Recording) -> tuple[str | FrictionTerm, ...]:

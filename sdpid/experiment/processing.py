@@ -9,6 +9,8 @@ rounding, that equals filtering the whole record first, and it needs the memory 
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,8 +18,10 @@ from numpy.typing import NDArray
 from sdpid import _progress
 from sdpid._arrays import Array
 from sdpid.errors import DataError
-from sdpid.experiment.averaging import Chain, near_standstill, period_covariance
-from sdpid.experiment.filters import ZeroPhaseFilter, butterworth, stencil
+from sdpid.experiment.averaging import Chain, near_standstill
+from sdpid.experiment.efforts import Efforts, in_threads
+from sdpid.experiment.filters import ZeroPhaseFilter
+from sdpid.experiment.pieces import continuous
 from sdpid.experiment.recording import Recording
 from sdpid.experiment.samples import Samples
 from sdpid.experiment.settings import Processing
@@ -48,6 +52,10 @@ _RATE_OVER_CUTOFF = 10.0
 _NOISE_FREE = 1e-9
 
 
+class _TooShortError(DataError):
+    """Nothing of a record is left between its ends."""
+
+
 def process(
     log: Recording, processing: Processing | None = None, *, progress: bool | None = None
 ) -> Samples:
@@ -63,6 +71,11 @@ def process(
     long as that, else the other end of the periodic part (a periodic signal continues with its
     beginning). Records without periods are continued by point reflection, and then trimmed; see
     `Processing.trim_s`.
+
+    Before all that, angles that wrap are continued, and a record without periods is split where
+    more than four samples in a row are missing. Each piece is processed on its own, as if it were
+    a record; pieces of which nothing is left after trimming are dropped. `Samples.starts` says
+    where the others begin.
 
     Parameters
     ----------
@@ -81,9 +94,9 @@ def process(
     Raises
     ------
     DataError
-        When the cut-off is not below half the sample rate, time stamps have a gap, the record is
-        too short, periods are too few for a covariance or do not look alike, or a joint has no
-        row left after masking.
+        When the cut-off is not below half the sample rate, time stamps of a record with periods
+        have a gap, the record (or every piece of it) is too short, periods are too few for a
+        covariance or do not look alike, or a joint has no row left after masking.
     """
     processing = Processing() if processing is None else processing
     if processing.velocity == "measured" and log.velocity is None:
@@ -91,9 +104,59 @@ def process(
             "velocity: the recording has none, but velocity='measured' was asked for; use "
             "velocity='differentiated'."
         )
+    if processing.derivative == "spectral" and log.period is None:
+        raise DataError(
+            "derivative: 'spectral' takes the Fourier series of a whole period, and the recording "
+            "has no periods; give its period, or use derivative='central4' or 'savitzky_golay'."
+        )
     _check_period_count(log, processing)
+    pieces, notes = continuous(log)
+    with _progress.progress(log.n * len(pieces), "processing", enabled=progress) as advance:
+        samples = _joined(pieces, processing, advance)
+    if samples.mask is not None:
+        _check_rows(log, processing, samples.mask)
+    reasons = [reason.said(processing) for reason in processing.reasons]
+    return replace(samples, notes=(*reasons, *notes, *samples.notes))
+
+
+def _joined(
+    pieces: tuple[Recording, ...], processing: Processing, advance: Callable[[int], object]
+) -> Samples:
+    """Process the pieces of a record, and join what is left of them."""
+    found: list[Samples] = []
+    short: list[tuple[Recording, str]] = []
+    for piece in pieces:
+        try:
+            found.append(_processed(piece, processing, advance))
+        except _TooShortError as error:
+            short.append((piece, str(error)))
+            advance(piece.n)
+    if not found:
+        longest, why = max(short, key=lambda each: each[0].duration)
+        if len(pieces) == 1:
+            raise DataError(why)
+        raise DataError(
+            f"time: gaps split the record into {len(short)} pieces, each too short; of the "
+            f"longest, with {longest.n_samples} samples: {why}"
+        )
+    samples = Samples.join(found)
+    if not short:
+        return samples
+    dropped = (
+        f"{len(short)} of {len(pieces)} pieces dropped, too short to be filtered: "
+        f"{sum(piece.n_samples for piece, _ in short)} samples, "
+        f"{sum(piece.duration for piece, _ in short):.6g} s"
+    )
+    return replace(samples, notes=(dropped, *samples.notes))
+
+
+def _processed(
+    log: Recording, processing: Processing, advance: Callable[[int], object]
+) -> Samples:
+    """Process a record without gaps and wrapped angles."""
     grid = make_grid(log, processing.timing)
-    low_pass = butterworth(processing.cutoff_hz, processing.order, 1.0 / grid.step)
+    low_pass = processing.low_pass(1.0 / grid.step)
+    stencil = processing.stencil(1.0 / grid.step)
     window = _window(log, grid, low_pass, processing)
     decimation = processing.decimation or max(
         1, math.floor(1.0 / (grid.step * _RATE_OVER_CUTOFF * processing.cutoff_hz) + 1e-9)
@@ -102,44 +165,42 @@ def process(
     chain = Chain(
         window=window,
         low_pass=low_pass,
-        stencil=stencil(processing.derivative),
+        stencil=stencil,
         decimation=decimation,
         passes=1 if processing.filter_alike else 2,
         # A reversal just outside the window masks rows inside it (a change of sign shows one sample
         # further out); a periodic window has no outside.
-        margin=stencil(processing.derivative).margin + (0 if window.circular else reach + 1),
+        margin=stencil.margin + (0 if window.circular else reach + 1),
     )
 
     kept = np.arange(0, window.length, decimation, dtype=np.float64)
     P, K, n = window.periods, kept.size, log.n
     position, velocity, acceleration = (np.empty((K, n)) for _ in range(3))
-    torque = np.empty((P, K, n))
     mask = None if processing.reversal_time is None else np.empty((K, n), dtype=np.bool_)
-    with _progress.progress(n, "processing", enabled=progress) as advance:
-        for j in range(n):
-            scale = 1.0 if log.effort_scale is None else float(log.effort_scale[j])
-            first = 0
-            for part in chain.parts(_CHUNK):
-                motion = _motion(log, j, part, processing)
-                rows = slice(first, first + motion[0].size)
-                position[rows, j], fine, acceleration[rows, j] = motion
-                velocity[rows, j] = part.kept(fine)
-                if mask is not None:
-                    speed = processing.reversal_speed
-                    slow = near_standstill(fine, speed, reach, circular=window.circular)
-                    mask[rows, j] = ~part.kept(slow)
-                for p, filtered in enumerate(part.filtered(log.effort[:, j], scale=scale)):
-                    torque[p, rows, j] = part.kept(filtered)
-                first = rows.stop
-            advance(1)
 
-    if mask is not None:
-        _check_rows(log, processing, mask)
-    effort = torque.mean(axis=0) if P > 1 else torque[0]
+    def motion(j: int) -> None:
+        columns = log.position[:, j], None if log.velocity is None else log.velocity[:, j]
+        first = 0
+        for part in chain.parts(_CHUNK):
+            found = _motion(log, j, columns, part, processing)
+            rows = slice(first, first + found[0].size)
+            position[rows, j], fine, acceleration[rows, j] = found
+            velocity[rows, j] = part.kept(fine)
+            if mask is not None:
+                speed = processing.reversal_speed
+                slow = near_standstill(fine, speed, reach, circular=window.circular)
+                mask[rows, j] = ~part.kept(slow)
+            first = rows.stop
+        advance(1)
+
+    in_threads(motion, range(n))
+    wanted = log.period is not None and processing.covariance is not None
+    efforts = Efforts.of(log, chain, covariance=wanted, chunk=_CHUNK)
+    effort, covariance = efforts.mean, efforts.covariance
     notes = _notes(log, processing, chain, grid, mask)
-    covariance = None
-    if log.period is not None and processing.covariance is not None:
-        covariance = period_covariance(torque, effort)
+    if efforts.note is not None:
+        notes.append(efforts.note)
+    if covariance is not None:
         pooled = covariance.mean(axis=0)
         if processing.covariance == "pooled":
             covariance = pooled
@@ -169,12 +230,16 @@ def process(
         periods=None if log.period is None else P,
         block=min(block, K),
         notes=tuple(notes),
-        effort_periods=torque if log.period is not None and P > 1 else None,
+        effort_periods=efforts.periods,
     )
 
 
 def _motion(
-    log: Recording, j: int, chain: Chain, processing: Processing
+    log: Recording,
+    j: int,
+    columns: tuple[Array, Array | None],
+    chain: Chain,
+    processing: Processing,
 ) -> tuple[Array, Array, Array]:
     """Return position (K,), velocity at the full rate and acceleration (K,) of one joint.
 
@@ -185,9 +250,12 @@ def _motion(
     as many passes as its derivatives are to have.
     """
     step = chain.window.grid.step
-    signal, last, spread = chain.mean(log.position[:, j])
+    column, measured = columns
+    signal, last, spread = chain.mean(column)
     motion = float(np.std(last))
-    if spread > max(_PERIOD_SPREAD * motion, _PERIOD_SPREAD_FLOOR):
+    limit = max(_PERIOD_SPREAD * motion, _PERIOD_SPREAD_FLOOR)
+    # What the filter removes does not count, but that is only looked at where it matters.
+    if spread > limit and (spread := chain.spread(column)) > limit:
         raise DataError(
             f"period: the periods of joint {log.names[j]} do not repeat: their positions spread "
             f"by {spread:.3g} rad (rms) where the mean period moves by {motion:.3g} rad (rms), "
@@ -199,9 +267,9 @@ def _motion(
     if processing.velocity == "differentiated":
         velocity = differences.velocity(last, step)
         return position, velocity, chain.kept(differences.acceleration(last, step))
-    assert log.velocity is not None
-    signal, last, _ = chain.mean(log.velocity[:, j])
-    velocity = signal[differences.margin : -differences.margin]
+    assert measured is not None
+    signal, last, _ = chain.mean(measured)
+    velocity = differences.inner(signal)
     return position, velocity, chain.kept(differences.velocity(last, step))
 
 
@@ -256,7 +324,7 @@ def _window(
         trim = round(processing.trim_s / grid.step)
     length = grid.count - 2 * trim
     if length < 1:
-        raise DataError(
+        raise _TooShortError(
             f"time: the record lasts {log.duration:.4g} s, and {trim * grid.step:.4g} s are cut "
             f"off at either end (memory of the filter at {processing.cutoff_hz:g} Hz: "
             f"{low_pass.time_constant * grid.step:.3g} s); record longer, raise cutoff_hz, or "
@@ -281,9 +349,16 @@ def _notes(
         if processing.velocity == "measured":
             alike = "position, velocity and torque once, acceleration twice"
     notes.append(
-        f"zero-phase Butterworth filter of order {processing.order} at {processing.cutoff_hz:g} "
-        f"Hz: {alike}"
+        f"zero-phase {processing.filter.capitalize()} filter of order {processing.order} at "
+        f"{processing.cutoff_hz:g} Hz: {alike}"
     )
+    if processing.derivative == "savitzky_golay":
+        notes.append(
+            f"derivatives of polynomials over {2 * chain.stencil.margin + 1} samples "
+            "(Savitzky-Golay)"
+        )
+    elif processing.derivative == "spectral":
+        notes.append("derivatives of the Fourier series of the mean period")
     if window.circular:
         notes.append(
             f"mean of {window.periods} periods of {window.length} samples ({log.period:g} s)"

@@ -115,6 +115,8 @@ def read_recording(
         Sample rate of a log without time stamps.
     period, start, periods, effort_scale : optional
         As in `Recording`; override what the file says.
+    stored : bool, optional
+        Leave the values of a Parquet file in it; see `Recording.from_parquet`.
 
     Returns
     -------
@@ -154,6 +156,7 @@ def read_described(
     start: float | None = None,
     periods: int | None = None,
     effort_scale: Any = None,
+    stored: bool | None = None,
 ) -> Reading:
     """Read a log, and tell where its quantities were found; see `read_recording`."""
     file = Path(path)
@@ -181,10 +184,17 @@ def read_described(
 
     described = partial(Reading, file=str(file), mapping=None if beside is None else str(beside))
     plain = not columns and not units and joint_names is None and motors is None
-    if suffix == ".parquet" and plain and (recording := _own_recording(file)) is not None:
+    own = _own_recording(file, stored) if suffix == ".parquet" and plain else None
+    if own is not None:
         changed = {name: value for name, value in given.items() if value is not None}
-        recording = replace(recording, **changed) if changed else recording
+        recording = replace(own, **changed) if changed else own
         return described(recording=recording, sources={"all": "as written by Recording.to_parquet"})
+    if stored:
+        raise DataError(
+            f"{file}: stored=True leaves the values in a Parquet file with the columns of "
+            "Recording.to_parquet, read without columns, units, motors and joint_names; write one, "
+            "or leave stored out."
+        )
     if suffix in _BAGS:
         found: Table = LOADERS[suffix](file, topic=topic, joint_names=joint_names)
     elif topic is not None:
@@ -299,12 +309,12 @@ def _assembled(
     return described(recording=recording, sources=sources)  # type: ignore[no-any-return]
 
 
-def _own_recording(file: Path) -> Recording | None:
+def _own_recording(file: Path, stored: bool | None) -> Recording | None:
     """Read a file with the columns of `Recording.to_parquet`; None when it has others."""
     found = LOADERS[".parquet"](file)
     wanted = ("time", "position_", "effort_")
     if all(any(name.startswith(prefix) for name in found) for prefix in wanted):
-        return Recording.from_parquet(file)
+        return Recording.from_parquet(file, stored=stored)
     return None
 
 

@@ -4,31 +4,24 @@ from __future__ import annotations
 
 import os
 from collections.abc import Sequence
-from dataclasses import dataclass
-from functools import cached_property
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 
 from sdpid._arrays import Array, frozen_view, real_array
 from sdpid.errors import DataError
+from sdpid.experiment.stamps import Stamps
+from sdpid.experiment.stored import StoredColumn, StoredTable
+from sdpid.experiment.stored_file import LARGEST
 
 __all__ = ["Recording"]
 
-# A step longer than this many median steps may hold a lost sample, or end with a late stamp.
-_LONG = 1.5
-# To tell the two apart, so many stamps on either side are averaged: a lost sample shifts them all.
-_NEIGHBOURS = 8
 # The end of the last period may be off by this many samples. A period that does not divide the
 # record is off by many; half a sample is where the nearest sample becomes another one.
 _PERIOD_SLACK = 0.5
 # Below two samples a period has no motion at all.
 _LEAST_SAMPLES = 2
-# No robot moves, turns or pulls so much, in SI units, nor since 1970 have so many seconds passed;
-# squares of what is below are far from overflow.
-_LARGEST = 1e12
-# No robot's controller steps faster, in s.
-_SHORTEST = 1e-9
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
@@ -61,6 +54,11 @@ class Recording:
         N·m per unit of effort: the torque constant times the gear ratio when currents in A were
         logged. None means that efforts are in N·m already.
 
+    Attributes
+    ----------
+    stamps : Stamps
+        The time stamps in numbers.
+
     Raises
     ------
     DataError
@@ -78,15 +76,18 @@ class Recording:
     start: float | None = None
     periods: int | None = None
     effort_scale: Array | None = None
+    stamps: Stamps = field(init=False)
 
     def __post_init__(self) -> None:
         for name in ("time", "position", "effort"):
             if getattr(self, name) is None:
                 raise DataError(f"{name} is missing; a recording needs time, position and effort.")
-        time = _kept(self, "time", 1)
+        time: Any = _kept(self, "time", 1)
         if time.size < _LEAST_SAMPLES:
             raise DataError(f"time: has {time.size} samples, at least {_LEAST_SAMPLES} are needed.")
-        _check_time(time)
+        # A pass over a stored column is not repeated for every changed copy of a recording.
+        once = time.remembered if isinstance(time, StoredColumn) else None
+        object.__setattr__(self, "stamps", once(Stamps.of) if once else Stamps.of(time))
         position = _kept(self, "position", 2)
         n = position.shape[1]
         if n == 0:
@@ -130,15 +131,20 @@ class Recording:
     @property
     def duration(self) -> float:
         """Time from the first to the last sample, in s."""
-        return float(self.time[-1] - self.time[0])
+        return self.stamps.last - self.stamps.first
 
-    @cached_property
+    @property
     def step(self) -> float:
         """Nominal time step in s: the duration over the number of steps, lost samples counted.
 
         Where time stamps jitter, this mean is far more accurate than the median of the steps.
         """
-        return self.duration / (self.n_samples - 1 + _lost_samples(self.time))
+        return self.stamps.step
+
+    @property
+    def stored(self) -> bool:
+        """Whether the arrays stay in their file; see `from_parquet`."""
+        return isinstance(self.position, StoredTable)
 
     @property
     def rate_hz(self) -> float:
@@ -161,7 +167,7 @@ class Recording:
         if self.period is None:
             return None
         per_period = round(self.period / self.step)
-        first = 0 if self.start is None else round((self.start - self.time[0]) / self.step)
+        first = 0 if self.start is None else round((self.start - self.stamps.first) / self.step)
         if self.periods is not None:
             return int(first), per_period, self.periods
         held = (self.duration / self.step + 1.0 - first) / per_period
@@ -183,10 +189,11 @@ class Recording:
             object.__setattr__(self, "periods", int(count))
         if self.start is not None:
             start = _number(self.start, "start")
-            if not self.time[0] - self.step / 2 <= start <= self.time[-1]:
+            begin, end = self.stamps.first, self.stamps.last
+            if not begin - self.step / 2 <= start <= end:
                 raise DataError(
-                    f"start: {start:.9g} s is outside the record, which runs from "
-                    f"{self.time[0]:.9g} s to {self.time[-1]:.9g} s."
+                    f"start: {start:.9g} s is outside the record, which runs from {begin:.9g} s "
+                    f"to {end:.9g} s."
                 )
             object.__setattr__(self, "start", start)
         if period < _LEAST_SAMPLES * self.step * (1.0 - 1e-9):
@@ -198,7 +205,7 @@ class Recording:
         assert layout is not None
         first, per_period, count = layout
         held = self.duration / self.step + 1.0 - first
-        begin = float(self.time[0]) + first * self.step
+        begin = self.stamps.first + first * self.step
         where = f"from {begin:.9g} s on the record holds {held:.10g} samples"
         exact = period / self.step
         if self.periods is not None and count * per_period > held + _PERIOD_SLACK:
@@ -237,8 +244,19 @@ class Recording:
         write_parquet(self, path)
 
     @staticmethod
-    def from_parquet(path: str | os.PathLike[str]) -> Recording:
+    def from_parquet(path: str | os.PathLike[str], *, stored: bool | None = None) -> Recording:
         """Read a file that `to_parquet` wrote, or one with the same columns.
+
+        Parameters
+        ----------
+        path : path-like
+            The file.
+        stored : bool, optional
+            True leaves the values in the file, where `position[:, j]` and the others are then
+            columns that are decoded piece by piece as they are read (see
+            `sdpid.experiment.stored`), so that a recording may be larger than memory. The file
+            must stay as it is. Time stamps are checked at once, other values as they are read.
+            By default true for files whose values would take more than 256 MB.
 
         Raises
         ------
@@ -249,7 +267,7 @@ class Recording:
         """
         from sdpid.experiment.parquet import read_parquet
 
-        return read_parquet(path)
+        return read_parquet(path, stored=stored)
 
 
 def checked_names(names: Any, n: int) -> tuple[str, ...]:
@@ -278,48 +296,38 @@ def checked_names(names: Any, n: int) -> tuple[str, ...]:
 
 def _kept(record: Recording, name: str, ndim: int) -> Array:
     """Check the array in a field and put it back as a read-only contiguous view."""
-    array = np.ascontiguousarray(real_array(getattr(record, name), name, ndim=ndim))
-    if array.size and max(array.max(), -array.min()) > _LARGEST:
-        first = tuple(int(i) for i in np.argwhere(np.abs(array) > _LARGEST)[0])
-        raise DataError(
-            f"{name}: is {array[first]:.3g} at index {first}, more than {_LARGEST:g}, which no "
-            "robot has; repair that sample, or say its unit."
-        )
+    given: Any = getattr(record, name)
+    if isinstance(given, (StoredColumn, StoredTable)) and given.ndim == ndim:
+        # Its values are checked as they are decoded.
+        return given  # type: ignore[return-value]
+    array = np.ascontiguousarray(given) if _sound(given, ndim) else _checked(given, name, ndim)
     view: Array = frozen_view(array)
     object.__setattr__(record, name, view)
     return view
 
 
-def _check_time(time: Array) -> None:
-    """Raise when time stamps do not increase, naming the first row that does not."""
-    wrong = time[1:] <= time[:-1]
-    if not wrong.any():
-        if time[-1] - time[0] < _SHORTEST * (time.size - 1):
-            raise DataError(
-                f"time: {time.size} samples within {time[-1] - time[0]:.3g} s; say their unit."
-            )
-        return
-    row = int(np.argmax(wrong)) + 1
-    how = "repeats" if time[row] == time[row - 1] else "runs backwards"
-    raise DataError(
-        f"time {how} at row {row}: {time[row]:.9g} s after {time[row - 1]:.9g} s "
-        f"({int(np.count_nonzero(wrong))} such rows); sort the rows or remove the duplicates."
+def _sound(given: Any, ndim: int) -> bool:
+    """Tell in two passes, and without another array, that all is well."""
+    return (
+        isinstance(given, np.ndarray)
+        and given.dtype == np.float64
+        and given.ndim == ndim
+        and given.size > 0
+        # What is not a number is not below the limit either.
+        and bool(given.min() >= -LARGEST and given.max() <= LARGEST)
     )
 
 
-def _lost_samples(time: Array) -> int:
-    """Count the samples that are missing between regular ones."""
-    steps = np.diff(time)
-    if steps.max() < _LONG * steps.min():
-        return 0
-    median = float(np.median(steps))
-    lost = 0
-    for i in np.flatnonzero(steps > _LONG * median):
-        width = min(_NEIGHBOURS, int(i) + 1, time.size - 1 - int(i))
-        before, after = time[i + 1 - width : i + 1], time[i + 1 : i + 1 + width]
-        shift = float(np.mean(after - before)) / median - width
-        lost += max(0, min(round(shift), round(float(steps[i]) / median) - 1))
-    return lost
+def _checked(given: Any, name: str, ndim: int) -> Array:
+    """Convert what is no such array, or say what is wrong with it."""
+    array = np.ascontiguousarray(real_array(given, name, ndim=ndim))
+    if array.size and max(array.max(), -array.min()) > LARGEST:
+        first = tuple(int(i) for i in np.argwhere(np.abs(array) > LARGEST)[0])
+        raise DataError(
+            f"{name}: is {array[first]:.3g} at index {first}, more than {LARGEST:g}, which no "
+            "robot has; repair that sample, or say its unit."
+        )
+    return array
 
 
 def _number(value: Any, name: str) -> float:
@@ -328,10 +336,10 @@ def _number(value: Any, name: str) -> float:
         number = float(value)
     except (TypeError, ValueError, OverflowError):
         number = float("nan")
-    if not abs(number) <= _LARGEST:
+    if not abs(number) <= LARGEST:
         # Python refuses to print an int of thousands of digits.
         shown = "a huge number" if isinstance(value, int) else repr(value)
-        raise DataError(f"{name}: is {shown}, expected a finite number of at most {_LARGEST:g}.")
+        raise DataError(f"{name}: is {shown}, expected a finite number of at most {LARGEST:g}.")
     return number
 
 

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from sdpid._extras import require
 from sdpid.errors import DataError
+from sdpid.experiment.bag_sizes import check_bag
 from sdpid.experiment.sizes import Budget
 
 __all__ = ["load_rosbag"]
@@ -24,6 +25,8 @@ _USUAL_TOPIC = "/joint_states"
 _QUANTITIES = ("position", "velocity", "effort")
 # Nanoseconds; whole numbers until they are relative, for a double holds too few digits of them.
 _SECOND = 1_000_000_000
+# Messages after which what they take is counted again.
+_COUNTED = 1000
 
 
 def load_rosbag(
@@ -56,11 +59,12 @@ def load_rosbag(
     """
     highlevel = require("rosbags.highlevel", extra="ros")
     typesys = require("rosbags.typesys", extra="ros")
-    Budget(path)
+    budget = Budget(path)
+    check_bag(path, budget)
     try:
         store = typesys.get_typestore(typesys.Stores.ROS2_HUMBLE)
         with highlevel.AnyReader([path], default_typestore=store) as reader:
-            states = _States(path, joint_names)
+            states = _States(path, joint_names, budget)
             wanted = _connections(path, reader, topic)
             for connection, stamp, raw in reader.messages(connections=wanted):
                 states.add(stamp, reader.deserialize(raw, connection.msgtype))
@@ -94,8 +98,9 @@ def _connections(path: Path, reader: Any, topic: str | None) -> list[Any]:
 class _States:
     """The joint states of a topic, message by message."""
 
-    def __init__(self, path: Path, names: tuple[str, ...] | None) -> None:
+    def __init__(self, path: Path, names: tuple[str, ...] | None, budget: Budget) -> None:
         self._path = path
+        self._budget = budget
         self._names = names
         self._chosen = names is not None
         self._count = 0
@@ -108,6 +113,10 @@ class _States:
     def add(self, stamp: int, message: Any) -> None:
         """Take one message; one of other joints is passed over."""
         self._count += 1
+        if self._count % _COUNTED == 0:
+            # Every value is held twice for a moment.
+            size = 2 * sum(len(values) + 1 for values in self._values.values())
+            self._budget.take("joint states", (size,), 8)
         names = tuple(message.name)
         if names not in self._order:
             self._order[names] = self._matched(names)

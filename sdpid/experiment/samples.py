@@ -197,8 +197,11 @@ class Samples:
         return (self,) if len(self.starts) == 1 else tuple(self._picked(p) for p in self.parts)
 
     def thinned(self, most: int) -> Samples:
-        """Return about so many samples at most, evenly spread over every piece."""
-        step = -(-self.n_samples // most)
+        """Return at most about twice so many samples, evenly spread over every piece."""
+        return self.every(max(self.n_samples // most, 1))
+
+    def every(self, step: int) -> Samples:
+        """Return one sample in so many, beginning with the first of every piece."""
         if step == 1:
             return self
         return Samples.join([piece._picked(slice(None, None, step)) for piece in self.pieces])
@@ -206,13 +209,14 @@ class Samples:
     def _picked(self, which: slice) -> Samples:
         """Return some samples of one piece; averages are no longer said to be any."""
         covariance, mask, time = self.covariance, self.mask, self.time
+        if covariance is not None and covariance.ndim == 3:
+            covariance = covariance[which]
         return Samples(
             position=self.position[which],
             velocity=self.velocity[which],
             acceleration=self.acceleration[which],
             effort=self.effort[which],
-            covariance=covariance if covariance is None or covariance.ndim == 2
-            else covariance[which],
+            covariance=covariance,
             mask=None if mask is None else mask[which],
             time=None if time is None else time[which],
             joint_names=self.joint_names,

@@ -3,12 +3,39 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, Literal
 
 from sdpid.errors import DataError
-from sdpid.experiment.filters import Derivative, stencil
+from sdpid.experiment.differences import DERIVATIVES, Derivative, Spectral, Stencil, stencil
+from sdpid.experiment.filters import FILTERS, FilterType, ZeroPhaseFilter, low_pass
 from sdpid.experiment.timing import Timing
+
+
+@dataclass(frozen=True, kw_only=True)
+class Reason:
+    """Why a setting has the value that a rule gave it.
+
+    Attributes
+    ----------
+    field : str
+        Name of the setting.
+    value : object
+        What the rule chose.
+    text : str
+        Why.
+    """
+
+    field: str
+    value: Any
+    text: str
+
+    def said(self, processing: Processing) -> str:
+        """Return the reason in words, or what stands in the setting's place."""
+        chosen, value = _shown(self.value), getattr(processing, self.field)
+        if value == self.value:
+            return f"{self.field} {chosen}: {self.text}"
+        return f"{self.field} {_shown(value)}: as given, for {chosen} ({self.text})"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -18,11 +45,13 @@ class Processing:
     Parameters
     ----------
     cutoff_hz : float
-        Cut-off of one pass of the Butterworth low-pass filter, in Hz.
+        Cut-off of one pass of the low-pass filter, in Hz: it loses 3 dB there.
     order : int
         Order of one pass; forward and backward passes double it. The paper's order 1 at 10 Hz
         attenuates motion of 1 Hz by 1 %, which the nonlinear equation of motion does not forgive;
         order 2 at 15 Hz attenuates it by 2e-5 and forgets a Coulomb step as fast.
+    filter : {"butterworth", "bessel"}
+        Type of the low-pass filter; see `sdpid.experiment.filters.low_pass`.
     decimation : int or None
         Every so many samples are kept. None keeps about ten per period of the cut-off frequency,
         which is the paper's choice (1 kHz, 10 Hz, a factor of 10).
@@ -44,9 +73,12 @@ class Processing:
         has a rank of at most P - 1; s = 0 refuses P <= n. The target is the pooled covariance
         because it has full rank already for two periods, keeps the correlation of the joints,
         and is the exact answer when noise is stationary (s = 1).
-    derivative : {"central", "central4", "central6"}
+    derivative : {"central", "central4", "central6", "savitzky_golay", "spectral"}
         Central differences of order 2, 4 or 6. Order 2 loses (w h)²/6 of a velocity at angular
         frequency w: nothing at 1 kHz, 12 % at 4 Hz sampled at 30 Hz, where order 6 loses 0.4 %.
+        Savitzky-Golay: of polynomials of degree 4, over windows whose noise bandwidth is the
+        cut-off; see `sdpid.experiment.differences.stencil`. Spectral: of the Fourier series of
+        the averaged period, without error; only for records with periods.
     velocity : {"differentiated", "measured"}
         Whether the velocity is the derivative of the position, or the recorded one, which passes
         the filter once. The acceleration is then the derivative of that.
@@ -57,6 +89,9 @@ class Processing:
         hundredth of that five time constants further in. Records with periods lose nothing.
     timing : {"auto", "nominal", "resample"}
         What to do with time stamps that jitter; see `sdpid.experiment.timing.make_grid`.
+    reasons : tuple of Reason
+        Why settings were chosen, where a rule chose them; samples carry them in their notes. They
+        are no settings themselves, and do not count when two are compared.
 
     Raises
     ------
@@ -76,17 +111,20 @@ class Processing:
     velocity: Literal["differentiated", "measured"] = "differentiated"
     trim_s: float | None = None
     timing: Timing = "auto"
+    filter: FilterType = "butterworth"
+    reasons: tuple[Reason, ...] = field(default=(), repr=False, compare=False)
 
     def __post_init__(self) -> None:
         choices: dict[str, tuple[Any, ...]] = {
             "covariance": ("period", "pooled", None),
             "velocity": ("differentiated", "measured"),
             "timing": ("auto", "nominal", "resample"),
+            "derivative": DERIVATIVES,
+            "filter": FILTERS,
         }
         for name, allowed in choices.items():
             if getattr(self, name) not in allowed:
                 raise DataError(f"{name}: is {getattr(self, name)!r}, expected one of {allowed}.")
-        stencil(self.derivative)
         _require(self.cutoff_hz > 0.0 and math.isfinite(self.cutoff_hz), "cutoff_hz", self, "> 0")
         for name in ("order", "decimation"):
             value = getattr(self, name)
@@ -98,10 +136,24 @@ class Processing:
             value = getattr(self, name)
             _require(value is None or (math.isfinite(value) and value >= 0.0), name, self, ">= 0")
 
+    def low_pass(self, rate_hz: float) -> ZeroPhaseFilter:
+        """Design the filter for a sample rate in Hz."""
+        return low_pass(self.filter, self.cutoff_hz, self.order, rate_hz)
+
+    def stencil(self, rate_hz: float) -> Stencil:
+        """Return how signals of a sample rate in Hz, once filtered, are differentiated."""
+        if self.derivative == "spectral":
+            return Spectral()
+        return stencil(self.derivative, cutoff_over_rate=self.cutoff_hz / rate_hz)
+
     @staticmethod
     def paper() -> Processing:
         """Return section III-C of the paper to the letter, the periods' covariance included."""
         return Processing(cutoff_hz=10.0, order=1, filter_alike=False, reversal_time=None)
+
+
+def _shown(value: Any) -> str:
+    return f"{value:.4g}" if isinstance(value, float) else str(value)
 
 
 def _require(holds: bool, name: str, processing: Processing, expected: str) -> None:

@@ -55,6 +55,23 @@ class Budget:
         DataError
             When the claim is larger than what the file can hold, or than memory allows.
         """
+        shape = tuple(shape)
+        size = self.plausible(name, shape, itemsize)
+        self._taken[name] = size
+        if (total := sum(self._taken.values())) > self._limit:
+            raise DataError(
+                f"{self._path}: with '{name}' ({_amount(shape)}) the arrays take {_mega(total)}, "
+                f"more than the limit of {_mega(self._limit)}; cut the log into parts, or thin it."
+            )
+
+    def plausible(self, name: str, shape: Iterable[int], itemsize: int) -> int:
+        """Return the bytes of an array that is read in pieces, as it may be larger than memory.
+
+        Raises
+        ------
+        DataError
+            When the claim is larger than what the file can hold.
+        """
         shape = tuple(int(size) for size in shape)
         size = math.prod(shape) * max(1, itemsize)
         if min(shape, default=0) < 0:
@@ -64,12 +81,7 @@ class Budget:
                 f"{self._path}: '{name}' claims {_amount(shape)}, {_mega(size)}, in a file of "
                 f"{_mega(self._file)}: the file is damaged, or its header is not honest."
             )
-        self._taken[name] = size
-        if (total := sum(self._taken.values())) > self._limit:
-            raise DataError(
-                f"{self._path}: with '{name}' ({_amount(shape)}) the arrays take {_mega(total)}, "
-                f"more than the limit of {_mega(self._limit)}; cut the log into parts, or thin it."
-            )
+        return size
 
 
 def _size(path: Path) -> int:

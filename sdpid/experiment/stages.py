@@ -8,7 +8,7 @@ import numpy as np
 
 from sdpid._arrays import Array
 from sdpid.errors import DataError
-from sdpid.experiment.filters import butterworth, stencil
+from sdpid.experiment.differences import stencil
 from sdpid.experiment.processing import Processing
 from sdpid.experiment.recording import Recording
 
@@ -58,8 +58,11 @@ def filter_stages(
     processing = Processing.paper() if processing is None else processing
     if not 0 <= joint < log.n:
         raise DataError(f"joint {joint} does not exist; the recording has {log.n}, counted from 0.")
-    low_pass = butterworth(processing.cutoff_hz, processing.order, 1.0 / log.step)
-    difference = stencil(processing.derivative)
+    low_pass = processing.low_pass(1.0 / log.step)
+    difference = processing.stencil(1.0 / log.step)
+    if processing.derivative == "spectral":
+        # A stretch is no whole period.
+        difference = stencil("central6")
     first, last = np.searchsorted(log.time, window)
     pad = 2 * low_pass.reach + 2 * difference.margin
     start, stop = max(0, int(first) - pad), min(len(log.time), int(last) + pad)

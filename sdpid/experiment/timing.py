@@ -10,16 +10,18 @@ import numpy as np
 from sdpid._arrays import Array
 from sdpid.errors import DataError
 from sdpid.experiment.recording import Recording
+from sdpid.experiment.stamps import blocks
 
-__all__ = ["Grid", "Timing", "make_grid"]
+__all__ = ["MAX_GAP_STEPS", "Grid", "Timing", "make_grid"]
 
 Timing = Literal["auto", "nominal", "resample"]
 
 # Stamps are uniform when no step is off by more than this part of the nominal one. A stamp in
 # seconds since 1970 has a resolution of 2.4e-7 s, which is 2.4e-4 of a step at 1 kHz.
 _JITTER = 1e-3
-# Lost samples up to here are bridged by the spline; a longer gap holds motion nobody measured.
-_MAX_GAP_STEPS = 5.0
+# Lost samples up to here are bridged by the spline; a longer gap holds motion nobody measured,
+# and records without periods are split there.
+MAX_GAP_STEPS = 5.0
 # Stamps that stay this close (in steps) to a straight line can be late stamps of regular samples.
 _MAX_WANDER_STEPS = 0.5
 # Interpolate only if the stamps predict left-out positions at least this much better than the
@@ -90,32 +92,27 @@ def make_grid(recording: Recording, timing: Timing = "auto") -> Grid:
     Raises
     ------
     DataError
-        When a gap of more than five steps would have to be bridged.
+        When a gap of more than five steps would have to be bridged; `process` splits records
+        without periods there beforehand.
     """
-    time, step = recording.time, recording.step
+    time, stamps, step = recording.time, recording.stamps, recording.step
     if recording.period_layout is not None and recording.period is not None:
         # A whole number of steps to the period, to the last bit.
         step = recording.period / recording.period_layout[1]
-    steps = np.diff(time)
-    steps -= recording.step
-    late, early = float(steps.max()), float(steps.min())
+    late, early = stamps.most - recording.step, stamps.least - recording.step
     jitter = max(late, -early) / recording.step
-    nominal = Grid(origin=float(time[0]), step=step, count=time.size)
+    nominal = Grid(origin=stamps.first, step=step, count=time.size)
     if jitter <= _JITTER and timing != "resample":
         return nominal
-    if late > (_MAX_GAP_STEPS - 1.0) * recording.step:
-        row = int(np.argmax(steps)) + 1
+    if late > (MAX_GAP_STEPS - 1.0) * recording.step:
+        row = stamps.row
         raise DataError(
             f"time: gap of {late + recording.step:.6g} s before row {row} (from "
             f"{time[row - 1]:.9g} s to {time[row]:.9g} s), {late / recording.step + 1.0:.1f} "
-            f"steps of {recording.step:.6g} s, more than {_MAX_GAP_STEPS:g}; process the parts "
-            "before and after it as separate recordings."
+            f"steps of {recording.step:.6g} s, more than {MAX_GAP_STEPS:g}; without its "
+            "period the record is split there."
         )
-    del steps
-    deviation = np.arange(time.size, dtype=np.float64)
-    deviation *= -recording.step
-    deviation += time
-    wander = float(np.ptp(deviation)) / 2.0 / recording.step
+    wander = _wander(recording) / recording.step
     seen = f"time stamps jitter by {100.0 * jitter:.3g} % of a step of {recording.step:.6g} s"
     if timing == "auto":
         if wander > _MAX_WANDER_STEPS:
@@ -133,9 +130,21 @@ def make_grid(recording: Recording, timing: Timing = "auto") -> Grid:
         note = f"{seen}; samples taken as regular, {1.0 / step:.6g} Hz ({why})"
         return Grid(origin=nominal.origin, step=step, count=time.size, note=note)
     # Rounded, not cut: an early last stamp must not cost a sample of the last period.
-    count = round(float(time[-1] - time[0]) / step) + 1
+    count = round(recording.duration / step) + 1
     note = f"{seen}; channels resampled to {1.0 / step:.6g} Hz by cubic splines ({why})"
-    return Grid(origin=nominal.origin, step=step, count=count, stamps=time, note=note)
+    stamps_read = np.asarray(time)
+    return Grid(origin=nominal.origin, step=step, count=count, stamps=stamps_read, note=note)
+
+
+def _wander(recording: Recording) -> float:
+    """Return by how much the stamps stray to either side of a regular clock, in s."""
+    low, high = np.inf, -np.inf
+    for begin, values in blocks(recording.time):
+        deviation = np.arange(begin, begin + values.size, dtype=np.float64)
+        deviation *= -recording.step
+        deviation += values
+        low, high = min(low, float(deviation.min())), max(high, float(deviation.max()))
+    return (high - low) / 2.0
 
 
 def _stamps_against_index(recording: Recording) -> float:

@@ -55,7 +55,11 @@ def test_what_stands_still_has_no_cut_off() -> None:
 @pytest.mark.parametrize(("rate", "expected"), [(30.0, "measured"), (200.0, "differentiated")])
 def test_a_measured_velocity_serves_at_low_rates(rate: float, expected: str) -> None:
     log = sine(rate, 20.0, 0.2)
-    assert default_processing(replace(log, velocity=log.position)).velocity == expected
+    velocity = np.gradient(log.position, log.time, axis=0)
+    assert default_processing(replace(log, velocity=velocity)).velocity == expected
+    # What is no velocity of these positions does not serve.
+    wrong = default_processing(replace(log, velocity=log.position))
+    assert wrong.velocity == "differentiated"
     assert default_processing(log).velocity == "differentiated"
 
 

@@ -12,7 +12,8 @@ from scipy import signal
 
 from sdpid.errors import DataError
 from sdpid.experiment import processing as processing_module
-from sdpid.experiment.filters import butterworth, stencil
+from sdpid.experiment.differences import Weights, stencil
+from sdpid.experiment.filters import low_pass
 from sdpid.experiment.processing import Processing, process
 from sdpid.experiment.readers import read_recording
 from sdpid.experiment.recording import Recording
@@ -61,13 +62,11 @@ def periodic(
 def gains(tones: Tones, rate: float = RATE, **changes: Any) -> np.ndarray:
     """Gains of one zero-phase pass of the default filter, or of a changed one."""
     setting = Processing(**changes)
-    low_pass = butterworth(setting.cutoff_hz, setting.order, rate)
-    return low_pass.gain(tones.omega / (2 * np.pi), rate)
+    return setting.low_pass(rate).gain(tones.omega / (2 * np.pi), rate)
 
 
-def difference_gains(tones: Tones, name: str) -> tuple[np.ndarray, np.ndarray]:
+def difference_gains(tones: Tones, weights: Weights) -> tuple[np.ndarray, np.ndarray]:
     """Gains of the differences against the true derivatives at each frequency."""
-    weights = stencil(name)
     places = np.arange(-weights.margin, weights.margin + 1)
     angle = tones.omega[:, None] / RATE * places
     first = (weights.first * np.sin(angle)).sum(axis=1) * RATE / tones.omega
@@ -89,7 +88,7 @@ def test_tones_come_out_filtered_and_exact_in_every_sample(
     np.testing.assert_allclose(samples.time, 7.0 + lead + 0.01 * np.arange(200), rtol=1e-14)
     once = gains(motion, order=order)
     inner = once if alike else once**2
-    first, second = difference_gains(motion, derivative)
+    first, second = difference_gains(motion, stencil(derivative))
     time = samples.time
     np.testing.assert_allclose(samples.position, motion(time, once), atol=1e-12)
     np.testing.assert_allclose(samples.effort, 10 * torque(time, once), atol=1e-11)
@@ -107,6 +106,82 @@ def test_derivatives_are_those_of_the_filtered_signal():
     # The default's second-order differences lose (w h)²/6, here 6e-5 of the fastest tone.
     samples = process(periodic(), ALL_ROWS)
     np.testing.assert_allclose(samples.velocity, motion(samples.time, gain, 1), rtol=0, atol=2e-3)
+
+
+@pytest.mark.parametrize("alike", [True, False])
+@settings(max_examples=10, deadline=None)
+@given(seed=st.integers(0, 99), cutoff=st.sampled_from([10.0, 15.0, 40.0]))
+def test_spectral_derivatives_are_those_of_the_filtered_signal(
+    alike: bool, seed: int, cutoff: float
+):
+    motion = Tones(seed)
+    setting = replace(ALL_ROWS, derivative="spectral", cutoff_hz=cutoff, filter_alike=alike)
+    samples = process(periodic(seed=seed), setting)
+    once = gains(motion, cutoff_hz=cutoff)
+    gain = once if alike else once**2
+    np.testing.assert_allclose(samples.position, motion(samples.time, once), atol=1e-12)
+    # Rounding, 2e-16 of a radian times the highest angular frequency, 3e3 1/s, or its square.
+    np.testing.assert_allclose(samples.velocity, motion(samples.time, gain, 1), atol=1e-10)
+    np.testing.assert_allclose(samples.acceleration, motion(samples.time, gain, 2), atol=1e-7)
+    assert any("Fourier series" in note for note in samples.notes)
+
+
+def test_spectral_derivatives_of_a_measured_velocity():
+    motion = Tones(0)
+    log = periodic(2)
+    log = replace(log, velocity=motion(log.time, 1.0, 1))
+    setting = replace(ALL_ROWS, derivative="spectral", velocity="measured")
+    samples = process(log, setting)
+    gain = gains(motion)
+    np.testing.assert_allclose(samples.velocity, motion(samples.time, gain, 1), atol=1e-11)
+    np.testing.assert_allclose(samples.acceleration, motion(samples.time, gain, 2), atol=1e-8)
+
+
+def test_spectral_derivatives_need_a_period():
+    log = replace(periodic(2), period=None, start=None, periods=None)
+    with pytest.raises(DataError, match="the recording has no periods; give its period, or use"):
+        process(log, replace(ALL_ROWS, derivative="spectral"))
+
+
+def test_local_polynomials_and_bessel_by_their_gains():
+    motion, torque = Tones(0), Tones(100)
+    setting = replace(ALL_ROWS, derivative="savitzky_golay", filter="bessel", order=3)
+    samples = process(periodic(), setting)
+    once = gains(motion, filter="bessel", order=3)
+    assert np.all(once < gains(motion, order=3))
+    weights = setting.stencil(RATE)
+    assert weights.margin > 40
+    first, second = difference_gains(motion, weights)
+    time = samples.time
+    np.testing.assert_allclose(samples.effort, 10 * torque(time, once), atol=1e-11)
+    np.testing.assert_allclose(samples.velocity, motion(time, once * first, 1), atol=1e-10)
+    np.testing.assert_allclose(samples.acceleration, motion(time, once * second, 2), atol=1e-8)
+    width = 2 * weights.margin + 1
+    assert any(f"over {width} samples (Savitzky-Golay)" in note for note in samples.notes)
+    assert any("zero-phase Bessel filter of order 3 at 15 Hz" in note for note in samples.notes)
+
+
+@pytest.mark.parametrize(("kind", "overshoot"), [("butterworth", 0.068), ("bessel", 0.0031)])
+def test_a_step_through_either_filter(kind: Any, overshoot: float):
+    step = np.repeat([0.0, 1.0], 4000)
+    once = low_pass(kind, 10.0, 4, RATE)
+    found = once.apply(step)
+    assert found.max() - 1.0 == pytest.approx(overshoot, rel=0.02)
+    # What trimming five time constants and a pad of `reach` samples rely on.
+    assert np.abs(found[: 4000 - round(5 * once.time_constant)]).max() < 2e-3
+    assert np.abs(found[: 4000 - once.reach]).max() < 1e-19
+    assert once.gain(10.0, RATE) == pytest.approx(0.5, rel=1e-9)
+
+
+def test_local_polynomials_lose_less_noise_than_differences_let_pass():
+    time = np.arange(4000) / RATE
+    noise = np.random.default_rng(0).standard_normal((4000, 1))
+    log = Recording(time=time, position=noise, effort=noise)
+    rms = {}
+    for derivative in ("central4", "savitzky_golay"):
+        samples = process(log, replace(ALL_ROWS, derivative=derivative, decimation=1))
+        rms[derivative] = np.sqrt(np.mean(samples.acceleration**2))
+    assert rms["savitzky_golay"] < 0.8 * rms["central4"]
 
 
 @pytest.mark.parametrize(("trim", "tolerance"), [(None, 5e-2), (0.151, 1e-3), (0.75, 1e-9)])
@@ -414,7 +489,8 @@ def test_decimation_by_the_papers_rule():
         ({"covariance": "all"}, "covariance"),
         ({"velocity": "x"}, "velocity"),
         ({"timing": "x"}, "timing"),
-        ({"derivative": "x"}, "derivative: 'x' is unknown"),
+        ({"filter": "x"}, "filter"),
+        ({"derivative": "x"}, "derivative: is 'x', expected one of"),
     ],
 )
 def test_bad_settings(changes: dict[str, Any], message: str):
