@@ -13,19 +13,18 @@ scatters to one side only.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
+from itertools import chain
 from typing import Literal
 
 import numpy as np
 
 from sdpid._arrays import Array, frozen
+from sdpid._jobs import parallel
 from sdpid.assurance.score_blocks import Groups, ScoreBlocks
 from sdpid.errors import DataError, SolverError
-from sdpid.estimation.conic import solve_conic
 from sdpid.estimation.estimate import Estimate
-from sdpid.estimation.problem import Problem
-from sdpid.estimation.scaling import Scaling
-from sdpid.estimation.sdp_program import Coordinates, SdpProgram
+from sdpid.estimation.resolve import Prepared, program_about
 
 Kind = Literal["percentile", "basic"]
 KINDS: tuple[Kind, ...] = ("percentile", "basic")
@@ -33,8 +32,15 @@ KINDS: tuple[Kind, ...] = ("percentile", "basic")
 # Pieces of a block at which a drawn block may begin.
 _PIECES = 2
 
-# Clarabel's regularisations, in turn until one ends with a point.
+# Clarabel's regularisations, in turn until one ends with an accurate point.
 _REGULARISATIONS = (1e-10, 1e-8)
+
+# A cost that may be this share above the optimum, by the solver's own account, is no solution:
+# with a million rows that is a hundredth of a variance.
+_ACCURATE = 1e-8
+
+# Draws that are one job: what they share is set up once, and their information summed at once.
+_TOGETHER = 25
 
 # Draws that must be expected beyond each end: fewer say nothing about where it is.
 _BEYOND = 2.0
@@ -97,7 +103,12 @@ class Resampled:
 
 
 def resampled(
-    estimate: Estimate, *, resamples: int = 400, groups: Groups = "blocks", seed: int = 0
+    estimate: Estimate,
+    *,
+    resamples: int = 400,
+    groups: Groups = "blocks",
+    seed: int = 0,
+    n_jobs: int | None = None,
 ) -> Resampled:
     """Draw the data of an estimate again, and estimate every time.
 
@@ -111,7 +122,11 @@ def resampled(
     groups : {"blocks", "periods"}, optional
         What is drawn.
     seed : int, optional
-        Of the draws.
+        Of the draws. Each draw has its own generator, of this seed and its number: the first 400
+        of 1000 draws are those of 400.
+    n_jobs : int, optional
+        Jobs (joblib), by default one a core: threads, or the backend of a surrounding
+        ``joblib.parallel_config``, such as Dask's. The result does not depend on it.
 
     Returns
     -------
@@ -126,108 +141,129 @@ def resampled(
     """
     if resamples < 1:
         raise DataError(f"bootstrap: {resamples} resamples; at least 1 is needed.")
+    from joblib import delayed
+
     problem = estimate.problem
-    rng = np.random.default_rng(seed)
     if groups == "blocks":
         size = max(problem.samples.block // _PIECES, 1)
-        pieces = ScoreBlocks.of(replace_block(problem, size), groups)
+        pieces = ScoreBlocks.of(problem, groups, size=size)
         run = _PIECES if size > 1 else 1
     else:
         pieces, run = ScoreBlocks.of(problem, groups), 1
-    again = _Again.of(estimate)
-    base, lost = [], 0
-    for _ in range(resamples):
-        starts = rng.integers(0, pieces.count, max(round(pieces.count / run), 1))
-        drawn = (starts[:, None] + np.arange(run)).ravel() % pieces.count
-        times = np.bincount(drawn, minlength=pieces.count).astype(float)
-        # As many as there are: where they do not divide, the weight is shared out.
-        times *= pieces.count / times.sum()
-        if groups == "periods":
-            # A mean of G draws varies less than one of G periods by (G − 1)/G.
-            times = 1.0 + (times - 1.0) * np.sqrt(pieces.count / (pieces.count - 1.0))
-        found = again.solve(np.tensordot(times, pieces.information, 1), times @ pieces.target)
-        if found is None:
-            lost += 1
-        else:
-            base.append(found)
+    draws = _Draws(pieces, run, seed, Again.of(estimate))
+    starts = range(0, resamples, _TOGETHER)
+    tasks = (delayed(draws.solve)(range(i, min(i + _TOGETHER, resamples))) for i in starts)
+    done = list(chain.from_iterable(parallel(n_jobs, threads=True)(tasks)))
+    base = [found for found, _ in done if found is not None]
+    lost = resamples - len(base)
     if lost > _MOST_LOST * resamples:
         raise SolverError(
             f"bootstrap: {lost} of {resamples} draws have no solution (limit "
             f"{_MOST_LOST:.0%}); use method='profile'.",
             problem=problem,
         )
-    return Resampled(base=frozen(base), lost=lost, seconds=again.seconds)
+    return Resampled(base=frozen(base), lost=lost, seconds=sum(seconds for _, seconds in done))
 
 
-def replace_block(problem: Problem, size: int) -> Problem:
-    """Return the problem with other blocks; nothing else changes."""
-    return replace(problem, samples=replace(problem.samples, block=size))
+@dataclass(frozen=True, eq=False)
+class _Draws:
+    """What is drawn, and what it is estimated with; small enough to be sent to other processes.
+
+    Attributes
+    ----------
+    pieces : ScoreBlocks
+        The data.
+    run : int
+        Consecutive pieces that are drawn together.
+    seed : int
+        Of all draws.
+    again : Again
+        The estimate.
+    """
+
+    pieces: ScoreBlocks
+    run: int
+    seed: int
+    again: Again
+
+    def times(self, number: int) -> Array:
+        """Return how often a draw has each piece, (G,)."""
+        count = self.pieces.count
+        rng = np.random.default_rng([self.seed, number])
+        starts = rng.integers(0, count, max(round(count / self.run), 1))
+        drawn = (starts[:, None] + np.arange(self.run)).ravel() % count
+        times = np.bincount(drawn, minlength=count).astype(float)
+        # As many as there are: where they do not divide, the weight is shared out.
+        times *= count / times.sum()
+        if self.pieces.groups == "periods":
+            # A mean of G draws varies less than one of G periods by (G − 1)/G.
+            times = 1.0 + (times - 1.0) * np.sqrt(count / (count - 1.0))
+        return times
+
+    def solve(self, numbers: range) -> list[tuple[Array | None, float]]:
+        """Return the base parameters of some draws, and the seconds in the solver."""
+        times = np.array([self.times(number) for number in numbers])
+        groups, count = self.pieces.target.shape
+        information = times @ self.pieces.information.reshape(groups, count * count)
+        targets = times @ self.pieces.target
+        return [
+            self.again.solve(H.reshape(count, count), target)
+            for H, target in zip(information, targets, strict=True)
+        ]
 
 
-@dataclass(eq=False)
-class _Again:
+@dataclass(frozen=True, eq=False)
+class Again:
     """The problem of other data, about the estimate.
 
     Attributes
     ----------
-    problem : Problem
-        The problem.
-    program : SdpProgram or None
-        What is solved; None in closed form.
-    cost : float
-        Scale of the cost.
-    seconds : float
-        In the solver so far.
+    printed : bool
+        Whether the cost is the norm of the normal equations' residual itself.
+    programs : tuple of Prepared
+        What is solved: with the bounds that any data need, then with all of them; nothing where
+        there is a closed form.
     """
 
-    problem: Problem
-    program: SdpProgram | None
-    seconds: float = 0.0
+    printed: bool
+    programs: tuple[Prepared, ...]
 
     @classmethod
-    def of(cls, estimate: Estimate) -> _Again:
+    def of(cls, estimate: Estimate) -> Again:
+        """Prepare."""
         problem = estimate.problem
+        printed = problem.weighting in ("eq9", "eq18")
         if estimate.method == "wls" or estimate.theta is None:
-            return cls(problem, None)
-        theta = np.array(estimate.theta)
-        scaling = Scaling.of(problem)
-        scaling = replace(scaling, cost=max(scaling.cost, estimate.cost))
-        coordinates = Coordinates.of(problem, scaling.basis(), theta)
-        if coordinates is None:
-            raise SolverError(
-                "bootstrap: the equations among the constraints contradict each other.",
-                problem=problem,
-            )
-        boxed = np.ones(problem.n_theta, dtype=bool)
-        return cls(problem, SdpProgram.build(problem, scaling, coordinates, boxed))
+            return cls(printed, ())
+        theta, few = np.array(estimate.theta), problem.feasible.bounded
+        programs = [
+            program_about(problem, theta, estimate.cost, boxed)
+            for boxed in (few, np.ones_like(few))
+        ]
+        return cls(printed, tuple(Prepared.of(program) for program in programs))
 
-    def solve(self, information: Array, target: Array) -> Array | None:
-        """Return the base parameters of some data, None where none are found."""
-        weighting = self.problem.weighting
+    def solve(self, information: Array, target: Array) -> tuple[Array | None, float]:
+        """Return the base parameters of some data, None where none are found, and the seconds."""
         scale = np.sqrt(np.maximum(np.diagonal(information), np.finfo(float).tiny))
-        if weighting in ("eq9", "eq18"):
-            # Their cost is the norm of the normal equations' residual itself.
+        if self.printed:
             A, rhs = information, target
         else:
             try:
                 root = np.linalg.cholesky(information / np.outer(scale, scale))
             except np.linalg.LinAlgError:
-                return None
+                return None, 0.0
             A = np.asarray(root.T * scale)
             rhs = np.asarray(np.linalg.solve(root, target / scale))
-        if self.program is None:
-            return np.asarray(np.linalg.solve(A / scale, rhs) / scale)
-        program = self.program
-        conic, unit = program.conic, np.sqrt(program.scaling.cost)
-        matrix = self.problem.base.matrix
-        count = self.problem.base.count
-        M, m = conic.M.copy(), conic.m.copy()
-        M[:count] = A @ (matrix @ program.coordinates.directions) / unit
-        m[:count] = (A @ (matrix @ program.coordinates.origin) - rhs) / unit
-        changed = replace(conic, M=M, m=m)
-        for regularisation in _REGULARISATIONS:
-            solution = solve_conic(changed, regularisation=regularisation)
-            self.seconds += solution.seconds
-            if solution.x is not None and "Infeasible" not in solution.status:
-                return np.asarray(matrix @ program.theta(solution))
-        return None
+        if not self.programs:
+            return np.asarray(np.linalg.solve(A / scale, rhs) / scale), 0.0
+        seconds = 0.0
+        for program in self.programs:
+            for regularisation in _REGULARISATIONS:
+                solution = program.solve(A, rhs, regularisation=regularisation)
+                seconds += solution.seconds
+                if solution.x is None or solution.error > _ACCURATE:
+                    continue
+                if np.all(program.inside(program.coordinates.theta(solution.x))):
+                    return np.asarray(program.origin + program.base @ solution.x), seconds
+                break
+        return None, seconds

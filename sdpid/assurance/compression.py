@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 from sdpid._arrays import Array
 from sdpid.estimation.problem import Problem
 from sdpid.estimation.rows import RowSource
-from sdpid.estimation.weighting import whitened
+from sdpid.estimation.whitening import whitened_chunks
 
 # What the rows are made of, in the order in which it is hashed.
 _FIELDS = ("position", "velocity", "acceleration", "effort", "mask", "covariance")
@@ -30,7 +30,7 @@ def summed_cost(problem: Problem, base: ArrayLike) -> float:
 def _sums(rows: RowSource, sigma: Array, exponent: float, values: Array) -> tuple[Array, float]:
     """Return the normal equations' residual (b,) and the squared residuals of whitened rows."""
     normal, total = np.zeros(rows.base.count), 0.0
-    for _, weighted, _ in whitened(rows, sigma, exponent=exponent):
+    for _, weighted, _ in whitened_chunks(rows, sigma, exponent):
         residual = weighted @ values
         normal += np.einsum("kib,ki->b", weighted[:, :, :-1], residual)
         total += float(np.sum(residual**2))

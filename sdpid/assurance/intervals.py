@@ -158,6 +158,7 @@ def intervals(
     resamples: int = 400,
     kind: Kind = "percentile",
     seed: int = 0,
+    n_jobs: int | None = None,
 ) -> Intervals:
     """Return intervals of base and standard parameters.
 
@@ -183,6 +184,9 @@ def intervals(
         Of the bootstrap: quantiles of the resampled estimates, or mirrored about the estimate.
     seed : int, optional
         Of the bootstrap.
+    n_jobs : int, optional
+        Programs solved at a time (joblib), by default one a core: in threads, or wherever the
+        backend of a surrounding ``joblib.parallel_config`` is. The result does not depend on it.
 
     Returns
     -------
@@ -212,7 +216,7 @@ def intervals(
     )
     wanted = ParameterFunctions.of(problem, asked)
     if method == "profile":
-        return _profile(estimate, wanted, level, groups)
+        return _profile(estimate, wanted, level, groups, n_jobs)
     require_excitation(problem.excitation)
     open_ones = [n for n, seen in zip(wanted.names, wanted.determined, strict=True) if not seen]
     if asked is not None and open_ones:
@@ -223,7 +227,7 @@ def intervals(
     wanted = wanted.only(wanted.determined)
     if method == "gauss_markov":
         return _gauss_markov(problem, wanted, level, groups)
-    return _bootstrap(estimate, wanted, level, groups, resamples, kind, seed)
+    return _bootstrap(estimate, wanted, level, groups, resamples, kind, seed, n_jobs)
 
 
 def _gauss_markov(
@@ -250,8 +254,9 @@ def _bootstrap(
     resamples: int,
     kind: Kind,
     seed: int,
+    n_jobs: int | None,
 ) -> Intervals:
-    drawn = resampled(estimate, resamples=resamples, groups=groups, seed=seed)
+    drawn = resampled(estimate, resamples=resamples, groups=groups, seed=seed, n_jobs=n_jobs)
     value = wanted.functionals @ estimate.base
     lower, upper = drawn.quantiles(wanted.functionals, level, kind, estimate.base)
     return _made(
@@ -268,7 +273,11 @@ def _bootstrap(
 
 
 def _profile(
-    estimate: Estimate, wanted: ParameterFunctions, level: float, groups: Groups
+    estimate: Estimate,
+    wanted: ParameterFunctions,
+    level: float,
+    groups: Groups,
+    n_jobs: int | None,
 ) -> Intervals:
     """Return the extremes over all feasible parameters within the level."""
     if estimate.theta is None:
@@ -278,12 +287,14 @@ def _profile(
         )
     problem, theta = estimate.problem, np.array(estimate.theta)
     bounds = ProfileBounds(problem, theta, ScoreBlocks.of(problem, groups), level)
-    ends: list[tuple[End, End]] = []
+    asked: list[tuple[Array, Array | None]] = []
     for function, functional, determined in zip(
         wanted.functions, wanted.functionals, wanted.determined, strict=True
     ):
         moved = bounds.expected(functional) if determined else None
-        ends.append((bounds.minimum(function, moved), bounds.minimum(-function, moved)))
+        asked += [(function, moved), (-function, moved)]
+    found = bounds.minima(asked, n_jobs)
+    ends: list[tuple[End, End]] = list(zip(found[::2], found[1::2], strict=True))
     box = _box(bounds, wanted, ends)
     proven = np.array(
         [
@@ -315,8 +326,8 @@ def _profile(
         label=labels,
         by_mass=np.array([(low.rests[1], high.rests[1]) for low, high in ends]).reshape(-1, 2),
         slack=frozen(slack),
-        seconds=bounds.seconds,
-        solves=bounds.solves,
+        seconds=sum(end.seconds for end in found),
+        solves=sum(end.solves for end in found),
     )
 
 

@@ -25,12 +25,15 @@ level changes by much.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
 
 from sdpid._arrays import Array
+from sdpid._jobs import parallel
 from sdpid.assurance.score_blocks import ScoreBlocks
 from sdpid.errors import DataError, SolverError
 from sdpid.estimation.bound import clip_psd, cost_scale, gradient
@@ -43,6 +46,9 @@ from sdpid.estimation.sdp_program import Coordinates, SdpProgram
 # before prove a bound at the new level too, worse by the square of that share.
 _SETTLED = 0.1
 _ROUNDS = 4
+
+# Ends that are one job: their levels are found together.
+_TOGETHER = 8
 
 # The estimate itself is known to this share of its cost.
 _LEAST_RISE = 1e-6
@@ -74,6 +80,10 @@ class End:
         Whether it rests on theta_max, and on the largest mass.
     believed : float
         Share of the prior's rows in what holds it.
+    seconds : float
+        In the solver.
+    solves : int
+        Programs solved.
     """
 
     found: float
@@ -84,6 +94,12 @@ class End:
     solved: float
     rests: tuple[bool, bool]
     believed: float
+    seconds: float = 0.0
+    solves: int = 0
+
+
+_NONE = np.zeros(0)
+_NOTHING = End(0.0, _NONE, _NONE, _NONE, 0.0, 0.0, (False, False), 0.0)
 
 
 class ProfileBounds:
@@ -126,36 +142,88 @@ class ProfileBounds:
             problem, scaling, coordinates, np.ones(problem.n_theta, dtype=bool)
         )
         self.family = ConicFamily(replace(self.program.conic, cost=None, radius=1.0))
-        self.seconds, self.solves = 0.0, 0
 
     def _start(self) -> float:
         """Return the rise of a typical direction."""
         count = self.problem.base.count
         return max(4.0 * float(np.trace(self.noise[:count, :count])) / count, self.least)
 
-    def rise(self, moved: Array) -> float:
-        """Return the rise for an extreme at which the residual has moved by some vector."""
-        size = float(moved @ moved)
-        if size <= self.least * 1e-3:
-            return self._start()
-        from scipy.stats import t
+    def rises(self, moved: Sequence[Array | None]) -> list[float]:
+        """Return the rise for each extreme, the residual having moved by some vector there.
 
-        functional = moved[: self.problem.base.count] @ self.problem.A
-        freedom = float(self.blocks.freedom(functional[None])[0])
-        quantile = float(t.ppf(0.5 * (1.0 + self.level), freedom))
-        return max(quantile**2 * float(moved @ self.noise @ moved) / size, self.least)
+        Where that is None or next to nothing, it is the rise of a typical direction.
+        """
+        from scipy.special import stdtrit
+
+        count = self.problem.base.count
+        sizes = [0.0 if each is None else float(each @ each) for each in moved]
+        out = [self._start()] * len(moved)
+        known = [i for i, size in enumerate(sizes) if size > self.least * 1e-3]
+        if not known:
+            return out
+        D = np.array([moved[i] for i in known])
+        freedom = self.blocks.freedom(D[:, :count] @ self.problem.A)
+        quantiles = stdtrit(freedom, 0.5 * (1.0 + self.level))
+        variances = np.einsum("ki,ki->k", D @ self.noise, D)
+        for i, quantile, variance in zip(known, quantiles, variances, strict=True):
+            out[i] = max(float(quantile**2 * variance) / sizes[i], self.least)
+        return out
 
     def expected(self, functional: Array) -> Array:
         """Return how the residual moves at the extreme of a function (b,) of the base parameters.
 
         It is that of the problem without constraints.
         """
+        scale, inverse = self._inverse
+        moved = np.zeros(len(self.residual))
+        moved[: len(scale)] = (functional / scale) @ inverse
+        return moved
+
+    @cached_property
+    def _inverse(self) -> tuple[Array, Array]:
+        """The sizes of the columns of A, and the pseudoinverse of A with columns of size one."""
         A = self.problem.A
         scale = np.linalg.norm(A, axis=0)
         scale = np.where(scale > 0.0, scale, 1.0)
-        moved = np.zeros(len(self.residual))
-        moved[: len(A)] = np.linalg.lstsq((A / scale).T, functional / scale, rcond=None)[0]
-        return moved
+        return scale, np.asarray(np.linalg.pinv(A / scale, rcond=np.finfo(float).eps * len(A)))
+
+    def minima(
+        self, wanted: Sequence[tuple[Array, Array | None]], n_jobs: int | None = None
+    ) -> list[End]:
+        """Return the least of several functions, as `minimum` does of each.
+
+        Parameters
+        ----------
+        wanted : sequence of (c, moved)
+            The functions, and how the residual is thought to move.
+        n_jobs : int, optional
+            Jobs (joblib), by default one a core: threads, or the backend of a surrounding
+            ``joblib.parallel_config``. The result does not depend on it.
+        """
+        from joblib import delayed
+
+        tasks = [wanted[i : i + _TOGETHER] for i in range(0, len(wanted), _TOGETHER)]
+        found = parallel(n_jobs, threads=True)(delayed(self._some)(task) for task in tasks)
+        return [end for each in found for end in each]
+
+    def _some(self, wanted: Sequence[tuple[Array, Array | None]]) -> list[End]:
+        """Return the least of a few functions: solved one by one, their levels found together."""
+        levels = self.rises([moved for _, moved in wanted])
+        ends: dict[int, End] = {}
+        left = list(range(len(wanted)))
+        for _ in range(_ROUNDS):
+            found = [self._at(wanted[i][0], levels[i]) for i in left]
+            updated = self.rises([moved for _, moved in found])
+            for i, (end, _), rise in zip(left, found, updated, strict=True):
+                before = ends.get(i, _NOTHING)
+                seconds, solves = before.seconds + end.seconds, before.solves + end.solves
+                ends[i] = replace(end, rise=rise, seconds=seconds, solves=solves)
+            left = [i for i in left if abs(ends[i].rise - levels[i]) > _SETTLED * levels[i]]
+            if not left:
+                break
+            for i in left:
+                levels[i] = ends[i].rise
+        return [ends[i] for i in range(len(wanted))]
 
     def minimum(self, c: Array, moved: Array | None = None) -> End:
         """Return the least of c·theta.
@@ -172,35 +240,28 @@ class ProfileBounds:
         SolverError
             When the solver finds nothing.
         """
-        rise = self._start() if moved is None else self.rise(moved)
-        for _ in range(_ROUNDS):
-            end = self._at(c, rise)
-            updated = end.rise
-            if abs(updated - rise) <= _SETTLED * rise:
-                break
-            rise = updated
-        return end
+        return self._some([(c, moved)])[0]
 
-    def _at(self, c: Array, rise: float) -> End:
-        """Return the minimum at a level, with the level that its own direction asks for."""
+    def _at(self, c: Array, rise: float) -> tuple[End, Array]:
+        """Return the minimum at a level, and how the residual has moved there."""
         directions = self.program.coordinates.directions
         slope = directions.T @ c
         size = float(np.linalg.norm(slope)) or 1.0
         radius = self._radius(rise)
-        best: tuple[float, End] | None = None
+        best: tuple[float, End, Array] | None = None
+        seconds, solves = 0.0, 0
         box = self.problem.feasible.lower, self.problem.feasible.upper
         for regularisation in _REGULARISATIONS:
             solution = self.family.solve(
                 slope / size, radius / self.unit, regularisation=regularisation
             )
-            self.seconds += solution.seconds
-            self.solves += 1
+            seconds, solves = seconds + solution.seconds, solves + 1
             if solution.x is None or len(solution.ball) == 0:
                 continue
-            end = self._end(c, size, solution, rise)
+            end, moved = self._end(c, size, solution, rise)
             short = end.found - self.proven(c, end, box, rise)
             if best is None or short < best[0]:
-                best = short, end
+                best = short, end, moved
             if short <= _CLOSE * max(abs(end.found - float(c @ self.theta)), 1e-12):
                 break
         if best is None:
@@ -209,13 +270,15 @@ class ProfileBounds:
                 "method='gauss_markov' or 'bootstrap'.",
                 problem=self.problem,
             )
-        return best[1]
+        return replace(best[1], seconds=seconds, solves=solves), best[2]
 
     def _radius(self, rise: float) -> float:
         return float(np.sqrt(self.residual @ self.residual + rise))
 
-    def _end(self, c: Array, size: float, solution: ConicSolution, rise: float) -> End:
-        """Read a solution."""
+    def _end(
+        self, c: Array, size: float, solution: ConicSolution, rise: float
+    ) -> tuple[End, Array]:
+        """Read a solution, and how the residual has moved."""
         problem, feasible, program = self.problem, self.problem.feasible, self.program
         theta = program.theta(solution)
         found = program.multipliers(solution, theta)
@@ -245,16 +308,17 @@ class ProfileBounds:
         )
         count = problem.base.count
         believed = float(u[count:] @ u[count:]) / max(float(u @ u), 1e-300)
-        return End(
+        end = End(
             found=float(c @ theta),
             u=u,
             Z=Z,
             rows=rows,
-            rise=self.rise(moved),
+            rise=rise,
             solved=rise,
             rests=(wide >= _RESTS * width, mass >= _RESTS * width),
             believed=believed if float(np.linalg.norm(u)) * self.unit > _RESTS * width else 0.0,
         )
+        return end, moved
 
     def _left(self, c: Array, u: Array, Z: Array, rows: Array) -> Array:
         """Return what multipliers leave of the function."""

@@ -114,18 +114,15 @@ def period(samples: Samples) -> float:
 def _of_joint(
     name: str, error: Array, samples: Samples, j: int, kept: Mask, rate: float
 ) -> JointErrors:
-    from scipy.signal import welch
-
     mean = float(error[kept].mean())
     centred = np.where(kept, error - mean, 0.0)
     lags = int(max(min(_LAG_SHARE * len(error), _LAG_SECONDS * rate), 1)) + 1
     paired = LaggedSums.of(centred[:, None], kept[:, None], samples.parts)
     correlation = paired.correlation[0, :lags]
     effort = samples.effort[:, j]
-    size = min(_PIECE, len(error))
     densities = []
     for signal in (np.where(kept, effort - effort[kept].mean(), 0.0), centred):
-        frequency, density = welch(signal, fs=rate, nperseg=size, detrend=False)
+        frequency, density = _density(signal, samples.parts, rate)
         # Rows that are not used are zero; the others carry all of the power.
         densities.append(np.sqrt(np.maximum(density, 0.0) * len(kept) / kept.sum()))
     # Lags count up to where errors are first no longer alike, so that noise does not add up.
@@ -150,6 +147,19 @@ def _of_joint(
         with_sign=_squared_correlation(np.sign(v), e),
         with_velocity=_squared_correlation(v, e),
     )
+
+
+def _density(signal: Array, parts: tuple[slice, ...], rate: float) -> tuple[Array, Array]:
+    """Return frequencies and the power density of a signal; no piece of it lies across a break."""
+    from scipy.signal import welch
+
+    lengths = [part.stop - part.start for part in parts]
+    size = min(_PIECE, *lengths)
+    total: Array = np.zeros(size // 2 + 1)
+    for part, length in zip(parts, lengths, strict=True):
+        _, density = welch(signal[part], fs=rate, nperseg=size, detrend=False)
+        total += density * (length / len(signal))
+    return np.asarray(np.fft.rfftfreq(size, 1.0 / rate), dtype=np.float64), total
 
 
 def _over_velocity(v: Array, e: Array, independent: float) -> tuple[Array, float]:

@@ -26,9 +26,10 @@ from sdpid._arrays import Array, frozen
 from sdpid.errors import DataError
 from sdpid.estimation.excitation import UNDETERMINED
 from sdpid.estimation.problem import Problem
-from sdpid.estimation.rows import CHUNK, RowSource
+from sdpid.estimation.rows import RowSource
 from sdpid.estimation.uncertainty import FEWEST_BLOCKS
-from sdpid.estimation.weighting import whitened, whitener
+from sdpid.estimation.weighting import whitener
+from sdpid.estimation.whitening import whitened_chunks
 
 Groups = Literal["blocks", "periods"]
 
@@ -76,13 +77,13 @@ class ScoreBlocks:
         """
         if groups == "periods":
             return cls._of_periods(problem)
-        block, exponent = size or problem.samples.block, 0.5 * problem.score_exponent
-        found = problem.rows.map(_block_products, exponent, block, sigma=problem.sigma)
+        exponent = 0.5 * problem.score_exponent
+        found = problem.rows.map(_block_products, exponent, size, sigma=problem.sigma)
         products = np.concatenate(found)
         information, target = products[:, :, :-1], products[:, :, -1]
         if len(information) < FEWEST_BLOCKS:
             raise DataError(
-                f"intervals: {len(information)} blocks of {block} samples, at least "
+                f"intervals: {len(information)} blocks of samples, at least "
                 f"{FEWEST_BLOCKS} are needed; record longer, or decimate less."
             )
         return cls("blocks", frozen(information), frozen(target))
@@ -129,14 +130,18 @@ class ScoreBlocks:
         return np.asarray(self.root @ (self.root.T @ self.target.sum(axis=0)))
 
     @cached_property
+    def _shares(self) -> Array:
+        """K_g, the information of each group in the coordinates of `root`, (G, r, r)."""
+        return np.asarray(self.root.T @ self.information @ self.root)
+
+    @cached_property
     def _factors(self) -> Array:
         """(E − K_g)^(-1/2) in the coordinates of `root`; of periods what makes them unbiased."""
         count = self.root.shape[1]
         if self.groups == "periods":
             factor = np.sqrt(self.count / (self.count - 1))
             return np.broadcast_to(factor * np.eye(count), (self.count, count, count))
-        K = self.root.T @ self.information @ self.root
-        values, vectors = np.linalg.eigh(K)
+        values, vectors = np.linalg.eigh(self._shares)
         room = 1.0 - values
         factor = np.where(room > _ALONE, 1.0 / np.sqrt(np.maximum(room, _ALONE)), 0.0)
         return np.asarray((vectors * factor[:, None, :]) @ np.swapaxes(vectors, 1, 2))
@@ -156,14 +161,13 @@ class ScoreBlocks:
         """Return the degrees of freedom of the variance of each functional (k, b) of the fit."""
         if self.groups == "periods":
             return np.full(len(functionals), self.count - 1.0)
-        K = self.root.T @ self.information @ self.root
         out = np.ones(len(functionals))
         for k, direction in enumerate(functionals @ self.root):
             size = float(np.linalg.norm(direction))
             if size == 0.0:
                 continue
             p = self._factors @ (direction / size)
-            u = np.einsum("gij,gj->gi", K, p)
+            u = np.einsum("gij,gj->gi", self._shares, p)
             own = np.einsum("gi,gi->g", p, u)
             # The groups' contributions have the covariance diag(own) − u·u^T.
             cross = np.sum(u**2, axis=1)
@@ -173,11 +177,11 @@ class ScoreBlocks:
         return out
 
 
-def _block_products(rows: RowSource, sigma: Array, exponent: float, block: int) -> Array:
+def _block_products(rows: RowSource, sigma: Array, exponent: float, block: int | None) -> Array:
     """Return H_g and c_g of all blocks, (G, b, b + 1)."""
-    found = []
-    size = max(CHUNK // block, 1) * block
-    for _, weighted, _ in whitened(rows, sigma, exponent=exponent, size=size):
+    found, block = [], block or rows.samples.block
+    size = max(rows.chunk_size // block, 1) * block
+    for _, weighted, _ in whitened_chunks(rows, sigma, exponent, size=size):
         for start in range(0, len(weighted), block):
             own = weighted[start : start + block].reshape(-1, weighted.shape[2])
             found.append(own[:, :-1].T @ own)

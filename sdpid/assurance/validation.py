@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -190,7 +190,7 @@ def implied_error(estimate: Estimate, samples: Samples) -> Array:
     factor = np.linalg.cholesky(
         estimate.covariance + np.eye(len(estimate.base)) * np.finfo(float).tiny
     )
-    for _, W, _, mask in replace(problem.rows, samples=samples).chunks():
+    for _, W, _, mask in problem.rows.on(samples).chunks():
         variance = np.sum((W @ factor) ** 2, axis=2)
         total += np.where(mask, variance, 0.0).sum(axis=0)
         rows += mask.sum(axis=0)

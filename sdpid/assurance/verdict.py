@@ -10,6 +10,7 @@ from typing import Protocol
 
 import numpy as np
 
+from sdpid._arrays import Array
 from sdpid.assurance.certificate import Certificate
 from sdpid.assurance.prediction_verdict import (
     Finding,
@@ -41,6 +42,30 @@ BEYOND = 0.1
 # A description's speed limit is hardly reached in a recording; below half of it friction and
 # inertia at full speed are guesses.
 SLOW = 0.5
+
+
+class Crossed(Protocol):
+    """A cross-validation: `sdpid.CrossValidation`, or anything with these."""
+
+    @property
+    def by(self) -> str:
+        """What was held out: ``"time"`` or ``"recording"``."""
+
+    @property
+    def relative(self) -> float:
+        """Relative residual of all that was held out."""
+
+    @property
+    def relative_unconstrained(self) -> float:
+        """That of the unconstrained fits."""
+
+    @property
+    def relatives(self) -> Array:
+        """Of each fold."""
+
+    @property
+    def training(self) -> float:
+        """Mean relative residual of the folds on their training rows."""
 
 
 class Judged(Protocol):
@@ -77,6 +102,10 @@ class Judged(Protocol):
     @property
     def validation_samples(self) -> Samples | None:
         """Those rows."""
+
+    @property
+    def cross_validation(self) -> Crossed | None:
+        """Blocks of the training recordings held out in turn."""
 
 
 def verdict(identification: Judged) -> tuple[str, ...]:
@@ -116,6 +145,7 @@ def findings(
     return (
         *effort_findings(*judged(identification), _seen_on(identification)),
         *_held_out(identification),
+        *_crossed(identification),
         *friction_findings(judged(identification)[1], errors),
         *_reach(identification),
         *_weak(identification),
@@ -140,10 +170,13 @@ def _seen_on(result: Judged) -> str:
 def _held_out(result: Judged) -> Iterator[Finding]:
     """Compare held-out with training error."""
     if result.validation is None:
+        if result.cross_validation is not None:
+            return
         yield Finding(
             "caution",
             "Nothing was held out, so every error here is on the data that were fitted: how well "
-            "it predicts other motion is not known. Give a second recording (--validation).",
+            "it predicts other motion is not known. Give a second recording (--validation), or "
+            "hold out blocks of this one (--folds 5).",
         )
         return
     held, own = result.validation.relative, result.training.relative
@@ -159,6 +192,31 @@ def _held_out(result: Judged) -> Iterator[Finding]:
             f"It does not carry over to other motion: {numbers}, {ratio:.1f} times as much. The "
             "motion was too poor for the model, or the robot changed in between (load, "
             "temperature).",
+        )
+
+
+def _crossed(result: Judged) -> Iterator[Finding]:
+    """Compare what was held out in turn with training error."""
+    crossed = result.cross_validation
+    if crossed is None:
+        return
+    what = "blocks of time" if crossed.by == "time" else "recordings"
+    low, high = float(crossed.relatives.min()), float(crossed.relatives.max())
+    ratio = crossed.relative / max(crossed.training, np.finfo(float).tiny)
+    numbers = (
+        f"with {len(crossed.relatives)} {what} held out in turn the relative residual is "
+        f"{percent(crossed.relative)} ({percent(low)} to {percent(high)}), on the training data "
+        f"{percent(crossed.training)}"
+    )
+    if ratio <= CARRIES:
+        yield Finding("good", f"It predicts what it has not seen as well: {numbers}.")
+    elif ratio <= FAILS:
+        yield Finding("caution", f"It is somewhat worse on what it has not seen: {numbers}.")
+    else:
+        yield Finding(
+            "bad",
+            f"It does not predict what it has not seen: {numbers}, {ratio:.1f} times as much. "
+            "Parts of the recording show what the others do not: record more of it.",
         )
 
 
@@ -275,12 +333,16 @@ def _constraints(result: Judged) -> Iterator[Finding]:
 
 def _whether_it_pays(result: Judged) -> str:
     """Compare with the unconstrained fit on other motion."""
-    if result.validation is None or result.validation_samples is None:
+    if result.validation is not None and result.validation_samples is not None:
+        held, where = result.validation.relative, "the validation data"
+        free = validate(result.wls, result.validation_samples).relative
+    elif result.cross_validation is not None:
+        held, where = result.cross_validation.relative, "what was held out in turn"
+        free = result.cross_validation.relative_unconstrained
+    else:
         return "Only held-out data tell whether that pays."
-    held = result.validation.relative
-    free = validate(result.wls, result.validation_samples).relative
     outcome = "it pays" if held <= free else "it does not pay"
-    return f"On the validation data {outcome}: {percent(held)}, without them {percent(free)}."
+    return f"On {where} {outcome}: {percent(held)}, without them {percent(free)}."
 
 
 def _proof(result: Judged) -> Iterator[Finding]:

@@ -14,7 +14,7 @@ of the declared bounds, so c·theta is at least its smallest value there.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -110,7 +110,13 @@ def clip_psd(Z: Array) -> Array:
     return np.asarray((vectors * clipped[..., None, :]) @ np.swapaxes(vectors, -1, -2))
 
 
-def lower_bound(estimate: Estimate, *, enough: float = 0.0, patient: bool = False) -> Bound:
+def lower_bound(
+    estimate: Estimate,
+    *,
+    enough: float = 0.0,
+    patient: bool = False,
+    residual: Array | None = None,
+) -> Bound:
     """Turn an estimate's multipliers into a lower bound.
 
     Parameters
@@ -122,6 +128,9 @@ def lower_bound(estimate: Estimate, *, enough: float = 0.0, patient: bool = Fals
         A relative gap that needs no polishing.
     patient : bool, optional
         Polish as long as it takes.
+    residual : ndarray, optional
+        The solver's own multiplier of the residual. It goes with its other multipliers, where the
+        residual of the point, which was moved inside, does so to first order only.
 
     Returns
     -------
@@ -130,7 +139,7 @@ def lower_bound(estimate: Estimate, *, enough: float = 0.0, patient: bool = Fals
         `sdpid.estimation.polish`).
     """
     problem, found = estimate.problem, estimate.multipliers
-    residual = _residual(estimate)
+    own, residual = residual, _residual(estimate)
     # Whatever the constraints, nothing costs less than the floor: no multipliers prove that much,
     # and where the constraints cost nothing it is all there is to prove.
     nothing = np.zeros_like(problem.feasible.block_constants), np.zeros(len(problem.feasible.rows))
@@ -148,6 +157,8 @@ def lower_bound(estimate: Estimate, *, enough: float = 0.0, patient: bool = Fals
     Z = clip_psd(found.Z) if found.y is None else found.Z
     given = Dual(y, Z, found.rows, W if found.W is None else found.W)
     best = best_of([best, bounded(problem, given)])
+    if own is not None:
+        best = best_of([best, bounded(problem, replace(given, y=own))])
     if relative_gap(problem, estimate.cost, best.value) <= enough:
         return best
     from sdpid.estimation.polish import polished

@@ -8,7 +8,8 @@ import numpy as np
 
 from sdpid._arrays import Array
 from sdpid.estimation.rows import RowSource, Triangle
-from sdpid.estimation.weighting import JointRows, Weighting, pooled, residual_covariance, whitened
+from sdpid.estimation.weighting import JointRows, Weighting, pooled, residual_covariance
+from sdpid.estimation.whitening import compress, whitened_chunks
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,14 +46,12 @@ class Factor:
         sigma = covariance(rows, weighting)
         if weighting in ("eq9", "eq18"):
             # W^T·Sigma^e·W, as a product of equal factors.
-            pairs = rows.map(
-                _normal_equations, -0.25 if weighting == "eq9" else -0.5, sigma=sigma
-            )
+            pairs = rows.map(_normal_equations, -0.25 if weighting == "eq9" else -0.5, sigma=sigma)
             H = np.sum([found for found, _ in pairs], axis=0)
             return cls(sigma, H[:, :-1], H[:, -1], 0.0, sum(used for _, used in pairs))
         triangle, used = Triangle(rows.base.count + 1), 0
-        for R, count in rows.map(_triangle, sigma=sigma):
-            triangle.add(R)
+        for piece, count in rows.map(compress, sigma=sigma):
+            triangle.merge(piece)
             used += count
         return cls(sigma, *triangle.split(), used)
 
@@ -67,20 +66,11 @@ def covariance(rows: RowSource, weighting: Weighting) -> Array:
     return pooled(given) if weighting == "gls" else np.asarray(given)
 
 
-def _triangle(rows: RowSource, sigma: Array) -> tuple[Array, int]:
-    """Return the triangle of whitened rows, and their number."""
-    triangle, used = Triangle(rows.base.count + 1), 0
-    for _, weighted, mask in whitened(rows, sigma):
-        triangle.add(weighted.reshape(-1, weighted.shape[2]))
-        used += int(mask.sum())
-    return triangle.R, used
-
-
 def _normal_equations(rows: RowSource, sigma: Array, exponent: float) -> tuple[Array, int]:
     """Return ``W^T·Sigma^(2·exponent)·(W, Y)``, (b, b + 1), and the number of rows."""
     count, used = rows.base.count, 0
     H = np.zeros((count, count + 1))
-    for _, weighted, mask in whitened(rows, sigma, exponent=exponent):
+    for _, weighted, mask in whitened_chunks(rows, sigma, exponent):
         flat = weighted.reshape(-1, count + 1)
         H += flat[:, :-1].T @ flat
         used += int(mask.sum())

@@ -34,7 +34,8 @@ from sdpid.estimation.bound import lower_bound
 from sdpid.estimation.estimate import Estimate
 from sdpid.estimation.problem import Problem
 from sdpid.estimation.rows import CHUNK, Triangle
-from sdpid.estimation.weighting import whitened, whitener
+from sdpid.estimation.weighting import whitener
+from sdpid.estimation.whitening import whitened_chunks
 from sdpid.estimation.wls import solve_wls
 
 # The median size of a standard normal variable.
@@ -81,7 +82,8 @@ class WhitenedRows:
             yield from self._kept
             return
         made = []
-        for part, rows, mask in whitened(self.problem.rows, self.problem.sigma):
+        chunks = whitened_chunks(self.problem.rows, self.problem.sigma, keep=self._keeps)
+        for part, rows, mask in chunks:
             if self._keeps:
                 made.append((part, rows, mask))
             yield part, rows, mask

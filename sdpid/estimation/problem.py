@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import cached_property
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -19,13 +19,18 @@ from sdpid.estimation.factor import Factor, covariance
 from sdpid.estimation.feasible import FeasibleSet
 from sdpid.estimation.prior import Prior, PriorRows, prior_rows
 from sdpid.estimation.profile import Profiled, close_terms
+from sdpid.estimation.remote import Cluster, Piece, RemoteRows, samples_of
 from sdpid.estimation.rows import RowSource
 from sdpid.estimation.weighting import WEIGHTINGS, Weighting
+from sdpid.experiment.processing import Processing
 from sdpid.experiment.samples import Samples
 from sdpid.robot.base import BaseParameters, structural_base
 from sdpid.robot.friction import FrictionModel, FrictionTerm
 from sdpid.robot.inertia import CONSISTENCIES, Consistency
 from sdpid.robot.model import RobotModel
+
+if TYPE_CHECKING:
+    from distributed import Client
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -63,6 +68,8 @@ class Problem:
         What is believed beside the data, as further rows of the cost.
     profiled : tuple of Profiled
         Numbers of friction terms that were chosen by the data (see `sdpid.estimation.profile`).
+    cluster : Cluster or None
+        Where the rows are, when not here; `samples` is a thinned selection of theirs then.
     """
 
     robot: RobotModel
@@ -78,6 +85,7 @@ class Problem:
     feasible: FeasibleSet
     prior: PriorRows | None = None
     profiled: tuple[Profiled, ...] = ()
+    cluster: Cluster | None = None
 
     @property
     def consistency(self) -> Consistency:
@@ -139,12 +147,12 @@ class Problem:
     @property
     def rows(self) -> RowSource:
         """The rows that the cost is made of."""
-        return RowSource(self.robot, self.friction, self.base, self.samples)
+        return _rows(self.robot, self.friction, self.base, self.samples, self.cluster)
 
     def predict(self, base: ArrayLike, samples: Samples | None = None) -> Array:
         """Return the efforts (K, n) that base parameters give on samples."""
         values = np.asarray(base, dtype=np.float64)
-        rows = replace(self.rows, samples=self.samples if samples is None else samples)
+        rows = self.rows.on(self.samples if samples is None else samples)
         return np.concatenate([W @ values for _, W, _, _ in rows.chunks()])
 
     @property
@@ -171,7 +179,7 @@ class Problem:
 
 def build_problem(
     robot: RobotModel,
-    samples: Samples | Sequence[Samples],
+    samples: Samples | Sequence[Piece],
     *,
     friction: Iterable[str | FrictionTerm] = ("coulomb", "viscous"),
     weighting: Weighting = "gls",
@@ -179,6 +187,8 @@ def build_problem(
     constraints: Constraints | None = None,
     prior: Prior | None = None,
     base: BaseParameters | None = None,
+    processing: Processing | None = None,
+    client: Client | None = None,
 ) -> Problem:
     """Build the problem of estimating a robot's parameters from samples.
 
@@ -186,7 +196,7 @@ def build_problem(
     ----------
     robot : RobotModel
         The robot.
-    samples : Samples or sequence of Samples
+    samples : Samples or sequence of Samples, Recording or path
         The measurements, n as the robot's; those of several recordings are joined.
     friction : iterable of str or FrictionTerm
         Terms beside the links' inertia (see `sdpid.robot.friction`). Numbers of theirs that are
@@ -205,6 +215,11 @@ def build_problem(
         the data may leave base parameters undetermined.
     base : BaseParameters, optional
         Found before for the same robot and terms.
+    processing : Processing, optional
+        Of recordings and files among `samples`; by default each its own `default_processing`.
+    client : dask.distributed.Client, optional
+        Of a cluster (extra ``dask``) whose workers read, process and keep the pieces; the result is
+        the same. Files must be where the workers see them.
 
     Returns
     -------
@@ -221,14 +236,18 @@ def build_problem(
         raise DataError(f"weighting is {weighting!r}: use one of {', '.join(WEIGHTINGS)}.")
     if consistency not in CONSISTENCIES:
         raise DataError(f"consistency is {consistency!r}: use one of {', '.join(CONSISTENCIES)}.")
-    if not isinstance(samples, Samples):
-        samples = Samples.join(samples)
+    cluster = None
+    if client is not None:
+        pieces = (samples,) if isinstance(samples, Samples) else samples
+        cluster, samples = Cluster.of(client, robot, pieces, processing)
+    elif not isinstance(samples, Samples):
+        samples = Samples.join([samples_of(robot, piece, processing) for piece in samples])
     _check_samples(robot, samples)
     model = FrictionModel.from_terms(friction, robot.joint_names, first=robot.n_base)
     model, profiled = close_terms(model, robot, samples, lambda rows: covariance(rows, weighting))
     if base is None:
         base = structural_base(robot, model)
-    rows = RowSource(robot, model, base, samples)
+    rows = _rows(robot, model, base, samples, cluster)
     found = Factor.of(rows, weighting)
     A, rhs = found.A, found.rhs
     known = weighting in ("gls", "gls_per_sample") and samples.covariance is not None
@@ -247,10 +266,23 @@ def build_problem(
         feasible=FeasibleSet.build(constraints or Constraints(), consistency, Layout(robot, model)),
         prior=None if prior is None else prior_rows(prior, rows, data=likelihood),
         profiled=profiled,
+        cluster=cluster,
     )
     if prior is None:
         require_excitation(problem.excitation)
     return problem
+
+
+def _rows(
+    robot: RobotModel,
+    friction: FrictionModel,
+    base: BaseParameters,
+    samples: Samples,
+    cluster: Cluster | None,
+) -> RowSource:
+    if cluster is None:
+        return RowSource(robot, friction, base, samples)
+    return RemoteRows(robot, friction, base, samples, cluster)
 
 
 def _check_samples(robot: RobotModel, samples: Samples) -> None:
@@ -272,7 +304,7 @@ def describe(problem: Problem) -> dict[str, Any]:
     return {
         "robot": problem.robot.name,
         "joints": list(problem.robot.joint_names),
-        "samples": problem.samples.n_samples,
+        "samples": problem.rows.n_samples,
         "rows_used": problem.n_rows,
         "standard_parameters": problem.n_theta,
         "base_parameters": problem.base.count,

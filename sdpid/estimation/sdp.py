@@ -208,7 +208,8 @@ class _Search:
                 iterations=self.iterations,
                 solve_time=self.seconds,
                 multipliers=program.multipliers(solution, theta),
-            )
+            ),
+            program.residual(solution),
         )
 
     def _program(self, attempt: _Attempt) -> SdpProgram:
@@ -227,9 +228,9 @@ class _Search:
             reach=attempt.reach,
         )
 
-    def _keep(self, estimate: Estimate) -> None:
+    def _keep(self, estimate: Estimate, residual: Array | None) -> None:
         """Keep a point, its proof, or both, and begin from there next time."""
-        bound = lower_bound(estimate, enough=_ENOUGH)
+        bound = lower_bound(estimate, enough=_ENOUGH, residual=residual)
         if self.best is None or _better(estimate, self.best):
             self.best = estimate
         if self.bound is None or bound.value > self.bound.value:

@@ -243,6 +243,13 @@ class SdpProgram:
             rows[feasible.equations] = self._of_equations(theta, Z, bounds, rows)
         return Multipliers(frozen(Z), frozen(bounds), frozen(rows))
 
+    def residual(self, solution: ConicSolution) -> Array | None:
+        """Return the solver's own multiplier of the residual, in units of the cost's root."""
+        count = len(self.problem.design[1])
+        if len(solution.residual) < count:
+            return None
+        return np.asarray(solution.residual[:count] * np.sqrt(self.scaling.cost))
+
     def _of_equations(self, theta: Array, Z: Array, bounds: Array, rows: Array) -> Array:
         """Return the multipliers of the equations: what the others leave of the gradient."""
         problem, feasible = self.problem, self.problem.feasible

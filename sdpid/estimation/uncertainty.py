@@ -8,8 +8,8 @@ from sdpid._arrays import Array
 from sdpid.errors import DataError
 from sdpid.estimation.excitation import require_excitation
 from sdpid.estimation.problem import Problem
-from sdpid.estimation.rows import CHUNK, RowSource
-from sdpid.estimation.weighting import whitened
+from sdpid.estimation.rows import RowSource
+from sdpid.estimation.whitening import whitened_chunks
 
 # Fewer blocks than this say next to nothing about a variance.
 FEWEST_BLOCKS = 8
@@ -42,30 +42,28 @@ def sandwich_covariance(problem: Problem, base: Array) -> Array:
         When the data leave base parameters undetermined: their errors are infinite.
     """
     require_excitation(problem.excitation)
-    block, count = problem.samples.block, problem.base.count
+    count = problem.base.count
     exponent = 0.5 * problem.score_exponent
-    parts = problem.rows.map(_scores, exponent, base, block, sigma=problem.sigma)
+    parts = problem.rows.map(_scores, exponent, base, sigma=problem.sigma)
     H = np.sum([H for H, _ in parts], axis=0)
     S = np.concatenate([scores for _, scores in parts])
     blocks = len(S)
     if blocks < FEWEST_BLOCKS:
         raise DataError(
-            f"standard errors: {blocks} blocks of {block} samples, at least {FEWEST_BLOCKS} are "
-            "needed; record longer, or decimate less."
+            f"standard errors: {blocks} blocks of {problem.samples.block} samples, at least "
+            f"{FEWEST_BLOCKS} are needed; record longer, or decimate less."
         )
     correction = blocks / (blocks - 1) * problem.n_rows / max(problem.n_rows - count, 1)
     half = np.linalg.solve(H, S.T)
     return np.asarray(correction * half @ half.T)
 
 
-def _scores(
-    rows: RowSource, sigma: Array, exponent: float, base: Array, block: int
-) -> tuple[Array, Array]:
+def _scores(rows: RowSource, sigma: Array, exponent: float, base: Array) -> tuple[Array, Array]:
     """Return W^T·Sigma^e·W (b, b), and the scores of all blocks (G, b)."""
-    count = rows.base.count
+    count, block = rows.base.count, rows.samples.block
     H, scores = np.zeros((count, count)), []
-    size = max(CHUNK // block, 1) * block
-    for _, weighted, _ in whitened(rows, sigma, exponent=exponent, size=size):
+    size = max(rows.chunk_size // block, 1) * block
+    for _, weighted, _ in whitened_chunks(rows, sigma, exponent, size=size):
         W = weighted[:, :, :-1]
         residual = weighted @ np.append(-base, 1.0)
         flat = W.reshape(-1, count)

@@ -7,7 +7,7 @@ alone (masking a joint is not knowing it, not knowing it to be zero).
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal
 
@@ -84,32 +84,6 @@ def whitener(covariance: Array, mask: Mask, exponent: float) -> Array:
     return np.asarray(powers * (mask[:, :, None] & mask[:, None, :]))
 
 
-def whitened(
-    rows: RowSource, sigma: Array, *, exponent: float = -0.5, size: int | None = None
-) -> Iterator[tuple[slice, Array, Mask]]:
-    """Yield (slice, Sigma^exponent times the rows (k, n, b + 1), mask), efforts last.
-
-    Parameters
-    ----------
-    rows : RowSource
-        Regressor and efforts.
-    sigma : ndarray, shape (n, n) or (K, n, n)
-        Effort covariance.
-    exponent : float, optional
-        -1/2 makes rows of unit covariance.
-    size : int, optional
-        Samples at a time.
-    """
-    everywhere = rows.samples.mask is None and sigma.ndim == 2
-    constant = power(sigma, exponent) if everywhere else None
-    for part, W, effort, mask in rows.chunks() if size is None else rows.chunks(size):
-        stacked = np.concatenate([W, effort[:, :, None]], axis=2)
-        weight = constant
-        if weight is None:
-            weight = whitener(sigma if sigma.ndim == 2 else sigma[part], mask, exponent)
-        yield part, weight @ stacked, mask
-
-
 # Weight floor: a share of the overall effort, so that one nearly silent joint cannot dominate.
 _EFFORT_SHARE = 0.03
 
@@ -144,8 +118,8 @@ class JointRows:
         n, count = rows.robot.n, rows.base.count
         triangles = tuple(Triangle(count + 1) for _ in range(n))
         used, squares, sums = np.zeros(n), np.zeros(n), np.zeros((n, count + 1))
-        for _, W, effort, mask in rows.chunks():
-            stacked = np.concatenate([W, effort[:, :, None]], axis=2)
+        for part in rows.parts():
+            stacked, mask = rows.rows(part), rows.mask(part)
             everything = bool(mask.all())
             for j, triangle in enumerate(triangles):
                 own = stacked[:, j] if everything else stacked[mask[:, j], j]
@@ -165,7 +139,7 @@ class JointRows:
         for j in range(len(first.triangles)):
             triangle = Triangle(first.sums.shape[1])
             for piece in pieces:
-                triangle.add(piece.triangles[j].R)
+                triangle.merge(piece.triangles[j])
             triangles.append(triangle)
         return cls(
             tuple(triangles),

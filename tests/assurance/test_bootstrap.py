@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import sdpid
-from sdpid.assurance.bootstrap import _Again, resampled
+from sdpid.assurance.bootstrap import Again, resampled
 from sdpid.assurance.score_blocks import ScoreBlocks
 from sdpid.errors import DataError
 from sdpid.estimation.problem import build_problem
@@ -21,7 +21,7 @@ def test_the_data_themselves_give_the_estimate() -> None:
     blocks = ScoreBlocks.of(problem)
     information, target = blocks.information.sum(axis=0), blocks.target.sum(axis=0)
     for estimate in (sdpid.solve_wls(problem), sdpid.solve_sdp(problem)):
-        found = _Again.of(estimate).solve(information, target)
+        found, _ = Again.of(estimate).solve(information, target)
         assert found is not None
         np.testing.assert_allclose(found, estimate.base, atol=1e-5 * np.abs(estimate.base).max())
 
@@ -32,7 +32,7 @@ def test_a_draw_is_the_problem_of_the_samples_drawn() -> None:
     rng = np.random.default_rng(4)
     drawn = rng.integers(0, blocks.count, blocks.count)
     times = np.bincount(drawn, minlength=blocks.count).astype(float)
-    found = _Again.of(sdpid.solve_sdp(problem)).solve(
+    found, _ = Again.of(sdpid.solve_sdp(problem)).solve(
         np.tensordot(times, blocks.information, 1), times @ blocks.target
     )
     s = problem.samples
@@ -105,3 +105,26 @@ def test_too_few_draws_and_unknown_kinds_are_refused() -> None:
             resamples=80,
             kind="bca",  # type: ignore[arg-type]
         )
+
+
+def test_bounds_that_are_left_out_at_first_change_no_draw() -> None:
+    estimate = sdpid.solve_sdp(arm_problem(LIGHT))
+    blocks = ScoreBlocks.of(estimate.problem)
+    rng = np.random.default_rng(8)
+    again = Again.of(estimate)
+    boxed = Again(again.printed, again.programs[1:])
+    overstepped = 0
+    for _ in range(20):
+        drawn = rng.integers(0, blocks.count, blocks.count)
+        times = np.bincount(drawn, minlength=blocks.count).astype(float)
+        data = np.tensordot(times, blocks.information, 1), times @ blocks.target
+        (found, first), (expected, second) = again.solve(*data), boxed.solve(*data)
+        assert found is not None
+        assert expected is not None
+        np.testing.assert_allclose(found, expected, atol=1e-5 * np.abs(expected).max())
+        assert first > 0.0
+        assert second > 0.0
+        alone = Again(again.printed, again.programs[:1]).solve(*data)[0]
+        overstepped += alone is None
+    # Draws whose moments go beyond theta_max are among them, and draws whose do not.
+    assert 0 < overstepped < 20

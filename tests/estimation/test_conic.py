@@ -2,11 +2,16 @@
 
 from __future__ import annotations
 
+import pickle
+from concurrent.futures import ThreadPoolExecutor
+from typing import Any
+
 import numpy as np
 import pytest
 
 from sdpid._arrays import Array
-from sdpid.estimation.conic import ConicProgram, Matrix, Solver, solve_conic
+from sdpid.estimation import conic
+from sdpid.estimation.conic import ConicFamily, ConicProgram, Matrix, Solver, solve_conic
 from sdpid.robot.inertia import symmetric_basis
 
 BOTH: tuple[Solver, ...] = ("clarabel", "scs")
@@ -216,3 +221,79 @@ def test_what_has_no_solution_says_so(solver: Solver) -> None:
     endless = program(np.zeros((0, 1)), np.zeros(0), cost=np.ones(1), C=one, upper=0.0)
     status = solve_conic(endless, solver=solver).status.lower()
     assert "dualinfeasible" in status or "unbounded" in status
+
+
+def family_member(rng: np.random.Generator) -> ConicProgram:
+    """Return one of a family: the matrix (a, b; b, c) nearest to a target in some norm."""
+    units = np.array([[[1.0, 0], [0, 0]], [[0, 1.0], [1.0, 0]], [[0, 0], [0, 1.0]]])
+    return ConicProgram(
+        M=np.triu(rng.standard_normal((3, 3))) + 2.0 * np.eye(3),
+        m=rng.standard_normal(3),
+        C=np.eye(3),
+        lower=np.array([-np.inf, -np.inf, 0.1]),
+        upper=np.full(3, 4.0),
+        blocks=(Matrix(np.arange(3), units, np.zeros((2, 2))),),
+    )
+
+
+def test_a_family_solves_each_as_if_it_were_alone() -> None:
+    rng = np.random.default_rng(5)
+    members = [family_member(rng) for _ in range(5)]
+    family = ConicFamily(members[0], pattern=np.triu(np.ones((3, 3), dtype=bool)))
+    found = [family.solve(squares=(each.M, each.m)) for each in members]
+    for each, solution in zip(members, found, strict=True):
+        expected = solve_conic(each)
+        assert expected.x is not None
+        np.testing.assert_allclose(solution.x, expected.x, atol=SOLVED)
+        np.testing.assert_allclose(solution.rows, expected.rows, atol=SOLVED)
+        np.testing.assert_allclose(solution.blocks[0], expected.blocks[0], atol=SOLVED)
+        np.testing.assert_allclose(solution.residual, each.M @ solution.x + each.m, atol=1e-8)
+        assert solution.error < 1e-9
+    # The same bits in another order, after a trip elsewhere, and without other squares.
+    elsewhere = pickle.loads(pickle.dumps(family))
+    for each, solution in reversed(list(zip(members, found, strict=True))):
+        for other in (family, elsewhere):
+            again = other.solve(squares=(each.M, each.m))
+            np.testing.assert_array_equal(again.x, solution.x)
+    np.testing.assert_array_equal(family.solve().x, found[0].x)
+
+
+def test_a_family_serves_several_threads() -> None:
+    rng = np.random.default_rng(6)
+    members = [family_member(rng) for _ in range(40)]
+    family = ConicFamily(members[0], pattern=np.triu(np.ones((3, 3), dtype=bool)))
+
+    def solve(program: ConicProgram) -> Array:
+        x = family.solve(squares=(program.M, program.m)).x
+        assert x is not None
+        return x
+
+    with ThreadPoolExecutor(4) as threads:
+        found = list(threads.map(solve, members))
+    for program, x in zip(members, found, strict=True):
+        np.testing.assert_array_equal(x, solve(program))
+
+
+def test_a_family_without_updates_of_the_solver(monkeypatch: pytest.MonkeyPatch) -> None:
+    rng = np.random.default_rng(7)
+    members = [family_member(rng) for _ in range(3)]
+    pattern = np.triu(np.ones((3, 3), dtype=bool))
+    expected = ConicFamily(members[0], pattern=pattern)
+    made: list[Any] = []
+
+    class Old:
+        """A Clarabel that takes no other numbers."""
+
+        def __init__(self, solver: Any) -> None:
+            made.append(self)
+            self.solve = solver.solve
+
+    new = conic._clarabel_solver
+    monkeypatch.setattr(conic, "_clarabel_solver", lambda *a, **k: Old(new(*a, **k)))
+    family = ConicFamily(members[0], pattern=pattern)
+    found = [family.solve(squares=(each.M, each.m)) for each in members]
+    assert len(made) == 3
+    monkeypatch.undo()
+    for each, solution in zip(members, found, strict=True):
+        again = expected.solve(squares=(each.M, each.m))
+        np.testing.assert_allclose(solution.x, again.x, atol=1e-9)
