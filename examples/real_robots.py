@@ -20,7 +20,6 @@ import sys
 import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -30,7 +29,7 @@ import sdpid
 from sdpid._arrays import Array, Mask
 from sdpid._files import atomic_write_text
 from sdpid.estimation.weighting import Weighting
-from sdpid.experiment.preparation import default_friction, default_processing, prepare
+from sdpid.experiment.preparation import SMOOTH, default_friction, default_processing, prepare
 from sdpid.output.tables import Table
 from sdpid.robot.inertia import Consistency, margin
 
@@ -296,6 +295,9 @@ PUBLISHED: dict[str, tuple[str, tuple[float, ...]]] = {
     ),
 }
 
+# Robots whose published model has friction that differs in the two directions of motion.
+ASYMMETRIC = ("ur10_unisa",)
+
 # FIGAROH's filter, Hz: errors are compared on rows filtered alike.
 PUBLISHED_HZ = {"staubli_tx40": 100.0}
 
@@ -369,6 +371,15 @@ def comparison(folder: Path, names: Sequence[str]) -> str:
             whole = sdpid.solve_sdp(case.problem(samples, METHODS[DEFAULT], terms))
             words = "default, trained on run 1" if case.second_run else "default, whole record"
             lines.append(f"| {ROBOTS[name]} | {words} | {joined(sdpid.validate(whole).rmse)} |")
+            if name in ASYMMETRIC:
+                terms = (sdpid.AsymmetricCoulomb(width=SMOOTH), *terms[1:])
+                for words, rows in (("held out", case.trained(processing)), ("whole", samples)):
+                    shown = case.held_out(processing) if words == "held out" else rows
+                    own = sdpid.solve_sdp(case.problem(rows, METHODS[DEFAULT], terms))
+                    errors = joined(sdpid.validate(own, shown).rmse)
+                    lines.append(
+                        f"| {ROBOTS[name]} | Coulomb friction asymmetric, {words} | {errors} |"
+                    )
         if name == "panda_unisa":
             samples = prepare(case.robot, case.rest, processing)
             gravity = "\n\n" + gravities(case, samples, terms)
@@ -378,27 +389,23 @@ def comparison(folder: Path, names: Sequence[str]) -> str:
 def blocked(case: Case, way: str, terms: Terms, scored_at: float) -> tuple[Array, float]:
     """Return errors of each joint and overall, %, five blocks in time each held out in turn.
 
-    Training rows keep a distance from the block that the filter does not bridge; the block's rows
-    are filtered at another cut-off.
+    What is before and after a block is processed apart from it; the block's rows are filtered at
+    another cut-off.
     """
-    processing = default_processing(case.log)
-    samples = prepare(case.robot, case.rest, processing)
-    scored = prepare(case.robot, case.rest, replace(processing, cutoff_hz=scored_at))
-    assert samples.time is not None
-    assert scored.time is not None
-    trimmed = float(samples.time[0] - case.rest.time[0])
-    edges = np.linspace(samples.time[0], samples.time[-1], BLOCKS + 1)
-    square = power = np.zeros(case.robot.n)
-    count = 0
-    for first, last in pairwise(edges):
-        apart = (samples.time < first - trimmed) | (samples.time > last + trimmed)
-        problem = case.problem(rows_of(samples, apart), METHODS[way], terms)
-        fresh = rows_of(scored, (scored.time >= first) & (scored.time < last))
-        fit = sdpid.validate(METHODS[way].solve(problem), fresh)
-        square = square + fit.rows * fit.rmse**2
-        power = power + (fresh.effort**2).sum(axis=0)
-        count += len(fresh.effort)
-    return np.sqrt(square / count), 100.0 * float(np.sqrt(square.sum() / power.sum()))
+    method = METHODS[way]
+    crossed = sdpid.cross_validate(
+        case.robot,
+        case.rest,
+        folds=BLOCKS,
+        scored=replace(default_processing(case.log), cutoff_hz=scored_at),
+        friction=terms,
+        weighting=method.weighting,
+        consistency=method.consistency,
+        prior=method.prior or False,
+    )
+    if method.solve is sdpid.solve_wls:
+        return crossed.rmse_unconstrained, 100.0 * crossed.relative_unconstrained
+    return crossed.rmse, 100.0 * crossed.relative
 
 
 def joined(numbers: Iterable[float]) -> str:

@@ -1,4 +1,4 @@
-"""Which friction terms and cut-off predict best on five real robots, each left out in turn.
+"""Which friction terms, filter and cut-off predict best on five real robots, each left out in turn.
 
 Every candidate is fitted to the training part of every set by the semidefinite program with the
 default prior, and scored by its residual on what was held out (see real_robots.py). Of each robot
@@ -14,7 +14,7 @@ from __future__ import annotations
 import argparse
 import os
 import sys
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -25,6 +25,8 @@ from real_robots import DEFAULT, DRIVES, METHODS, QUICK, Case, Terms, found
 import sdpid
 from sdpid._files import atomic_write_text
 from sdpid.experiment.preparation import SMOOTH, default_processing
+
+Change = Callable[[sdpid.Recording, sdpid.Processing], sdpid.Processing]
 
 
 def smooth(*others: str | sdpid.FrictionTerm, width: float | None = SMOOTH) -> Terms:
@@ -47,6 +49,10 @@ FRICTION: dict[str, Terms] = {
     "tanh 0.05, sigmoid": smooth("sigmoid", width=0.05),
     "tanh 0.02, square root, sigmoid": smooth("square_root", "sigmoid"),
     "tanh 0.02, sigmoid, rotor inertia": smooth("sigmoid", "rotor_inertia"),
+    "asymmetric tanh 0.02, sigmoid": (
+        sdpid.AsymmetricCoulomb(width=SMOOTH),
+        *smooth("sigmoid")[1:],
+    ),
 }
 
 # More terms must predict better by more than this, or any noise would add some.
@@ -56,31 +62,65 @@ BETTER = 1.01
 CUTOFFS: tuple[float, ...] = (1.0 / 3.0, 0.5, 2.0 / 3.0, 1.0, 1.5, 2.0)
 
 
-def choices(cases: Sequence[Case], friction: Mapping[str, Terms], factors: Iterable[float]) -> str:
+# Other ways to process, beside the default's cut-off.
+FILTERS: dict[str, Change] = {
+    "default": lambda log, default: default,
+    "rule noise": lambda log, default: default_processing(log, rule="noise"),
+    "Bessel": lambda log, default: replace(default, filter="bessel"),
+    "order 2": lambda log, default: replace(default, order=2),
+    "central": lambda log, default: replace(default, derivative="central"),
+    "Savitzky-Golay": lambda log, default: replace(default, derivative="savitzky_golay"),
+}
+
+
+def times(factor: float) -> Change:
+    """Return the default with another cut-off, up to what differences allow."""
+
+    def change(log: sdpid.Recording, default: sdpid.Processing) -> sdpid.Processing:
+        highest = max(2.0 / 15.0 * log.rate_hz, default.cutoff_hz)
+        return replace(default, cutoff_hz=min(factor * default.cutoff_hz, highest))
+
+    return change
+
+
+def choices(
+    cases: Sequence[Case],
+    friction: Mapping[str, Terms],
+    factors: Iterable[float],
+    filters: Mapping[str, Change],
+) -> str:
     """Return what other defaults would predict, and which are best without each robot."""
-    terms: dict[str, dict[str, float]] = {}
-    for label, candidate in friction.items():
-        terms[label] = {c.name: held_out(c, candidate, 1.0) for c in cases}
-        print(label, [f"{value:.2f}" for value in terms[label].values()], flush=True)
-    cutoffs: dict[str, dict[str, float]] = {}
-    for factor in factors:
-        label = f"{30.0 * factor:.0f} times the motion"
-        cutoffs[label] = {c.name: held_out(c, smooth("sigmoid"), factor) for c in cases}
-        print(label, [f"{value:.2f}" for value in cutoffs[label].values()], flush=True)
+    default, usual = FILTERS["default"], smooth("sigmoid")
+    terms = scores(cases, {label: (each, default) for label, each in friction.items()})
     size = {label: len(candidate) for label, candidate in friction.items()}
-    return f"{left_out('terms', terms, size)}\n\n{left_out('cut-off', cutoffs)}\n"
+    cutoffs = {f"{30.0 * factor:.0f} times the motion": times(factor) for factor in factors}
+    tables = [left_out("terms", terms, size)]
+    for title, changes in (("cut-off", cutoffs), ("processing", filters)):
+        found = scores(cases, {label: (usual, change) for label, change in changes.items()})
+        tables.append(left_out(title, found))
+    return "\n\n".join(tables) + "\n"
 
 
-def held_out(case: Case, terms: Terms, factor: float) -> float:
+def scores(
+    cases: Sequence[Case], candidates: Mapping[str, tuple[Terms, Change]]
+) -> dict[str, dict[str, float]]:
+    """Return the held-out residuals of all candidates on all sets, %."""
+    out = {}
+    for label, (terms, change) in candidates.items():
+        out[label] = {case.name: held_out(case, terms, change) for case in cases}
+        print(label, [f"{value:.2f}" for value in out[label].values()], flush=True)
+    return out
+
+
+def held_out(case: Case, terms: Terms, change: Change) -> float:
     """Return the residual in %, on held-out rows that every candidate shares."""
     processing = default_processing(case.log)
-    # The same rows for every cut-off, or the lowest would win by smoothing what is predicted.
+    # The same rows for every filter, or the lowest cut-off would win by smoothing what is
+    # predicted.
     fresh = case.held_out(processing)
-    highest = 2.0 / 15.0 * case.log.rate_hz
-    cutoff = min(factor * processing.cutoff_hz, max(highest, processing.cutoff_hz))
     drives = tuple(term for term in DRIVES.get(case.name, ()) if term not in terms)
     try:
-        samples = case.trained(replace(processing, cutoff_hz=cutoff))
+        samples = case.trained(change(case.log, processing))
         problem = case.problem(samples, METHODS[DEFAULT], (*terms, *drives))
         return 100.0 * sdpid.validate(sdpid.solve_sdp(problem), fresh).relative
     except sdpid.SdpidError:
@@ -126,13 +166,14 @@ def main() -> int:
     options = parser.parse_args()
     options.out.mkdir(parents=True, exist_ok=True)
     names = found(options.data, QUICK if options.quick else tuple(SETS))
-    friction, factors = FRICTION, CUTOFFS
+    friction, factors, filters = FRICTION, CUTOFFS, FILTERS
     if options.quick:
         friction = {label: FRICTION[label] for label in ("tanh 0.02", "tanh 0.02, sigmoid")}
-        factors = CUTOFFS[2:4]
+        factors, filters = CUTOFFS[2:4], {"default": FILTERS["default"]}
     text = "Nothing to show: no data.\n"
     if names:
-        text = choices([Case.read(options.data, name) for name in names], friction, factors)
+        cases = [Case.read(options.data, name) for name in names]
+        text = choices(cases, friction, factors, filters)
     atomic_write_text(options.out / "robot_defaults.md", text)
     print(f"\n{text}")
     return 0

@@ -7,6 +7,7 @@ from .assurance.price import price_of_consistency
 from .assurance.validation import Validation, validate
 from .assurance.verdict import verdict
 from .assurance.worst_mass_matrix import worst_mass_matrix
+from .cross_validation import CrossValidation, cross_validate
 from .errors import (
     CertificateError,
     DataError,
@@ -43,7 +44,9 @@ from .estimation.provenance import Provenance
 from .estimation.robust import RobustEstimate, solve_robust
 from .estimation.sdp import solve_sdp
 from .estimation.slsqp import solve_slsqp
+from .estimation.streaming import StreamingProblem
 from .estimation.wls import solve_wls
+from .experiment.choice import Choice, choose_processing
 from .experiment.excitation import Trajectory, paper_excitation
 from .experiment.motors import MotorSide
 from .experiment.plant import simulate
@@ -51,6 +54,7 @@ from .experiment.processing import Processing, process
 from .experiment.readers import read_recording
 from .experiment.recording import Recording
 from .experiment.samples import Samples
+from .identification import Identification
 from .output.comparison import Comparison, compare
 from .output.mjcf import write_mjcf
 from .output.parameters_file import read_parameters, write_parameters
@@ -75,7 +79,7 @@ from .robot.friction import (
 from .robot.load import load_robot
 from .robot.mdh import DhJoint, DhTable
 from .robot.model import RobotModel
-from .workflow import Identification, identify, mass_matrix
+from .workflow import identify, mass_matrix
 
 __version__: str
 
@@ -88,11 +92,13 @@ __all__ = [
     "CenterOfMassInHull",
     "Certificate",
     "CertificateError",
+    "Choice",
     "Comparison",
     "ConstraintState",
     "Constraints",
     "Coulomb",
     "Coupling",
+    "CrossValidation",
     "DataError",
     "DhJoint",
     "DhTable",
@@ -129,6 +135,7 @@ __all__ = [
     "SigmoidFriction",
     "SolverError",
     "SquareRootFriction",
+    "StreamingProblem",
     "Stribeck",
     "TermParameter",
     "TotalMass",
@@ -142,7 +149,9 @@ __all__ = [
     "audit_urdf",
     "build_problem",
     "certify",
+    "choose_processing",
     "compare",
+    "cross_validate",
     "identify",
     "identify_payload",
     "intervals",

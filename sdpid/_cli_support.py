@@ -1,44 +1,16 @@
-"""What the commands share: options, their parsing, and how errors leave the program."""
+"""What the commands share: options and their parsing."""
 
 from __future__ import annotations
 
-import errno
 import json
-import shlex
-import signal
-import traceback
 from collections.abc import Iterable, Sequence
 from enum import Enum
 from pathlib import Path
 from typing import Annotated, Any
 
 import typer
-from typer.core import TyperGroup
 
-from sdpid.errors import (
-    DataError,
-    ExportError,
-    IdentifiabilityError,
-    InfeasibleError,
-    SdpidError,
-    SolverError,
-)
-
-# Exit statuses.
-OURS, BAD_INPUT, NO_ANSWER, INTERRUPTED = 1, 2, 3, 130
-# Characters of a message; more do not help.
-_LONGEST = 4000
-# Of a program that a signal ended, by the shells' convention.
-_SIGNALLED = 128
-
-# Arguments of the library that messages name, as options.
-_OPTIONS = {
-    "columns": "--column QUANTITY=NAME",
-    "units": "--unit QUANTITY=UNIT",
-    "joint_names": "--joint-names A,B,...",
-    "mapping": "--mapping FILE (none: ignore the one beside the log)",
-    "topic": "--topic NAME",
-}
+from sdpid.errors import DataError, ExportError
 
 
 class Consistency(str, Enum):
@@ -66,14 +38,23 @@ class Velocity(str, Enum):
     differentiated = "differentiated"
 
 
-# Where a context keeps its arguments.
-_ARGUMENTS = "sdpid.arguments"
+class IntervalMethod(str, Enum):
+    """How intervals are found."""
+
+    gauss_markov = "gauss_markov"
+    profile = "profile"
+    bootstrap = "bootstrap"
+
 
 _READING = "Reading the log"
 _PROCESSING = "Processing"
 _ESTIMATION = "Estimation"
 
 Log = Annotated[Path, typer.Argument(metavar="LOG", help="CSV, Parquet, NPZ, MAT, HDF5, ROS bag.")]
+Logs = Annotated[
+    list[Path],
+    typer.Argument(metavar="LOG...", help="One or several: CSV, Parquet, NPZ, MAT, HDF5, ROS bag."),
+]
 Robot = Annotated[
     str, typer.Option(metavar="ROBOT", help="URDF file, or name of a bundled or example robot.")
 ]
@@ -147,6 +128,24 @@ Order = Annotated[
     int | None,
     typer.Option(metavar="N", help="Order of one pass of it.", rich_help_panel=_PROCESSING),
 ]
+Filter = Annotated[
+    str | None,
+    typer.Option(
+        "--filter",
+        metavar="TYPE",
+        help="Type of the low-pass filter: butterworth or bessel.",
+        rich_help_panel=_PROCESSING,
+    ),
+]
+DerivativeBy = Annotated[
+    str | None,
+    typer.Option(
+        "--derivative",
+        metavar="SCHEME",
+        help="central, central4, central6, savitzky_golay, or spectral (with periods).",
+        rich_help_panel=_PROCESSING,
+    ),
+]
 VelocityFrom = Annotated[
     Velocity | None,
     typer.Option(
@@ -195,81 +194,6 @@ WeightingOf = Annotated[
         rich_help_panel=_ESTIMATION,
     ),
 ]
-
-
-class Commands(TyperGroup):
-    """The commands, with one way out for every error."""
-
-    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
-        """Keep the arguments as they were given, for `command_line`."""
-        ctx.meta[_ARGUMENTS] = list(args)
-        return super().parse_args(ctx, args)
-
-    def invoke(self, ctx: Any) -> Any:
-        """Run a command; turn an error into one line on stderr and an exit status."""
-        try:
-            return super().invoke(ctx)
-        except KeyboardInterrupt:
-            raise typer.Exit(INTERRUPTED) from None
-        except Exception as error:
-            # Typer's own (usage, exit, abort) are Typer's to show; so is a closed pipe.
-            own = type(error).__module__.split(".")[0] in ("typer", "click")
-            if own or (isinstance(error, OSError) and error.errno == errno.EPIPE):
-                raise
-            if ctx.params.get("debug"):
-                traceback.print_exception(error)
-            typer.echo(f"sdpid: {_one_line(message(error))}", err=True)
-            raise typer.Exit(exit_status(error)) from None
-
-
-def _one_line(text: str) -> str:
-    """Return a message without what damaged files bring into it: ends of lines, escapes, reams."""
-    shown = "".join(c if c.isprintable() or c.isspace() else "\ufffd" for c in text)
-    shown = " ".join(shown.split())
-    return shown if len(shown) <= _LONGEST else f"{shown[:_LONGEST]} ..."
-
-
-def clean_up_when_ended() -> None:
-    """Let signals that end a program leave as Ctrl-C does, so that unfinished files are removed."""
-
-    def leave(number: int, _: object) -> None:
-        raise SystemExit(_SIGNALLED + number)
-
-    for name in ("SIGTERM", "SIGHUP"):
-        # What the caller had ignored (nohup) stays so; Windows has no SIGHUP.
-        number = getattr(signal, name, None)
-        if number is not None and signal.getsignal(number) is signal.SIG_DFL:
-            signal.signal(number, leave)
-
-
-def command_line(ctx: typer.Context) -> str:
-    """Return the command as it was given, for a shell."""
-    return shlex.join(["sdpid", *ctx.meta.get(_ARGUMENTS, ())])
-
-
-def exit_status(error: Exception) -> int:
-    """Return the exit status of an error."""
-    if isinstance(error, (InfeasibleError, IdentifiabilityError)):
-        return NO_ANSWER
-    if isinstance(error, SolverError):
-        return OURS
-    return BAD_INPUT if isinstance(error, (SdpidError, OSError)) else OURS
-
-
-def message(error: Exception) -> str:
-    """Return what is said about an error."""
-    if isinstance(error, SdpidError):
-        text = str(error)
-        # Messages speak Python; say how the same is said here.
-        hints = [option for argument, option in _OPTIONS.items() if f"{argument}=" in text]
-        return f"{text} On the command line: {', '.join(hints)}." if hints else text
-    if isinstance(error, OSError):
-        where = f"{error.filename}: " if error.filename else ""
-        return f"{where}{error.strerror or error}."
-    return (
-        f"unexpected {type(error).__name__}: {error}. Please report this, with the traceback that "
-        "`sdpid --debug ...` prints."
-    )
 
 
 def pairs(values: Iterable[str] | None, option: str) -> dict[str, str]:

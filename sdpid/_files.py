@@ -44,6 +44,25 @@ def atomic_path(path: str | os.PathLike[str]) -> Iterator[Path]:
         temporary.unlink(missing_ok=True)
 
 
+# Of a program that a signal ended, by the shells' convention.
+_SIGNALLED = 128
+
+# Signals that were to end this program.
+_ending: list[int] = []
+
+
+def end_by(number: int, _frame: object = None) -> None:
+    """Handle a signal by ending the program, so that unfinished files are removed on the way."""
+    _ending.append(number)
+    raise SystemExit(_SIGNALLED + number)
+
+
+def end_if_told() -> None:
+    """End the program if `end_by` was called: some imports swallow even what it raises."""
+    if _ending:
+        raise SystemExit(_SIGNALLED + _ending[0])
+
+
 @contextlib.contextmanager
 def undisturbed() -> Iterator[None]:
     """Hold back signals that end a program until the block is over: it must take a moment only."""
@@ -67,8 +86,12 @@ def undisturbed() -> Iterator[None]:
 
 
 def move_into(folder: Path, files: Iterable[Path]) -> None:
-    """Move finished files into a folder of the same disk; no signal comes between them."""
+    """Move finished files into a folder of the same disk; no signal comes between them.
+
+    Nothing is moved once a signal was to end the program.
+    """
     with undisturbed():
+        end_if_told()
         for file in files:
             file.replace(folder / file.name)
 

@@ -5,6 +5,10 @@ from __future__ import annotations
 import contextlib
 import sys
 from collections.abc import Callable, Iterator
+from contextvars import ContextVar
+
+# Whether a bar is shown.
+_shown: ContextVar[bool] = ContextVar("_shown", default=False)
 
 
 @contextlib.contextmanager
@@ -12,6 +16,8 @@ def progress(
     total: float, description: str, *, enabled: bool | None = None
 ) -> Iterator[Callable[[float], None]]:
     """Yield a function that advances the bar by a number of units.
+
+    One bar is shown at a time: while there is one, those of the work within it are not.
 
     Parameters
     ----------
@@ -24,7 +30,7 @@ def progress(
     """
     if enabled is None:
         enabled = sys.stderr.isatty()
-    if not enabled:
+    if not enabled or _shown.get():
         yield lambda _: None
         return
     from rich.console import Console
@@ -32,4 +38,8 @@ def progress(
 
     with Progress(console=Console(stderr=True), transient=True) as bar:
         task = bar.add_task(description, total=total)
-        yield lambda step: bar.advance(task, step)
+        token = _shown.set(True)
+        try:
+            yield lambda step: bar.advance(task, step)
+        finally:
+            _shown.reset(token)

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from sdpid import _cli_support as cli
+from sdpid._cli_errors import NO_ANSWER
 from sdpid.errors import DataError, ExportError
 
 if TYPE_CHECKING:
@@ -95,7 +96,7 @@ def audit(
         else:
             typer.echo(found.summary())
         if found.verdict != "realisable":
-            raise typer.Exit(cli.NO_ANSWER)
+            raise typer.Exit(NO_ANSWER)
         return
     if proof is not None or robot is not None:
         raise DataError(f"{source}: is no .csv; --robot and --proof are for tables.")

@@ -1,263 +1,54 @@
-"""The whole way with defaults: a robot and a recording in, certified parameters out."""
+"""The whole way with defaults: a robot and recordings in, certified parameters out."""
 
 from __future__ import annotations
 
-import contextlib
-import importlib.util
-import json
 import os
-import tempfile
-from collections.abc import Callable, Iterable, Iterator
-from dataclasses import dataclass, replace
-from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from collections.abc import Iterable
+from dataclasses import replace
+from typing import get_args
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from sdpid._arrays import Array
-from sdpid._files import atomic_write_text, move_into
-from sdpid.assurance.certificate import Certificate, certify
-from sdpid.assurance.validation import Validation, validate
-from sdpid.assurance.verdict import verdict
-from sdpid.errors import ExportError
+from sdpid._progress import progress
+from sdpid.assurance.certificate import certify
+from sdpid.assurance.intervals import Intervals, Method
+from sdpid.assurance.intervals import intervals as find_intervals
+from sdpid.assurance.parameter_functions import ParameterFunctions
+from sdpid.assurance.validation import validate
+from sdpid.errors import DataError, IdentifiabilityError, SolverError
 from sdpid.estimation.constraints import Constraints
 from sdpid.estimation.estimate import Estimate
 from sdpid.estimation.prior import Prior
-from sdpid.estimation.problem import Problem, build_problem, describe
+from sdpid.estimation.problem import Problem, build_problem
 from sdpid.estimation.sdp import solve_sdp
 from sdpid.estimation.weighting import Weighting
 from sdpid.estimation.wls import solve_wls
-from sdpid.experiment.preparation import default_friction, default_processing, prepare
-from sdpid.experiment.processing import Processing
-from sdpid.experiment.readers import read_recording
+from sdpid.experiment.preparation import default_friction
 from sdpid.experiment.recording import Recording
-from sdpid.experiment.samples import Samples
+from sdpid.identification import Identification
 from sdpid.robot.friction import FrictionTerm
 from sdpid.robot.inertia import Consistency
 from sdpid.robot.load import load_robot
 from sdpid.robot.model import RobotModel
+from sdpid.training import Logs, ProcessingOf, chosen_processing, joined, recordings
 
-if TYPE_CHECKING:
-    from sdpid.output.report import GivenIntervals
+__all__ = ["Identification", "formulate", "identify", "mass_matrix"]
 
+# What `identify` takes for its intervals. Profile bounds say most, but take several hundred solves,
+# 5 to 9 s for arms of six and seven joints; Gauss-Markov intervals take some 20 ms.
+DEFAULT_INTERVALS: Method = "gauss_markov"
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Identification:
-    """What `identify` found.
-
-    Attributes
-    ----------
-    problem : Problem
-        What was solved.
-    wls : Estimate
-        The unconstrained fit.
-    estimate : Estimate
-        The global optimum under the constraints.
-    certificate : Certificate
-        Of `estimate`.
-    training : Validation
-        `estimate` on the rows it was made from.
-    training_wls : Validation
-        The unconstrained fit on the same rows.
-    validation : Validation or None
-        `estimate` on the validation recording.
-    validation_samples : Samples or None
-        That recording, processed the same way.
-    """
-
-    problem: Problem
-    wls: Estimate
-    estimate: Estimate
-    certificate: Certificate
-    training: Validation
-    training_wls: Validation
-    validation: Validation | None = None
-    validation_samples: Samples | None = None
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return the result as plain values for JSON."""
-        estimate = self.estimate
-        weak = self.problem.excitation.weak()
-        return {
-            "problem": describe(self.problem),
-            "processing": list(self.problem.samples.notes),
-            "verdict": list(verdict(self)),
-            "status": estimate.status,
-            "cost": estimate.cost,
-            "cost_unconstrained": self.wls.cost,
-            "lower_bound": self.certificate.lower_bound,
-            "gap": self.certificate.gap,
-            "certified": self.certificate.passed,
-            "worst_margin": estimate.worst_margin,
-            "constraints": [s.to_dict() for s in estimate.constraint_states if s.active],
-            "solve_time": estimate.solve_time,
-            "prior": None if self.problem.prior is None else list(self.problem.prior.notes),
-            "weakly_excited": [{"singular_value": v, "parameters": list(n)} for v, n in weak],
-            "base_parameters": estimate.named(),
-            "standard_parameters": estimate.named_theta(),
-            "training": self.training.to_dict(),
-            "training_unconstrained": self.training_wls.to_dict(),
-            "validation": None if self.validation is None else self.validation.to_dict(),
-        }
-
-    def summary(self) -> str:
-        """Return the result in words."""
-        lines = [
-            f"{self.problem.robot.name}: {self.problem.base.count} base parameters from "
-            f"{self.problem.n_rows} rows; {self.certificate.summary()}",
-            f"relative residual {100 * self.training.relative:.2f} % (unconstrained "
-            f"{100 * self.training_wls.relative:.2f} %)",
-        ]
-        if self.problem.prior is not None:
-            lines.append("the description's own inertias count as a weak belief beside the data")
-            lines += self.problem.prior.notes
-        if self.validation is not None:
-            lines.append(f"on the validation recording {100 * self.validation.relative:.2f} %")
-        weak = self.problem.excitation.weak()
-        if weak:
-            lines.append(
-                f"{len(weak)} directions are weakly excited, the weakest: "
-                f"{', '.join(weak[-1][1]) or 'a mixture'} (singular value {weak[-1][0]:.1e})"
-            )
-        return "\n".join(lines)
-
-    def save(
-        self,
-        folder: str | os.PathLike[str],
-        *,
-        figures: bool = True,
-        report: Callable[[str], None] | None = None,
-        command: str | None = None,
-        intervals: GivenIntervals | None = None,
-    ) -> tuple[Path, ...]:
-        """Write tables, URDF, certificate, plots and a report into a folder: all, or none.
-
-        Parameters
-        ----------
-        folder : path
-            Created when it is not there.
-        figures : bool, optional
-            Draw plots too (extra ``plot``).
-        report : callable, optional
-            Told in words what could not be written as identified (see `ExportReport`), and when
-            there is no report.html for want of the extra ``report``.
-        command : str, optional
-            The command line, for report.html.
-        intervals : Intervals, optional
-            For report.html (see `sdpid.intervals`).
-
-        Returns
-        -------
-        tuple of Path
-            The files.
-
-        Raises
-        ------
-        ExportError
-            When the folder cannot be written to, or the estimate cannot be exported.
-        """
-        target = Path(folder)
-        with _staging(target) as stage:
-            tell = report or (lambda _: None)
-            files = self._write(stage, figures, tell)
-            if importlib.util.find_spec("jinja2") is None:
-                tell("no report.html: jinja2 is not installed (pip install 'sdpid[report]')")
-            else:
-                from sdpid.output.report import certificate_digest, write_report
-
-                page = write_report(
-                    self,
-                    stage / "report.html",
-                    command=command,
-                    intervals=intervals,
-                    figures=figures,
-                    sha256=certificate_digest(stage / "certificate.json"),
-                )
-                files.append(page)
-            move_into(target, files)
-        return tuple(target / file.name for file in files)
-
-    def _write(self, out: Path, figures: bool, report: Callable[[str], None]) -> list[Path]:
-        """Write the files into an empty folder."""
-        from sdpid.output.tables import base_table, theta_table
-        from sdpid.output.urdf import write_urdf
-
-        files = [out / name for name in ("base_parameters.csv", "parameters.csv")]
-        base_table(self.estimate, self.wls).write(files[0])
-        theta_table(self.estimate).write(files[1])
-        files.append(out / "result.json")
-        text = json.dumps(self.to_dict(), indent=1, allow_nan=False)
-        atomic_write_text(files[-1], text + "\n")
-        files.append(out / "certificate.json")
-        self.certificate.to_json(files[-1])
-        if self.problem.robot.urdf is not None and self.problem.consistency != "none":
-            files.append(out / "identified.urdf")
-            export = write_urdf(self.estimate, target=files[-1])
-            for statement in export.describe().splitlines()[1:]:
-                report(f"identified.urdf: {statement}")
-        if figures:
-            from sdpid.output.plots import save_figure
-
-            pairs = [("training", self.problem.samples, self.training)]
-            if self.validation is not None and self.validation_samples is not None:
-                pairs.append(("validation", self.validation_samples, self.validation))
-            for name, samples, fit in pairs:
-                files.append(out / f"{name}.png")
-                save_figure(plot_fit(samples, fit), files[-1])
-        return files
-
-
-def plot_fit(samples: Samples, fit: Validation) -> Any:
-    """Return a figure of measured against predicted effort (extra ``plot``).
-
-    Parameters
-    ----------
-    samples : Samples
-        The measurements.
-    fit : Validation
-        Their prediction.
-
-    Returns
-    -------
-    matplotlib.figure.Figure
-    """
-    from sdpid.output.plots import plot_reconstruction
-
-    return plot_reconstruction(
-        samples.time,
-        samples.effort,
-        fit.effort_predicted,
-        fit.joint_names,
-        fit.rmse,
-        mask=samples.mask,
-    )
-
-
-@contextlib.contextmanager
-def _staging(folder: Path) -> Iterator[Path]:
-    """Yield an empty folder within one that is made for it, and remove both if they end empty."""
-    made = not folder.exists()
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        with tempfile.TemporaryDirectory(dir=folder, prefix=".sdpid-") as stage:
-            yield Path(stage)
-    except OSError as cause:
-        raise ExportError(
-            f"cannot write into {folder}: {cause.strerror}; choose another folder."
-        ) from None
-    finally:
-        # A folder that something was written into stays.
-        if made:
-            with contextlib.suppress(OSError):
-                folder.rmdir()
+# Unconstrained fit, estimate, certificate, intervals.
+_STEPS = 4
 
 
 def formulate(
     robot: RobotModel,
-    log: Recording,
+    log: Recording | Iterable[Recording],
     *,
-    processing: Processing | None = None,
+    processing: ProcessingOf = None,
     friction: Iterable[str | FrictionTerm] | None = None,
     weighting: Weighting | None = None,
     consistency: Consistency = "pseudo_inertia",
@@ -265,7 +56,8 @@ def formulate(
     prior: Prior | bool | None = None,
 ) -> Problem:
     """Build the problem that `identify` solves; arguments and errors are those of `identify`."""
-    samples = prepare(robot, log, processing)
+    logs = recordings(log if isinstance(log, Recording) else tuple(log))
+    samples = joined(robot, logs, chosen_processing(logs, processing)[0])
     chosen: Weighting = weighting or ("residual" if samples.covariance is None else "gls")
     if prior is None:
         prior = chosen == "residual" and bool(np.any(robot.prior[:, 0] > 0.0))
@@ -274,7 +66,7 @@ def formulate(
     return build_problem(
         robot,
         samples,
-        friction=default_friction(log) if friction is None else friction,
+        friction=default_friction(logs[0]) if friction is None else friction,
         weighting=chosen,
         consistency=consistency,
         constraints=Constraints.of_size(robot) if constraints is None else constraints,
@@ -284,28 +76,32 @@ def formulate(
 
 def identify(
     robot: RobotModel | str | os.PathLike[str],
-    log: Recording | str | os.PathLike[str],
+    log: Logs,
     *,
-    validation: Recording | str | os.PathLike[str] | None = None,
-    processing: Processing | None = None,
+    validation: Logs | None = None,
+    processing: ProcessingOf = None,
     friction: Iterable[str | FrictionTerm] | None = None,
     weighting: Weighting | None = None,
     consistency: Consistency = "pseudo_inertia",
     constraints: Constraints | None = None,
     prior: Prior | bool | None = None,
+    intervals: bool | Method = True,
+    folds: int | None = None,
 ) -> Identification:
-    """Identify a robot from a recording, with defaults for everything.
+    """Identify a robot from one recording or several, with defaults for everything.
 
     Parameters
     ----------
     robot : RobotModel, name or path
         The robot (see `load_robot`).
-    log : Recording or path
-        What was measured (see `read_recording`).
-    validation : Recording or path, optional
-        Another recording to predict; nothing is chosen by it.
-    processing : Processing, optional
-        By default `default_processing`.
+    log : Recording or path, or a sequence of these
+        What was measured (see `read_recording`). Several recordings are processed alike, each
+        alone, and fitted together; none of them may have periods then.
+    validation : Recording or path, or a sequence of these, optional
+        Other recordings to predict; nothing is chosen by them.
+    processing : Processing or mapping, optional
+        By default `default_processing`; of several recordings that of the one with the median
+        cut-off. A mapping changes some settings of the default, such as ``{"cutoff_hz": 10.0}``.
     friction : iterable, optional
         By default `default_friction`.
     weighting : str, optional
@@ -319,6 +115,12 @@ def identify(
         What is believed beside the data. By default the description's own inertias, with a
         strength of one nat, for records without periods of a robot whose description has masses;
         none otherwise.
+    intervals : bool or str, optional
+        Find intervals of the parameters (see `sdpid.intervals`): True by Gauss-Markov, which
+        takes a moment; ``"profile"`` says more and takes some seconds; or ``"bootstrap"``. Where
+        the data do not allow them, `Identification.intervals_note` says why.
+    folds : int, optional
+        Also hold out so many blocks of the recordings in turn (see `sdpid.cross_validate`).
 
     Returns
     -------
@@ -330,37 +132,96 @@ def identify(
         A child that says what is wrong: `DataError`, `ModelError`, `IdentifiabilityError`,
         `InfeasibleError` or `SolverError`.
     """
+    if not isinstance(intervals, bool) and intervals not in get_args(Method):
+        raise DataError(
+            f"intervals: is {intervals!r}; use True, False or one of {', '.join(get_args(Method))}."
+        )
     model = robot if isinstance(robot, RobotModel) else load_robot(robot)
-    record = log if isinstance(log, Recording) else read_recording(log)
-    if processing is None:
-        processing = default_processing(record)
+    logs = recordings(log)
+    chosen, why = chosen_processing(logs, processing)
+    notes = [why] if why else []
     fresh = None
     if validation is not None:
-        check = validation if isinstance(validation, Recording) else read_recording(validation)
         # Prediction needs no covariance, so any number of periods will do.
-        fresh = prepare(model, check, replace(processing, covariance=None))
+        fresh = joined(model, recordings(validation), replace(chosen, covariance=None))
+    # Twice below, and perhaps from a generator.
+    friction = None if friction is None else tuple(friction)
     problem = formulate(
         model,
-        record,
-        processing=processing,
+        logs,
+        processing=chosen,
         friction=friction,
         weighting=weighting,
         consistency=consistency,
         constraints=constraints,
         prior=prior,
     )
-    wls = solve_wls(replace(problem, prior=None))
-    estimate = solve_sdp(problem)
+    with progress(_STEPS, "estimating") as advance:
+        wls = solve_wls(replace(problem, prior=None))
+        advance(1)
+        estimate = solve_sdp(problem)
+        advance(1)
+        certificate = certify(estimate)
+        advance(1)
+        found, beware = _intervals(estimate, intervals)
+        advance(1)
+    crossed = None
+    if folds is not None:
+        from sdpid.cross_validation import cross_validate
+
+        crossed = cross_validate(
+            model,
+            logs,
+            folds=folds,
+            processing=processing,
+            friction=friction,
+            weighting=weighting,
+            consistency=consistency,
+            constraints=constraints,
+            prior=prior,
+        )
     return Identification(
         problem=problem,
         wls=wls,
         estimate=estimate,
-        certificate=certify(estimate),
+        certificate=certificate,
         training=validate(estimate),
         training_wls=validate(wls),
         validation=None if fresh is None else validate(estimate, fresh),
         validation_samples=fresh,
+        intervals=found,
+        cross_validation=crossed,
+        intervals_note=beware,
+        notes=tuple(notes),
     )
+
+
+def _intervals(estimate: Estimate, wanted: bool | Method) -> tuple[Intervals | None, str | None]:
+    """Return intervals, and why there are none or what to beware of."""
+    if wanted is False:
+        return None, None
+    method: Method = DEFAULT_INTERVALS if wanted is True else wanted
+    try:
+        found = find_intervals(estimate, method=method)
+    except (DataError, IdentifiabilityError, SolverError) as reason:
+        return None, f"no intervals of the parameters ({method}): {reason}"
+    outside = _outside(estimate, found)
+    if not outside:
+        return found, None
+    return found, (
+        f"{outside} of {len(found)} intervals do not hold the estimate: they are about the "
+        "unconstrained fit, from which physics or the prior moves it farther than the data's "
+        "scatter; intervals='profile' (--interval-method profile) respects physics and takes some "
+        "seconds"
+    )
+
+
+def _outside(estimate: Estimate, found: Intervals) -> int:
+    """Return how many intervals of the unconstrained fit do not hold the estimate."""
+    if found.method != "gauss_markov":
+        return 0
+    shown = ParameterFunctions.of(estimate.problem, found.names)
+    return int(np.count_nonzero(~found.contains(shown.functionals @ estimate.base)))
 
 
 def mass_matrix(estimate: Estimate, q: ArrayLike) -> Array:

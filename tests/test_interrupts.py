@@ -12,7 +12,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from sdpid import _files
 from sdpid._files import move_into, undisturbed
+from sdpid.results_folder import Stage
 from tests.helpers.arm_files import ARM_URDF, arm_log
 
 pytestmark = pytest.mark.skipif(os.name != "posix", reason="signals of POSIX")
@@ -105,3 +107,33 @@ def test_nothing_is_held_back_without_a_signal() -> None:
     with undisturbed():
         pass
     assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
+
+
+def test_nothing_is_moved_once_a_signal_was_to_end_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Even where what the handler raised was swallowed, as some imports do."""
+    monkeypatch.setattr(_files, "_ending", [])
+    with pytest.raises(SystemExit) as ended:
+        _files.end_by(signal.SIGTERM)
+    assert ended.value.code == 128 + signal.SIGTERM
+    stage = tmp_path / "stage"
+    stage.mkdir()
+    (stage / "a").write_text("a")
+    with pytest.raises(SystemExit):
+        move_into(tmp_path, [stage / "a"])
+    assert not (tmp_path / "a").exists()
+
+
+def test_a_stage_takes_away_what_was_made_for_it(tmp_path: Path) -> None:
+    stage = Stage(tmp_path / "deep" / "out")
+    stage.remove()  # before anything is made
+    (stage.make() / "half").write_text("")
+    stage.remove()
+    stage.remove()
+    assert list(tmp_path.iterdir()) == []
+    stage = Stage(tmp_path / "deep" / "out")
+    stage.make()
+    (tmp_path / "deep" / "other").write_text("kept")
+    stage.remove()
+    assert [path.name for path in (tmp_path / "deep").iterdir()] == ["other"]

@@ -64,6 +64,8 @@ def test_everything_is_saved_and_loads(result: sdpid.Identification, tmp_path: P
         "result.json",
         "certificate.json",
         "identified.urdf",
+        "identified.xml",
+        "parameters.json",
         "training.png",
         "validation.png",
         "report.html",

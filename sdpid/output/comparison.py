@@ -9,6 +9,7 @@ from typing import Any, Literal
 
 import numpy as np
 
+from sdpid._jobs import parallel
 from sdpid._progress import progress
 from sdpid.assurance.certificate import Certificate, certify
 from sdpid.errors import DataError, SdpidError
@@ -187,7 +188,8 @@ def compare(
     max_iterations : int, optional
         Limit of the local solvers; by default each has its own.
     n_jobs : int, optional
-        Processes (joblib); by default one a core.
+        Jobs (joblib), by default one a core: processes, or the backend of a surrounding
+        ``joblib.parallel_config``, such as Dask's.
     show_progress : bool, optional
         Show a progress bar; by default on a terminal.
 
@@ -211,7 +213,7 @@ def compare(
         )
     if problem.consistency == "none":
         raise DataError("compare: the problem's consistency is 'none'; choose one first.")
-    from joblib import Parallel, delayed
+    from joblib import delayed
 
     best = solve_sdp(problem)
     certificate = certify(best)
@@ -219,7 +221,7 @@ def compare(
     rng = np.random.default_rng(seed)
     points = [(f"random {i + 1}", random_start(problem, rng)) for i in range(starts)]
     points += [(label, np.asarray(theta)) for label, theta in extra_starts]
-    jobs = Parallel(n_jobs=-1 if n_jobs is None else n_jobs, return_as="generator")
+    jobs = parallel(n_jobs, return_as="generator")
     left_out = {"log_cholesky": unsupported(problem)}
     able = [solver for solver in local if left_out.get(solver) is None]
     runs = [(solver, label, start) for solver in able for label, start in points]

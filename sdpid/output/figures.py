@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, cast
 
@@ -34,6 +35,9 @@ SMALL, NORMAL, LARGE = 8.0, 9.5, 12.0
 
 # Pixels across a panel are a few hundred: more points than this a line do not show.
 POINTS = 3000
+
+# Between recordings, as a share of all their time.
+_GAP = 0.02
 
 _FORMATS = (".png", ".svg", ".pdf")
 
@@ -129,6 +133,49 @@ def decimate(x: ArrayLike, y: ArrayLike, *, points: int = POINTS) -> tuple[Array
     kept.append((at + gaps.argmax(axis=1))[gaps.any(axis=1)])
     index = np.unique(np.minimum(np.concatenate(kept), count - 1))
     return x[index], y[index]
+
+
+@dataclass(frozen=True, eq=False)
+class TimeLine:
+    """Instants of samples for a plot: pieces recorded apart are drawn behind each other.
+
+    No line is drawn from one piece to the next, and a gap is left between them.
+
+    Attributes
+    ----------
+    time : ndarray, shape (K + pieces - 1,)
+        With one instant more in every gap.
+    label : str
+        Of the axis.
+    """
+
+    time: Array
+    label: str
+    _breaks: tuple[int, ...]
+
+    @classmethod
+    def of(cls, time: Array | None, count: int, starts: Sequence[int]) -> TimeLine:
+        """Lay out `count` samples; without time they are counted."""
+        own = np.arange(count, dtype=np.float64) if time is None else np.array(time)
+        label = "sample" if time is None else "time [s]"
+        breaks = tuple(starts[1:])
+        if not breaks:
+            return cls(own, label, ())
+        pieces = [piece - piece[0] for piece in np.split(own, breaks)]
+        gap = _GAP * sum(float(piece[-1]) for piece in pieces)
+        shifted, begin = [pieces[0]], float(pieces[0][-1])
+        for piece in pieces[1:]:
+            shifted += [np.array([begin + 0.5 * gap]), begin + gap + piece]
+            begin = float(shifted[-1][-1])
+        return cls(np.concatenate(shifted), f"{label}, recordings behind each other", breaks)
+
+    def broken(self, y: Array) -> Array:
+        """Return values (K,) with a break in every gap."""
+        return np.insert(y, self._breaks, np.nan) if self._breaks else y
+
+    def kept(self, flags: Any) -> Any:
+        """Return flags (K, ...) that are set in the gaps."""
+        return np.insert(flags, self._breaks, True, axis=0) if self._breaks else flags
 
 
 def runs(flags: ArrayLike) -> list[tuple[int, int]]:

@@ -6,6 +6,7 @@ No names stand in them, so nothing that a robot's description says is drawn.
 from __future__ import annotations
 
 import io
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -19,6 +20,7 @@ from sdpid.output.figures import (
     INK,
     RED,
     SHADE,
+    TimeLine,
     decimate,
     dress,
     legend,
@@ -36,7 +38,14 @@ _POINTS = 1000
 _FLOOR = 1e-4
 
 
-def plot_joint(time: Array | None, measured: Array, predicted: Array, used: Mask) -> Any:
+def plot_joint(
+    time: Array | None,
+    measured: Array,
+    predicted: Array,
+    used: Mask,
+    *,
+    starts: Sequence[int] = (0,),
+) -> Any:
     """Show measured against predicted effort of a joint, and the error below.
 
     Parameters
@@ -47,12 +56,16 @@ def plot_joint(time: Array | None, measured: Array, predicted: Array, used: Mask
         Efforts, N·m.
     used : ndarray of bool, shape (K,)
         True where a row counts; the others are shaded.
+    starts : sequence of int, optional
+        First sample of each piece recorded without a break; they are drawn behind each other.
 
     Returns
     -------
     matplotlib.figure.Figure
     """
-    t = np.arange(len(measured), dtype=np.float64) if time is None else time
+    line = TimeLine.of(time, len(measured), starts)
+    t, used = line.time, line.kept(used)
+    measured, predicted = line.broken(measured), line.broken(predicted)
     figure = new_figure(_WIDTH, _HEIGHT)
     above, below = figure.subplots(2, 1, sharex=True, height_ratios=(1.5, 1.0))
     for axis in (above, below):
@@ -61,7 +74,7 @@ def plot_joint(time: Array | None, measured: Array, predicted: Array, used: Mask
     _line(above, t, predicted, color=RED, label="predicted", linewidth=0.8)
     _line(below, t, np.where(used, measured - predicted, np.nan), color=GREY, linewidth=0.8)
     dress(above, ylabel="effort [N·m]")
-    dress(below, ylabel="error [N·m]", xlabel="sample" if time is None else "time [s]")
+    dress(below, ylabel="error [N·m]", xlabel=line.label)
     below.set_xlim(t[0], t[-1])
     legend(above, loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=2, frameon=False)
     figure.align_ylabels((above, below))

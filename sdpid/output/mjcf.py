@@ -110,11 +110,13 @@ def write_mjcf(
     else:
         text, folder = source_text(robot, source, what), _folder(source)
         if not is_mjcf(text):
+            root = parse_xml(text, what)
             text, impossible = mjcf_skeleton(robot, UrdfTree(text))
-            notes += (
-                "shapes of the URDF are not in it; to keep them, convert the URDF with MuJoCo and "
-                "give that file as the source",
-            )
+            if any(root.find(f"link/{shape}") is not None for shape in ("visual", "collision")):
+                notes += (
+                    "shapes of the URDF are not in it; to keep them, convert the URDF with MuJoCo "
+                    "and give that file as the source",
+                )
             if impossible:
                 notes += (
                     "links fixed to others with inertials that no body can have, now zero and "

@@ -27,15 +27,15 @@ class NamedIntervals(Protocol):
     """Intervals by name, such as `sdpid.assurance.intervals.Intervals`."""
 
     @property
-    def names(self) -> tuple[str, ...]:
+    def names(self) -> Sequence[str]:
         """The parameters."""
 
     @property
-    def lower(self) -> Array:
+    def lower(self) -> Any:
         """Lower ends."""
 
     @property
-    def upper(self) -> Array:
+    def upper(self) -> Any:
         """Upper ends."""
 
 

@@ -14,7 +14,9 @@ from numpy.typing import ArrayLike
 
 from sdpid._arrays import Array, real_array
 from sdpid._extras import require
+from sdpid.assurance.validation import Validation
 from sdpid.errors import DataError
+from sdpid.experiment.samples import Samples
 from sdpid.output.convergence_plot import plot_convergence
 from sdpid.output.figures import (
     BLUE,
@@ -24,6 +26,7 @@ from sdpid.output.figures import (
     RED,
     SHADE,
     SMALL,
+    TimeLine,
     bottom_legend,
     dress,
     long_line,
@@ -37,6 +40,7 @@ from sdpid.output.parameter_plot import plot_parameters
 __all__ = [
     "plot_convergence",
     "plot_filtering",
+    "plot_fit",
     "plot_parameters",
     "plot_reconstruction",
     "save_figure",
@@ -120,6 +124,31 @@ def plot_filtering(
     return figure
 
 
+def plot_fit(samples: Samples, fit: Validation) -> Any:
+    """Return a figure of measured against predicted effort (extra ``plot``).
+
+    Parameters
+    ----------
+    samples : Samples
+        The measurements.
+    fit : Validation
+        Their prediction.
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+    """
+    return plot_reconstruction(
+        samples.time,
+        samples.effort,
+        fit.effort_predicted,
+        fit.joint_names,
+        fit.rmse,
+        mask=samples.mask,
+        starts=samples.starts,
+    )
+
+
 def plot_reconstruction(
     time: ArrayLike | None,
     measured: ArrayLike,
@@ -128,6 +157,7 @@ def plot_reconstruction(
     rmse: ArrayLike | None = None,
     *,
     mask: ArrayLike | None = None,
+    starts: Sequence[int] = (0,),
     units: str | Sequence[str] = "N·m",
     title: str | None = None,
 ) -> Any:
@@ -145,6 +175,8 @@ def plot_reconstruction(
         Root mean square errors for the titles; by default those of the rows in use.
     mask : array_like of bool, shape (K, n), optional
         True where a row is used; the others are shaded.
+    starts : sequence of int, optional
+        First sample of each piece recorded without a break; they are drawn behind each other.
     units : str or sequence of str, optional
         Unit of the efforts, one for all or one a joint.
     title : str, optional
@@ -177,17 +209,19 @@ def plot_reconstruction(
     errors = _rmse(y - z, used) if rmse is None else real_array(rmse, "rmse", ndim=1)
     if len(errors) != n:
         raise DataError(f"plot: rmse has {len(errors)} entries, measured has {n} columns.")
+    line = TimeLine.of(None if time is None else t, K, starts)
+    t, shown = line.time, line.kept(used)
     figure = new_figure(12.0, 1.3 + 1.75 * n, title)
     axes = figure.subplots(n, 2, sharex=True, squeeze=False, width_ratios=(1.6, 1.0))
     for j in range(n):
         left, right = axes[j]
         for axis in (left, right):
-            shade(axis, t, ~used[:, j])
-        long_line(left, t, y[:, j], color=BLUE, label="measured", linewidth=1.8)
-        long_line(left, t, z[:, j], color=RED, label="predicted", linewidth=0.9)
+            shade(axis, t, ~shown[:, j])
+        long_line(left, t, line.broken(y[:, j]), color=BLUE, label="measured", linewidth=1.8)
+        long_line(left, t, line.broken(z[:, j]), color=RED, label="predicted", linewidth=0.9)
         error = y[:, j] - z[:, j]
-        long_line(right, t, np.where(used[:, j], error, np.nan), color=GREY)
-        last = ("sample" if time is None else "time [s]") if j == n - 1 else ""
+        long_line(right, t, line.broken(np.where(used[:, j], error, np.nan)), color=GREY)
+        last = line.label if j == n - 1 else ""
         size = _rmse(y, used)[j]
         share = f"  ({100.0 * errors[j] / size:.2g} % of RMS)" if size > 0.0 else ""
         dress(left, title=joint_names[j], ylabel=f"effort [{unit[j]}]", xlabel=last)

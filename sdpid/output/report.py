@@ -10,10 +10,10 @@ import base64
 import importlib.util
 import json
 import os
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from importlib.resources import files
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 
@@ -26,6 +26,7 @@ from sdpid.assurance.validation import Validation
 from sdpid.assurance.verdict import Judged, findings, judged
 from sdpid.estimation.excitation import WEAK
 from sdpid.experiment.samples import Samples
+from sdpid.output.intervals_shown import Ends, GivenIntervals, ends_of, in_words
 from sdpid.output.tables import base_table
 
 _TEMPLATE = "report.html.j2"
@@ -33,25 +34,8 @@ _TEMPLATE = "report.html.j2"
 # Weakly excited directions that are listed one by one; more say no more.
 _DIRECTIONS = 12
 
-
-class GivenIntervals(Protocol):
-    """Intervals of some parameters: `sdpid.Intervals`, or anything with these."""
-
-    @property
-    def names(self) -> Sequence[str]:
-        """The parameters."""
-
-    @property
-    def lower(self) -> Any:
-        """Lower ends."""
-
-    @property
-    def upper(self) -> Any:
-        """Upper ends."""
-
-    @property
-    def label(self) -> Sequence[str]:
-        """What bounds each."""
+# Values below this share of their standard error are what a solver leaves of zero, at a bound.
+_NOTHING = 1e-6
 
 
 def write_report(
@@ -116,6 +100,7 @@ def report_html(
         autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True, lstrip_blocks=True
     )
     environment.filters.update(number=_number, percent=_percent, fixed=_fixed)
+    environment.filters["capitalised"] = _capitalised
     template = files("sdpid.output").joinpath(_TEMPLATE).read_text(encoding="utf-8")
     if sha256 is None:
         sha256 = str(identification.certificate.to_dict()["sha256"])
@@ -136,7 +121,7 @@ def _context(result: Judged, draw: bool, intervals: GivenIntervals | None) -> di
     problem, certificate = result.problem, result.certificate
     samples, fit = judged(result)
     errors = joint_errors(samples, fit)
-    ends = _ends(intervals)
+    ends = ends_of(intervals)
     base, theta = list(_base(result, ends)), list(_theta(result, ends))
     return {
         "robot": problem.robot,
@@ -156,6 +141,8 @@ def _context(result: Judged, draw: bool, intervals: GivenIntervals | None) -> di
         "friction": [_term(term) for term in problem.friction.described()],
         "has_errors": any(row["error"] is not None for row in base),
         "has_intervals": any(row["interval"] for row in (*base, *theta)),
+        "intervals_in_words": in_words(intervals),
+        "crossed": result.cross_validation,
         "states": [s for s in result.estimate.constraint_states if s.active],
         "state_count": len(result.estimate.constraint_states),
         "certificate": certificate,
@@ -176,6 +163,8 @@ def _data(result: Judged) -> Iterator[tuple[str, list[str]]]:
     yield "rows used", [f"{s.n_rows:,} of {s.effort.size:,}" for s in parts]
     yield "rate", [_rate(s) for s in parts]
     yield "duration", [_duration(s) for s in parts]
+    if any(len(s.starts) > 1 for s in parts):
+        yield "pieces, recorded apart", [str(len(s.starts)) for s in parts]
     if any(s.periods is not None for s in parts):
         yield "periods averaged", ["–" if s.periods is None else str(s.periods) for s in parts]
 
@@ -187,8 +176,10 @@ def _rate(samples: Samples) -> str:
 def _duration(samples: Samples) -> str:
     if samples.time is None:
         return "–"
-    # The last sample lasts as long as the others.
-    return f"{float(samples.time[-1] - samples.time[0]) + period(samples):.5g} s"
+    # The last sample of a piece lasts as long as the others.
+    pieces = [samples.time[part] for part in samples.parts]
+    seconds = sum(float(piece[-1] - piece[0]) + period(samples) for piece in pieces)
+    return f"{seconds:.5g} s"
 
 
 def _term(described: dict[str, Any]) -> str:
@@ -271,6 +262,7 @@ def _plots(result: Judged, errors: tuple[JointErrors, ...]) -> Iterator[dict[str
                     samples.effort[:, j],
                     fit.effort_predicted[:, j],
                     used_rows(samples, j),
+                    starts=samples.starts,
                 ),
             ),
             (
@@ -294,21 +286,12 @@ def _inlined(figure: Any) -> str:
     return "data:image/svg+xml;base64," + base64.b64encode(svg(figure)).decode("ascii")
 
 
-def _ends(intervals: GivenIntervals | None) -> dict[str, tuple[float, float, str]]:
-    """Return interval and label by parameter."""
-    if intervals is None:
-        return {}
-    columns = (intervals.names, intervals.lower, intervals.upper, intervals.label)
-    return {
-        str(name): (float(low), float(high), str(label))
-        for name, low, high, label in zip(*columns, strict=True)
-    }
-
-
-def _base(result: Judged, ends: dict[str, tuple[float, float, str]]) -> Iterator[dict[str, Any]]:
+def _base(result: Judged, ends: dict[str, Ends]) -> Iterator[dict[str, Any]]:
     """Yield the base parameters."""
     for row in base_table(result.estimate, result.wls).rows:
         name, unit, value, free, error, regrouping = row
+        if isinstance(error, float) and isinstance(value, float) and abs(value) < _NOTHING * error:
+            value = 0.0
         yield {
             "name": name,
             "unit": unit,
@@ -320,7 +303,7 @@ def _base(result: Judged, ends: dict[str, tuple[float, float, str]]) -> Iterator
         }
 
 
-def _theta(result: Judged, ends: dict[str, tuple[float, float, str]]) -> Iterator[dict[str, Any]]:
+def _theta(result: Judged, ends: dict[str, Ends]) -> Iterator[dict[str, Any]]:
     """Yield the standard parameters, with shares of what they come from."""
     estimate, base = result.estimate, result.problem.base
     if estimate.theta is None:
@@ -349,6 +332,11 @@ def _number(value: float | None, digits: int = 4) -> str:
         return "0"
     text = f"{value:#.{digits}g}" if 1e-4 <= abs(value) < 10.0**digits else f"{value:.{digits}g}"
     return text.rstrip(".").replace("-", "−")
+
+
+def _capitalised(text: str) -> str:
+    """Return a note as a sentence without its full stop; names in it stay as they are."""
+    return (text[:1].upper() + text[1:]).removesuffix(".")
 
 
 def _percent(share: float | None, digits: int = 3) -> str:

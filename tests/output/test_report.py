@@ -23,6 +23,8 @@ import sdpid
 from sdpid.output import report
 from sdpid.output.report import report_html, write_report
 from tests.helpers.identified import arm_theta, identified, moved
+from tests.helpers.runs import arm as recorded_arm
+from tests.helpers.runs import recorded
 
 # A browser of this family, wherever it is called what.
 BROWSERS = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable", "chrome")
@@ -222,6 +224,32 @@ def test_intervals_are_shown(result: sdpid.Identification) -> None:
     assert "from physics" in shown
     gauss = sdpid.intervals(result.estimate, method="gauss_markov")
     assert "from data" in words(report_html(result, intervals=gauss, figures=False))
+
+
+def test_cross_validation_and_pieces_are_shown() -> None:
+    logs = [recorded(1), recorded(2)]
+    found = sdpid.identify(recorded_arm(), logs, folds=2)
+    text = report_html(found)
+    self_contained(text)
+    shown = words(text)
+    assert found.cross_validation is not None
+    for part in (
+        "2 blocks of time held out in turn",
+        "relative residual of blocks held out in turn",
+        "block 2 of 2",
+        "pieces, recorded apart",
+        f"{found.cross_validation.rmse[0]:#.3g}",
+        *found.notes,
+    ):
+        assert part in shown, part
+
+
+def test_values_at_a_bound_are_zero(result: sdpid.Identification) -> None:
+    rows = list(report._base(replace(result, wls=result.wls), {}))
+    tiny = replace(result.estimate, base=np.array([1e-12, *result.estimate.base[1:]]))
+    again = list(report._base(replace(result, estimate=tiny), {}))
+    assert again[0]["value"] == 0.0
+    assert [row["value"] for row in again[1:]] == [row["value"] for row in rows[1:]]
 
 
 def test_it_is_written_whole_or_not_at_all(

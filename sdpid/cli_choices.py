@@ -1,0 +1,93 @@
+"""What options of the command choose: processing, friction terms, constraints."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from sdpid import _cli_support as cli
+from sdpid.errors import ModelError
+
+if TYPE_CHECKING:
+    from sdpid.assurance.validation import Validation
+    from sdpid.estimation.constraints import Constraints
+    from sdpid.experiment.recording import Recording
+    from sdpid.robot.friction import FrictionTerm
+    from sdpid.robot.model import RobotModel
+
+
+def read(path: Path, **how: Any) -> Recording:
+    """Read a log."""
+    from sdpid.experiment.readers import read_recording
+
+    return read_recording(path, **how)
+
+
+def processing(
+    cutoff: float | None,
+    order: int | None,
+    velocity: cli.Velocity | None,
+    low_pass: str | None,
+    derivative: str | None,
+) -> dict[str, Any]:
+    """Return what is to be other than by default."""
+    changes: dict[str, Any] = {
+        "cutoff_hz": cutoff,
+        "order": order,
+        "velocity": None if velocity is None else velocity.value,
+        "filter": low_pass,
+        "derivative": derivative,
+    }
+    return {name: value for name, value in changes.items() if value is not None}
+
+
+def friction_terms(given: list[str] | None) -> list[str | FrictionTerm] | None:
+    """Turn options into terms: names, or names with a speed or joints."""
+    from sdpid.robot.friction import AsymmetricCoulomb, Coulomb, Coupling, SigmoidFriction, Stribeck
+
+    smooth: dict[str, Callable[[float | None], FrictionTerm]] = {
+        "coulomb": lambda width: Coulomb(width=width),
+        "asymmetric_coulomb": lambda width: AsymmetricCoulomb(width=width),
+        "stribeck": lambda speed: Stribeck(velocity=speed),
+        "sigmoid": lambda speed: SigmoidFriction(velocity=speed),
+    }
+    terms: list[str | FrictionTerm] = []
+    for text in given or ():
+        name, equals, value = text.partition("=")
+        if not equals:
+            terms.append(text)
+        elif name in smooth:
+            given_speed = None if value == "fit" else cli.numbers(value, f"--friction {name}")[0]
+            terms.append(smooth[name](given_speed))
+        elif name == "coupling" and value.count(",") == 1:
+            first, second = cli.split_list(value)
+            terms.append(Coupling(first, second))
+        else:
+            raise ModelError(
+                f"--friction {text}: takes no value; with one there are coulomb=WIDTH, "
+                "asymmetric_coulomb=WIDTH, stribeck=SPEED, sigmoid=SPEED (a speed in rad/s, or "
+                "fit) and coupling=JOINT,JOINT."
+            )
+    return terms or None
+
+
+def constraints_of(robot: RobotModel, margin: float, mass_max: float | None) -> Constraints:
+    """Return bounds that follow the robot's size, with what was given."""
+    from sdpid.estimation.constraints import Constraints
+
+    given = {} if mass_max is None else {"mass_max": mass_max}
+    return Constraints.of_size(robot, margin=margin, **given)
+
+
+def errors_table(fits: dict[str, Validation]) -> str:
+    """Return the errors of every joint, a pair of columns for each fit."""
+    from sdpid.output.tables import Table
+
+    names = next(iter(fits.values())).joint_names
+    header = ["joint"]
+    columns: list[list[Any]] = [list(names)]
+    for label, fit in fits.items():
+        header += [f"{label} RMSE [N.m]", "NRMSE [%]"]
+        columns += [fit.rmse.tolist(), (100.0 * fit.nrmse).tolist()]
+    return Table(tuple(header), tuple(zip(*columns, strict=True))).text(4)

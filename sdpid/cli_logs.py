@@ -1,0 +1,118 @@
+"""The commands about a log: ``sdpid info`` shows it, ``sdpid validate`` predicts its efforts."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from sdpid import _cli_support as cli
+from sdpid._extras import require
+from sdpid.cli_choices import errors_table, processing, read
+
+
+def validate(
+    log: cli.Log,
+    robot: cli.Robot,
+    figure: Annotated[Path | None, typer.Option(help="Image file for the plot.")] = None,
+    cutoff: cli.Cutoff = None,
+    order: cli.Order = None,
+    velocity: cli.VelocityFrom = None,
+    low_pass: cli.Filter = None,
+    derivative: cli.DerivativeBy = None,
+    period: cli.Period = None,
+    start: cli.Start = None,
+    periods: cli.Periods = None,
+    column: cli.Column = None,
+    unit: cli.Unit = None,
+    joint_names: cli.JointNames = None,
+    effort_scale: cli.EffortScale = None,
+    mapping: cli.Mapping = None,
+    topic: cli.Topic = None,
+    as_json: cli.Json = False,
+) -> None:
+    """Predict a log's efforts with a URDF: its inertias, its damping and its friction.
+
+    Offsets and rotor inertias have no place in a URDF and are not predicted.
+    """
+    if figure is not None:
+        require("matplotlib", extra="plot")
+        cli.require_folder(figure)
+    how = cli.reading(column, unit, joint_names, effort_scale, mapping, topic)
+    record = read(log, **how, period=period, start=start, periods=periods)
+    from sdpid.assurance.prediction_verdict import prediction_findings
+    from sdpid.assurance.validation import validate_robot
+    from sdpid.experiment.preparation import SMOOTH, prepare
+    from sdpid.robot.load import load_robot
+    from sdpid.training import chosen_processing
+
+    model = load_robot(robot)
+    changes = processing(cutoff, order, velocity, low_pass, derivative)
+    chosen, _ = chosen_processing([record], changes)
+    samples = prepare(model, record, replace(chosen, covariance=None))
+    fit = validate_robot(model, samples, width=0.0 if record.period is not None else SMOOTH)
+    files = []
+    if figure is not None:
+        from sdpid.output.plots import plot_fit, save_figure
+
+        save_figure(plot_fit(samples, fit), figure)
+        files.append(str(figure))
+    verdict = [finding.text for finding in prediction_findings(samples, fit)]
+    if as_json:
+        notes = list(samples.notes)
+        cli.print_json({**fit.to_dict(), "verdict": verdict, "notes": notes, "files": files})
+        return
+    typer.echo(f"{model.name}: relative residual {100 * fit.relative:.2f} %")
+    parts = (
+        cli.listed("verdict", verdict),
+        cli.listed("notes", samples.notes),
+        errors_table({"prediction": fit}),
+    )
+    typer.echo("\n\n".join(parts))
+    if files:
+        typer.echo(cli.listed("\nfiles", files))
+
+
+def info(
+    log: cli.Log,
+    robot: Annotated[str | None, typer.Option(help="Robot to compare with.")] = None,
+    period: cli.Period = None,
+    start: cli.Start = None,
+    periods: cli.Periods = None,
+    column: cli.Column = None,
+    unit: cli.Unit = None,
+    joint_names: cli.JointNames = None,
+    effort_scale: cli.EffortScale = None,
+    mapping: cli.Mapping = None,
+    topic: cli.Topic = None,
+    as_json: cli.Json = False,
+) -> None:
+    """Show what was understood of a log, and what looks wrong with it."""
+    how = cli.reading(column, unit, joint_names, effort_scale, mapping, topic)
+    from sdpid.experiment.overview import overview
+    from sdpid.experiment.readers import read_described
+    from sdpid.robot.load import load_robot
+
+    found = read_described(log, **how, period=period, start=start, periods=periods)
+    facts = overview(found.recording, None if robot is None else load_robot(robot))
+    facts = {"file": found.file, "mapping": found.mapping, "read_from": found.sources, **facts}
+    if as_json:
+        cli.print_json(facts)
+        return
+    from sdpid.output.tables import Table
+
+    joints = facts.pop("joints")
+    warnings = facts.pop("warnings")
+    sources = [f"{quantity}: {source}" for quantity, source in facts.pop("read_from").items()]
+    facts["processing"] = ", ".join(f"{k}={v}" for k, v in (facts["processing"] or {}).items())
+    width = max(map(len, facts))
+    for key, value in facts.items():
+        shown = f"{value:.6g}" if isinstance(value, float) else value
+        typer.echo(f"{key.replace('_', ' '):{width}}  {'-' if shown is None else shown}")
+    rows = tuple(tuple(joint.values()) for joint in joints)
+    typer.echo("\n" + cli.listed("read from", sources))
+    typer.echo("\n" + Table(tuple(joints[0]), rows).text())
+    if warnings:
+        typer.echo("\n" + cli.listed("warnings", warnings))

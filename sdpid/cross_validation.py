@@ -1,0 +1,323 @@
+"""Cross-validation in blocks of time: what a model predicts of motion that it never saw."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from typing import Any, Literal
+
+import numpy as np
+
+from sdpid._arrays import Array, frozen
+from sdpid._progress import progress
+from sdpid.assurance.validation import Validation, validate
+from sdpid.errors import DataError, IdentifiabilityError
+from sdpid.estimation.constraints import Constraints
+from sdpid.estimation.prior import Prior
+from sdpid.estimation.sdp import solve_sdp
+from sdpid.estimation.weighting import Weighting
+from sdpid.estimation.wls import solve_wls
+from sdpid.experiment.processing import Processing
+from sdpid.experiment.recording import Recording
+from sdpid.experiment.samples import Samples
+from sdpid.output.tables import Table
+from sdpid.robot.friction import FrictionTerm
+from sdpid.robot.inertia import Consistency
+from sdpid.robot.load import load_robot
+from sdpid.robot.model import RobotModel
+from sdpid.training import Logs, ProcessingOf, all_recordings, chosen_processing, joined, recordings
+
+By = Literal["time", "recording"]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Fold:
+    """One fit, and what it predicts of what was held out from it.
+
+    Attributes
+    ----------
+    name : str
+        What was held out, in words.
+    processing : Processing
+        How all of it was processed; chosen from the training part alone.
+    training : float
+        Relative residual on the training rows.
+    held_out : Validation
+        The estimate on what was held out.
+    unconstrained : Validation
+        The unconstrained fit there.
+    power : ndarray, shape (n,)
+        Sum of the squared efforts held out, (N·m)².
+    """
+
+    name: str
+    processing: Processing
+    training: float
+    held_out: Validation
+    unconstrained: Validation
+    power: Array
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class CrossValidation:
+    """What several fits predict of what was held out from each.
+
+    Attributes
+    ----------
+    by : {"time", "recording"}
+        What was held out each time: a block of time, or a recording.
+    folds : tuple of Fold
+        The fits.
+    joint_names : tuple of str
+        The joints.
+    rmse, rmse_unconstrained : ndarray, shape (n,)
+        Root mean square errors over all held-out rows, N·m, of the estimates and of the
+        unconstrained fits.
+    relative, relative_unconstrained : float
+        Norm of all held-out errors over the norm of the efforts.
+    """
+
+    by: By
+    folds: tuple[Fold, ...]
+    joint_names: tuple[str, ...]
+    rmse: Array
+    rmse_unconstrained: Array
+    relative: float
+    relative_unconstrained: float
+
+    @property
+    def count(self) -> int:
+        """Number of folds."""
+        return len(self.folds)
+
+    @property
+    def relatives(self) -> Array:
+        """Relative residual held out of each fold, (folds,)."""
+        return np.array([fold.held_out.relative for fold in self.folds])
+
+    @property
+    def spread(self) -> float:
+        """Standard deviation of the folds' relative residuals."""
+        return float(np.std(self.relatives, ddof=1))
+
+    @property
+    def training(self) -> float:
+        """Mean of the folds' relative residuals on their training rows."""
+        return float(np.mean([fold.training for fold in self.folds]))
+
+    def summary(self) -> str:
+        """Return the result in a sentence."""
+        what = "blocks of time" if self.by == "time" else "recordings"
+        low, high = float(self.relatives.min()), float(self.relatives.max())
+        return (
+            f"{self.count} {what} held out in turn: relative residual {100 * self.relative:.2f} % "
+            f"({100 * low:.2f} to {100 * high:.2f} %, unconstrained "
+            f"{100 * self.relative_unconstrained:.2f} %)"
+        )
+
+    def table(self) -> str:
+        """Return aligned text: a line for each fold and one for all.
+
+        Relative residuals are in %, those of the training rows first; then come the root mean
+        square errors of the joints on what was held out, N·m.
+        """
+        title = "held out in turn: relative residuals in %, RMSE of every joint in N.m"
+        return f"{title}\n{self.as_table().text(3)}"
+
+    def as_table(self) -> Table:
+        """Return relative residuals in % and root mean square errors in N·m, a row a fold."""
+        header = ("held out", "rows", "trained", "held out", "unconstrained", *self.joint_names)
+        rows: list[tuple[object, ...]] = []
+        for fold in self.folds:
+            fit = fold.held_out
+            shares = (fold.training, fit.relative, fold.unconstrained.relative)
+            percents = (100.0 * share for share in shares)
+            rows.append((fold.name, int(fit.rows.sum()), *percents, *fit.rmse.tolist()))
+        shares = (self.training, self.relative, self.relative_unconstrained)
+        count = sum(int(fold.held_out.rows.sum()) for fold in self.folds)
+        rows.append(("all", count, *(100.0 * share for share in shares), *self.rmse.tolist()))
+        return Table(header, tuple(rows))
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return plain values for JSON."""
+        return {
+            "by": self.by,
+            "relative_residual": self.relative,
+            "relative_residual_unconstrained": self.relative_unconstrained,
+            "spread": self.spread,
+            "training": self.training,
+            "rmse": dict(zip(self.joint_names, self.rmse.tolist(), strict=True)),
+            "rmse_unconstrained": dict(
+                zip(self.joint_names, self.rmse_unconstrained.tolist(), strict=True)
+            ),
+            "folds": [
+                {
+                    "held_out": fold.name,
+                    "cutoff_hz": fold.processing.cutoff_hz,
+                    "training": fold.training,
+                    "unconstrained": fold.unconstrained.relative,
+                    **fold.held_out.to_dict(),
+                }
+                for fold in self.folds
+            ],
+        }
+
+
+def cross_validate(
+    robot: RobotModel | str | os.PathLike[str],
+    log: Logs,
+    *,
+    folds: int = 5,
+    by: By = "time",
+    processing: ProcessingOf = None,
+    scored: Processing | None = None,
+    friction: Iterable[str | FrictionTerm] | None = None,
+    weighting: Weighting | None = None,
+    consistency: Consistency = "pseudo_inertia",
+    constraints: Constraints | None = None,
+    prior: Prior | bool | None = None,
+) -> CrossValidation:
+    """Hold out blocks of time in turn, and predict each by a fit to the rest.
+
+    Each fit is one of `identify`, from the raw recordings on. What is before and after the block
+    are recordings of their own, and so is the block: each is filtered alone, and where it was cut
+    its ends are trimmed like those of any record. So nothing of a block reaches the samples, the
+    processing, the friction speeds, the weights or the prior that it is judged by; and between
+    training and held-out rows there is a distance of twice what the filter remembers.
+
+    Parameters
+    ----------
+    robot : RobotModel, name or path
+        The robot.
+    log : Recording or path, or a sequence of these
+        The recordings, without periods: a record with periods repeats one motion, and its blocks
+        are not fresh to each other.
+    folds : int, optional
+        Blocks. Of several recordings each is cut into so many, and the blocks of the same number
+        are held out together.
+    by : {"time", "recording"}, optional
+        ``"recording"`` holds out one recording at a time (`folds` is then not used).
+    processing : Processing or mapping, optional
+        By default, but for the settings in a mapping, it is chosen from the training part of each
+        fold as `identify` does.
+    scored : Processing, optional
+        For what is held out; by default as the training part.
+    friction, weighting, consistency, constraints, prior : optional
+        As of `identify`.
+
+    Returns
+    -------
+    CrossValidation
+
+    Raises
+    ------
+    SdpidError
+        A child, as of `identify`, that names the fold; a `DataError` when parts are too short.
+    """
+    from sdpid.workflow import formulate
+
+    model = robot if isinstance(robot, RobotModel) else load_robot(robot)
+    logs = all_recordings(log)
+    friction = None if friction is None else tuple(friction)
+    parts = list(_parts(logs, folds, by))
+    done: list[Fold] = []
+    squares = []
+    with progress(len(parts), "cross-validation") as advance:
+        for name, kept, out in parts:
+            try:
+                kept = list(recordings(kept))
+                chosen, _ = chosen_processing(kept, processing)
+                fresh = joined(model, out, replace(scored or chosen, covariance=None))
+                problem = formulate(
+                    model,
+                    kept,
+                    processing=chosen,
+                    friction=friction,
+                    weighting=weighting,
+                    consistency=consistency,
+                    constraints=constraints,
+                    prior=prior,
+                )
+            except (DataError, IdentifiabilityError) as reason:
+                advice = " Use fewer folds, or longer recordings." if by == "time" else ""
+                raise type(reason)(f"cross-validation without {name}: {reason}{advice}") from None
+            estimate = solve_sdp(problem)
+            free = solve_wls(replace(problem, prior=None))
+            fold = Fold(
+                name=name,
+                processing=chosen,
+                training=validate(estimate).relative,
+                held_out=validate(estimate, fresh),
+                unconstrained=validate(free, fresh),
+                power=_power(fresh),
+            )
+            done.append(fold)
+            fits = (fold.held_out, fold.unconstrained)
+            squares.append([fit.rows * fit.rmse**2 for fit in fits])
+            advance(1)
+    own, unconstrained = np.sum(squares, axis=0)
+    rows = np.maximum(np.sum([fold.held_out.rows for fold in done], axis=0), 1)
+    power = max(float(np.sum([fold.power for fold in done])), np.finfo(float).tiny)
+    return CrossValidation(
+        by=by,
+        folds=tuple(done),
+        joint_names=model.joint_names,
+        rmse=frozen(np.sqrt(own / rows)),
+        rmse_unconstrained=frozen(np.sqrt(unconstrained / rows)),
+        relative=float(np.sqrt(own.sum() / power)),
+        relative_unconstrained=float(np.sqrt(unconstrained.sum() / power)),
+    )
+
+
+def _power(samples: Samples) -> Array:
+    used = samples.effort if samples.mask is None else np.where(samples.mask, samples.effort, 0.0)
+    return frozen(np.sum(used**2, axis=0))
+
+
+def _parts(
+    logs: Sequence[Recording], folds: int, by: By
+) -> Iterator[tuple[str, list[Recording], list[Recording]]]:
+    """Yield a name, what is trained on and what is held out, for every fold."""
+    if by == "recording":
+        if len(logs) < 2:
+            raise DataError("cross-validation by='recording': needs at least two recordings.")
+        for i, log in enumerate(logs):
+            yield f"recording {i + 1}", [*logs[:i], *logs[i + 1 :]], [log]
+        return
+    if by != "time":
+        raise DataError(f"cross-validation: by is {by!r}; use 'time' or 'recording'.")
+    if isinstance(folds, bool) or int(folds) != folds or folds < 2:
+        raise DataError(f"cross-validation: folds is {folds}; use a whole number of at least 2.")
+    if any(log.period is not None for log in logs):
+        raise DataError(
+            "cross-validation: a record with periods repeats one motion, and its blocks are not "
+            "fresh to each other; give several recordings with by='recording', or leave the "
+            "period out (period=None)."
+        )
+    folds = int(folds)
+    for k in range(folds):
+        kept: list[Recording] = []
+        out: list[Recording] = []
+        for log in logs:
+            first, last = (round(log.n_samples * i / folds) for i in (k, k + 1))
+            for own, a, b in ((kept, 0, first), (out, first, last), (kept, last, log.n_samples)):
+                if b > a:
+                    own.append(_cut(log, a, b))
+        yield f"block {k + 1} of {folds}", kept, out
+
+
+def _cut(log: Recording, first: int, last: int) -> Recording:
+    """Return the samples of a recording from first up to last."""
+    if last - first < 2:
+        raise DataError(
+            f"cross-validation: a recording of {log.n_samples} samples is too short for blocks."
+        )
+    own = slice(first, last)
+    return replace(
+        log,
+        time=log.time[own],
+        position=log.position[own],
+        effort=log.effort[own],
+        velocity=None if log.velocity is None else log.velocity[own],
+    )

@@ -1,0 +1,67 @@
+"""Intervals as tables, files and pages show them, whoever made them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, NamedTuple, Protocol
+
+import numpy as np
+
+_ABOUT = {
+    "profile": "the values of physically possible parameters that the data do not rule out",
+    "gauss_markov": "how far the unconstrained fit may be from the truth; parameters that the data "
+    "alone do not determine have none",
+    "bootstrap": "how the constrained estimate scatters when blocks of the data are drawn again",
+}
+
+
+class GivenIntervals(Protocol):
+    """Intervals of some parameters: `sdpid.Intervals`, or anything with these."""
+
+    @property
+    def names(self) -> Sequence[str]:
+        """The parameters."""
+
+    @property
+    def lower(self) -> Any:
+        """Lower ends."""
+
+    @property
+    def upper(self) -> Any:
+        """Upper ends."""
+
+    @property
+    def label(self) -> Sequence[str]:
+        """What bounds each."""
+
+
+class Ends(NamedTuple):
+    """An interval and what bounds it; an end that is not finite is None."""
+
+    lower: float | None
+    upper: float | None
+    label: str
+
+
+def ends_of(intervals: GivenIntervals | None) -> dict[str, Ends]:
+    """Return the intervals by parameter."""
+    if intervals is None:
+        return {}
+    columns = (intervals.names, intervals.lower, intervals.upper, intervals.label)
+    return {
+        str(name): Ends(_plain(low), _plain(high), str(label))
+        for name, low, high, label in zip(*columns, strict=True)
+    }
+
+
+def in_words(intervals: GivenIntervals | None) -> str | None:
+    """Return level and meaning of intervals in words, None where they do not say their method."""
+    method = getattr(intervals, "method", None)
+    level = getattr(intervals, "level", None)
+    if method not in _ABOUT or level is None:
+        return None
+    return f"{100.0 * level:g} % intervals ({method}): {_ABOUT[method]}"
+
+
+def _plain(value: Any) -> float | None:
+    return float(value) if np.isfinite(value) else None

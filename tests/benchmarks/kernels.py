@@ -1,0 +1,177 @@
+"""The regressor, whitening and compression, against what they cannot be faster than.
+
+    python -m tests.benchmarks.kernels [--repeat 5]
+
+Of a regressor in new memory every page is cleared by the system before it is written; `out` is
+memory used before. The bandwidth is that of filling memory used before with a number.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+
+from sdpid._arrays import Array
+from sdpid.estimation.problem import build_problem
+from sdpid.estimation.rows import RowSource
+from sdpid.estimation.triangle import Triangle
+from sdpid.estimation.whitening import compress, whitened_chunks
+from sdpid.experiment.samples import Samples
+from sdpid.robot import kernels
+from sdpid.robot.base import structural_base
+from sdpid.robot.friction import FrictionModel
+from sdpid.robot.load import load_robot
+from sdpid.robot.model import RobotModel
+from tests.benchmarks.timing import Row, side_by_side, table
+
+ARM, HUMANOID = "denso_vp6242", "talos_reduced"
+
+# Samples; a hundred thousand of a humanoid would be 8 GB.
+COUNTS = ((ARM, 1_000), (ARM, 100_000), (HUMANOID, 1_000), (HUMANOID, 10_000))
+
+# Bytes of the memory whose filling measures the bandwidth: no second-level cache holds it.
+FILLED = 1 << 27
+
+# Samples that are compressed.
+COMPRESSED = 50_000
+
+FRICTION = ("coulomb", "viscous")
+
+
+def regressor(repeats: int) -> Iterator[Row]:
+    """Measure a sample of the regressor against Pinocchio's warm loop and against its bytes."""
+    import pinocchio as pin
+
+    target = np.ones(FILLED // 8)
+    for name, count in COUNTS:
+        robot = load_robot(name)
+        rng = np.random.default_rng(0)
+        states = list(rng.uniform(-1.0, 1.0, (3, count, robot.n)))
+        model, q = robot.pin_model, robot.configuration(states[0])
+        out = np.ones((count, robot.n, 10 * robot.n_links))
+
+        def bare(
+            model: Any = model, rows: tuple[Array, ...] = (q, states[1], states[2])
+        ) -> None:
+            data, compute = model.createData(), pin.computeJointTorqueRegressor
+            for state in zip(*rows, strict=True):
+                compute(model, data, *state)
+
+        def new(robot: RobotModel = robot, states: list[Array] = states) -> None:
+            robot.regressor(*states)
+
+        def used(robot: RobotModel = robot, states: list[Array] = states, out: Any = out) -> None:
+            robot.regressor(*states, out=out)
+
+        def single(action: Any = used) -> None:
+            before, kernels._threads = kernels._threads, lambda: 1
+            try:
+                action()
+            finally:
+                kernels._threads = before
+
+        fresh, again, alone, loop, fill = (
+            side_by_side((new, used, single, bare, lambda: target.fill(0.5)), repeats) / count
+        )
+        written = fill * count * out[0].nbytes / FILLED
+        what, loops = f"regressor, {robot.n} axes, {count} samples", "Pinocchio's warm loop"
+        yield Row.of(what, fresh, loops, loop)
+        yield Row.of(f"{what}, out=", again, loops, loop)
+        yield Row.of(f"{what}, out=, one thread", alone, loops, loop)
+        yield Row.of(f"{what}, out=, one thread", alone, "its bytes / bandwidth", written)
+
+
+def problem_rows(count: int = COMPRESSED, seed: int = 0) -> tuple[RowSource, Array]:
+    """Return rows of a motion of many harmonics of the arm, and a covariance."""
+    robot = load_robot(ARM)
+    rng = np.random.default_rng(seed)
+    time = np.linspace(0.0, 60.0, count)[:, None]
+    q, v, a = (np.zeros((count, robot.n)) for _ in range(3))
+    for _ in range(8):
+        w, size = rng.uniform(0.3, 6.0, robot.n), rng.uniform(0.05, 0.3, robot.n)
+        phase = w * time + rng.uniform(0.0, 2.0 * np.pi, robot.n)
+        q += size * np.sin(phase)
+        v += size * w * np.cos(phase)
+        a -= size * w**2 * np.sin(phase)
+    friction = FrictionModel.from_terms(FRICTION, robot.joint_names)
+    theta = rng.standard_normal(10 * robot.n_links + len(friction.parameters))
+    root = rng.standard_normal((robot.n, robot.n))
+    sigma = np.asarray(root @ root.T + np.eye(robot.n))
+    effort = robot.regressor(q, v, a) @ theta[: 10 * robot.n_links]
+    effort += friction.columns(v, a) @ theta[10 * robot.n_links :]
+    effort += 0.1 * rng.standard_normal((count, robot.n)) @ np.linalg.cholesky(sigma).T
+    samples = Samples(position=q, velocity=v, acceleration=a, effort=effort, covariance=sigma)
+    return RowSource(robot, friction, structural_base(robot, friction), samples), sigma
+
+
+def compression(repeats: int) -> Iterator[Row]:
+    """Measure a sample of each step from samples to the triangle."""
+    rows, sigma = problem_rows()
+    columns, count = rows.base.count + 1, COMPRESSED
+    blocks = [x.reshape(-1, columns).copy() for _, x, _ in whitened_chunks(rows, sigma)]
+    robot, samples, base = rows.robot, rows.samples, rows.base
+
+    def fold() -> None:
+        triangle = Triangle(columns)
+        for block in blocks:
+            triangle.add(block)
+        assert len(triangle.R) == columns
+
+    def multiply() -> None:
+        for block in blocks:
+            block.T @ block
+
+    def factorise() -> None:
+        R = np.zeros((0, columns))
+        for block in blocks:
+            R = np.linalg.qr(np.vstack([R, block]), mode="r")
+
+    def make() -> None:
+        for _ in whitened_chunks(rows, sigma):
+            pass
+
+    product, folded, plain, made, all_in_one, problem = (
+        side_by_side(
+            (
+                multiply,
+                fold,
+                factorise,
+                make,
+                lambda: compress(rows, sigma),
+                lambda: build_problem(robot, samples, friction=FRICTION, base=base),
+            ),
+            repeats,
+        )
+        / count
+    )
+    multiplying, factorising = "X^T·X of its rows", "numpy QR of its rows, in chunks"
+    yield Row.of("Triangle.add, per sample", folded, multiplying, product)
+    yield Row.of("Triangle.add, per sample", folded, factorising, plain)
+    yield Row.of("whitened rows, per sample", made, multiplying, product)
+    yield Row.of("compress, per sample", all_in_one, factorising, plain)
+    yield Row.of("build_problem, base given, per sample", problem, factorising, plain)
+
+
+def measure(repeats: int) -> Iterator[Row]:
+    """Measure everything here."""
+    yield from regressor(repeats)
+    yield from compression(repeats)
+
+
+def main() -> int:
+    """Print the table."""
+    parser = argparse.ArgumentParser(prog="python -m tests.benchmarks.kernels")
+    parser.add_argument("--repeat", type=int, default=5, help="at least 5 (default)")
+    options = parser.parse_args()
+    if options.repeat < 5:
+        parser.error(f"--repeat: is {options.repeat}; at least 5 give a spread.")
+    print(table(list(measure(options.repeat))).text(digits=3))
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
