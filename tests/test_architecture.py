@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import ast
 import json
-import re
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -57,7 +56,7 @@ def room(name: str) -> str:
     """Return the room of a module: helpers stand at the top level and belong to everyone."""
     parts = name.split(".")
     doors = ("workflow", "training", "identification", "results_folder", "cross_validation")
-    if len(parts) > 1 and (parts[1] in (*doors, "__main__") or re.match("cli($|_)", parts[1])):
+    if len(parts) > 1 and parts[1] in (*doors, "cli", "__main__"):
         return "workflow"
     helper = len(parts) == 1 or parts[1] == "errors" or parts[1].startswith("_")
     return "helpers" if helper else parts[1]

@@ -13,7 +13,8 @@ import pytest
 from typer.testing import CliRunner, Result
 
 import sdpid
-from sdpid import _cli_errors, cli, cli_choices
+from sdpid import cli
+from sdpid.cli import choices, errors
 from sdpid.experiment.plant import true_parameters
 from sdpid.robot.model import RobotModel
 from tests.helpers.bags import write_bag
@@ -129,12 +130,12 @@ def test_friction_options() -> None:
     from sdpid.robot.friction import AsymmetricCoulomb, Coulomb, Coupling, Stribeck
 
     texts = ["coulomb=fit", "stribeck=0.2", "stribeck=fit", "asymmetric_coulomb=0.1"]
-    assert cli_choices.friction_terms([*texts, "sigmoid", "coupling=a,b"]) == [
+    assert choices.friction_terms([*texts, "sigmoid", "coupling=a,b"]) == [
         *(Coulomb(width=None), Stribeck(0.2), Stribeck(), AsymmetricCoulomb(width=0.1)),
         *("sigmoid", Coupling("a", "b")),
     ]
     with pytest.raises(sdpid.ModelError, match="viscous=1: takes no value"):
-        cli_choices.friction_terms(["viscous=1"])
+        choices.friction_terms(["viscous=1"])
 
 
 def test_terms_with_chosen_speeds(log: Path, tmp_path: Path) -> None:
@@ -424,7 +425,7 @@ def test_the_unidentifiable_ends_with_3(tmp_path: Path) -> None:
     ids=lambda value: type(value).__name__,
 )
 def test_every_error_has_its_status(error: Exception, status: int) -> None:
-    assert _cli_errors.exit_status(error) == status
+    assert errors.exit_status(error) == status
 
 
 def raising(error: BaseException) -> Any:

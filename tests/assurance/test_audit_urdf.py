@@ -14,7 +14,7 @@ import sdpid
 from sdpid.assurance.audit_urdf import audit_urdf
 from sdpid.assurance.body_shape import Shape
 from sdpid.assurance.description_checks import carried, carried_theta
-from sdpid.cli_audit_urdf import run_audit_urdf
+from sdpid.cli.audit_urdf import run_audit_urdf
 from sdpid.errors import ModelError
 from sdpid.robot.described import read_urdf_bodies
 from sdpid.robot.inertia import complement, margin, point_masses

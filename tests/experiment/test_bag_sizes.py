@@ -1,4 +1,4 @@
-"""Bags that unpack to more than they say, or than memory holds, are refused before they are read."""
+"""Bags that unpack to more than they say, or than memory holds, are refused unread."""
 
 from __future__ import annotations
 

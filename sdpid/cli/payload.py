@@ -7,12 +7,12 @@ from typing import Annotated
 
 import typer
 
-from sdpid import _cli_support as cli
+from sdpid.cli import options as opt
 
 
 def payload(
-    log: cli.Log,
-    robot: cli.Robot,
+    log: opt.Log,
+    robot: opt.Robot,
     without: Annotated[
         Path | None,
         typer.Option(
@@ -36,16 +36,16 @@ def payload(
         ),
     ] = None,
     level: Annotated[float, typer.Option(help="Probability of the intervals.")] = 0.95,
-    column: cli.Column = None,
-    unit: cli.Unit = None,
-    joint_names: cli.JointNames = None,
-    effort_scale: cli.EffortScale = None,
-    mapping: cli.Mapping = None,
-    topic: cli.Topic = None,
-    as_json: cli.Json = False,
+    column: opt.Column = None,
+    unit: opt.Unit = None,
+    joint_names: opt.JointNames = None,
+    effort_scale: opt.EffortScale = None,
+    mapping: opt.Mapping = None,
+    topic: opt.Topic = None,
+    as_json: opt.Json = False,
 ) -> None:
     """Identify what is mounted on the last link: mass, centre of mass and inertia."""
-    how = cli.reading(column, unit, joint_names, effort_scale, mapping, topic)
+    how = opt.reading(column, unit, joint_names, effort_scale, mapping, topic)
     from sdpid.assurance.payload import identify_payload
     from sdpid.estimation.prior import Prior
     from sdpid.experiment.readers import read_recording
@@ -60,6 +60,6 @@ def payload(
         level=level,
     )
     if as_json:
-        cli.print_json(found.to_dict())
+        opt.print_json(found.to_dict())
     else:
         typer.echo(found.describe())

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from sdpid import _cli_support as cli
-from sdpid._cli_errors import NO_ANSWER
+from sdpid.cli import options as opt
+from sdpid.cli.errors import NO_ANSWER
 from sdpid.errors import DataError, ExportError
 
 if TYPE_CHECKING:
@@ -35,9 +35,9 @@ def audit(
         ),
     ] = None,
     consistency: Annotated[
-        cli.Consistency,
+        opt.Consistency,
         typer.Option("--consistency", help="What every link must obey.", rich_help_panel=_TABLE),
-    ] = cli.Consistency.pseudo_inertia,
+    ] = opt.Consistency.pseudo_inertia,
     value: Annotated[
         str, typer.Option(metavar="COLUMN", help="Column of values.", rich_help_panel=_TABLE)
     ] = "value",
@@ -74,7 +74,7 @@ def audit(
         Path | None,
         typer.Option(help="File for the repaired URDF.", rich_help_panel=_DESCRIPTION),
     ] = None,
-    as_json: cli.Json = False,
+    as_json: opt.Json = False,
 ) -> None:
     """Say what cannot exist: base parameters that no links have, bodies that no mass makes.
 
@@ -82,7 +82,7 @@ def audit(
     """
     for file in (proof, repair):
         if file is not None:
-            cli.require_folder(file)
+            opt.require_folder(file)
     if source.suffix.lower() == ".csv":
         if repair is not None:
             raise ExportError("--repair: a table of base parameters has no bodies to repair.")
@@ -92,7 +92,7 @@ def audit(
         if proof is not None:
             _write_proof(proof, found)
         if as_json:
-            cli.print_json(found.to_dict())
+            opt.print_json(found.to_dict())
         else:
             typer.echo(found.summary())
         if found.verdict != "realisable":
@@ -100,7 +100,7 @@ def audit(
         return
     if proof is not None or robot is not None:
         raise DataError(f"{source}: is no .csv; --robot and --proof are for tables.")
-    from sdpid.cli_audit_urdf import run_audit_urdf
+    from sdpid.cli.audit_urdf import run_audit_urdf
 
     status = run_audit_urdf(source, repair, as_json)
     if status:
@@ -110,7 +110,7 @@ def audit(
 def _table(
     source: Path,
     robot: str,
-    consistency: cli.Consistency,
+    consistency: opt.Consistency,
     value: str,
     halfwidth: str | None,
     margin: float,

@@ -7,8 +7,8 @@ from typing import Annotated
 
 import typer
 
-from sdpid import _cli_support as cli
 from sdpid._extras import require
+from sdpid.cli import options as opt
 from sdpid.errors import ExportError, ModelError
 
 
@@ -26,7 +26,7 @@ def simulate(
     """Record the paper's experiment on a simulated robot."""
     if out.suffix.lower() != ".parquet":
         raise ExportError(f"--out {out}: recordings are written as .parquet; change the suffix.")
-    cli.require_folder(out)
+    opt.require_folder(out)
     require("pyarrow", extra="io")
     from sdpid.experiment.drives import load_drives, plant_folder
     from sdpid.experiment.excitation import paper_excitation
@@ -49,4 +49,4 @@ def simulate(
         noise=noise,
     )
     recording.to_parquet(out)
-    typer.echo(f"{recording!r}\n{cli.listed('files', [str(out)])}")
+    typer.echo(f"{recording!r}\n{opt.listed('files', [str(out)])}")

@@ -8,30 +8,30 @@ from typing import Annotated
 
 import typer
 
-from sdpid import _cli_support as cli
 from sdpid._extras import require
-from sdpid.cli_choices import errors_table, processing, read
+from sdpid.cli import options as opt
+from sdpid.cli.choices import errors_table, processing, read
 
 
 def validate(
-    log: cli.Log,
-    robot: cli.Robot,
+    log: opt.Log,
+    robot: opt.Robot,
     figure: Annotated[Path | None, typer.Option(help="Image file for the plot.")] = None,
-    cutoff: cli.Cutoff = None,
-    order: cli.Order = None,
-    velocity: cli.VelocityFrom = None,
-    low_pass: cli.Filter = None,
-    derivative: cli.DerivativeBy = None,
-    period: cli.Period = None,
-    start: cli.Start = None,
-    periods: cli.Periods = None,
-    column: cli.Column = None,
-    unit: cli.Unit = None,
-    joint_names: cli.JointNames = None,
-    effort_scale: cli.EffortScale = None,
-    mapping: cli.Mapping = None,
-    topic: cli.Topic = None,
-    as_json: cli.Json = False,
+    cutoff: opt.Cutoff = None,
+    order: opt.Order = None,
+    velocity: opt.VelocityFrom = None,
+    low_pass: opt.Filter = None,
+    derivative: opt.DerivativeBy = None,
+    period: opt.Period = None,
+    start: opt.Start = None,
+    periods: opt.Periods = None,
+    column: opt.Column = None,
+    unit: opt.Unit = None,
+    joint_names: opt.JointNames = None,
+    effort_scale: opt.EffortScale = None,
+    mapping: opt.Mapping = None,
+    topic: opt.Topic = None,
+    as_json: opt.Json = False,
 ) -> None:
     """Predict a log's efforts with a URDF: its inertias, its damping and its friction.
 
@@ -39,8 +39,8 @@ def validate(
     """
     if figure is not None:
         require("matplotlib", extra="plot")
-        cli.require_folder(figure)
-    how = cli.reading(column, unit, joint_names, effort_scale, mapping, topic)
+        opt.require_folder(figure)
+    how = opt.reading(column, unit, joint_names, effort_scale, mapping, topic)
     record = read(log, **how, period=period, start=start, periods=periods)
     from sdpid.assurance.prediction_verdict import prediction_findings
     from sdpid.assurance.validation import validate_robot
@@ -62,35 +62,35 @@ def validate(
     verdict = [finding.text for finding in prediction_findings(samples, fit)]
     if as_json:
         notes = list(samples.notes)
-        cli.print_json({**fit.to_dict(), "verdict": verdict, "notes": notes, "files": files})
+        opt.print_json({**fit.to_dict(), "verdict": verdict, "notes": notes, "files": files})
         return
     typer.echo(f"{model.name}: relative residual {100 * fit.relative:.2f} %")
     parts = (
-        cli.listed("verdict", verdict),
-        cli.listed("notes", samples.notes),
+        opt.listed("verdict", verdict),
+        opt.listed("notes", samples.notes),
         errors_table({"prediction": fit}),
     )
     typer.echo("\n\n".join(parts))
     if files:
-        typer.echo(cli.listed("\nfiles", files))
+        typer.echo(opt.listed("\nfiles", files))
 
 
 def info(
-    log: cli.Log,
+    log: opt.Log,
     robot: Annotated[str | None, typer.Option(help="Robot to compare with.")] = None,
-    period: cli.Period = None,
-    start: cli.Start = None,
-    periods: cli.Periods = None,
-    column: cli.Column = None,
-    unit: cli.Unit = None,
-    joint_names: cli.JointNames = None,
-    effort_scale: cli.EffortScale = None,
-    mapping: cli.Mapping = None,
-    topic: cli.Topic = None,
-    as_json: cli.Json = False,
+    period: opt.Period = None,
+    start: opt.Start = None,
+    periods: opt.Periods = None,
+    column: opt.Column = None,
+    unit: opt.Unit = None,
+    joint_names: opt.JointNames = None,
+    effort_scale: opt.EffortScale = None,
+    mapping: opt.Mapping = None,
+    topic: opt.Topic = None,
+    as_json: opt.Json = False,
 ) -> None:
     """Show what was understood of a log, and what looks wrong with it."""
-    how = cli.reading(column, unit, joint_names, effort_scale, mapping, topic)
+    how = opt.reading(column, unit, joint_names, effort_scale, mapping, topic)
     from sdpid.experiment.overview import overview
     from sdpid.experiment.readers import read_described
     from sdpid.robot.load import load_robot
@@ -99,7 +99,7 @@ def info(
     facts = overview(found.recording, None if robot is None else load_robot(robot))
     facts = {"file": found.file, "mapping": found.mapping, "read_from": found.sources, **facts}
     if as_json:
-        cli.print_json(facts)
+        opt.print_json(facts)
         return
     from sdpid.output.tables import Table
 
@@ -112,7 +112,7 @@ def info(
         shown = f"{value:.6g}" if isinstance(value, float) else value
         typer.echo(f"{key.replace('_', ' '):{width}}  {'-' if shown is None else shown}")
     rows = tuple(tuple(joint.values()) for joint in joints)
-    typer.echo("\n" + cli.listed("read from", sources))
+    typer.echo("\n" + opt.listed("read from", sources))
     typer.echo("\n" + Table(tuple(joints[0]), rows).text())
     if warnings:
-        typer.echo("\n" + cli.listed("warnings", warnings))
+        typer.echo("\n" + opt.listed("warnings", warnings))

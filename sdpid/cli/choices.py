@@ -6,7 +6,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from sdpid import _cli_support as cli
+from sdpid.cli import options as opt
 from sdpid.errors import ModelError
 
 if TYPE_CHECKING:
@@ -27,7 +27,7 @@ def read(path: Path, **how: Any) -> Recording:
 def processing(
     cutoff: float | None,
     order: int | None,
-    velocity: cli.Velocity | None,
+    velocity: opt.Velocity | None,
     low_pass: str | None,
     derivative: str | None,
 ) -> dict[str, Any]:
@@ -58,10 +58,10 @@ def friction_terms(given: list[str] | None) -> list[str | FrictionTerm] | None:
         if not equals:
             terms.append(text)
         elif name in smooth:
-            given_speed = None if value == "fit" else cli.numbers(value, f"--friction {name}")[0]
+            given_speed = None if value == "fit" else opt.numbers(value, f"--friction {name}")[0]
             terms.append(smooth[name](given_speed))
         elif name == "coupling" and value.count(",") == 1:
-            first, second = cli.split_list(value)
+            first, second = opt.split_list(value)
             terms.append(Coupling(first, second))
         else:
             raise ModelError(

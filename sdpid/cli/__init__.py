@@ -12,20 +12,20 @@ from typing import Annotated
 
 import typer
 
-from sdpid import _cli_errors as errors
-from sdpid import _cli_support as cli
 from sdpid._extras import require
-from sdpid.cli_audit import audit
-from sdpid.cli_choices import (
+from sdpid.cli import errors
+from sdpid.cli import options as opt
+from sdpid.cli.audit import audit
+from sdpid.cli.choices import (
     constraints_of,
     errors_table,
     friction_terms,
     processing,
     read,
 )
-from sdpid.cli_logs import info, validate
-from sdpid.cli_payload import payload
-from sdpid.cli_simulate import simulate
+from sdpid.cli.logs import info, validate
+from sdpid.cli.payload import payload
+from sdpid.cli.simulate import simulate
 from sdpid.errors import ExportError
 
 app = typer.Typer(
@@ -61,8 +61,8 @@ def options(
 @app.command()
 def identify(
     ctx: typer.Context,
-    logs: cli.Logs,
-    robot: cli.Robot,
+    logs: opt.Logs,
+    robot: opt.Robot,
     out: Annotated[Path, typer.Option(help="Folder for the results.")] = Path("sdpid-results"),
     validation: Annotated[
         list[Path] | None,
@@ -74,33 +74,33 @@ def identify(
     ] = None,
     intervals: Annotated[bool, typer.Option(help="Find intervals of the parameters.")] = True,
     interval_method: Annotated[
-        cli.IntervalMethod,
+        opt.IntervalMethod,
         typer.Option(help="How; profile says most and takes some seconds."),
-    ] = cli.IntervalMethod.gauss_markov,
-    consistency: cli.ConsistencyOf = cli.Consistency.pseudo_inertia,
-    margin: cli.Margin = 0.0,
-    mass_max: cli.MassMax = None,
-    prior: cli.PriorOf = None,
-    friction: cli.Friction = None,
-    weighting: cli.WeightingOf = None,
-    cutoff: cli.Cutoff = None,
-    order: cli.Order = None,
-    velocity: cli.VelocityFrom = None,
-    low_pass: cli.Filter = None,
-    derivative: cli.DerivativeBy = None,
-    period: cli.Period = None,
-    start: cli.Start = None,
-    periods: cli.Periods = None,
-    column: cli.Column = None,
-    unit: cli.Unit = None,
-    joint_names: cli.JointNames = None,
-    effort_scale: cli.EffortScale = None,
-    mapping: cli.Mapping = None,
-    topic: cli.Topic = None,
+    ] = opt.IntervalMethod.gauss_markov,
+    consistency: opt.ConsistencyOf = opt.Consistency.pseudo_inertia,
+    margin: opt.Margin = 0.0,
+    mass_max: opt.MassMax = None,
+    prior: opt.PriorOf = None,
+    friction: opt.Friction = None,
+    weighting: opt.WeightingOf = None,
+    cutoff: opt.Cutoff = None,
+    order: opt.Order = None,
+    velocity: opt.VelocityFrom = None,
+    low_pass: opt.Filter = None,
+    derivative: opt.DerivativeBy = None,
+    period: opt.Period = None,
+    start: opt.Start = None,
+    periods: opt.Periods = None,
+    column: opt.Column = None,
+    unit: opt.Unit = None,
+    joint_names: opt.JointNames = None,
+    effort_scale: opt.EffortScale = None,
+    mapping: opt.Mapping = None,
+    topic: opt.Topic = None,
     figures: Annotated[
         bool | None, typer.Option(help="By default where matplotlib is installed.")
     ] = None,
-    as_json: cli.Json = False,
+    as_json: opt.Json = False,
 ) -> None:
     """Identify a robot: URDF and logs in; consistent URDF, tables, report, certificate out."""
     if out.exists() and not out.is_dir():
@@ -108,7 +108,7 @@ def identify(
     draw = importlib.util.find_spec("matplotlib") is not None if figures is None else figures
     if draw:
         require("matplotlib", extra="plot")
-    how = cli.reading(column, unit, joint_names, effort_scale, mapping, topic)
+    how = opt.reading(column, unit, joint_names, effort_scale, mapping, topic)
     records = [read(log, **how, period=period, start=start, periods=periods) for log in logs]
     checks = [read(log, **how) for log in validation or ()]
     from sdpid import workflow
@@ -136,15 +136,15 @@ def identify(
     if figures is None and not draw:
         notes.append("no figures: matplotlib is not installed (pip install 'sdpid[plot]')")
     if as_json:
-        cli.print_json({**result.to_dict(), "notes": notes, "files": files})
+        opt.print_json({**result.to_dict(), "notes": notes, "files": files})
     else:
         fits = {"constrained": result.training, "unconstrained": result.training_wls}
         if result.validation is not None:
             fits["validation"] = result.validation
-        parts = [result.summary(), cli.listed("notes", notes), errors_table(fits)]
+        parts = [result.summary(), opt.listed("notes", notes), errors_table(fits)]
         if result.cross_validation is not None:
             parts.append(result.cross_validation.table())
-        typer.echo("\n\n".join((*parts, cli.listed("files", files))))
+        typer.echo("\n\n".join((*parts, opt.listed("files", files))))
     certificate = result.certificate
     if result.problem.consistency != "none" and not certificate.passed:
         typer.echo(f"sdpid: not certified: {certificate.summary()}", err=True)
@@ -153,8 +153,8 @@ def identify(
 
 @app.command()
 def compare(
-    log: cli.Log,
-    robot: cli.Robot,
+    log: opt.Log,
+    robot: opt.Robot,
     starts: Annotated[int, typer.Option(min=0, help="Random starts of the local solver.")] = 20,
     seed: Annotated[int, typer.Option(min=0, help="Of the starts.")] = 0,
     max_iterations: Annotated[
@@ -162,32 +162,32 @@ def compare(
     ] = None,
     out: Annotated[Path | None, typer.Option(help="CSV file for the rows.")] = None,
     jobs: Annotated[int | None, typer.Option(help="Processes; by default one a core.")] = None,
-    consistency: cli.ConsistencyOf = cli.Consistency.pseudo_inertia,
-    margin: cli.Margin = 0.0,
-    mass_max: cli.MassMax = None,
-    prior: cli.PriorOf = None,
-    friction: cli.Friction = None,
-    weighting: cli.WeightingOf = None,
-    cutoff: cli.Cutoff = None,
-    order: cli.Order = None,
-    velocity: cli.VelocityFrom = None,
-    low_pass: cli.Filter = None,
-    derivative: cli.DerivativeBy = None,
-    period: cli.Period = None,
-    start: cli.Start = None,
-    periods: cli.Periods = None,
-    column: cli.Column = None,
-    unit: cli.Unit = None,
-    joint_names: cli.JointNames = None,
-    effort_scale: cli.EffortScale = None,
-    mapping: cli.Mapping = None,
-    topic: cli.Topic = None,
-    as_json: cli.Json = False,
+    consistency: opt.ConsistencyOf = opt.Consistency.pseudo_inertia,
+    margin: opt.Margin = 0.0,
+    mass_max: opt.MassMax = None,
+    prior: opt.PriorOf = None,
+    friction: opt.Friction = None,
+    weighting: opt.WeightingOf = None,
+    cutoff: opt.Cutoff = None,
+    order: opt.Order = None,
+    velocity: opt.VelocityFrom = None,
+    low_pass: opt.Filter = None,
+    derivative: opt.DerivativeBy = None,
+    period: opt.Period = None,
+    start: opt.Start = None,
+    periods: opt.Periods = None,
+    column: opt.Column = None,
+    unit: opt.Unit = None,
+    joint_names: opt.JointNames = None,
+    effort_scale: opt.EffortScale = None,
+    mapping: opt.Mapping = None,
+    topic: opt.Topic = None,
+    as_json: opt.Json = False,
 ) -> None:
     """Run every solver on one problem and measure them against the proven bound."""
     if out is not None:
-        cli.require_folder(out)
-    how = cli.reading(column, unit, joint_names, effort_scale, mapping, topic)
+        opt.require_folder(out)
+    how = opt.reading(column, unit, joint_names, effort_scale, mapping, topic)
     record = read(log, **how, period=period, start=start, periods=periods)
     from sdpid import workflow
     from sdpid.output.comparison import compare as run
@@ -209,7 +209,7 @@ def compare(
         comparison.to_csv(out)
     bound = comparison.certificate
     if as_json:
-        cli.print_json(
+        opt.print_json(
             {
                 "lower_bound": bound.lower_bound,
                 "certified": bound.passed,
@@ -220,7 +220,7 @@ def compare(
         return
     typer.echo(f"{comparison.table()}\n\nsdp: {bound.summary()}")
     if out is not None:
-        typer.echo(cli.listed("files", [str(out)]))
+        typer.echo(opt.listed("files", [str(out)]))
 
 
 for command in (simulate, audit, payload, validate, info):
@@ -230,14 +230,14 @@ for command in (simulate, audit, payload, validate, info):
 @app.command()
 def verify(
     certificate: Annotated[Path, typer.Argument(help="File that `sdpid identify` wrote.")],
-    as_json: cli.Json = False,
+    as_json: opt.Json = False,
 ) -> None:
     """Check a certificate in exact arithmetic, from its own numbers; status 2 when it fails."""
     from sdpid.assurance.certificate import verify as run
 
     found = run(certificate)
     if as_json:
-        cli.print_json(asdict(found))
+        opt.print_json(asdict(found))
     else:
         typer.echo("\n".join((*found.statements, "PROVEN." if found.passed else "NOT PROVEN.")))
     if not found.passed:
