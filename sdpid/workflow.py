@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike
 
 from sdpid._arrays import Array
 from sdpid._progress import progress
+from sdpid._threads import one_thread
 from sdpid.assurance.certificate import certify
 from sdpid.assurance.intervals import Intervals, Method
 from sdpid.assurance.intervals import intervals as find_intervals
@@ -74,6 +75,7 @@ def formulate(
     )
 
 
+@one_thread
 def identify(
     robot: RobotModel | str | os.PathLike[str],
     log: Logs,

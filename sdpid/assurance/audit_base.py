@@ -11,6 +11,7 @@ from typing import Any, Literal
 import numpy as np
 
 from sdpid._arrays import Array, frozen
+from sdpid._threads import one_thread
 from sdpid.assurance.base_question import base_question
 from sdpid.assurance.realisability import Number, Question, exact
 from sdpid.assurance.realisability_search import Search
@@ -180,6 +181,7 @@ class BaseAudit:
         }
 
 
+@one_thread
 def audit_base_parameters(
     robot: RobotModel,
     values: Mapping[str, Number | Decimal | str],

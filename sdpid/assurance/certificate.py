@@ -19,6 +19,7 @@ import numpy as np
 from sdpid import __version__
 from sdpid._arrays import Array, frozen
 from sdpid._files import atomic_write_text
+from sdpid._threads import one_thread
 from sdpid.assurance import verify as exact
 from sdpid.assurance.compression import compression_error, rows_digest
 from sdpid.assurance.rounding import (
@@ -278,6 +279,7 @@ def _text(value: Any, indent: str = "") -> str:
     return f"{opened}\n{deeper}{lines}\n{indent}{closed}"
 
 
+@one_thread
 def certify(estimate: Estimate, *, bound: Bound | Estimate | None = None) -> Certificate:
     """Certify an estimate: a lower bound on the cost of all feasible parameters.
 

@@ -20,6 +20,7 @@ from typing import Any, Literal
 import numpy as np
 
 from sdpid._arrays import Array, Mask, frozen
+from sdpid._threads import one_thread
 from sdpid.assurance.bootstrap import Kind, resampled
 from sdpid.assurance.parameter_functions import ParameterFunctions
 from sdpid.assurance.profile_bounds import End, ProfileBounds
@@ -148,6 +149,7 @@ class Intervals:
         }
 
 
+@one_thread
 def intervals(
     estimate: Estimate,
     *,

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from sdpid._arrays import Array, Indices, frozen
+from sdpid._threads import one_thread
 from sdpid.assurance.payload_intervals import NOTHING, PayloadIntervals
 from sdpid.assurance.payload_program import (
     QUANTITIES,
@@ -148,6 +149,7 @@ class Payload:
         }
 
 
+@one_thread
 def identify_payload(
     with_load: Log,
     without_load: Log | Estimate | None = None,

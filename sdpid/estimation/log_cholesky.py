@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from sdpid._arrays import Array, frozen
+from sdpid._threads import one_thread
 from sdpid.errors import DataError
 from sdpid.estimation.estimate import Estimate, Step
 from sdpid.estimation.local import FEASIBLE_LOCAL, STATIONARY, promised_decrease
@@ -204,6 +205,7 @@ class LogCholesky:
         return lower, upper
 
 
+@one_thread
 def solve_log_cholesky(
     problem: Problem,
     *,

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from sdpid._arrays import Array, frozen
+from sdpid._threads import one_thread
 from sdpid.errors import DataError
 from sdpid.estimation.conditions import Layout
 from sdpid.estimation.constraints import Constraints
@@ -177,6 +178,7 @@ class Problem:
         return replace(self, feasible=feasible)
 
 
+@one_thread
 def build_problem(
     robot: RobotModel,
     samples: Samples | Sequence[Piece],

@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from sdpid._arrays import Array, Mask, frozen
+from sdpid._threads import one_thread
 from sdpid.errors import InfeasibleError, SolverError
 from sdpid.estimation.bound import Bound, cost_scale, lower_bound, relative_gap
 from sdpid.estimation.conflict import explained, require_consistent
@@ -59,6 +60,7 @@ _ENOUGH = 3e-7
 _GAP = 1e-6
 
 
+@one_thread
 def solve_sdp(problem: Problem, *, verbose: bool = False) -> Estimate:
     """Minimise the cost over all consistent parameters: the global optimum.
 

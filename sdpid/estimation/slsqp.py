@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from sdpid._arrays import Array, frozen
+from sdpid._threads import one_thread
 from sdpid.errors import DataError
 from sdpid.estimation.entropy import Entropy
 from sdpid.estimation.estimate import Estimate, Step
@@ -34,6 +35,7 @@ _SETTLED = 1e-8
 _CONTINUED = 1e-6
 
 
+@one_thread
 def solve_slsqp(
     problem: Problem,
     *,

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from sdpid._arrays import Array, frozen, real_array
+from sdpid._threads import one_thread
 from sdpid.errors import DataError
 from sdpid.estimation.bound import TINY_COST, clip_psd, lower_bound, relative_gap
 from sdpid.estimation.conditions import Layout
@@ -229,6 +230,7 @@ class StreamingProblem:
         )
         return cls(start, forgetting=forgetting, memory=memory)
 
+    @one_thread
     def update(self, samples: Samples) -> None:
         """Take samples in, the newest last.
 
@@ -308,6 +310,7 @@ class StreamingProblem:
             self._folded = True
         return self._problem
 
+    @one_thread
     def solve(self) -> Estimate:
         """Return the global optimum of the problem as it stands.
 

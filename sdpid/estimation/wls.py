@@ -7,10 +7,12 @@ import time
 import numpy as np
 
 from sdpid._arrays import frozen
+from sdpid._threads import one_thread
 from sdpid.estimation.estimate import Estimate
 from sdpid.estimation.problem import Problem
 
 
+@one_thread
 def solve_wls(problem: Problem) -> Estimate:
     """Minimise the cost without constraints.
 

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from sdpid import _progress
 from sdpid._arrays import Array
+from sdpid._threads import one_thread
 from sdpid.errors import DataError
 from sdpid.experiment.averaging import Chain, near_standstill
 from sdpid.experiment.efforts import Efforts, in_threads
@@ -56,6 +57,7 @@ class _TooShortError(DataError):
     """Nothing of a record is left between its ends."""
 
 
+@one_thread
 def process(
     log: Recording, processing: Processing | None = None, *, progress: bool | None = None
 ) -> Samples:

@@ -247,21 +247,15 @@ class Measured:
         return {stage: size / self.bandwidth for stage, size in touched.items()}
 
 
-def measure(repeats: int = _REPEATS, log: Path | None = None) -> Iterator[Row]:
+def rows_of(found: Measured) -> Iterator[Row]:
     """Yield the job against reading and filtering, and each stage against what its bytes take."""
-    with tempfile.TemporaryDirectory() as folder:
-        file = log
-        if file is None:
-            file = Path(folder) / "paper.parquet"
-            make_log(file)
-        found = Measured(file, repeats)
     yield Row.of("whole job, paper size", found.total, "read and filter once", found.reference)
     name = "decode and filter once"
     yield Row.of("whole job, paper size", found.total, name, found.least_reference)
     limits = found.limits()
     for stage in found.stages:
         if stage in limits:
-            limit = np.full(repeats, limits[stage])
+            limit = np.full(len(found.total), limits[stage])
             yield Row.of(stage, found.seconds[stage], "its bytes at memory speed", limit)
 
 
@@ -288,7 +282,8 @@ def table(found: Measured) -> Table:
     return Table(header, tuple(rows))
 
 
-def _shown(found: Measured, name: str) -> None:
+def show(found: Measured, name: str) -> None:
+    """Print the log's size, peak memory and the stages."""
     rows, n, size = found.first["log"]
     print(
         f"{name}: {rows:,} samples x {2 * n} channels, {size / 1e6:,.0f} MB on disk, "
@@ -320,7 +315,7 @@ def main() -> int:
             file = Path(folder) / "paper.parquet"
             make_log(file)
         found = Measured(file, options.repeat)
-        _shown(found, "paper size")
+        show(found, "paper size")
         if options.csv is not None:
             table(found).write(options.csv)
         if options.long:
