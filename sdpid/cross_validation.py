@@ -21,12 +21,19 @@ from sdpid.estimation.wls import solve_wls
 from sdpid.experiment.processing import Processing
 from sdpid.experiment.recording import Recording
 from sdpid.experiment.samples import Samples
+from sdpid.experiment.training import (
+    Logs,
+    ProcessingOf,
+    all_recordings,
+    chosen_processing,
+    joined,
+    recordings,
+)
 from sdpid.output.tables import Table
 from sdpid.robot.friction import FrictionTerm
 from sdpid.robot.inertia import Consistency
 from sdpid.robot.load import load_robot
 from sdpid.robot.model import RobotModel
-from sdpid.training import Logs, ProcessingOf, all_recordings, chosen_processing, joined, recordings
 
 By = Literal["time", "recording"]
 

@@ -28,12 +28,12 @@ from sdpid.estimation.weighting import Weighting
 from sdpid.estimation.wls import solve_wls
 from sdpid.experiment.preparation import default_friction
 from sdpid.experiment.recording import Recording
+from sdpid.experiment.training import Logs, ProcessingOf, chosen_processing, joined, recordings
 from sdpid.identification import Identification
 from sdpid.robot.friction import FrictionTerm
 from sdpid.robot.inertia import Consistency
 from sdpid.robot.load import load_robot
 from sdpid.robot.model import RobotModel
-from sdpid.training import Logs, ProcessingOf, chosen_processing, joined, recordings
 
 __all__ = ["Identification", "formulate", "identify", "mass_matrix"]
 

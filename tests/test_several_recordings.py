@@ -16,7 +16,7 @@ from sdpid.experiment.preparation import default_processing, prepare
 from sdpid.output.figures import TimeLine
 from sdpid.output.plots import plot_fit
 from sdpid.output.report import report_html
-from sdpid.training import chosen_processing, common_processing
+from sdpid.experiment.training import chosen_processing, common_processing
 from tests.helpers.runs import arm, recorded
 
 

@@ -45,8 +45,8 @@ def validate(
     from sdpid.assurance.prediction_verdict import prediction_findings
     from sdpid.assurance.validation import validate_robot
     from sdpid.experiment.preparation import SMOOTH, prepare
+    from sdpid.experiment.training import chosen_processing
     from sdpid.robot.load import load_robot
-    from sdpid.training import chosen_processing
 
     model = load_robot(robot)
     changes = processing(cutoff, order, velocity, low_pass, derivative)

@@ -20,7 +20,7 @@ from sdpid.estimation.factor import Factor, covariance
 from sdpid.estimation.feasible import FeasibleSet
 from sdpid.estimation.prior import Prior, PriorRows, prior_rows
 from sdpid.estimation.profile import Profiled, close_terms
-from sdpid.estimation.remote import Cluster, Piece, RemoteRows, samples_of
+from sdpid.estimation.remote import Cluster, Piece, RemoteRows, all_samples
 from sdpid.estimation.rows import RowSource
 from sdpid.estimation.weighting import WEIGHTINGS, Weighting
 from sdpid.experiment.processing import Processing
@@ -218,7 +218,8 @@ def build_problem(
     base : BaseParameters, optional
         Found before for the same robot and terms.
     processing : Processing, optional
-        Of recordings and files among `samples`; by default each its own `default_processing`.
+        Of recordings and files among `samples`; by default one for all, that of the recording
+        with the median cut-off.
     client : dask.distributed.Client, optional
         Of a cluster (extra ``dask``) whose workers read, process and keep the pieces; the result is
         the same. Files must be where the workers see them.
@@ -243,7 +244,7 @@ def build_problem(
         pieces = (samples,) if isinstance(samples, Samples) else samples
         cluster, samples = Cluster.of(client, robot, pieces, processing)
     elif not isinstance(samples, Samples):
-        samples = Samples.join([samples_of(robot, piece, processing) for piece in samples])
+        samples = all_samples(robot, samples, processing)
     _check_samples(robot, samples)
     model = FrictionModel.from_terms(friction, robot.joint_names, first=robot.n_base)
     model, profiled = close_terms(model, robot, samples, lambda rows: covariance(rows, weighting))

@@ -17,11 +17,12 @@ from typing import TYPE_CHECKING, Any, TypeAlias, TypeVar
 from sdpid._arrays import Array
 from sdpid.errors import DataError, SolverError
 from sdpid.estimation.rows import RowSource
-from sdpid.experiment.preparation import prepare
+from sdpid.experiment.preparation import default_processing, prepare
 from sdpid.experiment.processing import Processing
 from sdpid.experiment.readers import read_recording
 from sdpid.experiment.recording import Recording
 from sdpid.experiment.samples import Samples
+from sdpid.experiment.training import agreed, common_processing
 from sdpid.robot.model import RobotModel
 
 if TYPE_CHECKING:
@@ -45,6 +46,33 @@ def samples_of(robot: RobotModel, piece: Piece, processing: Processing | None) -
         return piece
     log = piece if isinstance(piece, Recording) else read_recording(piece)
     return prepare(robot, log, processing)
+
+
+def all_samples(
+    robot: RobotModel, pieces: Iterable[Piece], processing: Processing | None
+) -> Samples:
+    """Return the samples of all pieces, joined.
+
+    Parameters
+    ----------
+    robot : RobotModel
+        Whose joints they have.
+    pieces : iterable of Samples, Recording or path
+        The pieces.
+    processing : Processing, optional
+        Of recordings and files; by default that of the recording with the median cut-off (see
+        `sdpid.experiment.training.common_processing`).
+    """
+    read = [
+        piece if isinstance(piece, (Samples, Recording)) else read_recording(piece)
+        for piece in pieces
+    ]
+    logs = [piece for piece in read if isinstance(piece, Recording)]
+    why = None
+    if processing is None and logs:
+        processing, why = common_processing(logs)
+    joined = Samples.join([samples_of(robot, piece, processing) for piece in read])
+    return joined if why is None else replace(joined, notes=(*joined.notes, why))
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,7 +115,7 @@ class Cluster:
         pieces : iterable of Samples, Recording or path
             Files are read by the workers, which must see them.
         processing : Processing, optional
-            Of recordings and files; by default each its own `default_processing`.
+            Of recordings and files; by default one for all, see `all_samples`.
 
         Returns
         -------
@@ -100,12 +128,17 @@ class Cluster:
         DataError
             When there are no pieces, they cannot be joined, or each has a covariance of its own.
         """
-        there = client.submit(_same, robot, pure=False)
-        futures = tuple(
-            client.submit(samples_of, there, piece, processing, pure=False) for piece in pieces
-        )
-        if not futures:
+        given = tuple(pieces)
+        if not given:
             raise DataError("samples: there are none to join.")
+        there = client.submit(_same, robot, pure=False)
+        why = None
+        if processing is None and not all(isinstance(piece, Samples) for piece in given):
+            own = [client.submit(_choice, piece, pure=False) for piece in given]
+            processing, why = agreed([each for each in _gathered(client, own) if each is not None])
+        futures = tuple(
+            client.submit(samples_of, there, piece, processing, pure=False) for piece in given
+        )
         counts = tuple(_gathered(client, [client.submit(_count, f, pure=False) for f in futures]))
         step = max(sum(counts) // _BROUGHT, 1)
         found = _gathered(client, [client.submit(_thinned, f, step, pure=False) for f in futures])
@@ -118,7 +151,8 @@ class Cluster:
         note = f"{sum(counts)} samples of {len(counts)} recordings stay on the workers of a cluster"
         if step > 1:
             note += f"; here is one in {step}"
-        return cls(client, there, futures, counts), replace(thin, notes=(*thin.notes, note))
+        notes = (*thin.notes, note) if why is None else (*thin.notes, why, note)
+        return cls(client, there, futures, counts), replace(thin, notes=notes)
 
 
 @dataclass(frozen=True)
@@ -180,6 +214,12 @@ def _elsewhere() -> DataError:
 
 def _same(robot: RobotModel) -> RobotModel:
     return robot
+
+
+def _choice(piece: Piece) -> Processing | None:
+    if isinstance(piece, Samples):
+        return None
+    return default_processing(piece if isinstance(piece, Recording) else read_recording(piece))
 
 
 def _count(samples: Samples) -> int:

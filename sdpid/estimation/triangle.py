@@ -62,6 +62,15 @@ class Triangle:
         self._count = 0
         self._R: Array | None = self._S
 
+    def __getstate__(self) -> tuple[int, Array]:
+        """Return what is sent: the rows' triangle stands for all of them."""
+        return self._columns, self.R
+
+    def __setstate__(self, state: tuple[int, Array]) -> None:
+        """Go on from a triangle."""
+        self.__init__(state[0])  # type: ignore[misc]
+        self._restart(state[1])
+
     @property
     def R(self) -> Array:  # noqa: N802
         """The triangle, (at most columns, columns), read-only. To look changes nothing."""

@@ -87,6 +87,10 @@ def whitener(covariance: Array, mask: Mask, exponent: float) -> Array:
 # Weight floor: a share of the overall effort, so that one nearly silent joint cannot dominate.
 _EFFORT_SHARE = 0.03
 
+# Residuals that are alike over more samples than this are a drift: how much longer it lasts says
+# nothing of their number, and of long recordings only this much has to be kept, and sent.
+_MOST_LAGS = 1 << 14
+
 # The variances settle within a few rounds; this is where it stops at the latest.
 _ROUNDS = 10
 
@@ -241,7 +245,7 @@ class LaggedSums:
 
     @classmethod
     def of(cls, centred: Array, mask: Mask, parts: Sequence[slice]) -> LaggedSums:
-        """Sum over pairs within pieces.
+        """Sum over pairs within pieces, up to `_MOST_LAGS` apart.
 
         Parameters
         ----------
@@ -252,7 +256,7 @@ class LaggedSums:
         parts : sequence of slice
             Pieces without a break.
         """
-        longest = max(part.stop - part.start for part in parts)
+        longest = min(max(part.stop - part.start for part in parts), _MOST_LAGS)
         products, pairs = np.zeros((2, centred.shape[1], longest))
         for part in parts:
             count = part.stop - part.start
@@ -260,7 +264,8 @@ class LaggedSums:
             used = mask[part].T.astype(float)
             for signals, sums in ((centred[part].T * used, products), (used, pairs)):
                 power = np.abs(np.fft.rfft(signals, size, axis=1)) ** 2
-                sums[:, :count] += np.fft.irfft(power, size, axis=1)[:, :count]
+                lags = min(count, longest)
+                sums[:, :lags] += np.fft.irfft(power, size, axis=1)[:, :lags]
         return cls(products, np.round(pairs))
 
     @classmethod

@@ -5,37 +5,27 @@ No names stand in them, so nothing that a robot's description says is drawn.
 
 from __future__ import annotations
 
-import io
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
 
 from sdpid._arrays import Array, Mask
-from sdpid._extras import require
 from sdpid.assurance.residuals import JointErrors
-from sdpid.output.figures import (
-    BLUE,
-    GREY,
-    INK,
-    RED,
-    SHADE,
-    TimeLine,
-    decimate,
-    dress,
-    legend,
-    new_figure,
-    shade,
-)
+from sdpid.output.figures import BLUE, GREY, RED, TimeLine
+from sdpid.output.vector import COLUMNS, Axis, Panel, picture
 
-# Inches; at the width of a phone (some 340 pixels) letters of 8 points stay readable.
-_WIDTH, _HEIGHT = 4.6, 4.4
+# Heights of the panels, in units of the picture (it is 420 wide).
+_EFFORT, _ERROR, _THIRD = 190.0, 130.0, 88.0
 
-# Points a line: the page shows it some 600 pixels wide, each with a low and a high.
-_POINTS = 1000
+# Densities below this share of the highest are not shown: what a filter left above its cut-off is
+# nothing to look at.
+_FLOOR, _TOP = 1e-4, 3.0
 
-# Densities below this share of the highest are not shown.
-_FLOOR = 1e-4
+# About so many ticks under a picture.
+_TICKS = 6
+
+# What the autocorrelation of independent errors stays within, nineteen times of twenty.
+_WITHIN = 1.96
 
 
 def plot_joint(
@@ -45,7 +35,7 @@ def plot_joint(
     used: Mask,
     *,
     starts: Sequence[int] = (0,),
-) -> Any:
+) -> str:
     """Show measured against predicted effort of a joint, and the error below.
 
     Parameters
@@ -61,27 +51,32 @@ def plot_joint(
 
     Returns
     -------
-    matplotlib.figure.Figure
+    str
+        SVG.
     """
     line = TimeLine.of(time, len(measured), starts)
     t, used = line.time, line.kept(used)
     measured, predicted = line.broken(measured), line.broken(predicted)
-    figure = new_figure(_WIDTH, _HEIGHT)
-    above, below = figure.subplots(2, 1, sharex=True, height_ratios=(1.5, 1.0))
-    for axis in (above, below):
-        shade(axis, t, ~used)
-    _line(above, t, measured, color=BLUE, label="measured", linewidth=1.4)
-    _line(above, t, predicted, color=RED, label="predicted", linewidth=0.8)
-    _line(below, t, np.where(used, measured - predicted, np.nan), color=GREY, linewidth=0.8)
-    dress(above, ylabel="effort [N·m]")
-    dress(below, ylabel="error [N·m]", xlabel=line.label)
-    below.set_xlim(t[0], t[-1])
-    legend(above, loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=2, frameon=False)
-    figure.align_ylabels((above, below))
-    return figure
+    error = np.where(used, measured - predicted, np.nan)
+    across = Axis(float(t[0]), float(t[-1]), line.label, count=_TICKS)
+    above = Panel(across, Axis.around("effort [N·m]", measured, predicted), _EFFORT)
+    below = Panel(across, Axis.around("error [N·m]", error), _ERROR)
+    for panel in (above, below):
+        panel.shade(t, ~used)
+    above.line(t, measured, BLUE, 2.0, label="measured")
+    above.line(t, predicted, RED, 0.9, label="predicted")
+    below.line(t, error, GREY, 0.9)
+    return picture(
+        (above, below), "measured against predicted effort, and the error", shared=True
+    )  # fmt: skip
 
 
-def plot_joint_errors(errors: JointErrors, *, timed: bool = True) -> Any:
+def stretch(count: int) -> int:
+    """Return of how many samples a point of low and high stands for in a line of `count`."""
+    return 1 if count <= 2 * COLUMNS else -(-count // COLUMNS)
+
+
+def plot_joint_errors(errors: JointErrors, *, timed: bool = True) -> str:
     """Show spectrum, autocorrelation and velocity dependence of a joint's errors.
 
     Parameters
@@ -93,53 +88,52 @@ def plot_joint_errors(errors: JointErrors, *, timed: bool = True) -> Any:
 
     Returns
     -------
-    matplotlib.figure.Figure
+    str
+        SVG.
     """
-    figure = new_figure(_WIDTH, _HEIGHT)
-    spectrum, correlation, friction = figure.subplots(3, 1)
+    panels = (_spectrum(errors, timed), _correlation(errors, timed), _friction(errors))
+    return picture(panels, "spectrum, autocorrelation and velocity dependence of the error")
+
+
+def _spectrum(errors: JointErrors, timed: bool) -> Panel:
+    f = errors.frequency
+    positive = f > 0.0
+    top = max(float(errors.effort_density.max()), float(errors.error_density.max())) or 1.0
+    ends = (float(f[positive][0]), float(f[-1])) if positive.any() else (0.1, 1.0)
+    across = Axis(*ends, "frequency [Hz]" if timed else "cycles per sample", log=True, count=_TICKS)
+    unit = "N·m/√Hz" if timed else "N·m"
+    panel = Panel(across, Axis(_FLOOR * top, _TOP * top, unit, log=True), _THIRD)
     for density, colour, label in (
         (errors.effort_density, BLUE, "measured effort"),
         (errors.error_density, RED, "error"),
     ):
-        shown = (errors.frequency > 0.0) & (density > 0.0)
-        if np.any(shown):
-            spectrum.loglog(
-                errors.frequency[shown], density[shown], color=colour, linewidth=0.9, label=label
-            )
-    # What a filter left above its cut-off is nothing to look at.
-    top = max(float(errors.effort_density.max()), float(errors.error_density.max()))
-    if top > 0.0:
-        spectrum.set_ylim(_FLOOR * top, 3.0 * top)
-    dress(spectrum, ylabel="N·m/√Hz" if timed else "N·m")
-    spectrum.set_xlabel("frequency [Hz]" if timed else "cycles per sample", fontsize=8, color=INK)
-    legend(spectrum, loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=2, frameon=False)
-    _line(correlation, errors.lag, errors.autocorrelation, color=RED, linewidth=1.0)
-    # What the autocorrelation of independent errors stays within, nineteen times of twenty.
-    level = 1.96 / np.sqrt(errors.independent)
-    correlation.axhspan(-level, level, color=SHADE, alpha=0.6, linewidth=0)
-    dress(correlation, ylabel="autocorrelation")
-    correlation.set_xlabel("lag [s]" if timed else "lag [samples]", fontsize=8, color=INK)
-    correlation.set_xlim(0.0, max(float(errors.lag[-1]), 1e-9))
-    if len(errors.velocity):
-        friction.fill_between(errors.velocity, errors.low, errors.high, color=SHADE, linewidth=0)
-        friction.plot(errors.velocity, errors.mean, color=RED, marker="o", markersize=2.5, lw=1.0)
-    friction.axhline(0.0, color=GREY, linewidth=0.6)
-    dress(friction, ylabel="error [N·m]")
-    friction.set_xlabel("velocity [rad/s]", fontsize=8, color=INK)
-    for axis in (spectrum, correlation, friction):
-        axis.yaxis.label.set_fontsize(8)
-    figure.align_ylabels((spectrum, correlation, friction))
-    return figure
+        shown = positive & (density > 0.0)
+        panel.line(f[shown], density[shown], colour, 1.0, label=label)
+    return panel
 
 
-def svg(figure: Any) -> bytes:
-    """Return a figure as SVG; the same figure gives the same bytes."""
-    matplotlib = require("matplotlib", extra="plot")
-    out = io.BytesIO()
-    with matplotlib.rc_context({"svg.hashsalt": "sdpid"}):
-        figure.savefig(out, format="svg", metadata={"Date": None})
-    return out.getvalue()
+def _correlation(errors: JointErrors, timed: bool) -> Panel:
+    level = _WITHIN / float(np.sqrt(errors.independent))
+    end = max(float(errors.lag[-1]), 1e-9)
+    band = np.array([-level, level])
+    panel = Panel(
+        Axis(0.0, end, "lag [s]" if timed else "lag [samples]", count=_TICKS),
+        Axis.around("autocorrelation", errors.autocorrelation, band),
+        _THIRD,
+    )
+    panel.area(np.array([0.0, end]), np.full(2, -level), np.full(2, level))
+    panel.line(errors.lag, errors.autocorrelation, RED, 1.2)
+    return panel
 
 
-def _line(axis: Any, x: Array, y: Array, **style: Any) -> None:
-    axis.plot(*decimate(x, y, points=_POINTS), **style)
+def _friction(errors: JointErrors) -> Panel:
+    v = errors.velocity
+    across = Axis.around("velocity [rad/s]", v)
+    along = Axis.around("error [N·m]", errors.low, errors.high, np.zeros(1))
+    panel = Panel(across, along, _THIRD)
+    if len(v):
+        panel.area(v, errors.low, errors.high)
+    panel.line(np.array([across.low, across.high]), np.zeros(2), GREY, 0.8)
+    if len(v):
+        panel.line(v, errors.mean, RED, 1.2, dots=True)
+    return panel

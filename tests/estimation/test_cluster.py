@@ -69,12 +69,12 @@ def files(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
 
 
 def built(pieces: Any, **options: Any) -> Problem:
+    options = {"processing": PROCESSING, **options}
     return build_problem(
         ARM,
         pieces,
         friction=FRICTION,
         weighting="residual",
-        processing=PROCESSING,
         prior=sdpid.Prior(bodies=BODIES),
         **options,
     )
@@ -107,6 +107,15 @@ def test_the_answer_is_the_same_as_on_one_machine(client: Any, files: list[Path]
     assert there.n_rows == here.n_rows
     np.testing.assert_array_equal(there.A, here.A)
     same(here, there)
+
+
+def test_one_processing_is_chosen_for_all(client: Any, files: list[Path]) -> None:
+    here = built(files, processing=None)
+    there = built(files, processing=None, client=client)
+    said = [note for note in there.samples.notes if "the median of their cut-offs" in note]
+    assert said
+    assert said[0] in here.samples.notes
+    np.testing.assert_array_equal(there.A, here.A)
 
 
 def test_a_killed_worker_loses_nothing(

@@ -70,15 +70,19 @@ def common_processing(logs: Sequence[Recording]) -> tuple[Processing, str | None
     str or None
         The choice in words, where there was one.
     """
-    choices = [default_processing(log) for log in logs]
+    return agreed([default_processing(log) for log in logs])
+
+
+def agreed(choices: Sequence[Processing]) -> tuple[Processing, str | None]:
+    """Return what `common_processing` makes of the recordings' own choices."""
     if len(choices) == 1:
         return choices[0], None
     ranked = sorted(range(len(choices)), key=lambda i: (choices[i].cutoff_hz, i))
     chosen = ranked[(len(ranked) - 1) // 2]
     cutoffs = ", ".join(f"{each.cutoff_hz:.3g}" for each in choices)
     return choices[chosen], (
-        f"the {len(logs)} recordings are processed alike, as suits recording {chosen + 1}, which "
-        f"has the median of their cut-offs ({cutoffs} Hz)"
+        f"the {len(choices)} recordings are processed alike, as suits recording {chosen + 1}, "
+        f"which has the median of their cut-offs ({cutoffs} Hz)"
     )
 
 
