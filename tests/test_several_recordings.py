@@ -13,10 +13,10 @@ import pytest
 import sdpid
 from sdpid.assurance.residuals import joint_errors
 from sdpid.experiment.preparation import default_processing, prepare
+from sdpid.experiment.training import chosen_processing, common_processing
 from sdpid.output.figures import TimeLine
 from sdpid.output.plots import plot_fit
 from sdpid.output.report import report_html
-from sdpid.experiment.training import chosen_processing, common_processing
 from tests.helpers.runs import arm, recorded
 
 

@@ -150,6 +150,11 @@ class Problem:
         """The rows that the cost is made of."""
         return _rows(self.robot, self.friction, self.base, self.samples, self.cluster)
 
+    def without_rows(self) -> Problem:
+        """Return the same cost and constraints with one sample: what solvers need, to send."""
+        first = self.samples.pieces[0]
+        return replace(self, cluster=None, samples=first.every(first.n_samples))
+
     def predict(self, base: ArrayLike, samples: Samples | None = None) -> Array:
         """Return the efforts (K, n) that base parameters give on samples."""
         values = np.asarray(base, dtype=np.float64)

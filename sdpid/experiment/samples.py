@@ -208,20 +208,23 @@ class Samples:
 
     def _picked(self, which: slice) -> Samples:
         """Return some samples of one piece; averages are no longer said to be any."""
-        covariance, mask, time = self.covariance, self.mask, self.time
+        covariance, time = self.covariance, self.time
         if covariance is not None and covariance.ndim == 3:
             covariance = covariance[which]
-        return Samples(
+        picked = Samples(
             position=self.position[which],
             velocity=self.velocity[which],
             acceleration=self.acceleration[which],
             effort=self.effort[which],
             covariance=covariance,
-            mask=None if mask is None else mask[which],
             time=None if time is None else time[which],
             joint_names=self.joint_names,
             block=self.block,
         )
+        if self.mask is not None:
+            # Unlike a whole, a part may have no row that is used.
+            object.__setattr__(picked, "mask", frozen_view(np.ascontiguousarray(self.mask[which])))
+        return picked
 
     def __repr__(self) -> str:
         parts = [f"{self.n_samples} samples", f"{self.n} joints", f"{self.n_rows} rows used"]

@@ -227,7 +227,8 @@ def compare(
     runs = [(solver, label, start) for solver in able for label, start in points]
     with progress(len(runs), "local solvers", enabled=show_progress) as advance:
         results = []
-        tasks = (delayed(_run)(solver, problem, x, max_iterations) for solver, _, x in runs)
+        sent = problem.without_rows()
+        tasks = (delayed(_run)(solver, sent, x, max_iterations) for solver, _, x in runs)
         for result in jobs(tasks):
             results.append(result)
             advance(1)

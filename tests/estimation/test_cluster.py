@@ -8,6 +8,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+import joblib
 import numpy as np
 import pytest
 
@@ -146,6 +147,14 @@ def test_samples_in_memory_may_be_pieces_too(client: Any) -> None:
     pieces = [make_samples(ARM, THETA, rng, count=k, noise=0.1) for k in (80, 120)]
     here, there = build_problem(ARM, pieces), build_problem(ARM, pieces, client=client)
     np.testing.assert_array_equal(there.A, here.A)
+
+
+def test_solvers_are_compared_on_the_cluster(client: Any, files: list[Path]) -> None:
+    there = built(files[:2], client=client)
+    with joblib.parallel_config(backend="dask"):
+        found = sdpid.compare(there, starts=2, seed=0, local=("log_cholesky",))
+    assert [row.solver for row in found.rows] == ["wls", "sdp", "log_cholesky", "log_cholesky"]
+    assert all(estimate is not None and estimate.problem is there for estimate in found.estimates)
 
 
 def test_what_needs_the_rows_here_says_so(client: Any, files: list[Path]) -> None:

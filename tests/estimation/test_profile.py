@@ -14,7 +14,8 @@ import sdpid.estimation.profile as profile_module
 from sdpid._arrays import Array
 from sdpid.estimation.problem import build_problem, describe
 from sdpid.estimation.profile import close_terms
-from sdpid.estimation.profile_search import OpenTerm, ProfileSearch
+from sdpid.estimation.profile_search import ProfileSearch
+from sdpid.estimation.profile_terms import OpenTerm
 from sdpid.estimation.rows import RowSource
 from sdpid.estimation.wls import solve_wls
 from sdpid.experiment.samples import Samples

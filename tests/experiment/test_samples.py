@@ -143,3 +143,13 @@ def test_what_does_not_belong_together_is_refused(change, said):
 def test_starts_rise_from_zero(starts):
     with pytest.raises(DataError, match="rising sample numbers"):
         Samples(**fields(starts=starts))
+
+
+def test_a_part_may_have_no_row_that_is_used():
+    mask = np.zeros((K, JOINTS), dtype=bool)
+    mask[3:] = True
+    whole = Samples(**fields(mask=mask, starts=(0, 3)))
+    first, second = whole.pieces
+    assert (first.n_rows, second.n_rows) == (0, 4)
+    np.testing.assert_array_equal(Samples.join([first, second]).mask, mask)
+    assert not first.mask.flags.writeable
