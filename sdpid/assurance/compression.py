@@ -37,8 +37,13 @@ def _sums(rows: RowSource, sigma: Array, exponent: float, values: Array) -> tupl
     return normal, total
 
 
-def compression_error(problem: Problem, base: ArrayLike) -> float:
-    """Return by how much the compressed cost of base parameters is off, relative to the sum."""
+def compression_error(problem: Problem, base: ArrayLike) -> float | None:
+    """Return by how much the compressed cost of base parameters is off, relative to the sum.
+
+    None where the rows were not kept.
+    """
+    if not problem.rows.kept:
+        return None
     summed = summed_cost(problem, base)
     # Exact data cost nothing but rounding; that is measured against the weighted efforts.
     efforts = float(problem.rhs @ problem.rhs) + problem.floor
@@ -46,11 +51,14 @@ def compression_error(problem: Problem, base: ArrayLike) -> float:
     return abs(problem.cost(base) - summed) / scale
 
 
-def rows_digest(problem: Problem) -> str:
+def rows_digest(problem: Problem) -> str | None:
     """Return the SHA-256 of the samples: shape and little-endian doubles of each array.
 
-    Of several pieces it is that of their digests, one behind the other.
+    Of several pieces it is that of their digests, one behind the other. None where the rows were
+    not kept.
     """
+    if not problem.rows.kept:
+        return None
     digests = problem.rows.map(_digest)
     if len(digests) == 1:
         return digests[0]

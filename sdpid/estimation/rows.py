@@ -54,6 +54,11 @@ class RowSource:
         """Number of samples that the rows are made of."""
         return self.samples.n_samples
 
+    @property
+    def kept(self) -> bool:
+        """Whether sums over the rows can be had."""
+        return True
+
     def map(
         self, function: Callable[..., T], *arguments: object, sigma: Array | None = None
     ) -> list[T]:

@@ -65,12 +65,17 @@ class _Gone(RowSource):
         """Number of samples that there were."""
         return self.seen
 
+    @property
+    def kept(self) -> bool:
+        """They were not."""
+        return False
+
     def map(self, *_: object, **__: object) -> NoReturn:
         """Raise: nothing can be summed over them."""
         raise DataError(
             f"'{self.robot.name}': the rows of the {self.seen} samples of this stream are not "
-            "kept, so what is summed over them (standard errors, intervals, residuals, "
-            "certificate files) is not to be had; build a problem of a recording for that."
+            "kept, so what is summed over them (standard errors, intervals, residuals) is not to "
+            "be had; build a problem of a recording for that."
         )
 
     def parts(self, *_: object) -> NoReturn:

@@ -199,7 +199,7 @@ def test_a_prior_stays(prior: sdpid.Prior) -> None:
     assert stream.problem.prior is not None
 
 
-def test_the_rows_of_a_stream_are_gone() -> None:
+def test_the_rows_of_a_stream_are_gone(tmp_path: Path) -> None:
     stream = StreamingProblem(build_problem(ARM, measured(covariance=SIGMA)))
     stream.update(measured(count=30))
     estimate = stream.solve()
@@ -207,8 +207,11 @@ def test_the_rows_of_a_stream_are_gone() -> None:
         _ = estimate.standard_errors
     with pytest.raises(DataError, match="not kept"):
         sdpid.intervals(estimate)
-    with pytest.raises(DataError, match="not kept"):
-        sdpid.certify(estimate).to_dict()
+    certificate = sdpid.certify(estimate)
+    origin = certificate.to_dict()["origin"]
+    assert origin["rows_sha256"] is origin["compression_error"] is None
+    certificate.to_json(tmp_path / "c.json")
+    assert sdpid.verify(tmp_path / "c.json").passed
     # What is predicted for other samples is.
     other = measured(count=20)
     assert sdpid.validate(estimate, other).rows.sum() == 40
