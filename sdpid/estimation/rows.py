@@ -150,7 +150,7 @@ class RowSource:
         v, a = s.velocity[part], s.acceleration[part]
         links = 10 * self.robot.n_links
         # As the whole log would be, so that its last few samples are computed like the others.
-        many = self._sample_bytes * len(s.effort) >= kernels.SMALL
+        many = self._sample_bytes * len(s.effort) >= kernels.WORTH
         self.robot.regressor_columns(
             s.position[part], v, a, places=self._places[:links], out=out, compiled=many
         )

@@ -32,6 +32,10 @@ _PURE = 1e-12
 # size decides, not whether it is loaded, so that the same call gives the same bits every time.
 SMALL = 1 << 20
 
+# Bytes of the rows of a log, gone through two or three times, in which Numba makes up for its own
+# loading: a tenth of a second of Pinocchio each time.
+WORTH = 1 << 26
+
 # Bytes from which the C library takes an array from the system, at the latest, as zeros, and from
 # which threads are worth their start.
 _LARGE = 1 << 25
@@ -171,7 +175,7 @@ def regressor(
     *,
     out: Array | None = None,
     places: Indices | None = None,
-    always: bool = False,
+    worth: bool | None = None,
 ) -> Array | None:
     """Return the regressor of samples, None without Numba or when there are few.
 
@@ -188,8 +192,9 @@ def regressor(
         zero.
     places : ndarray of int, shape (10·links,), optional
         The column that each parameter's goes to, -1 for none; by default its own.
-    always : bool
-        Do not leave few samples to Pinocchio, such as the last block of a log.
+    worth : bool, optional
+        Whether to use the compiled loop: of a log's blocks all or none. By default the size
+        decides.
 
     Returns
     -------
@@ -198,7 +203,7 @@ def regressor(
     count = 10 * len(tree.kind)
     shape = (len(q), tree.n, count) if out is None else out.shape
     size = 8 * math.prod(shape)
-    fill = compiled() if always or size >= SMALL else None
+    fill = compiled() if (size >= SMALL if worth is None else worth) else None
     if fill is None:
         return None
     states = [np.require(x, np.float64, _COMPILED_FOR) for x in (q, v, a)]

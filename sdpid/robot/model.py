@@ -288,7 +288,7 @@ class RobotModel:
         *,
         places: Indices,
         out: Array,
-        compiled: bool = False,
+        compiled: bool | None = None,
     ) -> Array:
         """Write some columns of the regressor into a wider block, and zeros everywhere else.
 
@@ -300,8 +300,9 @@ class RobotModel:
             The column of `out` that each parameter's goes to, -1 for none.
         out : ndarray, shape (K, n, columns)
             Float64 and C-contiguous.
-        compiled : bool
-            Use the compiled loop for few samples, too: those of a larger whole.
+        compiled : bool, optional
+            Whether to use the compiled loop: of a log's blocks all or none. By default the size
+            decides.
 
         Returns
         -------
@@ -322,7 +323,7 @@ class RobotModel:
             )
         if self._tree is not None:
             found = kernels.regressor(
-                self._tree, q, v, a, out=out, places=places, always=compiled
+                self._tree, q, v, a, out=out, places=places, worth=compiled
             )
             if found is not None:
                 return found
