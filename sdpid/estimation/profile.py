@@ -12,7 +12,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from sdpid._arrays import Array
-from sdpid.estimation.profile_search import OpenTerm, ProfileSearch
+from sdpid.estimation.profile_search import ProfileSearch
+from sdpid.estimation.profile_terms import OpenTerm
 from sdpid.estimation.rows import RowSource
 from sdpid.experiment.samples import Samples
 from sdpid.robot.base import structural_base

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 import sdpid.estimation.profile as profile_module
+import sdpid.estimation.profile_terms as terms_module
 from sdpid._arrays import Array
 from sdpid.estimation.problem import build_problem, describe
 from sdpid.estimation.profile import close_terms
@@ -136,6 +137,33 @@ def test_the_cost_is_that_of_the_raw_rows(kind: str, masked: bool) -> None:
     matrix, rhs = np.concatenate(stacked), np.concatenate(target)
     best = np.linalg.lstsq(matrix, rhs, rcond=1e-10)[0]
     assert search.cost == pytest.approx(float(np.sum((matrix @ best - rhs) ** 2)), rel=1e-6)
+
+
+@pytest.mark.parametrize("correlated", [False, True])
+@pytest.mark.parametrize(
+    "asked",
+    [
+        (Stribeck(velocity=None, width=None), "viscous"),
+        (Coulomb(width=None), Stribeck(width=0.1), "viscous"),
+        ("coulomb", SigmoidFriction(), Coupling(NAMES[1], NAMES[2], width=None)),
+    ],
+)
+def test_one_joint_at_many_speeds_is_as_the_whole_robot_at_each(
+    asked: tuple[FrictionTerm | str, ...], correlated: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    rng = np.random.default_rng(3)
+    truth = (Coulomb(width=0.3), Stribeck(0.6, width=0.2), "viscous")
+    samples = made(*truth, noise=0.1, mask=rng.random((400, 3)) < 0.9)
+    sigma = random_covariance(rng, 3) if correlated else np.diag(rng.uniform(0.5, 2.0, 3))
+    found = []
+    for alike in (terms_module._ALIKE, ()):
+        monkeypatch.setattr(terms_module, "_ALIKE", alike)
+        search, opened, _ = search_of(samples, asked, sigma)
+        before = search.cost
+        search.run()
+        found.append([search.cost, *(value for each in opened for value in each.values)])
+        assert search.cost < before
+    np.testing.assert_allclose(found[0], found[1], rtol=1e-9)
 
 
 def test_a_negative_peak_does_not_imitate_a_smooth_sign() -> None:

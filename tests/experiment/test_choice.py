@@ -13,6 +13,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import sdpid
+import sdpid.experiment.choice as choice_module
 from sdpid.errors import DataError
 from sdpid.experiment.choice import choose_processing, default_processing, motion_frequency
 from sdpid.experiment.overview import overview
@@ -94,6 +95,42 @@ def test_the_choice_says_why() -> None:
     assert choose_processing(slow).motion_hz == pytest.approx(choice.motion_hz / 10.0)
     # They end up in the notes of the samples.
     assert process(log, choice.processing).notes[:2] == choice.reasons
+
+
+@pytest.mark.parametrize("rate", [80.0, 250.0, 1000.0])
+@pytest.mark.parametrize("stored", [False, True])
+def test_long_records_are_averaged_first(
+    rate: float, stored: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    log, _ = sweep(1e-3, rate=rate, seconds=40.3)
+    # A joint that stands still has no say, whatever its angle is rounded to.
+    still = np.full(log.n_samples, 0.1)
+    position = np.column_stack([log.position, still])
+    log = replace(log, position=position, effort=position)
+    expected = motion_frequency(replace(log, position=position[:, :2], effort=position[:, :2]))
+    monkeypatch.setattr(choice_module, "_LONG", 1000)
+    monkeypatch.setattr(choice_module, "_BLOCK", 777)
+    if stored:
+        log.to_parquet(tmp_path / "log.parquet")
+        log = sdpid.Recording.from_parquet(tmp_path / "log.parquet", stored=True)
+        assert log.stored
+    # The resolution of either is the inverse of the record's length.
+    assert motion_frequency(log) == pytest.approx(expected, abs=1.5 / 40.3)
+    quiet = replace(log, position=np.tile(still[:, None], 3))
+    with pytest.raises(DataError, match="no joint moves"):
+        motion_frequency(quiet)
+
+
+def test_what_an_average_takes_is_given_back(monkeypatch: pytest.MonkeyPatch) -> None:
+    """At 40 Hz an average over 10 ms leaves 0.76 of the amplitude: 0.57 of the power."""
+    time = np.arange(40000) / 1000.0
+    # 92.6 % of the power is slow, 7.4 % fast; left as it was averaged the fast part has 4.4 %.
+    slow, fast = np.sin(2.0 * np.pi * 2.0 * time), np.sin(2.0 * np.pi * 40.0 * time)
+    position = (slow + np.sqrt(0.08) * fast)[:, None]
+    log = sdpid.Recording(time=time, position=position, effort=position)
+    assert motion_frequency(log) == pytest.approx(40.0, abs=0.1)
+    monkeypatch.setattr(choice_module, "_LONG", 1000)
+    assert motion_frequency(log) == pytest.approx(40.0, abs=0.1)
 
 
 @pytest.mark.parametrize(
