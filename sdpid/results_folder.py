@@ -27,6 +27,9 @@ _STEPS = 6
 # Stands for the kind of a file while statements are compared.
 _KIND = "\0"
 
+# Of the figures: a screen's width, and 170 dots an inch on a printed page.
+_DPI = 110.0
+
 Tell = Callable[[str], None]
 
 
@@ -201,4 +204,4 @@ def _figures(result: Identification, out: Path) -> Iterator[Path]:
     if result.validation is not None and result.validation_samples is not None:
         pairs.append(("validation", result.validation_samples, result.validation))
     for name, samples, fit in pairs:
-        yield save_figure(plot_fit(samples, fit), out / f"{name}.png")
+        yield save_figure(plot_fit(samples, fit), out / f"{name}.png", dpi=_DPI)

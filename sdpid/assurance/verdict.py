@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from typing import Protocol
+from weakref import WeakKeyDictionary
 
 import numpy as np
 
@@ -19,10 +20,11 @@ from sdpid.assurance.prediction_verdict import (
     listed,
     percent,
 )
-from sdpid.assurance.residuals import JointErrors, joint_errors
+from sdpid.assurance.residuals import JointErrors, joint_errors, used_rows
 from sdpid.assurance.validation import Validation, validate
 from sdpid.estimation.estimate import Estimate
 from sdpid.estimation.problem import Problem
+from sdpid.estimation.rows import RowSource
 from sdpid.experiment.samples import Samples
 
 # Held-out over training error. Another motion weighs the same defects differently, which makes
@@ -42,6 +44,10 @@ BEYOND = 0.1
 # A description's speed limit is hardly reached in a recording; below half of it friction and
 # inertia at full speed are guesses.
 SLOW = 0.5
+
+# A joint that was never faster than this in one direction (rad/s) did not move in it: velocity
+# noise at standstill stays below, and so does what is masked around reversals.
+MOVES = 0.02
 
 
 class Crossed(Protocol):
@@ -141,18 +147,31 @@ def findings(
     tuple of Finding
     """
     if errors is None:
-        errors = joint_errors(*judged(identification))
+        errors = errors_of(identification)
     return (
         *effort_findings(*judged(identification), _seen_on(identification)),
         *_held_out(identification),
         *_crossed(identification),
         *friction_findings(judged(identification)[1], errors),
         *_reach(identification),
+        *_one_way(identification),
         *_weak(identification),
         *_sources(identification),
         *_constraints(identification),
         *_proof(identification),
     )
+
+
+# Of identifications that are still in use: a report and its verdict look at the same errors.
+_ERRORS: WeakKeyDictionary[Judged, tuple[JointErrors, ...]] = WeakKeyDictionary()
+
+
+def errors_of(identification: Judged) -> tuple[JointErrors, ...]:
+    """Return what the errors of the prediction that counts look like; computed once."""
+    found = _ERRORS.get(identification)
+    if found is None:
+        found = _ERRORS[identification] = joint_errors(*judged(identification))
+    return found
 
 
 def judged(identification: Judged) -> tuple[Samples, Validation]:
@@ -225,7 +244,7 @@ def _reach(result: Judged) -> Iterator[Finding]:
     problem, samples = result.problem, result.problem.samples
     robot = problem.robot
     joints = range(robot.n_base, robot.n)
-    peaks = np.abs(samples.velocity).max(axis=0)
+    peaks = np.abs(_speeds(problem)).max(axis=0)
     slow = [
         f"{robot.joint_names[j]} ({peaks[j]:.2g} of {robot.velocity_limits[j]:.2g} rad/s)"
         for j in joints
@@ -255,6 +274,44 @@ def _reach(result: Judged) -> Iterator[Finding]:
             f"The validation motion goes beyond the training motion: {listed(beyond)}. Its errors "
             "include extrapolation.",
         )
+
+
+def _one_way(result: Judged) -> Iterator[Finding]:
+    """Name joints with friction that moved in one direction only."""
+    robot, friction = result.problem.robot, result.problem.friction
+    moving = friction.columns(np.ones((1, robot.n)), np.zeros((1, robot.n)))[0]
+    lowest, highest = _speeds(result.problem)
+    named = []
+    for j in range(robot.n_base, robot.n):
+        forwards, backwards = highest[j] > MOVES, lowest[j] < -MOVES
+        if forwards != backwards and moving[j].any():
+            named.append(f"{robot.joint_names[j]} ({'forwards' if forwards else 'backwards'})")
+    if named:
+        yield Finding(
+            "caution",
+            f"Joints that moved in one direction only: {listed(named, 99)}. Their friction in the "
+            "other direction is an extrapolation: in one direction Coulomb friction and an offset "
+            "cannot be told apart. Record them moving both ways.",
+        )
+
+
+def _speeds(problem: Problem) -> Array:
+    """Return the lowest and the highest velocity (2, n) of each joint on the rows that count."""
+    rows = problem.rows
+    pieces = rows.map(_speeds_of) if rows.kept else [_speeds_of(rows)]
+    found = np.array(pieces)
+    return np.stack([found[:, 0].min(axis=0), found[:, 1].max(axis=0)])
+
+
+def _speeds_of(rows: RowSource) -> Array:
+    """Return those of one piece; a joint without rows stands still."""
+    samples = rows.samples
+    found = np.zeros((2, samples.n))
+    for j in range(samples.n):
+        v = samples.velocity[used_rows(samples, j), j]
+        if len(v):
+            found[:, j] = v.min(), v.max()
+    return found
 
 
 def _weak(result: Judged) -> Iterator[Finding]:

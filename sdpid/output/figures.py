@@ -34,16 +34,30 @@ METHOD_MARKERS = ("o", "s", "^", "D", "v", "P")
 SMALL, NORMAL, LARGE = 8.0, 9.5, 12.0
 
 # Pixels across a panel are a few hundred: more points than this a line do not show.
-POINTS = 3000
+POINTS = 1500
 
 # Between recordings, as a share of all their time.
 _GAP = 0.02
 
+# Of PNG, of 1 to 9: beyond, files get hardly smaller and take twice as long.
+_COMPRESSION = 4
+
 _FORMATS = (".png", ".svg", ".pdf")
 
 
-def new_figure(width: float, height: float, title: str | None = None) -> Any:
+def new_figure(
+    width: float, height: float, title: str | None = None, *, layout: str | None = "constrained"
+) -> Any:
     """Return an empty figure of that size in inches, which no window ever shows.
+
+    Parameters
+    ----------
+    width, height : float
+        Its size, inches.
+    title : str, optional
+        Its heading.
+    layout : str, optional
+        What places the panels; None where the caller does, which saves half of the drawing.
 
     Raises
     ------
@@ -51,7 +65,7 @@ def new_figure(width: float, height: float, title: str | None = None) -> Any:
         When matplotlib is not installed (extra ``plot``).
     """
     figure_module = require("matplotlib.figure", extra="plot")
-    figure = figure_module.Figure(figsize=(width, height), layout="constrained", facecolor="white")
+    figure = figure_module.Figure(figsize=(width, height), layout=layout, facecolor="white")
     if title:
         figure.suptitle(title, fontsize=LARGE, fontweight="bold", color=INK)
     return figure
@@ -81,12 +95,18 @@ def legend(axis: Any, **options: Any) -> None:
     axis.legend(**{**defaults, **options})
 
 
-def bottom_legend(figure: Any, handles: Sequence[Any], labels: Sequence[str]) -> None:
+def bottom_legend(
+    figure: Any,
+    handles: Sequence[Any],
+    labels: Sequence[str],
+    *,
+    loc: str = "outside lower center",
+) -> None:
     """Add one legend for all panels below them."""
     made = figure.legend(
         handles,
         labels,
-        loc="outside lower center",
+        loc=loc,
         ncols=min(len(labels), 4),
         fontsize=NORMAL,
         frameon=False,
@@ -99,6 +119,11 @@ def long_line(axis: Any, x: Array, y: Array, **style: Any) -> Any:
     """Draw a line of any number of points; of many, the extremes of each stretch."""
     options = {"linewidth": 0.9, "solid_joinstyle": "round", **style}
     return axis.plot(*decimate(x, y), **options)[0]
+
+
+def stretch(count: int, *, points: int = POINTS) -> int:
+    """Return of how many samples `decimate` keeps the least and the greatest; 1: of each."""
+    return 1 if count <= points else -(-count // max(points // 2, 1))
 
 
 def decimate(x: ArrayLike, y: ArrayLike, *, points: int = POINTS) -> tuple[Array, Array]:
@@ -123,7 +148,7 @@ def decimate(x: ArrayLike, y: ArrayLike, *, points: int = POINTS) -> tuple[Array
     count = len(y)
     if count <= points:
         return x, y
-    size = -(-count // max(points // 2, 1))
+    size = stretch(count, points=points)
     # The last stretch is filled up with the last point; gaps count as nothing, and stay gaps.
     padded = np.concatenate([y, np.full(-count % size, y[-1])])
     gaps = np.isnan(padded).reshape(-1, size)
@@ -187,13 +212,25 @@ def runs(flags: ArrayLike) -> list[tuple[int, int]]:
 
 def shade(axis: Any, x: Array, flags: ArrayLike, **style: Any) -> None:
     """Shade the stretches of x where a flag is set, over the full height."""
-    # A sample stands for the time up to its neighbours' halves.
-    middles = 0.5 * (x[1:] + x[:-1])
-    edges = np.concatenate([x[:1], middles, x[-1:]])
-    spans = [(edges[i], edges[j] - edges[i]) for i, j in runs(flags)]
-    if spans:
-        options = {"facecolor": SHADE, "linewidth": 0, "zorder": 0.5, **style}
-        axis.broken_barh(spans, (0.0, 1.0), transform=axis.get_xaxis_transform(), **options)
+    low, high = spans(x, flags)
+    if not len(low):
+        return
+    corners = np.zeros((len(low), 4, 2))
+    corners[:, :2, 0], corners[:, 2:, 0], corners[:, 1:3, 1] = low[:, None], high[:, None], 1.0
+    polygons = require("matplotlib.collections", extra="plot").PolyCollection
+    options = {"facecolor": SHADE, "linewidth": 0, "zorder": 0.5, **style}
+    placed = axis.get_xaxis_transform()
+    axis.add_collection(polygons(corners, transform=placed, **options), autolim=False)
+
+
+def spans(x: Array, flags: ArrayLike) -> tuple[Array, Array]:
+    """Return where the stretches of x begin and end in which a flag is set.
+
+    A sample stands for what is nearer to it than to its neighbours.
+    """
+    edges = np.concatenate([x[:1], 0.5 * (x[1:] + x[:-1]), x[-1:]])
+    ends = np.array(runs(flags), dtype=np.int64).reshape(-1, 2)
+    return edges[ends[:, 0]], edges[ends[:, 1]]
 
 
 def same_length(arrays: Iterable[tuple[str, Array]], length: int) -> None:
@@ -240,8 +277,19 @@ def save_figure(figure: Any, path: str | os.PathLike[str], *, dpi: float = 150.0
             f"{', '.join(_FORMATS)}."
         )
     matplotlib = require("matplotlib", extra="plot")
+    # Drawn once: `savefig` draws twice, the first time to see where everything ends up, which
+    # matters only to those who have it cut to size.
+    canvas = require("matplotlib.backends.backend_agg", extra="plot").FigureCanvasAgg
     undated = {".svg": {"Date": None}, ".pdf": {"CreationDate": None}}
     metadata = cast("dict[str, Any] | None", undated.get(suffix))
     with atomic_path(target) as temporary, matplotlib.rc_context({"svg.hashsalt": "sdpid"}):
-        figure.savefig(temporary, format=suffix[1:], dpi=dpi, metadata=metadata)
+        if suffix == ".png":
+            own = figure.dpi
+            figure.set_dpi(dpi)
+            try:
+                canvas(figure).print_png(temporary, pil_kwargs={"compress_level": _COMPRESSION})
+            finally:
+                figure.set_dpi(own)
+        else:
+            figure.savefig(temporary, format=suffix[1:], dpi=dpi, metadata=metadata)
     return target

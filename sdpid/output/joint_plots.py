@@ -11,15 +11,16 @@ import numpy as np
 
 from sdpid._arrays import Array, Mask
 from sdpid.assurance.residuals import JointErrors
-from sdpid.output.figures import BLUE, GREY, RED, TimeLine
+from sdpid.output.figures import BLUE, GREY, RED, TimeLine, stretch
 from sdpid.output.vector import COLUMNS, Axis, Panel, picture
 
-# Heights of the panels, in units of the picture (it is 420 wide).
-_EFFORT, _ERROR, _THIRD = 190.0, 130.0, 88.0
+# Heights of the panels, in units of the picture (it is 420 wide): of two, of three of which two
+# share an axis, and of three. All pictures are as high, and three joints fit on a printed page.
+_EFFORT, _ERROR, _SHARED, _THIRD = 174.0, 128.0, 86.0, 74.0
 
 # Densities below this share of the highest are not shown: what a filter left above its cut-off is
 # nothing to look at.
-_FLOOR, _TOP = 1e-4, 3.0
+_FLOOR, _TOP = 1e-5, 3.0
 
 # About so many ticks under a picture.
 _TICKS = 6
@@ -58,22 +59,39 @@ def plot_joint(
     t, used = line.time, line.kept(used)
     measured, predicted = line.broken(measured), line.broken(predicted)
     error = np.where(used, measured - predicted, np.nan)
+    long = stretch(len(t), points=2 * COLUMNS) > 1
     across = Axis(float(t[0]), float(t[-1]), line.label, count=_TICKS)
     above = Panel(across, Axis.around("effort [N·m]", measured, predicted), _EFFORT)
     below = Panel(across, Axis.around("error [N·m]", error), _ERROR)
-    for panel in (above, below):
-        panel.shade(t, ~used)
-    above.line(t, measured, BLUE, 2.0, label="measured")
-    above.line(t, predicted, RED, 0.9, label="predicted")
+    panels = [above, below]
+    if long:
+        above.height = below.height = _SHARED
+        # Between two instants that are samples, in full.
+        part = detail(error)
+        near, y, z = t[part], measured[part], predicted[part]
+        label = f"{line.label.partition(',')[0]}, about the largest error"
+        along = Axis(float(near[0]), float(near[-1]), label)
+        panels.append(Panel(along, Axis.around("effort [N·m]", y, z), _SHARED))
+        _efforts(panels[-1], near, y, z, used[part])
+    _efforts(above, t, measured, predicted, used)
+    above.keys = [("measured", BLUE), ("predicted", RED)]
+    below.shade(t, ~used)
     below.line(t, error, GREY, 0.9)
-    return picture(
-        (above, below), "measured against predicted effort, and the error", shared=True
-    )  # fmt: skip
+    return picture(panels, "measured against predicted effort, and the error")
 
 
-def stretch(count: int) -> int:
-    """Return of how many samples a point of low and high stands for in a line of `count`."""
-    return 1 if count <= 2 * COLUMNS else -(-count // COLUMNS)
+def _efforts(panel: Panel, t: Array, measured: Array, predicted: Array, used: Mask) -> None:
+    panel.shade(t, ~used)
+    panel.line(t, measured, BLUE, 2.2)
+    panel.line(t, predicted, RED, 1.2)
+
+
+def detail(error: Array) -> slice:
+    """Return which of many samples are shown in full: those about the largest error."""
+    size = np.abs(error)
+    at = 0 if np.isnan(size).all() else int(np.nanargmax(size))
+    first = min(max(at - COLUMNS // 2, 0), max(len(error) - COLUMNS, 0))
+    return slice(first, first + COLUMNS)
 
 
 def plot_joint_errors(errors: JointErrors, *, timed: bool = True) -> str:

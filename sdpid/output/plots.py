@@ -34,8 +34,14 @@ from sdpid.output.figures import (
     same_length,
     save_figure,
     shade,
+    stretch,
 )
 from sdpid.output.parameter_plot import plot_parameters
+
+# Of a figure of efforts, inches: its width, what is free at its edges and under a heading, between
+# the columns and the rows of panels, from a panel to its label; and the left column's share.
+_WIDTH, _LEFT, _RIGHT, _TOP, _BOTTOM, _HEADING = 12.0, 0.95, 0.15, 0.35, 0.95, 0.35
+_BETWEEN, _ABOVE, _LABEL, _SHARE = 0.95, 0.42, 0.65, 0.61
 
 __all__ = [
     "plot_convergence",
@@ -209,10 +215,13 @@ def plot_reconstruction(
     errors = _rmse(y - z, used) if rmse is None else real_array(rmse, "rmse", ndim=1)
     if len(errors) != n:
         raise DataError(f"plot: rmse has {len(errors)} entries, measured has {n} columns.")
+    sizes = _rmse(y, used)
     line = TimeLine.of(None if time is None else t, K, starts)
     t, shown = line.time, line.kept(used)
-    figure = new_figure(12.0, 1.3 + 1.75 * n, title)
-    axes = figure.subplots(n, 2, sharex=True, squeeze=False, width_ratios=(1.6, 1.0))
+    ticker = require("matplotlib.ticker", extra="plot")
+    height = 1.75 * n + _TOP + _BOTTOM + (_HEADING if title else 0.0)
+    figure = new_figure(_WIDTH, height, title, layout=None)
+    axes = _placed(figure, n, height, _HEADING if title else 0.0)
     for j in range(n):
         left, right = axes[j]
         for axis in (left, right):
@@ -222,22 +231,55 @@ def plot_reconstruction(
         error = y[:, j] - z[:, j]
         long_line(right, t, line.broken(np.where(used[:, j], error, np.nan)), color=GREY)
         last = line.label if j == n - 1 else ""
-        size = _rmse(y, used)[j]
+        size = sizes[j]
         share = f"  ({100.0 * errors[j] / size:.2g} % of RMS)" if size > 0.0 else ""
-        dress(left, title=joint_names[j], ylabel=f"effort [{unit[j]}]", xlabel=last)
+        dress(left, ylabel=f"effort [{unit[j]}]", xlabel=last)
         dress(right, ylabel=f"error [{unit[j]}]", xlabel=last)
-        right.set_title(
-            f"RMSE {errors[j]:#.3g} {unit[j]}{share}", fontsize=NORMAL, color=INK, loc="left"
-        )
+        said = f"RMSE {errors[j]:#.3g} {unit[j]}{share}"
+        for axis, words in ((left, joint_names[j]), (right, said)):
+            # With a height, so that nothing is measured to find one.
+            axis.set_title(words, fontsize=NORMAL, color=INK, loc="left", y=1.0)
+            axis.yaxis.set_major_locator(ticker.MaxNLocator(5, steps=(1, 2, 5, 10)))
         left.set_xlim(t[0], t[-1])
+    # Shared by all panels. Few ticks: each costs as much as a line.
+    axes[0, 0].xaxis.set_major_locator(ticker.MaxNLocator(6, steps=(1, 2, 5, 10)))
     handles, labels = axes[0, 0].get_legend_handles_labels()
     if not used.all():
         patches = require("matplotlib.patches", extra="plot")
         handles.append(patches.Patch(facecolor=SHADE, edgecolor=GREY, linewidth=0.5))
         labels.append("rows not used")
-    bottom_legend(figure, handles, labels)
-    figure.align_ylabels(axes)
+    bottom_legend(figure, handles, labels, loc="lower center")
+    if (each := stretch(len(t))) > 1:
+        said = f"drawn: least and greatest value of each {each} samples"
+        figure.text(1.0 - _RIGHT / _WIDTH, 0.08 / height, said, ha="right", fontsize=SMALL, c=GREY)
     return figure
+
+
+def _placed(figure: Any, n: int, height: float, heading: float) -> Any:
+    """Return n rows of a wide and a narrow panel, with fixed room for their words."""
+    across = _WIDTH - _LEFT - _RIGHT - _BETWEEN
+    widths = np.array([_SHARE, 1.0 - _SHARE]) * across
+    tall = (height - _TOP - _BOTTOM - heading - (n - 1) * _ABOVE) / n
+    axes = figure.subplots(
+        n,
+        2,
+        sharex=True,
+        squeeze=False,
+        gridspec_kw={
+            "width_ratios": widths,
+            "left": _LEFT / _WIDTH,
+            "right": 1.0 - _RIGHT / _WIDTH,
+            "bottom": _BOTTOM / height,
+            "top": 1.0 - (_TOP + heading) / height,
+            "wspace": 2.0 * _BETWEEN / across,
+            "hspace": _ABOVE / tall,
+        },
+    )
+    for row in axes:
+        for axis, width in zip(row, widths, strict=True):
+            axis.yaxis.set_label_coords(-_LABEL / width, 0.5)
+            axis.xaxis.set_label_coords(0.5, -0.34 / tall)
+    return axes
 
 
 def _rmse(error: Array, used: np.ndarray) -> Array:

@@ -6,8 +6,6 @@ something (robots, joints, links, notes) is escaped.
 
 from __future__ import annotations
 
-import base64
-import importlib.util
 import json
 import os
 from collections.abc import Iterator
@@ -21,13 +19,16 @@ from sdpid import __version__
 from sdpid._extras import require
 from sdpid._files import atomic_write_text
 from sdpid.assurance.prediction_verdict import grade
-from sdpid.assurance.residuals import JointErrors, joint_errors, period, used_rows
+from sdpid.assurance.residuals import JointErrors, period, used_rows
 from sdpid.assurance.validation import Validation
-from sdpid.assurance.verdict import Judged, findings, judged
+from sdpid.assurance.verdict import Judged, errors_of, findings, judged
 from sdpid.estimation.excitation import WEAK
 from sdpid.experiment.samples import Samples
+from sdpid.output.figures import stretch
 from sdpid.output.intervals_shown import Ends, GivenIntervals, ends_of, in_words
+from sdpid.output.joint_plots import plot_joint, plot_joint_errors
 from sdpid.output.tables import base_table
+from sdpid.output.vector import COLUMNS
 
 _TEMPLATE = "report.html.j2"
 
@@ -60,7 +61,7 @@ def write_report(
     intervals : Intervals, optional
         For the parameter tables.
     figures : bool, optional
-        Draw plots; by default where matplotlib is installed.
+        Draw plots, as is done by default; they need no extra.
     sha256 : str, optional
         The certificate's digest, where it is known; else the certificate is written out once
         more to find it.
@@ -73,8 +74,7 @@ def write_report(
     Raises
     ------
     MissingExtraError
-        When jinja2 is not installed (extra ``report``), or matplotlib is not and figures are
-        wanted (extra ``plot``).
+        When jinja2 is not installed (extra ``report``).
     ExportError
         When the file cannot be written.
     """
@@ -95,7 +95,6 @@ def report_html(
 ) -> str:
     """Return the page that `write_report` writes; arguments and errors are its."""
     jinja2 = require("jinja2", extra="report")
-    draw = importlib.util.find_spec("matplotlib") is not None if figures is None else figures
     environment = jinja2.Environment(
         autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True, lstrip_blocks=True
     )
@@ -104,7 +103,7 @@ def report_html(
     template = files("sdpid.output").joinpath(_TEMPLATE).read_text(encoding="utf-8")
     if sha256 is None:
         sha256 = str(identification.certificate.to_dict()["sha256"])
-    shown = _context(identification, draw, intervals)
+    shown = _context(identification, figures is not False, intervals)
     page = environment.from_string(template).render(
         **shown, command=command, sha256=sha256, version=__version__
     )
@@ -119,14 +118,16 @@ def certificate_digest(path: str | os.PathLike[str]) -> str:
 def _context(result: Judged, draw: bool, intervals: GivenIntervals | None) -> dict[str, Any]:
     """Return what the template shows."""
     problem, certificate = result.problem, result.certificate
-    samples, fit = judged(result)
-    errors = joint_errors(samples, fit)
+    samples, _ = judged(result)
+    errors = errors_of(result)
     ends = ends_of(intervals)
     base, theta = list(_base(result, ends)), list(_theta(result, ends))
     return {
         "robot": problem.robot,
         "result": result,
         "problem": problem,
+        "sample_count": problem.rows.n_samples,
+        "thinned": _thinned(result),
         "held_out": result.validation is not None,
         "findings": findings(result, errors),
         "data": list(_data(result)),
@@ -136,6 +137,7 @@ def _context(result: Judged, draw: bool, intervals: GivenIntervals | None) -> di
         "fits": list(_fits(result)),
         "has_mask": samples.mask is not None,
         "plots": list(_plots(result, errors)) if draw else [],
+        "stretch": stretch(samples.n_samples, points=2 * COLUMNS),
         "base": base,
         "theta": theta,
         "friction": [_term(term) for term in problem.friction.described()],
@@ -156,12 +158,17 @@ def _context(result: Judged, draw: bool, intervals: GivenIntervals | None) -> di
 
 def _data(result: Judged) -> Iterator[tuple[str, list[str]]]:
     """Yield facts about the recordings: label, and one value each."""
-    parts = [result.problem.samples]
-    if result.validation_samples is not None:
-        parts.append(result.validation_samples)
-    yield "samples", [f"{s.n_samples:,}" for s in parts]
-    yield "rows used", [f"{s.n_rows:,} of {s.effort.size:,}" for s in parts]
-    yield "rate", [_rate(s) for s in parts]
+    problem = result.problem
+    parts = [problem.samples]
+    counts = [(problem.rows.n_samples, problem.n_rows)]
+    rates = [_rate(problem.samples, problem.rows.n_samples)]
+    if (fresh := result.validation_samples) is not None:
+        parts.append(fresh)
+        counts.append((fresh.n_samples, fresh.n_rows))
+        rates.append(_rate(fresh, fresh.n_samples))
+    yield "samples", [f"{samples:,}" for samples, _ in counts]
+    yield "rows used", [f"{rows:,} of {samples * problem.robot.n:,}" for samples, rows in counts]
+    yield "rate", rates
     yield "duration", [_duration(s) for s in parts]
     if any(len(s.starts) > 1 for s in parts):
         yield "pieces, recorded apart", [str(len(s.starts)) for s in parts]
@@ -169,17 +176,30 @@ def _data(result: Judged) -> Iterator[tuple[str, list[str]]]:
         yield "periods averaged", ["–" if s.periods is None else str(s.periods) for s in parts]
 
 
-def _rate(samples: Samples) -> str:
-    return "–" if samples.time is None else f"{1.0 / period(samples):.5g} Hz"
+def _thinned(result: Judged) -> int:
+    """Return of how many training samples one is here: more than 1 where they are on a cluster."""
+    problem = result.problem
+    return max(round(problem.rows.n_samples / max(problem.samples.n_samples, 1)), 1)
+
+
+def _rate(samples: Samples, count: int) -> str:
+    """Return the rate of so many samples, of which these are all or evenly spread."""
+    if samples.time is None:
+        return "–"
+    if count == samples.n_samples:
+        return f"{1.0 / period(samples):.5g} Hz"
+    return f"{count / _seconds(samples):.4g} Hz"
 
 
 def _duration(samples: Samples) -> str:
-    if samples.time is None:
-        return "–"
+    return "–" if samples.time is None else f"{_seconds(samples):.5g} s"
+
+
+def _seconds(samples: Samples) -> float:
     # The last sample of a piece lasts as long as the others.
+    assert samples.time is not None
     pieces = [samples.time[part] for part in samples.parts]
-    seconds = sum(float(piece[-1] - piece[0]) + period(samples) for piece in pieces)
-    return f"{seconds:.5g} s"
+    return sum(float(piece[-1] - piece[0]) + period(samples) for piece in pieces)
 
 
 def _term(described: dict[str, Any]) -> str:
@@ -247,43 +267,22 @@ def _errors(fit: Validation, j: int) -> dict[str, float]:
 
 def _plots(result: Judged, errors: tuple[JointErrors, ...]) -> Iterator[dict[str, Any]]:
     """Yield the pictures of every joint."""
-    from sdpid.output.joint_plots import plot_joint, plot_joint_errors
-
     samples, fit = judged(result)
     shown = {each.joint: each for each in errors}
     for j, name in enumerate(fit.joint_names):
         if name not in shown:
             continue
+        columns = samples.effort[:, j], fit.effort_predicted[:, j], used_rows(samples, j)
         pictures = [
-            (
-                "measured against predicted effort, and the error",
-                plot_joint(
-                    samples.time,
-                    samples.effort[:, j],
-                    fit.effort_predicted[:, j],
-                    used_rows(samples, j),
-                    starts=samples.starts,
-                ),
-            ),
-            (
-                "spectrum, autocorrelation and velocity dependence of the error",
-                plot_joint_errors(shown[name], timed=samples.time is not None),
-            ),
+            plot_joint(samples.time, *columns, starts=samples.starts),
+            plot_joint_errors(shown[name], timed=samples.time is not None),
         ]
         yield {
             "name": name,
             "rmse": float(fit.rmse[j]),
             "r2": float(fit.r2[j]),
-            "pictures": [(label, _inlined(figure)) for label, figure in pictures],
+            "pictures": pictures,
         }
-
-
-def _inlined(figure: Any) -> str:
-    """Return a figure as the address of an image that holds it."""
-    from sdpid.output.joint_plots import svg
-
-    # Within an image of its own, so that names inside cannot meet those of another figure.
-    return "data:image/svg+xml;base64," + base64.b64encode(svg(figure)).decode("ascii")
 
 
 def _base(result: Judged, ends: dict[str, Ends]) -> Iterator[dict[str, Any]]:

@@ -12,8 +12,8 @@ from html import escape
 
 import numpy as np
 
-from sdpid._arrays import Array
-from sdpid.output.figures import FAINT, GREY, INK, SHADE, decimate, runs
+from sdpid._arrays import Array, Mask
+from sdpid.output.figures import FAINT, GREY, INK, SHADE, decimate, runs, spans
 
 # Units of the picture; a phone shows it some 340 pixels wide, so letters of 12 are 10 pixels high.
 WIDTH, _LETTERS = 420.0, 12.0
@@ -68,10 +68,19 @@ class Axis:
     @classmethod
     def around(cls, label: str, *values: Array, room: float = 0.05) -> Axis:
         """Return a linear axis that all values fit on, with some room; NaN count as nothing."""
-        ends = [float(end(v[~np.isnan(v)])) for v in values for end in (np.min, np.max)
-                if not np.isnan(v).all()]  # fmt: skip
-        low, high = (min(ends), max(ends)) if ends else (0.0, 1.0)
+        known = np.concatenate([v[~np.isnan(v)] for v in values])
+        low, high = (float(known.min()), float(known.max())) if len(known) else (0.0, 1.0)
         return cls(low - room * (high - low), high + room * (high - low), label)
+
+    @property
+    def places(self) -> Array:
+        """Where the ticks are: 0 at `low`, 1 at `high`."""
+        return self.at(np.array([value for value, _ in self.ticks]))
+
+    @property
+    def words(self) -> list[str]:
+        """Their numbers."""
+        return [text for _, text in self.ticks]
 
     def at(self, values: Array) -> Array:
         """Return where values are: 0 at `low`, 1 at `high`."""
@@ -112,20 +121,20 @@ class Panel:
         outline = np.concatenate([x, x[::-1]]), np.concatenate([low, high[::-1]])
         self._layers.append(("area", *outline, SHADE, 0.0))
 
-    def shade(self, x: Array, flags: Array) -> None:
+    def shade(self, x: Array, flags: Mask) -> None:
         """Shade the stretches of x where a flag is set, over the full height."""
-        middles = 0.5 * (x[1:] + x[:-1])
-        edges = np.concatenate([x[:1], middles, x[-1:]])
-        for first, last in runs(flags):
-            self.area(
-                edges[[first, last]], np.full(2, self.y.low), np.full(2, self.y.high)
-            )  # fmt: skip
+        self._layers.append(("spans", *spans(x, flags), SHADE, 0.0))
 
     def drawn(self, left: float, width: float) -> str:
         """Return what is within the frame; a picture in the picture cuts off what is beyond."""
         size = np.array([width, self.height]) * _PARTS
         areas, parts = [], []
         for kind, x, y, colour, thick in self._layers:
+            if kind == "spans":
+                ends = np.rint(self.x.at(np.stack([x, y], axis=1)) * size[0]).astype(np.int64)
+                down = f"v{size[1]:.0f}"
+                areas += [f"M{a} 0h{b - a}{down}h{a - b}z" for a, b in ends.tolist() if b > a]
+                continue
             u = np.clip(self.x.at(x) * size[0], -_OUTSIDE, _OUTSIDE)
             v = np.clip((1.0 - self.y.at(y)) * size[1], -_OUTSIDE, _OUTSIDE)
             if kind == "area":
@@ -133,9 +142,9 @@ class Panel:
             elif kind == "dots":
                 # Strokes without length and with round ends are dots.
                 dots = "".join(f"M{a:.0f} {b:.0f}h0" for a, b in zip(u, v, strict=True))
-                parts.append(_stroke(dots, colour, 2.0 * thick))
+                parts.append(_stroke(dots, colour, 2.0 * _PARTS * thick))
             else:
-                parts.append(_stroke(_path(u, v), colour, thick))
+                parts.append(_stroke(_path(u, v), colour, _PARTS * thick))
         if areas:
             parts.insert(0, f'<path fill="{SHADE}" stroke="none" d="{"".join(areas)}"/>')
         return (
@@ -145,30 +154,29 @@ class Panel:
         )
 
 
-def picture(panels: Sequence[Panel], described: str, *, shared: bool = False) -> str:
+def picture(panels: Sequence[Panel], described: str) -> str:
     """Return panels under each other as SVG; the same panels give the same text.
 
     Parameters
     ----------
     panels : sequence of Panel
-        From the top.
+        From the top. Of those with the same horizontal axis only the last has its numbers.
     described : str
         What is shown, for those who do not see it.
-    shared : bool, optional
-        Whether all have the same horizontal axis; then only the last has its numbers.
 
     Returns
     -------
     str
     """
-    longest = max(len(text) for panel in panels for _, text in panel.y.ticks)
+    longest = max((len(text) for panel in panels for text in panel.y.words), default=1)
     left = _LETTERS * (1.9 + _ADVANCE * longest)
     width = WIDTH - left - 0.8 * _LETTERS
     parts, top = [], 0.0
-    for number, panel in enumerate(panels):
+    for panel, below in zip(panels, [*panels[1:], None], strict=True):
         top += 1.7 * _LETTERS if panel.keys else 0.7 * _LETTERS
-        numbers = not shared or number == len(panels) - 1
-        parts.append(f'<g transform="translate(0 {top:g})">{_panel(panel, left, width, numbers)}</g>')
+        numbers = below is None or below.x is not panel.x
+        drawn = _panel(panel, left, width, numbers)
+        parts.append(f'<g transform="translate(0 {top:g})">{drawn}</g>')
         top += panel.height + ((3.0 if panel.x.label else 1.6) * _LETTERS if numbers else 0.0)
     return (
         f'<svg viewBox="0 0 {WIDTH:g} {top:g}" role="img" aria-label="{escape(described)}" '
@@ -179,13 +187,11 @@ def picture(panels: Sequence[Panel], described: str, *, shared: bool = False) ->
 def _panel(panel: Panel, left: float, width: float, numbers: bool) -> str:
     """Return grid, content, frame and words of a panel whose frame begins at height zero."""
     grid, words, height = "", "", panel.height
-    for value, text in panel.x.ticks:
-        u = left + width * float(panel.x.at(np.float64(value)))
+    for u, text in zip(left + width * panel.x.places, panel.x.words, strict=True):
         grid += f"M{u:.1f} 0v{height:g}"
         if numbers:
             words += _text(u, height + 1.15 * _LETTERS, text, "middle")
-    for value, text in panel.y.ticks:
-        v = height * (1.0 - float(panel.y.at(np.float64(value))))
+    for v, text in zip(height * (1.0 - panel.y.places), panel.y.words, strict=True):
         grid += f"M{left:.1f} {v:.1f}h{width:.1f}"
         words += _text(left - 0.4 * _LETTERS, v + 0.35 * _LETTERS, text, "end")
     if numbers and panel.x.label:
@@ -193,16 +199,18 @@ def _panel(panel: Panel, left: float, width: float, numbers: bool) -> str:
     if panel.y.label:
         place = f'transform="translate({0.85 * _LETTERS:g} {0.5 * height:g}) rotate(-90)"'
         words += f'<text {place} text-anchor="middle">{escape(panel.y.label)}</text>'
-    at, keys = left + width, ""
-    for label, colour in reversed(panel.keys):
-        words += _text(at, -0.5 * _LETTERS, label, "end")
-        at -= _LETTERS * (_ADVANCE * len(label) + 0.4)
-        keys += _stroke(f"M{at:.1f} {-0.85 * _LETTERS:g}h{-1.5 * _LETTERS:g}", colour, 0.25)
-        at -= 2.5 * _LETTERS
+    if panel.keys:
+        # Within one text, so that nothing need be known about the width of words.
+        keys = "\u2003".join(
+            f'<tspan fill="{colour}" font-weight="bold">—</tspan> {escape(label)}'
+            for label, colour in panel.keys
+        )
+        place = f'x="{left + width:.1f}" y="{-0.5 * _LETTERS:g}"'
+        words += f'<text {place} text-anchor="end">{keys}</text>'
     frame = f"M{left:.1f} 0v{height:g}h{width:.1f}"
     return (
         f'<path stroke="{FAINT}" d="{grid}"/>{panel.drawn(left, width)}'
-        f'<path stroke="{GREY}" fill="none" d="{frame}"/>{keys}{words}'
+        f'<path stroke="{GREY}" fill="none" d="{frame}"/>{words}'
     )
 
 
@@ -211,7 +219,7 @@ def _text(x: float, y: float, text: str, anchor: str) -> str:
 
 
 def _stroke(path: str, colour: str, width: float) -> str:
-    return f'<path stroke="{colour}" stroke-width="{_PARTS * width:g}" d="{path}"/>'
+    return f'<path stroke="{colour}" stroke-width="{width:g}" d="{path}"/>'
 
 
 def _path(u: Array, v: Array) -> str:

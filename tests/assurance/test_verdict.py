@@ -10,8 +10,9 @@ import pytest
 import sdpid
 from sdpid.assurance.prediction_verdict import prediction_findings
 from sdpid.assurance.residuals import joint_errors
-from sdpid.assurance.verdict import findings
+from sdpid.assurance.verdict import _one_way, errors_of, findings
 from sdpid.experiment.samples import Samples
+from sdpid.robot.friction import FrictionModel
 from tests.helpers.identified import ARM, arm_theta, identified, moved
 
 FIRST, LAST = ARM.joint_names
@@ -174,3 +175,69 @@ def test_a_prediction_alone_is_judged(good: sdpid.Identification) -> None:
     changed = replace(fresh, effort=effort)
     levels = [f.level for f in prediction_findings(changed, sdpid.validate(good.estimate, changed))]
     assert levels == ["good", "bad", "caution"]
+
+
+def one_way(samples: Samples, joint: int, sign: float) -> Samples:
+    """Return samples in which a joint moves on in one direction only."""
+    v = np.array(samples.velocity)
+    v[:, joint] = sign * (np.abs(v[:, joint]) + 0.05)
+    return replace(samples, velocity=v)
+
+
+@pytest.mark.parametrize(("sign", "word"), [(1.0, "forwards"), (-1.0, "backwards")])
+def test_a_joint_that_moves_one_way_only_is_named(
+    good: sdpid.Identification, sign: float, word: str
+) -> None:
+    unsaid(good, "one direction only")
+    samples = one_way(good.problem.samples, 0, sign)
+    result = replace(good, problem=replace(good.problem, samples=samples))
+    text = said(result, "one direction only", "extrapolation", "Coulomb friction and an offset")
+    assert f"{FIRST} ({word})" in text
+    assert LAST not in text
+    # As held-out motion it says nothing about what was trained.
+    unsaid(with_validation(good, one_way(moved(arm_theta(), 2), 0, sign)), "one direction only")
+
+
+def test_velocity_noise_is_no_motion_and_hidden_rows_do_not_count(
+    good: sdpid.Identification,
+) -> None:
+    samples = one_way(good.problem.samples, 1, 1.0)
+    v = np.array(samples.velocity)
+    v[:5, 1] = -0.019
+    noisy = replace(samples, velocity=v)
+    result = replace(good, problem=replace(good.problem, samples=noisy))
+    assert f"{LAST} (forwards)" in said(result, "one direction only")
+    v[:5, 1] = -0.021
+    samples = replace(samples, velocity=v)
+    unsaid(replace(good, problem=replace(good.problem, samples=samples)), "one direction only")
+    mask = np.ones(v.shape, dtype=bool)
+    mask[:5, 1] = False
+    samples = replace(samples, mask=mask)
+    result = replace(good, problem=replace(good.problem, samples=samples))
+    assert f"{LAST} (forwards)" in said(result, "one direction only")
+
+
+def test_without_friction_directions_do_not_matter(good: sdpid.Identification) -> None:
+    problem = good.problem
+    bare = FrictionModel.from_terms((), problem.robot.joint_names)
+    samples = one_way(problem.samples, 0, 1.0)
+    result = replace(good, problem=replace(problem, samples=samples, friction=bare))
+    assert not list(_one_way(result))
+
+
+def test_all_pieces_count_for_directions(good: sdpid.Identification) -> None:
+    forwards, backwards = (one_way(moved(arm_theta(), 1), 0, s) for s in (1.0, -1.0))
+    for pieces, named in (((forwards, backwards), False), ((forwards, forwards), True)):
+        joined = Samples.join(pieces)
+        result = replace(good, problem=replace(good.problem, samples=joined))
+        assert bool(list(_one_way(result))) is named
+
+
+def test_errors_are_looked_at_once(
+    good: sdpid.Identification, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    fresh = replace(good)
+    first = errors_of(fresh)
+    monkeypatch.setattr("sdpid.assurance.verdict.joint_errors", None)
+    assert errors_of(fresh) is first
+    assert sdpid.verdict(fresh) == sdpid.verdict(good)
