@@ -7,7 +7,6 @@ from .assurance.price import price_of_consistency
 from .assurance.validation import Validation, validate
 from .assurance.verdict import verdict
 from .assurance.worst_mass_matrix import worst_mass_matrix
-from .cross_validation import CrossValidation, cross_validate
 from .errors import (
     CertificateError,
     DataError,
@@ -54,7 +53,6 @@ from .experiment.processing import Processing, process
 from .experiment.readers import read_recording
 from .experiment.recording import Recording
 from .experiment.samples import Samples
-from .identification import Identification
 from .output.comparison import Comparison, compare
 from .output.mjcf import write_mjcf
 from .output.parameters_file import read_parameters, write_parameters
@@ -79,7 +77,9 @@ from .robot.friction import (
 from .robot.load import load_robot
 from .robot.mdh import DhJoint, DhTable
 from .robot.model import RobotModel
-from .workflow import identify, mass_matrix
+from .workflow.chain import identify, mass_matrix
+from .workflow.cross_validation import CrossValidation, cross_validate
+from .workflow.identification import Identification
 
 __version__: str
 

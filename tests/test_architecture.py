@@ -55,8 +55,7 @@ def module_name(path: Path) -> str:
 def room(name: str) -> str:
     """Return the room of a module: helpers stand at the top level and belong to everyone."""
     parts = name.split(".")
-    doors = ("workflow", "identification", "results_folder", "cross_validation")
-    if len(parts) > 1 and parts[1] in (*doors, "cli", "__main__"):
+    if len(parts) > 1 and parts[1] in ("workflow", "cli", "__main__"):
         return "workflow"
     helper = len(parts) == 1 or parts[1] == "errors" or parts[1].startswith("_")
     return "helpers" if helper else parts[1]

@@ -14,7 +14,7 @@ import pytest
 
 from sdpid import _files
 from sdpid._files import move_into, undisturbed
-from sdpid.results_folder import Stage
+from sdpid.workflow.folder import Stage
 from tests.helpers.arm_files import ARM_URDF, arm_log
 
 pytestmark = pytest.mark.skipif(os.name != "posix", reason="signals of POSIX")

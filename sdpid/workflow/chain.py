@@ -29,11 +29,11 @@ from sdpid.estimation.wls import solve_wls
 from sdpid.experiment.preparation import default_friction
 from sdpid.experiment.recording import Recording
 from sdpid.experiment.training import Logs, ProcessingOf, chosen_processing, joined, recordings
-from sdpid.identification import Identification
 from sdpid.robot.friction import FrictionTerm
 from sdpid.robot.inertia import Consistency
 from sdpid.robot.load import load_robot
 from sdpid.robot.model import RobotModel
+from sdpid.workflow.identification import Identification
 
 __all__ = ["Identification", "formulate", "identify", "mass_matrix"]
 
@@ -169,7 +169,7 @@ def identify(
         advance(1)
     crossed = None
     if folds is not None:
-        from sdpid.cross_validation import cross_validate
+        from sdpid.workflow.cross_validation import cross_validate
 
         crossed = cross_validate(
             model,

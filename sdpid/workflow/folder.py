@@ -18,8 +18,8 @@ from sdpid.errors import ExportError, MissingExtraError, SdpidError
 from sdpid.output.intervals_shown import GivenIntervals
 
 if TYPE_CHECKING:
-    from sdpid.identification import Identification
     from sdpid.output.urdf import ExportReport
+    from sdpid.workflow.identification import Identification
 
 # Steps of writing that are counted on a terminal; drawing takes most of the time.
 _STEPS = 6

@@ -8,7 +8,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from sdpid import results_folder
 from sdpid.assurance.certificate import Certificate
 from sdpid.assurance.intervals import Intervals
 from sdpid.assurance.validation import Validation
@@ -17,9 +16,10 @@ from sdpid.estimation.estimate import Estimate
 from sdpid.estimation.problem import Problem, describe
 from sdpid.experiment.samples import Samples
 from sdpid.output.intervals_shown import GivenIntervals, ends_of, in_words
+from sdpid.workflow.folder import save as save_results
 
 if TYPE_CHECKING:
-    from sdpid.cross_validation import CrossValidation
+    from sdpid.workflow.cross_validation import CrossValidation
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -161,7 +161,7 @@ class Identification:
         ExportError
             When the folder cannot be written to, or the estimate cannot be exported.
         """
-        return results_folder.save(
+        return save_results(
             self,
             folder,
             figures=figures,

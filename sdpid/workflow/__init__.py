@@ -1,0 +1,6 @@
+"""The whole chain in one call: recordings and a robot in, certified parameters and files out."""
+
+from sdpid.workflow.chain import formulate, identify, mass_matrix
+from sdpid.workflow.identification import Identification
+
+__all__ = ["Identification", "formulate", "identify", "mass_matrix"]
