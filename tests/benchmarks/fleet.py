@@ -31,7 +31,7 @@ import numpy as np
 import sdpid
 from sdpid.experiment.preparation import default_friction, default_processing, prepare
 from sdpid.output.tables import Table
-from tests.benchmarks.timing import Row
+from tests.benchmarks.timing import Row, peak
 from tests.benchmarks.timing import table as ratios
 
 ROBOT, SEED = "denso_vp6242", 0
@@ -40,7 +40,7 @@ PERIODS = 10
 # Pieces for the cluster: as many as divide evenly among the workers, each of five minutes.
 PIECES, PIECE = 4, 300_000
 _REPEATS = 5
-_KIB, _MIB = 1 << 10, 1 << 20
+_MIB = 1 << 20
 ONE_THREAD = dict.fromkeys(
     ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "NUMBA_NUM_THREADS"), "1"
 )  # fmt: skip
@@ -72,14 +72,6 @@ def on_core(core: int) -> None:
     """Stay on one core."""
     cores = sorted(os.sched_getaffinity(0))
     os.sched_setaffinity(0, {cores[core % len(cores)]})
-
-
-def peak() -> int:
-    """Return the most bytes that this process had in memory; `getrusage` says the parent's too."""
-    for line in Path("/proc/self/status").read_text(encoding="utf-8").splitlines():
-        if line.startswith("VmHWM"):
-            return int(line.split()[1]) * _KIB
-    raise RuntimeError("/proc/self/status: has no VmHWM; this needs Linux.")
 
 
 def hour(file: str) -> dict[str, Any]:

@@ -12,7 +12,6 @@ from __future__ import annotations
 import argparse
 import json
 import os
-import resource
 import subprocess
 import sys
 import tempfile
@@ -25,7 +24,7 @@ import numpy as np
 
 from sdpid._arrays import Array
 from sdpid.output.tables import Table
-from tests.benchmarks.timing import Row
+from tests.benchmarks.timing import Row, peak
 
 ROBOT, SEED = "denso_vp6242", 0
 # The long log has so many times the periods.
@@ -93,7 +92,7 @@ def job(file: str) -> dict[str, Any]:
     assert certificate.passed
     return {
         "seconds": clock.seconds,
-        "peak": _peak(),
+        "peak": peak(),
         "log": [log.n_samples, log.n, Path(file).stat().st_size],
         "samples": samples.effort.shape,
         "columns": problem.base.count,
@@ -122,7 +121,7 @@ def reference(file: str) -> dict[str, Any]:
     for channel in channels:
         sosfiltfilt(sections, channel)
     clock.lap("filter")
-    return {"seconds": clock.seconds, "peak": _peak()}
+    return {"seconds": clock.seconds, "peak": peak()}
 
 
 def bandwidth() -> dict[str, Any]:
@@ -185,11 +184,6 @@ def lengthen(source: Path, target: Path, times: int = TIMES) -> None:
             arrays = [pa.array(np.ascontiguousarray(values)) for values in columns]
             writer.write_table(pa.table(arrays, schema=schema), row_group_size=_WRITTEN)
             row += high - low
-
-
-def _peak() -> int:
-    """Return the most bytes that this process had in memory."""
-    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024
 
 
 def _apart(what: str, *arguments: str) -> dict[str, Any]:
