@@ -217,10 +217,12 @@ def shade(axis: Any, x: Array, flags: ArrayLike, **style: Any) -> None:
         return
     corners = np.zeros((len(low), 4, 2))
     corners[:, :2, 0], corners[:, 2:, 0], corners[:, 1:3, 1] = low[:, None], high[:, None], 1.0
-    polygons = require("matplotlib.collections", extra="plot").PolyCollection
+    # As one path: a file has no more parts for more stretches.
+    path = require("matplotlib.path", extra="plot").Path.make_compound_path_from_polys(corners)
+    paths = require("matplotlib.collections", extra="plot").PathCollection
     options = {"facecolor": SHADE, "linewidth": 0, "zorder": 0.5, **style}
     placed = axis.get_xaxis_transform()
-    axis.add_collection(polygons(corners, transform=placed, **options), autolim=False)
+    axis.add_collection(paths([path], transform=placed, **options), autolim=False)
 
 
 def spans(x: Array, flags: ArrayLike) -> tuple[Array, Array]:

@@ -6,24 +6,26 @@ No names stand in them, so nothing that a robot's description says is drawn.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 
 from sdpid._arrays import Array, Mask
 from sdpid.assurance.residuals import JointErrors
-from sdpid.output.figures import BLUE, GREY, RED, TimeLine, stretch
-from sdpid.output.vector import COLUMNS, Axis, Panel, picture
+from sdpid.output.figures import BLUE, GREY, RED, SHADE, TimeLine, decimate, shade, stretch
+from sdpid.output.inline_svg import Panel, keys, logarithmic, stacked
 
-# Heights of the panels, in units of the picture (it is 420 wide): of two, of three of which two
-# share an axis, and of three. All pictures are as high, and three joints fit on a printed page.
-_EFFORT, _ERROR, _SHARED, _THIRD = 174.0, 128.0, 86.0, 74.0
+# Stretches along a line, of which the least and the greatest value are kept: more than a page shows
+# of it in pixels would not be seen.
+COLUMNS = 400
+
+# Heights of the panels, points (they are 280 wide): of two, of three of which two share an axis,
+# and of three. All pictures are as high, and three joints fit on a printed page.
+_EFFORT, _ERROR, _SHARED, _THIRD = 116.0, 86.0, 57.0, 50.0
 
 # Densities below this share of the highest are not shown: what a filter left above its cut-off is
 # nothing to look at.
 _FLOOR, _TOP = 1e-5, 3.0
-
-# About so many ticks under a picture.
-_TICKS = 6
 
 # What the autocorrelation of independent errors stays within, nineteen times of twenty.
 _WITHIN = 1.96
@@ -36,7 +38,7 @@ def plot_joint(
     used: Mask,
     *,
     starts: Sequence[int] = (0,),
-) -> str:
+) -> Any:
     """Show measured against predicted effort of a joint, and the error below.
 
     Parameters
@@ -52,38 +54,37 @@ def plot_joint(
 
     Returns
     -------
-    str
-        SVG.
+    matplotlib.figure.Figure
     """
     line = TimeLine.of(time, len(measured), starts)
     t, used = line.time, line.kept(used)
     measured, predicted = line.broken(measured), line.broken(predicted)
     error = np.where(used, measured - predicted, np.nan)
-    long = stretch(len(t), points=2 * COLUMNS) > 1
-    across = Axis(float(t[0]), float(t[-1]), line.label, count=_TICKS)
-    above = Panel(across, Axis.around("effort [N·m]", measured, predicted), _EFFORT)
-    below = Panel(across, Axis.around("error [N·m]", error), _ERROR)
-    panels = [above, below]
-    if long:
-        above.height = below.height = _SHARED
-        # Between two instants that are samples, in full.
-        part = detail(error)
-        near, y, z = t[part], measured[part], predicted[part]
+    # Of a long record, what is about the largest error once more in full.
+    near = detail(error) if stretch(len(t), points=2 * COLUMNS) > 1 else None
+    high = (_EFFORT, _ERROR) if near is None else (_SHARED, _SHARED)
+    panels = [
+        Panel(high[0], "effort [N·m]", keys=True),
+        Panel(high[1], "error [N·m]", x=line.label),
+    ]
+    if near is not None:
         label = f"{line.label.partition(',')[0]}, about the largest error"
-        along = Axis(float(near[0]), float(near[-1]), label)
-        panels.append(Panel(along, Axis.around("effort [N·m]", y, z), _SHARED))
-        _efforts(panels[-1], near, y, z, used[part])
+        panels.append(Panel(_SHARED, "effort [N·m]", x=label))
+    figure, (above, below, *more) = stacked(panels)
     _efforts(above, t, measured, predicted, used)
-    above.keys = [("measured", BLUE), ("predicted", RED)]
-    below.shade(t, ~used)
-    below.line(t, error, GREY, 0.9)
-    return picture(panels, "measured against predicted effort, and the error")
+    keys(above)
+    shade(below, t, ~used)
+    _line(below, t, error, color=GREY, linewidth=0.6)
+    if near is not None:
+        _efforts(more[0], t[near], measured[near], predicted[near], used[near])
+    return figure
 
 
-def _efforts(panel: Panel, t: Array, measured: Array, predicted: Array, used: Mask) -> None:
-    panel.shade(t, ~used)
-    panel.line(t, measured, BLUE, 2.2)
-    panel.line(t, predicted, RED, 1.2)
+def _efforts(axis: Any, t: Array, measured: Array, predicted: Array, used: Mask) -> None:
+    axis.margins(x=0.0)
+    shade(axis, t, ~used)
+    _line(axis, t, measured, color=BLUE, linewidth=1.4, label="measured")
+    _line(axis, t, predicted, color=RED, linewidth=0.8, label="predicted")
 
 
 def detail(error: Array) -> slice:
@@ -94,7 +95,7 @@ def detail(error: Array) -> slice:
     return slice(first, first + COLUMNS)
 
 
-def plot_joint_errors(errors: JointErrors, *, timed: bool = True) -> str:
+def plot_joint_errors(errors: JointErrors, *, timed: bool = True) -> Any:
     """Show spectrum, autocorrelation and velocity dependence of a joint's errors.
 
     Parameters
@@ -106,52 +107,46 @@ def plot_joint_errors(errors: JointErrors, *, timed: bool = True) -> str:
 
     Returns
     -------
-    str
-        SVG.
+    matplotlib.figure.Figure
     """
-    panels = (_spectrum(errors, timed), _correlation(errors, timed), _friction(errors))
-    return picture(panels, "spectrum, autocorrelation and velocity dependence of the error")
+    frequency = "frequency [Hz]" if timed else "cycles per sample"
+    panels = (
+        Panel(_THIRD, "N·m/√Hz" if timed else "N·m", x=frequency, keys=True),
+        Panel(_THIRD, "autocorrelation", x="lag [s]" if timed else "lag [samples]"),
+        Panel(_THIRD, "error [N·m]", x="velocity [rad/s]"),
+    )
+    figure, (spectrum, correlation, friction) = stacked(panels)
+    _spectrum(spectrum, errors)
+    level = _WITHIN / float(np.sqrt(errors.independent))
+    correlation.axhspan(-level, level, color=SHADE, linewidth=0.0)
+    _line(correlation, errors.lag, errors.autocorrelation, color=RED, linewidth=0.8)
+    correlation.set_xlim(0.0, max(float(errors.lag[-1]), 1e-9))
+    if len(errors.velocity):
+        friction.fill_between(errors.velocity, errors.low, errors.high, color=SHADE, linewidth=0.0)
+        friction.plot(
+            errors.velocity, errors.mean, color=RED, marker="o", markersize=2.5, linewidth=0.8
+        )
+    friction.axhline(0.0, color=GREY, linewidth=0.6)
+    return figure
 
 
-def _spectrum(errors: JointErrors, timed: bool) -> Panel:
+def _spectrum(axis: Any, errors: JointErrors) -> None:
     f = errors.frequency
     positive = f > 0.0
     top = max(float(errors.effort_density.max()), float(errors.error_density.max())) or 1.0
-    ends = (float(f[positive][0]), float(f[-1])) if positive.any() else (0.1, 1.0)
-    across = Axis(*ends, "frequency [Hz]" if timed else "cycles per sample", log=True, count=_TICKS)
-    unit = "N·m/√Hz" if timed else "N·m"
-    panel = Panel(across, Axis(_FLOOR * top, _TOP * top, unit, log=True), _THIRD)
+    ends = (0.1, 1.0)
+    if np.count_nonzero(positive) > 1:
+        ends = float(f[positive][0]), float(f[-1])
+    logarithmic(axis, ends, (_FLOOR * top, _TOP * top))
     for density, colour, label in (
         (errors.effort_density, BLUE, "measured effort"),
         (errors.error_density, RED, "error"),
     ):
         shown = positive & (density > 0.0)
-        panel.line(f[shown], density[shown], colour, 1.0, label=label)
-    return panel
+        _line(axis, f[shown], density[shown], color=colour, linewidth=0.8, label=label)
+    keys(axis)
 
 
-def _correlation(errors: JointErrors, timed: bool) -> Panel:
-    level = _WITHIN / float(np.sqrt(errors.independent))
-    end = max(float(errors.lag[-1]), 1e-9)
-    band = np.array([-level, level])
-    panel = Panel(
-        Axis(0.0, end, "lag [s]" if timed else "lag [samples]", count=_TICKS),
-        Axis.around("autocorrelation", errors.autocorrelation, band),
-        _THIRD,
-    )
-    panel.area(np.array([0.0, end]), np.full(2, -level), np.full(2, level))
-    panel.line(errors.lag, errors.autocorrelation, RED, 1.2)
-    return panel
-
-
-def _friction(errors: JointErrors) -> Panel:
-    v = errors.velocity
-    across = Axis.around("velocity [rad/s]", v)
-    along = Axis.around("error [N·m]", errors.low, errors.high, np.zeros(1))
-    panel = Panel(across, along, _THIRD)
-    if len(v):
-        panel.area(v, errors.low, errors.high)
-    panel.line(np.array([across.low, across.high]), np.zeros(2), GREY, 0.8)
-    if len(v):
-        panel.line(v, errors.mean, RED, 1.2, dots=True)
-    return panel
+def _line(axis: Any, x: Array, y: Array, **style: Any) -> None:
+    """Draw a line; of a long one the extremes of each of `COLUMNS` stretches."""
+    axis.plot(*decimate(x, y, points=2 * COLUMNS), solid_joinstyle="round", **style)

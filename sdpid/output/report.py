@@ -6,6 +6,7 @@ something (robots, joints, links, notes) is escaped.
 
 from __future__ import annotations
 
+import importlib.util
 import json
 import os
 from collections.abc import Iterator
@@ -25,15 +26,19 @@ from sdpid.assurance.verdict import Judged, errors_of, findings, judged
 from sdpid.estimation.excitation import WEAK
 from sdpid.experiment.samples import Samples
 from sdpid.output.figures import stretch
+from sdpid.output.inline_svg import inline
 from sdpid.output.intervals_shown import Ends, GivenIntervals, ends_of, in_words
-from sdpid.output.joint_plots import plot_joint, plot_joint_errors
+from sdpid.output.joint_plots import COLUMNS, plot_joint, plot_joint_errors
 from sdpid.output.tables import base_table
-from sdpid.output.vector import COLUMNS
 
 _TEMPLATE = "report.html.j2"
 
 # Weakly excited directions that are listed one by one; more say no more.
 _DIRECTIONS = 12
+
+# What the pictures show.
+_EFFORTS = "measured against predicted effort, and the error"
+_ERRORS = "spectrum, autocorrelation and velocity dependence of the error"
 
 # Values below this share of their standard error are what a solver leaves of zero, at a bound.
 _NOTHING = 1e-6
@@ -61,7 +66,7 @@ def write_report(
     intervals : Intervals, optional
         For the parameter tables.
     figures : bool, optional
-        Draw plots, as is done by default; they need no extra.
+        Draw plots; by default where matplotlib is installed.
     sha256 : str, optional
         The certificate's digest, where it is known; else the certificate is written out once
         more to find it.
@@ -74,7 +79,8 @@ def write_report(
     Raises
     ------
     MissingExtraError
-        When jinja2 is not installed (extra ``report``).
+        When jinja2 is not installed (extra ``report``), or matplotlib is not and figures are
+        asked for (extra ``plot``).
     ExportError
         When the file cannot be written.
     """
@@ -95,6 +101,9 @@ def report_html(
 ) -> str:
     """Return the page that `write_report` writes; arguments and errors are its."""
     jinja2 = require("jinja2", extra="report")
+    drawable = importlib.util.find_spec("matplotlib") is not None
+    if figures:
+        require("matplotlib", extra="plot")
     environment = jinja2.Environment(
         autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True, lstrip_blocks=True
     )
@@ -103,9 +112,9 @@ def report_html(
     template = files("sdpid.output").joinpath(_TEMPLATE).read_text(encoding="utf-8")
     if sha256 is None:
         sha256 = str(identification.certificate.to_dict()["sha256"])
-    shown = _context(identification, figures is not False, intervals)
+    shown = _context(identification, drawable if figures is None else figures, intervals)
     page = environment.from_string(template).render(
-        **shown, command=command, sha256=sha256, version=__version__
+        **shown, command=command, sha256=sha256, version=__version__, drawable=drawable
     )
     return str(page)
 
@@ -273,15 +282,16 @@ def _plots(result: Judged, errors: tuple[JointErrors, ...]) -> Iterator[dict[str
         if name not in shown:
             continue
         columns = samples.effort[:, j], fit.effort_predicted[:, j], used_rows(samples, j)
-        pictures = [
-            plot_joint(samples.time, *columns, starts=samples.starts),
-            plot_joint_errors(shown[name], timed=samples.time is not None),
-        ]
+        efforts = plot_joint(samples.time, *columns, starts=samples.starts)
+        found = plot_joint_errors(shown[name], timed=samples.time is not None)
         yield {
             "name": name,
             "rmse": float(fit.rmse[j]),
             "r2": float(fit.r2[j]),
-            "pictures": pictures,
+            "pictures": [
+                inline(efforts, f"efforts-{j}", _EFFORTS),
+                inline(found, f"errors-{j}", _ERRORS),
+            ],
         }
 
 

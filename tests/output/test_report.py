@@ -103,9 +103,7 @@ def elements(page: str, name: str) -> list[Any]:
 
 
 def pictures(page: str) -> list[Any]:
-    """Return the pictures; each is one, and has others in it that only cut off."""
-    svg = "{http://www.w3.org/2000/svg}svg"
-    return [e for e in tree(page).iter(svg) if e.get("role") == "img"]
+    return list(tree(page).iter("{http://www.w3.org/2000/svg}svg"))
 
 
 def words(page: str) -> str:
@@ -117,24 +115,31 @@ def words(page: str) -> str:
 
 def self_contained(page: str) -> None:
     """Check that nothing is fetched and nothing runs."""
-    allowed = {"a": r"#"}
+    allowed = {"a": r"#", "use": r"#"}
     for element in tree(page).iter("{*}*"):
         name = etree.QName(element).localname
         assert name not in ("script", "link", "iframe", "object", "embed", "base", "form", "img")
-        assert name not in ("image", "use", "foreignObject", "animate", "set")
+        assert name not in ("image", "foreignObject", "animate", "set")
         for key, value in element.attrib.items():
             assert not key.startswith("on")
             if etree.QName(key).localname in FETCHING:
                 assert re.match(allowed[name], value), (name, key, value[:60])
-            assert "url(" not in value
+            assert "url(" not in value.replace("url(#", "")
     style = "".join(element.text or "" for element in elements(page, "style"))
     assert style
     assert "url(" not in style
     assert "@import" not in style
     for picture in pictures(page):
         assert picture.get("aria-label")
-        # Names within one could meet those of another.
-        assert not any(part.get("id") for part in picture.iter())
+        assert picture.get("role") == "img"
+        assert not list(picture.iter("{*}style")), "it would hold for all of the page"
+        # What a picture refers to is within it.
+        own = {part.get("id") for part in picture.iter()}
+        values = [value for part in picture.iter() for value in part.attrib.values()]
+        assert set(re.findall(r"url\(#(.*?)\)", " ".join(values))) <= own
+        assert {v[1:] for v in values if v.startswith("#")} <= own
+    ids = [e.get("id") for e in tree(page).iter("{*}*") if e.get("id")]
+    assert len(ids) == len(set(ids))
 
 
 def test_it_is_valid_and_self_contained(page: str, evil_page: str) -> None:
@@ -142,7 +147,6 @@ def test_it_is_valid_and_self_contained(page: str, evil_page: str) -> None:
         assert text.startswith("<!DOCTYPE html>")
         self_contained(text)
         ids = [e.get("id") for e in tree(text).iter("{*}*") if e.get("id")]
-        assert len(ids) == len(set(ids))
         assert all(a.get("href")[1:] in ids for a in elements(text, "a"))
 
 
@@ -208,19 +212,27 @@ def test_without_validation_figures_or_command(result: sdpid.Identification) -> 
     assert not pictures(text)
 
 
-def test_plots_need_no_matplotlib(
+def test_without_matplotlib_the_page_has_no_plots_and_says_so(
     result: sdpid.Identification, page: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setitem(sys.modules, "matplotlib", None)
-    assert report_html(result, command=COMMAND) == page
     assert len(pictures(page)) == 4
+    monkeypatch.setitem(sys.modules, "matplotlib", None)
+    without = report_html(result, command=COMMAND)
+    self_contained(without)
+    assert not pictures(without)
+    said = "No plots were drawn: matplotlib is not installed (pip install 'sdpid[plot]')."
+    assert said in words(without)
+    assert "matplotlib" not in words(page)
+    # Only when they are asked for.
+    with pytest.raises(sdpid.MissingExtraError, match=r"sdpid\[plot\]"):
+        report_html(result, figures=True)
 
 
 def test_a_long_record_is_drawn_with_few_points_and_says_so() -> None:
     theta = arm_theta()
     short, long = (report_html(identified(moved(theta, 1, seconds=s))) for s in (16.0, 400.0))
     assert "least and the greatest value" not in words(short)
-    assert "least and the greatest value of each 40 samples" in words(long)
+    assert "least and the greatest value of each 50 samples" in words(long)
     assert "about the largest error" in words(long)
     # Twenty-five times as many samples.
     assert len(long) < 2 * len(short)
