@@ -82,6 +82,25 @@ def test_a_first_run_leaves_nothing(folder: Path) -> None:
     assert not fresh.exists()
 
 
+@pytest.mark.parametrize("mistake", [False, True])
+def test_an_end_that_comes_amid_a_callback_is_quiet(mistake: bool) -> None:
+    amid = "1 / 0" if mistake else "os.kill(os.getpid(), signal.SIGTERM)"
+    code = f"""
+import os, signal, weakref
+from sdpid._files import end_if_told
+from sdpid.cli.errors import clean_up_when_ended
+class Thing: pass
+clean_up_when_ended()
+thing = Thing()
+gone = weakref.ref(thing, lambda _: {amid})
+del thing
+end_if_told()
+"""
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60)
+    assert done.returncode == (0 if mistake else 128 + signal.SIGTERM)
+    assert ("ZeroDivisionError" in done.stderr) if mistake else (done.stderr == "")
+
+
 def test_files_move_together(tmp_path: Path) -> None:
     stage = tmp_path / "stage"
     stage.mkdir()

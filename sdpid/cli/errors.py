@@ -5,6 +5,7 @@ from __future__ import annotations
 import errno
 import shlex
 import signal
+import sys
 import traceback
 from typing import Any
 
@@ -79,6 +80,15 @@ def clean_up_when_ended() -> None:
         usual = (signal.SIG_DFL, signal.default_int_handler)
         if number is not None and signal.getsignal(number) in usual:
             signal.signal(number, end_by)
+    usual_hook = sys.unraisablehook
+
+    def hook(found: Any) -> None:
+        # What ends the program cannot leave a callback that it came amid, such as those of the
+        # import system; `end_if_told` ends the program then, and there is nothing to say.
+        if not issubclass(found.exc_type, SystemExit):
+            usual_hook(found)
+
+    sys.unraisablehook = hook
 
 
 def command_line(ctx: typer.Context) -> str:
