@@ -3,17 +3,20 @@
 from __future__ import annotations
 
 import os
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Literal, TypeAlias
 
 import numpy as np
+from numpy.typing import ArrayLike
 
-from sdpid._arrays import Array
+from sdpid._arrays import Array, real_array
 from sdpid._files import atomic_write_text
 from sdpid.errors import ExportError, ModelError
 from sdpid.estimation.estimate import Estimate
 from sdpid.estimation.problem import Problem
-from sdpid.output.urdf_tree import UrdfTree, inertial_values
+from sdpid.output.urdf_tree import FixedChild, UrdfTree, inertial_values
 from sdpid.output.written_bodies import (
     add_shapes,
     joint_numbers,
@@ -28,6 +31,9 @@ from sdpid.robot.friction import Coulomb, Viscous
 from sdpid.robot.inertia import margin
 from sdpid.robot.load import Root, load_robot
 from sdpid.robot.model import RobotModel
+
+# How a body is split among a moving link and those fixed to it.
+Fixed: TypeAlias = Literal["keep", "merge"] | Mapping[str, ArrayLike]
 
 # The written file is read back; its efforts may differ by this fraction of the largest one.
 _READ_BACK = 1e-10
@@ -94,6 +100,7 @@ def write_urdf(
     *,
     target: str | os.PathLike[str],
     source: str | os.PathLike[str] | None = None,
+    fixed: Fixed = "keep",
 ) -> ExportReport:
     """Write the URDF with identified inertias and friction.
 
@@ -114,6 +121,10 @@ def write_urdf(
         File to write, whole or not at all; it may be the source.
     source : str or path, optional
         URDF to change, as a path or its text; by default the one the robot was loaded from.
+    fixed : {"keep", "merge"} or mapping, optional
+        How a body is split among the link that moves and the links fixed to it: as above; the
+        moving link takes all; or a mapping from names of fixed links to the ten parameters
+        (about their own frames) that they are to have, the others keeping theirs.
 
     Returns
     -------
@@ -123,7 +134,7 @@ def write_urdf(
     ------
     ExportError
         When the estimate has no standard parameters, a link of it is not consistent, friction is
-        negative, or the source describes another robot.
+        negative, the source describes another robot, or a body cannot be split as asked.
     ModelError
         When the source is not a URDF.
     """
@@ -141,9 +152,22 @@ def write_urdf(
     changed: list[str] = []
     lumped: list[str] = []
     flat: list[str] = []
+    families = {link: _asked(tree.fixed_children(link), fixed) for link in links}
+    _require_known(fixed, [child.name for family in families.values() for child in family])
     for link, body in zip(links, bodies, strict=True):
-        children = [c for c in tree.fixed_children(link) if c.body is not None and np.any(c.body)]
-        rest = rest_of(body, children, consistency)
+        children = [c for c in families[link] if c.body is not None and np.any(c.body)]
+        rest = None if fixed == "merge" and children else rest_of(body, children, consistency)
+        given = () if isinstance(fixed, str) else [c for c in families[link] if c.name in fixed]
+        if given and rest is None:
+            names = ", ".join(child.name for child in children)
+            raise ExportError(
+                f"{what}: link '{link}' cannot be split as asked: no body can be the rest of its "
+                f"{body[0]:.6g} kg without {names}, or one of those cannot exist; give less, or "
+                "fixed='keep'."
+            )
+        for child in given:
+            _write_inertial(document, tree.links[child.name], np.asarray(child.body))
+            changed.append(child.name)
         if rest is not None:
             body = rest
         else:
@@ -169,6 +193,40 @@ def write_urdf(
         triangle_violations=tuple(flat),
         notes=notes,
     )
+
+
+def _asked(children: Sequence[FixedChild], fixed: Fixed) -> list[FixedChild]:
+    """Return fixed links with the bodies that they are to have."""
+    if isinstance(fixed, str):
+        return list(children)
+    return [
+        replace(child, body=real_array(fixed[child.name], f"fixed: {child.name}", ndim=1))
+        if child.name in fixed
+        else child
+        for child in children
+    ]
+
+
+def _require_known(fixed: Fixed, names: Sequence[str]) -> None:
+    """Refuse what says nothing of a link that is fixed to a moving one."""
+    if isinstance(fixed, str):
+        if fixed not in ("keep", "merge"):
+            raise ExportError(
+                f"fixed: is {fixed!r}; use 'keep', 'merge', or bodies by the names of links."
+            )
+        return
+    unknown = [name for name in fixed if name not in names]
+    if unknown:
+        raise ExportError(
+            f"fixed: {unknown[0]!r} is no link that is fixed to a moving one: "
+            f"{', '.join(names) or 'there are none'}."
+        )
+    short = [name for name, body in fixed.items() if np.shape(body) != (10,)]
+    if short:
+        raise ExportError(
+            f"fixed: the body of {short[0]!r} has shape {np.shape(fixed[short[0]])}, expected the "
+            "ten parameters (10,) about the link's own frame."
+        )
 
 
 def source_text(robot: RobotModel, source: str | os.PathLike[str] | None, what: str) -> str:

@@ -16,6 +16,7 @@ from sdpid.estimation.estimate import Estimate
 from sdpid.estimation.problem import Problem, build_problem
 from sdpid.experiment.samples import Samples
 from sdpid.output.urdf import write_urdf
+from sdpid.output.urdf_tree import UrdfTree, read_inertial
 from sdpid.robot.base import generic_states
 from sdpid.robot.friction import FrictionModel, SigmoidFriction
 from sdpid.robot.inertia import margin, point_masses
@@ -237,6 +238,32 @@ def test_lump_when_the_rest_is_no_body(tmp_path: Path, arm: Problem) -> None:
     # Zero, not removed: MuJoCo would take a mass from the collision box.
     tool = (tmp_path / "out.urdf").read_text().split('<link name="tool">')[1]
     assert '<mass value="0.0"/>' in tool.split("</link>")[0]
+
+
+def test_a_body_is_split_as_asked(tmp_path: Path, arm: Problem) -> None:
+    links = bodies(np.random.default_rng(0), 3)
+    target = tmp_path / "out.urdf"
+    merged = write_urdf(estimate_of(arm, links), target=target, fixed="merge")
+    assert merged.lumped == ("slide",)
+    assert_same_efforts(arm, links, target)
+    tool = bodies(np.random.default_rng(5), 1)[0] * 0.02
+    split = write_urdf(estimate_of(arm, links), target=target, fixed={"tool": tool})
+    assert split.lumped == ()
+    assert "tool" in split.links_changed
+    assert_same_efforts(arm, links, target)
+    written = UrdfTree(target.read_text())
+    np.testing.assert_allclose(read_inertial(written.links["tool"], "tool"), tool, atol=1e-12)
+    kept = target.read_bytes()
+    for asked, said in (
+        ({"tool": 1e3 * tool}, "cannot be split as asked"),
+        ({"tool": -tool}, "cannot be split as asked"),
+        ({"upper": tool}, "no link that is fixed"),
+        ({"tool": tool[:9]}, "shape"),
+        ("share", "use 'keep'"),
+    ):
+        with pytest.raises(ExportError, match=said):
+            write_urdf(estimate_of(arm, links), target=target, fixed=asked)  # type: ignore[arg-type]
+    assert target.read_bytes() == kept
 
 
 def test_lump_when_a_child_is_no_body(tmp_path: Path) -> None:
