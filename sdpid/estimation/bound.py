@@ -27,6 +27,12 @@ from sdpid.estimation.problem import Problem
 # are exact and the cost is rounding: residuals of a thousandth of the effort.
 TINY_COST = 1e-6
 
+# A cost whose proven lower bound is further below it than this is not that of an optimum.
+PROVEN = 1e-6
+
+# A gap this small is not worth polishing the multipliers, or another round of it.
+ENOUGH = 3e-7
+
 
 @dataclass(frozen=True, eq=False)
 class Dual:

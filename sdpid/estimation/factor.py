@@ -7,7 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from sdpid._arrays import Array
-from sdpid.estimation.rows import RowSource, Triangle
+from sdpid.estimation.rows import RowSource
+from sdpid.estimation.triangle import Triangle
 from sdpid.estimation.weighting import JointRows, Weighting, pooled, residual_covariance
 from sdpid.estimation.whitening import compress, whitened_chunks
 

@@ -33,7 +33,8 @@ from sdpid.errors import DataError
 from sdpid.estimation.bound import lower_bound
 from sdpid.estimation.estimate import Estimate
 from sdpid.estimation.problem import Problem
-from sdpid.estimation.rows import CHUNK, Triangle
+from sdpid.estimation.rows import CHUNK
+from sdpid.estimation.triangle import Triangle
 from sdpid.estimation.weighting import whitener
 from sdpid.estimation.whitening import whitened_chunks
 from sdpid.estimation.wls import solve_wls
@@ -241,7 +242,7 @@ class HuberLoss:
 def _deviations(rows: WhitenedRows, threshold: float) -> Array:
     """Return the standard deviation of every joint's whitened residuals, from a robust fit."""
     problem = rows.problem
-    mask = np.concatenate([mask for _, _, mask in rows.chunks()])
+    mask = problem.rows.mask(slice(None))
     used = int(mask.sum())
     # Residuals of a fit are smaller than the errors.
     grow = np.sqrt(used / max(used - problem.base.count, 1))
@@ -274,10 +275,9 @@ def _weighted_sigma(problem: Problem, weights: Array) -> Array:
     """Return covariances (K, n, n) under which plain weighting is weighting of whitened rows."""
     samples, n = problem.samples.effort.shape
     out = np.empty((samples, n, n))
-    mask = problem.samples.mask
     for start in range(0, samples, CHUNK):
         part = slice(start, start + CHUNK)
-        used = np.ones((len(weights[part]), n), dtype=bool) if mask is None else mask[part]
+        used = problem.rows.mask(part)
         sigma = problem.sigma if problem.sigma.ndim == 2 else problem.sigma[part]
         root = whitener(sigma, used, 0.5)
         out[part] = (root / weights[part][:, None, :]) @ root

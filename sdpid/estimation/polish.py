@@ -16,6 +16,7 @@ import numpy as np
 
 from sdpid._arrays import Array, Indices
 from sdpid.estimation.bound import (
+    ENOUGH,
     Bound,
     Dual,
     best_of,
@@ -38,8 +39,7 @@ _ROUNDS = 8
 # Equations of the polishing that are this close to dependent are dependent.
 _CUT = 1e-14
 
-# A gap this small is not worth another round, and a round must close this share of it.
-_ENOUGH = 3e-7
+# A round must close this share of the gap to be worth another.
 _PROGRESS = 0.05
 
 
@@ -64,7 +64,7 @@ def polished(
     problem, found = estimate.problem, estimate.multipliers
     if found is None or estimate.theta is None:
         raise ValueError("only multipliers can be polished")
-    if relative_gap(problem, estimate.cost, best.value) <= _ENOUGH:
+    if relative_gap(problem, estimate.cost, best.value) <= ENOUGH:
         return best
     system = _System.of(problem, Scaling.of(problem).around(np.array(estimate.theta)))
     for first in _SOFT:
@@ -76,7 +76,7 @@ def polished(
             if not np.isfinite(bound.value):
                 break
             best = best_of([best, bound])
-            if relative_gap(problem, estimate.cost, best.value) <= _ENOUGH:
+            if relative_gap(problem, estimate.cost, best.value) <= ENOUGH:
                 return best
             if not patient and bound.value < last + _PROGRESS * (estimate.cost - last):
                 break

@@ -275,7 +275,7 @@ def _squares(rows: RowSource) -> tuple[Array, Array, Array]:
     for start in range(0, s.n_samples, CHUNK):
         part = slice(start, start + CHUNK)
         columns = rows.friction.columns(s.velocity[part], s.acceleration[part])
-        mask = np.ones(s.effort[part].shape, dtype=bool) if s.mask is None else s.mask[part]
+        mask = rows.mask(part)
         count += mask.sum(axis=0)
         efforts += (np.where(mask, s.effort[part], 0.0) ** 2).sum(axis=0)
         terms += (np.where(mask[:, :, None], columns, 0.0) ** 2).sum(axis=0)

@@ -15,13 +15,13 @@ import numpy as np
 
 from sdpid._arrays import Array, frozen
 from sdpid.errors import DataError, SolverError
-from sdpid.estimation.bound import relative_gap
+from sdpid.estimation.bound import PROVEN, relative_gap
 from sdpid.estimation.estimate import Estimate
 from sdpid.estimation.excitation import require_excitation
 from sdpid.estimation.huber import HuberLoss
 from sdpid.estimation.problem import Problem
-from sdpid.estimation.rows import Triangle
 from sdpid.estimation.sdp import solve_sdp
+from sdpid.estimation.triangle import Triangle
 from sdpid.estimation.uncertainty import sandwich_covariance
 from sdpid.estimation.weighting import JointRows, correlation_time, residual_covariance
 from sdpid.estimation.wls import solve_wls
@@ -36,9 +36,6 @@ THRESHOLD = 1.345
 # it. It is never below, and where they are equal the weights belong to the estimate. The SDP
 # itself spends as much on the choice among optimal points.
 _SETTLED = 1e-7
-
-# A proven lower bound further than this below the Huber cost is not an optimum.
-_GAP = 1e-6
 
 # Rounds without constraints before the first with them: they cost next to nothing.
 _FREE_ROUNDS = 10
@@ -176,12 +173,12 @@ def _huber(
             solve_time=seconds,
         )
         # What has no multipliers has nothing to prove with.
-        if gap is not None and (found.multipliers is None or gap <= _GAP):
+        if gap is not None and (found.multipliers is None or gap <= PROVEN):
             return replace(estimate, curvature=frozen(loss.curvature(base)))
     raise SolverError(
         f"Huber cost of '{problem.robot.name}': not settled after {max_rounds} rounds "
-        f"({'' if estimate is None else estimate.message}; limits {_SETTLED:.0e} and {_GAP:.0e}); "
-        "allow more rounds (max_rounds) or raise the threshold.",
+        f"({'' if estimate is None else estimate.message}; limits {_SETTLED:.0e} and "
+        f"{PROVEN:.0e}); allow more rounds (max_rounds) or raise the threshold.",
         problem=problem,
         found=estimate,
     )

@@ -14,14 +14,11 @@ from typing import TypeVar
 import numpy as np
 
 from sdpid._arrays import Array, Indices, Mask
-from sdpid.estimation.triangle import Triangle
 from sdpid.experiment.samples import Samples
 from sdpid.robot import kernels
 from sdpid.robot.base import BaseParameters
 from sdpid.robot.friction import FrictionModel, JointwiseTerm
 from sdpid.robot.model import RobotModel
-
-__all__ = ["CHUNK", "RowSource", "Triangle"]
 
 T = TypeVar("T")
 

@@ -9,7 +9,7 @@ import numpy as np
 from sdpid._arrays import Array, Mask, frozen
 from sdpid._threads import one_thread
 from sdpid.errors import InfeasibleError, SolverError
-from sdpid.estimation.bound import Bound, cost_scale, lower_bound, relative_gap
+from sdpid.estimation.bound import ENOUGH, PROVEN, Bound, cost_scale, lower_bound, relative_gap
 from sdpid.estimation.conflict import explained, require_consistent
 from sdpid.estimation.conic import Solver, solve_conic
 from sdpid.estimation.estimate import FEASIBLE, Estimate
@@ -52,12 +52,6 @@ _FACE = 1e-7
 # Statuses that come without a point, and those of them that say that there is none.
 _INFEASIBLE = ("PrimalInfeasible", "AlmostPrimalInfeasible", "infeasible", "infeasible_inaccurate")
 _NO_POINT = (*_INFEASIBLE, "DualInfeasible", "AlmostDualInfeasible", "NumericalError", "unbounded")
-
-# A gap this small is not worth polishing the multipliers.
-_ENOUGH = 3e-7
-
-# A proven lower bound further than this below the cost is not an optimum.
-_GAP = 1e-6
 
 
 @one_thread
@@ -158,9 +152,9 @@ class _Search:
     @property
     def proven(self) -> bool:
         """Whether what was found is an optimum."""
-        return (
-            self.best is not None and self.gap <= _GAP and (self.best.violation or 0.0) <= FEASIBLE
-        )
+        if self.best is None:
+            return False
+        return self.gap <= PROVEN and (self.best.violation or 0.0) <= FEASIBLE
 
     def try_once(self, attempt: _Attempt, *, patient: bool) -> None:
         """Solve once, and keep what is better than before.
@@ -232,7 +226,7 @@ class _Search:
 
     def _keep(self, estimate: Estimate, residual: Array | None) -> None:
         """Keep a point, its proof, or both, and begin from there next time."""
-        bound = lower_bound(estimate, enough=_ENOUGH, residual=residual)
+        bound = lower_bound(estimate, enough=ENOUGH, residual=residual)
         if self.best is None or _better(estimate, self.best):
             self.best = estimate
         if self.bound is None or bound.value > self.bound.value:
@@ -256,7 +250,7 @@ class _Search:
         SolverError
             When what was found is none; InfeasibleError when the constraints are to blame.
         """
-        if self.best is not None and self.bound is not None and self.gap > _GAP:
+        if self.best is not None and self.bound is not None and self.gap > PROVEN:
             patient = lower_bound(self.best, patient=True)
             self.bound = max(self.bound, patient, key=lambda each: each.value)
         if self.best is not None and self.best.multipliers is not None and self.bound is not None:
@@ -274,7 +268,7 @@ class _Search:
             found = f"a relative gap of {self.gap:.1e} and a violation of {self.best.violation:.1e}"
         raise SolverError(
             f"SDP of '{self.problem.robot.name}': ended '{self.status}' with {found} "
-            f"(limits {_GAP:.0e} and {FEASIBLE:.0e}); check the excitation "
+            f"(limits {PROVEN:.0e} and {FEASIBLE:.0e}); check the excitation "
             "(problem.excitation) and the margin, or give a prior.",
             problem=self.problem,
             found=self.best,
@@ -359,7 +353,7 @@ def _settled(estimate: Estimate, bound: Bound) -> Estimate:
             base=frozen(problem.base_of(theta)),
             message=f"{estimate.message}; nearest to the description on the optimal face",
         )
-        proven = relative_gap(problem, moved.cost, bound.value) <= _GAP
+        proven = relative_gap(problem, moved.cost, bound.value) <= PROVEN
         if moved.feasible and moved.cost <= allowed and proven:
             return moved
     return replace(

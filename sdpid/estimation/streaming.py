@@ -18,7 +18,7 @@ from numpy.typing import ArrayLike
 from sdpid._arrays import Array, frozen, real_array
 from sdpid._threads import one_thread
 from sdpid.errors import DataError
-from sdpid.estimation.bound import TINY_COST, clip_psd, lower_bound, relative_gap
+from sdpid.estimation.bound import ENOUGH, PROVEN, TINY_COST, clip_psd, lower_bound, relative_gap
 from sdpid.estimation.conditions import Layout
 from sdpid.estimation.conic import ConicSolution
 from sdpid.estimation.constraints import Constraints
@@ -37,10 +37,6 @@ from sdpid.robot.base import structural_base
 from sdpid.robot.friction import FrictionModel, FrictionTerm
 from sdpid.robot.inertia import CONSISTENCIES, Consistency
 from sdpid.robot.model import RobotModel
-
-# What is proven of every solution, as of those of `solve_sdp`; a gap this small needs no polishing.
-_GAP = 1e-6
-_ENOUGH = 3e-7
 
 # What Clarabel adds to the diagonal of its linear systems: the first that `solve_sdp` tries.
 _REGULARISATION = 1e-10
@@ -400,8 +396,8 @@ class StreamingProblem:
             solve_time=solution.seconds,
             multipliers=multipliers,
         )
-        bound = lower_bound(estimate, enough=_ENOUGH)
-        proven = relative_gap(problem, estimate.cost, bound.value) <= _GAP
+        bound = lower_bound(estimate, enough=ENOUGH)
+        proven = relative_gap(problem, estimate.cost, bound.value) <= PROVEN
         if not proven or not estimate.feasible:
             return None
         dual = bound.dual

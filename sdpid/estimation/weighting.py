@@ -15,7 +15,8 @@ import numpy as np
 
 from sdpid._arrays import Array, Mask
 from sdpid.errors import DataError
-from sdpid.estimation.rows import RowSource, Triangle
+from sdpid.estimation.rows import RowSource
+from sdpid.estimation.triangle import Triangle
 
 Weighting = Literal["gls", "gls_per_sample", "eq9", "eq18", "residual"]
 WEIGHTINGS: tuple[Weighting, ...] = ("gls", "gls_per_sample", "eq9", "eq18", "residual")

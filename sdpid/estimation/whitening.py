@@ -60,27 +60,6 @@ def whiten(
     return np.matmul(powers[0], rows, out=out)
 
 
-def whitened_rows(
-    W: Array, effort: Array, sigma: Array, mask: Mask, exponent: float = -0.5
-) -> Array:
-    """Return ``Sigma^exponent @ [W, effort]`` of samples, (k, n, b + 1), masked rows zero.
-
-    Parameters
-    ----------
-    W : ndarray, shape (k, n, b)
-        Base regressor.
-    effort : ndarray, shape (k, n)
-        Efforts.
-    sigma : ndarray, shape (n, n) or (k, n, n)
-        Effort covariance.
-    mask : ndarray of bool, shape (k, n)
-        Rows that are used.
-    exponent : float
-        -1/2 to whiten.
-    """
-    return whiten(np.concatenate([W, effort[:, :, None]], axis=2), sigma, mask, exponent)
-
-
 def whitened_chunks(
     rows: RowSource, sigma: Array, exponent: float = -0.5, *, size: int = 0, keep: bool = False
 ) -> Iterator[tuple[slice, Array, Mask]]:

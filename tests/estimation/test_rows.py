@@ -14,7 +14,7 @@ from sdpid._arrays import Array
 from sdpid.estimation import rows as module
 from sdpid.estimation.rows import CHUNK, RowSource
 from sdpid.estimation.weighting import whitener
-from sdpid.estimation.whitening import compress, weights, whitened_chunks, whitened_rows
+from sdpid.estimation.whitening import compress, weights, whiten, whitened_chunks
 from sdpid.robot import kernels
 from sdpid.robot.base import structural_base
 from sdpid.robot.friction import Coupling, FrictionModel
@@ -136,7 +136,7 @@ def test_whitening(masked: bool, per_sample: bool, exponent: float) -> None:
     rows, sigma = source(50, masked=masked, per_sample=per_sample)
     expected = plainly_whitened(rows, sigma, exponent)
     mask = rows.mask(slice(None))
-    near(whitened_rows(plain(rows), rows.samples.effort, sigma, mask, exponent), expected)
+    near(whiten(rows.rows(slice(None)), sigma, mask, exponent), expected)
     found = [x.copy() for _, x, _ in whitened_chunks(rows, sigma, exponent)]
     near(np.concatenate(found), expected)
     kept = [x for _, x, _ in whitened_chunks(rows, sigma, exponent, size=7, keep=True)]
@@ -155,7 +155,7 @@ def test_whitening_by_independent_joints(exponent: float) -> None:
          expected)  # fmt: skip
     W, effort = plain(rows), rows.samples.effort
     before = W.copy()
-    near(whitened_rows(W, effort, sigma, rows.mask(slice(None)), exponent), expected)
+    near(whiten(np.dstack([W, effort]), sigma, rows.mask(slice(None)), exponent), expected)
     np.testing.assert_array_equal(W, before)
 
 
