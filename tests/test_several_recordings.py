@@ -208,6 +208,4 @@ def test_spectra_and_correlations_stay_within_pieces(logs: list[sdpid.Recording]
         np.testing.assert_allclose(second.error_density, first.error_density, atol=size)
         np.testing.assert_array_equal(second.frequency, first.frequency)
         count = len(first.autocorrelation)
-        np.testing.assert_allclose(
-            second.autocorrelation[:count], first.autocorrelation, atol=1e-9
-        )
+        np.testing.assert_allclose(second.autocorrelation[:count], first.autocorrelation, atol=1e-9)

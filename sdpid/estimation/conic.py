@@ -252,9 +252,7 @@ def _read(
     # Stationary in the residual r itself: 2·r = −(multiplier of M·x + m = r).
     residual = -0.5 * dual[: standard.zero]
     x = v[: program.n]
-    return ConicSolution(
-        status, x, rows, tuple(blocks), iterations, seconds, ball, error, residual
-    )
+    return ConicSolution(status, x, rows, tuple(blocks), iterations, seconds, ball, error, residual)
 
 
 def _clarabel_solver(

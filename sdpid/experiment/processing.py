@@ -152,9 +152,7 @@ def _joined(
     return replace(samples, notes=(dropped, *samples.notes))
 
 
-def _processed(
-    log: Recording, processing: Processing, advance: Callable[[int], object]
-) -> Samples:
+def _processed(log: Recording, processing: Processing, advance: Callable[[int], object]) -> Samples:
     """Process a record without gaps and wrapped angles."""
     grid = make_grid(log, processing.timing)
     low_pass = processing.low_pass(1.0 / grid.step)

@@ -88,9 +88,7 @@ class Stamps:
             first = first if begin else float(values[0])
             last = float(values[-1])
         if wrong:
-            raise DataError(
-                f"{said} ({wrong} such rows); sort the rows or remove the duplicates."
-            )
+            raise DataError(f"{said} ({wrong} such rows); sort the rows or remove the duplicates.")
         if last - first < _SHORTEST * (len(time) - 1):
             raise DataError(
                 f"time: {len(time)} samples within {last - first:.3g} s; say their unit."

@@ -292,9 +292,7 @@ def _clean(matrix: Array) -> Array:
     return np.asarray(np.where(np.abs(matrix - rounded) < ZERO, rounded, matrix))
 
 
-def _verify(
-    robot: RobotModel, friction: FrictionModel, matrix: Array, leading: Indices
-) -> None:
+def _verify(robot: RobotModel, friction: FrictionModel, matrix: Array, leading: Indices) -> None:
     """Check the regrouping at states that were not used to find it."""
     W = _generic_rows(robot, friction, _SEED + 1)
     error = np.abs(W[:, leading] @ matrix - W).max(axis=0)

@@ -322,9 +322,7 @@ class RobotModel:
                 f"for each of {10 * self.n_links} parameters, below {out.shape[2]} columns."
             )
         if self._tree is not None:
-            found = kernels.regressor(
-                self._tree, q, v, a, out=out, places=places, worth=compiled
-            )
+            found = kernels.regressor(self._tree, q, v, a, out=out, places=places, worth=compiled)
             if found is not None:
                 return found
         wanted = np.flatnonzero(places >= 0)
@@ -336,9 +334,7 @@ class RobotModel:
     def _tree(self) -> kernels.Tree | None:
         return kernels.flatten(self.pin_model, self.expansion)
 
-    def _pinocchio_regressor(
-        self, q: Array, v: Array, a: Array, out: Array | None = None
-    ) -> Array:
+    def _pinocchio_regressor(self, q: Array, v: Array, a: Array, out: Array | None = None) -> Array:
         """Return the same from Pinocchio, sample by sample."""
         import pinocchio as pin
 
@@ -353,9 +349,7 @@ class RobotModel:
             out[k] = self.expansion.T @ Y if mimics else Y
         return out
 
-    def inverse_dynamics(
-        self, theta: ArrayLike, q: ArrayLike, v: ArrayLike, a: ArrayLike
-    ) -> Array:
+    def inverse_dynamics(self, theta: ArrayLike, q: ArrayLike, v: ArrayLike, a: ArrayLike) -> Array:
         """Return the efforts (K, n) of links with the given parameters, without friction."""
         theta = np.asarray(theta, dtype=np.float64).reshape(-1)
         return self.regressor(q, v, a) @ theta[: 10 * self.n_links]

@@ -41,9 +41,7 @@ class Mimic:
     offset: float
 
 
-def check_urdf(
-    text: str, what: str, *, floating: bool = False
-) -> tuple[str, tuple[Mimic, ...]]:
+def check_urdf(text: str, what: str, *, floating: bool = False) -> tuple[str, tuple[Mimic, ...]]:
     """Check the joints of a URDF and return the robot's name and its mimic joints.
 
     With a `floating` base the base itself moves, so that no joint needs to.

@@ -54,9 +54,7 @@ def regressor(repeats: int) -> Iterator[Row]:
         model, q = robot.pin_model, robot.configuration(states[0])
         out = np.ones((count, robot.n, 10 * robot.n_links))
 
-        def bare(
-            model: Any = model, rows: tuple[Array, ...] = (q, states[1], states[2])
-        ) -> None:
+        def bare(model: Any = model, rows: tuple[Array, ...] = (q, states[1], states[2])) -> None:
             data, compute = model.createData(), pin.computeJointTorqueRegressor
             for state in zip(*rows, strict=True):
                 compute(model, data, *state)

@@ -160,9 +160,7 @@ def main() -> int:
     options = parser.parse_args()
     if options.repeat < 5:
         parser.error(f"--repeat: is {options.repeat}; at least 5 give a spread.")
-    rows = measure(
-        denso(), options.repeat, resamples=options.resamples, jobs=options.jobs
-    )
+    rows = measure(denso(), options.repeat, resamples=options.resamples, jobs=options.jobs)
     result = table(list(rows))
     print(result.text(digits=3))
     if options.csv is not None:

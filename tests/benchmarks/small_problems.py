@@ -1,6 +1,6 @@
 """How many small hard problems the semidefinite program proves.
 
-    python -m tests.benchmarks.small_problems
+python -m tests.benchmarks.small_problems
 """
 
 from __future__ import annotations

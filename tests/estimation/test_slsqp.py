@@ -107,9 +107,7 @@ def believed(robot: RobotModel, consistency: Consistency, kind: PriorKind = "ent
     samples = make_samples(robot, theta, rng, noise=0.5)
     prior = Prior(kind=kind, bodies=random_links(rng, robot.n_links))
     limits = Constraints(margin=0.002, mass_max=10.0)
-    return build_problem(
-        robot, samples, consistency=consistency, constraints=limits, prior=prior
-    )
+    return build_problem(robot, samples, consistency=consistency, constraints=limits, prior=prior)
 
 
 @pytest.mark.parametrize("consistency", BOTH)

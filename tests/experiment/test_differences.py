@@ -87,9 +87,7 @@ def test_half_the_rate_has_no_slope_but_a_curvature() -> None:
     seed=st.integers(0, 99),
 )
 def test_derivatives_are_linear(name: str, factors: tuple[float, float], seed: int) -> None:
-    how: Stencil = (
-        Spectral() if name == "spectral" else stencil(name, cutoff_over_rate=0.1)
-    )
+    how: Stencil = Spectral() if name == "spectral" else stencil(name, cutoff_over_rate=0.1)
     one, other = np.random.default_rng(seed).standard_normal((2, 60))
     for act in (how.velocity, how.acceleration):
         together = act(factors[0] * one + factors[1] * other, 0.1)

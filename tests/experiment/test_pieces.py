@@ -50,9 +50,9 @@ def without(log: sdpid.Recording, *cuts: tuple[int, int]) -> sdpid.Recording:
     return rows(log, keep)
 
 
-cuts = st.lists(
-    st.tuples(st.integers(150, 1850), st.integers(5, 90)), min_size=1, max_size=4
-).map(lambda found: [(first, first + count) for first, count in found])
+cuts = st.lists(st.tuples(st.integers(150, 1850), st.integers(5, 90)), min_size=1, max_size=4).map(
+    lambda found: [(first, first + count) for first, count in found]
+)
 
 
 @settings(max_examples=25, deadline=None)

@@ -35,9 +35,7 @@ QUICK = Processing(cutoff_hz=10.0, decimation=2, reversal_time=0.02, derivative=
 ARM = small_arm(JOINTS)
 
 
-def make(
-    seconds: float = 12.0, lead: float = 0.0, jitter: float = 0.0, **fields: Any
-) -> Recording:
+def make(seconds: float = 12.0, lead: float = 0.0, jitter: float = 0.0, **fields: Any) -> Recording:
     rng = np.random.default_rng(0)
     time = np.arange(round((seconds + 2 * lead) * RATE)) / RATE
     angle = 2 * np.pi * time[:, None] / 2.0 + [0.0, 1.0]

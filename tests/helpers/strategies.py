@@ -124,9 +124,7 @@ def states(draw: st.DrawFn, n: int, *, count: int = 5) -> tuple[Array, Array, Ar
     return random_states(np.random.default_rng(draw(SEEDS)), n, count)
 
 
-def random_states(
-    rng: np.random.Generator, n: int, count: int
-) -> tuple[Array, Array, Array]:
+def random_states(rng: np.random.Generator, n: int, count: int) -> tuple[Array, Array, Array]:
     """Generic positions, velocities and accelerations (count, n)."""
     return (
         rng.uniform(-np.pi, np.pi, (count, n)),

@@ -161,9 +161,7 @@ def test_one_configuration_gives_one_mass_matrix(denso: RobotModel) -> None:
     assert both.shape == (2, 6, 6)
     np.testing.assert_array_equal(denso.mass_matrix(theta, q[1]), both[1])
     # Friction behind the links' parameters is ignored.
-    np.testing.assert_array_equal(
-        denso.mass_matrix(np.append(theta.ravel(), np.ones(12)), q), both
-    )
+    np.testing.assert_array_equal(denso.mass_matrix(np.append(theta.ravel(), np.ones(12)), q), both)
 
 
 def test_a_pinocchio_model_is_copied_and_keeps_its_gravity(tree: RobotModel) -> None:
