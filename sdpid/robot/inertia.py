@@ -142,6 +142,27 @@ def theta_from_physical(mass: ArrayLike, com: ArrayLike, inertia: ArrayLike) -> 
     return theta
 
 
+def central_moments(theta: ArrayLike, consistency: Consistency) -> tuple[Array, Array, Array]:
+    """Return mass (...,), center of mass (..., 3) and the matrix N (..., 3, 3) about it.
+
+    N is what must be positive definite beside the mass: the second moments for
+    ``"pseudo_inertia"``, the rotational inertia for the others. Its entries are not finite where
+    the mass is zero.
+    """
+    mass, com, inertia = physical_parameters(theta)
+    if consistency == "pseudo_inertia":
+        inertia = second_moment_from_inertia(inertia)
+    return mass, com, inertia
+
+
+def theta_from_central_moments(
+    mass: ArrayLike, com: ArrayLike, moments: Array, consistency: Consistency
+) -> Array:
+    """Return the parameter vector (..., 10) of what `central_moments` returns."""
+    inertia = complement(moments) if consistency == "pseudo_inertia" else moments
+    return theta_from_physical(mass, com, inertia)
+
+
 def matrix_of(theta: ArrayLike, consistency: Consistency) -> Array:
     """Return the matrix whose positive definiteness is the given consistency."""
     return pseudo_inertia(theta) if consistency == "pseudo_inertia" else spatial_inertia(theta)
@@ -180,12 +201,10 @@ def margin(theta: ArrayLike, consistency: Consistency) -> Array:
         NaN where the mass is not positive: no margin exists there. (Arrays inside the library
         use NaN for it; results shown to users say None.)
     """
-    mass, _, inertia = physical_parameters(theta)
-    if consistency == "pseudo_inertia":
-        inertia = second_moment_from_inertia(inertia)
+    mass, _, moments = central_moments(theta, consistency)
     positive = mass > 0.0
-    inertia = np.where(positive[..., None, None], inertia, np.eye(3))
-    smallest = np.linalg.eigvalsh(inertia)[..., 0]
+    moments = np.where(positive[..., None, None], moments, np.eye(3))
+    smallest = np.linalg.eigvalsh(moments)[..., 0]
     return np.where(positive, smallest, np.nan)
 
 
