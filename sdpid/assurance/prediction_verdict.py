@@ -23,8 +23,13 @@ Level = Literal["good", "caution", "bad"]
 EXPLAINED, HARDLY = 0.95, 0.8
 
 # A joint whose effort hardly varies has a low R² however small its error is. An error of a tenth of
-# the effort itself is small all the same: payloads and temperature change it by as much.
+# the effort itself is small all the same: payloads and temperature change it by as much. It lifts a
+# joint by one level and no more, since R² alone tells a model from a constant.
 SMALL = 0.1
+
+# A joint that was never faster than this (rad/s) did not move: velocity noise at standstill stays
+# below, and so does what is masked around reversals.
+MOVES = 0.02
 
 # Share of the errors' variance that goes with velocity: a tenth of it is 5 % of the RMSE, less
 # than the choice of a filter makes.
@@ -78,22 +83,39 @@ def prediction_findings(samples: Samples, fit: Validation) -> tuple[Finding, ...
     )
 
 
-def grade(fit: Validation, joint: int) -> Level:
-    """Return how well a joint's effort is explained (see `EXPLAINED`, `HARDLY`, `SMALL`)."""
-    r2, nrmse = float(fit.r2[joint]), float(fit.nrmse[joint])
-    if r2 >= EXPLAINED or nrmse <= SMALL:
+def grade(samples: Samples, fit: Validation, joint: int) -> Level:
+    """Return how well a joint's effort is explained (see `EXPLAINED`, `HARDLY`, `SMALL`, `MOVES`).
+
+    Of a joint that stood still at most "caution": a constant would have predicted its effort too.
+    """
+    small = float(fit.nrmse[joint]) <= SMALL
+    if not _moved(samples, joint):
+        return "caution" if small else "bad"
+    r2 = float(fit.r2[joint])
+    if r2 >= (HARDLY if small else EXPLAINED):
         return "good"
-    return "caution" if r2 >= HARDLY else "bad"
+    return "caution" if small or r2 >= HARDLY else "bad"
+
+
+def _moved(samples: Samples, joint: int) -> bool:
+    """Return whether a joint moved on the rows that count."""
+    speeds = np.abs(samples.velocity[used_rows(samples, joint), joint])
+    return bool(np.any(speeds > MOVES))
 
 
 def effort_findings(samples: Samples, fit: Validation, where: str) -> Iterator[Finding]:
     """Say which joints' effort is predicted, and on what that was seen."""
     joints: dict[Level, list[str]] = {"good": [], "caution": [], "bad": []}
+    still: list[str] = []
     for j, name in enumerate(fit.joint_names):
-        if np.any(used_rows(samples, j)):
-            joints[grade(fit, j)].append(f"{name} ({_explained(float(fit.r2[j]))})")
+        if not np.any(used_rows(samples, j)):
+            continue
+        if not _moved(samples, j):
+            still.append(name)
+        else:
+            joints[grade(samples, fit, j)].append(f"{name} ({_explained(fit, j)})")
     if joints["good"]:
-        every = not joints["caution"] and not joints["bad"]
+        every = not (joints["caution"] or joints["bad"] or still)
         which = "every joint" if every else "the joints"
         yield Finding(
             "good",
@@ -104,14 +126,22 @@ def effort_findings(samples: Samples, fit: Validation, where: str) -> Iterator[F
     if joints["caution"]:
         yield Finding(
             "caution",
-            f"Expect it to be roughly right, not exact, for {listed(joints['caution'], 99)}: a "
-            "share of the effort's variance that feedback has to make up for.",
+            f"Expect it to be roughly right, not exact, for {listed(joints['caution'], 99)}; "
+            "feedback has to make up for the rest. In brackets: share of the effort's variance "
+            f"explained on {where}.",
         )
     if joints["bad"]:
         yield Finding(
             "bad",
             f"Do not trust it for the effort of {listed(joints['bad'], 99)}: too little of the "
             "variance is explained. Contact cannot be told from model error there.",
+        )
+    if still:
+        yield Finding(
+            "bad",
+            f"Joints that did not move on {where} (never faster than {MOVES:g} rad/s): "
+            f"{listed(still, 99)}. How well their effort is predicted in motion is not known. "
+            "Record them moving.",
         )
 
 
@@ -153,10 +183,12 @@ def listed(names: Iterable[str], most: int = _LISTED) -> str:
     return ", ".join(every[:most]) + more
 
 
-def _explained(r2: float) -> str:
+def _explained(fit: Validation, joint: int) -> str:
     """Return R² in words: below zero the mean effort predicts better."""
+    r2, nrmse = float(fit.r2[joint]), float(fit.nrmse[joint])
     if r2 < 0.0:
-        return "worse than a constant"
+        error = f", error {percent(nrmse)} of the effort" if nrmse <= SMALL else ""
+        return f"worse than a constant{error}"
     return "over 99.9 %" if r2 > 0.999 else percent(r2)
 
 

@@ -14,6 +14,7 @@ import numpy as np
 from sdpid._arrays import Array
 from sdpid.assurance.certificate import Certificate
 from sdpid.assurance.prediction_verdict import (
+    MOVES,
     Finding,
     effort_findings,
     friction_findings,
@@ -44,10 +45,6 @@ BEYOND = 0.1
 # A description's speed limit is hardly reached in a recording; below half of it friction and
 # inertia at full speed are guesses.
 SLOW = 0.5
-
-# A joint that was never faster than this in one direction (rad/s) did not move in it: velocity
-# noise at standstill stays below, and so does what is masked around reversals.
-MOVES = 0.02
 
 
 class Crossed(Protocol):

@@ -6,7 +6,7 @@ import os
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, cast
+from typing import Any, Final, cast
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -32,6 +32,9 @@ METHOD_COLOURS = (BLUE, RED, GREEN, PURPLE, ORANGE, SKY)
 METHOD_MARKERS = ("o", "s", "^", "D", "v", "P")
 
 SMALL, NORMAL, LARGE = 8.0, 9.5, 12.0
+
+# For texts with names in them: a name such as "$a_{$" is no formula to be typeset.
+PLAIN: Final[dict[str, bool]] = {"parse_math": False}
 
 # Pixels across a panel are a few hundred: more points than this a line do not show.
 POINTS = 1500
@@ -67,7 +70,7 @@ def new_figure(
     figure_module = require("matplotlib.figure", extra="plot")
     figure = figure_module.Figure(figsize=(width, height), layout=layout, facecolor="white")
     if title:
-        figure.suptitle(title, fontsize=LARGE, fontweight="bold", color=INK)
+        figure.suptitle(title, fontsize=LARGE, fontweight="bold", color=INK, **PLAIN)
     return figure
 
 
@@ -82,17 +85,17 @@ def dress(axis: Any, *, title: str | None = None, xlabel: str = "", ylabel: str 
     axis.tick_params(labelsize=SMALL, color=GREY, labelcolor=INK)
     axis.set_facecolor("white")
     if title:
-        axis.set_title(title, fontsize=NORMAL, color=INK, loc="left")
+        axis.set_title(title, fontsize=NORMAL, color=INK, loc="left", **PLAIN)
     if xlabel:
-        axis.set_xlabel(xlabel, fontsize=NORMAL, color=INK)
+        axis.set_xlabel(xlabel, fontsize=NORMAL, color=INK, **PLAIN)
     if ylabel:
-        axis.set_ylabel(ylabel, fontsize=NORMAL, color=INK)
+        axis.set_ylabel(ylabel, fontsize=NORMAL, color=INK, **PLAIN)
 
 
 def legend(axis: Any, **options: Any) -> None:
     """Add a legend in the common style."""
     defaults = {"fontsize": SMALL, "frameon": True, "framealpha": 0.9, "edgecolor": FAINT}
-    axis.legend(**{**defaults, **options})
+    _plain(axis.legend(**{**defaults, **options}))
 
 
 def bottom_legend(
@@ -113,6 +116,13 @@ def bottom_legend(
     )
     for line in made.get_lines():
         line.set_linewidth(max(float(line.get_linewidth()), 2.0))
+    _plain(made)
+
+
+def _plain(made: Any) -> None:
+    """Have a legend's words shown as they are."""
+    for text in made.get_texts():
+        text.set_parse_math(False)
 
 
 def long_line(axis: Any, x: Array, y: Array, **style: Any) -> Any:

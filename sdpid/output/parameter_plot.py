@@ -15,6 +15,7 @@ from sdpid.output.figures import (
     INK,
     METHOD_COLOURS,
     METHOD_MARKERS,
+    PLAIN,
     SMALL,
     bottom_legend,
     dress,
@@ -94,7 +95,7 @@ def plot_parameters(
             )
         axis.axhline(0.0, color=GREY, linewidth=0.6, zorder=1)
         dress(axis, ylabel=unit)
-        axis.set_xticks(at, [names[i] for i in rows], rotation=90, fontsize=SMALL)
+        axis.set_xticks(at, [names[i] for i in rows], rotation=90, fontsize=SMALL, **PLAIN)
         axis.set_xlim(-0.7, widest - 0.3)
     bottom_legend(figure, *axes[0].get_legend_handles_labels())
     return figure

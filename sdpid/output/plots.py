@@ -23,6 +23,7 @@ from sdpid.output.figures import (
     GREY,
     INK,
     NORMAL,
+    PLAIN,
     RED,
     SHADE,
     SMALL,
@@ -123,7 +124,8 @@ def plot_filtering(
         dress(left, ylabel=f"{label}{unit}", xlabel=last)
         dress(right, ylabel=f"error{unit}", xlabel=last)
         rms = float(np.sqrt(np.mean(np.square(error))))
-        right.set_title(f"RMS {rms:#.3g} {symbol}".rstrip(), fontsize=SMALL, color=INK, loc="right")
+        size = f"RMS {rms:#.3g} {symbol}".rstrip()
+        right.set_title(size, fontsize=SMALL, color=INK, loc="right", **PLAIN)
         left.set_xlim(t[0], t[-1])
     bottom_legend(figure, *axes[0, 0].get_legend_handles_labels())
     figure.align_ylabels(axes)
@@ -238,7 +240,7 @@ def plot_reconstruction(
         said = f"RMSE {errors[j]:#.3g} {unit[j]}{share}"
         for axis, words in ((left, joint_names[j]), (right, said)):
             # With a height, so that nothing is measured to find one.
-            axis.set_title(words, fontsize=NORMAL, color=INK, loc="left", y=1.0)
+            axis.set_title(words, fontsize=NORMAL, color=INK, loc="left", y=1.0, **PLAIN)
             axis.yaxis.set_major_locator(ticker.MaxNLocator(5, steps=(1, 2, 5, 10)))
         left.set_xlim(t[0], t[-1])
     # Shared by all panels. Few ticks: each costs as much as a line.

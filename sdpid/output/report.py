@@ -257,13 +257,13 @@ def _excitation(result: Judged) -> dict[str, Any]:
 def _fits(result: Judged) -> Iterator[dict[str, Any]]:
     """Yield errors of every joint, on training and validation data."""
     training, free, held = result.training, result.training_wls, result.validation
-    _, counted = judged(result)
+    samples, counted = judged(result)
     for j, name in enumerate(training.joint_names):
         if training.rows[j] == 0:
             continue
         yield {
             "name": name,
-            "level": grade(counted, j),
+            "level": grade(samples, counted, j),
             "training": _errors(training, j),
             "free": _errors(free, j),
             "held": None if held is None else _errors(held, j),

@@ -8,12 +8,13 @@ import numpy as np
 import pytest
 
 import sdpid
-from sdpid.assurance.prediction_verdict import prediction_findings
+from sdpid.assurance.prediction_verdict import SMALL, grade, prediction_findings
 from sdpid.assurance.residuals import joint_errors
+from sdpid.assurance.validation import Validation
 from sdpid.assurance.verdict import _one_way, errors_of, findings
 from sdpid.experiment.samples import Samples
 from sdpid.robot.friction import FrictionModel
-from tests.helpers.identified import ARM, arm_theta, identified, moved
+from tests.helpers.identified import ARM, RATE, arm_theta, identified, moved
 
 FIRST, LAST = ARM.joint_names
 
@@ -74,6 +75,48 @@ def test_a_joint_worse_than_its_mean(good: sdpid.Identification) -> None:
     effort[:, 1] += 10.0 * effort[:, 1].std()
     result = with_validation(good, replace(fresh, effort=effort))
     said(result, f"{LAST} (worse than a constant)")
+
+
+def biased(effort: float, error: float, *, moving: bool = True) -> tuple[Samples, Validation]:
+    """Return samples of a joint with a nearly constant effort, and a prediction that is off."""
+    t = np.arange(400) / RATE
+    v = np.sin(t)[:, None] if moving else np.full((400, 1), 0.01)
+    efforts = effort + 0.01 * np.cos(3.0 * t)[:, None]
+    samples = Samples(position=v, velocity=v, acceleration=v, effort=efforts, time=t)
+    fit = Validation(
+        joint_names=("joint",),
+        effort_predicted=efforts - error,
+        rmse=np.array([error]),
+        nrmse=np.array([error / effort]),
+        r2=np.array([1.0 - error**2 / efforts.var()]),
+        relative=error / effort,
+        rows=np.array([400]),
+    )
+    return samples, fit
+
+
+def test_worse_than_a_constant_is_never_trusted() -> None:
+    samples, fit = biased(10.0, 0.2)
+    assert fit.r2[0] < 0.0
+    assert fit.nrmse[0] < SMALL
+    assert grade(samples, fit, 0) == "caution"
+    (only,) = prediction_findings(samples, fit)
+    assert only.level == "caution"
+    assert "joint (worse than a constant, error 2 % of the effort)" in only.text
+    # An error that is large beside the effort as well is worse still.
+    assert grade(*biased(10.0, 2.0), 0) == "bad"
+
+
+@pytest.mark.parametrize("error", [0.0, 0.2])
+def test_what_never_moved_is_not_trusted(error: float) -> None:
+    samples, fit = biased(10.0, error, moving=False)
+    assert grade(samples, fit, 0) == "caution"
+    (only,) = prediction_findings(samples, fit)
+    assert only.level == "bad"
+    assert "did not move" in only.text
+    assert "joint" in only.text
+    moving, fit = biased(10.0, error)
+    assert "did not move" not in prediction_findings(moving, fit)[0].text
 
 
 @pytest.mark.parametrize(

@@ -161,6 +161,22 @@ def test_reconstruction_names_errors_and_shades() -> None:
     assert labels == ["measured", "predicted", "rows not used"]
 
 
+def test_names_are_not_read_as_formulas(tmp_path: Path) -> None:
+    """A joint may be called anything; broken formulas end matplotlib's parser."""
+    bad = "$\\undefined{$"
+    y = np.ones((5, 2))
+    time = np.arange(5.0)
+    figures = [
+        plot_reconstruction(time, y, y, [bad, "$x^2$"], units=bad, title=bad),
+        plot_filtering(time, {bad: time}, {bad: time}, units={bad: bad}, title=bad),
+        plot_parameters([bad], [bad], {bad: [1.0]}, title=bad),
+        convergence(label=bad, title=bad),
+    ]
+    for k, figure in enumerate(figures):
+        for suffix in (".png", ".svg"):
+            save_figure(figure, tmp_path / f"{k}{suffix}", dpi=40.0)
+
+
 def test_reconstruction_without_time_and_with_units() -> None:
     y = np.ones((5, 2))
     figure = plot_reconstruction(None, y, 0.0 * y, ["a", "b"], [1.0, 2.0], units=["N", "N·m"])
