@@ -13,8 +13,9 @@ import pytest
 
 import sdpid
 from sdpid.assurance.validation import validate_robot
+from sdpid.experiment.matching import match_joints
 from sdpid.experiment.plant import true_parameters
-from sdpid.experiment.preparation import default_processing, match_joints, prepare
+from sdpid.experiment.preparation import default_processing, prepare
 from sdpid.robot.model import RobotModel
 
 # What the records' own descriptions report for an unconstrained fit with the same friction: with
@@ -178,7 +179,7 @@ def short(log: sdpid.Recording, **changes: object) -> sdpid.Recording:
 @pytest.mark.parametrize(
     ("names", "message"),
     [
-        (("joint_1", "joint_2", "joint_3", "joint_4", "joint_5", "wrist"), "lacks joint_6"),
+        (("joint_1", "joint_2", "joint_3", "joint_4", "joint_5", "wrist"), "lack joint_6"),
         (("a", "b", "c", "d", "e", "f"), "rename them"),
     ],
 )

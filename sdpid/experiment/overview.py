@@ -9,7 +9,7 @@ import numpy as np
 
 from sdpid.errors import DataError
 from sdpid.experiment.choice import choose_processing
-from sdpid.experiment.preparation import match_joints
+from sdpid.experiment.matching import match_joints
 from sdpid.experiment.recording import Recording
 from sdpid.experiment.signals import bandwidth, gaps, noise, signal_warnings
 from sdpid.experiment.units import suspect_units
@@ -76,12 +76,6 @@ def _matched(recording: Recording, robot: RobotModel | None) -> tuple[Recording,
     """Return the recording in the robot's order, position limits, and what does not match."""
     if robot is None:
         return recording, None, []
-    if robot.n != recording.n:
-        warning = (
-            f"the recording has {recording.n} joints, the robot '{robot.name}' has {robot.n}: "
-            f"{', '.join(robot.joint_names)}"
-        )
-        return recording, None, [warning]
     try:
         matched = match_joints(robot, recording)
     except DataError as cause:

@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
-from sdpid.errors import DataError
 from sdpid.experiment.choice import default_processing
+from sdpid.experiment.matching import match_joints
 from sdpid.experiment.processing import Processing, process
 from sdpid.experiment.recording import Recording
 from sdpid.experiment.samples import Samples
@@ -13,7 +11,7 @@ from sdpid.experiment.units import require_plausible_units
 from sdpid.robot.friction import Coulomb, FrictionTerm, SigmoidFriction
 from sdpid.robot.model import RobotModel
 
-__all__ = ["default_friction", "default_processing", "match_joints", "prepare"]
+__all__ = ["default_friction", "default_processing", "prepare"]
 
 # Half-width of the smooth sign of real friction, rad/s: sensors' velocity noise makes the exact
 # sign flicker near standstill.
@@ -43,8 +41,7 @@ def prepare(robot: RobotModel, log: Recording, processing: Processing | None = N
     robot : RobotModel
         The robot.
     log : Recording
-        What was measured. Joints with the robot's names are put in its order; names that share
-        none with it are taken by position.
+        What was measured; its columns are found by name (see `match_joints`).
     processing : Processing, optional
         By default `default_processing`.
 
@@ -55,67 +52,9 @@ def prepare(robot: RobotModel, log: Recording, processing: Processing | None = N
     Raises
     ------
     DataError
-        When the joints are not the robot's, positions look like degrees, or the recording cannot
-        be processed.
+        When a joint of the robot is not in it, positions look like degrees, or it cannot be
+        processed.
     """
-    if log.n != robot.n:
-        raise DataError(
-            f"the recording has {log.n} joints, the robot '{robot.name}' has {robot.n}: "
-            f"{', '.join(robot.joint_names)}."
-        )
     named = match_joints(robot, log)
     require_plausible_units(named, robot.position_limits)
     return process(named, default_processing(named) if processing is None else processing)
-
-
-def match_joints(robot: RobotModel, log: Recording) -> Recording:
-    """Return a recording with its joints named and ordered as the robot's.
-
-    Columns with the robot's names in another order are reordered. Names that share no joint with
-    the robot (another prefix, say) are taken by position; a partial match is refused.
-
-    Parameters
-    ----------
-    robot : RobotModel
-        The robot.
-    log : Recording
-        With as many joints.
-
-    Returns
-    -------
-    Recording
-
-    Raises
-    ------
-    DataError
-        When the names match in part, or end differently.
-    """
-    names = log.joint_names
-    if names is None or tuple(names) == robot.joint_names:
-        return replace(log, joint_names=robot.joint_names)
-    if set(names) == set(robot.joint_names):
-        order = [names.index(name) for name in robot.joint_names]
-        velocity = None if log.velocity is None else log.velocity[:, order]
-        scale = None if log.effort_scale is None else log.effort_scale[order]
-        return replace(
-            log,
-            position=log.position[:, order],
-            effort=log.effort[:, order],
-            velocity=velocity,
-            effort_scale=scale,
-            joint_names=robot.joint_names,
-        )
-    common = set(names) & set(robot.joint_names)
-    if common:
-        missing = ", ".join(sorted(set(robot.joint_names) - common))
-        raise DataError(
-            f"joint names of the recording match the robot's only in part: it lacks {missing}; "
-            "rename its columns."
-        )
-    endings = [name[-1:] for name in names]
-    if endings != [name[-1:] for name in robot.joint_names]:
-        raise DataError(
-            f"joint names of the recording ({', '.join(names)}) are not the robot's "
-            f"({', '.join(robot.joint_names)}); rename them, or leave names out to match by order."
-        )
-    return replace(log, joint_names=robot.joint_names)

@@ -21,7 +21,8 @@ from sdpid.errors import DataError
 from sdpid.experiment import efforts, parquet, stamps, stored_file
 from sdpid.experiment import processing as processing_module
 from sdpid.experiment.efforts import Moments, in_threads
-from sdpid.experiment.preparation import match_joints, prepare
+from sdpid.experiment.matching import match_joints
+from sdpid.experiment.preparation import prepare
 from sdpid.experiment.processing import Processing, process
 from sdpid.experiment.readers import read_recording
 from sdpid.experiment.recording import Recording
