@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -33,7 +34,8 @@ class Constraints:
     friction_nonnegative : bool
         Whether terms that physics says are not negative (Coulomb, viscous, rotor) are bound so.
     others : tuple of Condition
-        Further conditions, such as a total mass (see `sdpid.estimation.condition_kinds`).
+        Further conditions, such as a total mass (see `sdpid.estimation.condition_kinds`). A
+        single one may be given as it is.
     """
 
     margin: float = 0.0
@@ -59,7 +61,10 @@ class Constraints:
             raise InfeasibleError(
                 f"Constraints: mass_min {self.mass_min} kg is above mass_max {self.mass_max} kg."
             )
-        object.__setattr__(self, "others", tuple(self.others))
+        others: object = self.others
+        if not isinstance(others, Iterable) or isinstance(others, str):
+            others = (others,)
+        object.__setattr__(self, "others", tuple(others))
         for other in self.others:
             if not isinstance(other, Condition):
                 raise DataError(f"Constraints: {other!r} among the others is not a Condition.")

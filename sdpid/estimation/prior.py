@@ -8,7 +8,7 @@ from typing import Literal, get_args
 
 import numpy as np
 
-from sdpid._arrays import Array, Indices, frozen
+from sdpid._arrays import Array, Indices, frozen, real_array
 from sdpid.errors import DataError
 from sdpid.estimation.entropy import Entropy
 from sdpid.estimation.evidence import STRONGEST, WEAKEST, strength_by_evidence
@@ -28,6 +28,9 @@ PriorKind = Literal["euclidean", "scaled_euclidean", "pullback", "entropic"]
 # some that are points.
 _RADIUS = 0.02
 
+# A second moment short of the least by this share is short by rounding: nothing is said of it.
+_ROUNDED = 1e-6
+
 # Friction and offset terms are believed to move the joint's effort by this share of its rms.
 _FRICTION_SHARE = 1.0 / 3.0
 
@@ -42,7 +45,7 @@ _VAGUE = 10.0
 _AT_END = 0.02
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, eq=False)
 class Prior:
     """A belief about the parameters.
 
@@ -62,7 +65,9 @@ class Prior:
     Friction terms are believed to be zero with a standard deviation that moves the effort by a
     third of its rms, whatever the strength. Nats are units of a log-likelihood; they mean what
     they say when the weighting counts correlated samples as the few independent ones they are
-    (``weighting="residual"``).
+    (``weighting="residual"``). With ``gls`` and ``gls_per_sample`` and samples without a covariance
+    errors of every row are taken to have a variance of one (N·m)², and a note of the problem's
+    prior says so. The costs of ``eq9`` and ``eq18`` are no likelihood: they take no prior.
 
     The default is the pullback with a fixed strength of one nat. On real recordings the pullback
     and the entropic kind predict equally well, and the pullback costs nothing; strengths from 0.3
@@ -92,6 +97,14 @@ class Prior:
     bodies: Array | None = None
 
     def __post_init__(self) -> None:
+        if self.bodies is not None:
+            bodies = frozen(real_array(self.bodies, "Prior: bodies", ndim=2))
+            if bodies.shape[1] != 10:
+                raise DataError(
+                    f"Prior: bodies have shape {bodies.shape}; give (links, 10), one row a link in "
+                    "the order of the robot's links."
+                )
+            object.__setattr__(self, "bodies", bodies)
         if self.kind not in get_args(PriorKind):
             raise DataError(f"Prior: kind is {self.kind!r}: use one of {get_args(PriorKind)}.")
         if self.strength == "evidence":
@@ -102,6 +115,16 @@ class Prior:
                 f"Prior: strength is {self.strength}; give a positive number of nats, or "
                 "'evidence'."
             )
+
+    def _key(self) -> tuple[object, ...]:
+        bodies = None if self.bodies is None else (self.bodies.shape, self.bodies.tobytes())
+        return self.strength, self.kind, self.friction, bodies
+
+    def __eq__(self, other: object) -> bool:
+        return self._key() == other._key() if isinstance(other, Prior) else NotImplemented
+
+    def __hash__(self) -> int:
+        return hash(self._key())
 
 
 @dataclass(frozen=True, eq=False)
@@ -128,25 +151,36 @@ class PriorRows:
     strength: float = 1.0
 
 
-def repaired(bodies: Array) -> tuple[Array, tuple[int, ...]]:
-    """Return bodies with their second moments raised to the least, and which were not physical.
+def repaired(bodies: Array) -> tuple[Array, tuple[int, ...], tuple[int, ...]]:
+    """Return bodies with their second moments raised to the least.
 
     Links without a positive mass are returned as they are.
+
+    Returns
+    -------
+    ndarray, shape (links, 10)
+    tuple of int
+        Links that could not exist.
+    tuple of int
+        Other links that were thinner than the least.
     """
     out = bodies.copy()
-    wrong = []
+    wrong, thin = [], []
     for i, body in enumerate(bodies):
         if not body[0] > 0.0:
             continue
-        if not margin(body, "pseudo_inertia") > 0.0:
-            wrong.append(i)
         P = pseudo_inertia(body)
         com = P[:3, 3] / body[0]
         values, vectors = np.linalg.eigh(P[:3, :3] - body[0] * np.outer(com, com))
-        values = np.maximum(values, body[0] * _RADIUS**2)
+        least = body[0] * _RADIUS**2
+        if not margin(body, "pseudo_inertia") > 0.0:
+            wrong.append(i)
+        elif values[0] < (1.0 - _ROUNDED) * least:
+            thin.append(i)
+        values = np.maximum(values, least)
         P[:3, :3] = vectors @ np.diag(values) @ vectors.T + body[0] * np.outer(com, com)
         out[i] = from_pseudo_inertia(P)
-    return out, tuple(wrong)
+    return out, tuple(wrong), tuple(thin)
 
 
 def prior_rows(
@@ -208,10 +242,10 @@ def prior_rows(
 def _believed(prior: Prior, rows: RowSource) -> tuple[Array, Indices, list[str]]:
     """Return bodies that can exist, the links that are described, and what was done to them."""
     robot = rows.robot
-    given = robot.prior if prior.bodies is None else np.asarray(prior.bodies, dtype=np.float64)
+    given = robot.prior if prior.bodies is None else prior.bodies
     if given.shape != (robot.n_links, 10):
         raise DataError(f"Prior: bodies have shape {given.shape}, expected {(robot.n_links, 10)}.")
-    bodies, wrong = repaired(given)
+    bodies, wrong, thin = repaired(given)
     known = np.flatnonzero(given[:, 0] > 0.0)
     if known.size == 0:
         raise DataError(
@@ -222,6 +256,12 @@ def _believed(prior: Prior, rows: RowSource) -> tuple[Array, Indices, list[str]]
     if wrong:
         names = ", ".join(robot.link_names[i] for i in wrong)
         notes.append(f"prior: {names} could not exist as described and were repaired first")
+    if thin:
+        names = ", ".join(robot.link_names[i] for i in thin)
+        notes.append(
+            f"prior: thinner than {100.0 * _RADIUS:g} cm (rms about the center of mass) as "
+            f"described, and widened to that: {names}"
+        )
     unknown = np.setdiff1d(np.arange(robot.n_links), known)
     if unknown.size:
         size = (_BALL * characteristic_length(robot)) ** 2

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterable, Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import cached_property
@@ -24,6 +25,7 @@ from sdpid.estimation.remote import Cluster, Piece, RemoteRows, all_samples
 from sdpid.estimation.rows import RowSource
 from sdpid.estimation.weighting import WEIGHTINGS, Weighting
 from sdpid.experiment.processing import Processing
+from sdpid.experiment.recording import Recording
 from sdpid.experiment.samples import Samples
 from sdpid.robot.base import BaseParameters, structural_base
 from sdpid.robot.friction import FrictionModel, FrictionTerm
@@ -186,7 +188,7 @@ class Problem:
 @one_thread
 def build_problem(
     robot: RobotModel,
-    samples: Samples | Sequence[Piece],
+    samples: Piece | Sequence[Piece],
     *,
     friction: Iterable[str | FrictionTerm] = ("coulomb", "viscous"),
     weighting: Weighting = "gls",
@@ -203,8 +205,9 @@ def build_problem(
     ----------
     robot : RobotModel
         The robot.
-    samples : Samples or sequence of Samples, Recording or path
-        The measurements, n as the robot's; those of several recordings are joined.
+    samples : Samples, Recording or path, or a sequence of these
+        The measurements, n as the robot's; those of several recordings are joined. Recordings and
+        files are processed first (see `processing`).
     friction : iterable of str or FrictionTerm
         Terms beside the links' inertia (see `sdpid.robot.friction`). Numbers of theirs that are
         None are chosen by the data (see `sdpid.estimation.profile`).
@@ -244,12 +247,22 @@ def build_problem(
         raise DataError(f"weighting is {weighting!r}: use one of {', '.join(WEIGHTINGS)}.")
     if consistency not in CONSISTENCIES:
         raise DataError(f"consistency is {consistency!r}: use one of {', '.join(CONSISTENCIES)}.")
+    if prior is not None and weighting in ("eq9", "eq18"):
+        raise DataError(
+            f"prior: the cost of weighting {weighting!r} is no likelihood, so a strength in nats "
+            "has no meaning beside it; use 'residual', 'gls' or 'gls_per_sample', or no prior."
+        )
+    if not isinstance(robot, RobotModel):
+        raise DataError(
+            f"build_problem: robot is {type(robot).__name__} {robot!r:.80}; give a RobotModel, "
+            "such as sdpid.load_robot(name)."
+        )
+    pieces = _pieces(samples)
     cluster = None
     if client is not None:
-        pieces = (samples,) if isinstance(samples, Samples) else samples
         cluster, samples = Cluster.of(client, robot, pieces, processing)
     elif not isinstance(samples, Samples):
-        samples = all_samples(robot, samples, processing)
+        samples = all_samples(robot, pieces, processing)
     _check_samples(robot, samples)
     model = FrictionModel.from_terms(friction, robot.joint_names, first=robot.n_base)
     model, profiled = close_terms(model, robot, samples, lambda rows: covariance(rows, weighting))
@@ -260,6 +273,12 @@ def build_problem(
     A, rhs = found.A, found.rhs
     known = weighting in ("gls", "gls_per_sample") and samples.covariance is not None
     likelihood = (A, rhs) if weighting == "residual" or known else None
+    believed = None
+    if prior is not None:
+        believed = prior_rows(prior, rows, data=likelihood)
+        if likelihood is None:
+            note = "prior: the samples have no covariance, so errors count in units of 1 N.m"
+            believed = replace(believed, notes=(*believed.notes, note))
     problem = Problem(
         robot=robot,
         samples=samples,
@@ -272,7 +291,7 @@ def build_problem(
         floor=found.floor,
         n_rows=found.used,
         feasible=FeasibleSet.build(constraints or Constraints(), consistency, Layout(robot, model)),
-        prior=None if prior is None else prior_rows(prior, rows, data=likelihood),
+        prior=believed,
         profiled=profiled,
         cluster=cluster,
     )
@@ -291,6 +310,27 @@ def _rows(
     if cluster is None:
         return RowSource(robot, friction, base, samples)
     return RemoteRows(robot, friction, base, samples, cluster)
+
+
+def _pieces(samples: object) -> tuple[Piece, ...]:
+    """Return one or several samples, recordings and files as a tuple.
+
+    Raises
+    ------
+    DataError
+        When it is, or holds, something else.
+    """
+    kinds = (Samples, Recording, str, os.PathLike)
+    if isinstance(samples, kinds):
+        return (samples,)
+    pieces = tuple(samples) if isinstance(samples, Iterable) else (samples,)
+    for piece in pieces:
+        if not isinstance(piece, kinds):
+            raise DataError(
+                f"build_problem: samples hold {type(piece).__name__} {piece!r:.80}; give Samples "
+                "(see sdpid.process), recordings or paths of logs."
+            )
+    return pieces
 
 
 def _check_samples(robot: RobotModel, samples: Samples) -> None:

@@ -85,8 +85,12 @@ def whitener(covariance: Array, mask: Mask, exponent: float) -> Array:
     return np.asarray(powers * (mask[:, :, None] & mask[:, None, :]))
 
 
-# Weight floor: a share of the overall effort, so that one nearly silent joint cannot dominate.
+# Least standard deviation: this share of the overall effort, so that one quiet joint cannot
+# dominate; but no more than the joint's own effort varies, or any prediction of it would do.
 _EFFORT_SHARE = 0.03
+
+# An effort whose variance is below this share of the mean squared effort of all joints is constant.
+_SILENT = 1e-12
 
 # Residuals that are alike over more samples than this are a drift: how much longer it lasts says
 # nothing of their number, and of long recordings only this much has to be kept, and sent.
@@ -182,7 +186,17 @@ class JointRows:
         error = np.append(base, -1.0)
         residual = np.array([np.sum((t.R @ error) ** 2) for t in self.triangles])
         freedom = np.maximum(self.used * (1.0 - rank / self.used.sum()), 1.0)
-        return np.asarray(residual / freedom + _EFFORT_SHARE**2 * self.effort)
+        return np.asarray(residual / freedom + self._least_variance)
+
+    @property
+    def _least_variance(self) -> Array:
+        """Added to the variance of each joint's residuals, (n,)."""
+        used = np.maximum(self.used, 1.0)
+        own = self.squares / used - (self.sums[:, -1] / used) ** 2
+        overall = _EFFORT_SHARE**2 * self.effort
+        # An effort that does not vary at all, but for rounding, was not measured.
+        silent = own <= _SILENT * self.effort
+        return np.where(silent, overall, np.minimum(overall, own))
 
 
 def residual_covariance(rows: RowSource, joints: JointRows | None = None) -> Array:
@@ -200,9 +214,20 @@ def residual_covariance(rows: RowSource, joints: JointRows | None = None) -> Arr
         Regressor and efforts.
     joints : JointRows, optional
         The same rows, compressed before.
+
+    Raises
+    ------
+    DataError
+        When every effort is zero, or no row counts.
     """
     if joints is None:
         joints = JointRows.merged(rows.map(JointRows.of))
+    if not joints.squares.sum() > 0.0:
+        raise DataError(
+            f"samples: all {int(joints.used.sum())} efforts that count are zero, so residuals have "
+            "no variance for weighting='residual' to estimate; check that effort was recorded and "
+            "read (columns, units, mask)."
+        )
     variance = np.full(rows.robot.n, joints.effort)
     base = np.zeros(rows.base.count)
     for _ in range(_ROUNDS):

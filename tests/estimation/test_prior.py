@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -73,7 +75,7 @@ def divergence(P: np.ndarray, P0: np.ndarray) -> float:
 def test_nothing_is_paid_at_the_prior(seed: int):
     bodies = bodies_of(seed)
     robot = robot_of(bodies)
-    believed, _ = repaired(robot.prior)
+    believed = repaired(robot.prior)[0]
     assert penalty(robot, Prior(), believed) < ROUNDING
 
 
@@ -81,7 +83,7 @@ def test_nothing_is_paid_at_the_prior(seed: int):
 def test_second_order_expansion_of_the_divergence(seed: int, strength: float):
     bodies = bodies_of(seed)
     robot = robot_of(bodies)
-    believed, _ = repaired(robot.prior)
+    believed = repaired(robot.prior)[0]
     rng = np.random.default_rng(seed)
     L = np.linalg.cholesky(pseudo_inertia(believed))
     step = rng.normal(size=(len(bodies), 4, 4))
@@ -114,7 +116,7 @@ def test_the_same_in_every_frame(seed: int):
 def test_euclidean_kinds_are_squared_distances(seed: int, strength: float):
     bodies = bodies_of(seed)
     robot = robot_of(bodies)
-    believed, _ = repaired(robot.prior)
+    believed = repaired(robot.prior)[0]
     moved = bodies_of(seed + 1)
     raw = penalty(robot, Prior(strength=strength, kind="euclidean"), moved)
     assert raw == pytest.approx(strength * np.sum((moved - believed) ** 2))
@@ -190,8 +192,8 @@ def test_every_kind_repairs_first_and_hardly_believes_what_has_no_mass(kind):
 def test_impossible_links_are_repaired_and_named():
     bodies = bodies_of(0)
     bodies[1, 4:] = [1.0, 0.0, 0.1, 0.0, 0.0, 0.1]  # triangle inequality violated
-    fixed, wrong = repaired(bodies)
-    assert wrong == (1,)
+    fixed, wrong, thin = repaired(bodies)
+    assert (wrong, thin) == ((1,), ())
     assert np.all(margin(fixed, "pseudo_inertia") > 0.0)
     notes = prior_rows(Prior(bodies=bodies), rows_of(robot_of(bodies_of(1)))).notes
     assert any("link_2" in note for note in notes)
@@ -236,7 +238,7 @@ def test_a_strong_prior_wins_and_a_weak_one_does_not():
     samples = Samples(position=q, velocity=v, acceleration=a, effort=effort)
     options = {"weighting": "residual"}
     free = solve_wls(build_problem(robot, samples, **options))
-    believed, _ = repaired(robot.prior)
+    believed = repaired(robot.prior)[0]
     strong = solve_sdp(build_problem(robot, samples, prior=Prior(strength=1e9), **options))
     assert np.allclose(strong.theta[:20], believed.ravel(), atol=1e-3)
     weak = solve_sdp(build_problem(robot, samples, prior=Prior(strength=1e-6), **options))
@@ -253,3 +255,62 @@ def test_local_and_global_solvers_share_the_prior():
     assert best.cost <= local.cost * (1.0 + 1e-6)
     # With a prior the parameters are unique: both find the same ones.
     assert local.cost == pytest.approx(best.cost, rel=1e-3)
+
+
+def test_thin_bodies_are_widened_and_named():
+    bodies = bodies_of(0)
+    rod = point_masses(np.array([1.0, 1.0]), np.array([[0.0, 0.0, -0.3], [0.0, 0.0, 0.3]]))
+    # A rod along z, 1 mm across.
+    bodies[1] = rod + 2e-6 * np.array([0, 0, 0, 0, 1, 0, 1, 0, 0, 2])
+    assert margin(bodies[1], "pseudo_inertia") > 0.0
+    _, wrong, thin = repaired(bodies)
+    assert (wrong, thin) == ((), (1,))
+    notes = prior_rows(Prior(bodies=bodies), rows_of(robot_of(bodies_of(1)))).notes
+    assert [note for note in notes if "widened" in note and "link_2" in note]
+    # What was widened once is not thin.
+    assert repaired(repaired(bodies)[0])[1:] == ((), ())
+
+
+@pytest.mark.parametrize("weighting", ["eq9", "eq18"])
+def test_costs_that_are_no_likelihood_take_no_prior(weighting):
+    robot = robot_of(bodies_of(0))
+    with pytest.raises(DataError, match=f"'{weighting}' is no likelihood.*no prior"):
+        build_problem(robot, rows_of(robot).samples, weighting=weighting, prior=Prior())
+
+
+def test_a_likelihood_without_a_covariance_says_its_unit():
+    robot = robot_of(bodies_of(0))
+    samples = rows_of(robot, 200).samples
+    known = replace(samples, covariance=np.eye(2))
+    assert "unit" in " ".join(build_problem(robot, samples, prior=Prior()).prior.notes)
+    assert build_problem(robot, known, prior=Prior()).prior.notes == ()
+    assert build_problem(robot, samples, prior=Prior(), weighting="residual").prior.notes == ()
+
+
+def test_a_prior_is_a_value():
+    given_bodies = bodies_of(0)
+    prior, same = Prior(bodies=given_bodies), Prior(bodies=given_bodies.tolist())
+    assert prior == same
+    assert hash(prior) == hash(same)
+    assert prior != Prior(bodies=bodies_of(1))
+    assert prior != Prior()
+    assert Prior() == Prior()
+    assert prior != "prior"
+    given_bodies[0, 0] = 7.0
+    assert prior == same
+    with pytest.raises(ValueError, match="read-only"):
+        prior.bodies[0, 0] = 7.0
+
+
+@pytest.mark.parametrize(
+    ("bodies", "says"),
+    [
+        (np.full((2, 10), np.nan), "20 of 20 values are not finite"),
+        (np.ones((2, 9)), r"shape \(2, 9\)"),
+        (np.ones(10), "1 axes"),
+        ([["heavy"] * 10], "not a rectangular array of real numbers"),
+    ],
+)
+def test_bodies_that_are_none(bodies, says):
+    with pytest.raises(DataError, match=says):
+        Prior(bodies=bodies)

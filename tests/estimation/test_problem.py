@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -12,11 +13,13 @@ from hypothesis import strategies as st
 
 import sdpid.estimation.rows as rows_module
 from sdpid._arrays import Array
-from sdpid.errors import DataError, InfeasibleError
+from sdpid.errors import DataError, InfeasibleError, SdpidError
+from sdpid.estimation.condition_kinds import TotalMass
 from sdpid.estimation.constraints import Constraints
 from sdpid.estimation.problem import build_problem, describe
 from sdpid.estimation.weighting import WEIGHTINGS, Weighting, residual_covariance
 from sdpid.estimation.wls import solve_wls
+from sdpid.experiment.recording import Recording
 from sdpid.robot.load import load_robot
 from sdpid.robot.model import RobotModel
 from tests.helpers.data import (
@@ -264,3 +267,47 @@ def test_residual_sigma_is_what_its_estimator_says() -> None:
     problem = build_problem(ARM, samples, weighting="residual")
     sigma: Array = residual_covariance(problem.rows)
     np.testing.assert_array_equal(problem.sigma, sigma)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "says"),
+    [
+        (("denso_vp6242", "samples"), "robot is str 'denso_vp6242'; give a RobotModel"),
+        ((ARM, 3), "samples hold int 3; give Samples"),
+        ((ARM, [np.zeros((5, 3))]), "samples hold ndarray"),
+        ((ARM, "no such log.parquet"), "no such log.parquet"),
+    ],
+)
+def test_arguments_of_another_kind(arguments: tuple[Any, Any], says: str) -> None:
+    with pytest.raises(SdpidError, match=says):
+        build_problem(*arguments)
+
+
+def test_a_recording_or_a_file_is_processed(tmp_path: Path) -> None:
+    robot = load_robot(TREE)
+    rng = np.random.default_rng(0)
+    time = np.arange(2000) / 200.0
+    phases = rng.uniform(0.0, 6.0, robot.n)
+    position = np.sin(time[:, None] * (1.0 + 0.3 * np.arange(robot.n)) + phases)
+    log = Recording(
+        time=time,
+        position=position,
+        effort=rng.normal(size=position.shape),
+        joint_names=robot.joint_names,
+    )
+    path = tmp_path / "log.parquet"
+    log.to_parquet(path)
+    problems = [build_problem(robot, each, friction=()) for each in (log, path, str(path), [log])]
+    for problem in problems:
+        np.testing.assert_array_equal(problem.A, problems[0].A)
+        assert problem.cost(np.zeros(problem.base.count)) == problems[0].cost(
+            np.zeros(problem.base.count)
+        )
+
+
+def test_a_single_condition_needs_no_tuple() -> None:
+    total = TotalMass(3.0)
+    assert Constraints(others=total).others == (total,)
+    assert Constraints(others=[total]).others == (total,)
+    with pytest.raises(DataError, match="'mass' among the others is not a Condition"):
+        Constraints(others="mass")  # type: ignore[arg-type]

@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given
 
 from sdpid._arrays import Array
+from sdpid.assurance.validation import validate
 from sdpid.errors import DataError
+from sdpid.estimation.prior import Prior
 from sdpid.estimation.problem import build_problem
+from sdpid.estimation.sdp import solve_sdp
 from sdpid.estimation.weighting import masked_covariance, power, whitener
 from sdpid.estimation.wls import solve_wls
 from sdpid.experiment.samples import Samples
@@ -141,3 +146,31 @@ def test_singular_covariances_are_refused(exponent: float) -> None:
         power(np.zeros((2, 2)), exponent)
     with pytest.raises(DataError, match="1 of 3 singular"):
         power(np.stack([np.eye(2), np.diag([1.0, -1.0]), np.eye(2)]), exponent)
+
+
+@pytest.mark.parametrize("believed", [False, True])
+def test_a_joint_with_next_to_no_effort_is_predicted_better_than_by_a_constant(
+    believed: bool,
+) -> None:
+    rng = np.random.default_rng(0)
+    theta = random_theta(ARM, rng)
+    # The last link and its joint's friction: efforts 1e4 times smaller than the others'.
+    theta[20:30] *= 1e-4
+    theta[[32, 35]] *= 1e-4
+    samples = make_samples(ARM, theta, rng, count=1000)
+    spread = samples.effort.std(axis=0)
+    assert spread[2] < 1e-3 * spread[:2].min()
+    # Friction that grows with the load, which the model lacks: 5 % of every joint's effort.
+    more = 0.05 * np.abs(samples.effort) * np.sign(samples.velocity)
+    samples = replace(samples, effort=samples.effort + more)
+    prior = Prior(bodies=1.3 * theta[:30].reshape(3, 10)) if believed else None
+    problem = build_problem(ARM, samples, weighting="residual", prior=prior)
+    assert np.min(validate(solve_sdp(problem)).r2) > 0.9
+
+
+def test_efforts_that_are_all_zero_are_refused() -> None:
+    rng = np.random.default_rng(0)
+    samples = make_samples(ARM, random_theta(ARM, rng), rng, count=60)
+    samples = replace(samples, effort=np.zeros((60, 3)))
+    with pytest.raises(DataError, match=r"efforts that count are zero.*effort was recorded"):
+        build_problem(ARM, samples, weighting="residual")
