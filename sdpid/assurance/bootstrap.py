@@ -39,7 +39,7 @@ _REGULARISATIONS = (1e-10, 1e-8)
 # with a million rows that is a hundredth of a variance.
 _ACCURATE = 1e-8
 
-# Draws that are one job: what they share is set up once, and their information summed at once.
+# Draws that are one job: what they share is sent once.
 _TOGETHER = 25
 
 # Draws that must be expected beyond each end: fewer say nothing about where it is.
@@ -202,14 +202,15 @@ class _Draws:
 
     def solve(self, numbers: range) -> list[tuple[Array | None, float]]:
         """Return the base parameters of some draws, and the seconds in the solver."""
-        times = np.array([self.times(number) for number in numbers])
-        groups, count = self.pieces.target.shape
-        information = times @ self.pieces.information.reshape(groups, count * count)
-        targets = times @ self.pieces.target
-        return [
-            self.again.solve(H.reshape(count, count), target)
-            for H, target in zip(information, targets, strict=True)
-        ]
+        pieces, found = self.pieces, []
+        for number in numbers:
+            # Each draw is added up by itself and without BLAS, piece by piece: a product of the
+            # weights of many draws rounds by how many there are.
+            times = self.times(number)
+            information = np.einsum("g,gij->ij", times, pieces.information)
+            target = np.einsum("g,gi->i", times, pieces.target)
+            found.append(self.again.solve(information, target))
+        return found
 
 
 @dataclass(frozen=True, eq=False)
