@@ -7,7 +7,6 @@ from sdpid.experiment.matching import match_joints
 from sdpid.experiment.processing import Processing, process
 from sdpid.experiment.recording import Recording
 from sdpid.experiment.samples import Samples
-from sdpid.experiment.units import require_plausible_units
 from sdpid.robot.friction import Coulomb, FrictionTerm, SigmoidFriction
 from sdpid.robot.model import RobotModel
 
@@ -56,5 +55,4 @@ def prepare(robot: RobotModel, log: Recording, processing: Processing | None = N
         processed.
     """
     named = match_joints(robot, log)
-    require_plausible_units(named, robot.position_limits)
-    return process(named, default_processing(named) if processing is None else processing)
+    return process(named, processing, position_limits=robot.position_limits)

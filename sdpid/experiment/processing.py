@@ -13,20 +13,23 @@ from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from sdpid import _progress
 from sdpid._arrays import Array
 from sdpid._threads import one_thread
 from sdpid.errors import DataError
 from sdpid.experiment.averaging import Chain, near_standstill
+from sdpid.experiment.choice import default_processing
 from sdpid.experiment.efforts import Efforts, in_threads
 from sdpid.experiment.filters import ZeroPhaseFilter
+from sdpid.experiment.outliers import require_no_outliers
 from sdpid.experiment.pieces import continuous
 from sdpid.experiment.recording import Recording
 from sdpid.experiment.samples import Samples
 from sdpid.experiment.settings import Processing
 from sdpid.experiment.timing import Grid, make_grid
+from sdpid.experiment.units import require_plausible_units
 from sdpid.experiment.window import Window
 
 __all__ = ["Processing", "process"]
@@ -59,7 +62,11 @@ class _TooShortError(DataError):
 
 @one_thread
 def process(
-    log: Recording, processing: Processing | None = None, *, progress: bool | None = None
+    log: Recording,
+    processing: Processing | None = None,
+    *,
+    position_limits: ArrayLike | None = None,
+    progress: bool | None = None,
 ) -> Samples:
     """Turn a recording into samples for a regression.
 
@@ -84,7 +91,11 @@ def process(
     log : Recording
         What was measured.
     processing : Processing, optional
-        How to process it; by default ``Processing()``.
+        How to process it; by default what `identify` chooses for this recording (see
+        `choose_processing`). ``Processing.paper()`` is section III-C of the paper to the letter.
+    position_limits : (n, 2) array_like, optional
+        The robot's limits in rad, infinite where there are none. They tell degrees from radians
+        more surely than the positions alone.
     progress : bool, optional
         Show a progress bar or not; by default on a terminal.
 
@@ -96,11 +107,14 @@ def process(
     Raises
     ------
     DataError
-        When the cut-off is not below half the sample rate, time stamps of a record with periods
+        When positions look like degrees or jump by more than two turns in a step, the cut-off is
+        not below half the sample rate, time stamps of a record with periods
         have a gap, the record (or every piece of it) is too short, periods are too few for a
         covariance or do not look alike, or a joint has no row left after masking.
     """
-    processing = Processing() if processing is None else processing
+    require_no_outliers(log)
+    require_plausible_units(log, position_limits)
+    processing = default_processing(log) if processing is None else processing
     if processing.velocity == "measured" and log.velocity is None:
         raise DataError(
             "velocity: the recording has none, but velocity='measured' was asked for; use "

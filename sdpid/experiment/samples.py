@@ -100,7 +100,10 @@ class Samples:
             value = getattr(self, name)
             if value is None and name == "periods":
                 continue
-            if isinstance(value, bool) or int(value) != value or value < least:
+            whole = isinstance(value, (int, np.integer)) or (
+                isinstance(value, (float, np.floating)) and float(value).is_integer()
+            )
+            if isinstance(value, bool) or not whole or value < least:
                 raise DataError(f"{name}: is {value}, expected a whole number of at least {least}.")
             object.__setattr__(self, name, int(value))
         if self.effort_periods is not None:

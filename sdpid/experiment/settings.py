@@ -2,14 +2,28 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass, field
 from typing import Any, Literal
+
+import numpy as np
 
 from sdpid.errors import DataError
 from sdpid.experiment.differences import DERIVATIVES, Derivative, Spectral, Stencil, stencil
 from sdpid.experiment.filters import FILTERS, FilterType, ZeroPhaseFilter, low_pass
 from sdpid.experiment.timing import Timing
+
+# Smallest and largest value of each setting: lower cut-offs and higher orders than anybody uses
+# would overflow.
+_RANGES: dict[str, tuple[float, float]] = {
+    "cutoff_hz": (1e-4, 1e9),
+    "order": (1, 20),
+    "decimation": (1, 1e9),
+    "reversal_speed": (0.0, 1e9),
+    "reversal_time": (0.0, 1e6),
+    "shrinkage": (0.0, 1.0),
+    "trim_s": (0.0, 1e9),
+}
+_OPTIONAL = ("decimation", "reversal_time", "trim_s")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -125,16 +139,10 @@ class Processing:
         for name, allowed in choices.items():
             if getattr(self, name) not in allowed:
                 raise DataError(f"{name}: is {getattr(self, name)!r}, expected one of {allowed}.")
-        _require(self.cutoff_hz > 0.0 and math.isfinite(self.cutoff_hz), "cutoff_hz", self, "> 0")
-        for name in ("order", "decimation"):
+        for name, (low, high) in _RANGES.items():
             value = getattr(self, name)
-            whole = value is None or (value >= 1 and int(value) == value)
-            _require(whole and (value is not None or name == "decimation"), name, self, "1, 2, ...")
-        _require(0.0 <= self.shrinkage <= 1.0, "shrinkage", self, "between 0 and 1")
-        _require(self.reversal_speed >= 0.0, "reversal_speed", self, ">= 0")
-        for name in ("reversal_time", "trim_s"):
-            value = getattr(self, name)
-            _require(value is None or (math.isfinite(value) and value >= 0.0), name, self, ">= 0")
+            if value is not None or name not in _OPTIONAL:
+                _check_number(value, name, low, high, whole=name in ("order", "decimation"))
 
     def low_pass(self, rate_hz: float) -> ZeroPhaseFilter:
         """Design the filter for a sample rate in Hz."""
@@ -156,7 +164,13 @@ def _shown(value: Any) -> str:
     return f"{value:.4g}" if isinstance(value, float) else str(value)
 
 
-def _require(holds: bool, name: str, processing: Processing, expected: str) -> None:
-    """Raise when a setting is out of its range."""
-    if not holds:
-        raise DataError(f"{name}: is {getattr(processing, name)!r}, expected {expected}.")
+def _check_number(value: Any, name: str, low: float, high: float, *, whole: bool) -> None:
+    """Raise when a setting is no number, out of its range, or should be whole and is not."""
+    sound = isinstance(value, (int, float, np.integer, np.floating)) and not isinstance(value, bool)
+    if not (sound and low <= value <= high and (not whole or value == int(value))):
+        kind = "a whole number" if whole else "a number"
+        # Python refuses to print an int of thousands of digits.
+        shown = (
+            f"{float(value):.3g}" if isinstance(value, int) and abs(value) > high else repr(value)
+        )
+        raise DataError(f"{name}: is {shown}, expected {kind} from {low:g} to {high:g}.")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import fields, replace
 from typing import Any, TypeAlias
 
 from sdpid.errors import DataError
@@ -98,12 +98,19 @@ def chosen_processing(
     """
     if isinstance(given, Processing):
         return given, None
+    changes = {} if given is None else given
+    if not isinstance(changes, Mapping):
+        raise DataError(
+            f"processing: is {changes!r}, expected a Processing or a mapping of its settings."
+        )
+    settings = [field.name for field in fields(Processing) if field.name != "reasons"]
+    unknown = [str(name) for name in changes if name not in settings]
+    if unknown:
+        raise DataError(
+            f"processing: has no setting {', '.join(unknown)}; choose from {', '.join(settings)}."
+        )
     common, why = common_processing(logs)
-    try:
-        return replace(common, **(given or {})), why
-    except TypeError:
-        unknown = ", ".join(set(given or {}) - set(vars(common)))
-        raise DataError(f"processing: has no setting {unknown}.") from None
+    return replace(common, **changes), why
 
 
 def joined(robot: RobotModel, logs: Sequence[Recording], processing: Processing) -> Samples:

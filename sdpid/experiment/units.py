@@ -16,6 +16,8 @@ __all__ = ["require_plausible_units", "suspect_units"]
 # Joints of arms are limited to about one turn either way, and no such joint passes two turns.
 _LIMIT_OF_ARMS = 2.0 * math.pi * (1.0 + 1e-6)
 _TWO_TURNS = 4.0 * math.pi
+# In degrees no joint of an arm passes this; wheels in radians do.
+_ARMS_IN_DEGREES = 720.0
 # A log may pass the limits of a URDF that are a little too tight, but not by half their span.
 _SPAN_FACTOR = 1.5
 # The same slack once the positions are read as degrees: they must then fit the limits.
@@ -28,8 +30,9 @@ def suspect_units(recording: Recording, position_limits: Any = None) -> tuple[st
     A joint with finite limits is named when its positions are far beyond them (more than two
     turns where the limits are within one turn, or twice the limits with a span of more than 1.5
     times theirs) and would fit if they were degrees. A joint without limits may turn many times,
-    so it is named only together with one that has limits. Where no limits are known at all, joints
-    beyond two turns are named when they are more than half of at least two.
+    so it is named only together with one that has limits. Where no joint is known to have limits,
+    those beyond two turns, and not beyond 720, are named when they are more than half of at least
+    two.
 
     Parameters
     ----------
@@ -52,10 +55,13 @@ def suspect_units(recording: Recording, position_limits: Any = None) -> tuple[st
     high = recording.position.max(axis=0)
     peak = np.maximum(np.abs(low), np.abs(high))
     beyond = peak > _TWO_TURNS
-    if position_limits is None:
+    limits = None
+    if position_limits is not None:
+        limits = _checked_limits(position_limits, recording.n)
+    if limits is None or not np.isfinite(limits).all(axis=1).any():
+        beyond &= peak <= _ARMS_IN_DEGREES
         named = beyond & (recording.n > 1) & (2 * np.count_nonzero(beyond) > recording.n)
     else:
-        limits = _checked_limits(position_limits, recording.n)
         named = _suspect_limited(low, high, peak, limits)
         if named.any():
             named = named | (beyond & ~np.isfinite(limits).all(axis=1))
@@ -91,7 +97,8 @@ def require_plausible_units(recording: Recording, position_limits: Any = None) -
         ranges.append(text)
     raise DataError(
         f"position: looks like degrees, not radians: {'; '.join(ranges)}. Convert it, or read "
-        "the file with units={'position': 'deg'}."
+        "the file with units={'position': 'deg'}; angles in radians of joints that do turn that "
+        "far may be wrapped to ±pi."
     )
 
 

@@ -12,12 +12,14 @@ from scipy import signal
 
 from sdpid.errors import DataError
 from sdpid.experiment import processing as processing_module
+from sdpid.experiment.choice import default_processing
 from sdpid.experiment.differences import Weights, stencil
 from sdpid.experiment.filters import low_pass
 from sdpid.experiment.processing import Processing, process
 from sdpid.experiment.readers import read_recording
 from sdpid.experiment.recording import Recording
 from sdpid.experiment.timing import make_grid
+from sdpid.experiment.training import chosen_processing
 
 RATE = 1000.0
 PERIOD = 2.0
@@ -417,7 +419,7 @@ def test_covariance_of_the_periods():
 def test_too_few_periods_for_a_covariance():
     log = periodic(2, noise=0.5)
     with pytest.raises(DataError, match=r"2 periods for 2 joints: .* at least 3 periods"):
-        process(log)
+        process(log, Processing())
     shrunk = process(log, Processing(shrinkage=0.1)).covariance
     assert np.linalg.eigvalsh(shrunk).min() > 0
     assert process(log, Processing(covariance="pooled")).covariance.shape == (2, 2)
@@ -425,6 +427,70 @@ def test_too_few_periods_for_a_covariance():
     with pytest.raises(DataError, match="has 1, a covariance needs at least 2"):
         process(single, Processing(covariance="pooled"))
     assert process(single, ALL_ROWS).effort_periods is None
+
+
+def test_the_default_is_what_identify_chooses():
+    rng = np.random.default_rng(1)
+    time = np.arange(4000) / 200.0
+    position = np.sin(2.0 * np.pi * time[:, None] * np.array([0.3, 0.5])) + 1.0
+    log = Recording(time=time, position=position, effort=rng.normal(size=position.shape))
+    for each in (log, periodic(12, noise=0.5), periodic(2, noise=0.5), periodic(1)):
+        own, chosen = process(each), process(each, default_processing(each))
+        assert own.notes == chosen.notes
+        np.testing.assert_array_equal(own.acceleration, chosen.acceleration)
+        assert (own.mask is None) == (chosen.mask is None)
+    assert process(log).mask is None
+    assert process(log, Processing()).mask is not None
+
+
+def test_degrees_are_refused():
+    log = periodic(3)
+    far = replace(log, position=np.degrees(log.position) * 2.0)
+    with pytest.raises(DataError, match="looks like degrees"):
+        process(far)
+    # The limits of the robot say that its joints do turn that far.
+    assert process(far, ALL_ROWS, position_limits=[(-1e3, 1e3)] * 2).n == 2
+
+
+@pytest.mark.parametrize("size", [20.0, 1e4, 1e12])
+def test_an_outlier_is_named(size: float):
+    log = periodic(3)
+    position = log.position.copy()
+    position[77, 1] += size
+    with pytest.raises(DataError, match=r"joint 2 jumps by .* at sample 78 of .*: an outlier"):
+        process(replace(log, position=position))
+    # A step in the counter by whole turns is no outlier.
+    position[77:, 1] = log.position[77:, 1] + 6.0 * np.pi
+    assert process(replace(log, position=position, period=None, start=None, periods=None)).n == 2
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"cutoff_hz": "10"},
+        {"cutoff_hz": 1e-308},
+        {"order": 10**20},
+        {"order": 2.5},
+        {"order": None},
+        {"decimation": "2"},
+        {"reversal_time": 1e300},
+        {"reversal_speed": np.nan},
+        {"trim_s": True},
+        {"shrinkage": 1.1},
+    ],
+)
+def test_settings_out_of_range_are_refused(changes: dict):
+    (name,) = changes
+    with pytest.raises(DataError, match=rf"{name}: is .*, expected"):
+        Processing(**changes)
+    with pytest.raises(DataError, match=rf"{name}: is .*, expected"):
+        chosen_processing([periodic(3)], changes)
+
+
+@pytest.mark.parametrize("wrong", [{"cutof_hz": 10.0}, {"reasons": ()}, 10.0, "paper", {1: 2}])
+def test_what_is_no_setting_is_refused(wrong: object):
+    with pytest.raises(DataError, match=r"processing: (has no setting|is)"):
+        chosen_processing([periodic(3)], wrong)
 
 
 def test_noise_free_periods_are_noticed():

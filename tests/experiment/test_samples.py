@@ -80,6 +80,10 @@ BAD: dict[str, tuple[dict[str, Any], str]] = {
     "mask type": ({"mask": np.ones((K, JOINTS))}, "expected .* bool"),
     "mask empty": ({"mask": np.zeros((K, JOINTS), dtype=bool)}, "mask: leaves none of 10 rows"),
     "block": ({"block": 0}, "block: is 0"),
+    "block nan": ({"block": float("nan")}, "block: is nan, expected a whole number"),
+    "block inf": ({"block": float("inf")}, "block: is inf, expected a whole number"),
+    "block text": ({"block": "2"}, "block: is 2, expected a whole number"),
+    "periods none": ({"periods": 1.5}, "periods: is 1.5, expected a whole number"),
     "periods": ({"periods": 0}, "periods: is 0"),
     "effort_periods": (
         {"periods": 2, "effort_periods": np.zeros((3, K, JOINTS))},
