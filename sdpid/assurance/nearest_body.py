@@ -69,31 +69,6 @@ def moment_floor(second_moment: Array, mass: float) -> float:
     return max(RELATIVE_FLOOR * largest, mass * RADIUS_FLOOR**2, ABSOLUTE_FLOOR)
 
 
-def nearest_second_moment(second_moment: Array, floor: float = 0.0) -> Array:
-    """Return the nearest symmetric matrix whose eigenvalues are at least `floor`.
-
-    Parameters
-    ----------
-    second_moment : ndarray, shape (3, 3)
-        Second moments about the centre of mass, kg·m².
-    floor : float, optional
-        The least eigenvalue.
-
-    Returns
-    -------
-    ndarray, shape (3, 3)
-    """
-    P = 0.5 * (second_moment + second_moment.T)
-    if np.array_equal(P, np.diag(np.diag(P))):
-        # No rounding, and no entries off the diagonal where there were none.
-        return np.diag(np.maximum(np.diag(P), floor))
-    values, vectors = np.linalg.eigh(P)
-    if values[0] >= floor:
-        return P
-    X = (vectors * np.maximum(values, floor)) @ vectors.T
-    return np.asarray(0.5 * (X + X.T))
-
-
 def aim(floor: float) -> float:
     """Return the floor to project onto, so that what is written stays above `floor`."""
     return floor * (1.0 + _ABOVE)

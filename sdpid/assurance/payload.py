@@ -34,6 +34,7 @@ from sdpid.experiment.processing import Processing
 from sdpid.experiment.readers import read_recording
 from sdpid.experiment.recording import Recording
 from sdpid.experiment.samples import Samples
+from sdpid.robot.consistent import raise_second_moments
 from sdpid.robot.friction import FrictionModel, FrictionTerm
 from sdpid.robot.friction_terms import BY_NAME
 from sdpid.robot.inertia import (
@@ -305,17 +306,7 @@ def _inside(theta: Array) -> Array:
     """Return a body with what a solver leaves negative of its second moments raised to zero."""
     if not theta[0] > NOTHING:
         return np.zeros(10)
-    _, com, inertia = physical_parameters(theta)
-    sigma = 0.5 * np.trace(inertia) * np.eye(3) - inertia
-    values, vectors = np.linalg.eigh(sigma)
-    if values[0] >= 0.0:
-        return theta
-    matrix = np.zeros((4, 4))
-    matrix[:3, :3] = (vectors * np.maximum(values, 0.0)) @ vectors.T
-    matrix[:3, :3] += theta[0] * np.outer(com, com)
-    matrix[:3, 3] = matrix[3, :3] = theta[1:4]
-    matrix[3, 3] = theta[0]
-    return from_pseudo_inertia(matrix)
+    return raise_second_moments(theta)
 
 
 def _robot(robot: RobotModel | str | os.PathLike[str] | None, given: Estimate | None) -> RobotModel:

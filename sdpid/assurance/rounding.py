@@ -11,6 +11,7 @@ from sdpid._arrays import Array
 from sdpid.assurance.verify import has_margin, positive_semidefinite
 from sdpid.estimation.estimate import FEASIBLE
 from sdpid.estimation.feasible import FeasibleSet
+from sdpid.robot.consistent import raise_second_moments
 
 _EPS = float(np.finfo(np.float64).eps)
 
@@ -59,8 +60,8 @@ def _shifted(block: Array) -> Array:
 def feasible_theta(feasible: FeasibleSet, theta: Array) -> Array:
     """Return parameters whose bounds and margins hold exactly, where they do but for rounding.
 
-    Bodies that are short of the margin by no more than `FEASIBLE` get the moments that a margin
-    more needs: equal second moments about their joint frame's origin on all three axes.
+    Bodies that are short of the margin by no more than `FEASIBLE` get the missing moments about
+    their center of mass.
     """
     theta = np.array(theta, dtype=np.float64)
     inside = np.clip(theta, feasible.lower, feasible.upper)
@@ -68,21 +69,15 @@ def feasible_theta(feasible: FeasibleSet, theta: Array) -> Array:
     consistency, required = feasible.consistency, feasible.constraints.margin
     if consistency == "none":
         return theta
-    moments = 2.0 if consistency == "pseudo_inertia" else 1.0
-    margins = feasible.margins(theta)
-    for link, found in enumerate(margins):
-        body = feasible.bodies(theta)[link]
-        if not np.isfinite(found) or has_margin(body.tolist(), required, consistency):
-            continue
-        step = max(required - found, 0.0)
-        tiny = _EPS * float(np.max(np.abs(body)))
-        while step <= FEASIBLE:
-            trial = body.copy()
-            trial[[4, 6, 9]] += moments * step
-            if has_margin(trial.tolist(), required, consistency):
-                body[:] = trial
-                break
-            step, tiny = step + tiny, 2.0 * tiny
+
+    def holds(body: Array) -> bool:
+        return has_margin(body.tolist(), required, consistency)
+
+    bodies = feasible.bodies(theta)
+    near = feasible.margins(theta) >= required - FEASIBLE
+    bodies[near] = raise_second_moments(
+        bodies[near], required, consistency=consistency, holds=holds
+    )
     return theta
 
 

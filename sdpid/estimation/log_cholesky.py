@@ -16,11 +16,11 @@ from sdpid.estimation.local import FEASIBLE_LOCAL, STATIONARY, promised_decrease
 from sdpid.estimation.problem import Problem
 from sdpid.estimation.scaling import Scaling
 from sdpid.estimation.starts import checked_start
+from sdpid.robot.consistent import raise_eigenvalues
 from sdpid.robot.inertia import (
+    central_moments,
     complement,
     inertia_tensor,
-    physical_parameters,
-    second_moment_from_inertia,
     tensor_entries,
     theta_from_physical,
 )
@@ -127,13 +127,10 @@ class LogCholesky:
         Links on the boundary or outside are moved just inside.
         """
         bodies = self.problem.feasible.bodies(theta)
-        mass, com, N = physical_parameters(bodies)
-        if self.problem.consistency == "pseudo_inertia":
-            N = second_moment_from_inertia(N)
+        mass, com, N = central_moments(bodies, self.problem.consistency)
         size = (mass * self.length**2)[:, None, None]
-        values, vectors = np.linalg.eigh((N - self.problem.constraints.margin * np.eye(3)) / size)
-        inside = np.maximum(values, _INSIDE)
-        S = (vectors * inside[:, None, :]) @ np.swapaxes(vectors, 1, 2)
+        free = (N - self.problem.constraints.margin * np.eye(3)) / size
+        S = raise_eigenvalues(free, np.full(len(free), _INSIDE))
         # The upper factor is the lower one seen from the other corner.
         K = np.linalg.cholesky(S[:, ::-1, ::-1])[:, ::-1, ::-1]
         entries = K[:, _ROWS, _COLUMNS]

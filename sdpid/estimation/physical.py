@@ -16,9 +16,9 @@ import numpy as np
 from sdpid._arrays import Array
 from sdpid.estimation.problem import Problem
 from sdpid.estimation.scaling import Scaling
+from sdpid.robot.consistent import raise_second_moments
 from sdpid.robot.inertia import (
     TENSOR_INDEX,
-    complement,
     inertia_tensor,
     physical_parameters,
     second_moment_from_inertia,
@@ -134,17 +134,12 @@ class PhysicalVariables:
 
     def inside(self, theta: Array) -> Array:
         """Return theta with eigenvalues below the margin raised to it, masses positive."""
-        bodies = self.problem.feasible.bodies(theta)
-        mass, com, N = physical_parameters(bodies)
-        full = self.problem.consistency == "pseudo_inertia"
-        if full:
-            N = second_moment_from_inertia(N)
-        values, vectors = np.linalg.eigh(N)
-        raised = np.maximum(values, self.problem.constraints.margin)
-        N = (vectors * raised[:, None, :]) @ np.swapaxes(vectors, 1, 2)
-        moved = theta_from_physical(mass, com, complement(N) if full else N)
-        short = values[:, :1] < self.problem.constraints.margin
-        return np.concatenate([np.where(short, moved, bodies).ravel(), theta[bodies.size :]])
+        bodies = raise_second_moments(
+            self.problem.feasible.bodies(theta),
+            self.problem.constraints.margin,
+            consistency=self.problem.consistency,
+        )
+        return np.concatenate([bodies.ravel(), theta[bodies.size :]])
 
     def inertias(self, x: Array) -> tuple[Array, Array]:
         """Return what must exceed the margin, (links, 3, 3), and its derivative by entry.

@@ -14,6 +14,7 @@ from sdpid.estimation.entropy import Entropy
 from sdpid.estimation.evidence import STRONGEST, WEAKEST, strength_by_evidence
 from sdpid.estimation.rows import CHUNK, RowSource
 from sdpid.robot.base import characteristic_length
+from sdpid.robot.consistent import raise_second_moments
 from sdpid.robot.inertia import (
     from_pseudo_inertia,
     margin,
@@ -164,23 +165,13 @@ def repaired(bodies: Array) -> tuple[Array, tuple[int, ...], tuple[int, ...]]:
     tuple of int
         Other links that were thinner than the least.
     """
-    out = bodies.copy()
-    wrong, thin = [], []
-    for i, body in enumerate(bodies):
-        if not body[0] > 0.0:
-            continue
-        P = pseudo_inertia(body)
-        com = P[:3, 3] / body[0]
-        values, vectors = np.linalg.eigh(P[:3, :3] - body[0] * np.outer(com, com))
-        least = body[0] * _RADIUS**2
-        if not margin(body, "pseudo_inertia") > 0.0:
-            wrong.append(i)
-        elif values[0] < (1.0 - _ROUNDED) * least:
-            thin.append(i)
-        values = np.maximum(values, least)
-        P[:3, :3] = vectors @ np.diag(values) @ vectors.T + body[0] * np.outer(com, com)
-        out[i] = from_pseudo_inertia(P)
-    return out, tuple(wrong), tuple(thin)
+    least = bodies[:, 0] * _RADIUS**2
+    margins = margin(bodies, "pseudo_inertia")
+    # Links without a positive mass have no margin: NaN, which is neither.
+    wrong = np.flatnonzero(margins <= 0.0)
+    thin = np.flatnonzero((margins > 0.0) & (margins < (1.0 - _ROUNDED) * least))
+    raised = raise_second_moments(bodies, least)
+    return raised, tuple(int(i) for i in wrong), tuple(int(i) for i in thin)
 
 
 def prior_rows(

@@ -10,11 +10,15 @@ from sdpid._arrays import Array
 from sdpid.estimation.feasible import FeasibleSet
 from sdpid.estimation.problem import Problem
 from sdpid.robot.base import characteristic_length
+from sdpid.robot.consistent import raise_second_moments
 from sdpid.robot.inertia import (
+    complement,
     from_pseudo_inertia,
+    inertia_tensor,
     pseudo_inertia,
     spatial_inertia,
     symmetric_basis,
+    theta_from_physical,
 )
 
 # The cost is counted in units of its floor; when the data are exact the floor is rounding, and
@@ -135,16 +139,10 @@ def thickened(bodies: Array, length: float) -> Array:
     moments about them between those of a tenth and of a few lengths.
     """
     mass = np.maximum(bodies[:, 0], _LIGHTEST)
-    P = pseudo_inertia(bodies)
-    com = P[:, :3, 3] / mass[:, None]
-    about = P[:, :3, :3] - mass[:, None, None] * com[:, :, None] * com[:, None, :]
+    com = bodies[:, 1:4] / mass[:, None]
+    outer = com[:, :, None] * com[:, None, :]
+    about = inertia_tensor(bodies) - mass[:, None, None] * complement(outer)
     distance = np.linalg.norm(com, axis=1, keepdims=True)
     com = com * np.minimum(1.0, _FARTHEST * length / np.maximum(distance, 1e-300))
-    values, vectors = np.linalg.eigh(about)
-    lowest = (mass * (_THINNEST * length) ** 2)[:, None]
-    values = np.clip(values, lowest, lowest * (_FARTHEST / _THINNEST) ** 2)
-    about = (vectors * values[:, None, :]) @ np.swapaxes(vectors, 1, 2)
-    P[:, :3, :3] = about + mass[:, None, None] * com[:, :, None] * com[:, None, :]
-    P[:, :3, 3] = P[:, 3, :3] = mass[:, None] * com
-    P[:, 3, 3] = mass
-    return from_pseudo_inertia(P)
+    least, most = (mass * (share * length) ** 2 for share in (_THINNEST, _FARTHEST))
+    return raise_second_moments(theta_from_physical(mass, com, about), least, most=most)

@@ -17,15 +17,13 @@ from sdpid.estimation.problem import Problem
 from sdpid.estimation.scaling import Scaling
 from sdpid.estimation.sdp_face import nearest_on_face
 from sdpid.estimation.sdp_program import Coordinates, SdpProgram, best_fit
+from sdpid.robot.consistent import raise_second_moments
 
 # What is taken to be inside: a solution on the boundary is moved in by this share of the link's
 # own second moments, so that rounding cannot take it out again. It is some fifty roundings and no
 # more: moments that the data do not show may be as large as theta_max, and what is added to them
 # is added to those that the data do show.
 _INSIDE = 1e-14
-
-# Rounding of what was added may take a second look, seldom a third.
-_REPAIRS = 10
 
 # What Clarabel adds to the diagonal of its linear systems. Its default of 1e-8 suits some 6×6
 # inequalities, whose ten parameters spread over 21 entries; for the 4×4 it is too much where the
@@ -366,24 +364,15 @@ def _settled(estimate: Estimate, bound: Bound) -> Estimate:
 def repair(problem: Problem, theta: Array) -> Array:
     """Move parameters that are outside by rounding just inside every constraint.
 
-    Bounds are clipped; a link short of its margin gets the missing second moment in all
-    directions, which raises its margin by exactly that and changes nothing else.
+    Bounds are clipped; a link short of its margin gets the missing moments about its center of
+    mass.
     """
     feasible = problem.feasible
     theta = np.clip(theta, feasible.lower, feasible.upper)
     if feasible.consistency == "none":
         return theta
-    out = theta.copy()
-    bodies = out[: 10 * feasible.n_links].reshape(-1, 10)
-    # A second moment t·E about the centre of mass is an inertia of 2·t·E.
-    factor = 2.0 if feasible.consistency == "pseudo_inertia" else 1.0
-    for step in range(_REPAIRS):
-        moments = np.maximum(bodies[:, 4] + bodies[:, 6] + bodies[:, 9], 1e-3)
-        lacks = feasible.constraints.margin - feasible.margins(out)
-        short = lacks + 2.0**step * _INSIDE * moments
-        # First every link that is near the boundary, then those that rounding left outside.
-        short = np.where((lacks > 0.0) | (step == 0), np.maximum(short, 0.0), 0.0)
-        if not short.any():
-            break
-        bodies[:, [4, 6, 9]] += factor * short[:, None]
-    return out
+    bodies = feasible.bodies(theta)
+    moments = np.maximum(bodies[:, 4] + bodies[:, 6] + bodies[:, 9], 1e-3)
+    least = feasible.constraints.margin + _INSIDE * moments
+    raised = raise_second_moments(bodies, least, consistency=feasible.consistency)
+    return np.concatenate([raised.ravel(), theta[raised.size :]])

@@ -20,11 +20,11 @@ from sdpid.assurance.nearest_body import (
     NearestProof,
     aim,
     moment_floor,
-    nearest_second_moment,
     prove_nearest,
 )
 from sdpid.errors import ExportError
 from sdpid.output.xml_spans import Document, Element
+from sdpid.robot.consistent import raise_eigenvalues
 from sdpid.robot.described import (
     TENSOR_NAMES,
     DescribedBody,
@@ -234,7 +234,7 @@ class _Repair:
         proof = None
         if old.any() or mass is None:
             floor = moment_floor(given, new_mass)
-            nearest = complement(nearest_second_moment(given, aim(floor)))
+            nearest = complement(raise_eigenvalues(given, aim(floor)))
         else:
             floor = 0.0
             nearest = 2.0 * new_mass * TOKEN_RADIUS**2 * np.eye(3)

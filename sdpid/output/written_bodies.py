@@ -11,6 +11,7 @@ from sdpid.errors import ExportError
 from sdpid.estimation.estimate import Estimate
 from sdpid.estimation.problem import Problem
 from sdpid.output.urdf_tree import FixedChild
+from sdpid.robot.consistent import raise_second_moments
 from sdpid.robot.friction import (
     FrictionModel,
     FrictionTerm,
@@ -21,8 +22,6 @@ from sdpid.robot.friction import (
 from sdpid.robot.inertia import (
     Consistency,
     margin,
-    physical_parameters,
-    theta_from_physical,
     transform,
 )
 from sdpid.robot.model import RobotModel
@@ -109,13 +108,7 @@ def rest_of(body: Array, children: Sequence[FixedChild], consistency: Consistenc
 
 def lifted(body: Array, consistency: Consistency) -> Array:
     """Return the body, moved off the edge of the consistent set if rounding has put it there."""
-    short = float(_INSIDE + _rounding(body) - margin(body, consistency))
-    if short <= 0.0:
-        return body
-    mass, com, inertia = physical_parameters(body)
-    # A second moment of t in all directions is an inertia of 2·t.
-    lift = 2.0 * short if consistency == "pseudo_inertia" else short
-    return theta_from_physical(mass, com, inertia + lift * np.eye(3))
+    return raise_second_moments(body, _INSIDE + _rounding(body), consistency=consistency)
 
 
 def joint_numbers(

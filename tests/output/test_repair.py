@@ -15,11 +15,11 @@ import sdpid
 from sdpid.assurance.nearest_body import (
     NEAREST,
     moment_floor,
-    nearest_second_moment,
     prove_nearest,
 )
 from sdpid.errors import CertificateError, ExportError
 from sdpid.output.repair import TOKEN_MASS, repair_urdf
+from sdpid.robot.consistent import raise_eigenvalues
 from sdpid.robot.described import read_urdf_bodies
 from sdpid.robot.inertia import second_moment_from_inertia
 from tests.helpers.descriptions import box, chain, diagonal, inertial, inertial_of
@@ -94,7 +94,7 @@ def test_closed_form_is_what_a_solver_finds(case: tuple[float, np.ndarray]) -> N
     # The norm itself, not its square: its value is then as exact as the solver is.
     problem = cp.Problem(cp.Minimize(cp.norm(X - P / size, "fro")), [X >> floor * np.eye(3)])
     problem.solve(solver=cp.CLARABEL)
-    closed = nearest_second_moment(P / size, floor)
+    closed = raise_eigenvalues(P / size, floor)
     assert np.linalg.norm(closed - P / size) == pytest.approx(problem.value, rel=1e-6, abs=1e-7)
     assert np.allclose(closed, X.value, atol=1e-3)
 
