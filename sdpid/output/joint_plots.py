@@ -13,7 +13,7 @@ import numpy as np
 from sdpid._arrays import Array, Mask
 from sdpid.assurance.residuals import JointErrors
 from sdpid.output.figures import BLUE, GREY, RED, SHADE, TimeLine, decimate, shade, stretch
-from sdpid.output.inline_svg import Panel, keys, logarithmic, stacked
+from sdpid.output.panels import Panel, keys, logarithmic, stacked
 
 # Stretches along a line, of which the least and the greatest value are kept: more than a page shows
 # of it in pixels would not be seen.

@@ -26,7 +26,7 @@ from sdpid.assurance.verdict import Judged, errors_of, findings, judged
 from sdpid.estimation.excitation import WEAK
 from sdpid.experiment.samples import Samples
 from sdpid.output.figures import stretch
-from sdpid.output.inline_svg import inline
+from sdpid.output.inline_svg import image_source
 from sdpid.output.intervals_shown import Ends, GivenIntervals, ends_of, in_words
 from sdpid.output.joint_plots import COLUMNS, plot_joint, plot_joint_errors
 from sdpid.output.tables import base_table
@@ -289,8 +289,8 @@ def _plots(result: Judged, errors: tuple[JointErrors, ...]) -> Iterator[dict[str
             "rmse": float(fit.rmse[j]),
             "r2": float(fit.r2[j]),
             "pictures": [
-                inline(efforts, f"efforts-{j}", _EFFORTS),
-                inline(found, f"errors-{j}", _ERRORS),
+                (image_source(efforts), _EFFORTS),
+                (image_source(found), _ERRORS),
             ],
         }
 
