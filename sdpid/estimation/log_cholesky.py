@@ -378,9 +378,14 @@ class _Program:
 
         self.begin = time.perf_counter()
 
+        last: Array | None = None
+
         def jacobian(x: Array) -> Array:
-            # Called once at the start and at every step that is accepted.
-            self.record(x)
+            # Called at every accepted step, and where a stage starts: where the one before ended.
+            nonlocal last
+            if last is None or not np.array_equal(x, last):
+                self.record(x)
+            last = x.copy()
             return self.jacobian(x)
 
         x = self.coordinates.from_theta(start)[self.free]

@@ -112,7 +112,7 @@ def solve_slsqp(
         method="slsqp",
         status=_status(problem, theta, int(result.status)),
         message=str(result.message),
-        iterations=program.iterations,
+        iterations=len(program.history) - 1,
         solve_time=program.seconds,
         history=tuple(program.history),
         start=frozen(start),
@@ -141,7 +141,6 @@ class _Program:
         self.rhs = self.scale * h
         self.history: list[Step] = []
         self.seconds = self.begin = 0.0
-        self.iterations = 0
 
     def cost(self, x: Array) -> tuple[float, Array]:
         """Return the scaled cost without its floor, and its gradient."""
@@ -170,12 +169,13 @@ class _Program:
         self.begin = time.perf_counter()
         x = self._within(self.variables.from_theta(start))
         self.record(x)
+        # SciPy also counts iterations that end without a step; the history has steps only.
+        left = max_iterations
         while True:
             before = self.cost(x)[0] + self.scale**2 * self.problem.floor
-            left = max_iterations - self.iterations
             result, x = self._round(x, min(left, _ROUND), tolerance)
-            self.iterations += int(result.nit)
-            if self.iterations >= max_iterations or result.nit == 0:
+            left -= int(result.nit)
+            if left <= 0 or result.nit == 0:
                 break
             after = self.cost(x)[0] + self.scale**2 * self.problem.floor
             # A round that ended early gets another chance unless it hardly moved.

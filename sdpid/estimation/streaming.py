@@ -9,6 +9,7 @@ starts from scratch (`sdpid.solve_sdp`).
 from __future__ import annotations
 
 from collections.abc import Iterable
+from copy import copy
 from dataclasses import dataclass, fields, replace
 from typing import NoReturn
 
@@ -258,12 +259,14 @@ class StreamingProblem:
             sigma = samples.covariance
         rows = RowSource(problem.robot, problem.friction, problem.base, samples)
         roots = np.sqrt(weights)
+        # A copy, which takes the place of the factor only when all rows are in.
+        triangle = copy(self._triangle)
         if kept < 1.0:
-            self._triangle.scale(float(np.sqrt(kept)))
+            triangle.scale(float(np.sqrt(kept)))
         for part, weighted, _ in whitened_chunks(rows, sigma):
             faded = weighted * roots[part, None, None]
-            self._triangle.add(faded.reshape(-1, weighted.shape[2]))
-        self._time, self._folded = time, False
+            triangle.add(faded.reshape(-1, weighted.shape[2]))
+        self._triangle, self._time, self._folded = triangle, time, False
         used, seen = problem.n_rows + samples.n_rows, problem.seen + samples.n_samples
         self._problem = replace(problem, samples=samples, n_rows=used, seen=seen)
 

@@ -197,9 +197,10 @@ def test_an_estimate_tells_how_it_came_about(planar: Problem) -> None:
     assert estimate.solve_time > 0.0
     history = estimate.history
     # The start and one entry an iteration.
-    assert len(history) == estimate.iterations + 1 or len(history) == estimate.iterations
+    assert len(history) == estimate.iterations + 1
     assert all(a.seconds <= b.seconds for a, b in itertools.pairwise(history))
     assert history[0].cost == pytest.approx(planar.cost_of(np.asarray(estimate.start)))
+    assert history[-1].cost == estimate.cost
     assert estimate.multipliers is None
 
 

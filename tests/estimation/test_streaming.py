@@ -264,6 +264,23 @@ def test_what_does_not_fit_is_refused_and_changes_nothing() -> None:
         StreamingProblem.of_robot(ARM, consistency="no")  # type: ignore[arg-type]
 
 
+def test_a_covariance_that_fails_halfway_changes_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+    # A few samples a chunk.
+    monkeypatch.setattr("sdpid.estimation.rows.CHUNK_BYTES", 1 << 12)
+    start = replace(build_problem(ARM, measured(covariance=SIGMA)), weighting="gls_per_sample")
+    stream, other = (StreamingProblem(start, memory=1.0) for _ in range(2))
+    piece = measured(covariance=random_covariance(RNG, 2, 90), time=0.01 * np.arange(90))
+    assert piece.covariance is not None
+    # The last sample's has no inverse.
+    singular = np.concatenate([piece.covariance[:-1], np.zeros((1, 2, 2))])
+    with pytest.raises(DataError, match="covariance"):
+        stream.update(replace(piece, covariance=singular))
+    for each in (stream, other):
+        each.update(piece)
+    same_cost(stream.problem, other.problem)
+    assert stream.problem.n_rows == other.problem.n_rows
+
+
 def test_the_page_of_the_docs_runs(capsys: pytest.CaptureFixture[str]) -> None:
     page = Path(__file__).resolve().parents[2] / "docs" / "streaming.md"
     (code,) = re.findall(r"^```python\n(.*?)^```", page.read_text(encoding="utf-8"), re.M | re.S)
