@@ -18,10 +18,10 @@ from fractions import Fraction
 from pathlib import Path
 
 import sdpid
+from sdpid._tables import Table
 from sdpid.assurance.base_question import base_question
 from sdpid.assurance.base_table import BaseTable, half_unit, read_base_table
 from sdpid.assurance.refutation import Refutation
-from sdpid.output.tables import Table
 from sdpid.robot.inertia import CONSISTENCIES, Consistency
 from sdpid.robot.library import bundled_folder
 from sdpid.robot.mdh import DhTable

@@ -22,9 +22,9 @@ import pinocchio as pin
 
 import sdpid
 from sdpid._files import atomic_write_text
+from sdpid._tables import Table
 from sdpid.assurance.description_checks import carried, carried_theta
 from sdpid.output.repair import RepairReport, repair_urdf
-from sdpid.output.tables import Table
 from sdpid.robot.described import read_urdf_bodies
 from sdpid.robot.library import example_robots
 from sdpid.robot.xml import parse_xml

@@ -25,9 +25,9 @@ from typing import Literal
 
 import sdpid
 from sdpid._files import atomic_write_text
+from sdpid._tables import Table
 from sdpid.estimation.prior import PriorKind
 from sdpid.experiment.preparation import default_processing, prepare
-from sdpid.output.tables import Table
 from sdpid.robot.inertia import Consistency
 from sdpid.workflow import formulate
 

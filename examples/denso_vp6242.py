@@ -22,6 +22,7 @@ import numpy as np
 
 import sdpid
 from sdpid._files import atomic_write_text
+from sdpid._tables import Table
 from sdpid.assurance.validation import implied_error
 from sdpid.estimation.local import FEASIBLE_LOCAL
 from sdpid.experiment.plant import true_parameters
@@ -32,7 +33,6 @@ from sdpid.output.plots import (
     plot_reconstruction,
     save_figure,
 )
-from sdpid.output.tables import Table
 from sdpid.robot.inertia import margin
 from sdpid.robot.library import bundled_folder
 

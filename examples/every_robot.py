@@ -21,8 +21,8 @@ import numpy as np
 
 import sdpid
 from sdpid._arrays import Array
+from sdpid._tables import Table
 from sdpid.estimation.prior import repaired
-from sdpid.output.tables import Table
 from sdpid.robot.friction import FrictionModel
 from sdpid.robot.inertia import from_pseudo_inertia, pseudo_inertia
 from sdpid.robot.library import example_robots

@@ -18,8 +18,8 @@ import numpy as np
 
 import sdpid
 from sdpid._progress import progress
+from sdpid._tables import Table
 from sdpid.experiment.plant import true_parameters
-from sdpid.output.tables import Table
 from sdpid.robot.inertia import (
     complement,
     physical_parameters,

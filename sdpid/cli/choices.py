@@ -82,7 +82,7 @@ def constraints_of(robot: RobotModel, margin: float, mass_max: float | None) -> 
 
 def errors_table(fits: dict[str, Validation]) -> str:
     """Return the errors of every joint, a pair of columns for each fit."""
-    from sdpid.output.tables import Table
+    from sdpid._tables import Table
 
     names = next(iter(fits.values())).joint_names
     header = ["joint"]

@@ -101,7 +101,7 @@ def info(
     if as_json:
         opt.print_json(facts)
         return
-    from sdpid.output.tables import Table
+    from sdpid._tables import Table
 
     joints = facts.pop("joints")
     warnings = facts.pop("warnings")

@@ -11,6 +11,7 @@ import numpy as np
 
 from sdpid._jobs import parallel
 from sdpid._progress import progress
+from sdpid._tables import Table
 from sdpid.assurance.certificate import Certificate, certify
 from sdpid.errors import DataError, SdpidError
 from sdpid.estimation.estimate import Estimate
@@ -21,7 +22,6 @@ from sdpid.estimation.sdp import solve_sdp
 from sdpid.estimation.slsqp import solve_slsqp
 from sdpid.estimation.starts import random_start
 from sdpid.estimation.wls import solve_wls
-from sdpid.output.tables import Table
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -2,61 +2,15 @@
 
 from __future__ import annotations
 
-import csv
-import io
-import os
 from collections.abc import Sequence
-from dataclasses import dataclass
 
-from sdpid._files import atomic_write_text
+from sdpid._tables import Table
 from sdpid.errors import DataError, IdentifiabilityError
 from sdpid.estimation.estimate import Estimate
 from sdpid.output.intervals_shown import Ends, GivenIntervals, ends_of
 
 # Columns of an interval.
 _ENDS = ("lower", "upper", "label")
-
-
-@dataclass(frozen=True)
-class Table:
-    """Rows under a header; None is an empty field.
-
-    Attributes
-    ----------
-    header : tuple of str
-        Column names.
-    rows : tuple of tuple
-        The cells.
-    """
-
-    header: tuple[str, ...]
-    rows: tuple[tuple[object, ...], ...]
-
-    def write(self, path: str | os.PathLike[str]) -> None:
-        """Write as CSV, whole or not at all."""
-        text = io.StringIO()
-        writer = csv.writer(text, lineterminator="\n")
-        writer.writerow(self.header)
-        writer.writerows(["" if cell is None else cell for cell in row] for row in self.rows)
-        atomic_write_text(path, text.getvalue())
-
-    def text(self, digits: int = 4) -> str:
-        """Return aligned text, numbers with so many significant digits."""
-
-        def cell(value: object) -> str:
-            if value is None:
-                return "-"
-            return f"{value:.{digits}g}" if isinstance(value, float) else str(value)
-
-        lines = [self.header, *(tuple(cell(c) for c in row) for row in self.rows)]
-        widths = [max(len(line[i]) for line in lines) for i in range(len(self.header))]
-        return "\n".join(
-            "  ".join(
-                c.ljust(w) if i == 0 else c.rjust(w)
-                for i, (c, w) in enumerate(zip(line, widths, strict=True))
-            ).rstrip()
-            for line in lines
-        )
 
 
 def base_table(

@@ -11,6 +11,7 @@ import numpy as np
 
 from sdpid._arrays import Array, frozen
 from sdpid._progress import progress
+from sdpid._tables import Table
 from sdpid.assurance.validation import Validation, validate
 from sdpid.errors import DataError, IdentifiabilityError
 from sdpid.estimation.constraints import Constraints
@@ -29,7 +30,6 @@ from sdpid.experiment.training import (
     joined,
     recordings,
 )
-from sdpid.output.tables import Table
 from sdpid.robot.friction import FrictionTerm
 from sdpid.robot.inertia import Consistency
 from sdpid.robot.load import load_robot

@@ -29,8 +29,8 @@ from typing import Any
 import numpy as np
 
 import sdpid
+from sdpid._tables import Table
 from sdpid.experiment.preparation import default_friction, default_processing, prepare
-from sdpid.output.tables import Table
 from tests.benchmarks.timing import Row, peak
 from tests.benchmarks.timing import table as ratios
 

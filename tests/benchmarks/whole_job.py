@@ -23,7 +23,7 @@ from typing import Any
 import numpy as np
 
 from sdpid._arrays import Array
-from sdpid.output.tables import Table
+from sdpid._tables import Table
 from tests.benchmarks.timing import Row, peak
 
 ROBOT, SEED = "denso_vp6242", 0
