@@ -10,7 +10,7 @@ from sdpid.errors import InfeasibleError
 from sdpid.estimation.conic import ConicProgram, Matrix, solve_conic
 from sdpid.estimation.problem import Problem
 from sdpid.estimation.scaling import Scaling
-from sdpid.estimation.sdp_program import Coordinates
+from sdpid.estimation.sdp_program import CONTRADICTION, Coordinates, contradiction
 from sdpid.robot.inertia import pseudo_inertia
 
 # Constraints hold together when all of them do after each has given way by this share of its
@@ -58,6 +58,9 @@ def explained(problem: Problem) -> InfeasibleError:
     limits = _limits(problem)
     groups = list(dict.fromkeys(limit.group for limit in limits))
     short = _shortfall(problem, limits)
+    if not short > _GIVES:
+        # By less than a solver sees, or where it has no answer: equations alone are to blame.
+        return _contradictory_equations(problem)
     for group in list(groups):
         rest = [name for name in groups if name != group]
         if rest and _contradict(problem, [x for x in limits if x.group in rest]):
@@ -77,6 +80,25 @@ def explained(problem: Problem) -> InfeasibleError:
         f"size (limit {_GIVES:.0e}); loosen or leave out one of these.",
         problem=problem,
         conflict=tuple(names),
+    )
+
+
+def _contradictory_equations(problem: Problem) -> InfeasibleError:
+    """Return the error that names equations which contradict each other, as few as possible."""
+    feasible, scaling = problem.feasible, Scaling.of(problem)
+    chosen = np.flatnonzero(feasible.equations)
+    by = contradiction(problem, scaling, chosen)
+    for row in chosen:
+        rest = chosen[chosen != row]
+        if contradiction(problem, scaling, rest) > CONTRADICTION:
+            chosen = rest
+    names = tuple(feasible.row_names[row] for row in chosen)
+    return InfeasibleError(
+        f"no parameters of '{problem.robot.name}' satisfy all constraints; these equations cannot "
+        f"hold together: {'; '.join(names)}. They contradict each other by {by:.1e} of their size "
+        f"(limit {CONTRADICTION:.0e}); make their numbers agree, or leave out one of them.",
+        problem=problem,
+        conflict=names,
     )
 
 

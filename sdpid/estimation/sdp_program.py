@@ -19,11 +19,49 @@ from sdpid.robot.inertia import pseudo_inertia
 # Equations that are this close to dependent are dependent; what they then contradict each other
 # by, in units of the rows, must be rounding.
 _DEPENDENT = 1e-10
-_CONTRADICTION = 1e-9
+CONTRADICTION = 1e-9
 
 # What moves less than this in scaled units is fixed, but for rounding, which a solver would scale
 # up: such limits are left to the check of what is found.
 _FIXED = 1e-12
+
+
+def contradiction(problem: Problem, scaling: Scaling, chosen: Indices) -> float:
+    """Return by how much equations contradict each other, in units of the rows.
+
+    Parameters
+    ----------
+    problem : Problem
+        The problem.
+    scaling : Scaling
+        Units.
+    chosen : ndarray of int
+        Rows of the feasible set that are equations.
+    """
+    feasible = problem.feasible
+    rows = feasible.rows[chosen] @ scaling.basis()
+    _, U, singular, _, target = _decomposed(rows, feasible.row_lower[chosen])
+    return _contradiction(U[:, len(singular) :], target)
+
+
+def _decomposed(rows: Array, target: Array) -> tuple[Indices, Array, Array, Array, Array]:
+    """Return the columns that scaled rows touch, their decomposition there, and the target.
+
+    Rows are taken to unit length; of the singular values those above rounding are returned.
+    """
+    sizes = np.linalg.norm(rows, axis=1)
+    sizes = np.where(sizes > 0.0, sizes, 1.0)
+    rows = rows / sizes[:, None]
+    touched = np.flatnonzero(np.any(rows != 0.0, axis=0))
+    U, singular, V = np.linalg.svd(rows[:, touched])
+    rank = int(np.count_nonzero(singular > _DEPENDENT * singular.max(initial=0.0)))
+    return touched, U, singular[:rank], V, target / sizes
+
+
+def _contradiction(left: Array, target: Array) -> float:
+    """Return the part of a target that rows cannot reach, along the left null directions."""
+    worst = float(np.abs(left.T @ target).max(initial=0.0))
+    return worst / max(1.0, float(np.abs(target).max(initial=0.0)))
 
 
 def best_fit(problem: Problem, scaling: Scaling) -> Array:
@@ -56,19 +94,14 @@ class Coordinates:
         equations = feasible.rows[feasible.equations]
         if not len(equations):
             return cls(reference, basis)
-        E = equations @ basis
-        sizes = np.linalg.norm(E, axis=1)
-        sizes = np.where(sizes > 0.0, sizes, 1.0)
-        E = E / sizes[:, None]
-        target = (feasible.row_lower[feasible.equations] - equations @ reference) / sizes
-        touched = np.flatnonzero(np.any(E != 0.0, axis=0))
-        U, singular, V = np.linalg.svd(E[:, touched])
-        rank = int(np.count_nonzero(singular > _DEPENDENT * singular.max(initial=0.0)))
-        along = (U[:, :rank].T @ target) / singular[:rank]
-        if np.any(np.abs(U[:, rank:].T @ target) > _CONTRADICTION * max(1.0, np.abs(target).max())):
+        target = feasible.row_lower[feasible.equations] - equations @ reference
+        touched, U, singular, V, target = _decomposed(equations @ basis, target)
+        rank = len(singular)
+        if _contradiction(U[:, rank:], target) > CONTRADICTION:
             return None
+        along = (U[:, :rank].T @ target) / singular
         step = V[:rank].T @ along
-        rest = np.setdiff1d(np.arange(E.shape[1]), touched)
+        rest = np.setdiff1d(np.arange(basis.shape[1]), touched)
         free = len(touched) - rank
         directions = np.zeros((len(basis), free + len(rest)))
         directions[:, :free] = basis[:, touched] @ V[rank:].T

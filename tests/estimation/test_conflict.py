@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import re
 import warnings
 from collections.abc import Iterable
 from typing import Any
@@ -16,6 +17,7 @@ import sdpid
 from sdpid.assurance.certificate import certify
 from sdpid.errors import InfeasibleError
 from sdpid.estimation.conditions import Condition
+from sdpid.estimation.conic import ConicSolution
 from sdpid.estimation.prior import Prior
 from sdpid.estimation.problem import Problem
 from sdpid.estimation.sdp import solve_sdp
@@ -135,6 +137,31 @@ def test_contradictions_are_found_and_named(seed: int) -> None:
     assert shortfall(problem, conflict) > 10.0 * HOLDS
     for name in conflict:
         assert shortfall(problem, [other for other in conflict if other != name]) < FAILS
+
+
+@pytest.mark.parametrize("off", [5e-9, 3e-8, 1e-6])
+def test_equations_that_hardly_contradict_each_other_are_named_alone(off: float) -> None:
+    """Also where a solver, content with 1e-7, sees no contradiction."""
+    others = sdpid.TotalMass(2.0), sdpid.Fixed({"Fv1": 0.1}), sdpid.TotalMass(2.0 + off)
+    with pytest.raises(InfeasibleError, match="total mass") as info:
+        solve_sdp(arm_problem(*others))
+    assert info.value.conflict == ("total mass (1)", "total mass (2)")
+    words = re.search(r"by ([0-9.e-]+) of \w+ size \(limit ([0-9.e-]+)\)", str(info.value))
+    assert words is not None
+    assert float(words[1]) > float(words[2])
+
+
+def test_equations_are_named_where_the_solver_has_no_answer(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    def unanswered(*_: object, **__: object) -> ConicSolution:
+        return ConicSolution("NumericalError", None)
+
+    monkeypatch.setattr("sdpid.estimation.conflict.solve_conic", unanswered)
+    with pytest.raises(InfeasibleError, match="total mass") as info:
+        solve_sdp(arm_problem(sdpid.TotalMass(2.0), sdpid.TotalMass(2.1)))
+    assert info.value.conflict == ("total mass (1)", "total mass (2)")
+    assert "nan" not in str(info.value)
 
 
 @given(SEEDS)
