@@ -29,7 +29,7 @@ def progress(
         Show it or not; by default only when standard error is a terminal.
     """
     if enabled is None:
-        enabled = sys.stderr.isatty()
+        enabled = sys.stderr is not None and sys.stderr.isatty()  # None: it is closed
     if not enabled or _shown.get():
         yield lambda _: None
         return

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -14,9 +15,10 @@ from typer.testing import CliRunner, Result
 
 import sdpid
 from sdpid import cli
-from sdpid.cli import choices, errors
+from sdpid.cli import choices, errors, options
 from sdpid.experiment.plant import true_parameters
 from sdpid.robot.model import RobotModel
+from tests.helpers.arm_files import ARM_URDF, arm_log
 from tests.helpers.bags import write_bag
 
 ROBOT = "denso_vp6242"
@@ -483,3 +485,140 @@ def test_real_recordings(data_folder: Path, tmp_path: Path) -> None:
     assert found["certified"] is True
     assert list(found["training"]["joints"]) == [f"panda_joint{j}" for j in range(1, 8)]
     assert found["training_unconstrained"]["relative_residual"] <= 0.015
+
+
+HOSTILE = "a\x1b[2K\u202e\x9b31m\nPROVEN."
+
+
+def test_what_a_terminal_would_obey_is_not_printed(
+    results: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Names from files: escapes, a reversed line, and a line of its own that claims a proof."""
+    from sdpid.assurance import certificate
+
+    def found(_: Path) -> certificate.Verification:
+        return replace(
+            sdpid.verify(results / "certificate.json"),
+            passed=False,
+            statements=(f"Robot {HOSTILE}",),
+            problems=(HOSTILE,),
+        )
+
+    monkeypatch.setattr(certificate, "verify", found)
+    done = run("verify", results / "certificate.json")
+    assert done.exit_code == 2
+    assert done.stdout.splitlines()[-1] == "NOT PROVEN."
+    assert "PROVEN." not in done.stdout.splitlines()
+    assert len(done.stderr.splitlines()) == 1
+    assert not set(done.output) & set("\x1b\u202e\x9b")
+    text = options.listed("notes", [HOSTILE])
+    assert len(text.splitlines()) == 2
+    assert not set(text) & set("\x1b\u202e\x9b")
+
+
+@pytest.mark.parametrize("closed", ["0<&-", "1>&-", "2>&-", "0<&- 1>&- 2>&-"])
+def test_closed_standard_streams(folder_of_arm: Path, tmp_path: Path, closed: str) -> None:
+    """As daemons start programs. The next file to be opened must not become standard error."""
+    arguments = f"identify {folder_of_arm}/log.npz --robot {folder_of_arm}/arm.urdf --out out"
+    done = subprocess.run(
+        ["sh", "-c", f"{sys.executable} -m sdpid {arguments} --no-figures {closed}"],
+        cwd=tmp_path,
+        capture_output=True,
+        text=True,
+        timeout=120,
+    )
+    assert done.returncode == 0, done.stderr
+    assert (tmp_path / "out" / "identified.urdf").read_text().endswith("</robot>\n")
+    assert ("relative residual" in done.stdout) == ("1>&-" not in closed)
+    refused = subprocess.run(
+        ["sh", "-c", f"{sys.executable} -m sdpid info nowhere.csv {closed}"], cwd=tmp_path
+    )
+    assert refused.returncode == 2
+
+
+@pytest.fixture(scope="module")
+def folder_of_arm(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return a folder with a small robot and a log."""
+    folder = tmp_path_factory.mktemp("arm")
+    (folder / "arm.urdf").write_text(ARM_URDF)
+    t, q, tau = arm_log(folder / "arm.urdf")
+    np.savez(folder / "log.npz", t=t, q=q, tau=tau)
+    return folder
+
+
+@pytest.mark.parametrize(
+    ("log", "robot", "more"),
+    [
+        ("log.npz", "out/identified.urdf", ()),
+        ("parameters.csv", "arm.urdf", ()),
+        ("log.npz", "arm.urdf", ("--validation", "out/base_parameters.csv")),
+        ("log.npz", "arm.urdf", ("--mapping", "hard_link.toml")),
+        ("sidecar.npz", "arm.urdf", ()),
+    ],
+)
+def test_a_run_does_not_overwrite_what_it_reads(
+    folder_of_arm: Path, tmp_path: Path, log: str, robot: str, more: tuple[str, ...]
+) -> None:
+    """Also where the input is the mapping beside the log, or has another name."""
+    for name in ("arm.urdf", "log.npz"):
+        (tmp_path / name).write_bytes((folder_of_arm / name).read_bytes())
+    out = tmp_path / "out"
+    out.mkdir()
+    (out / "identified.urdf").write_text(ARM_URDF)
+    for name in ("parameters.csv", "base_parameters.csv", "report.html"):
+        (out / name).write_text("mine")
+    (tmp_path / "hard_link.toml").hardlink_to(out / "report.html")
+    (tmp_path / "parameters.csv").symlink_to(out / "parameters.csv")
+    (tmp_path / "sidecar.toml").symlink_to(out / "parameters.csv")
+    before = {path.name: path.read_bytes() for path in out.iterdir()}
+    more = tuple(str(tmp_path / text) if "." in text else text for text in more)
+    done = run("identify", tmp_path / log, "--robot", tmp_path / robot, "--out", out, *more)
+    refused(done, 2, "which this run reads")
+    assert {path.name: path.read_bytes() for path in out.iterdir()} == before
+
+
+def test_other_commands_do_not_overwrite_what_they_read(folder_of_arm: Path) -> None:
+    log, urdf = folder_of_arm / "log.npz", folder_of_arm / "arm.urdf"
+    for arguments in (
+        ("compare", log, "--robot", urdf, "--out", urdf),
+        ("validate", log, "--robot", urdf, "--figure", log),
+        ("audit", urdf, "--repair", urdf),
+    ):
+        refused(run(*arguments), 2, "which this run reads")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (("--cutoff", "1e-308"), "cutoff_hz: is 1e-308"),
+        (("--order", "500"), "order: is 500"),
+        (("--order", "100000000000000000000"), "order"),
+        (("--folds", "99999999999999999999"), "too short for 99999999999999999999 blocks"),
+        (("--friction", "stribeck=1e308"), "between 1e-09 and 1e+09"),
+        (("--friction", "coulomb=1e-308"), "between 1e-09 and 1e+09"),
+        (("--friction", "stribeck=0.1,0.2"), "stribeck=0.1,0.2: has 2 speeds"),
+        (("--friction", "coupling=a,b,c"), "coupling=a,b,c"),
+    ],
+)
+def test_values_beyond_all_reason(
+    folder_of_arm: Path, tmp_path: Path, arguments: tuple[str, ...], words: str
+) -> None:
+    log, urdf = folder_of_arm / "log.npz", folder_of_arm / "arm.urdf"
+    done = run("identify", log, "--robot", urdf, "--out", tmp_path / "out", *arguments)
+    refused(done, 2, words)
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_recording_without_effort_is_refused(folder_of_arm: Path, tmp_path: Path) -> None:
+    with np.load(folder_of_arm / "log.npz") as log:
+        np.savez(tmp_path / "zero.npz", t=log["t"], q=log["q"], tau=0.0 * log["tau"])
+    arguments = ("--robot", folder_of_arm / "arm.urdf", "--out", tmp_path / "out", "--json")
+    refused(run("identify", tmp_path / "zero.npz", *arguments), 2, "effort")
+
+
+def test_modules_of_the_command_keep_their_names() -> None:
+    import types
+
+    from sdpid.cli import options as imported
+
+    assert isinstance(imported, types.ModuleType)

@@ -17,6 +17,9 @@ from sdpid.experiment.matching import match_joints
 from sdpid.experiment.plant import true_parameters
 from sdpid.experiment.preparation import default_processing, prepare
 from sdpid.robot.model import RobotModel
+from sdpid.workflow import formulate
+from tests.helpers.arm_files import ARM_URDF
+from tests.helpers.runs import arm, recorded
 
 # What the records' own descriptions report for an unconstrained fit with the same friction: with
 # tanh(v/0.02) for the UR10, with the measured velocity for the Panda.
@@ -107,7 +110,7 @@ def test_nothing_is_left_behind_when_saving_fails(
         result.save(tmp_path / "old", figures=False)
     assert list((tmp_path / "old").iterdir()) == []
     (tmp_path / "file").write_text("")
-    with pytest.raises(sdpid.ExportError, match="another folder"):
+    with pytest.raises(sdpid.ExportError, match="name a folder"):
         result.save(tmp_path / "file", figures=False)
 
 
@@ -217,3 +220,30 @@ def test_files_that_cannot_be_read(denso: RobotModel, tmp_path: Path, name: str)
         (tmp_path / name).write_text("")
     with pytest.raises(sdpid.DataError, match=name):
         sdpid.identify(denso, tmp_path / name)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        ({"friction": "coulomb"}, r"\('coulomb',\)"),
+        ({"friction": 3}, "friction: is 3"),
+        ({"processing": {"cutoff_hz": "10"}}, "cutoff_hz: is '10'"),
+        ({"processing": {"order": "2"}}, "order: is '2'"),
+        ({"processing": {"cutoff": 10.0, "order": 2}}, "has no setting cutoff;.*cutoff_hz"),
+        ({"processing": "fast"}, "processing: is 'fast'"),
+    ],
+)
+def test_arguments_of_a_wrong_kind(arguments: dict[str, object], words: str) -> None:
+    with pytest.raises(sdpid.SdpidError, match=words):
+        sdpid.identify(arm(), recorded(1), **arguments)  # type: ignore[arg-type]
+
+
+def test_formulate_takes_what_identify_takes(tmp_path: Path) -> None:
+    log = recorded(1)
+    log.to_parquet(tmp_path / "run.parquet")
+    (tmp_path / "arm.urdf").write_text(ARM_URDF)
+    problem = formulate(tmp_path / "arm.urdf", tmp_path / "run.parquet")
+    same = formulate(arm(), log)
+    np.testing.assert_array_equal(problem.rhs, same.rhs)
+    with pytest.raises(sdpid.DataError, match=r"no\.csv"):
+        formulate(arm(), tmp_path / "no.csv")

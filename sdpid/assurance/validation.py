@@ -159,12 +159,16 @@ def _errors(robot: RobotModel, samples: Samples, predicted: Array) -> Validation
     square, power = (error**2).sum(axis=0), (effort**2).sum(axis=0)
     spread = power - effort.sum(axis=0) ** 2 / count
     tiny = np.finfo(float).tiny
+    # An effort that is constant up to rounding has nothing to explain.
+    varies = spread > count * np.finfo(float).eps * power
+    unexplained = np.where(square > 0.0, np.inf, 0.0)
+    np.divide(square, spread, out=unexplained, where=varies)
     return Validation(
         joint_names=names,
         effort_predicted=frozen(predicted),
         rmse=frozen(np.sqrt(square / count)),
         nrmse=frozen(np.sqrt(square / np.maximum(power, tiny))),
-        r2=frozen(1.0 - square / np.maximum(spread, tiny)),
+        r2=frozen(1.0 - unexplained),
         relative=float(np.sqrt(square.sum() / max(power.sum(), tiny))),
         rows=rows,
     )

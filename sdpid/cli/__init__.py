@@ -13,6 +13,8 @@ from typing import Annotated
 import typer
 
 from sdpid._extras import require
+from sdpid._signals import clean_up_when_ended
+from sdpid._text import printable
 from sdpid.cli import errors
 from sdpid.cli import options as opt
 from sdpid.cli.audit import audit
@@ -26,7 +28,6 @@ from sdpid.cli.choices import (
 from sdpid.cli.logs import info, validate
 from sdpid.cli.payload import payload
 from sdpid.cli.simulate import simulate
-from sdpid.errors import ExportError
 
 app = typer.Typer(
     cls=errors.Commands,
@@ -47,7 +48,7 @@ def _version(wanted: bool) -> None:
 
 
 @app.callback()
-def options(
+def common(
     debug: Annotated[
         bool, typer.Option("--debug", envvar="SDPID_DEBUG", help="Print tracebacks of errors.")
     ] = False,
@@ -103,8 +104,9 @@ def identify(
     as_json: opt.Json = False,
 ) -> None:
     """Identify a robot: URDF and logs in; consistent URDF, tables, report, certificate out."""
-    if out.exists() and not out.is_dir():
-        raise ExportError(f"--out {out}: is a file; name a folder.")
+    from sdpid.workflow.folder import require_writable
+
+    require_writable(out, opt.files_read((*logs, *(validation or ())), robot, mapping))
     draw = importlib.util.find_spec("matplotlib") is not None if figures is None else figures
     if draw:
         require("matplotlib", extra="plot")
@@ -144,10 +146,10 @@ def identify(
         parts = [result.summary(), opt.listed("notes", notes), errors_table(fits)]
         if result.cross_validation is not None:
             parts.append(result.cross_validation.table())
-        typer.echo("\n\n".join((*parts, opt.listed("files", files))))
+        opt.echo("\n\n".join((*parts, opt.listed("files", files))))
     certificate = result.certificate
     if result.problem.consistency != "none" and not certificate.passed:
-        typer.echo(f"sdpid: not certified: {certificate.summary()}", err=True)
+        typer.echo(printable(f"sdpid: not certified: {certificate.summary()}"), err=True)
         raise typer.Exit(errors.OURS)
 
 
@@ -186,7 +188,7 @@ def compare(
 ) -> None:
     """Run every solver on one problem and measure them against the proven bound."""
     if out is not None:
-        opt.require_folder(out)
+        opt.require_folder("--out", out, opt.files_read((log,), robot, mapping))
     how = opt.reading(column, unit, joint_names, effort_scale, mapping, topic)
     record = read(log, **how, period=period, start=start, periods=periods)
     from sdpid import workflow
@@ -218,9 +220,9 @@ def compare(
             }
         )
         return
-    typer.echo(f"{comparison.table()}\n\nsdp: {bound.summary()}")
+    opt.echo(f"{comparison.table()}\n\nsdp: {bound.summary()}")
     if out is not None:
-        typer.echo(opt.listed("files", [str(out)]))
+        opt.echo(opt.listed("files", [str(out)]))
 
 
 for command in (simulate, audit, payload, validate, info):
@@ -239,14 +241,17 @@ def verify(
     if as_json:
         opt.print_json(asdict(found))
     else:
-        typer.echo("\n".join((*found.statements, "PROVEN." if found.passed else "NOT PROVEN.")))
+        statements = map(printable, found.statements)
+        opt.echo("\n".join((*statements, "PROVEN." if found.passed else "NOT PROVEN.")))
     if not found.passed:
         reasons = "; ".join(found.problems)
-        typer.echo(f"sdpid: {certificate}: the certificate does not hold: {reasons}.", err=True)
+        text = f"sdpid: {certificate}: the certificate does not hold: {reasons}."
+        typer.echo(printable(text), err=True)
         raise typer.Exit(errors.BAD_INPUT)
 
 
 def main() -> None:
     """Run the command."""
-    errors.clean_up_when_ended()
+    errors.open_standard_streams()
+    clean_up_when_ended()
     app(prog_name="sdpid")

@@ -80,9 +80,9 @@ def audit(
 
     Ends with status 3 when something cannot exist, or when it could not be decided.
     """
-    for file in (proof, repair):
+    for option, file in (("--proof", proof), ("--repair", repair)):
         if file is not None:
-            opt.require_folder(file)
+            opt.require_folder(option, file, (source, robot))
     if source.suffix.lower() == ".csv":
         if repair is not None:
             raise ExportError("--repair: a table of base parameters has no bodies to repair.")
@@ -94,7 +94,7 @@ def audit(
         if as_json:
             opt.print_json(found.to_dict())
         else:
-            typer.echo(found.summary())
+            opt.echo(found.summary())
         if found.verdict != "realisable":
             raise typer.Exit(NO_ANSWER)
         return

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-import json
 import os
 from pathlib import Path
 
+from sdpid.cli import options as opt
 from sdpid.errors import ModelError
 
 _CLEAN, _ERRORS = 0, 3
@@ -39,8 +39,6 @@ def run_audit_urdf(
     ExportError
         When the repaired file cannot be written.
     """
-    import typer
-
     from sdpid.assurance.audit_urdf import audit_urdf
     from sdpid.output.repair import repair_urdf
 
@@ -50,11 +48,11 @@ def run_audit_urdf(
     if as_json:
         content = audit.to_dict()
         content["repair"] = None if report is None else report.to_dict()
-        typer.echo(json.dumps(content, indent=2, allow_nan=False))
+        opt.print_json(content)
     else:
-        typer.echo(audit.table() + "\n\n" + audit.describe())
+        opt.echo(audit.table() + "\n\n" + audit.describe())
         if report is not None:
-            typer.echo(f"\n{report.path}: {report.describe()}")
+            opt.echo(f"\n{report.path}: {report.describe()}")
     return _CLEAN if audit.passed else _ERRORS
 
 

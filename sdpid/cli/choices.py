@@ -58,8 +58,13 @@ def friction_terms(given: list[str] | None) -> list[str | FrictionTerm] | None:
         if not equals:
             terms.append(text)
         elif name in smooth:
-            given_speed = None if value == "fit" else opt.numbers(value, f"--friction {name}")[0]
-            terms.append(smooth[name](given_speed))
+            speeds = [None] if value == "fit" else opt.numbers(value, f"--friction {name}")
+            if len(speeds) != 1:
+                raise ModelError(
+                    f"--friction {text}: has {len(speeds)} speeds; give one, which holds for every "
+                    "joint, or fit, which chooses one for each."
+                )
+            terms.append(smooth[name](speeds[0]))
         elif name == "coupling" and value.count(",") == 1:
             first, second = opt.split_list(value)
             terms.append(Coupling(first, second))

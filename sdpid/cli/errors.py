@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import errno
+import os
 import shlex
-import signal
 import sys
 import traceback
 from typing import Any
@@ -12,7 +12,8 @@ from typing import Any
 import typer
 from typer.core import TyperGroup
 
-from sdpid._files import end_by, end_if_told
+from sdpid._signals import end_if_signaled
+from sdpid._text import printable
 from sdpid.errors import IdentifiabilityError, InfeasibleError, SdpidError, SolverError
 
 # Exit statuses.
@@ -45,12 +46,12 @@ class Commands(TyperGroup):
         """Run a command; turn an error into one line on stderr and an exit status."""
         try:
             done = super().invoke(ctx)
-            end_if_told()
+            end_if_signaled()
             return done
         except KeyboardInterrupt:
             raise typer.Exit(INTERRUPTED) from None
         except Exception as error:
-            end_if_told()  # what a signal interrupts may turn it into an error of its own
+            end_if_signaled()  # what a signal interrupts may turn it into an error of its own
             # Typer's own (usage, exit, abort) are Typer's to show; so is a closed pipe.
             own = type(error).__module__.split(".")[0] in ("typer", "click")
             if own or (isinstance(error, OSError) and error.errno == errno.EPIPE):
@@ -63,32 +64,24 @@ class Commands(TyperGroup):
 
 def _one_line(text: str) -> str:
     """Return a message without what damaged files bring into it: ends of lines, escapes, reams."""
-    shown = "".join(c if c.isprintable() or c.isspace() else "\ufffd" for c in text)
-    shown = " ".join(shown.split())
+    shown = printable(" ".join(text.split()))
     return shown if len(shown) <= _LONGEST else f"{shown[:_LONGEST]} ..."
 
 
-def clean_up_when_ended() -> None:
-    """Let signals that end a program raise SystemExit, so that unfinished files are removed.
+def open_standard_streams() -> None:
+    """Open the null device in place of every standard stream that is closed, as for daemons.
 
-    Ctrl-C does so too: where a KeyboardInterrupt came amid the import of an extension module, the
-    interpreter was now and then seen to end by the signal itself, with another exit status.
+    Else the next file that is opened becomes standard error, and whatever a library prints goes
+    into it.
     """
-    for name in ("SIGINT", "SIGTERM", "SIGHUP"):
-        # What the caller had ignored (nohup) stays so; Windows has no SIGHUP.
-        number = getattr(signal, name, None)
-        usual = (signal.SIG_DFL, signal.default_int_handler)
-        if number is not None and signal.getsignal(number) in usual:
-            signal.signal(number, end_by)
-    usual_hook = sys.unraisablehook
-
-    def hook(found: Any) -> None:
-        # What ends the program cannot leave a callback that it came amid, such as those of the
-        # import system; `end_if_told` ends the program then, and there is nothing to say.
-        if not issubclass(found.exc_type, SystemExit):
-            usual_hook(found)
-
-    sys.unraisablehook = hook
+    for number, name, mode in ((0, "stdin", "r"), (1, "stdout", "w"), (2, "stderr", "w")):
+        try:
+            os.fstat(number)
+        except OSError:
+            # Opening takes the lowest number that is free: this one.
+            os.open(os.devnull, os.O_RDWR)
+        if getattr(sys, name) is None:
+            setattr(sys, name, open(number, mode, closefd=False))  # noqa: SIM115
 
 
 def command_line(ctx: typer.Context) -> str:

@@ -39,7 +39,7 @@ def validate(
     """
     if figure is not None:
         require("matplotlib", extra="plot")
-        opt.require_folder(figure)
+        opt.require_folder("--figure", figure, opt.files_read((log,), robot, mapping))
     how = opt.reading(column, unit, joint_names, effort_scale, mapping, topic)
     record = read(log, **how, period=period, start=start, periods=periods)
     from sdpid.assurance.prediction_verdict import prediction_findings
@@ -64,15 +64,15 @@ def validate(
         notes = list(samples.notes)
         opt.print_json({**fit.to_dict(), "verdict": verdict, "notes": notes, "files": files})
         return
-    typer.echo(f"{model.name}: relative residual {100 * fit.relative:.2f} %")
+    opt.echo(f"{model.name}: relative residual {100 * fit.relative:.2f} %")
     parts = (
         opt.listed("verdict", verdict),
         opt.listed("notes", samples.notes),
         errors_table({"prediction": fit}),
     )
-    typer.echo("\n\n".join(parts))
+    opt.echo("\n\n".join(parts))
     if files:
-        typer.echo(opt.listed("\nfiles", files))
+        opt.echo(opt.listed("\nfiles", files))
 
 
 def info(
@@ -110,9 +110,9 @@ def info(
     width = max(map(len, facts))
     for key, value in facts.items():
         shown = f"{value:.6g}" if isinstance(value, float) else value
-        typer.echo(f"{key.replace('_', ' '):{width}}  {'-' if shown is None else shown}")
+        opt.echo(f"{key.replace('_', ' '):{width}}  {'-' if shown is None else shown}")
     rows = tuple(tuple(joint.values()) for joint in joints)
-    typer.echo("\n" + opt.listed("read from", sources))
-    typer.echo("\n" + Table(tuple(joints[0]), rows).text())
+    opt.echo("\n" + opt.listed("read from", sources))
+    opt.echo("\n" + Table(tuple(joints[0]), rows).text())
     if warnings:
-        typer.echo("\n" + opt.listed("warnings", warnings))
+        opt.echo("\n" + opt.listed("warnings", warnings))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterable, Sequence
 from enum import Enum
 from pathlib import Path
@@ -10,6 +9,9 @@ from typing import Annotated, Any
 
 import typer
 
+from sdpid._files import PathLike, require_other_files
+from sdpid._json import json_text
+from sdpid._text import printable
 from sdpid.errors import DataError, ExportError
 
 
@@ -259,24 +261,45 @@ def numbers(text: str, option: str) -> list[float]:
         raise DataError(f"{option} {text}: expected numbers with commas between them.") from None
 
 
-def require_folder(file: Path) -> None:
+def require_folder(option: str, file: Path, inputs: Iterable[PathLike | None] = ()) -> None:
     """Refuse a file that cannot be written, before the work is done.
+
+    Parameters
+    ----------
+    option : str
+        The option that names the file.
+    file : Path
+        Will be written.
+    inputs : iterable of path
+        Files that are read.
 
     Raises
     ------
     ExportError
-        When its folder is not there, or it is one itself.
+        When its folder is not there, it is a folder itself, or an input.
     """
     if not file.parent.is_dir() or file.is_dir():
         what = "is a folder" if file.is_dir() else f"there is no folder {file.parent}"
         raise ExportError(f"cannot write {file}: {what}.")
+    require_other_files(option, [file], inputs)
+
+
+def files_read(logs: Iterable[Path], *others: PathLike | None) -> list[PathLike | None]:
+    """Return the files that a command reads: logs, the mappings beside them, and others."""
+    beside = [log.with_suffix(".toml") if log.suffix else Path(f"{log}.toml") for log in logs]
+    return [*logs, *beside, *others]
 
 
 def listed(title: str, lines: Iterable[str]) -> str:
-    """Return indented lines under a title."""
-    return "\n".join((f"{title}:", *(f"  {line}" for line in lines)))
+    """Return indented lines under a title; what would begin a line of its own is replaced."""
+    return "\n".join((f"{title}:", *(f"  {printable(line)}" for line in lines)))
+
+
+def echo(text: str) -> None:
+    """Print text of several lines on stdout, without characters that a terminal would obey."""
+    typer.echo(printable(text, keep="\n"))
 
 
 def print_json(values: Any) -> None:
     """Print plain values as JSON on stdout."""
-    typer.echo(json.dumps(values, indent=1, allow_nan=False))
+    typer.echo(json_text(values))

@@ -62,4 +62,4 @@ def payload(
     if as_json:
         opt.print_json(found.to_dict())
     else:
-        typer.echo(found.describe())
+        opt.echo(found.describe())

@@ -26,7 +26,7 @@ def simulate(
     """Record the paper's experiment on a simulated robot."""
     if out.suffix.lower() != ".parquet":
         raise ExportError(f"--out {out}: recordings are written as .parquet; change the suffix.")
-    opt.require_folder(out)
+    opt.require_folder("--out", out, [robot])
     require("pyarrow", extra="io")
     from sdpid.experiment.drives import load_drives, plant_folder
     from sdpid.experiment.excitation import paper_excitation
@@ -38,7 +38,7 @@ def simulate(
     if not table.is_file():
         raise ModelError(f"no robot {robot!r}: neither bundled nor a folder with {table.name}.")
     trajectory = paper_excitation(robot, seed, periods=periods, period=period)
-    typer.echo("\n".join((*trajectory.velocity_report(), *trajectory.notes)))
+    opt.echo("\n".join((*trajectory.velocity_report(), *trajectory.notes)))
     recording = run(
         RobotModel.from_mdh(table),
         trajectory,
@@ -49,4 +49,4 @@ def simulate(
         noise=noise,
     )
     recording.to_parquet(out)
-    typer.echo(f"{recording!r}\n{opt.listed('files', [str(out)])}")
+    opt.echo(f"{recording!r}\n{opt.listed('files', [str(out)])}")

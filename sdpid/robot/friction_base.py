@@ -198,6 +198,10 @@ class JointwiseTerm(FrictionTerm):
         return np.reshape(kept, (len(kept), n))
 
 
+# Speeds of friction curves, rad/s or m/s; beyond these, curves overflow or are constant.
+SLOWEST, FASTEST = 1e-9, 1e9
+
+
 def check_speeds(term: FrictionTerm, fields: Sequence[str], *, positive: bool = False) -> None:
     """Raise `ModelError` unless the fields hold None, a speed, or a tuple of speeds."""
     for field in fields:
@@ -205,9 +209,12 @@ def check_speeds(term: FrictionTerm, fields: Sequence[str], *, positive: bool = 
         if value is None:
             continue
         numbers = value if isinstance(value, tuple) else (value,)
-        if not all(np.isfinite(x) and (x > 0.0 if positive else x >= 0.0) for x in numbers):
-            least = "a positive velocity" if positive else "a velocity of at least 0"
-            raise ModelError(f"{type(term).__name__}: {field} is {value}; give {least}.")
+        zero = "" if positive else " or 0"
+        if not all(SLOWEST <= x <= FASTEST or (x == 0.0 and not positive) for x in numbers):
+            raise ModelError(
+                f"{type(term).__name__}: {field} is {value}; give a positive velocity{zero}, "
+                f"between {SLOWEST:g} and {FASTEST:g} rad/s."
+            )
 
 
 def joint_speeds(term: FrictionTerm, field: str, n: int) -> Array:

@@ -27,7 +27,6 @@ from sdpid.estimation.sdp import solve_sdp
 from sdpid.estimation.weighting import Weighting
 from sdpid.estimation.wls import solve_wls
 from sdpid.experiment.preparation import default_friction
-from sdpid.experiment.recording import Recording
 from sdpid.experiment.training import Logs, ProcessingOf, chosen_processing, joined, recordings
 from sdpid.robot.friction import FrictionTerm
 from sdpid.robot.inertia import Consistency
@@ -45,9 +44,31 @@ DEFAULT_INTERVALS: Method = "gauss_markov"
 _STEPS = 4
 
 
+def _tuple_of_terms(
+    friction: Iterable[str | FrictionTerm] | None,
+) -> tuple[str | FrictionTerm, ...] | None:
+    """Return the terms, perhaps of a generator, in a tuple.
+
+    Raises
+    ------
+    DataError
+        When they are one name, or nothing that has terms in it.
+    """
+    if friction is None:
+        return None
+    if isinstance(friction, (str, FrictionTerm)):
+        raise DataError(f"friction: is {friction!r}; give a tuple of terms, ({friction!r},).")
+    try:
+        return tuple(friction)
+    except TypeError:
+        raise DataError(
+            f"friction: is {friction!r}; give a tuple of terms, such as ('coulomb', 'viscous')."
+        ) from None
+
+
 def formulate(
-    robot: RobotModel,
-    log: Recording | Iterable[Recording],
+    robot: RobotModel | str | os.PathLike[str],
+    log: Logs,
     *,
     processing: ProcessingOf = None,
     friction: Iterable[str | FrictionTerm] | None = None,
@@ -57,7 +78,9 @@ def formulate(
     prior: Prior | bool | None = None,
 ) -> Problem:
     """Build the problem that `identify` solves; arguments and errors are those of `identify`."""
-    logs = recordings(log if isinstance(log, Recording) else tuple(log))
+    robot = robot if isinstance(robot, RobotModel) else load_robot(robot)
+    friction = _tuple_of_terms(friction)
+    logs = recordings(log)
     samples = joined(robot, logs, chosen_processing(logs, processing)[0])
     chosen: Weighting = weighting or ("residual" if samples.covariance is None else "gls")
     if prior is None:
@@ -138,6 +161,7 @@ def identify(
         raise DataError(
             f"intervals: is {intervals!r}; use True, False or one of {', '.join(get_args(Method))}."
         )
+    friction = _tuple_of_terms(friction)
     model = robot if isinstance(robot, RobotModel) else load_robot(robot)
     logs = recordings(log)
     chosen, why = chosen_processing(logs, processing)
@@ -146,8 +170,6 @@ def identify(
     if validation is not None:
         # Prediction needs no covariance, so any number of periods will do.
         fresh = joined(model, recordings(validation), replace(chosen, covariance=None))
-    # Twice below, and perhaps from a generator.
-    friction = None if friction is None else tuple(friction)
     problem = formulate(
         model,
         logs,

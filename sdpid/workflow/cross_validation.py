@@ -303,6 +303,12 @@ def _parts(
             "period out (period=None)."
         )
     folds = int(folds)
+    shortest = min(log.n_samples for log in logs)
+    if folds > shortest // 2:
+        raise DataError(
+            f"cross-validation: a recording of {shortest} samples is too short for {folds} blocks; "
+            f"use fewer folds."
+        )
     for k in range(folds):
         kept: list[Recording] = []
         out: list[Recording] = []

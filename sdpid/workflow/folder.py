@@ -3,17 +3,22 @@
 from __future__ import annotations
 
 import contextlib
+import errno
+import hashlib
 import importlib.util
 import json
 import os
 import secrets
 import shutil
-from collections.abc import Callable, Iterator, Sequence
+import time
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from sdpid._files import atomic_write_text, move_into
+from sdpid._files import PathLike, atomic_path, require_other_files
+from sdpid._json import json_text
 from sdpid._progress import progress
+from sdpid._signals import end_if_signaled
 from sdpid.errors import ExportError, MissingExtraError, SdpidError
 from sdpid.output.intervals_shown import GivenIntervals
 
@@ -30,48 +35,57 @@ _KIND = "\0"
 # Of the figures: a screen's width, and 170 dots an inch on a printed page.
 _DPI = 110.0
 
+# Written last: it lists the other files.
+_RESULT = "result.json"
+
+# Every file that a run may write.
+NAMES = (
+    "base_parameters.csv",
+    "parameters.csv",
+    "parameters.json",
+    "certificate.json",
+    "identified.urdf",
+    "identified.xml",
+    "training.png",
+    "validation.png",
+    "report.html",
+    _RESULT,
+)
+
+# Hidden folders within the one that results go to, in which they are prepared.
+_STAGE = ".sdpid-"
+
+# Seconds to wait for another run that writes into the same folder.
+_PATIENCE = 60.0
+
 Tell = Callable[[str], None]
 
 
-class Stage:
-    """An empty folder within the one that results go to, both made when asked.
-
-    Its name is chosen before anything is made, so that whoever is interrupted, however early,
-    knows what to remove: call `remove` in the ``finally`` of a ``try`` that `make` is called in.
+def require_writable(folder: Path, inputs: Iterable[PathLike | None] = ()) -> None:
+    """Refuse a folder that results cannot be written into, before the work is done.
 
     Parameters
     ----------
     folder : Path
-        Where the results go.
+        Need not exist yet.
+    inputs : iterable of path
+        Files that the run reads: results must not replace them.
+
+    Raises
+    ------
+    ExportError
+        When the folder is a file, one of the results is a folder or no regular file, or a result
+        would replace an input.
     """
-
-    def __init__(self, folder: Path) -> None:
-        self.path = folder / f".sdpid-{secrets.token_hex(6)}"
-        # Folders that are not there yet, the innermost first.
-        self._missing = [f for f in (folder, *folder.parents) if not f.exists()]
-
-    def make(self) -> Path:
-        """Make the folders.
-
-        Raises
-        ------
-        ExportError
-            When they cannot be made.
-        """
-        try:
-            self.path.mkdir(parents=True)
-        except OSError as cause:
+    if folder.exists() and not folder.is_dir():
+        raise ExportError(f"cannot write into {folder}: it is a file; name a folder.")
+    for name in NAMES:
+        if (folder / name).exists() and not (folder / name).is_file():
             raise ExportError(
-                f"cannot write into {self.path.parent}: {cause.strerror}; choose another folder."
-            ) from None
-        return self.path
-
-    def remove(self) -> None:
-        """Remove it, and the folders that were made for it and hold nothing."""
-        shutil.rmtree(self.path, ignore_errors=True)
-        with contextlib.suppress(OSError):
-            for folder in self._missing:
-                folder.rmdir()
+                f"cannot write {folder / name}: it is a folder or a device; move it away, or "
+                "choose another folder."
+            )
+    require_other_files("--out", (folder / name for name in NAMES), inputs)
 
 
 def save(
@@ -86,25 +100,156 @@ def save(
     """Write an identification into a folder; arguments and errors are those of its `save`."""
     target = Path(folder)
     tell = report or (lambda _: None)
-    stage = Stage(target)
+    require_writable(target)
     try:
-        stage.make()
-        try:
-            with progress(_STEPS, "writing results") as advance:
-                files = list(
-                    _written(result, stage.path, figures, tell, command, intervals, advance)
-                )
-            move_into(target, files)
-        except OSError as cause:
-            raise ExportError(
-                f"cannot write into {target}: {cause.strerror}; choose another folder."
-            ) from None
+        with _stage(target) as stage, progress(_STEPS, "writing results") as advance:
+            files = list(_written(result, stage, figures, tell, command, intervals, advance))
+            digests = {file.name: _digest(file) for file in files}
+            content = {**result.to_dict(), "files": digests}
+            (stage / _RESULT).write_text(json_text(content) + "\n", encoding="utf-8")
+            new = [*digests, _RESULT]
+            stale = _left_by_earlier_run(target, new, tell)
+            _exchange(stage, target, new, stale)
+    except OSError as cause:
+        raise ExportError(
+            f"cannot write into {target}: {cause.strerror or cause}; choose another folder."
+        ) from cause
+    return tuple(target / name for name in new)
+
+
+@contextlib.contextmanager
+def _stage(folder: Path) -> Iterator[Path]:
+    """Yield an empty hidden folder within `folder`, both made when they are not there.
+
+    In the end it is removed, and so are folders that were made for it and hold nothing. While the
+    folder is locked, every other hidden folder in it was left by a run that was killed, and is
+    removed too.
+    """
+    made = [each for each in (folder, *folder.parents) if not each.exists()]
+    own = f"{_STAGE}{secrets.token_hex(6)}"
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        with _locked(folder) as alone:
+            pattern = f"{_STAGE}*" if alone else own
+            try:
+                _remove(folder, pattern)
+                (folder / own).mkdir()
+                yield folder / own
+            finally:
+                try:
+                    _remove(folder, pattern)
+                finally:
+                    _remove(folder, own)  # a signal may have come in the midst of the first
     finally:
-        try:
-            stage.remove()
-        finally:
-            stage.remove()  # for a signal may have come in the midst of the first
-    return tuple(target / file.name for file in files)
+        with contextlib.suppress(OSError):
+            for each in made:
+                each.rmdir()
+
+
+def _remove(folder: Path, pattern: str) -> None:
+    for path in folder.glob(pattern):
+        shutil.rmtree(path, ignore_errors=True)
+
+
+@contextlib.contextmanager
+def _locked(folder: Path) -> Iterator[bool]:
+    """Let one process at a time write into a folder; yield False where it cannot be locked.
+
+    The lock is one of the operating system: it ends with the process, however that ends.
+    """
+    try:
+        import fcntl
+
+        handle = os.open(folder, os.O_RDONLY)
+    except (ImportError, OSError):  # no POSIX
+        yield False
+        return
+    try:
+        end = time.monotonic() + _PATIENCE
+        locked = False
+        while not locked:
+            try:
+                fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                locked = True
+            except BlockingIOError:
+                if time.monotonic() > end:
+                    raise ExportError(
+                        f"cannot write into {folder}: another run has been writing into it for "
+                        f"more than {_PATIENCE:g} s; choose another folder."
+                    ) from None
+                time.sleep(0.05)
+            except OSError:  # a file system without locks
+                break
+        yield locked
+    finally:
+        os.close(handle)
+
+
+def _digest(file: Path) -> str:
+    """Return the SHA-256 of a file's content in hexadecimal digits."""
+    return hashlib.sha256(file.read_bytes()).hexdigest()
+
+
+def _left_by_earlier_run(folder: Path, new: Sequence[str], tell: Tell) -> list[str]:
+    """Return the files of an earlier run that this one does not replace.
+
+    They are those that its result.json lists, with the content that it wrote: a file that was
+    changed since is somebody's work and stays, which `tell` is called with.
+    """
+    try:
+        listed = json.loads((folder / _RESULT).read_text(encoding="utf-8"))["files"]
+        digests = {name: listed[name] for name in NAMES if name in listed and name not in new}
+    except (OSError, ValueError, LookupError, TypeError, RecursionError):
+        return []  # no earlier run, or a file of somebody else
+    stale = []
+    for name, digest in digests.items():
+        if not (folder / name).is_file():
+            continue
+        if _digest(folder / name) == digest:
+            stale.append(name)
+        else:
+            tell(f"{name} of an earlier run was changed since and stays; this run writes none")
+    return stale
+
+
+def _exchange(stage: Path, folder: Path, new: Sequence[str], stale: Sequence[str]) -> None:
+    """Move `new` files from the stage into the folder and remove `stale` ones: all, or nothing.
+
+    Whatever interrupts it, also a signal, the files that were there before are put back. Symbolic
+    links stay, and the files that they point to are replaced.
+    """
+    end_if_signaled()
+    kept = stage / "replaced"
+    kept.mkdir()
+    targets = {name: Path(os.path.realpath(folder / name)) for name in (*new, *stale)}
+    for name, target in targets.items():
+        if target.exists():
+            shutil.copy2(target, kept / name)
+    try:
+        for name in new:
+            _move(stage / name, targets[name])
+        for name in stale:
+            (folder / name).unlink()
+    except BaseException:
+        for name, target in targets.items():
+            with contextlib.suppress(OSError):
+                if (kept / name).exists():
+                    _move(kept / name, target)
+                elif not (stage / name).exists():
+                    target.unlink(missing_ok=True)
+        raise
+
+
+def _move(source: Path, target: Path) -> None:
+    """Move a file over another, which may lie on another disk."""
+    try:
+        source.replace(target)
+    except OSError as cause:
+        if cause.errno != errno.EXDEV:
+            raise
+        with atomic_path(target) as temporary:
+            shutil.copyfile(source, temporary)
+        source.unlink()
 
 
 def _written(
@@ -128,9 +273,6 @@ def _written(
         yield out / name
     advance(1)
     yield write_parameters(result.estimate, out / "parameters.json", intervals=intervals)
-    text = json.dumps(result.to_dict(), indent=1, allow_nan=False)
-    atomic_write_text(out / "result.json", text + "\n")
-    yield out / "result.json"
     advance(1)
     certificate = out / "certificate.json"
     result.certificate.to_json(certificate)
@@ -174,8 +316,12 @@ def _robots(result: Identification, out: Path, tell: Tell) -> Iterator[Path]:
         exports.append(write_mjcf(result.estimate, target=mjcf))
     except MissingExtraError:
         missing = "mujoco is not installed (pip install 'sdpid[sim]')"
-    except SdpidError as reason:
-        missing = str(reason)
+    except Exception as reason:
+        # It is optional, so nothing that MuJoCo does may cost the run, but a full disk does.
+        if isinstance(reason.__cause__ or reason, OSError):
+            raise
+        known = isinstance(reason, SdpidError)
+        missing = str(reason) if known else f"MuJoCo failed: {type(reason).__name__}: {reason}"
     for statement in _statements(exports):
         tell(statement)
     if missing is not None:

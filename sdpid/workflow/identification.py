@@ -6,8 +6,9 @@ import os
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, cast
 
+from sdpid._json import finite
 from sdpid.assurance.certificate import Certificate
 from sdpid.assurance.intervals import Intervals
 from sdpid.assurance.validation import Validation
@@ -68,10 +69,10 @@ class Identification:
     notes: tuple[str, ...] = ()
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the result as plain values for JSON."""
+        """Return the result as plain values for JSON: None where a number is not finite."""
         estimate = self.estimate
         weak = self.problem.excitation.weak()
-        return {
+        content = {
             "problem": describe(self.problem),
             "processing": list(self.problem.samples.notes),
             "notes": [*self.notes, *([self.intervals_note] if self.intervals_note else [])],
@@ -97,6 +98,7 @@ class Identification:
             ),
             "intervals": None if self.intervals is None else _intervals(self.intervals),
         }
+        return cast(dict[str, Any], finite(content))
 
     def summary(self) -> str:
         """Return the result in words."""

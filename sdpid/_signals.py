@@ -1,0 +1,48 @@
+"""Signals that end the program raise `SystemExit`, so that unfinished files are removed."""
+
+from __future__ import annotations
+
+import signal
+import sys
+from typing import Any
+
+# Added to a signal's number for the exit status, by the shells' convention.
+_SIGNALLED = 128
+
+# Signals that were to end this program.
+_ending: list[int] = []
+
+
+def end_by(number: int, _frame: object = None) -> None:
+    """Handle a signal by ending the program."""
+    _ending.append(number)
+    raise SystemExit(_SIGNALLED + number)
+
+
+def end_if_signaled() -> None:
+    """End the program if `end_by` was called: some imports swallow even what it raises."""
+    if _ending:
+        raise SystemExit(_SIGNALLED + _ending[0])
+
+
+def clean_up_when_ended() -> None:
+    """Let SIGINT, SIGTERM and SIGHUP raise `SystemExit`.
+
+    SIGINT does so too: where a KeyboardInterrupt came amid the import of an extension module, the
+    interpreter was now and then seen to end by the signal itself, with another exit status.
+    """
+    for name in ("SIGINT", "SIGTERM", "SIGHUP"):
+        # What the caller had ignored (nohup) stays so; Windows has no SIGHUP.
+        number = getattr(signal, name, None)
+        usual = (signal.SIG_DFL, signal.default_int_handler)
+        if number is not None and signal.getsignal(number) in usual:
+            signal.signal(number, end_by)
+    usual_hook = sys.unraisablehook
+
+    def hook(unraisable: Any) -> None:
+        # SystemExit cannot leave a callback of the import system; `end_if_signaled` ends the
+        # program then, and there is nothing to print.
+        if not issubclass(unraisable.exc_type, SystemExit):
+            usual_hook(unraisable)
+
+    sys.unraisablehook = hook
