@@ -192,7 +192,7 @@ def audit_base_parameters(
     mass_min: Number = 1e-3,
     mass_max: Number = 100.0,
     theta_max: Number = 1e4,
-    friction: Iterable[str | FrictionTerm] = ("coulomb", "viscous"),
+    friction: Iterable[str | FrictionTerm] | None = None,
     friction_nonnegative: bool = True,
     base: BaseParameters | None = None,
 ) -> BaseAudit:
@@ -219,7 +219,8 @@ def audit_base_parameters(
     theta_max : number, optional
         Bound on the size of every standard parameter, likewise.
     friction : iterable of str or FrictionTerm, optional
-        The friction terms whose parameters the table may hold.
+        Friction terms of the table. By default those of `sdpid.friction` that have a parameter
+        among `values`, such as Coulomb friction for ``Fs1``.
     friction_nonnegative : bool, optional
         Whether Coulomb, viscous and rotor terms are not negative.
     base : BaseParameters, optional

@@ -5,13 +5,15 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from decimal import Decimal
 from fractions import Fraction
+from itertools import combinations
 
 import numpy as np
 
 from sdpid.assurance.realisability import Number, Question, exact
 from sdpid.errors import DataError
 from sdpid.robot.base import BaseParameters, structural_base
-from sdpid.robot.friction import FrictionModel, FrictionTerm
+from sdpid.robot.friction import Coupling, FrictionModel, FrictionTerm
+from sdpid.robot.friction_terms import BY_NAME
 from sdpid.robot.inertia import Consistency
 from sdpid.robot.model import RobotModel
 
@@ -31,7 +33,7 @@ def base_question(
     mass_min: Number = 1e-3,
     mass_max: Number = 100.0,
     theta_max: Number = 1e4,
-    friction: Iterable[str | FrictionTerm] = ("coulomb", "viscous"),
+    friction: Iterable[str | FrictionTerm] | None = None,
     friction_nonnegative: bool = True,
     base: BaseParameters | None = None,
 ) -> Question:
@@ -64,6 +66,8 @@ def base_question(
         stray = [name for name in halfwidths if name not in values]
         if stray:
             raise DataError(f"audit: halfwidths without a value: {', '.join(stray)}.")
+    if friction is None:
+        friction = named_terms(robot, values)
     model = FrictionModel.from_terms(friction, robot.joint_names, first=robot.n_base)
     base = structural_base(robot, model) if base is None else base
     rows, leading = zip(*(_row(robot, base, name) for name in values), strict=True)
@@ -81,6 +85,22 @@ def base_question(
         leading=tuple(leading),
         **bounds,
     )
+
+
+def named_terms(robot: RobotModel, names: Iterable[str]) -> list[FrictionTerm]:
+    """Return the friction terms that have a parameter among the names.
+
+    A rotor inertia that folds into zz has no entry of its own in a table of base parameters: add
+    the names that the table's regrouping mentions.
+    """
+    wanted, joints = set(names), robot.joint_names[robot.n_base :]
+    # Speeds in which friction is not linear change no relation between parameters: any will do.
+    terms = [
+        kind(velocity=1.0) if "velocity" in getattr(kind, "speed_fields", ()) else kind()
+        for kind in BY_NAME.values()
+    ]
+    terms += [Coupling(*pair) for pair in combinations(joints, 2)]
+    return [term for term in terms if any(p.name in wanted for p in term.parameters(joints))]
 
 
 def _row(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import os
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 from decimal import Decimal, InvalidOperation
@@ -13,6 +14,10 @@ from pathlib import Path
 from sdpid.errors import DataError
 
 _NAMES = ("name", "parameter")
+
+# The column that says what folds into a base parameter, and a name in it.
+_REGROUPING = "regrouping"
+_NAME = re.compile(r"[A-Za-z]\w*")
 
 # No parameter of a robot has more digits before the point, or more after it. Exponents beyond
 # would be written out in exact arithmetic.
@@ -27,10 +32,13 @@ class BaseTable:
     ----------
     values, halfwidths : dict
         By name, as exact numbers.
+    mentioned : frozenset of str
+        Names in the table: of its parameters, and in its column ``regrouping`` if it has one.
     """
 
     values: Mapping[str, Fraction]
     halfwidths: Mapping[str, Fraction]
+    mentioned: frozenset[str]
 
 
 def half_unit(text: str) -> Fraction:
@@ -115,7 +123,8 @@ def read_base_table(
             halves[name] = Fraction(_decimal(repr(float(width)), "halfwidth"))
     if not values:
         raise DataError(f"{path}: column {value!r} has no values.")
-    return BaseTable(values, halves)
+    regrouped = " ".join(row.get(_REGROUPING) or "" for row in rows)
+    return BaseTable(values, halves, frozenset(values).union(_NAME.findall(regrouped)))
 
 
 def _decimal(text: str, what: str) -> Decimal:

@@ -62,7 +62,8 @@ def audit(
         list[str] | None,
         typer.Option(
             metavar="TERM",
-            help="Friction terms of the table, by name (default coulomb and viscous).",
+            help="Friction term of the table, by name; repeat for several. By default those whose "
+            "parameters the table names.",
             rich_help_panel=_TABLE,
         ),
     ] = None,
@@ -118,6 +119,7 @@ def _table(
     friction: list[str] | None,
 ) -> BaseAudit:
     from sdpid.assurance.audit_base import audit_base_parameters
+    from sdpid.assurance.base_question import named_terms
     from sdpid.assurance.base_table import read_base_table
     from sdpid.robot.load import load_robot
 
@@ -128,14 +130,15 @@ def _table(
         except ValueError:
             width = halfwidth
     table = read_base_table(source, value=value, halfwidth=width)
+    model = load_robot(robot)
     return audit_base_parameters(
-        load_robot(robot),
+        model,
         table.values,
         table.halfwidths,
         consistency=consistency.value,
         margin=margin,
         mass_max=mass_max,
-        friction=("coulomb", "viscous") if friction is None else tuple(friction),
+        friction=named_terms(model, table.mentioned) if friction is None else friction,
     )
 
 

@@ -27,12 +27,14 @@ from sdpid.assurance.face import find_face
 from sdpid.assurance.realisability import coefficient_matrices, consistency_matrix, exact
 from sdpid.assurance.refutation import Refutation, rounded
 from sdpid.errors import CertificateError, DataError
+from sdpid.output.tables import base_table
 from sdpid.robot.base import BaseParameters, structural_base
-from sdpid.robot.friction import FrictionModel
+from sdpid.robot.friction import Coupling, FrictionModel, SigmoidFriction
 from sdpid.robot.inertia import Consistency, margin, matrix_of, point_masses
 from sdpid.robot.library import bundled_folder
 from sdpid.robot.load import load_robot
 from sdpid.robot.model import RobotModel
+from tests.helpers.data import make_samples, random_theta
 from tests.helpers.robots import TREE, small_arm
 from tests.helpers.strategies import SEEDS, bodies, links
 
@@ -429,6 +431,24 @@ def test_bad_input(values: Any, halfwidths: Any, more: Any, word: str) -> None:
     robot, base = arm("denso")
     with pytest.raises(DataError, match=word):
         sdpid.audit_base_parameters(robot, values, halfwidths, base=base, **more)
+
+
+@pytest.mark.parametrize("kind", BOTH)
+def test_tables_of_ones_own_estimates_are_realisable(kind: Consistency, tmp_path: Path) -> None:
+    """The file that `identify` writes names its friction by itself, whatever the terms are."""
+    rng = np.random.default_rng(0)
+    robot, terms = small_arm(2), ("coulomb", "viscous", "offset", "rotor_inertia")
+    friction = (*terms, SigmoidFriction(0.1), Coupling(*robot.joint_names))
+    theta = random_theta(robot, rng, friction)
+    samples = make_samples(robot, theta, rng, friction=friction, noise=0.05)
+    problem = sdpid.build_problem(robot, samples, friction=friction, consistency=kind)
+    table = tmp_path / "base_parameters.csv"
+    base_table(sdpid.solve_sdp(problem)).write(table)
+    (tmp_path / "arm.urdf").write_text(robot.urdf or "", encoding="utf-8")
+    arguments = ["audit", str(table), "--robot", str(tmp_path / "arm.urdf"), "--consistency", kind]
+    done = CliRunner().invoke(cli.app, arguments)
+    assert done.exit_code == 0, done.output
+    assert ": realisable" in done.output
 
 
 def test_command(tmp_path: Path) -> None:
