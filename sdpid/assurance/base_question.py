@@ -6,6 +6,7 @@ from collections.abc import Iterable, Mapping
 from decimal import Decimal
 from fractions import Fraction
 from itertools import combinations
+from typing import Any
 
 import numpy as np
 
@@ -95,9 +96,10 @@ def named_terms(robot: RobotModel, names: Iterable[str]) -> list[FrictionTerm]:
     """
     wanted, joints = set(names), robot.joint_names[robot.n_base :]
     # Speeds in which friction is not linear change no relation between parameters: any will do.
-    terms = [
+    kinds: tuple[Any, ...] = tuple(BY_NAME.values())
+    terms: list[FrictionTerm] = [
         kind(velocity=1.0) if "velocity" in getattr(kind, "speed_fields", ()) else kind()
-        for kind in BY_NAME.values()
+        for kind in kinds
     ]
     terms += [Coupling(*pair) for pair in combinations(joints, 2)]
     return [term for term in terms if any(p.name in wanted for p in term.parameters(joints))]
