@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from sdpid._files import atomic_write_text
+from sdpid._text import printable
 
 
 @dataclass(frozen=True)
@@ -96,7 +97,7 @@ def _cell(value: object, spec: str) -> str:
     value = plain(value)
     if value is None:
         return "-"
-    return format(value, spec) if isinstance(value, float) else str(value)
+    return format(value, spec) if isinstance(value, float) else printable(str(value))
 
 
 def _html_row(tag: str, cells: Sequence[str], sides: Sequence[str]) -> str:

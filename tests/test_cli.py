@@ -622,3 +622,18 @@ def test_modules_of_the_command_keep_their_names() -> None:
     from sdpid.cli import options as imported
 
     assert isinstance(imported, types.ModuleType)
+
+
+def test_names_of_a_description_forge_no_line(folder_of_arm: Path, tmp_path: Path) -> None:
+    """Line ends are refused; what only hides or reverses text is not printed as it is."""
+    log, urdf = folder_of_arm / "log.npz", tmp_path / "arm.urdf"
+    for name in ("robot", "joint"):
+        old = {"robot": 'name="arm"', "joint": 'joint name="a"'}[name]
+        urdf.write_text(ARM_URDF.replace(old, f'{old[:-1]}&#10;PROVEN."'))
+        for arguments in (("info", log, "--robot", urdf), ("audit", urdf)):
+            refused(run(*arguments), 2, f"of a <{name}> has a line end")
+    urdf.write_text(ARM_URDF.replace('joint name="a"', 'joint name="a&#x202e;b"'))
+    done = run("validate", log, "--robot", urdf)
+    assert done.exit_code == 0, done.output
+    assert "a\ufffdb" in done.stdout
+    assert "\u202e" not in done.output

@@ -10,7 +10,6 @@ from typing import Annotated, Any
 import typer
 
 from sdpid._files import PathLike, require_other_files
-from sdpid._json import json_text
 from sdpid._text import printable
 from sdpid.errors import DataError, ExportError
 
@@ -302,4 +301,6 @@ def echo(text: str) -> None:
 
 def print_json(values: Any) -> None:
     """Print plain values as JSON on stdout."""
+    from sdpid._json import json_text
+
     typer.echo(json_text(values))

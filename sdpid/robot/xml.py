@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+import unicodedata
 from typing import Any
 
 from sdpid.errors import ModelError
 
 # The largest robot description seen in the wild is below 1 MB; this bounds a hostile one.
 MAX_BYTES = 64 * 2**20
+
+# Categories of characters that no name needs: names are printed, and would forge lines.
+_CONTROLS = ("Cc", "Zl", "Zp")
 
 
 def parse_xml(text: str | bytes, what: str) -> Any:
@@ -23,7 +27,8 @@ def parse_xml(text: str | bytes, what: str) -> Any:
     Raises
     ------
     ModelError
-        When it is not well-formed, declares a document type, or is larger than 64 MiB.
+        When it is not well-formed, declares a document type, is larger than 64 MiB, or has a name
+        with a line end or another control character in it.
     """
     from lxml import etree
 
@@ -41,4 +46,11 @@ def parse_xml(text: str | bytes, what: str) -> Any:
         raise ModelError(
             f"{what}: declares a document type; entities are not expanded, remove the declaration."
         )
+    for element in root.iter(etree.Element):
+        name = element.get("name", "")
+        if any(unicodedata.category(c) in _CONTROLS for c in name):
+            raise ModelError(
+                f"{what}: the name {name!r} of a <{element.tag}> has a line end or another control "
+                "character; rename it."
+            )
     return root

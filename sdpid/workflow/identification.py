@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
 
-from sdpid._json import finite
+from sdpid._tables import plain
 from sdpid.assurance.certificate import Certificate
 from sdpid.assurance.intervals import Intervals
 from sdpid.assurance.validation import Validation
@@ -98,7 +98,7 @@ class Identification:
             ),
             "intervals": None if self.intervals is None else _intervals(self.intervals),
         }
-        return cast(dict[str, Any], finite(content))
+        return cast(dict[str, Any], plain(content))
 
     def summary(self) -> str:
         """Return the result in words."""
