@@ -42,8 +42,8 @@ _BATCH = 512
 # Differences for the descent's gradient: the cube root of rounding, positions being of order one.
 _STEP = 6e-6
 
-# Where a joint has no limits: one turn; of a sliding joint 1 m either way.
-_TURN = np.pi
+# Where a joint has no limits: one turn, or 1 m either way if it slides.
+_TURN, _SLIDE = 2.0 * np.pi, 1.0
 
 # The program's point is repaired by giving away this share of the bound at a time.
 _GIVE = (0.0, 1e-6, 1e-4, 1e-2, 0.1, 0.5)
@@ -109,8 +109,8 @@ def worst_mass_matrix(
     estimate : Estimate
         With or without standard parameters.
     bounds : array_like, shape (n, 2), optional
-        The box; by default the description's limits, where it has none one turn, or 1 m either
-        way for joints that slide. With a floating base the joints only: where the base is does not
+        The box, rad or m; by default the description's limits, of a joint that turns no more than
+        one turn. Where it has none, from −π to π, or 1 m either way for a joint that slides. With a floating base the joints only: where the base is does not
         matter.
     seed : int, optional
         Of the search.
@@ -149,7 +149,7 @@ def _box(robot: RobotModel, bounds: ArrayLike | None) -> Array:
     """Return the box of the joints, beside a floating base."""
     limits = robot.position_limits[robot.n_base :]
     if bounds is None:
-        return np.asarray(np.clip(limits, -_TURN, _TURN) if len(limits) else limits)
+        return _default_box(robot, limits)
     box = np.array(bounds, dtype=np.float64)
     if box.shape != limits.shape or not np.all(np.isfinite(box)) or np.any(box[:, 0] > box[:, 1]):
         raise DataError(
@@ -157,6 +157,22 @@ def _box(robot: RobotModel, bounds: ArrayLike | None) -> Array:
             "numbers, lower before upper."
         )
     return box
+
+
+def _default_box(robot: RobotModel, limits: Array) -> Array:
+    """Return the description's limits: one turn at most, and ends for joints that have none."""
+    model, box = robot.pin_model, limits.copy()
+    names = robot.joint_names[robot.n_base :]
+    kinds = [model.joints[model.getJointId(name)].shortname() for name in names]
+    # Where one position drives several joints with ratios, a turn need not bring all of them back.
+    periodic = len(robot.expansion) == robot.n
+    for j, kind in enumerate(kinds):
+        slide = kind.startswith("JointModelP")
+        if not np.isfinite(box[j]).all():
+            box[j] = (-_SLIDE, _SLIDE) if slide else (-0.5 * _TURN, 0.5 * _TURN)
+        elif periodic and not slide:
+            box[j, 1] = min(box[j, 1], box[j, 0] + _TURN)
+    return np.asarray(box)
 
 
 def _eigenvalues(robot: RobotModel, inertias: Array, q: Array) -> Array:
@@ -215,8 +231,11 @@ def proven_bound(robot: RobotModel, theta: ArrayLike) -> float | None:
     bodies = np.asarray(theta, dtype=np.float64)[: 10 * robot.n_links].reshape(-1, 10)
     inertias = spatial_inertia(bodies)
     N = joint_rates(robot)
+    diagonal = np.diagonal(inertias, axis1=1, axis2=2)
+    if not np.all(diagonal >= np.finfo(float).tiny):
+        return None
     # Scaled, so that units of length and mass do not decide what is definite.
-    d = np.sqrt(np.maximum(np.diagonal(inertias, axis1=1, axis2=2), np.finfo(float).tiny))
+    d = np.sqrt(diagonal)
     try:
         roots = np.linalg.cholesky(inertias / (d[:, :, None] * d[:, None, :]))
     except np.linalg.LinAlgError:

@@ -21,7 +21,7 @@ from sdpid.robot.jacobians import joint_rates, link_jacobians
 from sdpid.robot.library import bundled_folder
 from sdpid.robot.load import load_robot
 from sdpid.robot.model import RobotModel
-from tests.helpers.arm import BOTH, arm_problem
+from tests.helpers.arm import ARM, BOTH, arm_problem
 from tests.helpers.data import make_samples, random_links, random_theta
 from tests.helpers.robots import TREE, TREE_MIMIC, small_arm
 from tests.helpers.strategies import SEEDS
@@ -119,6 +119,58 @@ def test_a_box_limits_the_search() -> None:
     assert inside.value >= anywhere.value
     with pytest.raises(DataError, match="bounds"):
         sdpid.worst_mass_matrix(estimate, bounds=[[0.0, 1.0]])
+
+
+# Three joints whose far limits, or whose slide, a search within half a turn would miss.
+LIMITED = """<robot name="limited"><link name="base"/>
+<joint name="turn" type="revolute"><parent link="base"/><child link="a"/><axis xyz="0 0 1"/>
+ <limit lower="0.5" upper="{upper}" velocity="1" effort="1"/></joint>
+<link name="a"><inertial><mass value="1"/><inertia ixx="0.1" ixy="0" ixz="0" iyy="0.1" iyz="0"
+ izz="0.1"/></inertial></link>
+<joint name="elbow" type="revolute"><parent link="a"/><child link="b"/><axis xyz="0 0 1"/>
+ <origin xyz="0.5 0 0"/><limit lower="0.5" upper="{upper}" velocity="1" effort="1"/></joint>
+<link name="b"><inertial><origin xyz="0.4 0 0" rpy="0 0 0"/><mass value="2"/>
+ <inertia ixx="0.01" ixy="0" ixz="0" iyy="0.01" iyz="0" izz="0.01"/></inertial></link>
+<joint name="slide" type="prismatic"><parent link="b"/><child link="c"/><axis xyz="1 0 0"/>
+ {limit}</joint>
+<link name="c"><inertial><mass value="0.5"/><inertia ixx="0.01" ixy="0" ixz="0" iyy="0.01" iyz="0"
+ izz="0.01"/></inertial></link></robot>"""
+
+
+def estimate_from_description(source: str) -> Estimate:
+    arm, rng = load_robot(source), np.random.default_rng(0)
+    theta = np.concatenate([arm.prior.ravel(), np.ones(2 * arm.n)])
+    return sdpid.solve_sdp(build_problem(arm, make_samples(arm, theta, rng)))
+
+
+def test_the_box_is_the_description_s_limits() -> None:
+    slide = '<limit lower="-5" upper="-4" velocity="1" effort="1"/>'
+    estimate = estimate_from_description(LIMITED.format(upper=6.2, limit=slide))
+    worst = sdpid.worst_mass_matrix(estimate)
+    np.testing.assert_array_equal(worst.bounds, [[0.5, 6.2], [0.5, 6.2], [-5.0, -4.0]])
+    grid = np.stack(
+        np.meshgrid(*[np.linspace(low, high, 41) for low, high in worst.bounds]), axis=-1
+    ).reshape(-1, 3)
+    assert worst.value <= smallest_eigenvalues(estimate, grid).min() + ROUNDING
+    # Where it is least is beyond half a turn.
+    half = sdpid.worst_mass_matrix(estimate, bounds=np.clip(worst.bounds, -5.0, np.pi))
+    assert worst.value < half.value
+
+
+def test_without_limits_a_joint_turns_once_or_slides_a_metre() -> None:
+    slide = '<limit lower="-1e9" upper="1e9" velocity="1" effort="1"/>'
+    estimate = estimate_from_description(LIMITED.format(upper=60.0, limit=slide))
+    worst = sdpid.worst_mass_matrix(estimate)
+    turn = [0.5, 0.5 + 2.0 * np.pi]
+    np.testing.assert_allclose(worst.bounds, [turn, turn, [-1.0, 1.0]])
+
+
+@pytest.mark.parametrize("mass", [-10.0, 0.0, 1e-320])
+def test_links_without_mass_prove_nothing_and_overflow_nowhere(mass: float) -> None:
+    theta = random_links(np.random.default_rng(5), ARM.n_links)
+    theta[0] = [mass, 0.0, 0.0, 0.0, 0.1, 0.0, 0.1, 0.0, 0.0, -10.0]
+    with np.errstate(all="raise"):
+        assert proven_bound(ARM, theta) is None
 
 
 @pytest.mark.parametrize("column", ["wls", "cwls"])
