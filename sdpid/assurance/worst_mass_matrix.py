@@ -110,8 +110,8 @@ def worst_mass_matrix(
         With or without standard parameters.
     bounds : array_like, shape (n, 2), optional
         The box, rad or m; by default the description's limits, of a joint that turns no more than
-        one turn. Where it has none, from −π to π, or 1 m either way for a joint that slides. With a floating base the joints only: where the base is does not
-        matter.
+        one turn. Where it has none, from −π to π, or 1 m either way for a joint that slides. With a
+        floating base the joints only: where the base is does not matter.
     seed : int, optional
         Of the search.
 
