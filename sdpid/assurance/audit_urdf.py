@@ -23,6 +23,7 @@ from sdpid.errors import ModelError
 from sdpid.robot.described import DescribedBody, read_urdf_bodies
 from sdpid.robot.geometry import link_points
 from sdpid.robot.inertia import second_moment_from_inertia
+from sdpid.robot.xml import is_mjcf, read_description
 
 _ORDER = {"error": 0, "warning": 1, "note": 2}
 
@@ -176,8 +177,9 @@ def audit_urdf(
     ModelError
         When it cannot be read.
     """
-    text, path, what = read_description(source)
-    if is_mjcf(text):
+    found = read_description(source)
+    text, path, what = found.text, found.path, found.what
+    if is_mjcf(text, what):
         from sdpid.experiment.mujoco_bodies import read_mjcf_bodies
 
         bodies = read_mjcf_bodies(text, path, what)
@@ -204,31 +206,6 @@ def audit_urdf(
         bodies=tuple(_numbers(body, shapes.get(body.name, _NO_SHAPE)) for body in bodies),
         findings=tuple(findings),
     )
-
-
-def read_description(source: str | os.PathLike[str]) -> tuple[str, Path | None, str]:
-    """Return the text of a description with every character, its path, and what to call it.
-
-    Raises
-    ------
-    ModelError
-        When it cannot be read.
-    """
-    if isinstance(source, str) and source.lstrip("\ufeff \t\r\n").startswith("<"):
-        return source, None, "description"
-    path = Path(source)
-    try:
-        return path.read_bytes().decode("utf-8"), path, path.name
-    except (OSError, ValueError) as cause:
-        raise ModelError(f"cannot read {path}: {cause}.") from None
-
-
-def is_mjcf(text: str) -> bool:
-    """Return whether a description is MJCF: its first element is ``<mujoco>``."""
-    for piece in text.split("<")[1:]:
-        if piece[:1] not in ("?", "!"):
-            return piece.split(">")[0].split("/")[0].split()[0:1] == ["mujoco"]
-    return False
 
 
 @dataclass(frozen=True)

@@ -6,7 +6,6 @@ import os
 from pathlib import Path
 
 from sdpid.cli import options as opt
-from sdpid.errors import ModelError
 
 _CLEAN, _ERRORS = 0, 3
 
@@ -57,15 +56,7 @@ def run_audit_urdf(
 
 
 def _find(path: str | os.PathLike[str]) -> Path:
-    from sdpid.robot.library import bundled_folder, bundled_robots, find_example_robot
+    from sdpid.robot.library import find_robot
 
     file = Path(path)
-    if file.is_file():
-        return file
-    name = str(path)
-    if name in bundled_robots():
-        return bundled_folder(name) / f"{name}.urdf"
-    found = find_example_robot(name)
-    if found is None:
-        raise ModelError(f"cannot read {path}: no such file, and no robot of that name.")
-    return found
+    return file if file.is_file() else find_robot(str(path))

@@ -10,7 +10,6 @@ import numpy as np
 
 from sdpid._arrays import Array
 from sdpid._files import atomic_path
-from sdpid.assurance.audit_urdf import is_mjcf
 from sdpid.errors import ExportError
 from sdpid.estimation.estimate import Estimate
 from sdpid.experiment.mujoco_compiled import CompiledMjcf
@@ -31,7 +30,7 @@ from sdpid.robot.friction import Coulomb, FrictionTerm, RotorInertia, Viscous
 from sdpid.robot.geometry import link_placements
 from sdpid.robot.inertia import transform
 from sdpid.robot.model import RobotModel
-from sdpid.robot.xml import parse_xml
+from sdpid.robot.xml import encode_xml, is_mjcf, is_xml, parse_xml
 
 # The written file is read back; its efforts may differ by this fraction of the largest one.
 _READ_BACK = 1e-10
@@ -109,7 +108,7 @@ def write_mjcf(
         text, folder = mjcf_skeleton(robot, None)[0], None
     else:
         text, folder = source_text(robot, source, what), _folder(source)
-        if not is_mjcf(text):
+        if not is_mjcf(text, what):
             root = parse_xml(text, what)
             text, impossible = mjcf_skeleton(robot, UrdfTree(text))
             if any(root.find(f"link/{shape}") is not None for shape in ("visual", "collision")):
@@ -129,8 +128,7 @@ def write_mjcf(
     result = patch.document.text()
     _read_back(robot, bodies, CompiledMjcf(result, robot, folder, what), what)
     with atomic_path(target) as temporary:
-        # Bytes, because writing text would change line endings.
-        temporary.write_bytes(result.encode("utf-8"))
+        temporary.write_bytes(encode_xml(result))
     if patch.cleared:
         notes += (
             "armature of the source that the identified links hold already, now zero: "
@@ -153,7 +151,7 @@ def _attributes(written: dict[str, dict[str, float]]) -> set[str]:
 
 def _folder(source: str | os.PathLike[str] | None) -> Path | None:
     """Return the folder of a source that is a file."""
-    if source is None or (isinstance(source, str) and source.lstrip().startswith("<")):
+    if source is None or is_xml(source):
         return None
     return Path(source).resolve().parent
 
@@ -207,20 +205,19 @@ class _Patch:
         compiled, carrier = self.compiled, self.carriers[link]
         T = self.placements[link]
         body = transform(identified, T[:3, :3], T[:3, 3])
-        children = []
-        numbers_of = {}
-        for number, R, t in compiled.fixed_bodies(carrier):
-            child = FixedChild(compiled.body_name(number), compiled.body(number), R, t)
-            if np.any(child.body):
-                children.append(child)
-                numbers_of[child.name] = number
-        rest = rest_of(body, children, "pseudo_inertia")
+        # By number: bodies need not have names.
+        children = {
+            number: FixedChild(compiled.body_name(number), own, R, t)
+            for number, R, t in compiled.fixed_bodies(carrier)
+            if np.any(own := compiled.body(number))
+        }
+        rest = rest_of(body, list(children.values()), "pseudo_inertia")
         if rest is not None:
             body = rest
         else:
             self.lumped.append(self._name(carrier))
-            for child in children:
-                self._write(numbers_of[child.name], np.zeros(10))
+            for number in children:
+                self._write(number, np.zeros(10))
         self._write(carrier, lifted(body, "pseudo_inertia"))
 
     def _name(self, body: int) -> str:

@@ -13,7 +13,6 @@ import numpy as np
 
 from sdpid._arrays import Array
 from sdpid._files import atomic_path
-from sdpid.assurance.audit_urdf import is_mjcf, read_description
 from sdpid.assurance.body_checks import consistent, thin, thin_limit
 from sdpid.assurance.description_checks import carried, carried_theta
 from sdpid.assurance.nearest_body import (
@@ -39,6 +38,7 @@ from sdpid.robot.inertia import (
     second_moment_from_inertia,
     tensor_entries,
 )
+from sdpid.robot.xml import encode_xml, is_mjcf, read_description
 
 # Entries that differ by less, relative to the largest, differ by rounding: they are not rewritten.
 _SAME = 1e-15
@@ -165,21 +165,20 @@ def repair_urdf(
     CertificateError
         When a repair cannot be proven nearest.
     """
-    text, _, what = read_description(source)
-    if is_mjcf(text):
+    found = read_description(source)
+    text, what = found.text, found.what
+    if is_mjcf(text, what):
         raise ExportError(f"{what}: only URDF is repaired; correct the MJCF by hand.")
-    mark, text = ("\ufeff", text[1:]) if text.startswith("\ufeff") else ("", text)
     _, bodies = read_urdf_bodies(text, what)
     repair = _Repair(text, bodies)
     for body in bodies:
         repair.alone(body)
     for carrier in carried(bodies):
         repair.together(carrier)
-    result = mark + repair.document.text()
+    result = repair.document.text()
     if target is not None:
         with atomic_path(target) as temporary:
-            # Bytes, because writing text would change line endings.
-            temporary.write_bytes(result.encode("utf-8"))
+            temporary.write_bytes(encode_xml(result))
     order = {body.name: k for k, body in enumerate(bodies)}
     return RepairReport(
         text=result,

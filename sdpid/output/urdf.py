@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from sdpid._arrays import Array, real_array
-from sdpid._files import atomic_write_text
+from sdpid._files import atomic_path
 from sdpid.errors import ExportError, ModelError
 from sdpid.estimation.estimate import Estimate
 from sdpid.estimation.problem import Problem
@@ -29,8 +29,8 @@ from sdpid.output.xml_spans import Document, Element
 from sdpid.robot.base import generic_states
 from sdpid.robot.friction import Coulomb, Viscous
 from sdpid.robot.inertia import margin
-from sdpid.robot.load import Root, load_robot
-from sdpid.robot.model import RobotModel
+from sdpid.robot.model import RobotModel, Root
+from sdpid.robot.xml import encode_xml, read_description
 
 # How a body is split among a moving link and those fixed to it.
 Fixed: TypeAlias = Literal["keep", "merge"] | Mapping[str, ArrayLike]
@@ -183,7 +183,8 @@ def write_urdf(
     joints, left_out, notes = _write_friction(tree, problem, theta)
     result = document.text()
     _read_back(robot, bodies, result)
-    atomic_write_text(target, result)
+    with atomic_path(target) as temporary:
+        temporary.write_bytes(encode_xml(result))
     return ExportReport(
         path=Path(target),
         links_changed=tuple(changed),
@@ -243,13 +244,10 @@ def source_text(robot: RobotModel, source: str | os.PathLike[str] | None, what: 
                 f"{what}: the robot was not loaded from a URDF; give the file to change as source."
             )
         return robot.urdf
-    if isinstance(source, str) and source.lstrip().startswith("<"):
-        return source
     try:
-        # Bytes, because reading text would change line endings.
-        return Path(source).read_bytes().decode("utf-8-sig")
-    except (OSError, UnicodeDecodeError) as cause:
-        raise ExportError(f"{what}: cannot read the source ({cause}).") from None
+        return read_description(source).text
+    except ModelError as cause:
+        raise ExportError(f"{what}: {cause}") from None
 
 
 def _write_inertial(document: Document, link: Element, body: Array) -> None:
@@ -308,7 +306,7 @@ def _read_back(robot: RobotModel, bodies: Array, text: str) -> None:
     what = f"URDF of '{robot.name}'"
     root: Root | None = "free_flyer" if robot.free_flyer else None
     try:
-        written = load_robot(text, root=root, gravity=robot.gravity.tolist())
+        written = RobotModel.from_urdf(text, root=root, gravity=robot.gravity.tolist())
     except ModelError as cause:
         raise ExportError(f"{what}: the changed file cannot be read back ({cause}).") from None
     if written.joint_names != robot.joint_names:

@@ -6,6 +6,7 @@ compares the result with the original wants to see the numbers that changed and 
 
 from __future__ import annotations
 
+import codecs
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -72,8 +73,9 @@ class Document:
         self.root = self._parse()
 
     def _parse(self) -> Element:
-        # Text before the declaration is tolerated by the reader, not by the parser.
-        shift = len(self._data) - len(self._data.lstrip())
+        # White space before the declaration is tolerated by the reader, not by the parser.
+        mark = len(codecs.BOM_UTF8) * self._data.startswith(codecs.BOM_UTF8)
+        shift = len(self._data) - len(self._data[mark:].lstrip())
         data = self._data
         top = Element("", {}, 0, 0, False)
         stack = [top]

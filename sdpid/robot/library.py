@@ -2,11 +2,16 @@
 
 from __future__ import annotations
 
+import difflib
 import importlib.metadata
 from functools import cache
 from pathlib import Path
 
 from sdpid.errors import ModelError
+
+# Names that an error offers, and how alike they are at least (1: equal).
+_SHOWN, _ALIKE = 5, 0.6
+_LONGEST_NAME = 80
 
 _PACKAGE = Path(__file__).resolve().parent.parent
 
@@ -52,18 +57,41 @@ def example_robots() -> dict[str, Path]:
     return dict(sorted(robots.items()))
 
 
-def find_example_robot(name: str) -> Path | None:
-    """Return the URDF of example-robot-data with this stem or folder/stem, None if there is none.
+def robot_names() -> tuple[str, ...]:
+    """Return the names that `load_robot` knows without a download: bundled ones first."""
+    return (*bundled_robots(), *example_robots())
+
+
+def find_robot(name: str) -> Path:
+    """Return the URDF of a bundled robot, or of one of example-robot-data by stem or folder/stem.
 
     Raises
     ------
     ModelError
-        When several folders have a file of that stem.
+        When there is none, with names that are near, or several folders have a file of that stem.
     """
+    if name in bundled_robots():
+        return bundled_folder(name) / f"{name}.urdf"
     robots = example_robots()
     if name in robots:
         return robots[name]
     matches = [key for key in robots if key.split("/")[1] == name]
     if len(matches) > 1:
         raise ModelError(f"robot name {name!r} is ambiguous: use one of {', '.join(matches)}.")
-    return robots[matches[0]] if matches else None
+    if not matches:
+        shown = name if len(name) <= 80 else name[:77] + "..."
+        raise ModelError(f"no robot {shown!r}: not a file, and not a known name; {_near(name)}.")
+    return robots[matches[0]]
+
+
+def _near(name: str) -> str:
+    """Return the known names that are most like one that is not known."""
+    stems = {key.split("/")[-1]: key for key in robot_names()}
+    word = name.lower()[:_LONGEST_NAME]
+    near = [stem for stem in stems if word and (word in stem.lower() or stem.lower() in word)]
+    near += difflib.get_close_matches(word, stems, n=_SHOWN, cutoff=_ALIKE)
+    found = list(dict.fromkeys(near))[:_SHOWN]
+    if found:
+        return "near it are " + ", ".join(found)
+    some = ", ".join([*bundled_robots(), *list(stems)[-_SHOWN:]])
+    return f"{len(robot_names())} robots are known, such as {some}"

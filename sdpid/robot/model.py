@@ -11,17 +11,21 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import ArrayLike
 
-from sdpid._arrays import Array, Indices, real_array
+from sdpid._arrays import Array, Indices, frozen, real_array
 from sdpid.errors import DataError, ModelError
 from sdpid.robot import kernels
+from sdpid.robot.coordinates import coordinate_names, expand_mimics, link_names
 from sdpid.robot.inertia import PARAMETER_NAMES, PARAMETER_UNITS
 from sdpid.robot.mdh import DhJoint, DhTable
+from sdpid.robot.urdf import Mimic, pinocchio_from_urdf
+
+Root = Literal["free_flyer"]
 
 # Descriptions and our own URDFs write 'no limit' as a number at least this large.
 _UNLIMITED = 1e9
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class RobotModel:
     """A tree of links with revolute, continuous or prismatic joints, on a fixed or floating base.
 
@@ -107,10 +111,106 @@ class RobotModel:
         }
         fields = {key: getattr(table, key) for key in changes}
         fields |= {key: value for key, value in changes.items() if value is not None}
-        from sdpid.robot.load import load_robot
-
         table = DhTable(joints=table.joints, **fields)
-        return load_robot(table.to_urdf(inertias), gravity=table.gravity)
+        return cls.from_urdf(table.to_urdf(inertias), gravity=table.gravity)
+
+    @classmethod
+    def from_urdf(
+        cls,
+        text: str,
+        *,
+        what: str = "description",
+        root: Root | None = None,
+        gravity: Sequence[float] | None = None,
+    ) -> RobotModel:
+        """Build from the text of a URDF.
+
+        Parameters
+        ----------
+        text : str
+            The URDF.
+        what : str, optional
+            What it is called in messages.
+        root : {"free_flyer"}, optional
+            Let the base float; its link is then identified too.
+        gravity : sequence of 3 floats, optional
+            Gravity in the base link, m/s²; by default (0, 0, -9.81).
+
+        Raises
+        ------
+        ModelError
+            When it is not a URDF, a joint kind is not supported, or nothing moves.
+        """
+        model, mimics = pinocchio_from_urdf(text, what, floating=root is not None)
+        return cls._build(model, mimics, gravity, text)
+
+    @classmethod
+    def from_pinocchio(cls, model: Any, *, gravity: Sequence[float] | None = None) -> RobotModel:
+        """Build from a Pinocchio model, which is copied.
+
+        Parameters
+        ----------
+        model : pinocchio.Model
+            Revolute, continuous and prismatic joints, on a fixed or floating base.
+        gravity : sequence of 3 floats, optional
+            Gravity in the base link, m/s²; by default the model's.
+
+        Raises
+        ------
+        ModelError
+            When it is no Pinocchio model, a joint kind is not supported, a mass is negative, or
+            nothing moves.
+        """
+        import pinocchio as pin
+
+        if not isinstance(model, pin.Model):
+            raise ModelError(
+                f"robot: got {type(model).__name__}; give a name, a path, URDF text or a "
+                "pinocchio.Model."
+            )
+        return cls._build(model.copy(), (), gravity, None)
+
+    @classmethod
+    def _build(
+        cls,
+        model: Any,
+        mimics: Sequence[Mimic],
+        gravity: Sequence[float] | None,
+        urdf: str | None,
+    ) -> RobotModel:
+        """Build from a Pinocchio model that is changed and kept."""
+        if model.njoints < 2:
+            raise ModelError(f"robot '{model.name}': no moving joint; nothing can be identified.")
+        if gravity is not None:
+            values = real_array(gravity, "gravity", ndim=1, error=ModelError)
+            if values.shape != (3,):
+                raise ModelError(f"gravity: {values.size} numbers, give 3 (m/s²).")
+            model.gravity.linear = values
+        expansion, offset, names = expand_mimics(coordinate_names(model), mimics)
+        if any(mimic.offset for mimic in mimics) and model.joints[1].nv == 6:
+            raise ModelError("mimic joints with an offset are not supported on a floating base.")
+        links = link_names(model)
+        prior = [model.inertias[i].toDynamicParameters() for i in range(1, model.njoints)]
+        for link, body in zip(links, prior, strict=True):
+            if body[0] < 0.0:
+                raise ModelError(
+                    f"robot '{model.name}': link '{link}': the mass is {body[0]:g} kg, the least "
+                    "is 0; give the true mass."
+                )
+        return cls(
+            name=model.name,
+            pin_model=model,
+            joint_names=names,
+            link_names=links,
+            prior=frozen(prior),
+            expansion=frozen(expansion),
+            offset=frozen(offset),
+            urdf=urdf,
+        )
+
+    def __repr__(self) -> str:
+        base = ", free flyer" if self.free_flyer else ""
+        return f"RobotModel('{self.name}', {self.n} coordinates, {self.n_links} links{base})"
 
     @property
     def n(self) -> int:

@@ -11,7 +11,8 @@ from numpy.typing import ArrayLike
 
 from sdpid.errors import ModelError
 from sdpid.robot.inertia import physical_parameters
-from sdpid.robot.xml import parse_xml
+from sdpid.robot.quiet import Caught, caught_stderr
+from sdpid.robot.xml import parse_xml, undeclared
 
 # No length, mass or inertia of a robot is larger; squares of these are far from overflow.
 LARGEST = 1e12
@@ -27,6 +28,9 @@ _PLACES = (
 )
 # What the parser of URDF takes for a number; Python takes more.
 _NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?", re.ASCII)
+
+# Places in the parser's own source, which help nobody.
+_LINES = re.compile(r"\s*at line \d+ in \S+")
 
 _ONE_VARIABLE = ("revolute", "continuous", "prismatic")
 
@@ -85,6 +89,33 @@ def check_urdf(text: str, what: str, *, floating: bool = False) -> tuple[str, tu
     return root.get("name", "robot"), tuple(mimics)
 
 
+def pinocchio_from_urdf(
+    text: str, what: str, *, floating: bool = False
+) -> tuple[Any, tuple[Mimic, ...]]:
+    """Return the Pinocchio model of a URDF and its mimic joints.
+
+    Raises
+    ------
+    ModelError
+        When it is not a URDF of supported joints, or Pinocchio cannot read it.
+    """
+    import pinocchio as pin
+
+    name, mimics = check_urdf(text, what, floating=floating)
+    free = (pin.JointModelFreeFlyer(),) if floating else ()
+    said = Caught()
+    try:
+        # The parser of URDF says what is wrong on standard error, not in its error.
+        with caught_stderr() as said:
+            model = pin.buildModelFromXML(undeclared(text), *free)
+    except (RuntimeError, ValueError) as cause:
+        raise ModelError(
+            f"{what}: Pinocchio cannot read it ({_LINES.sub('', said.text) or cause})."
+        ) from None
+    model.name = name
+    return model, mimics
+
+
 def _check_numbers(root: Any, what: str) -> None:
     """Refuse numbers that are none, missing or absurdly large.
 
@@ -108,6 +139,12 @@ def _check_numbers(root: Any, what: str) -> None:
                         )
     for link in root.findall("link"):
         inertial = link.find("inertial")
+        mass = None if inertial is None else inertial.find("mass")
+        if mass is not None and float(mass.get("value")) < 0.0:
+            raise ModelError(
+                f"{what}: link '{link.get('name', '?')}': the mass is {mass.get('value')} kg, the "
+                "least is 0; give the true mass."
+            )
         for name in ("mass", "inertia"):
             if inertial is not None and inertial.find(name) is None:
                 raise ModelError(

@@ -269,3 +269,17 @@ def test_a_real_robots_description(data_folder: Path, tmp_path: Path) -> None:
     links = bodies(np.random.default_rng(10), robot.n_links)
     write_mjcf(estimate_of(problem, links, NUMBER), target=tmp_path / "out.xml")
     assert_identified(problem, links, tmp_path / "out.xml")
+
+
+def test_fixed_bodies_without_names_are_lumped_one_by_one(tmp_path: Path) -> None:
+    problem = problem_of(load_robot(ARM), friction=FRICTION)
+    links = bodies(np.random.default_rng(5), 3)
+    write_mjcf(estimate_of(problem, links), target=tmp_path / "first.xml")
+    heavy = '<body><inertial pos="0 0 0" mass="900" diaginertia="1 1 1"/></body>'
+    text = (tmp_path / "first.xml").read_text()
+    carrier = text.index("</body>")
+    text = text[:carrier] + 2 * heavy + text[carrier:]
+    report = write_mjcf(estimate_of(problem, links), target=tmp_path / "o.xml", source=text)
+    assert report.lumped
+    assert (tmp_path / "o.xml").read_text().count('mass="900"') == 0
+    assert_identified(problem, links, tmp_path / "o.xml")

@@ -175,9 +175,8 @@ def test_proofs_refuse_what_is_not_nearest() -> None:
 
 
 def test_a_robot_of_others() -> None:
-    from sdpid.robot.library import find_example_robot
+    from sdpid.robot.library import find_robot
 
-    path = find_example_robot("finger_edu_description/finger_edu")
-    assert path is not None
+    path = find_robot("finger_edu_description/finger_edu")
     report = repair_urdf(path)
     assert [body.link for body in report.bodies] == ["finger_lower_link"]

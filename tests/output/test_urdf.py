@@ -22,6 +22,7 @@ from sdpid.robot.friction import FrictionModel, SigmoidFriction
 from sdpid.robot.inertia import margin, point_masses
 from sdpid.robot.load import load_robot
 from sdpid.robot.model import RobotModel
+from sdpid.robot.xml import undeclared
 from tests.helpers.robots import small_arm
 
 # Efforts of the written robot, relative to the largest one.
@@ -325,6 +326,22 @@ def test_source_file_keeps_line_endings(tmp_path: Path, arm: Problem) -> None:
     assert_same_efforts(arm, links, source)
 
 
+@pytest.mark.parametrize("encoding", ["utf-8-sig", "latin-1", "utf-16"])
+def test_source_file_keeps_its_encoding(tmp_path: Path, arm: Problem, encoding: str) -> None:
+    declared = {"latin-1": "ISO-8859-1"}.get(encoding, encoding[:6])
+    text = f'<?xml version="1.0" encoding="{declared}"?>\n<!-- größe -->' + undeclared(ARM)
+    source, target = tmp_path / "source.urdf", tmp_path / "out.urdf"
+    source.write_bytes(text.encode(encoding))
+    links = bodies(np.random.default_rng(0), 3)
+    write_urdf(estimate_of(arm, links), target=target, source=source)
+    assert target.read_bytes().decode(encoding).startswith(text[:60])
+    assert_same_efforts(arm, links, target)
+    # The same from the robot's own text.
+    own = problem_of(load_robot(source))
+    write_urdf(estimate_of(own, links), target=tmp_path / "own.urdf")
+    assert (tmp_path / "own.urdf").read_bytes() == target.read_bytes()
+
+
 def test_refusals(tmp_path: Path, arm: Problem) -> None:
     links = bodies(np.random.default_rng(0), 3)
     good = estimate_of(arm, links)
@@ -341,7 +358,7 @@ def test_refusals(tmp_path: Path, arm: Problem) -> None:
         write_urdf(good, target=target, source=ARM.replace('name="j1"', 'name="k1"'))
     with pytest.raises(ExportError, match="placed differently"):
         write_urdf(good, target=target, source=ARM.replace("0 0.1 0", "0 0.2 0"))
-    with pytest.raises(ExportError, match="cannot read the source"):
+    with pytest.raises(ExportError, match=r"cannot read .*absent"):
         write_urdf(good, target=target, source=tmp_path / "absent.urdf")
     with pytest.raises(ModelError, match="document type"):
         write_urdf(good, target=target, source=ARM.replace("<!-- an", "<!DOCTYPE r><!-- an"))

@@ -12,7 +12,7 @@ from scipy.spatial import ConvexHull
 from sdpid._arrays import Array
 from sdpid.errors import DataError, ModelError
 from sdpid.robot.geometry import collision_points, link_placements
-from sdpid.robot.library import find_example_robot
+from sdpid.robot.library import find_robot
 from sdpid.robot.load import load_robot
 from sdpid.robot.model import RobotModel
 from tests.helpers.robots import TREE, pendulum
@@ -81,8 +81,7 @@ def test_round_shapes_are_inside_and_not_by_much() -> None:
 
 @pytest.mark.parametrize("link", ["panda_link3", "panda_link7"])
 def test_meshes_as_pinocchio_places_them(link: str) -> None:
-    path = find_example_robot("panda")
-    assert path is not None
+    path = find_robot("panda")
     robot = load_robot("panda")
     share = next(p.parent for p in path.parents if p.name == "example-robot-data")
     geometry = pin.buildGeomFromUrdf(

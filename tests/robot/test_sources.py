@@ -16,11 +16,11 @@ from sdpid.robot.library import (
     bundled_folder,
     bundled_robots,
     example_robots,
-    find_example_robot,
+    find_robot,
 )
 from sdpid.robot.load import load_robot
 from sdpid.robot.urdf import check_urdf, inertial_element
-from sdpid.robot.xml import parse_xml
+from sdpid.robot.xml import encode_xml, is_mjcf, parse_xml, read_description
 from tests.helpers.robots import TREE, TREE_MIMIC
 
 JOINT = """<joint name="j" type="{kind}"><parent link="a"/><child link="b"/>
@@ -55,7 +55,8 @@ def test_text_path_and_string_path_are_the_same_robot(tmp_path: Path) -> None:
 def test_example_robots_by_stem_and_by_folder() -> None:
     assert load_robot("ur5_robot").n == 6
     assert load_robot("panda_description/panda").name == load_robot("panda").name
-    assert find_example_robot("no_such_robot") is None
+    with pytest.raises(ModelError, match="no robot 'no_such_robot'"):
+        find_robot("no_such_robot")
 
 
 def test_an_ambiguous_stem_names_the_folders() -> None:
@@ -79,9 +80,77 @@ def test_every_example_robot_loads_or_says_why(name: str) -> None:
     assert len(set(robot.joint_names)) == robot.n
 
 
-def test_an_unknown_name_lists_what_there_is() -> None:
-    with pytest.raises(ModelError, match=r"no robot 'puma560'.*denso_vp6242.*panda"):
-        load_robot("puma560")
+@pytest.mark.parametrize(
+    ("name", "near"),
+    [
+        ("ur5", "ur5_robot"),
+        ("Panda_hand", "panda"),
+        ("denso", "denso_vp6242"),
+        ("ur5_robt", "ur5_robot"),
+    ],
+)
+def test_an_unknown_name_is_answered_with_near_ones(name: str, near: str) -> None:
+    with pytest.raises(ModelError, match=rf"no robot '{name}'.*near it are .*{near}") as info:
+        load_robot(name)
+    # Of 70 names, those that help.
+    assert len(str(info.value)) < 200
+
+
+def test_a_name_like_no_other_shows_some_that_there_are() -> None:
+    with pytest.raises(ModelError, match=r"no robot 'xqz': .* robots are known, such as denso_vp"):
+        load_robot("xqz")
+
+
+NEGATIVE = urdf().replace(
+    '<link name="b"/>',
+    '<link name="b"><inertial><mass value="-1.5"/><inertia ixx="1" ixy="0" ixz="0" iyy="1" '
+    'iyz="0" izz="1"/></inertial></link>',
+)
+
+
+def test_negative_masses_are_refused() -> None:
+    with pytest.raises(ModelError, match=r"link 'b': the mass is -1\.5 kg, the least is 0"):
+        load_robot(NEGATIVE)
+    model = load_robot(TREE).pin_model.copy()
+    model.inertias[1] = pin.Inertia(-1.0, np.zeros(3), np.eye(3))
+    with pytest.raises(ModelError, match=r"the mass is -1 kg, the least is 0"):
+        load_robot(model)
+
+
+def test_a_robot_shows_itself_in_a_line() -> None:
+    assert repr(load_robot(TREE)) == "RobotModel('tree', 6 coordinates, 6 links)"
+
+
+@pytest.mark.parametrize("encoding", ["utf-8", "utf-8-sig", "latin-1", "utf-16", "utf-16-be"])
+def test_descriptions_are_read_in_the_encoding_that_they_declare(
+    tmp_path: Path, encoding: str
+) -> None:
+    declared = {"latin-1": "ISO-8859-1", "utf-16-be": "UTF-16"}.get(encoding, encoding[:6])
+    text = f'<?xml version="1.0" encoding="{declared}"?>\n' + urdf().replace('"b"', '"größe"')
+    path = tmp_path / "robot.urdf"
+    mark = "\ufeff" if encoding == "utf-16-be" else ""
+    path.write_bytes((mark + text).encode(encoding))
+    assert load_robot(path).link_names == ("größe",)
+    assert load_robot(text).link_names == ("größe",)
+    if encoding != "utf-16-be":
+        assert encode_xml(read_description(path).text) == path.read_bytes()
+
+
+@pytest.mark.parametrize("declared", ["no-such-code", "hex"])
+def test_unknown_encodings_are_refused(tmp_path: Path, declared: str) -> None:
+    path = tmp_path / "robot.urdf"
+    path.write_text(f'<?xml version="1.0" encoding="{declared}"?>' + urdf())
+    with pytest.raises(ModelError, match=f"encoding '{declared}' is not known"):
+        load_robot(path)
+    path.write_bytes(urdf().replace('"b"', '"größe"').encode("latin-1"))
+    with pytest.raises(ModelError, match="declare its encoding in the first line"):
+        load_robot(path)
+
+
+def test_a_comment_makes_no_mjcf() -> None:
+    assert not is_mjcf("<!-- <mujoco> --><robot/>", "it")
+    assert is_mjcf("<?xml version='1.0'?><!-- <robot> --><mujoco model='x'/>", "it")
+    assert not is_mjcf("<!-- a > b --><!-- <mujoco --><robot/>", "it")
 
 
 def spherical() -> Any:
