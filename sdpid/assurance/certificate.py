@@ -84,7 +84,7 @@ class Certificate:
                 "y": dual.y.tolist(),
                 "Z": semidefinite(dual.Z).tolist(),
                 "rows": np.where(np.isfinite(limits), dual.rows, 0.0).tolist(),
-                "W": None if dual.W is None else semidefinite(dual.W).tolist(),
+                "W": None if not len(dual.W) else semidefinite(dual.W).tolist(),
             },
         }
         found = exact.Recomputed(core)
@@ -207,7 +207,8 @@ def _gap(cost: float, bound: float, found: exact.Recomputed) -> float:
 
 def _problem(problem: Problem) -> dict[str, Any]:
     """Return the problem as plain values."""
-    feasible, prior = problem.feasible, problem.prior
+    feasible, squared, log_det = problem.feasible, problem.squared, problem.log_det
+    believed = slice(problem.base.count, None)
     own = feasible.n_own
     rows = zip(
         feasible.row_names, feasible.rows, feasible.row_lower, feasible.row_upper, strict=True
@@ -218,7 +219,6 @@ def _problem(problem: Problem) -> dict[str, Any]:
         feasible.block_basis[own:],
         strict=True,
     )
-    entropic = None if prior is None else prior.entropic
     return {
         "consistency": problem.consistency,
         "margin": float(problem.constraints.margin),
@@ -227,8 +227,8 @@ def _problem(problem: Problem) -> dict[str, Any]:
         "base_matrix": problem.base.matrix.tolist(),
         "rhs": problem.rhs.tolist(),
         "floor": float(problem.floor),
-        "prior_matrix": [] if prior is None else prior.matrix.tolist(),
-        "prior_rhs": [] if prior is None else prior.rhs.tolist(),
+        "prior_matrix": squared.matrix[believed].tolist(),
+        "prior_rhs": squared.rhs[believed].tolist(),
         "lower": feasible.lower.tolist(),
         "upper": feasible.upper.tolist(),
         "rows": [
@@ -250,11 +250,11 @@ def _problem(problem: Problem) -> dict[str, Any]:
             for name, link, basis in cones
         ],
         "entropic_prior": None
-        if entropic is None
+        if not len(log_det.links)
         else {
-            "links": entropic.links.tolist(),
-            "inverses": semidefinite(entropic.inverses).tolist(),
-            "strength": float(entropic.strength),
+            "links": log_det.links.tolist(),
+            "inverses": semidefinite(log_det.inverses).tolist(),
+            "strength": float(log_det.strength),
         },
     }
 

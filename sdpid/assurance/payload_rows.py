@@ -77,12 +77,12 @@ def rows_beside_recording(
     separate : ndarray of int
         Entries of theta that differ between the two.
     """
-    if arm.prior is not None and arm.prior.entropic is not None:
+    if len(arm.log_det.links):
         raise DataError(
             "payload: an arm with a log-det prior is no sum of squares; estimate it with "
             "Prior(kind='pullback')."
         )
-    G, h = arm.design
+    G, h = arm.squared.matrix, arm.squared.rhs
     own = loaded.A @ loaded.base.matrix
     nuisance = np.vstack(
         [
@@ -99,14 +99,13 @@ def rows_beside_recording(
 
 def rows_beside_prior(loaded: Problem, columns: Array) -> PayloadRows:
     """Return the rows of a payload when the arm is believed to be near the problem's prior."""
-    prior = loaded.prior
-    if prior is None or prior.entropic is not None:
+    if len(loaded.log_det.links):
         raise DataError("payload: the prior of the arm must be a sum of squares, as 'pullback'.")
-    nuisance = np.vstack([prior.matrix, loaded.A @ loaded.base.matrix])
-    payload = np.vstack([np.zeros((len(prior.rhs), 10)), loaded.A @ columns])
-    T, s, floor, W = _eliminated(nuisance, payload, np.concatenate([prior.rhs, loaded.rhs]))
-    own = [(loaded, W[:, len(prior.rhs) :])]
-    return _with_errors(T, s, floor + loaded.floor, own, W[:, : len(prior.rhs)])
+    squared, count = loaded.squared, loaded.base.count
+    payload = np.zeros((len(squared.rhs), 10))
+    payload[:count] = loaded.A @ columns
+    T, s, floor, W = _eliminated(squared.matrix, payload, squared.rhs)
+    return _with_errors(T, s, floor + loaded.floor, [(loaded, W[:, :count])], W[:, count:])
 
 
 def rows_beside_known(loaded: Problem, columns: Array, links: Array) -> PayloadRows:

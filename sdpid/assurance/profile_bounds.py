@@ -36,7 +36,7 @@ from sdpid._arrays import Array
 from sdpid._jobs import parallel
 from sdpid.assurance.score_blocks import ScoreBlocks
 from sdpid.errors import DataError, SolverError
-from sdpid.estimation.bound import clip_psd, cost_scale, gradient
+from sdpid.estimation.bound import clip_psd, cost_scale
 from sdpid.estimation.conic import ConicFamily, ConicSolution
 from sdpid.estimation.problem import Problem
 from sdpid.estimation.scaling import Scaling
@@ -118,13 +118,13 @@ class ProfileBounds:
     """
 
     def __init__(self, problem: Problem, theta: Array, blocks: ScoreBlocks, level: float) -> None:
-        if problem.prior is not None and problem.prior.entropic is not None:
+        if len(problem.log_det.links):
             raise DataError(
                 "profile intervals: a log-det prior makes the cost more than squares; use "
                 "method='bootstrap'."
             )
         self.problem, self.theta, self.blocks, self.level = problem, theta, blocks, level
-        self.residual = problem.residual_of(theta)
+        self.residual = problem.squared.residual(theta)
         self.least = _LEAST_RISE * max(float(self.residual @ self.residual), cost_scale(problem))
         data = problem.A @ blocks.covariance @ problem.A.T
         self.noise = np.eye(len(self.residual))
@@ -296,7 +296,7 @@ class ProfileBounds:
             rows[feasible.equations] = np.linalg.lstsq(
                 equations.T, basis.T @ at_limits, rcond=None
             )[0]
-        moved = problem.residual_of(theta) - self.residual
+        moved = problem.squared.residual(theta) - self.residual
         width = max(abs(float(c @ (theta - self.theta))), 1e-300)
         # What an end would move by, were all limits that theta is at twice as far.
         limit = np.maximum(np.abs(feasible.lower), np.abs(feasible.upper))
@@ -324,7 +324,7 @@ class ProfileBounds:
         """Return what multipliers leave of the function."""
         feasible = self.problem.feasible
         return np.asarray(
-            c - gradient(self.problem, u) - feasible.adjoint(Z) - rows @ feasible.rows
+            c - self.problem.squared.transposed(u) - feasible.adjoint(Z) - rows @ feasible.rows
         )
 
     def proven(self, c: Array, end: End, box: tuple[Any, Any], rise: float | None = None) -> float:
@@ -346,7 +346,7 @@ class ProfileBounds:
         radius = self._radius(end.rise if rise is None else rise)
         limits = np.where(end.rows > 0.0, feasible.row_lower, feasible.row_upper)
         limits = np.where(end.rows == 0.0, 0.0, limits)
-        value = float(end.u @ self.problem.design[1]) - float(np.linalg.norm(end.u)) * radius
+        value = float(end.u @ self.problem.squared.rhs) - float(np.linalg.norm(end.u)) * radius
         value -= float(np.einsum("nij,nij->", end.Z, feasible.block_constants))
         value += float(end.rows @ limits)
         return value + float(left @ np.where(left > 0.0, box[0], box[1]))

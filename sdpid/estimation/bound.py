@@ -40,20 +40,20 @@ class Dual:
 
     Attributes
     ----------
-    y : ndarray, shape (rows of the design,)
-        Multiplier of the residual of `Problem.design`.
+    y : ndarray, shape (rows of `Problem.squared`,)
+        Multiplier of the residual of `Problem.squared`.
     Z : ndarray, shape (N, s, s)
         Multipliers of the matrix inequalities, positive semidefinite.
     rows : ndarray, shape (r,)
         Multipliers of the linear rows: positive at the lower limit, negative at the upper one.
-    W : ndarray, shape (L, 4, 4), or None
-        Where the tangents of a log-det prior touch: inverses of pseudo-inertias.
+    W : ndarray, shape (L, 4, 4)
+        Multiplier of `Problem.log_det`, the inverses of pseudo-inertias; L may be zero.
     """
 
     y: Array
     Z: Array
     rows: Array
-    W: Array | None = None
+    W: Array
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,22 +72,12 @@ class Bound:
     dual: Dual
 
 
-def gradient(problem: Problem, y: Array) -> Array:
-    """Return G^T·y, through the base matrix so that invisible directions vanish exactly."""
-    count = problem.base.count
-    out = problem.base.matrix.T @ (problem.A.T @ y[:count])
-    if problem.prior is not None:
-        out = out + problem.prior.matrix.T @ y[count:]
-    return np.asarray(out)
-
-
 def evaluate(problem: Problem, dual: Dual) -> float:
     """Return the bound that multipliers prove, Z positive semidefinite and W definite."""
     feasible = problem.feasible
-    y = dual.y
-    constant, linear = tangent(problem, dual)
-    linear = linear + 2.0 * gradient(problem, y)
-    constant += problem.floor - float(y @ y) - 2.0 * float(y @ problem.design[1])
+    constant, linear = problem.squared.support(dual.y)
+    tangent = problem.log_det.support(dual.W)
+    constant, linear = constant + tangent[0], linear + tangent[1]
     linear = linear - feasible.adjoint(dual.Z)
     constant -= float(np.einsum("nij,nij->", dual.Z, feasible.block_constants))
     limits = np.where(dual.rows > 0.0, feasible.row_lower, feasible.row_upper)
@@ -96,15 +86,6 @@ def evaluate(problem: Problem, dual: Dual) -> float:
     constant += float(used @ np.where(np.isfinite(limits), limits, 0.0))
     ends = np.where(linear > 0.0, feasible.lower, feasible.upper)
     return float(constant + linear @ ends)
-
-
-def tangent(problem: Problem, dual: Dual) -> tuple[float, Array]:
-    """Return constant and slope of the tangent to a log-det prior, zero where there is none."""
-    prior = problem.prior
-    if prior is None or prior.entropic is None or dual.W is None:
-        # Divergences are not negative.
-        return 0.0, np.zeros(problem.n_theta)
-    return prior.entropic.support(dual.W, problem.n_theta)
 
 
 def clip_psd(Z: Array) -> Array:
@@ -152,7 +133,8 @@ def lower_bound(
     W = _touching(estimate)
     best = best_of(
         [
-            bounded(problem, Dual(0.0 * residual, *nothing)),
+            # At the believed bodies themselves a log-det prior's tangent is zero.
+            bounded(problem, Dual(0.0 * residual, *nothing, problem.log_det.inverses)),
             bounded(problem, Dual(residual, *nothing, W)),
         ]
     )
@@ -187,25 +169,23 @@ def best_of(bounds: list[Bound]) -> Bound:
 
 
 def _residual(estimate: Estimate) -> Array:
-    """Return the residual of the design, zero in the prior's rows without standard parameters."""
+    """Return the residual of `Problem.squared`, zero in a prior's rows where theta is None."""
     problem = estimate.problem
     if estimate.theta is not None:
-        return problem.residual_of(estimate.theta)
+        return problem.squared.residual(estimate.theta)
     y = problem.A @ estimate.base - problem.rhs
-    return np.concatenate([y, np.zeros(len(problem.design[1]) - len(y))])
+    return np.concatenate([y, np.zeros(len(problem.squared.rhs) - len(y))])
 
 
-def _touching(estimate: Estimate) -> Array | None:
+def _touching(estimate: Estimate) -> Array:
     """Return the W at which a log-det prior's tangents touch it at the estimate."""
-    prior = estimate.problem.prior
-    if prior is None or prior.entropic is None or estimate.theta is None:
-        return None
-    return prior.entropic.duals(estimate.theta)
+    log_det = estimate.problem.log_det
+    return log_det.inverses if estimate.theta is None else log_det.multiplier(estimate.theta)
 
 
 def cost_scale(problem: Problem) -> float:
     """Return the smallest cost that gaps are relative to."""
-    h = problem.design[1]
+    h = problem.squared.rhs
     return TINY_COST * (float(h @ h) + problem.floor)
 
 

@@ -142,10 +142,10 @@ def _limits(problem: Problem) -> list[_Limit]:
     rows = [_Limit(name, name, "row", i) for i, name in enumerate(feasible.row_names)]
     widest = f"theta_max {wide:g}"
     own.append(_Limit(widest, widest, "all", 0))
-    if problem.prior is not None and problem.prior.entropic is not None:
+    if len(problem.log_det.links):
         own += [
             _Limit(f"entropic prior of {robot.link_names[i]}", "entropic prior", "exists", int(i))
-            for i in problem.prior.entropic.links
+            for i in problem.log_det.links
         ]
     return [
         *own,

@@ -16,15 +16,16 @@ from numpy.typing import ArrayLike
 
 from sdpid._arrays import Array, Indices, frozen
 from sdpid.errors import DataError
-from sdpid.robot.inertia import matrix_basis, pseudo_inertia, symmetric_basis
+from sdpid.estimation.cost_terms import CostTerm
+from sdpid.robot.inertia import from_pseudo_inertia, matrix_basis, pseudo_inertia, symmetric_basis
 
 # The pseudo-inertia's coordinates: E_k with P(theta) = Σ theta_k·E_k.
 _UNITS = matrix_basis("pseudo_inertia")
 
 
 @dataclass(frozen=True, eq=False)
-class Entropy:
-    """``2·strength·Σ D(P_i‖P0_i)`` over some links, as a function of theta.
+class LogDetTerm(CostTerm):
+    """``2·strength·Σ D(P_i‖P0_i)`` over some links, as a function of theta; zero over no links.
 
     Attributes
     ----------
@@ -34,6 +35,8 @@ class Entropy:
         P0^(-1) of each, positive definite.
     strength : float
         Factor on the divergence, nats.
+    n_theta : int
+        Size p of theta.
 
     Raises
     ------
@@ -44,6 +47,7 @@ class Entropy:
     links: Indices
     inverses: Array
     strength: float
+    n_theta: int
 
     def __post_init__(self) -> None:
         links = np.array(self.links, dtype=np.intp)
@@ -51,22 +55,29 @@ class Entropy:
         inverses = frozen(self.inverses)
         if inverses.shape != (len(links), 4, 4):
             raise DataError(
-                f"Entropy: inverses have shape {inverses.shape}, expected {(len(links), 4, 4)}."
+                f"log-det term: inverses have shape {inverses.shape}, expected "
+                f"{(len(links), 4, 4)}."
             )
         if not self.strength > 0.0:
-            raise DataError(f"Entropy: strength is {self.strength}; give a positive number.")
+            raise DataError(f"log-det term: strength is {self.strength}; give a positive number.")
         object.__setattr__(self, "links", links)
         object.__setattr__(self, "inverses", inverses)
         _cholesky(inverses, "P0^(-1)")
 
     @classmethod
-    def around(cls, links: ArrayLike, bodies: ArrayLike, strength: float) -> Entropy:
+    def around(
+        cls, links: ArrayLike, bodies: ArrayLike, strength: float, n_theta: int
+    ) -> LogDetTerm:
         """Build from the believed bodies (L, 10), each of which must be able to exist."""
         roots = _cholesky(pseudo_inertia(bodies), "the pseudo-inertia of a believed body")
         inverses = np.linalg.inv(roots)
-        return cls(
-            np.asarray(links, dtype=np.intp), np.swapaxes(inverses, 1, 2) @ inverses, strength
-        )
+        inverses = np.swapaxes(inverses, 1, 2) @ inverses
+        return cls(np.asarray(links, dtype=np.intp), inverses, strength, n_theta)
+
+    @classmethod
+    def none(cls, n_theta: int) -> LogDetTerm:
+        """Return the term over no links, which is zero."""
+        return cls(np.zeros(0, dtype=np.intp), np.zeros((0, 4, 4)), 1.0, n_theta)
 
     @cached_property
     def roots(self) -> Array:
@@ -98,9 +109,17 @@ class Entropy:
 
     def value(self, theta: ArrayLike) -> float:
         """Return the cost of theta (p,) or of bodies (links, 10); infinite outside the cone."""
+        if not len(self.links):
+            return 0.0
         return 2.0 * self.strength * float(self.divergences(theta).sum())
 
-    def duals(self, theta: ArrayLike) -> Array:
+    def center(self) -> Array:
+        """Return theta (p,) with the believed bodies P0, all else zero."""
+        out = np.zeros(self.n_theta)
+        out[self._entries] = from_pseudo_inertia(np.linalg.inv(self.inverses))
+        return out
+
+    def multiplier(self, theta: ArrayLike) -> Array:
         """Return P^(-1) of the believed links, shape (L, 4, 4): where `support` is tight.
 
         Raises
@@ -119,9 +138,9 @@ class Entropy:
         DataError
             When one of the bodies cannot exist.
         """
-        return self._linear(self.duals(theta), np.size(theta))
+        return self._linear(self.multiplier(theta))
 
-    def rows(self, theta: ArrayLike) -> Array:
+    def curvature_rows(self, theta: ArrayLike) -> Array:
         """Return R, shape (10·L, p), with R^T·R half the second derivative of `value` at theta.
 
         As rows of a quadratic cost they are its second-order expansion: ``value(theta + d) ≈
@@ -133,7 +152,7 @@ class Entropy:
             When one of the bodies cannot exist.
         """
         inverses = np.linalg.inv(_cholesky(self.matrices(theta), "the pseudo-inertia of a body"))
-        out = np.zeros((10 * len(self.links), np.size(theta)))
+        out = np.zeros((10 * len(self.links), self.n_theta))
         symmetric = symmetric_basis(4)
         for k, (link, inverse) in enumerate(zip(self.links, inverses, strict=True)):
             block = np.einsum("aij,kij->ak", symmetric, inverse @ _UNITS @ inverse.T)
@@ -142,10 +161,10 @@ class Entropy:
 
     def hessian(self, theta: ArrayLike) -> Array:
         """Return the second derivative of `value`, shape (p, p)."""
-        rows = self.rows(theta)
+        rows = self.curvature_rows(theta)
         return np.asarray(2.0 * rows.T @ rows)
 
-    def support(self, W: ArrayLike, n_theta: int) -> tuple[float, Array]:
+    def support(self, multiplier: ArrayLike) -> tuple[float, Array]:
         """Return an affine function that `value` is nowhere below.
 
         From ``−log det P ≥ log det W + 4 − tr(W·P)`` for any positive definite W and every P in
@@ -155,10 +174,8 @@ class Entropy:
 
         Parameters
         ----------
-        W : array_like, shape (L, 4, 4)
-            Positive definite.
-        n_theta : int
-            Size p of theta.
+        multiplier : array_like, shape (L, 4, 4)
+            W, positive definite.
 
         Returns
         -------
@@ -170,17 +187,22 @@ class Entropy:
         DataError
             When a W is not positive definite.
         """
-        matrices = np.asarray(W, dtype=np.float64)
+        matrices = np.asarray(multiplier, dtype=np.float64)
         if matrices.shape != self.inverses.shape:
             raise DataError(
-                f"Entropy: W has shape {matrices.shape}, expected {self.inverses.shape}."
+                f"log-det term: W has shape {matrices.shape}, expected {self.inverses.shape}."
             )
         diagonal = np.diagonal(_cholesky(matrices, "W"), axis1=1, axis2=2)
         gained = 2.0 * np.log(diagonal).sum(axis=1) - self.log_det
-        return 2.0 * self.strength * float(gained.sum()), self._linear(matrices, n_theta)
+        return 2.0 * self.strength * float(gained.sum()), self._linear(matrices)
 
-    def _linear(self, W: Array, n_theta: int) -> Array:
-        out = np.zeros(n_theta)
+    def trace_slope(self) -> Array:
+        """Return the slope of the linear part, ``2·strength·Σ tr(P0_i^(-1)·P_i)``, shape (p,)."""
+        return self._linear(np.zeros_like(self.inverses))
+
+    def _linear(self, W: Array) -> Array:
+        """Return ``2·strength·⟨P0_i^(-1) − W_i, E_k⟩`` as a vector over theta."""
+        out = np.zeros(self.n_theta)
         products = np.einsum("lij,kij->lk", self.inverses - W, _UNITS)
         out[self._entries] = 2.0 * self.strength * products
         return out
@@ -194,6 +216,6 @@ def _cholesky(matrices: Array, name: str) -> Array:
         values = np.linalg.eigvalsh(matrices)[:, 0]
         worst = int(np.argmin(values))
         raise DataError(
-            f"Entropy: {name} number {worst} is not positive definite (smallest eigenvalue "
+            f"log-det term: {name} number {worst} is not positive definite (smallest eigenvalue "
             f"{values[worst]:.2e}); the divergence is only defined for bodies that can exist."
         ) from None

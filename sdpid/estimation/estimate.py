@@ -44,7 +44,7 @@ class Multipliers:
     rows : ndarray, shape (r,)
         Of the linear rows, lower less upper.
     y : ndarray, or None
-        Of the residual of `Problem.design`; None is the estimate's own residual.
+        Of the residual of `Problem.squared`; None is the estimate's own residual.
     W : ndarray, shape (L, 4, 4), or None
         Where the tangents of a log-det prior touch; None is at the estimate.
     """

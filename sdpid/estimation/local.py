@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
+
 import numpy as np
 
 from sdpid._arrays import Array
 from sdpid.errors import DataError
-from sdpid.estimation.bound import cost_scale, gradient
+from sdpid.estimation.bound import cost_scale
 from sdpid.estimation.physical import PhysicalVariables
 from sdpid.estimation.physical_constraints import PhysicalConstraints
 from sdpid.estimation.problem import Problem
@@ -62,9 +64,7 @@ def promised_decrease(problem: Problem, theta: Array) -> float:
     x = variables.from_theta(theta)
     J = variables.jacobian(x)
     try:
-        slope = 2.0 * gradient(problem, problem.residual_of(theta))
-        if problem.prior is not None and problem.prior.entropic is not None:
-            slope = slope + problem.prior.entropic.gradient(theta)
+        slope = problem.gradient(theta)
     except DataError:
         return np.inf
     steps = preconditioner(problem, theta, J, _FLATTEST)
@@ -104,14 +104,11 @@ def preconditioner(problem: Problem, theta: Array, jacobian: Array, flattest: fl
     flattest : float
         Least eigenvalue of H, as a share of the largest.
     """
-    G = problem.design[0] @ jacobian
+    G = problem.squared.matrix @ jacobian
     H = 2.0 * G.T @ G
-    if problem.prior is not None and problem.prior.entropic is not None:
-        try:
-            rows = problem.prior.entropic.rows(theta) @ jacobian
-            H = H + 2.0 * rows.T @ rows
-        except DataError:
-            pass
+    with suppress(DataError):
+        rows = problem.log_det.curvature_rows(theta) @ jacobian
+        H = H + 2.0 * rows.T @ rows
     values, vectors = np.linalg.eigh(H)
     values = np.maximum(values, flattest * values[-1])
     return np.asarray((vectors / np.sqrt(values)) @ vectors.T)

@@ -290,7 +290,7 @@ def unsupported(problem: Problem) -> str | None:
             f"its coordinates cannot express further conditions ({said}), only margins, masses "
             "and signs; use solve_sdp or solve_slsqp."
         )
-    if problem.prior is not None and problem.prior.entropic is not None:
+    if len(problem.log_det.links):
         return (
             "a log-det prior (kind 'entropic') is no sum of squares; use solve_sdp or "
             "solve_slsqp, or a prior of kind 'pullback'."
@@ -312,7 +312,7 @@ class _Program:
 
     def __init__(self, problem: Problem) -> None:
         self.problem, self.coordinates = problem, LogCholesky.of(problem)
-        G, rhs = problem.design
+        G, rhs = problem.squared.matrix, problem.squared.rhs
         scale = 1.0 / np.sqrt(float(rhs @ rhs) + problem.floor)
         self.G, self.rhs = scale * G, scale * rhs
         # Constant rows: the floor, so that tolerances are shares of the cost, and one for each

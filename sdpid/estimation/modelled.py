@@ -38,7 +38,7 @@ def as_cvxpy(problem: Problem) -> tuple[Any, Any]:
     # In units of their sizes: in SI units alone no solver gets far.
     scaled = cp.Variable(problem.n_theta)
     theta = cp.multiply(size, scaled)
-    G, h = problem.design
+    G, h = problem.squared.matrix, problem.squared.rhs
     cost = cp.sum_squares((G * size) @ scaled - h) + problem.floor
     constraints: list[Any] = [scaled >= feasible.lower / size, scaled <= feasible.upper / size]
     for row, low, high in zip(feasible.rows, feasible.row_lower, feasible.row_upper, strict=True):
@@ -57,12 +57,9 @@ def as_cvxpy(problem: Problem) -> tuple[Any, Any]:
         feasible.block_constants, feasible.block_basis, feasible.block_links, strict=True
     ):
         constraints.append(matrix(basis, link) + constant >> 0)
-    entropic = None if problem.prior is None else problem.prior.entropic
-    if entropic is not None:
-        units = pseudo_inertia(np.eye(10))
-        for link, inverse in zip(entropic.links, entropic.inverses, strict=True):
-            # With P0^(-1) = C·C^T the divergence is that of C^T·P·C from the identity.
-            C = np.linalg.cholesky(inverse)
-            P = matrix(C.T @ units @ C, link)
-            cost += 2.0 * entropic.strength * (cp.trace(P) - cp.log_det(P) - 4.0)
+    log_det, units = problem.log_det, pseudo_inertia(np.eye(10))
+    for link, C in zip(log_det.links, log_det.roots, strict=True):
+        # With P0^(-1) = C·C^T the divergence is that of C^T·P·C from the identity.
+        P = matrix(C.T @ units @ C, link)
+        cost += 2.0 * log_det.strength * (cp.trace(P) - cp.log_det(P) - 4.0)
     return cp.Problem(cp.Minimize(cost), constraints), theta

@@ -22,9 +22,7 @@ from sdpid.estimation.bound import (
     best_of,
     bounded,
     clip_psd,
-    gradient,
     relative_gap,
-    tangent,
 )
 from sdpid.estimation.estimate import Estimate
 from sdpid.estimation.problem import Problem
@@ -53,7 +51,7 @@ def polished(
     estimate : Estimate
         With standard parameters and multipliers.
     residual : ndarray
-        Its residual of the design, from which y starts.
+        Its residual of `Problem.squared`, from which y starts.
     given : Dual
         The multipliers as found.
     best : Bound
@@ -100,7 +98,7 @@ class _System:
         From the matrices of the inequalities to scaled ones.
     tangent_inverses : ndarray, shape (L, 4, 4)
         The same of the pseudo-inertias that a log-det prior sees.
-    GT : ndarray, shape (p, rows of the design)
+    GT : ndarray, shape (p, rows of `Problem.squared`)
         Derivative of c in y, for a unit cost.
     row_scale : ndarray, shape (r,)
         Sizes of the linear rows.
@@ -116,17 +114,15 @@ class _System:
 
     @classmethod
     def of(cls, problem: Problem, scaling: Scaling) -> _System:
-        feasible, prior = problem.feasible, problem.prior
-        believed: Array = np.zeros((0, 4, 4))
-        if prior is not None and prior.entropic is not None:
-            believed = np.asarray(np.linalg.inv(scaling.roots(4)[prior.entropic.links]))
+        feasible = problem.feasible
+        believed = np.asarray(np.linalg.inv(scaling.roots(4)[problem.log_det.links]))
         return cls(
             problem=problem,
             scaling=scaling,
             basis=scaling.basis(),
             inverses=np.asarray(np.linalg.inv(scaling.block_roots(feasible))),
             tangent_inverses=believed,
-            GT=2.0 * problem.design[0].T / np.sqrt(scaling.cost),
+            GT=2.0 * problem.squared.matrix.T / np.sqrt(scaling.cost),
             row_scale=scaling.row_sizes(feasible),
         )
 
@@ -142,19 +138,17 @@ class _System:
         ]
         missing = feasible.adjoint(Z.full())
         parts = [Z]
-        prior = problem.prior
-        if prior is not None and prior.entropic is not None and dual.W is not None:
-            entropic = prior.entropic
-            W = _Softened.of(dual.W, self.tangent_inverses, 1.0, 0.0)
-            basis = np.broadcast_to(pseudo_inertia(np.eye(10)), (len(W.S), 10, 4, 4))
-            moved = _columns(W.S, self.tangent_inverses, basis, entropic.links, problem)
-            columns.append(2.0 * entropic.strength / scaling.cost * moved)
-            missing = missing - tangent(problem, dual)[1]
-            parts.append(W)
+        log_det = problem.log_det
+        W = _Softened.of(dual.W, self.tangent_inverses, 1.0, 0.0)
+        basis = np.broadcast_to(pseudo_inertia(np.eye(10)), (len(W.S), 10, 4, 4))
+        moved = _columns(W.S, self.tangent_inverses, basis, log_det.links, problem)
+        columns.append(2.0 * log_det.strength / scaling.cost * moved)
+        missing = missing - log_det.support(dual.W)[1]
+        parts.append(W)
         bounded = np.flatnonzero(np.isfinite(bounds))
         mu = np.nan_to_num(bounds)
         missing = (missing + mu + dual.rows @ feasible.rows) / scaling.cost
-        missing = missing - 2.0 * gradient(problem, dual.y) / scaling.cost
+        missing = missing - 2.0 * problem.squared.transposed(dual.y) / scaling.cost
         scale_y = max(float(np.linalg.norm(dual.y)) / unit, 1e-3)
         relax = np.eye(problem.n_theta)[:, bounded]
         relax = relax * (np.abs(mu[bounded]) / scaling.cost + soft / scaling.theta[bounded])
@@ -180,7 +174,7 @@ class _System:
             y=dual.y + scale_y * unit * step[: len(dual.y)],
             Z=clip_psd(results[0]),
             rows=dual.rows + scaling.cost * size * step[at + len(bounded) :],
-            W=results[1] if len(results) > 1 else dual.W,
+            W=results[1],
         )
 
 
@@ -210,15 +204,15 @@ class _Softened:
 
     def moved(self, step: Array) -> Array:
         """Return them changed by coordinates of D in ``S·(E + D)·S``."""
-        size = self.S.shape[-1]
-        D = np.einsum("na,aij->nij", step.reshape(len(self.S), -1), symmetric_basis(size))
+        symmetric = symmetric_basis(self.S.shape[-1])
+        D = np.einsum("na,aij->nij", step.reshape(len(self.S), len(symmetric)), symmetric)
         changed = clip_psd(self.S @ self.S + self.S @ D @ self.S)
         return np.asarray(self.cost * np.swapaxes(self.inverses, 1, 2) @ changed @ self.inverses)
 
 
 def _columns(S: Array, inverses: Array, basis: Array, links: Indices, problem: Problem) -> Array:
     """Return how c changes with the coordinates of D of each matrix, (p, N·s·(s+1)/2)."""
-    symmetric = symmetric_basis(S.shape[-1] if S.size else 4)
+    symmetric = symmetric_basis(S.shape[-1])
     out = np.zeros((len(S), len(symmetric), problem.n_theta))
     scaled = inverses[:, None] @ basis @ np.swapaxes(inverses, 1, 2)[:, None]
     moved = S[:, None] @ symmetric @ S[:, None]

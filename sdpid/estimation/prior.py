@@ -10,7 +10,8 @@ import numpy as np
 
 from sdpid._arrays import Array, Indices, frozen, real_array
 from sdpid.errors import DataError
-from sdpid.estimation.entropy import Entropy
+from sdpid.estimation.cost_terms import CostTerm, SquaredTerm
+from sdpid.estimation.entropy import LogDetTerm
 from sdpid.estimation.evidence import STRONGEST, WEAKEST, strength_by_evidence
 from sdpid.estimation.rows import CHUNK, RowSource
 from sdpid.robot.base import characteristic_length
@@ -129,27 +130,22 @@ class Prior:
 
 
 @dataclass(frozen=True, eq=False)
-class PriorRows:
-    """A prior as rows to be added to the cost: ``‖matrix @ theta − rhs‖²``, twice its nats.
+class PriorTerms:
+    """A prior as terms of a problem's cost, twice its nats.
 
     Attributes
     ----------
-    matrix : ndarray, shape (k, p)
-    rhs : ndarray, shape (k,)
+    terms : tuple of CostTerm
+        One `SquaredTerm`, and with kind ``"entropic"`` a `LogDetTerm` of the described links.
     notes : tuple of str
         What was repaired, left out or chosen.
-    entropic : Entropy or None
-        The described links' part when it is no quadratic; the rows are those of the others and
-        of the friction terms then.
     strength : float
         The links' strength, nats.
     """
 
-    matrix: Array
-    rhs: Array
-    notes: tuple[str, ...] = ()
-    entropic: Entropy | None = None
-    strength: float = 1.0
+    terms: tuple[CostTerm, ...]
+    notes: tuple[str, ...]
+    strength: float
 
 
 def repaired(bodies: Array) -> tuple[Array, tuple[int, ...], tuple[int, ...]]:
@@ -174,10 +170,10 @@ def repaired(bodies: Array) -> tuple[Array, tuple[int, ...], tuple[int, ...]]:
     return raised, tuple(int(i) for i in wrong), tuple(int(i) for i in thin)
 
 
-def prior_rows(
+def prior_terms(
     prior: Prior, rows: RowSource, *, data: tuple[Array, Array] | None = None
-) -> PriorRows:
-    """Turn a prior into rows for a problem's cost.
+) -> PriorTerms:
+    """Turn a prior into terms of a problem's cost.
 
     Parameters
     ----------
@@ -215,19 +211,14 @@ def prior_rows(
         notes.append(f"prior: strength {strength:.2g} nats by evidence{_at_end(strength)}")
     else:
         strength = float(prior.strength)
-    entropic = None
+    terms: list[CostTerm] = []
     if prior.kind == "entropic":
-        entropic = Entropy.around(known, bodies[known], strength)
+        terms.append(LogDetTerm.around(known, bodies[known], strength, theta_size))
         vague = np.repeat(~np.isin(np.arange(len(bodies)), known), 10)
         R, r = R[vague], r[vague]
     root = np.sqrt(strength)
-    return PriorRows(
-        frozen(np.vstack([root * R, F])),
-        frozen(np.concatenate([root * r, f])),
-        tuple(notes),
-        entropic,
-        strength,
-    )
+    squared = SquaredTerm(frozen(np.vstack([root * R, F])), frozen(np.concatenate([root * r, f])))
+    return PriorTerms((squared, *terms), tuple(notes), strength)
 
 
 def _believed(prior: Prior, rows: RowSource) -> tuple[Array, Indices, list[str]]:

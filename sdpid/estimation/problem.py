@@ -16,10 +16,12 @@ from sdpid._threads import one_thread
 from sdpid.errors import DataError
 from sdpid.estimation.conditions import Layout
 from sdpid.estimation.constraints import Constraints
+from sdpid.estimation.cost_terms import SquaredTerm
+from sdpid.estimation.entropy import LogDetTerm
 from sdpid.estimation.excitation import Excitation, require_excitation
 from sdpid.estimation.factor import Factor, covariance
 from sdpid.estimation.feasible import FeasibleSet
-from sdpid.estimation.prior import Prior, PriorRows, prior_rows
+from sdpid.estimation.prior import Prior, PriorTerms, prior_terms
 from sdpid.estimation.profile import Profiled, close_terms
 from sdpid.estimation.remote import Cluster, Piece, RemoteRows, all_samples
 from sdpid.estimation.rows import RowSource
@@ -41,7 +43,8 @@ class Problem:
     """Weighted least squares over the physically possible parameters.
 
     The cost of base parameters is ``‖A @ base − rhs‖² + floor``, for every weighting. It is
-    the weighted residual of all rows, compressed once. A prior adds ``‖R @ theta − r‖²``.
+    the weighted residual of all rows, compressed once. A prior adds its own terms, functions of
+    theta. The whole cost is `squared` plus `log_det`.
 
     Attributes
     ----------
@@ -67,8 +70,8 @@ class Problem:
         Rows that are not masked.
     feasible : FeasibleSet
         The constraints.
-    prior : PriorRows or None
-        What is believed beside the data, as further rows of the cost.
+    prior : PriorTerms or None
+        What is believed beside the data, as further terms of the cost.
     profiled : tuple of Profiled
         Numbers of friction terms that were chosen by the data (see `sdpid.estimation.profile`).
     cluster : Cluster or None
@@ -86,7 +89,7 @@ class Problem:
     floor: float
     n_rows: int
     feasible: FeasibleSet
-    prior: PriorRows | None = None
+    prior: PriorTerms | None = None
     profiled: tuple[Profiled, ...] = ()
     cluster: Cluster | None = None
 
@@ -111,13 +114,20 @@ class Problem:
         return Excitation.of(self.A, self.base.names)
 
     @cached_property
-    def design(self) -> tuple[Array, Array]:
-        """G and h with ``cost_of(theta) = ‖G @ theta − h‖² + floor``: data, then prior."""
-        G = self.A @ self.base.matrix
-        if self.prior is None:
-            return frozen(G), self.rhs
-        h = np.concatenate([self.rhs, self.prior.rhs])
-        return frozen(np.vstack([G, self.prior.matrix])), frozen(h)
+    def squared(self) -> SquaredTerm:
+        """The squared part of the cost: the data's rows, then a prior's; its constant the floor."""
+        data = SquaredTerm(
+            frozen(self.A @ self.base.matrix), self.rhs, self.floor, (self.A, self.base.matrix)
+        )
+        terms = () if self.prior is None else self.prior.terms
+        return SquaredTerm.stacked(data, [t for t in terms if isinstance(t, SquaredTerm)])
+
+    @cached_property
+    def log_det(self) -> LogDetTerm:
+        """The log-det part of the cost; over no links where the prior has none."""
+        terms = () if self.prior is None else self.prior.terms
+        found = [term for term in terms if isinstance(term, LogDetTerm)]
+        return found[0] if found else LogDetTerm.none(self.n_theta)
 
     def cost(self, base: ArrayLike) -> float:
         """Return the cost of base parameters (b,), without the prior's."""
@@ -130,22 +140,17 @@ class Problem:
 
     def cost_of(self, theta: ArrayLike) -> float:
         """Return the cost of standard parameters (p,), the prior's included."""
-        values = np.asarray(theta, dtype=np.float64)
-        cost = self.cost(self.base_of(values))
-        if self.prior is not None:
-            residual = self.prior.matrix @ values - self.prior.rhs
-            cost += float(residual @ residual)
-            if self.prior.entropic is not None:
-                cost += self.prior.entropic.value(values)
-        return cost
+        return self.squared.value(theta) + self.log_det.value(theta)
 
-    def residual_of(self, theta: ArrayLike) -> Array:
-        """Return ``G @ theta − h``, through the base parameters for accuracy."""
-        residual = self.A @ self.base_of(theta) - self.rhs
-        if self.prior is None:
-            return np.asarray(residual)
-        believed = self.prior.matrix @ np.asarray(theta, dtype=np.float64) - self.prior.rhs
-        return np.concatenate([residual, believed])
+    def gradient(self, theta: ArrayLike) -> Array:
+        """Return the derivative of `cost_of`, shape (p,).
+
+        Raises
+        ------
+        DataError
+            Where the cost is infinite.
+        """
+        return self.squared.gradient(theta) + self.log_det.gradient(theta)
 
     @property
     def rows(self) -> RowSource:
@@ -275,7 +280,7 @@ def build_problem(
     likelihood = (A, rhs) if weighting == "residual" or known else None
     believed = None
     if prior is not None:
-        believed = prior_rows(prior, rows, data=likelihood)
+        believed = prior_terms(prior, rows, data=likelihood)
         if likelihood is None:
             note = "prior: the samples have no covariance, so errors count in units of 1 N.m"
             believed = replace(believed, notes=(*believed.notes, note))

@@ -149,10 +149,8 @@ def _information(problem: Problem, theta: Array) -> tuple[Array, Array]:
     if problem.prior is None:
         # Every direction that the base parameters span is shown; how well does not matter.
         return problem.base.matrix, np.zeros((0, len(theta)))
-    rows = problem.prior.matrix
-    if problem.prior.entropic is not None:
-        rows = np.vstack([rows, problem.prior.entropic.rows(theta)])
-    return problem.A @ problem.base.matrix, rows
+    rows = [term.curvature_rows(theta) for term in problem.prior.terms]
+    return problem.A @ problem.base.matrix, np.vstack(rows)
 
 
 def _active_normals(problem: Problem, theta: Array) -> Array:

@@ -65,7 +65,7 @@ class Scaling:
     def of(cls, problem: Problem) -> Scaling:
         """Choose scales from the robot's lengths, its prior and the measured efforts."""
         length = characteristic_length(problem.robot)
-        h = problem.design[1]
+        h = problem.squared.rhs
         total = float(h @ h) + problem.floor
         links = problem.robot.n_links
         G = problem.A @ problem.base.matrix

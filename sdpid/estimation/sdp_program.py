@@ -7,7 +7,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from sdpid._arrays import Array, Indices, Mask, frozen
-from sdpid.estimation.bound import gradient
 from sdpid.estimation.conic import ConicProgram, ConicSolution, Matrix
 from sdpid.estimation.estimate import Multipliers
 from sdpid.estimation.feasible import FeasibleSet
@@ -68,8 +67,9 @@ def best_fit(problem: Problem, scaling: Scaling) -> Array:
     """Return standard parameters whose base parameters fit best, smallest in scaled size."""
     basis = scaling.basis()
     if problem.prior is not None:
-        G, h = problem.design
-        return np.asarray(basis @ np.linalg.lstsq(G @ basis, h, rcond=None)[0])
+        squared = problem.squared
+        scaled = squared.matrix @ basis
+        return np.asarray(basis @ np.linalg.lstsq(scaled, squared.rhs, rcond=None)[0])
     target = solve_wls(problem).base
     return np.asarray(basis @ np.linalg.lstsq(problem.base.matrix @ basis, target, rcond=None)[0])
 
@@ -208,7 +208,7 @@ class SdpProgram:
         feasible = problem.feasible
         x, origin = coordinates.directions, coordinates.origin
         unit = np.sqrt(scaling.cost)
-        M, m = problem.design[0] @ x / unit, problem.residual_of(origin) / unit
+        M, m = problem.squared.matrix @ x / unit, problem.squared.residual(origin) / unit
         if anchor > 0.0:
             M = np.vstack([M, np.sqrt(anchor) * np.eye(x.shape[1])])
             m = np.concatenate([m, np.zeros(x.shape[1])])
@@ -231,7 +231,7 @@ class SdpProgram:
         moving = [
             i for i, block in enumerate(blocks) if np.abs(block.linear).max(initial=0.0) > _FIXED
         ]
-        cost, log_dets, weight = _entropic(problem, scaling, coordinates)
+        cost, log_dets, weight = _log_dets(problem, scaling, coordinates)
         conic = ConicProgram(
             M=M,
             m=m,
@@ -278,7 +278,7 @@ class SdpProgram:
 
     def residual(self, solution: ConicSolution) -> Array | None:
         """Return the solver's own multiplier of the residual, in units of the cost's root."""
-        count = len(self.problem.design[1])
+        count = len(self.problem.squared.rhs)
         if len(solution.residual) < count:
             return None
         return np.asarray(solution.residual[:count] * np.sqrt(self.scaling.cost))
@@ -286,36 +286,27 @@ class SdpProgram:
     def _of_equations(self, theta: Array, Z: Array, bounds: Array, rows: Array) -> Array:
         """Return the multipliers of the equations: what the others leave of the gradient."""
         problem, feasible = self.problem, self.problem.feasible
-        left = 2.0 * gradient(problem, problem.residual_of(theta)) - feasible.adjoint(Z)
+        left = problem.gradient(theta) - feasible.adjoint(Z)
         left = left - np.nan_to_num(bounds) - rows @ feasible.rows
-        if problem.prior is not None and problem.prior.entropic is not None:
-            left = left + problem.prior.entropic.gradient(theta)
         basis = self.scaling.basis()
         equations = feasible.rows[feasible.equations] @ basis
         return np.asarray(np.linalg.lstsq(equations.T, basis.T @ left, rcond=None)[0])
 
 
-def _entropic(
+def _log_dets(
     problem: Problem, scaling: Scaling, coordinates: Coordinates
-) -> tuple[Array | None, tuple[Matrix, ...], float]:
-    """Return linear cost, matrices and weight of a log-det prior, nothing where there is none."""
-    prior = problem.prior
-    if prior is None or prior.entropic is None:
-        return None, (), 0.0
-    entropic = prior.entropic
-    weight = 2.0 * entropic.strength / scaling.cost
-    inverses = np.linalg.inv(scaling.roots(4)[entropic.links])
+) -> tuple[Array, tuple[Matrix, ...], float]:
+    """Return linear cost, matrices and weight of the log-det term."""
+    term = problem.log_det
+    inverses = np.linalg.inv(scaling.roots(4)[term.links])
     units = np.broadcast_to(pseudo_inertia(np.eye(10)), (len(inverses), 10, 4, 4))
     matrices = coordinates.matrices(
         np.zeros_like(inverses),
         inverses[:, None] @ units @ np.swapaxes(inverses, 1, 2)[:, None],
-        entropic.links,
+        term.links,
     )
-    slope = np.zeros(problem.n_theta)
-    pull = np.einsum("lij,kij->lk", entropic.inverses, units[0])
-    for link, values in zip(entropic.links, pull, strict=True):
-        slope[10 * link : 10 * link + 10] = values
-    return weight * (slope @ coordinates.directions), tuple(matrices), weight
+    slope = term.trace_slope() / scaling.cost
+    return slope @ coordinates.directions, tuple(matrices), 2.0 * term.strength / scaling.cost
 
 
 def _largest(problem: Problem, scaling: Scaling, reach: float | None) -> Array:

@@ -10,7 +10,7 @@ import numpy as np
 from sdpid._arrays import Array, frozen
 from sdpid._threads import one_thread
 from sdpid.errors import DataError
-from sdpid.estimation.entropy import Entropy
+from sdpid.estimation.entropy import LogDetTerm
 from sdpid.estimation.estimate import Estimate, Step
 from sdpid.estimation.local import FEASIBLE_LOCAL, STATIONARY, preconditioner, promised_decrease
 from sdpid.estimation.physical import PhysicalVariables
@@ -135,7 +135,7 @@ class _Program:
     def __init__(self, problem: Problem) -> None:
         self.problem, self.variables = problem, PhysicalVariables.of(problem)
         self.constraints = PhysicalConstraints.of(problem, self.variables)
-        G, h = problem.design
+        G, h = problem.squared.matrix, problem.squared.rhs
         self.scale = 1.0 / np.sqrt(float(h @ h) + problem.floor)
         self.G = self.scale * G
         self.rhs = self.scale * h
@@ -147,10 +147,8 @@ class _Program:
         theta = self.variables.theta(x)
         residual = self.G @ theta - self.rhs
         value, slope = float(residual @ residual), 2.0 * residual @ self.G
-        prior = self.problem.prior
-        if prior is not None and prior.entropic is not None:
-            more, slopes = _continued(prior.entropic, theta)
-            value, slope = value + self.scale**2 * more, slope + self.scale**2 * slopes
+        more, slopes = _continued(self.problem.log_det, theta)
+        value, slope = value + self.scale**2 * more, slope + self.scale**2 * slopes
         return value, slope @ self.variables.jacobian(x)
 
     def record(self, x: Array) -> None:
@@ -235,7 +233,7 @@ class _Program:
         return result, self._within(end) if np.all(np.isfinite(end)) else x
 
 
-def _continued(entropy: Entropy, theta: Array) -> tuple[float, Array]:
+def _continued(entropy: LogDetTerm, theta: Array) -> tuple[float, Array]:
     """Return the value and the gradient of a log-det prior, finite everywhere.
 
     Eigenvalues of the bodies in units of the believed ones enter by ``t − 1 − log t``; below

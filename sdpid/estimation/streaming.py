@@ -345,7 +345,7 @@ class StreamingProblem:
     def _prepare(self, estimate: Estimate) -> None:
         """Keep the program about an estimate for the solves to come."""
         problem = estimate.problem
-        if problem.prior is not None and problem.prior.entropic is not None:
+        if len(problem.log_det.links):
             # The weight of its logarithms is in units of the cost, which changes.
             return
         program = program_about(problem, np.array(estimate.theta), estimate.cost, self._boxed)

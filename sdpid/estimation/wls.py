@@ -6,15 +6,25 @@ import time
 
 import numpy as np
 
-from sdpid._arrays import frozen
+from sdpid._arrays import Array, frozen
 from sdpid._threads import one_thread
+from sdpid.errors import SolverError
 from sdpid.estimation.estimate import Estimate
 from sdpid.estimation.problem import Problem
+
+# Newton's method on a cost with a log-det term stops where a step promises less than this share
+# of the cost, which is rounding; squares alone take one step, and one more to refine it.
+_SETTLED = 1e-14
+_STEPS = 100
+
+# A step is halved until it brings this share of what its slope promises, at most so often.
+_PROMISED = 1e-4
+_HALVINGS = 60
 
 
 @one_thread
 def solve_wls(problem: Problem) -> Estimate:
-    """Minimise the cost without constraints.
+    """Minimize the cost without constraints.
 
     Parameters
     ----------
@@ -25,34 +35,74 @@ def solve_wls(problem: Problem) -> Estimate:
     -------
     Estimate
         With `theta` None: base parameters alone say nothing about single links. With a prior
-        (ridge regression) all standard parameters are determined and returned.
+        (ridge regression, or Newton's method where it has log-determinants) all standard
+        parameters are determined and returned.
+
+    Raises
+    ------
+    SolverError
+        When Newton's method does not settle.
     """
     start = time.perf_counter()
-    if problem.prior is not None:
-        G, h = problem.design
-        scale = np.linalg.norm(G, axis=0)
-        scale = np.where(scale > 0.0, scale, 1.0)
-        theta = np.linalg.lstsq(G / scale, h, rcond=None)[0] / scale
-        return Estimate.of_theta(
-            problem,
-            theta,
+    if problem.prior is None:
+        base = frozen(_least_squares(problem.A, problem.rhs))
+        return Estimate(
+            problem=problem,
             method="wls",
+            base=base,
+            theta=None,
             status="optimal",
-            message="closed form, with the prior",
+            message="closed form",
             iterations=1,
             solve_time=time.perf_counter() - start,
         )
-    # Columns scaled to unit length: their units differ, and so do their sizes by orders.
-    scale = np.linalg.norm(problem.A, axis=0)
-    scale = np.where(scale > 0.0, scale, 1.0)
-    scaled = np.linalg.lstsq(problem.A / scale, problem.rhs, rcond=None)[0]
-    return Estimate(
-        problem=problem,
+    theta, steps = _newton(problem)
+    return Estimate.of_theta(
+        problem,
+        theta,
         method="wls",
-        base=frozen(scaled / scale),
-        theta=None,
         status="optimal",
-        message="closed form",
-        iterations=1,
+        message=f"unconstrained, with the prior; {steps} Newton steps",
+        iterations=steps,
         solve_time=time.perf_counter() - start,
+    )
+
+
+def _least_squares(matrix: Array, rhs: Array) -> Array:
+    """Return the shortest x that minimizes ``‖matrix @ x − rhs‖``, its entries in column units."""
+    # Columns scaled to unit length: their units differ, and so do their sizes by orders.
+    scale = np.linalg.norm(matrix, axis=0)
+    scale = np.where(scale > 0.0, scale, 1.0)
+    return np.asarray(np.linalg.lstsq(matrix / scale, rhs, rcond=None)[0] / scale)
+
+
+def _newton(problem: Problem) -> tuple[Array, int]:
+    """Return the theta of the least cost without constraints, and the number of steps."""
+    squared, log_det = problem.squared, problem.log_det
+    theta = log_det.center()
+    cost = problem.cost_of(theta)
+    for step in range(1, _STEPS + 1):
+        rows = log_det.curvature_rows(theta)
+        # R with R^T·R half the Hessian, and r with R^T·r half the gradient.
+        pull = np.linalg.lstsq(rows.T, 0.5 * log_det.gradient(theta), rcond=None)[0]
+        matrix = np.vstack([squared.matrix, rows])
+        residual = np.concatenate([squared.residual(theta), pull])
+        move = -_least_squares(matrix, residual)
+        promised = float(np.sum((matrix @ move) ** 2))
+        length = 1.0
+        for _ in range(_HALVINGS):
+            found = problem.cost_of(theta + length * move)
+            if found <= cost - _PROMISED * length * promised:
+                break
+            length *= 0.5
+        else:
+            # No step brings anything that rounding does not hide.
+            length = 0.0
+        if length > 0.0:
+            theta, cost = theta + length * move, found
+        if promised <= _SETTLED * max(cost, float(squared.rhs @ squared.rhs)) or length == 0.0:
+            return theta, step
+    raise SolverError(
+        f"solve_wls: Newton's method has not settled in {_STEPS} steps (the last one promised "
+        f"{promised:.1e} of a cost of {cost:.3e}); use solve_sdp, or a prior of kind 'pullback'."
     )

@@ -15,7 +15,7 @@ from sdpid.estimation.constraints import Constraints
 from sdpid.estimation.estimate import Estimate
 from sdpid.estimation.log_cholesky import solve_log_cholesky
 from sdpid.estimation.modelled import as_cvxpy
-from sdpid.estimation.prior import Prior, prior_rows
+from sdpid.estimation.prior import Prior, prior_terms
 from sdpid.estimation.problem import Problem
 from sdpid.estimation.sdp import solve_sdp
 from sdpid.estimation.slsqp import solve_slsqp
@@ -71,7 +71,7 @@ def _measure(label: str, problem: Problem, repeats: int) -> Iterator[Row]:
     clarabel, whole, again, noisy = (np.empty(repeats) for _ in range(4))
     rng = np.random.default_rng(SEED)
     belief = Prior(bodies=problem.feasible.bodies(np.array(best.theta)))
-    believed = replace(problem, prior=prior_rows(belief, problem.rows))
+    believed = replace(problem, prior=prior_terms(belief, problem.rows))
     prior, prior_clarabel = np.empty(repeats), np.empty(repeats)
     seconds: dict[str, list[float]] = {name: [] for name in others}
     found: dict[str, Estimate] = {}

@@ -103,12 +103,12 @@ def test_a_problem_resolves_it_and_says_so(kind):
     assert WEAKEST <= strength <= STRONGEST
     assert f"prior: strength {strength:.2g} nats by evidence" in problem.prior.notes[-1]
     fixed = Prior(strength=strength, kind=kind)
-    again = build_problem(robot, samples, prior=fixed, weighting="residual").prior
-    assert np.array_equal(again.matrix, problem.prior.matrix)
-    assert np.array_equal(again.rhs, problem.prior.rhs)
-    assert (again.entropic is None) == (problem.prior.entropic is None)
-    if again.entropic is not None:
-        assert again.entropic.strength == problem.prior.entropic.strength == strength
+    again = build_problem(robot, samples, prior=fixed, weighting="residual")
+    assert np.array_equal(again.squared.matrix, problem.squared.matrix)
+    assert np.array_equal(again.squared.rhs, problem.squared.rhs)
+    assert len(again.log_det.links) == (3 if kind == "entropic" else 0)
+    if kind == "entropic":
+        assert again.log_det.strength == problem.log_det.strength == strength
 
 
 def test_good_descriptions_are_believed_more_than_bad_ones():

@@ -137,7 +137,7 @@ def explained(problem: Problem, theta: Array, best: Array) -> float:
     D = derivative(x, links)
     np.testing.assert_allclose(phi(x, links), theta, atol=1e-12 * np.abs(theta).max())
     w = np.linalg.solve(D, best - theta)
-    G, h = problem.design
+    G, h = problem.squared.matrix, problem.squared.rhs
     gradient = D.T @ (2.0 * G.T @ (G @ theta - h))
 
     slopes: list[Array] = []
@@ -209,7 +209,7 @@ def test_nothing_ends_above_the_optimum_unexplained(
     event(f"{what}: {local.status}")
     theta = np.asarray(local.theta)
     excess = local.cost - best.cost
-    rounding = ROUNDING * float(problem.design[1] @ problem.design[1] + problem.floor)
+    rounding = ROUNDING * float(problem.squared.rhs @ problem.squared.rhs + problem.floor)
     assert excess <= explained(problem, theta, optimum) + rounding
     if problem.feasible.violation(theta) > FEASIBLE_LOCAL:
         return

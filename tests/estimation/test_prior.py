@@ -6,12 +6,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from sdpid.assurance.certificate import certify, verify
 from sdpid.errors import DataError, IdentifiabilityError
-from sdpid.estimation.prior import Prior, prior_rows, repaired
+from sdpid.estimation.prior import Prior, prior_terms, repaired
 from sdpid.estimation.problem import build_problem
 from sdpid.estimation.rows import RowSource
 from sdpid.estimation.sdp import solve_sdp
@@ -60,9 +60,9 @@ def rows_of(robot, count: int = 40, seed: int = 0, scale: float = 1.0) -> RowSou
 
 def penalty(robot, prior: Prior, bodies: np.ndarray) -> float:
     rows = rows_of(robot)
-    found = prior_rows(prior, rows)
+    found = prior_terms(prior, rows).terms[0]
     theta = np.concatenate([bodies.ravel(), np.zeros(len(rows.friction.parameters))])
-    return float(np.sum((found.matrix @ theta - found.rhs) ** 2))
+    return found.value(theta)
 
 
 def divergence(P: np.ndarray, P0: np.ndarray) -> float:
@@ -149,20 +149,20 @@ def test_entropic_kind_is_the_divergence(seed: int, strength: float):
     bodies = bodies_of(seed)
     robot = robot_of(bodies)
     rows = rows_of(robot)
-    found = prior_rows(Prior(strength=strength, kind="entropic"), rows)
-    quadratic = prior_rows(Prior(strength=strength), rows)
-    assert quadratic.entropic is None
+    found = prior_terms(Prior(strength=strength, kind="entropic"), rows)
+    quadratic = prior_terms(Prior(strength=strength), rows)
+    (squared, entropic), (quadratic_squared,) = found.terms, quadratic.terms
     # The rows are those of the friction terms.
-    assert np.array_equal(found.matrix, quadratic.matrix[20:])
-    assert np.array_equal(found.rhs, quadratic.rhs[20:])
+    assert np.array_equal(squared.matrix, quadratic_squared.matrix[20:])
+    assert np.array_equal(squared.rhs, quadratic_squared.rhs[20:])
     assert found.strength == quadratic.strength == strength
     theta = np.concatenate([bodies_of(seed + 1).ravel(), np.ones(4)])
     pairs = zip(*map(pseudo_inertia, (theta[:20].reshape(2, 10), repaired(bodies)[0])), strict=True)
     exact = 2.0 * strength * sum(divergence(P, P0) for P, P0 in pairs)
-    assert found.entropic.value(theta) == pytest.approx(exact, rel=1e-6)
-    alone = prior_rows(Prior(kind="entropic", friction=False), rows)
-    assert alone.matrix.shape == (0, 24)
-    assert alone.rhs.shape == (0,)
+    assert entropic.value(theta) == pytest.approx(exact, rel=1e-6)
+    alone = prior_terms(Prior(kind="entropic", friction=False), rows)
+    assert alone.terms[0].matrix.shape == (0, 24)
+    assert alone.terms[0].rhs.shape == (0,)
 
 
 @pytest.mark.parametrize("kind", ["euclidean", "scaled_euclidean", "pullback", "entropic"])
@@ -170,23 +170,25 @@ def test_every_kind_repairs_first_and_hardly_believes_what_has_no_mass(kind):
     bodies = bodies_of(0, 3)
     bodies[1, 4:] = [1.0, 0.0, 0.1, 0.0, 0.0, 0.1]
     bodies[2] = 0.0
-    found = prior_rows(
+    found = prior_terms(
         Prior(kind=kind, bodies=bodies, friction=False), rows_of(robot_of(bodies_of(1, 3)))
     )
     assert any("link_2 could not exist as described" in note for note in found.notes)
     assert any("next to nothing is believed of link_3" in note for note in found.notes)
+    squared, *others = found.terms
     theta = np.concatenate([repaired(bodies)[0].ravel(), np.ones(6)])
-    theta[20:30] = np.linalg.lstsq(found.matrix[-10:, 20:30], found.rhs[-10:], rcond=None)[0]
+    theta[20:30] = np.linalg.lstsq(squared.matrix[-10:, 20:30], squared.rhs[-10:], rcond=None)[0]
     assert theta[20] == pytest.approx(np.mean(bodies[:2, 0]))
-    assert np.linalg.norm(found.matrix @ theta - found.rhs) < ROUNDING
+    assert np.linalg.norm(squared.residual(theta)) < ROUNDING
     # Doubling it costs a hundredth of what doubling a described link costs.
     doubled = theta.copy()
     doubled[20:30] *= 2.0
     if kind == "pullback":
-        assert np.sum((found.matrix @ doubled - found.rhs) ** 2) == pytest.approx(0.04)
-    if found.entropic is not None:
-        assert found.entropic.value(theta) < ROUNDING
-        assert found.entropic.links.tolist() == [0, 1]
+        assert squared.value(doubled) == pytest.approx(0.04)
+    if kind == "entropic":
+        (log_det,) = others
+        assert log_det.value(theta) < ROUNDING
+        assert log_det.links.tolist() == [0, 1]
 
 
 def test_impossible_links_are_repaired_and_named():
@@ -195,14 +197,14 @@ def test_impossible_links_are_repaired_and_named():
     fixed, wrong, thin = repaired(bodies)
     assert (wrong, thin) == ((1,), ())
     assert np.all(margin(fixed, "pseudo_inertia") > 0.0)
-    notes = prior_rows(Prior(bodies=bodies), rows_of(robot_of(bodies_of(1)))).notes
+    notes = prior_terms(Prior(bodies=bodies), rows_of(robot_of(bodies_of(1)))).notes
     assert any("link_2" in note for note in notes)
 
 
 def test_a_description_without_masses_is_no_prior():
     robot = robot_of(bodies_of(0))
     with pytest.raises(DataError, match="no link a mass"):
-        prior_rows(Prior(bodies=np.zeros((2, 10))), rows_of(robot))
+        prior_terms(Prior(bodies=np.zeros((2, 10))), rows_of(robot))
     for strength in (0.0, -1.0, np.inf, np.nan, "often"):
         with pytest.raises(DataError, match="strength"):
             Prior(strength=strength)
@@ -265,7 +267,7 @@ def test_thin_bodies_are_widened_and_named():
     assert margin(bodies[1], "pseudo_inertia") > 0.0
     _, wrong, thin = repaired(bodies)
     assert (wrong, thin) == ((), (1,))
-    notes = prior_rows(Prior(bodies=bodies), rows_of(robot_of(bodies_of(1)))).notes
+    notes = prior_terms(Prior(bodies=bodies), rows_of(robot_of(bodies_of(1)))).notes
     assert [note for note in notes if "widened" in note and "link_2" in note]
     # What was widened once is not thin.
     assert repaired(repaired(bodies)[0])[1:] == ((), ())
@@ -314,3 +316,35 @@ def test_a_prior_is_a_value():
 def test_bodies_that_are_none(bodies, says):
     with pytest.raises(DataError, match=says):
         Prior(bodies=bodies)
+
+
+@given(st.integers(0, 2**31), st.floats(0.01, 100.0), st.booleans())
+@settings(max_examples=20, deadline=None)
+def test_least_squares_counts_a_log_det_prior(seed: int, strength: float, known: bool):
+    """The unconstrained minimum has a body for every link, no slope, and costs no more."""
+    belief, truth = bodies_of(seed), bodies_of(seed + 1)
+    robot = robot_of(belief)
+    rng = np.random.default_rng(seed)
+    q, v, a = (rng.normal(size=(60, robot.n)) for _ in range(3))
+    effort = robot.inverse_dynamics(truth.ravel(), q, v, a) + 0.1 * rng.normal(size=q.shape)
+    samples = Samples(position=q, velocity=v, acceleration=a, effort=effort)
+    if not known:
+        belief[0] = 0.0
+    problem = build_problem(
+        robot,
+        samples,
+        prior=Prior(kind="entropic", strength=strength, bodies=belief),
+        weighting="residual",
+    )
+    estimate = solve_wls(problem)
+    assert np.isfinite(estimate.cost)
+    assert np.all(margin(estimate.theta[:20].reshape(2, 10), "pseudo_inertia")[~known:] > 0.0)
+    slope = problem.gradient(estimate.theta)
+    rows = np.vstack(
+        [term.curvature_rows(estimate.theta) for term in (problem.squared, problem.log_det)]
+    )
+    # What a further Newton step would bring, beside the cost.
+    scale = np.linalg.norm(rows, axis=0)
+    step = np.linalg.lstsq((rows / scale).T @ (rows / scale), slope / scale, rcond=None)[0] / scale
+    assert abs(slope @ step) < 1e-10 * max(estimate.cost, float(problem.rhs @ problem.rhs))
+    assert estimate.cost <= solve_sdp(problem).cost * (1.0 + 1e-9)

@@ -128,9 +128,7 @@ def test_it_divides_variances(seed: int, kind: str, strength: float):
     theta = interior(problem, seed)
     theta[0] = problem.constraints.mass_min
     theta[:10] = from_pseudo_inertia(1e-3 * np.diag([0.04, 0.05, 0.06, 1.0]))
-    R = problem.prior.matrix
-    if problem.prior.entropic is not None:
-        R = np.vstack([R, problem.prior.entropic.rows(theta)])
+    R = np.vstack([term.curvature_rows(theta) for term in problem.prior.terms])
     G = problem.A @ problem.base.matrix
     before = np.diag(np.linalg.inv(R.T @ R))
     # The first mass is held: the rest of the parameters, on their own.
@@ -217,7 +215,7 @@ def test_at_the_belief_the_entropic_and_its_quadratic_agree():
     theta = interior(pullback)
     theta[:30] = pullback.robot.prior.ravel()
     # The believed bodies are above the least size, so that nothing was repaired.
-    assert np.allclose(pullback.prior.matrix[:30] @ theta, pullback.prior.rhs[:30])
+    assert np.allclose(pullback.prior.terms[0].residual(theta)[:30], 0.0, atol=1e-9)
     for a, b in zip(
         of(pullback, theta).to_dict().values(), of(entropic, theta).to_dict().values(), strict=True
     ):

@@ -157,7 +157,7 @@ def test_lower_bounds_hold_for_any_multipliers(seed: int, consistency: Consisten
     y = problem.A @ best.base - problem.rhs + 0.1 * rng.standard_normal(problem.base.count)
     root = rng.standard_normal((2, size, size))
     for Z in (np.zeros((2, size, size)), root @ np.swapaxes(root, 1, 2)):
-        bound = evaluate(problem, Dual(y, Z, np.zeros(0)))
+        bound = evaluate(problem, Dual(y, Z, np.zeros(0), np.zeros((0, 4, 4))))
         assert bound <= best.cost
         assert bound <= problem.cost_of(random_feasible(problem, rng))
 

@@ -82,8 +82,10 @@ class Second:
         assert self.problem.prior is not None
         # What is left of the rows when the links are taken off: those of the friction terms.
         links = 10 * self.problem.robot.n_links
-        friction = ~np.any(self.problem.prior.matrix[:, :links], axis=1)
-        F, f = self.problem.prior.matrix[friction], self.problem.prior.rhs[friction]
+        count = self.problem.base.count
+        rows, rhs = self.problem.squared.matrix[count:], self.problem.squared.rhs[count:]
+        friction = ~np.any(rows[:, :links], axis=1)
+        F, f = rows[friction], rhs[friction]
         nats: Any = cp.sum_squares(F @ self.theta - f) / 2 if len(F) else 0.0
         given = self.problem.robot.prior if prior.bodies is None else prior.bodies
         strength = self.problem.prior.strength
