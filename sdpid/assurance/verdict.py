@@ -26,6 +26,7 @@ from sdpid.assurance.validation import Validation, validate
 from sdpid.estimation.estimate import Estimate
 from sdpid.estimation.problem import Problem
 from sdpid.estimation.rows import RowSource
+from sdpid.experiment.inspection import finding as inspection
 from sdpid.experiment.samples import Samples
 
 # Held-out over training error. Another motion weighs the same defects differently, which makes
@@ -110,6 +111,10 @@ class Judged(Protocol):
     def cross_validation(self) -> Crossed | None:
         """Blocks of the training recordings held out in turn."""
 
+    @property
+    def findings(self) -> tuple[inspection.Finding, ...]:
+        """What is wrong with the recordings."""
+
 
 def verdict(identification: Judged) -> tuple[str, ...]:
     """Return in plain words what a model can be trusted for, and what not.
@@ -146,6 +151,7 @@ def findings(
     if errors is None:
         errors = errors_of(identification)
     return (
+        *_recordings(identification),
         *effort_findings(*judged(identification), _seen_on(identification)),
         *_held_out(identification),
         *_crossed(identification),
@@ -157,6 +163,13 @@ def findings(
         *_constraints(identification),
         *_proof(identification),
     )
+
+
+def _recordings(identification: Judged) -> Iterator[Finding]:
+    """Name what makes the recordings something else than what they are taken for."""
+    for each in identification.findings:
+        if each.severity == "error":
+            yield Finding("bad", f"The recording is not what it says: {each}.")
 
 
 # Of identifications that are still in use: a report and its verdict look at the same errors.

@@ -104,7 +104,7 @@ def info(
     from sdpid._tables import Table
 
     joints = facts.pop("joints")
-    warnings = facts.pop("warnings")
+    findings = facts.pop("findings")
     sources = [f"{quantity}: {source}" for quantity, source in facts.pop("read_from").items()]
     facts["processing"] = ", ".join(f"{k}={v}" for k, v in (facts["processing"] or {}).items())
     width = max(map(len, facts))
@@ -114,5 +114,6 @@ def info(
     rows = tuple(tuple(joint.values()) for joint in joints)
     opt.echo("\n" + opt.listed("read from", sources))
     opt.echo("\n" + Table(tuple(joints[0]), rows).text())
-    if warnings:
-        opt.echo("\n" + opt.listed("warnings", warnings))
+    if findings:
+        lines = [f"{each['severity']}: {each['text']}" for each in findings]
+        opt.echo("\n" + opt.listed("findings", lines))

@@ -10,7 +10,7 @@ from sdpid.errors import DataError
 from sdpid.experiment.recording import Recording
 from sdpid.robot.model import RobotModel
 
-__all__ = ["match_joints"]
+__all__ = ["joint_columns", "match_joints"]
 
 
 def match_joints(robot: RobotModel, log: Recording) -> Recording:
@@ -47,7 +47,7 @@ def match_joints(robot: RobotModel, log: Recording) -> Recording:
         )
     if names is None or log.n == 1:
         return replace(log, joint_names=robot.joint_names)
-    order = _columns(robot, names)
+    order = joint_columns(robot, names)
     if order == list(range(log.n)):
         return replace(log, joint_names=robot.joint_names)
     return replace(
@@ -60,8 +60,14 @@ def match_joints(robot: RobotModel, log: Recording) -> Recording:
     )
 
 
-def _columns(robot: RobotModel, names: Sequence[str]) -> list[int]:
-    """Return the column of each of the robot's joints."""
+def joint_columns(robot: RobotModel, names: Sequence[str]) -> list[int]:
+    """Return the column of each of the robot's joints.
+
+    Raises
+    ------
+    DataError
+        When a joint has no column, or could have several.
+    """
     ways = {robot.joint_names}
     if not set(robot.joint_names) <= set(names):
         ways = _ways(_without_affixes(robot.joint_names), names)

@@ -9,10 +9,11 @@ import numpy as np
 
 from sdpid.errors import DataError
 from sdpid.experiment.choice import choose_processing
+from sdpid.experiment.inspection.finding import Finding
+from sdpid.experiment.inspection.inspect import inspect_recording
 from sdpid.experiment.matching import match_joints
 from sdpid.experiment.recording import Recording
-from sdpid.experiment.signals import bandwidth, gaps, noise, signal_warnings
-from sdpid.experiment.units import suspect_units
+from sdpid.experiment.signals import bandwidth, gaps, noise
 from sdpid.robot.model import RobotModel
 
 __all__ = ["overview"]
@@ -34,15 +35,11 @@ def overview(recording: Recording, robot: RobotModel | None = None) -> dict[str,
         Plain values for JSON: sizes, times (s), the processing chosen by default and why,
         ``joints`` with a range each (rad, rad/s, N.m), the standard deviation of its noise, and
         the frequencies (Hz) at which it mostly moves and below which 95 % of the motion lies; and
-        ``warnings``. Missing is None.
+        ``findings`` (see `inspect_recording`). Missing is None.
     """
-    matched, limits, warnings = _matched(recording, robot)
-    suspects = suspect_units(matched, limits)
-    if suspects:
-        warnings.append(f"positions look like degrees, not radians: {', '.join(suspects)}")
-    else:
-        # Positions in degrees would raise most of the other alarms as well.
-        warnings += signal_warnings(matched, None if limits is None else robot)
+    matched, findings = recording, list(inspect_recording(recording, robot).findings)
+    if robot is not None and not any(each.kind == "joints_unknown" for each in findings):
+        matched = match_joints(robot, recording)
     processing, reasons = None, None
     try:
         choice = choose_processing(matched)
@@ -50,7 +47,7 @@ def overview(recording: Recording, robot: RobotModel | None = None) -> dict[str,
         del processing["reasons"]
         reasons = "; ".join(choice.reasons)
     except DataError as cause:
-        warnings.append(str(cause))
+        findings.append(Finding(severity="error", kind="processing", message=str(cause)))
     steps = np.diff(matched.time) / matched.step
     layout = matched.period_layout
     return {
@@ -68,25 +65,8 @@ def overview(recording: Recording, robot: RobotModel | None = None) -> dict[str,
         "processing": processing,
         "processing_chosen_for": reasons,
         "joints": _joints(matched),
-        "warnings": warnings,
+        "findings": [finding.to_dict() for finding in findings],
     }
-
-
-def _matched(recording: Recording, robot: RobotModel | None) -> tuple[Recording, Any, list[str]]:
-    """Return the recording in the robot's order, position limits, and what does not match."""
-    if robot is None:
-        return recording, None, []
-    try:
-        matched = match_joints(robot, recording)
-    except DataError as cause:
-        return recording, None, [str(cause)]
-    warnings = []
-    names = recording.joint_names
-    if names is not None and not set(names) & set(robot.joint_names):
-        pairs = zip(names, robot.joint_names, strict=True)
-        listed = ", ".join(f"{own} is {other}" for own, other in pairs)
-        warnings.append(f"joints are named differently and taken by position: {listed}")
-    return matched, robot.position_limits, warnings
 
 
 def _joints(recording: Recording) -> list[dict[str, Any]]:

@@ -26,6 +26,7 @@ from sdpid.estimation.problem import Problem, build_problem
 from sdpid.estimation.sdp import solve_sdp
 from sdpid.estimation.weighting import Weighting
 from sdpid.estimation.wls import solve_wls
+from sdpid.experiment.inspection.inspect import inspect_recordings
 from sdpid.experiment.preparation import default_friction
 from sdpid.experiment.training import Logs, ProcessingOf, chosen_processing, joined, recordings
 from sdpid.robot.friction import FrictionTerm
@@ -165,11 +166,16 @@ def identify(
     model = robot if isinstance(robot, RobotModel) else load_robot(robot)
     logs = recordings(log)
     chosen, why = chosen_processing(logs, processing)
-    notes = [why] if why else []
+    findings = inspect_recordings(logs, model)
     fresh = None
     if validation is not None:
+        held_out = recordings(validation)
+        findings += inspect_recordings(held_out, model, name="validation recording")
         # Prediction needs no covariance, so any number of periods will do.
-        fresh = joined(model, recordings(validation), replace(chosen, covariance=None))
+        fresh = joined(model, held_out, replace(chosen, covariance=None))
+    # Gaps and wrapped angles stand in the notes of the samples.
+    notes = [str(finding) for finding in findings if finding.kind != "continued"]
+    notes += [why] if why else []
     problem = formulate(
         model,
         logs,
@@ -217,6 +223,7 @@ def identify(
         cross_validation=crossed,
         intervals_note=beware,
         notes=tuple(notes),
+        findings=findings,
     )
 
 

@@ -15,6 +15,7 @@ from sdpid.assurance.validation import Validation
 from sdpid.assurance.verdict import verdict
 from sdpid.estimation.estimate import Estimate
 from sdpid.estimation.problem import Problem, describe
+from sdpid.experiment.inspection.finding import Finding
 from sdpid.experiment.samples import Samples
 from sdpid.output.intervals_shown import GivenIntervals, ends_of, in_words
 from sdpid.workflow.folder import save as save_results
@@ -52,7 +53,9 @@ class Identification:
     intervals_note : str or None
         Why there are none, or what to beware of in them.
     notes : tuple of str
-        What was chosen.
+        What was chosen, and the findings in words.
+    findings : tuple of Finding
+        What is wrong with the recordings (see `sdpid.inspect_recording`).
     """
 
     problem: Problem
@@ -67,6 +70,7 @@ class Identification:
     cross_validation: CrossValidation | None = None
     intervals_note: str | None = None
     notes: tuple[str, ...] = ()
+    findings: tuple[Finding, ...] = ()
 
     def to_dict(self) -> dict[str, Any]:
         """Return the result as plain values for JSON: None where a number is not finite."""
@@ -76,6 +80,7 @@ class Identification:
             "problem": describe(self.problem),
             "processing": list(self.problem.samples.notes),
             "notes": [*self.notes, *([self.intervals_note] if self.intervals_note else [])],
+            "findings": [finding.to_dict() for finding in self.findings],
             "verdict": list(verdict(self)),
             "status": estimate.status,
             "cost": estimate.cost,

@@ -1,0 +1,126 @@
+"""`Finding`: one thing that is wrong, or was noticed, about a recording."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, field
+from functools import cached_property
+from types import MappingProxyType
+from typing import Any, Literal, TypeAlias
+
+import numpy as np
+
+from sdpid._arrays import Array
+from sdpid.errors import DataError
+from sdpid.experiment.pieces import continuous
+from sdpid.experiment.recording import Recording
+from sdpid.robot.model import RobotModel
+
+__all__ = ["CHECKS", "Check", "Finding", "Severity", "Subject", "check"]
+
+Severity = Literal["error", "warning", "note"]
+
+# Rows on which efforts are compared with a model: enough to tell, cheap on long records.
+_ROWS = 400
+
+
+@dataclass(frozen=True, kw_only=True)
+class Finding:
+    """One thing that is wrong, or was noticed, about a recording.
+
+    Attributes
+    ----------
+    severity : {"error", "warning", "note"}
+        An error means that the recording is not what it says it is: parameters from it are wrong.
+        A warning is doubtful, a note says what was understood.
+    kind : str
+        The same word for the same thing, such as ``"effort_sign"``.
+    message : str
+        What, where, and the number against its limit.
+    remedy : str
+        What to do next; may be empty.
+    joint : str or None
+        The joint; None where it is the whole recording.
+    numbers : mapping of str to float
+        The numbers of the message.
+    """
+
+    severity: Severity
+    kind: str
+    message: str
+    remedy: str = ""
+    joint: str | None = None
+    numbers: Mapping[str, float] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        numbers = {name: float(value) for name, value in self.numbers.items()}
+        object.__setattr__(self, "numbers", MappingProxyType(numbers))
+
+    def __str__(self) -> str:
+        return f"{self.message}; {self.remedy}" if self.remedy else self.message
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return plain values for JSON."""
+        return {**vars(self), "numbers": dict(self.numbers), "text": str(self)}
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Subject:
+    """What a check looks at.
+
+    Attributes
+    ----------
+    log : Recording
+        With its joints named and ordered as the robot's, where there is one.
+    robot : RobotModel or None
+        None too where its joints could not be matched.
+    """
+
+    log: Recording
+    robot: RobotModel | None
+
+    @cached_property
+    def pieces(self) -> tuple[tuple[int, Recording], ...]:
+        """The parts between gaps, angles continued, each with its first row; empty if refused."""
+        try:
+            pieces, _ = continuous(self.log)
+        except DataError:
+            return ()
+        if pieces == (self.log,):
+            return ((0, self.log),)
+        time = np.asarray(self.log.time)
+        return tuple((int(np.searchsorted(time, piece.time[0])), piece) for piece in pieces)
+
+    @cached_property
+    def rows(self) -> Any:
+        """At most 400 rows, spread evenly, shape (rows,)."""
+        rows = np.linspace(0, self.log.n_samples - 1, _ROWS).astype(np.intp)
+        return np.unique(rows)
+
+    @cached_property
+    def gravity(self) -> Array | None:
+        """Effort that the description's masses need at rest at `rows`, N·m, shape (rows, n)."""
+        robot = self.robot
+        if robot is None or robot.n_base > 0:
+            return None
+        position = np.asarray(self.log.position[self.rows])
+        rest = np.zeros_like(position)
+        return np.asarray(robot.inverse_dynamics(robot.prior, position, rest, rest))
+
+    @cached_property
+    def torque(self) -> Array:
+        """Recorded effort at `rows` in N·m, shape (rows, n)."""
+        effort = np.asarray(self.log.effort[self.rows])
+        return effort if self.log.effort_scale is None else effort * self.log.effort_scale
+
+
+Check: TypeAlias = Callable[[Subject], Iterator[Finding]]
+
+# Every check, in the order in which findings are listed.
+CHECKS: list[Check] = []
+
+
+def check(function: Check) -> Check:
+    """Add a function to the checks of `inspect_recording`."""
+    CHECKS.append(function)
+    return function

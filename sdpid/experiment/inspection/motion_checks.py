@@ -1,0 +1,129 @@
+"""Checks of positions and velocities: units, jumps, joints at rest, wrong velocities."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+
+import numpy as np
+
+from sdpid.experiment.inspection.finding import Finding, Subject, check
+from sdpid.experiment.recording import Recording
+from sdpid.experiment.stamps import blocks
+from sdpid.experiment.units import suspect_units
+from sdpid.experiment.velocities import velocity_fit
+
+# No joint of an arm turns faster (rad/s); the fastest reach some 15.
+_FASTEST = 40.0
+# A joint whose position stays within this (rad, or m) does not move: that is a hand's width of
+# encoder counts, and no motion that shows an inertia.
+_AT_REST = 1e-3
+# Two signals belong together when they correlate like this, and differ in their units when the
+# scale between them is off by this factor: filters explain less.
+_CORRELATED = 0.9
+_SCALE = 1.3
+# Factors that one meets: the unit in the file instead of the one that was meant.
+_FACTORS = {
+    180.0 / math.pi: "deg instead of rad",
+    math.pi / 180.0: "rad instead of deg",
+    30.0 / math.pi: "rpm instead of rad/s",
+    1000.0: "a factor of 1000: time or velocity in thousandths",
+    0.001: "a factor of 1/1000: time or velocity in thousandths",
+    1.0 / (2.0 * math.pi): "turns instead of rad",
+}
+_FACTOR_SLACK = 0.1
+
+
+@check
+def degrees(subject: Subject) -> Iterator[Finding]:
+    """Find positions in degrees."""
+    limits = None if subject.robot is None else subject.robot.position_limits
+    suspects = suspect_units(subject.log, limits)
+    if suspects:
+        yield Finding(
+            severity="error",
+            kind="position_in_degrees",
+            message=f"positions look like degrees, not radians: {', '.join(suspects)}",
+            remedy="convert them, or read the file with the unit deg",
+        )
+
+
+@check
+def rest_and_jumps(subject: Subject) -> Iterator[Finding]:
+    """Find joints that never move, and positions that jump."""
+    log = subject.log
+    reach = np.asarray(log.position.max(axis=0) - log.position.min(axis=0))
+    for j, name in enumerate(log.names):
+        if reach[j] < _AT_REST:
+            moved = "never moves" if reach[j] == 0.0 else f"moves by {reach[j]:.3g} rad only"
+            yield Finding(
+                severity="warning",
+                kind="joint_at_rest",
+                joint=name,
+                message=f"{name} {moved} (limit {_AT_REST:g} rad)",
+                remedy="its inertia and friction are unknown; excite it",
+                numbers={"range": reach[j], "limit": _AT_REST},
+            )
+            continue
+        steps = (each for first, piece in subject.pieces for each in _fastest(first, piece, j))
+        fastest, jump, row = max(steps, default=(0.0, 0.0, 0))
+        if fastest > _FASTEST:
+            yield Finding(
+                severity="error",
+                kind="position_jumps",
+                joint=name,
+                message=(
+                    f"position of {name} changes by {abs(jump):.4g} rad in one step at row {row}, "
+                    f"that is {fastest:.4g} rad/s (limit {_FASTEST:g}): an outlier, or wrong units"
+                ),
+                remedy="remove that sample, or give the unit",
+                numbers={"jump": jump, "row": row, "speed": fastest, "limit": _FASTEST},
+            )
+
+
+def _fastest(first: int, piece: Recording, j: int) -> Iterator[tuple[float, float, int]]:
+    """Yield speed, size and row of the fastest step in every block of a joint's positions."""
+    time, last = piece.time, None
+    for begin, values in blocks(piece.position[:, j]):
+        steps = np.diff(values) if last is None else np.diff(values, prepend=last)
+        stop = begin + values.size
+        last = values[-1]
+        if steps.size:
+            speeds = np.abs(steps) / np.diff(time[stop - steps.size - 1 : stop])
+            k = int(np.argmax(speeds))
+            yield float(speeds[k]), float(steps[k]), first + stop - steps.size + k
+
+
+@check
+def velocities(subject: Subject) -> Iterator[Finding]:
+    """Find recorded velocities that are not the rate of the positions."""
+    if subject.log.velocity is None or not subject.pieces:
+        return
+    _, longest = max(subject.pieces, key=lambda each: each[1].n_samples)
+    for j, name in enumerate(longest.names):
+        fit = velocity_fit(longest, j)
+        if fit is None or fit.correlation < _CORRELATED:
+            continue
+        scale = fit.scale
+        if scale < 0.0:
+            message = f"velocity of {name} has the sign opposite to the rate of its position"
+        elif not 1.0 / _SCALE < scale < _SCALE:
+            known = [
+                f" ({unit})"
+                for factor, unit in _FACTORS.items()
+                if abs(scale / factor - 1.0) < _FACTOR_SLACK
+            ]
+            message = (
+                f"velocity of {name} is {scale:.3g} times the rate of its position"
+                f"{''.join(known)}, limit {1.0 / _SCALE:.2g} to {_SCALE:g}"
+            )
+        else:
+            continue
+        yield Finding(
+            severity="warning",
+            kind="velocity_scale",
+            joint=name,
+            message=message,
+            remedy="correct it, or leave the velocity out",
+            numbers={"scale": scale, "correlation": fit.correlation},
+        )
