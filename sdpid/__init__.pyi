@@ -47,6 +47,7 @@ from .estimation.streaming import StreamingProblem
 from .estimation.wls import solve_wls
 from .experiment.choice import Choice, choose_processing
 from .experiment.excitation import Trajectory, paper_excitation
+from .experiment.inspection.inspect import Inspection, inspect_recording
 from .experiment.motors import MotorSide
 from .experiment.plant import simulate
 from .experiment.processing import Processing, process
@@ -111,6 +112,7 @@ __all__ = [
     "IdentifiabilityError",
     "Identification",
     "InfeasibleError",
+    "Inspection",
     "Intervals",
     "JointwiseTerm",
     "MassInEllipsoid",
@@ -154,6 +156,7 @@ __all__ = [
     "cross_validate",
     "identify",
     "identify_payload",
+    "inspect_recording",
     "intervals",
     "load_robot",
     "mass_matrix",

@@ -174,7 +174,7 @@ def test_simulate_then_info(tmp_path: Path) -> None:
     shown = run("info", path, "--robot", ROBOT)
     assert shown.exit_code == 0, shown.output
     assert "cutoff_hz=" in shown.stdout
-    assert "warnings" not in shown.stdout
+    assert "findings" not in shown.stdout
     facts = json.loads(run("info", path, "--json").stdout)
     assert facts["samples"] == record.n_samples
     assert facts["rate_hz"] == pytest.approx(1000.0)
@@ -294,7 +294,7 @@ def test_columns_and_units(tmp_path: Path) -> None:
         run("info", path, *READ, "--robot", ROBOT, "--unit", "position=deg", "--json").stdout
     )
     assert facts["rate_hz"] == pytest.approx(100.0)
-    assert facts["warnings"] == []
+    assert facts["findings"] == []
     assert facts["joints"][0]["position_max"] == pytest.approx(motion[:, 0].max())
     done = run("info", path, *READ, "--robot", ROBOT)
     assert "look like degrees" in done.stdout

@@ -49,6 +49,7 @@ def repeated_rows(subject: Subject) -> Iterator[Finding]:
         runs[0] += run
         repeats += int(runs[runs <= _MOST_REPEATS].sum())
         run = same.size - 1 - int(breaks[-1])
+    repeats += run if run <= _MOST_REPEATS else 0
     share = repeats / log.n_samples
     if share > _SHARE:
         yield Finding(

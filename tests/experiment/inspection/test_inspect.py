@@ -1,0 +1,209 @@
+"""Findings about recordings: each check by a recording that has the defect, and one without."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import sdpid
+from sdpid.experiment.inspection.inspect import inspect_recording, inspect_recordings
+from sdpid.experiment.overview import overview
+from sdpid.experiment.recording import Recording
+
+RATE = 200.0
+T = np.arange(2000) / RATE
+
+
+@pytest.fixture(scope="module")
+def robot() -> sdpid.RobotModel:
+    return sdpid.load_robot("ur_description/ur5_robot")
+
+
+@pytest.fixture(scope="module")
+def log(robot: sdpid.RobotModel) -> Recording:
+    """A slow motion, efforts as the description says."""
+    rate = 2.0 * np.pi * np.linspace(0.2, 0.5, robot.n)
+    swing = 0.5 * np.sin(rate * T[:, None])
+    # Half raised, where the torque of gravity follows the angle.
+    position = swing - 1.2
+    velocity = 0.5 * rate * np.cos(rate * T[:, None])
+    effort = robot.inverse_dynamics(robot.prior, position, velocity, -(rate**2) * swing)
+    return Recording(
+        time=T,
+        position=position,
+        effort=effort,
+        velocity=velocity,
+        joint_names=robot.joint_names,
+    )
+
+
+def changed(log: Recording, quantity: str, j: int, factor: float) -> Recording:
+    values = getattr(log, quantity).copy()
+    values[:, j] *= factor
+    return replace(log, **{quantity: values})
+
+
+def rows_of(log: Recording, rows: np.ndarray, time: np.ndarray | None = None) -> Recording:
+    return replace(
+        log,
+        time=log.time[rows] if time is None else time,
+        position=log.position[rows],
+        effort=log.effort[rows],
+        velocity=None if log.velocity is None else log.velocity[rows],
+    )
+
+
+def kinds(log: Recording, robot: sdpid.RobotModel | None = None) -> list[tuple[str, str | None]]:
+    return [(each.kind, each.joint) for each in inspect_recording(log, robot).findings]
+
+
+def test_what_is_right_raises_no_alarm(log: Recording, robot: sdpid.RobotModel):
+    inspection = inspect_recording(log, robot)
+    assert inspection.ok
+    assert inspection.findings == ()
+    assert str(inspection) == "nothing wrong was found"
+    facts = overview(log, robot)
+    assert facts["findings"] == []
+    assert facts["joints"][0]["motion_hz"] == pytest.approx(0.2, abs=0.06)
+
+
+@pytest.mark.parametrize(
+    ("quantity", "factor", "kind", "words"),
+    [
+        ("velocity", 180.0 / np.pi, "velocity_scale", "57.3 times the rate of its position (deg"),
+        ("velocity", 30.0 / np.pi, "velocity_scale", "(rpm instead of rad/s)"),
+        ("velocity", -1.0, "velocity_scale", "velocity of {} has the sign opposite"),
+        ("velocity", 1e3, "velocity_scale", "(a factor of 1000: time or velocity in thousandths)"),
+        ("effort", 1e-2, "effort_scale", "effort of {} is 0.0119 times the gravity"),
+        ("effort", 1e3, "effort_scale", "times the gravity it should bear"),
+        ("effort", -1.0, "effort_sign", "effort of {} has the sign opposite to the gravity"),
+        ("effort", 0.0, "effort_constant", "effort of {} never changes: it is 0"),
+        ("position", 0.0, "joint_at_rest", "{} never moves"),
+        ("position", 1e-5, "joint_at_rest", "{} moves by 1e-05 rad only"),
+    ],
+)
+def test_wrong_signals_are_named(
+    log: Recording,
+    robot: sdpid.RobotModel,
+    quantity: str,
+    factor: float,
+    kind: str,
+    words: str,
+):
+    wrong = changed(log, quantity, 1, factor)
+    found = [each for each in inspect_recording(wrong, robot).findings if each.kind == kind]
+    (finding,) = [each for each in found if each.joint == log.names[1]]
+    assert words.format(log.names[1]) in finding.message
+    assert finding.remedy
+    assert finding.severity in ("error", "warning")
+    assert not inspect_recording(wrong, robot).ok
+
+
+def test_one_sample_that_jumps_is_named_with_its_row(log: Recording):
+    position = log.position.copy()
+    position[700, 1] += 4.8
+    (finding,) = inspect_recording(replace(log, position=position, velocity=None)).findings
+    assert (finding.kind, finding.severity) == ("position_jumps", "error")
+    assert finding.numbers["row"] in (700, 701)
+    assert "changes by 4.8" in finding.message
+
+
+def test_one_effort_far_beyond_all_others_is_named(log: Recording):
+    effort = log.effort.copy()
+    effort[444, 2] = 1e5
+    (finding,) = inspect_recording(replace(log, effort=effort)).findings
+    assert (finding.kind, finding.joint, finding.numbers["row"]) == (
+        "effort_spike",
+        log.names[2],
+        444.0,
+    )
+
+
+def test_a_gap_is_no_outlier(log: Recording):
+    """The motion during a gap is no jump: 1 rad is nothing in half a second."""
+    gap = rows_of(log, np.r_[0:600, 900:2000])
+    (finding,) = inspect_recording(gap).findings
+    assert (finding.severity, finding.kind) == ("note", "continued")
+    assert "split at 1 gap" in finding.message
+    assert inspect_recording(gap).ok
+
+
+def test_wrapped_angles_are_continued_not_alarmed_about(log: Recording):
+    turning = np.angle(np.exp(1j * 4.0 * np.pi * 0.2 * T))[:, None]
+    wrapped = Recording(time=T, position=turning, effort=log.effort[:, 1:2])
+    (finding,) = inspect_recording(wrapped).findings
+    assert finding.severity == "note"
+    assert "angles that wrap continued" in finding.message
+
+
+def test_rows_that_repeat_the_row_before_are_counted(log: Recording):
+    held = rows_of(log, np.arange(2000) // 4 * 4, T)
+    (finding,) = inspect_recording(replace(held, velocity=None)).findings
+    assert finding.kind == "repeated_rows"
+    assert finding.numbers["rows"] == 1500
+    # A long rest without noise is no fault of the logger.
+    rests = rows_of(log, np.r_[0:500, np.full(500, 500), 500:1500], T)
+    assert inspect_recording(replace(rests, velocity=None)).ok
+
+
+def test_positions_in_degrees_hide_the_alarms_that_they_raise(
+    log: Recording, robot: sdpid.RobotModel
+):
+    wrong = replace(log, position=np.degrees(log.position))
+    assert kinds(wrong, robot) == [("position_in_degrees", None)]
+
+
+def test_joints_that_do_not_match_are_a_finding(log: Recording, robot: sdpid.RobotModel):
+    other = replace(log, joint_names=("a", "b", "c", "d", "e", "f"))
+    assert kinds(other, robot) == [("joints_unknown", None)]
+    prefixed = replace(log, joint_names=tuple(f"left_{name}" for name in log.names))
+    (finding,) = inspect_recording(prefixed, robot).findings
+    assert finding.severity == "note"
+    assert "left_elbow_joint is elbow_joint" in finding.message
+
+
+def test_findings_are_data(log: Recording, robot: sdpid.RobotModel):
+    wrong = changed(log, "effort", 1, -1.0)
+    first, second = inspect_recordings((log, wrong), robot), inspect_recordings((wrong,), robot)
+    assert [str(each) for each in first] == [f"recording 2: {each}" for each in second]
+    entry = second[0].to_dict()
+    assert entry["severity"] == "error"
+    assert entry["numbers"]["scale"] < 0.0
+    assert entry["text"] == f"{entry['message']}; {entry['remedy']}"
+
+
+def test_identify_says_what_info_finds(log: Recording, robot: sdpid.RobotModel):
+    rng = np.random.default_rng(0)
+    effort = -log.effort + rng.normal(0.0, 0.1, log.effort.shape)
+    position = log.position.copy()
+    position[:, 5] = 0.3
+    wrong = replace(log, effort=effort, position=position, velocity=None)
+    result = sdpid.identify(robot, wrong, validation=wrong, friction=(), intervals=False)
+    found = inspect_recording(wrong, robot).findings
+    assert {"effort_sign", "joint_at_rest"} <= {each.kind for each in found}
+    assert result.findings[: len(found)] == found
+    assert {str(each) for each in found} <= set(result.notes)
+    assert any(note.startswith("validation recording 1: effort of") for note in result.notes)
+    saved = result.to_dict()
+    assert saved["findings"][0]["kind"] == "effort_sign"
+    assert saved["verdict"][0].startswith("The recording is not what it says: effort of")
+
+
+ROBOTS = {
+    "kinova_gen3_dynamapp": ("opti_traj_testing1", "gen3"),
+    "kuka_lwr4plus": ("measurements_1", "kuka_lwr4"),
+    "panda_unisa": ("panda_exciting", "panda"),
+    "staubli_tx40": ("tx40_rows_0_24750", "tx40"),
+    "ur10_unisa": ("ur10_exciting", "ur10"),
+}
+
+
+@pytest.mark.parametrize("name", ROBOTS)
+def test_real_logs_raise_no_alarm(data_folder, name: str):
+    log, urdf = ROBOTS[name]
+    record = sdpid.read_recording(data_folder / name / f"{log}.npz")
+    robot = sdpid.load_robot(data_folder / name / f"{urdf}.urdf")
+    inspection = inspect_recording(record, robot)
+    assert inspection.ok, str(inspection)
