@@ -24,7 +24,7 @@ from sdpid.estimation.feasible import FeasibleSet
 from sdpid.estimation.prior import Prior, PriorTerms, prior_terms
 from sdpid.estimation.profile import Profiled, close_terms
 from sdpid.estimation.remote import Cluster, Piece, RemoteRows, all_samples
-from sdpid.estimation.rows import RowSource
+from sdpid.estimation.rows import LostRows, RowSource
 from sdpid.estimation.weighting import WEIGHTINGS, Weighting
 from sdpid.experiment.processing import Processing
 from sdpid.experiment.recording import Recording
@@ -76,6 +76,8 @@ class Problem:
         Numbers of friction terms that were chosen by the data (see `sdpid.estimation.profile`).
     cluster : Cluster or None
         Where the rows are, when not here; `samples` is a thinned selection of theirs then.
+    seen : int or None
+        Number of samples whose rows were not kept; `samples` are only some of them then.
     """
 
     robot: RobotModel
@@ -92,6 +94,7 @@ class Problem:
     prior: PriorTerms | None = None
     profiled: tuple[Profiled, ...] = ()
     cluster: Cluster | None = None
+    seen: int | None = None
 
     @property
     def consistency(self) -> Consistency:
@@ -155,12 +158,14 @@ class Problem:
     @property
     def rows(self) -> RowSource:
         """The rows that the cost is made of."""
+        if self.seen is not None:
+            return LostRows(self.robot, self.friction, self.base, self.samples, self.seen)
         return _rows(self.robot, self.friction, self.base, self.samples, self.cluster)
 
     def without_rows(self) -> Problem:
         """Return the same cost and constraints with one sample: what solvers need, to send."""
-        first = self.samples.pieces[0]
-        return replace(self, cluster=None, samples=first.every(first.n_samples))
+        first, seen = self.samples.pieces[0], self.rows.n_samples
+        return replace(self, cluster=None, samples=first.every(first.n_samples), seen=seen)
 
     def predict(self, base: ArrayLike, samples: Samples | None = None) -> Array:
         """Return the efforts (K, n) that base parameters give on samples."""

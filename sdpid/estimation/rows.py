@@ -9,11 +9,12 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TypeVar
+from typing import NoReturn, TypeVar
 
 import numpy as np
 
 from sdpid._arrays import Array, Indices, Mask
+from sdpid.errors import DataError
 from sdpid.experiment.samples import Samples
 from sdpid.robot import kernels
 from sdpid.robot.base import BaseParameters
@@ -170,3 +171,41 @@ class RowSource:
             else:
                 kept = np.flatnonzero(to >= 0)
                 out[:, first:, to[kept]] = term.columns(v, a, names)[:, :, kept]
+
+
+@dataclass(frozen=True)
+class LostRows(RowSource):
+    """Rows that were not kept; those of other samples can be had (`on`).
+
+    Attributes
+    ----------
+    seen : int
+        Samples that there were.
+    """
+
+    seen: int
+
+    @property
+    def n_samples(self) -> int:
+        """Number of samples that there were."""
+        return self.seen
+
+    @property
+    def kept(self) -> bool:
+        """They were not."""
+        return False
+
+    def map(self, *_: object, **__: object) -> NoReturn:
+        """Raise: nothing can be summed over them."""
+        raise DataError(
+            f"'{self.robot.name}': the rows of the {self.seen} samples of this problem are not "
+            "kept, so what is summed over them (standard errors, intervals, residuals) is not to "
+            "be had; build a problem of a recording for that."
+        )
+
+    def parts(self, *_: object) -> NoReturn:
+        """Raise, as `map` does."""
+        self.map()
+
+    def _fill(self, *_: object) -> NoReturn:
+        self.map()

@@ -10,8 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from copy import copy
-from dataclasses import dataclass, fields, replace
-from typing import NoReturn
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -43,64 +42,6 @@ from sdpid.robot.model import RobotModel
 _REGULARISATION = 1e-10
 
 _WEIGHTINGS = ("gls", "gls_per_sample", "residual")
-
-
-@dataclass(frozen=True)
-class _Gone(RowSource):
-    """Rows that were not kept; those of other samples can be had (`on`).
-
-    Attributes
-    ----------
-    seen : int
-        Samples that there were.
-    """
-
-    seen: int
-
-    @property
-    def n_samples(self) -> int:
-        """Number of samples that there were."""
-        return self.seen
-
-    @property
-    def kept(self) -> bool:
-        """They were not."""
-        return False
-
-    def map(self, *_: object, **__: object) -> NoReturn:
-        """Raise: nothing can be summed over them."""
-        raise DataError(
-            f"'{self.robot.name}': the rows of the {self.seen} samples of this stream are not "
-            "kept, so what is summed over them (standard errors, intervals, residuals) is not to "
-            "be had; build a problem of a recording for that."
-        )
-
-    def parts(self, *_: object) -> NoReturn:
-        """Raise, as `map` does."""
-        self.map()
-
-    def _fill(self, *_: object) -> NoReturn:
-        self.map()
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class StreamedProblem(Problem):
-    """A problem whose rows are gone: what is summed over its samples cannot be had.
-
-    Attributes
-    ----------
-    samples : Samples
-        Those of the last update only.
-    seen : int
-        Samples in all.
-    """
-
-    seen: int
-
-    @property
-    def rows(self) -> RowSource:
-        """The rows, which are not kept."""
-        return _Gone(self.robot, self.friction, self.base, self.samples, self.seen)
 
 
 class StreamingProblem:
@@ -150,9 +91,9 @@ class StreamingProblem:
         factor[:b, :b], factor[:b, b], factor[b, b] = start.A, start.rhs, np.sqrt(start.floor)
         self._triangle = Triangle(b + 1)
         self._triangle.add(factor)
-        own = {field.name: getattr(start, field.name) for field in fields(Problem)}
         seen = start.rows.n_samples if start.n_rows else 0
-        self._problem = StreamedProblem(**{**own, "cluster": None, "seen": seen})
+        self._problem = replace(start, cluster=None, seen=seen)
+        self._seen = seen
         self._folded = True
         self._time: float | None = None
         # The program of the solves to come, and what it is about.
@@ -267,8 +208,9 @@ class StreamingProblem:
             faded = weighted * roots[part, None, None]
             triangle.add(faded.reshape(-1, weighted.shape[2]))
         self._triangle, self._time, self._folded = triangle, time, False
-        used, seen = problem.n_rows + samples.n_rows, problem.seen + samples.n_samples
-        self._problem = replace(problem, samples=samples, n_rows=used, seen=seen)
+        self._seen += samples.n_samples
+        used = problem.n_rows + samples.n_rows
+        self._problem = replace(problem, samples=samples, n_rows=used, seen=self._seen)
 
     def _check(self, samples: Samples) -> None:
         robot = self._problem.robot

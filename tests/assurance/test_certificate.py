@@ -21,7 +21,7 @@ from sdpid.assurance import verify as exact
 from sdpid.assurance.certificate import GAP, Verification, certify, verify
 from sdpid.assurance.compression import compression_error, rows_digest
 from sdpid.assurance.rounding import downward, feasible_theta, semidefinite, upward
-from sdpid.errors import CertificateError
+from sdpid.errors import CertificateError, DataError
 from sdpid.estimation.estimate import Estimate
 from sdpid.estimation.prior import Prior
 from sdpid.estimation.problem import build_problem
@@ -562,3 +562,15 @@ def test_parameters_on_the_edge_are_moved_inside(consistency: Any) -> None:
         assert np.all(moved >= feasible.lower)
         for body in feasible.bodies(moved):
             assert exact.has_margin(body.tolist(), 1e-3, consistency)
+
+
+def test_a_problem_sent_without_its_rows_says_nothing_of_them() -> None:
+    problem = arm_problem()
+    sent = problem.without_rows()
+    whole, without = (sdpid.certify(sdpid.solve_sdp(each)).to_dict() for each in (problem, sent))
+    assert without["origin"]["samples"] == problem.samples.n_samples
+    assert without["origin"]["rows"] == problem.n_rows
+    assert without["origin"]["rows_sha256"] is without["origin"]["compression_error"] is None
+    assert without["claims"] == whole["claims"]
+    with pytest.raises(DataError, match="not kept"):
+        _ = sdpid.solve_wls(sent).standard_errors
