@@ -29,8 +29,8 @@ from sdpid.experiment.plant import true_parameters
 from sdpid.experiment.stages import filter_stages
 from sdpid.output.plots import (
     plot_convergence,
-    plot_filtering,
     plot_reconstruction,
+    plot_signals,
     save_figure,
 )
 from sdpid.robot.inertia import margin
@@ -154,7 +154,7 @@ def main() -> int:
     first = log.start or 0.0
     window = (1200.0, 1400.0) if not options.quick else (first + 40.0, first + 80.0)
     stages = filter_stages(log, 0, window)
-    figure = plot_filtering(
+    figure = plot_signals(
         stages.time,
         stages.before,
         stages.after,

@@ -1,6 +1,6 @@
 """Plots that tell whether to trust an estimate.
 
-Every function takes plain arrays and returns a `matplotlib.figure.Figure`; nothing is shown and
+Every function returns a `matplotlib.figure.Figure`; nothing is shown and
 no global state of matplotlib is touched. `save_figure` writes it.
 """
 
@@ -16,7 +16,10 @@ from sdpid._arrays import Array, real_array
 from sdpid._extras import require
 from sdpid.assurance.validation import Validation
 from sdpid.errors import DataError
+from sdpid.experiment.processing import Processing
+from sdpid.experiment.recording import Recording
 from sdpid.experiment.samples import Samples
+from sdpid.experiment.stages import filter_stages
 from sdpid.output.convergence_plot import plot_convergence
 from sdpid.output.figures import (
     BLUE,
@@ -44,17 +47,56 @@ from sdpid.output.parameter_plot import plot_parameters
 _WIDTH, _LEFT, _RIGHT, _TOP, _BOTTOM, _HEADING = 12.0, 0.95, 0.15, 0.35, 0.95, 0.35
 _BETWEEN, _ABOVE, _LABEL, _SHARE = 0.95, 0.42, 0.65, 0.61
 
+_UNITS = {"position": "rad", "torque": "N·m", "velocity": "rad/s", "acceleration": "rad/s²"}
+
 __all__ = [
     "plot_convergence",
     "plot_filtering",
     "plot_fit",
     "plot_parameters",
     "plot_reconstruction",
+    "plot_signals",
     "save_figure",
 ]
 
 
 def plot_filtering(
+    log: Recording,
+    joint: int = 0,
+    *,
+    window: tuple[float, float],
+    processing: Processing | None = None,
+    title: str | None = None,
+) -> Any:
+    """Show position, torque, velocity and acceleration of a joint before and after filtering.
+
+    Parameters
+    ----------
+    log : Recording
+        The recording.
+    joint : int, optional
+        Index of the joint.
+    window : (float, float)
+        Instants between which to show them, s.
+    processing : Processing, optional
+        By default `Processing.paper`.
+    title : str, optional
+        Heading of the figure.
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+
+    Raises
+    ------
+    DataError
+        When the window holds too few samples, or the joint does not exist.
+    """
+    stages = filter_stages(log, joint, window, processing)
+    return plot_signals(stages.time, stages.before, stages.after, units=_UNITS, title=title)
+
+
+def plot_signals(
     time: ArrayLike,
     before: Mapping[str, ArrayLike],
     after: Mapping[str, ArrayLike],
@@ -63,7 +105,7 @@ def plot_filtering(
     window: tuple[float, float] | None = None,
     title: str | None = None,
 ) -> Any:
-    """Show the signals of one joint before and after filtering, and their differences.
+    """Show signals before and after filtering, and their differences.
 
     Parameters
     ----------
@@ -132,28 +174,41 @@ def plot_filtering(
     return figure
 
 
-def plot_fit(samples: Samples, fit: Validation) -> Any:
-    """Return a figure of measured against predicted effort (extra ``plot``).
+def plot_fit(
+    samples: Samples,
+    fit: Validation,
+    *,
+    count: int | None = None,
+    title: str | None = None,
+) -> Any:
+    """Show measured against predicted effort, joint by joint, with the errors beside.
 
     Parameters
     ----------
     samples : Samples
         The measurements.
     fit : Validation
-        Their prediction.
+        Their prediction; the errors in the titles are those of all rows.
+    count : int, optional
+        Draw the first samples only, so that curves can be told apart.
+    title : str, optional
+        Heading of the figure.
 
     Returns
     -------
     matplotlib.figure.Figure
     """
+    shown = slice(None, count)
+    total = len(samples.effort[shown])
     return plot_reconstruction(
-        samples.time,
-        samples.effort,
-        fit.effort_predicted,
+        None if samples.time is None else samples.time[shown],
+        samples.effort[shown],
+        fit.effort_predicted[shown],
         fit.joint_names,
         fit.rmse,
-        mask=samples.mask,
-        starts=samples.starts,
+        mask=None if samples.mask is None else samples.mask[shown],
+        starts=[start for start in samples.starts if start < total],
+        title=title,
     )
 
 

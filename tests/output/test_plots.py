@@ -14,17 +14,22 @@ from lxml import etree
 
 pytest.importorskip("matplotlib")
 
+import sdpid
 from sdpid.assurance.residuals import JointErrors
+from sdpid.assurance.validation import Validation
 from sdpid.errors import DataError, ExportError
 from sdpid.estimation.estimate import Step
+from sdpid.experiment.samples import Samples
 from sdpid.output.figures import BLUE, POINTS, decimate, runs, spans, stretch
 from sdpid.output.inline_svg import image_source, svg_text
 from sdpid.output.joint_plots import COLUMNS, detail, plot_joint, plot_joint_errors
 from sdpid.output.plots import (
     plot_convergence,
     plot_filtering,
+    plot_fit,
     plot_parameters,
     plot_reconstruction,
+    plot_signals,
     save_figure,
 )
 
@@ -36,7 +41,7 @@ def filtering(count: int = 400, **options: object) -> object:
     rng = np.random.default_rng(0)
     after = {name: np.sin(time * (k + 1)) for k, name in enumerate(SIGNALS)}
     before = {name: y + 0.1 * rng.standard_normal(count) for name, y in after.items()}
-    return plot_filtering(time, before, after, units={"position": "rad"}, **options)  # type: ignore[arg-type]
+    return plot_signals(time, before, after, units={"position": "rad"}, **options)  # type: ignore[arg-type]
 
 
 def reconstruction(count: int = 300, **options: object) -> object:
@@ -150,6 +155,33 @@ def test_runs() -> None:
     assert runs([False]) == []
 
 
+def test_a_recording_and_a_fit_are_drawn() -> None:
+    rng = np.random.default_rng(0)
+    time = 0.01 * np.arange(4000)
+    q = np.sin(np.outer(time, [1.0, 2.0]))
+    log = sdpid.Recording(
+        time=time, position=q, effort=q + 0.1 * rng.standard_normal(q.shape), joint_names=("a", "b")
+    )
+    figure = plot_filtering(log, 1, window=(15.0, 25.0))
+    assert [axis.get_ylabel() for axis in figure.axes[::2]] == [
+        "Position [rad]", "Torque [N·m]", "Velocity [rad/s]", "Acceleration [rad/s²]",
+    ]  # fmt: skip
+    assert figure.axes[0].get_xlim() == pytest.approx((15.0, 25.0), abs=0.02)
+    with pytest.raises(DataError, match="joint 2 does not exist"):
+        plot_filtering(log, 2, window=(15.0, 25.0))
+    samples = Samples(
+        position=q, velocity=q, acceleration=q, effort=q, time=time, starts=(0, 1000, 3000)
+    )
+    fit = Validation(
+        joint_names=("a", "b"), effort_predicted=q + 0.5, rmse=np.full(2, 0.5),
+        nrmse=np.ones(2), r2=np.zeros(2), relative=0.5, rows=np.full(2, 4000),
+    )  # fmt: skip
+    axis = plot_fit(samples, fit, count=2000, title="two pieces").axes[0]
+    drawn = axis.get_lines()[0].get_ydata()
+    assert np.isnan(drawn).sum() == 1
+    assert np.nanmax(np.abs(drawn - 0.0)) <= 1.0
+
+
 def test_reconstruction_names_errors_and_shades() -> None:
     mask = np.ones((300, 2), dtype=bool)
     mask[50:80, 1] = False
@@ -169,7 +201,7 @@ def test_names_are_not_read_as_formulas(tmp_path: Path) -> None:
     time = np.arange(5.0)
     figures = [
         plot_reconstruction(time, y, y, [bad, "$x^2$"], units=bad, title=bad),
-        plot_filtering(time, {bad: time}, {bad: time}, units={bad: bad}, title=bad),
+        plot_signals(time, {bad: time}, {bad: time}, units={bad: bad}, title=bad),
         plot_parameters([bad], [bad], {bad: [1.0]}, title=bad),
         convergence(label=bad, title=bad),
     ]
@@ -220,11 +252,11 @@ def test_convergence_of_exact_data() -> None:
 def test_bad_input_is_named() -> None:
     time = np.arange(5.0)
     with pytest.raises(DataError, match="the same names"):
-        plot_filtering(time, {"position": time}, {"torque": time})
+        plot_signals(time, {"position": time}, {"torque": time})
     with pytest.raises(DataError, match="position has 3 rows"):
-        plot_filtering(time, {"position": time}, {"position": time[:3]})
+        plot_signals(time, {"position": time}, {"position": time[:3]})
     with pytest.raises(DataError, match="window 9 to 10 s"):
-        plot_filtering(time, {"position": time}, {"position": time}, window=(9.0, 10.0))
+        plot_signals(time, {"position": time}, {"position": time}, window=(9.0, 10.0))
     y = np.ones((5, 2))
     with pytest.raises(DataError, match="predicted has 4 rows"):
         plot_reconstruction(time, y, y[:4], ["a", "b"])
