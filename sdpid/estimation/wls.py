@@ -17,6 +17,9 @@ from sdpid.estimation.problem import Problem
 _SETTLED = 1e-14
 _STEPS = 100
 
+# Log-determinants count this many times less from one stage to the next.
+_FADED = 4.0
+
 # A step is halved until it brings this share of what its slope promises, at most so often.
 _PROMISED = 1e-4
 _HALVINGS = 60
@@ -77,32 +80,44 @@ def _least_squares(matrix: Array, rhs: Array) -> Array:
 
 
 def _newton(problem: Problem) -> tuple[Array, int]:
-    """Return the theta of the least cost without constraints, and the number of steps."""
+    """Return the theta of the least cost without constraints, and the number of steps.
+
+    Log-determinants count more at first, and less from stage to stage: Newton's method crawls
+    along the boundary of the cone when it gets there before their pull back is felt.
+    """
     squared, log_det = problem.squared, problem.log_det
     theta = log_det.center()
-    cost = problem.cost_of(theta)
+    size = float(squared.rhs @ squared.rhs) + problem.floor
+    weight = max(1.0, squared.value(theta) / log_det.strength) if len(log_det.links) else 1.0
     for step in range(1, _STEPS + 1):
-        rows = log_det.curvature_rows(theta)
+        rows = np.sqrt(weight) * log_det.curvature_rows(theta)
         # R with R^T·R half the Hessian, and r with R^T·r half the gradient.
-        pull = np.linalg.lstsq(rows.T, 0.5 * log_det.gradient(theta), rcond=None)[0]
+        pull = np.linalg.lstsq(rows.T, 0.5 * weight * log_det.gradient(theta), rcond=None)[0]
         matrix = np.vstack([squared.matrix, rows])
-        residual = np.concatenate([squared.residual(theta), pull])
-        move = -_least_squares(matrix, residual)
+        move = -_least_squares(matrix, np.concatenate([squared.residual(theta), pull]))
         promised = float(np.sum((matrix @ move) ** 2))
-        length = 1.0
-        for _ in range(_HALVINGS):
-            found = problem.cost_of(theta + length * move)
-            if found <= cost - _PROMISED * length * promised:
-                break
-            length *= 0.5
-        else:
-            # No step brings anything that rounding does not hide.
-            length = 0.0
-        if length > 0.0:
-            theta, cost = theta + length * move, found
-        if promised <= _SETTLED * max(cost, float(squared.rhs @ squared.rhs)) or length == 0.0:
+        length = _length(problem, theta, move, promised, weight)
+        theta = theta + length * move
+        if weight == 1.0 and (promised <= _SETTLED * size or length == 0.0):
             return theta, step
+        if promised <= weight * log_det.strength:
+            weight = max(1.0, weight / _FADED)
     raise SolverError(
         f"solve_wls: Newton's method has not settled in {_STEPS} steps (the last one promised "
-        f"{promised:.1e} of a cost of {cost:.3e}); use solve_sdp, or a prior of kind 'pullback'."
+        f"{promised:.1e} of a cost of {problem.cost_of(theta):.3e}); use solve_sdp, or a prior of "
+        "kind 'pullback'."
     )
+
+
+def _length(problem: Problem, theta: Array, move: Array, promised: float, weight: float) -> float:
+    """Return the share of a step that brings what its slope promises, 0 where rounding hides it."""
+
+    def cost(at: Array) -> float:
+        return problem.squared.value(at) + weight * problem.log_det.value(at)
+
+    before, length = cost(theta), 1.0
+    for _ in range(_HALVINGS):
+        if cost(theta + length * move) <= before - _PROMISED * length * promised:
+            return length
+        length *= 0.5
+    return 0.0
