@@ -24,6 +24,10 @@ settings.register_profile(
     print_blob=True,
     suppress_health_check=_QUIET,
 )
+# For a second run of the same tests, under other linear algebra.
+settings.register_profile(
+    "brief", max_examples=10, deadline=None, derandomize=True, suppress_health_check=_QUIET
+)
 settings.load_profile("ci" if _CI else "dev")
 
 _REPOSITORY = Path(__file__).resolve().parent.parent
