@@ -10,11 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sdpid._arrays import Array
-from sdpid.errors import DataError
 from sdpid.experiment.recording import Recording
-from sdpid.experiment.timing import MAX_GAP_STEPS
+from sdpid.experiment.timing import MAX_GAP_STEPS, longest_gap
 
-__all__ = ["continuous", "split_at_gaps", "unwrapped"]
+__all__ = ["continuous", "in_time", "split_at_gaps", "unwrapped"]
 
 _TURN = 2.0 * math.pi
 # No joint turns further from one sample to the next (rad). A jump this close to whole turns is
@@ -45,25 +44,20 @@ def continuous(log: Recording) -> tuple[tuple[Recording, ...], list[str]]:
         From `split_at_gaps`, each `unwrapped`; ``(log,)`` itself where nothing had to be done.
     notes : list of str
         In words, with sizes and rows.
-
-    Raises
-    ------
-    DataError
-        As `split_at_gaps`.
     """
+    log, notes = in_time(log)
     pieces = split_at_gaps(log)
-    notes = []
     if pieces != (log,):
-        steps = np.diff(log.time)
-        own = sum(piece.duration for piece in pieces)
+        longest = longest_gap(log.step)
+        measured = sum(piece.duration for piece in pieces)
         single = log.n_samples - sum(piece.n_samples for piece in pieces)
-        count = np.count_nonzero(steps > MAX_GAP_STEPS * log.step)
+        count = np.count_nonzero(np.diff(log.time) > longest)
         lone = f", {single} of the samples alone between gaps left out" if single else ""
         notes.append(
-            f"split at {count} {'gap' if count == 1 else 'gaps'} of more than {MAX_GAP_STEPS:g} "
-            f"steps of {log.step:.6g} s, the largest {log.stamps.most:.6g} s before row "
-            f"{log.stamps.row}: "
-            f"{log.duration - own:.6g} s of {log.duration:.6g} s were not measured{lone}"
+            f"split at {count} {'gap' if count == 1 else 'gaps'} of more than "
+            f"{longest / log.step:.3g} steps of {log.step:.6g} s, the largest "
+            f"{log.stamps.most:.6g} s before row {log.stamps.row}: "
+            f"{log.duration - measured:.6g} s of {log.duration:.6g} s were not measured{lone}"
         )
     turned = [unwrapped(piece) for piece in pieces]
     jumps = sum((jumps for _, jumps in turned), np.zeros(log.n, dtype=np.intp))
@@ -87,24 +81,16 @@ def split_at_gaps(log: Recording) -> tuple[Recording, ...]:
     Returns
     -------
     tuple of Recording
-        What lies between steps of more than five nominal ones, without single samples;
+        What lies between steps of more than five nominal ones and 10 ms, without single samples;
         ``(log,)`` itself without such a gap.
-
-    Raises
-    ------
-    DataError
-        When the samples after a gap come in a burst that makes up for it: then they are late,
-        not lost, and their stamps do not say when they were taken.
     """
     if log.period is not None:
         return (log,)
     # The same arithmetic as in `make_grid`, which refuses what is left.
-    if not log.stamps.most - log.step > (MAX_GAP_STEPS - 1.0) * log.step:
+    longest = longest_gap(log.step) - log.step
+    if not log.stamps.most - log.step > longest:
         return (log,)
-    steps = np.diff(log.time) - log.step
-    rows = np.flatnonzero(steps > (MAX_GAP_STEPS - 1.0) * log.step) + 1
-    for row in rows:
-        _require_lost(log, int(row))
+    rows = np.flatnonzero(np.diff(log.time) - log.step > longest) + 1
     # Half of all steps are no longer than their median, so some samples do lie together.
     bounds = [0, *rows.tolist(), log.n_samples]
     pieces: list[Recording] = []
@@ -161,7 +147,7 @@ def _may_wrap(log: Recording) -> list[int]:
     return []
 
 
-def _rows(log: Recording, rows: slice) -> Recording:
+def _rows(log: Recording, rows: slice | NDArray[np.bool_]) -> Recording:
     """Return some samples of a record without periods."""
     return replace(
         log,
@@ -172,24 +158,61 @@ def _rows(log: Recording, rows: slice) -> Recording:
     )
 
 
+def in_time(log: Recording) -> tuple[Recording, list[str]]:
+    """Put right the stamps of samples that came late, in a burst after a gap.
+
+    Samples that a busy logger stamps late follow each other faster until the stamps are back on
+    the regular clock. Where they all came, they get regular stamps. Where some of them were lost
+    as well, nobody knows which, and the burst is left out.
+
+    Parameters
+    ----------
+    log : Recording
+        As it was measured.
+
+    Returns
+    -------
+    log : Recording
+        The same one where no sample came late.
+    notes : list of str
+        How many samples, and before which row.
+    """
+    limit = MAX_GAP_STEPS * log.step
+    if not log.stamps.most > limit:
+        return log, []
+    time = np.array(log.time)
+    keep = np.ones(time.size, dtype=np.bool_)
+    notes = []
+    for row in (np.flatnonzero(np.diff(time) > limit) + 1).tolist():
+        step = _step_before(log, row)
+        gap = float(time[row] - time[row - 1]) - step
+        after = time[row : row + 2 * math.ceil(gap / step) + _NEIGHBOURS]
+        # How late each sample is by a regular clock that starts before the gap.
+        late = after - time[row - 1] - step * np.arange(1, after.size + 1)
+        least = max(float(late.min()), 0.0)
+        if gap - least <= _CAUGHT_UP * gap:
+            continue
+        count = int(np.argmax(late <= least + step / 2.0))
+        where = f"after a gap of {gap + step:.6g} s before row {row}"
+        if least <= step / 2.0:
+            stop = row + count
+            time[row - 1 : stop + 1] = np.linspace(time[row - 1], time[stop], count + 2)
+            notes.append(f"stamps of {count} samples {where} came late; taken as regular")
+        else:
+            keep[row : row + count] = False
+            notes.append(
+                f"{count} samples {where} left out: they came late, {round(least / step)} of them "
+                "were lost, and their stamps do not say which"
+            )
+    if not notes:
+        return log, []
+    if not keep.all() and log.period is None:
+        return _rows(replace(log, time=time), keep), notes
+    return replace(log, time=time), notes
+
+
 def _step_before(log: Recording, row: int) -> float:
     """Return the mean step before the gap that ends at a row: the rate of a log may change."""
     steps = np.diff(log.time[max(0, row - _BEFORE) : row])
-    steps = steps[steps <= MAX_GAP_STEPS * log.step]
+    steps = steps[steps <= longest_gap(log.step)]
     return float(steps.mean()) if steps.size >= _NEIGHBOURS else log.step
-
-
-def _require_lost(log: Recording, row: int) -> None:
-    """Raise when the stamps after the gap that ends at a row make up for it."""
-    time, step = log.time, _step_before(log, row)
-    gap = float(time[row] - time[row - 1]) - step
-    after = time[row : row + _NEIGHBOURS]
-    # How far ahead of a regular clock that starts after the gap its neighbours come.
-    early = float(np.max(step * np.arange(after.size) - (after - after[0])))
-    if early > _CAUGHT_UP * gap:
-        raise DataError(
-            f"time: after a gap of {gap + step:.6g} s before row {row} the stamps catch up by "
-            f"{early:.6g} s within {after.size} samples, more than {100 * _CAUGHT_UP:g} % of it: "
-            "samples came late, none was lost. Use the time at which they were taken, or leave "
-            "the stamps out and give rate_hz."
-        )

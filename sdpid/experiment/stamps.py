@@ -125,8 +125,10 @@ def _lost_samples(time: Array) -> int:
     median = float(np.median(steps))
     lost = 0
     for i in np.flatnonzero(steps > _LONG * median):
-        width = min(_NEIGHBOURS, int(i) + 1, time.size - 1 - int(i))
+        # Late samples catch up within as many as the gap held.
+        around = max(_NEIGHBOURS, 2 * round(float(steps[i]) / median))
+        width = min(around, int(i) + 1, time.size - 1 - int(i))
         before, after = time[i + 1 - width : i + 1], time[i + 1 : i + 1 + width]
-        shift = float(np.mean(after - before)) / median - width
+        shift = float(np.median(after - before)) / median - width
         lost += max(0, min(round(shift), round(float(steps[i]) / median) - 1))
     return lost

@@ -12,16 +12,18 @@ from sdpid.errors import DataError
 from sdpid.experiment.recording import Recording
 from sdpid.experiment.stamps import blocks
 
-__all__ = ["MAX_GAP_STEPS", "Grid", "Timing", "make_grid"]
+__all__ = ["MAX_GAP_STEPS", "Grid", "Timing", "longest_gap", "make_grid"]
 
 Timing = Literal["auto", "nominal", "resample"]
 
 # Stamps are uniform when no step is off by more than this part of the nominal one. A stamp in
 # seconds since 1970 has a resolution of 2.4e-7 s, which is 2.4e-4 of a step at 1 kHz.
 _JITTER = 1e-3
-# Lost samples up to here are bridged by the spline; a longer gap holds motion nobody measured,
-# and records without periods are split there.
+# Gaps up to this many steps, or this long (s: a tenth of a period of the fastest motion of an arm),
+# are bridged by the spline; a longer one holds motion nobody measured, and records without periods
+# are split there.
 MAX_GAP_STEPS = 5.0
+_MAX_GAP_S = 0.01
 # Stamps that stay this close (in steps) to a straight line can be late stamps of regular samples.
 _MAX_WANDER_STEPS = 0.5
 # Interpolate only if the stamps predict left-out positions at least this much better than the
@@ -71,6 +73,11 @@ class Grid:
         return values
 
 
+def longest_gap(step: float) -> float:
+    """Return the longest distance of two samples that is bridged, in s."""
+    return max(MAX_GAP_STEPS * step, _MAX_GAP_S)
+
+
 def make_grid(recording: Recording, timing: Timing = "auto") -> Grid:
     """Choose a uniform grid for a recording.
 
@@ -92,8 +99,8 @@ def make_grid(recording: Recording, timing: Timing = "auto") -> Grid:
     Raises
     ------
     DataError
-        When a gap of more than five steps would have to be bridged; `process` splits records
-        without periods there beforehand.
+        When a gap of more than five steps and 10 ms would have to be bridged; `process` splits
+        records without periods there beforehand.
     """
     time, stamps, step = recording.time, recording.stamps, recording.step
     if recording.period_layout is not None and recording.period is not None:
@@ -104,13 +111,15 @@ def make_grid(recording: Recording, timing: Timing = "auto") -> Grid:
     nominal = Grid(origin=stamps.first, step=step, count=time.size)
     if jitter <= _JITTER and timing != "resample":
         return nominal
-    if late > (MAX_GAP_STEPS - 1.0) * recording.step:
+    # The same arithmetic as in `split_at_gaps`, which leaves no such gap.
+    if late > longest_gap(recording.step) - recording.step:
         row = stamps.row
         raise DataError(
             f"time: gap of {late + recording.step:.6g} s before row {row} (from "
             f"{time[row - 1]:.9g} s to {time[row]:.9g} s), {late / recording.step + 1.0:.1f} "
-            f"steps of {recording.step:.6g} s, more than {MAX_GAP_STEPS:g}; without its "
-            "period the record is split there."
+            f"steps of {recording.step:.6g} s, more than "
+            f"{longest_gap(recording.step) / recording.step:.3g}; without its period the record is "
+            "split there."
         )
     wander = _wander(recording) / recording.step
     seen = f"time stamps jitter by {100.0 * jitter:.3g} % of a step of {recording.step:.6g} s"

@@ -147,13 +147,53 @@ def test_periods_with_a_gap_are_refused() -> None:
         process(whole, replace(SETTING, covariance=None))
 
 
-def test_late_samples_are_not_lost() -> None:
-    """A stalled logger writes what it held back in a burst: no sample is missing."""
-    log = record()
+def late(log: sdpid.Recording, row: int, count: int, spacing: float = 1e-4) -> np.ndarray:
+    """Return stamps of a logger that stalls, then writes what it held back in a burst."""
     time = np.array(log.time)
-    time[500:520] = time[520] - 1e-4 * np.arange(20, 0, -1)
-    with pytest.raises(DataError, match=r"before row 500 the stamps catch up by 0.198 s"):
-        process(replace(log, time=time), SETTING)
+    stop = row + count
+    time[row:stop] = time[stop] - spacing * np.arange(count, 0, -1)
+    return time
+
+
+@pytest.mark.parametrize("period", [None, 5.0])
+@pytest.mark.parametrize("count", [6, 20])
+def test_late_samples_are_taken_as_regular(period: float | None, count: int) -> None:
+    """No sample is missing, and one hiccup of the clock does not cost the record."""
+    log = record()
+    position = np.sin(0.4 * np.pi * np.array([2.0, 3.0]) * log.time[:, None])
+    log = replace(log, position=position, period=period)
+    setting = replace(SETTING, covariance=None)
+    stalled = replace(log, time=late(log, 500, count))
+    samples, expected = process(stalled, setting), process(log, setting)
+    assert f"stamps of {count} samples after a gap of 0." in samples.notes[0]
+    assert samples.n_samples == expected.n_samples
+    np.testing.assert_allclose(samples.acceleration, expected.acceleration, atol=1e-6)
+    inspection = sdpid.inspect_recording(stalled)
+    assert any("came late; taken as regular" in each.message for each in inspection.findings)
+
+
+def test_late_samples_of_which_some_were_lost_are_left_out() -> None:
+    log = record()
+    stalled = replace(log, time=late(log, 500, 40))
+    stalled = without(stalled, (501, 517))
+    pieces, notes = continuous(stalled)
+    assert notes[0].startswith("24 samples after a gap of")
+    assert "16 of them were lost" in notes[0]
+    assert [piece.n_samples for piece in pieces] == [500, 1460]
+
+
+def test_a_hiccup_of_5_ms_at_1_khz_is_bridged() -> None:
+    """Five samples are missing: less than any motion of an arm needs to be seen."""
+    time = np.arange(8000) / 1000.0
+    position = np.sin(np.pi * time)[:, None]
+    log = sdpid.Recording(time=time, position=position, effort=position, period=2.0)
+    keep = np.r_[0:3000, 3005:8000]
+    fields = {name: getattr(log, name)[keep] for name in ("time", "position", "effort")}
+    lost = replace(log, **fields)
+    setting = replace(SETTING, covariance=None)
+    samples, expected = process(lost, setting), process(log, setting)
+    np.testing.assert_allclose(samples.acceleration, expected.acceleration, atol=1e-3)
+    assert process(replace(lost, period=None), setting).starts == (0,)
 
 
 @settings(max_examples=25, deadline=None)
