@@ -11,7 +11,7 @@ import pytest
 
 import sdpid
 
-EXAMPLES = sorted((Path(__file__).resolve().parent.parent / "examples").glob("*.py"))
+EXAMPLES = sorted((Path(__file__).resolve().parent.parent / "examples").rglob("*.py"))
 
 
 def test_there_are_examples() -> None:

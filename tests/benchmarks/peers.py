@@ -50,7 +50,7 @@ import numpy as np
 _LEAST_REPEATS = 5
 _RATE_HZ = 5000.0
 _WRIST = ("joint_5", "joint_6")
-# As the coupling's friction is smoothed in examples/real_robots.py, rad/s.
+# As the coupling's friction is smoothed in examples/studies/real_robots.py, rad/s.
 _WIDTH = 0.05
 
 # What FIGAROH's example for this robot sets, in the format that 1.0.2 reads.

@@ -5,7 +5,7 @@ the default prior and without one; nothing is tuned to a robot. What was not tra
 predicted: the other run where there are two, the last 40 % of a record otherwise. Data that leave
 base parameters undetermined must be refused without a prior. Errors are rows like any other.
 
-    python examples/data_sets.py --data /path/to/data --out results --markdown
+    python examples/studies/data_sets.py --data /path/to/data --out results --markdown
 
 With --priors, kinds and strengths of priors are compared instead, under the 4×4 inequality and with
 one friction model a set. The folder of the data may also be named by the environment variable

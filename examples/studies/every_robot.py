@@ -6,7 +6,7 @@ not exist and perturbed, with friction added and noise of 1 % of each joint's ef
 parameters are estimated without a prior and with the default one; nothing is tuned to a robot.
 Where the data leave base parameters undetermined, an estimate without a prior must be refused.
 
-    python examples/every_robot.py --out results
+    python examples/studies/every_robot.py --out results
 """
 
 from __future__ import annotations

@@ -4,7 +4,7 @@ Both columns of Table IV, each number known to half a unit in its last printed p
 consistencies; the constrained column against the margins and masses of Table V; and how the
 answers depend on the bound on masses and on the lengths that the paper does not give.
 
-    python examples/audit_paper.py --out results
+    python examples/studies/audit_paper.py --out results
 """
 
 from __future__ import annotations

@@ -4,7 +4,7 @@ Every candidate is fitted to the training part of every set by the semidefinite 
 default prior, and scored by its residual on what was held out (see real_robots.py). Of each robot
 the others choose.
 
-    python examples/robot_defaults.py --data /path/to/data --out results
+    python examples/studies/robot_defaults.py --data /path/to/data --out results
 
 The folder of the data may also be named by the environment variable SDPID_DATA.
 """

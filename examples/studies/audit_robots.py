@@ -6,7 +6,7 @@ MuJoCo's loader, before and after the repair. For MuJoCo the files are stripped 
 everything that is no link or joint, so that missing meshes do not matter and no mass is invented
 from shapes.
 
-    python examples/audit_robots.py --out results
+    python examples/studies/audit_robots.py --out results
 """
 
 from __future__ import annotations

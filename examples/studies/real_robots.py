@@ -6,7 +6,7 @@ and two local solvers, all with the same friction terms. Held out are the second
 are two, otherwise all rows behind the first 60 % of the record. The published numbers that can be
 compared stand beside.
 
-    python examples/real_robots.py --data /path/to/data --out results
+    python examples/studies/real_robots.py --data /path/to/data --out results
 
 robot_defaults.py shows how the defaults were chosen. The folder of the data may also be named by
 the environment variable SDPID_DATA.

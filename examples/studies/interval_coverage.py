@@ -4,7 +4,7 @@ Each seed draws its own excitation and noise for the Denso plant. Counted are th
 Gauss and Markov, the profile bounds and the block bootstrap of `sdpid.intervals`, for a robot well
 inside of all constraints and for one whose links lie exactly on them.
 
-    python examples/interval_coverage.py --out results --seeds 40
+    python examples/studies/interval_coverage.py --out results --seeds 40
 """
 
 from __future__ import annotations
