@@ -3,7 +3,7 @@ from .assurance.audit_urdf import UrdfAudit, audit_urdf
 from .assurance.certificate import Certificate, certify, verify
 from .assurance.intervals import Intervals, intervals
 from .assurance.payload import Payload, identify_payload
-from .assurance.price import price_of_consistency
+from .assurance.price import cost_of_constraints
 from .assurance.validation import Validation, validate
 from .assurance.verdict import verdict
 from .assurance.worst_mass_matrix import worst_mass_matrix
@@ -153,6 +153,7 @@ __all__ = [
     "certify",
     "choose_processing",
     "compare",
+    "cost_of_constraints",
     "cross_validate",
     "identify",
     "identify_payload",
@@ -161,7 +162,6 @@ __all__ = [
     "load_robot",
     "mass_matrix",
     "paper_excitation",
-    "price_of_consistency",
     "process",
     "read_parameters",
     "read_recording",

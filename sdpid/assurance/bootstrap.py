@@ -21,6 +21,7 @@ import numpy as np
 
 from sdpid._arrays import Array, frozen
 from sdpid._jobs import parallel
+from sdpid._seeds import generator
 from sdpid.assurance.score_blocks import Groups, ScoreBlocks
 from sdpid.errors import DataError, SolverError
 from sdpid.estimation.estimate import Estimate
@@ -107,7 +108,7 @@ def resampled(
     *,
     resamples: int = 400,
     groups: Groups = "blocks",
-    seed: int = 0,
+    seed: int | np.random.Generator = 0,
     n_jobs: int | None = None,
 ) -> Resampled:
     """Draw the data of an estimate again, and estimate every time.
@@ -121,7 +122,7 @@ def resampled(
         Number of draws.
     groups : {"blocks", "periods"}, optional
         What is drawn.
-    seed : int, optional
+    seed : int or numpy.random.Generator, optional
         Of the draws. Each draw has its own generator, of this seed and its number: the first 400
         of 1000 draws are those of 400.
     n_jobs : int, optional
@@ -135,7 +136,7 @@ def resampled(
     Raises
     ------
     DataError
-        When there are too few groups or draws.
+        When there are too few groups or draws, or the seed is no whole number from 0 on.
     SolverError
         When too many draws have no solution.
     """
@@ -150,7 +151,7 @@ def resampled(
         run = _PIECES if size > 1 else 1
     else:
         pieces, run = ScoreBlocks.of(problem, groups), 1
-    draws = _Draws(pieces, run, seed, Again.of(estimate))
+    draws = _Draws(pieces, run, _whole(seed), Again.of(estimate))
     starts = range(0, resamples, _TOGETHER)
     tasks = (delayed(draws.solve)(range(i, min(i + _TOGETHER, resamples))) for i in starts)
     done = list(chain.from_iterable(parallel(n_jobs, threads=True)(tasks)))
@@ -163,6 +164,12 @@ def resampled(
             problem=problem,
         )
     return Resampled(base=frozen(base), lost=lost, seconds=sum(seconds for _, seconds in done))
+
+
+def _whole(seed: int | np.random.Generator) -> int:
+    """Return a seed as a number, from which each draw's generator is made."""
+    rng = generator(seed)
+    return int(rng.integers(2**63)) if isinstance(seed, np.random.Generator) else int(seed)
 
 
 @dataclass(frozen=True, eq=False)

@@ -129,13 +129,13 @@ class Certificate:
         return float(gap)
 
     @property
-    def margins(self) -> Array | None:
-        """Margin of every link in kg·m², rounded down; NaN for a link without a positive mass.
+    def margins(self) -> tuple[float | None, ...] | None:
+        """Margin of every link in kg·m², rounded down; None for a link without a positive mass.
 
         None without standard parameters, or where no consistency is demanded.
         """
         margins = self._claims["margins"]
-        return None if margins is None else frozen([np.nan if m is None else m for m in margins])
+        return None if margins is None else tuple(margins)
 
     @property
     def feasible(self) -> bool:
@@ -155,9 +155,8 @@ class Certificate:
                 f"not feasible: {reason}; no feasible parameters cost less than "
                 f"{self.lower_bound:.10g}."
             )
-        # Without a consistency links may have no mass, and then no margin.
-        margins = self.margins
-        how = "" if margins is None else f" with margin {float(margins.min()):.6g} kg.m2"
+        margins = [margin for margin in self.margins or () if margin is not None]
+        how = f" with margin {min(margins):.6g} kg.m2" if margins else ""
         return (
             f"feasible{how}; cost {self.cost:.10g}; no feasible parameters cost less than "
             f"{self.lower_bound:.10g}; at most {100 * max(self.gap, 0.0):.2e} % above the global "

@@ -159,7 +159,7 @@ def intervals(
     groups: Groups = "blocks",
     resamples: int = 400,
     kind: Kind = "percentile",
-    seed: int = 0,
+    seed: int | np.random.Generator = 0,
     n_jobs: int | None = None,
 ) -> Intervals:
     """Return intervals of base and standard parameters.
@@ -184,7 +184,7 @@ def intervals(
         Of the bootstrap.
     kind : {"percentile", "basic"}, optional
         Of the bootstrap: quantiles of the resampled estimates, or mirrored about the estimate.
-    seed : int, optional
+    seed : int or numpy.random.Generator, optional
         Of the bootstrap.
     n_jobs : int, optional
         Programs solved at a time (joblib), by default one a core: in threads, or wherever the
@@ -255,7 +255,7 @@ def _bootstrap(
     groups: Groups,
     resamples: int,
     kind: Kind,
-    seed: int,
+    seed: int | np.random.Generator,
     n_jobs: int | None,
 ) -> Intervals:
     drawn = resampled(estimate, resamples=resamples, groups=groups, seed=seed, n_jobs=n_jobs)

@@ -1,10 +1,11 @@
-"""The price of consistency: how much effort error the constraints cost, joint by joint.
+"""The cost of constraints: how much effort error they add, joint by joint.
 
-The whole price is the difference to the unconstrained fit. The price of one constraint is what
-leaving it out alone would save: the problem is solved again without it, which holds however much
-the parameters then move, where its multiplier only tells of small moves. Constraints that share a
-cost cannot each save all of it, and two of which either would do save nothing alone, so the prices
-do not add up to the whole.
+Together they cost the difference between the constrained optimum and the unconstrained fit. One of
+them costs what leaving it out alone would save: the problem is solved again without it, which holds
+however far the parameters then move, where its multiplier is right for small moves only.
+Constraints that share a cost cannot each save all of it, and where either of two would do, leaving
+out one saves nothing, so these costs do not add up to the total. What a local solver missed of the
+optimum is no constraint's cost and is reported apart.
 """
 
 from __future__ import annotations
@@ -20,6 +21,7 @@ from sdpid.errors import DataError
 from sdpid.estimation.conic import ConicProgram, solve_conic
 from sdpid.estimation.estimate import Estimate
 from sdpid.estimation.scaling import Scaling
+from sdpid.estimation.sdp import solve_sdp
 from sdpid.estimation.sdp_program import Coordinates, SdpProgram
 from sdpid.estimation.weighting import JointRows
 from sdpid.estimation.wls import solve_wls
@@ -33,19 +35,22 @@ _PRESSES = 1e-7
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class PriceOfConsistency:
-    """What constraints cost.
+class CostOfConstraints:
+    """Effort error that constraints add.
 
     Attributes
     ----------
     joint_names : tuple of str
         The joints.
     rmse : ndarray, shape (n,)
-        Root mean square error of the estimate on its own rows, N·m; 0 where a joint has no rows.
+        Root mean square error of the constrained optimum on its own rows, N·m; 0 where a joint has
+        no rows.
     rmse_free : ndarray, shape (n,)
-        That of the unconstrained fit.
+        Root mean square error of the unconstrained fit, N·m.
     cost, cost_free : float
         Weighted cost of both.
+    excess : float
+        Weighted cost of the estimate above that of the constrained optimum.
     constraints : tuple of str
         Active constraints that cost something.
     saved : ndarray, shape (constraints,)
@@ -60,6 +65,7 @@ class PriceOfConsistency:
     rmse_free: Array
     cost: float
     cost_free: float
+    excess: float
     constraints: tuple[str, ...]
     saved: Array
     increase: Array
@@ -72,6 +78,7 @@ class PriceOfConsistency:
     def table(self) -> str:
         """Return aligned text: one line a constraint, one column a joint."""
         lines = [("N.m of rmse", "cost", *self.joint_names)]
+        above = f"{self.excess:+.3g}", *("" for _ in self.joint_names)
         for name, cost, values in (
             ("unconstrained", self.cost_free, self.rmse_free),
             ("all constraints", self.cost - self.cost_free, self.total),
@@ -80,6 +87,8 @@ class PriceOfConsistency:
             sign = "" if name == "unconstrained" else "+"
             cells = (f"{value:{sign}.3g}" for value in (cost, *values))
             lines.append((name, *cells))
+        if self.excess > 0.0:
+            lines.append(("estimate above the optimum", *above))
         widths = [max(map(len, column)) for column in zip(*lines, strict=True)]
         return "\n".join(
             "  ".join(
@@ -97,6 +106,7 @@ class PriceOfConsistency:
             "rmse_unconstrained": self.rmse_free.tolist(),
             "cost": self.cost,
             "cost_unconstrained": self.cost_free,
+            "excess": self.excess,
             "constraints": [
                 {"name": name, "cost": cost, "rmse": values}
                 for name, cost, values in zip(
@@ -106,8 +116,11 @@ class PriceOfConsistency:
         }
 
 
-def price_of_consistency(estimate: Estimate) -> PriceOfConsistency:
-    """Tell what the constraints cost an estimate in effort error.
+def cost_of_constraints(estimate: Estimate) -> CostOfConstraints:
+    """Return the effort error that the constraints of an estimate's problem add.
+
+    They are compared at the constrained optimum, which is solved for where the estimate comes from
+    another solver than the SDP.
 
     Parameters
     ----------
@@ -116,7 +129,7 @@ def price_of_consistency(estimate: Estimate) -> PriceOfConsistency:
 
     Returns
     -------
-    PriceOfConsistency
+    CostOfConstraints
 
     Raises
     ------
@@ -126,8 +139,8 @@ def price_of_consistency(estimate: Estimate) -> PriceOfConsistency:
     problem = estimate.problem
     if estimate.theta is None:
         raise DataError(
-            f"price of consistency: method '{estimate.method}' has no constraints; ask an "
-            "estimate of a constrained solver."
+            f"cost of constraints: method '{estimate.method}' has none; give an estimate of a "
+            "constrained solver."
         )
     rows = JointRows.of(problem.rows)
     used = np.maximum(rows.used, 1.0)
@@ -137,22 +150,24 @@ def price_of_consistency(estimate: Estimate) -> PriceOfConsistency:
         squares = [float(np.sum((triangle.R @ error) ** 2)) for triangle in rows.triangles]
         return np.asarray(np.sqrt(np.array(squares) / used))
 
+    best = estimate if estimate.method == "sdp" else solve_sdp(problem)
     free = solve_wls(problem)
-    own = rmse(estimate.base)
+    constrained = rmse(best.base)
     names, saved, increase = [], [], []
-    for name, theta in _without(estimate):
+    for name, theta in _without(best):
         names.append(name)
-        saved.append(estimate.cost - problem.cost_of(theta))
-        increase.append(own - rmse(problem.base_of(theta)))
-    return PriceOfConsistency(
+        saved.append(best.cost - problem.cost_of(theta))
+        increase.append(constrained - rmse(problem.base_of(theta)))
+    return CostOfConstraints(
         joint_names=problem.robot.joint_names,
-        rmse=frozen(own),
+        rmse=frozen(constrained),
         rmse_free=frozen(rmse(free.base)),
-        cost=estimate.cost,
+        cost=best.cost,
         cost_free=free.cost,
+        excess=estimate.cost - best.cost,
         constraints=tuple(names),
         saved=frozen(saved),
-        increase=frozen(np.reshape(increase, (len(names), len(own)))),
+        increase=frozen(np.reshape(increase, (len(names), len(constrained)))),
     )
 
 

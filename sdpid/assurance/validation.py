@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sdpid._arrays import Array, frozen
+from sdpid._arrays import Array, Indices, frozen, frozen_view
 from sdpid.errors import DataError
 from sdpid.estimation.estimate import Estimate
 from sdpid.experiment.samples import Samples
@@ -46,7 +46,7 @@ class Validation:
     nrmse: Array
     r2: Array
     relative: float
-    rows: np.ndarray
+    rows: Indices
 
     def to_dict(self) -> dict[str, object]:
         """Return the figures as plain values, without the predictions."""
@@ -170,7 +170,7 @@ def _errors(robot: RobotModel, samples: Samples, predicted: Array) -> Validation
         nrmse=frozen(np.sqrt(square / np.maximum(power, tiny))),
         r2=frozen(1.0 - unexplained),
         relative=float(np.sqrt(square.sum() / max(power.sum(), tiny))),
-        rows=rows,
+        rows=frozen_view(rows),
     )
 
 

@@ -377,7 +377,7 @@ def _constraints(result: Judged) -> Iterator[Finding]:
         yield Finding(
             "caution",
             f"{why}: the relative residual on the training data is {percent(own)}, without them "
-            f"{percent(free)}. {end} Active constraints: {names} (price_of_consistency tells "
+            f"{percent(free)}. {end} Active constraints: {names} (cost_of_constraints tells "
             "what each costs).",
         )
     limit = f"{result.problem.constraints.theta_max:g}"

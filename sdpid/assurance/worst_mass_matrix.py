@@ -25,6 +25,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from sdpid._arrays import Array, frozen
+from sdpid._seeds import generator
 from sdpid.errors import DataError
 from sdpid.estimation.conic import ConicProgram, Matrix, solve_conic
 from sdpid.estimation.estimate import Estimate
@@ -98,7 +99,7 @@ class WorstMassMatrix:
 
 
 def worst_mass_matrix(
-    estimate: Estimate, *, bounds: ArrayLike | None = None, seed: int = 0
+    estimate: Estimate, *, bounds: ArrayLike | None = None, seed: int | np.random.Generator = 0
 ) -> WorstMassMatrix:
     """Find the smallest eigenvalue of the links' mass matrix over a box.
 
@@ -112,7 +113,7 @@ def worst_mass_matrix(
         The box, rad or m; by default the description's limits, of a joint that turns no more than
         one turn. Where it has none, from −π to π, or 1 m either way for a joint that slides. With a
         floating base the joints only: where the base is does not matter.
-    seed : int, optional
+    seed : int or numpy.random.Generator, optional
         Of the search.
 
     Returns
@@ -122,18 +123,18 @@ def worst_mass_matrix(
     Raises
     ------
     DataError
-        When the box does not fit the robot.
+        When the box does not fit the robot, or the seed is no whole number from 0 on.
     """
     problem = estimate.problem
     robot = problem.robot
-    box = _box(robot, bounds)
+    box, rng = _box(robot, bounds), generator(seed)
     links = 10 * robot.n_links
     theta = estimate.theta
     if theta is None:
         theta = np.linalg.pinv(problem.base.matrix) @ estimate.base
     # A prior-free estimate's mass matrix is that of its base parameters.
     inertias = spatial_inertia(np.array(theta[:links]).reshape(-1, 10))
-    value, q, positions = _search(robot, inertias, box, seed)
+    value, q, positions = _search(robot, inertias, box, rng)
     lower, reason = _proof(problem, np.array(theta))
     return WorstMassMatrix(
         value=value,
@@ -185,7 +186,9 @@ def _eigenvalues(robot: RobotModel, inertias: Array, q: Array) -> Array:
     return np.concatenate(out)
 
 
-def _search(robot: RobotModel, inertias: Array, box: Array, seed: int) -> tuple[float, Array, int]:
+def _search(
+    robot: RobotModel, inertias: Array, box: Array, rng: np.random.Generator
+) -> tuple[float, Array, int]:
     """Return the smallest value found, where, and how many positions were tried at first."""
     from scipy.optimize import minimize
     from scipy.stats import qmc
@@ -193,7 +196,7 @@ def _search(robot: RobotModel, inertias: Array, box: Array, seed: int) -> tuple[
     if not len(box):
         here = np.zeros((1, 0))
         return float(_eigenvalues(robot, inertias, here)[0]), here[0], 1
-    sobol = qmc.Sobol(len(box), rng=np.random.default_rng(seed))
+    sobol = qmc.Sobol(len(box), rng=rng)
     span = box[:, 1] - box[:, 0]
     q = box[:, 0] + span * sobol.random_base2(_POSITIONS)
     values = _eigenvalues(robot, inertias, q)

@@ -11,6 +11,7 @@ import numpy as np
 
 from sdpid._jobs import parallel
 from sdpid._progress import progress
+from sdpid._seeds import generator
 from sdpid._tables import Table
 from sdpid.assurance.certificate import Certificate, certify
 from sdpid.errors import DataError, SdpidError
@@ -218,7 +219,7 @@ def compare(
     best = solve_sdp(problem)
     certificate = certify(best)
     wls = solve_wls(problem)
-    rng = np.random.default_rng(seed)
+    rng = generator(seed)
     points = [(f"random {i + 1}", random_start(problem, rng)) for i in range(starts)]
     points += [(label, np.asarray(theta)) for label, theta in extra_starts]
     jobs = parallel(n_jobs, return_as="generator")

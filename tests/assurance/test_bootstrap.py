@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -90,6 +91,26 @@ def test_same_seed_same_intervals_and_basic_mirrors_percentile() -> None:
     assert not np.array_equal(first.lower, other.lower)
     basic = sdpid.intervals(estimate, kind="basic", **choices)  # type: ignore[arg-type]
     np.testing.assert_allclose(basic.upper, 2.0 * first.estimate - first.lower, atol=1e-12)
+
+
+@pytest.mark.parametrize("seed", [-1, 0.5, True, None])
+def test_seeds_that_are_none_are_refused(seed: Any) -> None:
+    estimate = sdpid.solve_wls(arm_problem())
+    with pytest.raises(DataError, match="seed"):
+        sdpid.intervals(estimate, method="bootstrap", seed=seed)
+    with pytest.raises(DataError, match="seed"):
+        sdpid.worst_mass_matrix(estimate, seed=seed)
+    with pytest.raises(DataError, match="seed"):
+        sdpid.compare(estimate.problem, starts=1, seed=seed)
+
+
+def test_a_generator_is_a_seed() -> None:
+    estimate = sdpid.solve_wls(arm_problem())
+    first, second, third = (
+        resampled(estimate, resamples=5, seed=np.random.default_rng(i)).base for i in (0, 0, 1)
+    )
+    np.testing.assert_array_equal(first, second)
+    assert not np.array_equal(first, third)
 
 
 def test_too_few_draws_and_unknown_kinds_are_refused() -> None:

@@ -276,14 +276,20 @@ def test_arguments_that_make_no_sense_are_named(arguments: dict[str, object], sa
         sdpid.intervals(pressed(), **arguments)  # type: ignore[arg-type]
 
 
+def test_counts_of_rows_cannot_be_written_to() -> None:
+    rows = sdpid.validate(pressed()).rows
+    with pytest.raises(ValueError, match="read-only"):
+        rows[0] = 0
+
+
 def test_profile_needs_standard_parameters_and_squares() -> None:
     with pytest.raises(DataError, match="gauss_markov"):
         sdpid.intervals(sdpid.solve_wls(pressed().problem))
 
 
-def test_price_of_consistency_adds_up() -> None:
+def test_cost_of_constraints_adds_up() -> None:
     estimate = pressed()
-    price = sdpid.price_of_consistency(estimate)
+    price = sdpid.cost_of_constraints(estimate)
     np.testing.assert_allclose(price.rmse, sdpid.validate(estimate).rmse, rtol=1e-9)
     free = sdpid.solve_wls(estimate.problem)
     assert price.cost_free == pytest.approx(free.cost)
@@ -294,12 +300,28 @@ def test_price_of_consistency_adds_up() -> None:
     assert price.table().count("\n") == 2 + len(price.constraints)
     assert len(price.to_dict()["constraints"]) == len(price.constraints)
     with pytest.raises(DataError, match="wls"):
-        sdpid.price_of_consistency(free)
+        sdpid.cost_of_constraints(free)
+
+
+def test_what_a_local_solver_missed_is_no_constraint_s_cost() -> None:
+    best = pressed()
+    # Stopped early, it is feasible and far from the optimum.
+    short = sdpid.solve_slsqp(best.problem, max_iterations=3)
+    excess = short.cost - best.cost
+    assert excess > 0.1 * best.cost
+    cost, expected = sdpid.cost_of_constraints(short), sdpid.cost_of_constraints(best)
+    assert cost.excess == pytest.approx(excess)
+    assert expected.excess == 0.0
+    assert cost.constraints == expected.constraints
+    np.testing.assert_allclose(cost.saved, expected.saved, rtol=1e-3, atol=1e-5 * best.cost)
+    np.testing.assert_allclose(cost.rmse, expected.rmse, rtol=1e-4)
+    assert "above the optimum" in cost.table()
+    assert "above the optimum" not in expected.table()
 
 
 def test_price_of_one_constraint_is_what_the_problem_without_it_saves() -> None:
     with_it = sdpid.solve_sdp(arm_problem(LIGHT))
     without = sdpid.solve_sdp(arm_problem())
-    price = sdpid.price_of_consistency(with_it)
+    price = sdpid.cost_of_constraints(with_it)
     saved = dict(zip(price.constraints, price.saved.tolist(), strict=True))
     assert saved["total mass"] == pytest.approx(with_it.cost - without.cost, rel=1e-3)
