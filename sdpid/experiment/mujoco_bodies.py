@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from fractions import Fraction
 from pathlib import Path
 from typing import Any
@@ -9,9 +10,9 @@ from typing import Any
 import numpy as np
 
 from sdpid._arrays import frozen
-from sdpid._extras import require
 from sdpid.errors import ModelError
 from sdpid.robot.described import DescribedBody
+from sdpid.robot.mjcf import in_child, parsed
 
 # MuJoCo's order of a full tensor, in ours: xx, xy, yy, xz, yz, zz.
 _FULL = (0, 3, 1, 4, 5, 2)
@@ -39,25 +40,36 @@ def read_mjcf_bodies(text: str, path: Path | None, what: str) -> tuple[Described
     MissingExtraError
         When MuJoCo is not installed (extra ``sim``).
     """
-    mujoco = require("mujoco", extra="sim")
-    try:
-        if path is None:
-            spec = mujoco.MjSpec.from_string(text)
-        else:
-            spec = mujoco.MjSpec.from_file(str(path))
-    except (ValueError, RuntimeError) as cause:
-        raise ModelError(f"{what}: MuJoCo cannot parse it ({cause}).") from None
+    found = in_child(_bodies, text, None if path is None else str(path.resolve()), what=what)
+    if not found:
+        raise ModelError(f"{what}: has no bodies.")
+    return tuple(_described(body) for body in found)
+
+
+def _bodies(text: str, path: str | None, what: str) -> list[dict[str, Any]]:
+    """Return the bodies of a file as plain values, in a child process."""
     carriers: dict[str, _Place] = {}
     bodies = []
-    for number, body in enumerate(spec.bodies):
+    for number, body in enumerate(parsed(text, path, what).bodies):
         if number == 0:
             continue  # the world
-        name = body.name or f"body {number}"
+        name = str(body.name or f"body {number}")
         carriers[name] = _carrier(body, name, carriers)
-        bodies.append(_described(body, name, *carriers[name]))
-    if not bodies:
-        raise ModelError(f"{what}: has no bodies.")
-    return tuple(bodies)
+        full = [float(x) for x in np.ravel(body.fullinertia)]
+        moments = [float(x) for x in np.ravel(body.inertia)]
+        diagonal = [moments[0], 0.0, moments[1], 0.0, 0.0, moments[2]]
+        bodies.append(
+            {
+                "name": name,
+                "place": carriers[name],
+                "explicit": bool(body.explicitinertial),
+                "geoms": len(body.geoms),
+                "mass": float(body.mass),
+                "com": [float(x) for x in np.ravel(body.ipos)],
+                "inertia": diagonal if np.isnan(full[0]) else [full[k] for k in _FULL],
+            }
+        )
+    return bodies
 
 
 # Carrier, the joint that moves it, and what is on that joint's other side.
@@ -71,26 +83,19 @@ def _carrier(body: Any, name: str, known: dict[str, _Place]) -> _Place:
     return known.get(parent, (name, None, None))
 
 
-def _described(
-    body: Any, name: str, carrier: str, joint: str | None, parent: str | None
-) -> DescribedBody:
+def _described(body: Mapping[str, Any]) -> DescribedBody:
+    carrier, joint, parent = body["place"]
     place: dict[str, Any] = {
-        "name": name,
+        "name": body["name"],
         "moving": joint is not None,
         "carrier": carrier,
         "joint": joint,
         "parent": parent,
     }
-    if not body.explicitinertial:
-        return DescribedBody(described=False, inferred=len(body.geoms) > 0, **place)
-    full = np.array(body.fullinertia, dtype=np.float64)
-    if np.isnan(full[0]):
-        moments = [float(x) for x in body.inertia]
-        values = [moments[0], 0.0, moments[1], 0.0, 0.0, moments[2]]
-    else:
-        values = [float(full[k]) for k in _FULL]
+    if not body["explicit"]:
+        return DescribedBody(described=False, inferred=body["geoms"] > 0, **place)
     problems = []
-    mass, com = float(body.mass), np.array(body.ipos, dtype=np.float64)
+    mass, com, values = body["mass"], np.array(body["com"]), body["inertia"]
     if not np.isfinite(values).all():
         problems.append("the inertia is missing or no finite numbers")
     if not np.isfinite([mass, *com]).all():

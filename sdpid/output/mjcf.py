@@ -10,7 +10,7 @@ import numpy as np
 
 from sdpid._arrays import Array
 from sdpid._files import atomic_path
-from sdpid.errors import ExportError
+from sdpid.errors import ExportError, ModelError
 from sdpid.estimation.estimate import Estimate
 from sdpid.experiment.mujoco_compiled import CompiledMjcf
 from sdpid.output.mjcf_skeleton import inertial_markup, mjcf_skeleton, numbers
@@ -29,6 +29,7 @@ from sdpid.robot.base import generic_states
 from sdpid.robot.friction import Coulomb, FrictionTerm, RotorInertia, Viscous
 from sdpid.robot.geometry import link_placements
 from sdpid.robot.inertia import transform
+from sdpid.robot.mjcf import check_compiles
 from sdpid.robot.model import RobotModel
 from sdpid.robot.xml import encode_xml, is_mjcf, is_xml, parse_xml
 
@@ -108,7 +109,12 @@ def write_mjcf(
         text, folder = mjcf_skeleton(robot, None)[0], None
     else:
         text, folder = source_text(robot, source, what), _folder(source)
-        if not is_mjcf(text, what):
+        if is_mjcf(text, what):
+            try:
+                check_compiles(text, None if folder is None else str(folder), what)
+            except ModelError as cause:
+                raise ExportError(str(cause)) from None
+        else:
             root = parse_xml(text, what)
             text, impossible = mjcf_skeleton(robot, UrdfTree(text))
             if any(root.find(f"link/{shape}") is not None for shape in ("visual", "collision")):

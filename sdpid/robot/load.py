@@ -12,7 +12,7 @@ from sdpid.errors import ModelError
 from sdpid.robot.library import bundled_folder, bundled_robots, find_robot
 from sdpid.robot.mdh import DhTable
 from sdpid.robot.model import RobotModel, Root
-from sdpid.robot.xml import Description, is_xml, read_description
+from sdpid.robot.xml import Description, is_mjcf, is_xml, read_description
 
 
 def load_robot(
@@ -49,7 +49,14 @@ def load_robot(
     found, default_gravity = _find(source)
     if gravity is None:
         gravity = default_gravity
-    return RobotModel.from_urdf(found.text, what=found.what, root=root, gravity=gravity)
+    if not is_mjcf(found.text, found.what):
+        return RobotModel.from_urdf(found.text, what=found.what, root=root, gravity=gravity)
+    if root is not None:
+        raise ModelError(
+            f"{found.what}: an MJCF says itself whether its base floats; leave root out, and give "
+            "its first body a <freejoint/>."
+        )
+    return RobotModel.from_mjcf(found.text, path=found.path, what=found.what, gravity=gravity)
 
 
 def _find(source: str | os.PathLike[str]) -> tuple[Description, Sequence[float] | None]:

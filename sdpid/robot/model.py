@@ -6,6 +6,7 @@ import functools
 import os
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
@@ -17,6 +18,7 @@ from sdpid.robot import kernels
 from sdpid.robot.coordinates import coordinate_names, expand_mimics, link_names
 from sdpid.robot.inertia import PARAMETER_NAMES, PARAMETER_UNITS
 from sdpid.robot.mdh import DhJoint, DhTable
+from sdpid.robot.mjcf import pinocchio_from_mjcf
 from sdpid.robot.urdf import Mimic, pinocchio_from_urdf
 
 Root = Literal["free_flyer"]
@@ -143,6 +145,38 @@ class RobotModel:
         """
         model, mimics = pinocchio_from_urdf(text, what, floating=root is not None)
         return cls._build(model, mimics, gravity, text)
+
+    @classmethod
+    def from_mjcf(
+        cls,
+        text: str,
+        *,
+        path: Path | None = None,
+        what: str = "description",
+        gravity: Sequence[float] | None = None,
+    ) -> RobotModel:
+        """Build from an MJCF (extra ``sim``).
+
+        Parameters
+        ----------
+        text : str
+            The MJCF.
+        path : Path, optional
+            Its file, for what it includes.
+        what : str, optional
+            What it is called in messages.
+        gravity : sequence of 3 floats, optional
+            Gravity in the world, m/s²; by default the file's.
+
+        Raises
+        ------
+        ModelError
+            When MuJoCo cannot compile it, nothing moves, or it has ball joints or closed loops.
+        MissingExtraError
+            When MuJoCo is not installed.
+        """
+        model, mimics = pinocchio_from_mjcf(text, path, what)
+        return cls._build(model, mimics, gravity, None)
 
     @classmethod
     def from_pinocchio(cls, model: Any, *, gravity: Sequence[float] | None = None) -> RobotModel:

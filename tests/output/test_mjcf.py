@@ -248,7 +248,7 @@ def test_refusals(tmp_path: Path) -> None:
     refused(USERS.replace("degree", "radian"), "turned or counted differently")
     refused(USERS.replace('degree"', 'degree" inertiafromgeom="true"'), "overrides inertials")
     refused(USERS.replace("</body>", "</bodi>", 1), "not well-formed", ModelError)
-    refused(USERS.replace("<geom type=", "<geon type=", 1), "MuJoCo does not compile")
+    refused(USERS.replace("<geom type=", "<geon type=", 1), "MuJoCo cannot parse")
     replicated = USERS.replace('<body name="camera"', '<replicate count="2"><body name="camera"')
     refused(replicated.replace('02"/></body>', '02"/></body></replicate>'), "as one file")
     with pytest.raises(ExportError, match=r"MJCF of 'mine': link 'l1' has a mass of -"):
@@ -283,3 +283,12 @@ def test_fixed_bodies_without_names_are_lumped_one_by_one(tmp_path: Path) -> Non
     assert report.lumped
     assert (tmp_path / "o.xml").read_text().count('mass="900"') == 0
     assert_identified(problem, links, tmp_path / "o.xml")
+
+
+def test_a_source_that_mujoco_crashes_on_is_refused(tmp_path: Path) -> None:
+    problem = problem_of(load_robot(ARM), friction=FRICTION)
+    links = bodies(np.random.default_rng(5), 3)
+    source = tmp_path / "self.xml"
+    source.write_text(f'<mujoco><include file="{source}"/></mujoco>')
+    with pytest.raises(ExportError, match="MJCF of 'arm'"):
+        write_mjcf(estimate_of(problem, links), target=tmp_path / "o.xml", source=source)

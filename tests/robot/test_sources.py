@@ -167,7 +167,7 @@ BAD: list[tuple[Any, str]] = [
     (urdf('<joint name="j"><parent link="a"/><child link="b"/></joint>'), "kind '?'"),
     ("<robot", "not well-formed"),
     ("<robot></robots>", "not well-formed"),
-    ("<mujoco/>", "root element is <mujoco>"),
+    ("<sdf/>", "root element is <sdf>"),
     (urdf(JOINT.format(kind="revolute", inside='<mimic joint="j"/>')), "circle at 'j'"),
     (urdf(JOINT.format(kind="revolute", inside='<mimic joint="x"/>')), "mimics 'x'"),
     (urdf(JOINT.format(kind="revolute", inside='<mimic joint="x" offset="a"/>')), "not a number"),
