@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 import sdpid
+from sdpid.estimation.activity import constraint_states
 from sdpid.robot.inertia import Consistency
 from sdpid.workflow import formulate
 from tests.helpers.tolerances import SAME_OPTIMUM
@@ -54,7 +55,7 @@ def test_the_optimum_without_a_prior(data_folder: Path, consistency: Consistency
     assert certificate.passed
     assert masses(best).max() < HEAVIEST
     names = ("Ia", "Fs", "Fv")
-    signs = [state for state in best.constraint_states if state.name.startswith(names)]
+    signs = [state for state in constraint_states(best) if state.name.startswith(names)]
     assert signs
     assert all(state.room is not None and state.room >= 0.0 for state in signs)
     local = [sdpid.solve_log_cholesky(weak, seed=seed) for seed in range(2)]

@@ -30,8 +30,9 @@ from sdpid.assurance.rounding import (
     upward,
 )
 from sdpid.errors import CertificateError
-from sdpid.estimation.bound import Bound, evaluate, lower_bound, relative_gap
+from sdpid.estimation.bound import Bound, evaluate, relative_gap
 from sdpid.estimation.estimate import Estimate
+from sdpid.estimation.polish import lower_bound
 from sdpid.estimation.problem import Problem
 
 SCHEMA, VERSION = exact.SCHEMA, exact.VERSION
@@ -74,7 +75,7 @@ class Certificate:
     @cached_property
     def _core(self) -> tuple[dict[str, Any], exact.Recomputed]:
         """Problem, parameters, multipliers and claims; and what they prove."""
-        problem, dual = self.problem, self.bound.dual
+        problem, dual = self.problem, self.bound.multipliers
         feasible, theta = problem.feasible, self.theta
         limits = np.where(dual.rows > 0.0, feasible.row_lower, feasible.row_upper)
         core: dict[str, Any] = {
@@ -309,8 +310,9 @@ def certify(estimate: Estimate, *, bound: Bound | Estimate | None = None) -> Cer
     if isinstance(bound, Estimate):
         if bound.problem is not estimate.problem:
             raise CertificateError("certify: the bound's estimate is of another problem.")
-        bound = lower_bound(bound)
-    value = evaluate(estimate.problem, bound.dual)
+        theta = None if bound.theta is None else np.array(bound.theta)
+        bound = lower_bound(bound.problem, theta, bound.proof, bound.cost)
+    value = evaluate(estimate.problem, bound.multipliers)
     if value != bound.value:
         raise CertificateError(
             f"certify: the multipliers give the bound {value}, not {bound.value}; they belong to "

@@ -292,7 +292,7 @@ class ProfileBounds:
             left = self._left(c, u, Z, np.where(feasible.equations, 0.0, rows))
             basis = program.scaling.basis()
             equations = feasible.rows[feasible.equations] @ basis
-            at_limits = left - np.nan_to_num(share * found.bounds)
+            at_limits = left - share * found.bounds
             rows[feasible.equations] = np.linalg.lstsq(
                 equations.T, basis.T @ at_limits, rcond=None
             )[0]

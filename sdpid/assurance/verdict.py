@@ -23,8 +23,10 @@ from sdpid.assurance.prediction_verdict import (
 )
 from sdpid.assurance.residuals import JointErrors, joint_errors, used_rows
 from sdpid.assurance.validation import Validation, validate
+from sdpid.estimation.activity import constraint_states
 from sdpid.estimation.estimate import Estimate
 from sdpid.estimation.problem import Problem
+from sdpid.estimation.provenance import provenance
 from sdpid.estimation.rows import RowSource
 from sdpid.experiment.inspection import finding as inspection
 from sdpid.experiment.samples import Samples
@@ -345,9 +347,9 @@ def _weak(result: Judged) -> Iterator[Finding]:
 
 def _sources(result: Judged) -> Iterator[Finding]:
     """Count parameters that the prior gave."""
-    sources = result.estimate.provenance
-    if sources is None:
+    if result.estimate.theta is None:
         return
+    sources = provenance(result.estimate)
     from_prior = int(np.count_nonzero(sources.prior > PRIOR))
     if not from_prior:
         return
@@ -365,7 +367,7 @@ def _sources(result: Judged) -> Iterator[Finding]:
 def _constraints(result: Judged) -> Iterator[Finding]:
     """Say what physics costs, and name parameters at the end of what is allowed."""
     own, free = result.training.relative, result.training_wls.relative
-    states = [s for s in result.estimate.constraint_states if s.active]
+    states = [s for s in constraint_states(result.estimate) if s.active]
     pressing = sorted((s for s in states if s.multiplier), key=lambda s: -abs(s.multiplier or 0.0))
     if own > (1.0 + PRICE) * free:
         names = listed([s.name for s in pressing]) if pressing else "none"

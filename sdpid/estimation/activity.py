@@ -179,7 +179,7 @@ class _Seen:
     def _bound(self, k: int, sign: float) -> float | None:
         """Return the multiplier of one side of a bound."""
         found = self.estimate.multipliers
-        if found is None or not np.isfinite(found.bounds[k]):
+        if found is None or not found.bounds_included[k]:
             return None
         return _side(float(found.bounds[k]), sign)
 

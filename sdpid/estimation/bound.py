@@ -14,13 +14,13 @@ of the declared bounds, so c·theta is at least its smallest value there.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
 from sdpid._arrays import Array
 from sdpid.errors import DataError
-from sdpid.estimation.estimate import Estimate
+from sdpid.estimation.multipliers import Multipliers
 from sdpid.estimation.problem import Problem
 
 # The gap is relative to the cost, or to this share of the weighted squared efforts where the data
@@ -30,30 +30,8 @@ TINY_COST = 1e-6
 # A cost whose proven lower bound is further below it than this is not that of an optimum.
 PROVEN = 1e-6
 
-# A gap this small is not worth polishing the multipliers, or another round of it.
-ENOUGH = 3e-7
-
-
-@dataclass(frozen=True, eq=False)
-class Dual:
-    """Multipliers that prove a bound.
-
-    Attributes
-    ----------
-    y : ndarray, shape (rows of `Problem.squared`,)
-        Multiplier of the residual of `Problem.squared`.
-    Z : ndarray, shape (N, s, s)
-        Multipliers of the matrix inequalities, positive semidefinite.
-    rows : ndarray, shape (r,)
-        Multipliers of the linear rows: positive at the lower limit, negative at the upper one.
-    W : ndarray, shape (L, 4, 4)
-        Multiplier of `Problem.log_det`, the inverses of pseudo-inertias; L may be zero.
-    """
-
-    y: Array
-    Z: Array
-    rows: Array
-    W: Array
+# A gap this small is not worth refining the multipliers, or another round of it.
+TARGET_GAP = 3e-7
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,24 +42,24 @@ class Bound:
     ----------
     value : float
         No feasible parameters cost less (in floating point).
-    dual : Dual
+    multipliers : Multipliers
         The proof.
     """
 
     value: float
-    dual: Dual
+    multipliers: Multipliers
 
 
-def evaluate(problem: Problem, dual: Dual) -> float:
+def evaluate(problem: Problem, multipliers: Multipliers) -> float:
     """Return the bound that multipliers prove, Z positive semidefinite and W definite."""
     feasible = problem.feasible
-    constant, linear = problem.squared.support(dual.y)
-    tangent = problem.log_det.support(dual.W)
+    constant, linear = problem.squared.support(multipliers.y)
+    tangent = problem.log_det.support(multipliers.W)
     constant, linear = constant + tangent[0], linear + tangent[1]
-    linear = linear - feasible.adjoint(dual.Z)
-    constant -= float(np.einsum("nij,nij->", dual.Z, feasible.block_constants))
-    limits = np.where(dual.rows > 0.0, feasible.row_lower, feasible.row_upper)
-    used = np.where(np.isfinite(limits), dual.rows, 0.0)
+    linear = linear - feasible.adjoint(multipliers.Z)
+    constant -= float(np.einsum("nij,nij->", multipliers.Z, feasible.block_constants))
+    limits = np.where(multipliers.rows > 0.0, feasible.row_lower, feasible.row_upper)
+    used = np.where(np.isfinite(limits), multipliers.rows, 0.0)
     linear = linear - used @ feasible.rows
     constant += float(used @ np.where(np.isfinite(limits), limits, 0.0))
     ends = np.where(linear > 0.0, feasible.lower, feasible.upper)
@@ -97,90 +75,13 @@ def clip_psd(Z: Array) -> Array:
     return np.asarray((vectors * clipped[..., None, :]) @ np.swapaxes(vectors, -1, -2))
 
 
-def lower_bound(
-    estimate: Estimate,
-    *,
-    enough: float = 0.0,
-    patient: bool = False,
-    residual: Array | None = None,
-) -> Bound:
-    """Turn an estimate's multipliers into a lower bound.
-
-    Parameters
-    ----------
-    estimate : Estimate
-        With multipliers, from `solve_sdp`; without them Z = 0, which is the bound that ignores
-        the physics.
-    enough : float, optional
-        A relative gap that needs no polishing.
-    patient : bool, optional
-        Polish as long as it takes.
-    residual : ndarray, optional
-        The solver's own multiplier of the residual. It goes with its other multipliers, where the
-        residual of the point, which was moved inside, does so to first order only.
-
-    Returns
-    -------
-    Bound
-        The best of a few choices of the multipliers: as found, or polished (see
-        `sdpid.estimation.polish`).
-    """
-    problem, found = estimate.problem, estimate.multipliers
-    own, residual = residual, _residual(estimate)
-    # Whatever the constraints, nothing costs less than the floor: no multipliers prove that much,
-    # and where the constraints cost nothing it is all there is to prove.
-    nothing = np.zeros_like(problem.feasible.block_constants), np.zeros(len(problem.feasible.rows))
-    W = _touching(estimate)
-    best = best_of(
-        [
-            # At the believed bodies themselves a log-det prior's tangent is zero.
-            bounded(problem, Dual(0.0 * residual, *nothing, problem.log_det.inverses)),
-            bounded(problem, Dual(residual, *nothing, W)),
-        ]
-    )
-    if found is None or estimate.theta is None:
-        return best
-    y = residual if found.y is None else found.y
-    # What was stored with its y is a proof already: clipping again would only add roundings.
-    Z = clip_psd(found.Z) if found.y is None else found.Z
-    given = Dual(y, Z, found.rows, W if found.W is None else found.W)
-    best = best_of([best, bounded(problem, given)])
-    if own is not None:
-        best = best_of([best, bounded(problem, replace(given, y=own))])
-    if relative_gap(problem, estimate.cost, best.value) <= enough:
-        return best
-    from sdpid.estimation.polish import polished
-
-    return polished(estimate, residual, given, best, patient=patient)
-
-
-def bounded(problem: Problem, dual: Dual) -> Bound:
-    """Return a bound with its value."""
+def bound_of(problem: Problem, multipliers: Multipliers) -> Bound:
+    """Return the bound that multipliers prove, minus infinity where they prove none."""
     try:
-        return Bound(evaluate(problem, dual), dual)
+        return Bound(evaluate(problem, multipliers), multipliers)
     except DataError:
         # A W that is not definite, by rounding or clipping, touches nowhere and proves nothing.
-        return Bound(-np.inf, dual)
-
-
-def best_of(bounds: list[Bound]) -> Bound:
-    """Return the highest of several bounds."""
-    return max(bounds, key=lambda bound: bound.value)
-
-
-def _residual(estimate: Estimate) -> Array:
-    """Return the residual of `Problem.squared`, zero in a prior's rows where theta is None."""
-    problem = estimate.problem
-    if estimate.theta is not None:
-        return problem.squared.residual(estimate.theta)
-    y = problem.A @ estimate.base - problem.rhs
-    return np.concatenate([y, np.zeros(len(problem.squared.rhs) - len(y))])
-
-
-def _touching(estimate: Estimate) -> Array:
-    """Return the W at which a log-det prior's tangents touch it at the estimate."""
-    log_det = estimate.problem.log_det
-    return log_det.inverses if estimate.theta is None else log_det.multiplier(estimate.theta)
+        return Bound(-np.inf, multipliers)
 
 
 def cost_scale(problem: Problem) -> float:

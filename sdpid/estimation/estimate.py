@@ -4,19 +4,16 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from sdpid._arrays import Array, frozen
+from sdpid.estimation.multipliers import Multipliers
 from sdpid.estimation.problem import Problem
 from sdpid.estimation.uncertainty import sandwich_covariance
 from sdpid.robot.inertia import margin
-
-if TYPE_CHECKING:
-    from sdpid.estimation.activity import ConstraintState
-    from sdpid.estimation.provenance import Provenance
 
 # A point this far outside a constraint (kg·m², kg, …) counts as feasible: rounding of its own.
 FEASIBLE = 1e-9
@@ -29,31 +26,6 @@ class Step:
     seconds: float
     cost: float
     violation: float
-
-
-@dataclass(frozen=True, eq=False)
-class Multipliers:
-    """Multipliers of the constraints, in units of the cost.
-
-    Attributes
-    ----------
-    Z : ndarray, shape (N, s, s)
-        Of the matrix inequalities of `FeasibleSet`.
-    bounds : ndarray, shape (p,)
-        Of the bounds on theta, lower less upper; NaN where the solver was given none.
-    rows : ndarray, shape (r,)
-        Of the linear rows, lower less upper.
-    y : ndarray, or None
-        Of the residual of `Problem.squared`; None is the estimate's own residual.
-    W : ndarray, shape (L, 4, 4), or None
-        Where the tangents of a log-det prior touch; None is at the estimate.
-    """
-
-    Z: Array
-    bounds: Array
-    rows: Array
-    y: Array | None = None
-    W: Array | None = None
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -160,22 +132,18 @@ class Estimate:
         """Standard errors of the base parameters, (b,), from `covariance`."""
         return frozen(np.sqrt(np.diag(self.covariance)))
 
-    @cached_property
-    def provenance(self) -> Provenance | None:
-        """How much of each standard parameter comes from data, physics and prior.
+    @property
+    def proof(self) -> Multipliers:
+        """Multipliers that a lower bound on the cost starts from.
 
-        None where the method has no standard parameters.
+        The method's own; where it has none, the residual alone, which ignores the constraints.
         """
-        from sdpid.estimation.provenance import provenance
-
-        return None if self.theta is None else provenance(self)
-
-    @cached_property
-    def constraint_states(self) -> tuple[ConstraintState, ...]:
-        """Room, multiplier and activity of every constraint; empty without theta."""
-        from sdpid.estimation.activity import constraint_states
-
-        return constraint_states(self)
+        if self.multipliers is not None:
+            return self.multipliers
+        if self.theta is not None:
+            return Multipliers.at(self.problem, np.array(self.theta))
+        y = self.problem.A @ self.base - self.problem.rhs
+        return Multipliers.of_cost(self.problem, y)
 
     def named(self) -> dict[str, float]:
         """Return base parameters by name."""

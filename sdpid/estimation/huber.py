@@ -30,8 +30,8 @@ from numpy.typing import ArrayLike
 
 from sdpid._arrays import Array, Mask, frozen
 from sdpid.errors import DataError
-from sdpid.estimation.bound import lower_bound
 from sdpid.estimation.estimate import Estimate
+from sdpid.estimation.polish import lower_bound
 from sdpid.estimation.problem import Problem
 from sdpid.estimation.rows import CHUNK
 from sdpid.estimation.triangle import Triangle
@@ -202,8 +202,9 @@ class HuberLoss:
             the compressed residual, proves this: u with W^T u = A^T y takes the place of y.
         """
         problem = estimate.problem
-        proven = lower_bound(estimate)
-        y = proven.dual.y[: problem.base.count]
+        theta = None if estimate.theta is None else np.array(estimate.theta)
+        proven = lower_bound(problem, theta, estimate.proof, estimate.cost)
+        y = proven.multipliers.y[: problem.base.count]
         target = problem.A.T @ y
         u = self._multipliers(problem, y, target)
         pulled = self.rows.pull(u)

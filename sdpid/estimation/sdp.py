@@ -9,10 +9,11 @@ import numpy as np
 from sdpid._arrays import Array, Mask, frozen
 from sdpid._threads import one_thread
 from sdpid.errors import InfeasibleError, SolverError
-from sdpid.estimation.bound import ENOUGH, PROVEN, Bound, cost_scale, lower_bound, relative_gap
+from sdpid.estimation.bound import PROVEN, Bound, cost_scale, relative_gap
 from sdpid.estimation.conflict import explained, require_consistent
 from sdpid.estimation.conic import Solver, solve_conic
 from sdpid.estimation.estimate import FEASIBLE, Estimate
+from sdpid.estimation.polish import lower_bound
 from sdpid.estimation.problem import Problem
 from sdpid.estimation.scaling import Scaling
 from sdpid.estimation.sdp_face import nearest_on_face
@@ -202,8 +203,7 @@ class _Search:
                 iterations=self.iterations,
                 solve_time=self.seconds,
                 multipliers=program.multipliers(solution, theta),
-            ),
-            program.residual(solution),
+            )
         )
 
     def _program(self, attempt: _Attempt) -> SdpProgram:
@@ -222,9 +222,9 @@ class _Search:
             reach=attempt.reach,
         )
 
-    def _keep(self, estimate: Estimate, residual: Array | None) -> None:
+    def _keep(self, estimate: Estimate) -> None:
         """Keep a point, its proof, or both, and begin from there next time."""
-        bound = lower_bound(estimate, enough=ENOUGH, residual=residual)
+        bound = self._bound(estimate)
         if self.best is None or _better(estimate, self.best):
             self.best = estimate
         if self.bound is None or bound.value > self.bound.value:
@@ -235,6 +235,13 @@ class _Search:
         self._count_in(max(self.scaling.cost, self.best.cost))
         self.reference = np.array(self.best.theta)
         self.around = self.scaling.around(self.reference)
+
+    def _bound(self, estimate: Estimate, *, exhaustive: bool = False) -> Bound:
+        """Return the bound that an estimate's multipliers prove."""
+        theta = np.array(estimate.theta)
+        return lower_bound(
+            self.problem, theta, estimate.proof, estimate.cost, exhaustive=exhaustive
+        )
 
     def _count_in(self, cost: float) -> None:
         self.scaling = replace(self.scaling, cost=cost)
@@ -249,13 +256,14 @@ class _Search:
             When what was found is none; InfeasibleError when the constraints are to blame.
         """
         if self.best is not None and self.bound is not None and self.gap > PROVEN:
-            patient = lower_bound(self.best, patient=True)
-            self.bound = max(self.bound, patient, key=lambda each: each.value)
-        if self.best is not None and self.best.multipliers is not None and self.bound is not None:
-            dual = self.bound.dual
-            proof = replace(self.best.multipliers, y=dual.y, Z=dual.Z, rows=dual.rows, W=dual.W)
+            refined = self._bound(self.best, exhaustive=True)
+            self.bound = max(self.bound, refined, key=lambda each: each.value)
+        if self.best is not None and self.bound is not None:
             self.best = replace(
-                self.best, multipliers=proof, iterations=self.iterations, solve_time=self.seconds
+                self.best,
+                multipliers=self.bound.multipliers,
+                iterations=self.iterations,
+                solve_time=self.seconds,
             )
         if self.proven and self.best is not None and self.bound is not None:
             return self.best, self.bound

@@ -7,9 +7,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from sdpid._arrays import Array, Indices, Mask, frozen
+from sdpid.estimation.bound import clip_psd
 from sdpid.estimation.conic import ConicProgram, ConicSolution, Matrix
-from sdpid.estimation.estimate import Multipliers
 from sdpid.estimation.feasible import FeasibleSet
+from sdpid.estimation.multipliers import Multipliers
 from sdpid.estimation.problem import Problem
 from sdpid.estimation.scaling import Scaling
 from sdpid.estimation.wls import solve_wls
@@ -259,35 +260,47 @@ class SdpProgram:
         return self.coordinates.theta(np.asarray(solution.x))
 
     def multipliers(self, solution: ConicSolution, theta: Array) -> Multipliers:
-        """Return the multipliers in units of the cost."""
+        """Return the multipliers of a solution in units of the cost.
+
+        Those of the residual are the solver's own, where it has them: what is left of the gradient
+        is smaller by orders than with the residual at theta, the point moved inside.
+        """
         problem, feasible, scaling = self.problem, self.problem.feasible, self.scaling
         count = len(self.bounded)
-        bounds = np.full(problem.n_theta, np.nan)
+        bounds = np.zeros(problem.n_theta)
+        included = np.zeros(problem.n_theta, dtype=bool)
         bounds[self.bounded] = scaling.cost * solution.rows[:count] / scaling.theta[self.bounded]
+        included[self.bounded] = True
         # Bounds that only an attempt has are none of the problem's.
-        bounds[~self.own] = np.nan
+        included &= self.own
+        bounds[~included] = 0.0
         rows = np.zeros(len(feasible.rows))
         unequal = self.coordinates.limited(problem, scaling)
         rows[unequal] = scaling.cost * solution.rows[count:] / scaling.row_sizes(feasible)[unequal]
         Z = np.zeros_like(feasible.block_constants)
         for i, dual in zip(self.moving, solution.blocks, strict=True):
             Z[i] = scaling.cost * self.inverses[i].T @ dual @ self.inverses[i]
+        Z = clip_psd(Z)
         if np.any(feasible.equations):
             rows[feasible.equations] = self._of_equations(theta, Z, bounds, rows)
-        return Multipliers(frozen(Z), frozen(bounds), frozen(rows))
-
-    def residual(self, solution: ConicSolution) -> Array | None:
-        """Return the solver's own multiplier of the residual, in units of the cost's root."""
-        count = len(self.problem.squared.rhs)
-        if len(solution.residual) < count:
-            return None
-        return np.asarray(solution.residual[:count] * np.sqrt(self.scaling.cost))
+        y = problem.squared.residual(theta)
+        if len(solution.residual) >= len(y):
+            y = np.asarray(solution.residual[: len(y)] * np.sqrt(scaling.cost))
+        exists = np.isfinite(problem.log_det.value(theta))
+        return Multipliers(
+            y=frozen(y),
+            Z=frozen(Z),
+            rows=frozen(rows),
+            W=problem.log_det.multiplier(theta) if exists else problem.log_det.inverses,
+            bounds=frozen(bounds),
+            bounds_included=included,
+        )
 
     def _of_equations(self, theta: Array, Z: Array, bounds: Array, rows: Array) -> Array:
         """Return the multipliers of the equations: what the others leave of the gradient."""
         problem, feasible = self.problem, self.problem.feasible
         left = problem.gradient(theta) - feasible.adjoint(Z)
-        left = left - np.nan_to_num(bounds) - rows @ feasible.rows
+        left = left - bounds - rows @ feasible.rows
         basis = self.scaling.basis()
         equations = feasible.rows[feasible.equations] @ basis
         return np.asarray(np.linalg.lstsq(equations.T, basis.T @ left, rcond=None)[0])

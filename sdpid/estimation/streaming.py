@@ -18,13 +18,14 @@ from numpy.typing import ArrayLike
 from sdpid._arrays import Array, frozen, real_array
 from sdpid._threads import one_thread
 from sdpid.errors import DataError
-from sdpid.estimation.bound import ENOUGH, PROVEN, TINY_COST, clip_psd, lower_bound, relative_gap
+from sdpid.estimation.bound import PROVEN, TINY_COST, relative_gap
 from sdpid.estimation.conditions import Layout
 from sdpid.estimation.conic import ConicSolution
 from sdpid.estimation.constraints import Constraints
 from sdpid.estimation.estimate import Estimate
 from sdpid.estimation.excitation import require_excitation
 from sdpid.estimation.feasible import FeasibleSet
+from sdpid.estimation.polish import lower_bound
 from sdpid.estimation.problem import Problem
 from sdpid.estimation.resolve import Prepared, program_about
 from sdpid.estimation.rows import RowSource
@@ -326,11 +327,7 @@ class StreamingProblem:
             return None
         program, solution, found = solved
         theta = repair(problem, found)
-        # The solver's own multiplier of the residual proves more than the point's residual does:
-        # what is left of the gradient is smaller by orders, and needs no polishing.
-        y = frozen(solution.residual * np.sqrt(unit))
         multipliers = program.multipliers(solution, theta)
-        multipliers = replace(multipliers, y=y, Z=frozen(clip_psd(multipliers.Z)))
         estimate = Estimate.of_theta(
             problem,
             theta,
@@ -341,10 +338,8 @@ class StreamingProblem:
             solve_time=solution.seconds,
             multipliers=multipliers,
         )
-        bound = lower_bound(estimate, enough=ENOUGH)
+        bound = lower_bound(problem, theta, multipliers, estimate.cost)
         proven = relative_gap(problem, estimate.cost, bound.value) <= PROVEN
         if not proven or not estimate.feasible:
             return None
-        dual = bound.dual
-        proof = replace(multipliers, y=dual.y, Z=dual.Z, rows=dual.rows, W=dual.W)
-        return replace(estimate, multipliers=proof)
+        return replace(estimate, multipliers=bound.multipliers)

@@ -15,6 +15,7 @@ from sdpid._extras import require
 from sdpid._files import atomic_write_text
 from sdpid.errors import DataError, ExportError, IdentifiabilityError
 from sdpid.estimation.estimate import Estimate
+from sdpid.estimation.provenance import provenance
 
 FORMAT = "sdpid parameters"
 VERSION = 1
@@ -49,8 +50,8 @@ def write_parameters(
 
     The file holds what was estimated and how, then ``standard`` and ``base`` parameters by name.
     Each has its ``value`` and ``unit``; standard ones the ``shares`` of data, physics and prior
-    in them (`Estimate.provenance`); base ones their ``standard_error`` and what they stand for
-    (``expression``); both an ``interval`` where one is given. What is not known is null.
+    in them (`sdpid.estimation.provenance`); base ones their ``standard_error`` and what they stand
+    for (``expression``); both an ``interval`` where one is given. What is not known is null.
 
     Parameters
     ----------
@@ -99,9 +100,7 @@ def parameters_dict(
     ends = _ends(intervals)
     standard: dict[str, Any] | None = None
     if estimate.theta is not None:
-        shares = estimate.provenance
-        assert shares is not None
-        parts = shares.to_dict()
+        parts = provenance(estimate).to_dict()
         standard = {
             name: {
                 "value": value,

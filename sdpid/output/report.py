@@ -23,7 +23,9 @@ from sdpid.assurance.prediction_verdict import grade
 from sdpid.assurance.residuals import JointErrors, period, used_rows
 from sdpid.assurance.validation import Validation
 from sdpid.assurance.verdict import Judged, errors_of, findings, judged
+from sdpid.estimation.activity import constraint_states
 from sdpid.estimation.excitation import WEAK
+from sdpid.estimation.provenance import provenance
 from sdpid.experiment.samples import Samples
 from sdpid.output.figures import stretch
 from sdpid.output.inline_svg import image_source
@@ -131,6 +133,7 @@ def _context(result: Judged, draw: bool, intervals: GivenIntervals | None) -> di
     errors = errors_of(result)
     ends = ends_of(intervals)
     base, theta = list(_base(result, ends)), list(_theta(result, ends))
+    states = constraint_states(result.estimate)
     return {
         "robot": problem.robot,
         "result": result,
@@ -154,8 +157,8 @@ def _context(result: Judged, draw: bool, intervals: GivenIntervals | None) -> di
         "has_intervals": any(row["interval"] for row in (*base, *theta)),
         "intervals_in_words": in_words(intervals),
         "crossed": result.cross_validation,
-        "states": [s for s in result.estimate.constraint_states if s.active],
-        "state_count": len(result.estimate.constraint_states),
+        "states": [s for s in states if s.active],
+        "state_count": len(states),
         "certificate": certificate,
         "certified": certificate.passed and problem.consistency != "none",
         "cost": certificate.cost,
@@ -317,13 +320,9 @@ def _theta(result: Judged, ends: dict[str, Ends]) -> Iterator[dict[str, Any]]:
     estimate, base = result.estimate, result.problem.base
     if estimate.theta is None:
         return
-    sources = estimate.provenance
+    sources = provenance(estimate)
     for k, name in enumerate(base.theta_names):
-        shares = (
-            None
-            if sources is None
-            else [float(sources.data[k]), float(sources.physics[k]), float(sources.prior[k])]
-        )
+        shares = [float(sources.data[k]), float(sources.physics[k]), float(sources.prior[k])]
         yield {
             "name": name,
             "unit": base.theta_units[k],

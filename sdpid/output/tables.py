@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from sdpid._tables import Table
 from sdpid.errors import DataError, IdentifiabilityError
 from sdpid.estimation.estimate import Estimate
+from sdpid.estimation.provenance import provenance
 from sdpid.output.intervals_shown import Ends, GivenIntervals, ends_of
 
 # Columns of an interval.
@@ -42,7 +43,7 @@ def theta_table(estimate: Estimate, intervals: GivenIntervals | None = None) -> 
     """Return standard parameters, their intervals, and what they come from (shares of one)."""
     base = estimate.problem.base
     none: list[None] = [None] * len(base.theta_names)
-    sources = estimate.provenance
+    sources = None if estimate.theta is None else provenance(estimate)
     columns: list[Sequence[object]] = [base.theta_names, base.theta_units]
     columns.append(none if estimate.theta is None else estimate.theta.tolist())
     header = ["parameter", "unit", "value"]

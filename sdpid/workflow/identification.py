@@ -13,6 +13,7 @@ from sdpid.assurance.certificate import Certificate
 from sdpid.assurance.intervals import Intervals
 from sdpid.assurance.validation import Validation
 from sdpid.assurance.verdict import verdict
+from sdpid.estimation.activity import constraint_states
 from sdpid.estimation.estimate import Estimate
 from sdpid.estimation.problem import Problem, describe
 from sdpid.experiment.inspection.finding import Finding
@@ -89,7 +90,7 @@ class Identification:
             "gap": self.certificate.gap,
             "certified": self.certificate.passed,
             "worst_margin": estimate.worst_margin,
-            "constraints": [s.to_dict() for s in estimate.constraint_states if s.active],
+            "constraints": [s.to_dict() for s in constraint_states(estimate) if s.active],
             "solve_time": estimate.solve_time,
             "prior": None if self.problem.prior is None else list(self.problem.prior.notes),
             "weakly_excited": [{"singular_value": v, "parameters": list(n)} for v, n in weak],

@@ -185,7 +185,7 @@ def test_the_numbers_are_those_of_floating_point(kind: str) -> None:
     estimate = solve_sdp(problem)
     found = certify(estimate)
     assert found.cost == pytest.approx(estimate.cost, rel=1e-13)
-    assert found.lower_bound == pytest.approx(evaluate(problem, found.bound.dual), rel=1e-12)
+    assert found.lower_bound == pytest.approx(evaluate(problem, found.bound.multipliers), rel=1e-12)
     assert found.margins == pytest.approx(tuple(estimate.margins), rel=1e-9)
     assert found.gap == pytest.approx((found.cost - found.lower_bound) / found.cost, abs=1e-15)
 

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import sdpid
-from sdpid.estimation.activity import ConstraintState
+from sdpid.estimation.activity import ConstraintState, constraint_states
 from sdpid.estimation.conditions import Condition, Cone, Layout, Row
 from sdpid.estimation.estimate import FEASIBLE, Estimate
 from sdpid.estimation.problem import Problem, build_problem
@@ -100,7 +100,7 @@ def test_multipliers_of_the_numbers(
         moved = limits.replace(**{field: value + step})
         return solve_sdp(problem.constrained(constraints=moved)).cost
 
-    states = solve_sdp(problem).constraint_states
+    states = constraint_states(solve_sdp(problem))
     if field == "theta_max":
         ends = [s for s in states if s.name.endswith(("least -0.25", "most 0.25"))]
         assert ends
@@ -131,7 +131,7 @@ def test_multipliers_of_rows(name: str, consistency: Consistency) -> None:
     assert pressing
     # The three that press most, in units of their own.
     for row, multiplier in sorted(pressing, key=lambda pair: -abs(pair[1]))[:3]:
-        states = [s for s in estimate.constraint_states if s.name.startswith(row)]
+        states = [s for s in constraint_states(estimate) if s.name.startswith(row)]
         assert any(s.active for s in states)
         assert sum(s.multiplier or 0.0 for s in states) == pytest.approx(multiplier, rel=1e-6)
 
@@ -160,7 +160,7 @@ def test_the_multiplier_of_a_cone(consistency: Consistency) -> None:
         return arm_problem(LIGHT, condition, consistency=consistency)
 
     estimate = solve_sdp(problem(1.0))
-    state = estimate.constraint_states[-1]
+    state = constraint_states(estimate)[-1]
     assert state.active
     assert state.multiplier is not None
     found = slope(lambda step: solve_sdp(problem(1.0 + step)).cost, 0.02)
@@ -178,7 +178,7 @@ def test_the_multiplier_of_an_ellipsoid_of_all_mass() -> None:
         return arm_problem(LIGHT, condition)
 
     estimate = solve_sdp(problem(1.0))
-    state = estimate.constraint_states[-1]
+    state = constraint_states(estimate)[-1]
     assert state.active
     assert state.multiplier is not None
     found = slope(lambda step: solve_sdp(problem(1.0 + step)).cost, 0.01)
@@ -191,7 +191,7 @@ def test_the_multiplier_of_a_sign() -> None:
     theta[20:] = -1.0
     problem = build_problem(ARM, make_samples(ARM, theta, rng, noise=0.3))
     names = list(problem.base.theta_names)[20:]
-    states = {s.name: s for s in solve_sdp(problem).constraint_states}
+    states = {s.name: s for s in constraint_states(solve_sdp(problem))}
     free = problem.constraints.replace(friction_nonnegative=False)
 
     @dataclass(frozen=True)
@@ -225,7 +225,7 @@ def test_states_of_everything_in_turn() -> None:
         mass_max=0.5,
     )
     estimate = solve_sdp(problem)
-    states = estimate.constraint_states
+    states = constraint_states(estimate)
     assert [state.name for state in states] == [
         f"consistency of {FIRST}",
         f"consistency of {LAST}",
@@ -261,26 +261,26 @@ def test_states_of_everything_in_turn() -> None:
 
 def test_states_without_multipliers_or_parameters() -> None:
     problem = arm_problem(LIGHT)
-    assert solve_wls(problem).constraint_states == ()
+    assert constraint_states(solve_wls(problem)) == ()
     local = solve_slsqp(problem, seed=0, max_iterations=300)
-    states = local.constraint_states
-    assert len(states) == len(solve_sdp(problem).constraint_states)
+    states = constraint_states(local)
+    assert len(states) == len(constraint_states(solve_sdp(problem)))
     assert {state.multiplier for state in states} == {None}
     nothing = solve_sdp(arm_problem(LIGHT, consistency="none"))
-    assert [state.name for state in nothing.constraint_states] == [
+    assert [state.name for state in constraint_states(nothing)] == [
         "total mass, at least 0.5",
         "total mass, at most 0.7",
     ]
     # A link without a mass has no margin.
     broken = Estimate.of_theta(problem, np.zeros(problem.n_theta), method="sdp", status="bad")
-    assert broken.constraint_states[0].room is None
+    assert constraint_states(broken)[0].room is None
 
 
 def test_wide_bounds_show_only_where_they_hold() -> None:
     problem = arm_problem(mass_max=0.2, theta_max=0.25)
-    states = solve_sdp(problem).constraint_states
+    states = constraint_states(solve_sdp(problem))
     ends = [state for state in states if state.name.endswith(("-0.25", " 0.25"))]
     assert ends
     assert all(state.active for state in ends)
     wide = solve_sdp(arm_problem())
-    assert not any(state.name.endswith(("-20", " 20")) for state in wide.constraint_states)
+    assert not any(state.name.endswith(("-20", " 20")) for state in constraint_states(wide))

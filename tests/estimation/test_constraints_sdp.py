@@ -14,6 +14,7 @@ from scipy.optimize import nnls
 import sdpid
 from sdpid._arrays import Array
 from sdpid.assurance.certificate import certify, verify
+from sdpid.estimation.activity import constraint_states
 from sdpid.estimation.conditions import Condition
 from sdpid.estimation.estimate import FEASIBLE, Estimate
 from sdpid.estimation.sdp import solve_sdp
@@ -220,7 +221,7 @@ def test_what_does_not_bind_does_not_cost(name: str, consistency: Consistency) -
     free = solve_sdp(limited(problem))
     assert estimate.cost == pytest.approx(free.cost, rel=SAME_OPTIMUM)
     assert certify(estimate).passed
-    for state in estimate.constraint_states[len(free.constraint_states) :]:
+    for state in constraint_states(estimate)[len(constraint_states(free)) :]:
         assert state.room is not None
         assert state.room > 0.0
         assert not state.active

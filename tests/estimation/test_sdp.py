@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -12,9 +13,11 @@ from hypothesis import strategies as st
 from sdpid._arrays import Array
 from sdpid.assurance.certificate import GAP, certify
 from sdpid.errors import InfeasibleError, SolverError
-from sdpid.estimation.bound import Dual, cost_scale, evaluate, lower_bound
+from sdpid.estimation.bound import cost_scale, evaluate
 from sdpid.estimation.constraints import Constraints
 from sdpid.estimation.estimate import Estimate
+from sdpid.estimation.multipliers import Multipliers
+from sdpid.estimation.polish import lower_bound
 from sdpid.estimation.problem import Problem, build_problem
 from sdpid.estimation.sdp import repair, solve_sdp
 from sdpid.estimation.slsqp import solve_slsqp
@@ -157,7 +160,7 @@ def test_lower_bounds_hold_for_any_multipliers(seed: int, consistency: Consisten
     y = problem.A @ best.base - problem.rhs + 0.1 * rng.standard_normal(problem.base.count)
     root = rng.standard_normal((2, size, size))
     for Z in (np.zeros((2, size, size)), root @ np.swapaxes(root, 1, 2)):
-        bound = evaluate(problem, Dual(y, Z, np.zeros(0), np.zeros((0, 4, 4))))
+        bound = evaluate(problem, replace(Multipliers.of_cost(problem, y), Z=Z))
         assert bound <= best.cost
         assert bound <= problem.cost_of(random_feasible(problem, rng))
 
@@ -275,7 +278,7 @@ def test_repair_makes_feasible_and_leaves_the_feasible_alone(
 def test_a_bound_without_multipliers_ignores_the_physics() -> None:
     problem = noisy(ROBOTS["arm2"], 14, noise=2.0)
     free = solve_wls(problem)
-    bound = lower_bound(free)
-    assert not np.any(bound.dual.Z)
+    bound = lower_bound(problem, None, free.proof, free.cost)
+    assert not np.any(bound.multipliers.Z)
     assert bound.value <= free.cost
     assert bound.value == pytest.approx(free.cost, rel=1e-3)

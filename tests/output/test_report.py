@@ -21,6 +21,7 @@ import pytest
 from lxml import etree
 
 import sdpid
+from sdpid.estimation.activity import constraint_states
 from sdpid.estimation.problem import Problem
 from sdpid.estimation.rows import RowSource
 from sdpid.output import report
@@ -199,7 +200,7 @@ def test_it_tells_the_whole_story(result: sdpid.Identification, page: str) -> No
         *sdpid.verdict(result),
         *result.problem.base.names,
         *result.problem.base.theta_names,
-        *(s.name for s in result.estimate.constraint_states if s.active),
+        *(s.name for s in constraint_states(result.estimate) if s.active),
         *result.problem.robot.joint_names,
     ):
         assert text in shown, text
