@@ -22,10 +22,10 @@ import numpy as np
 from sdpid._arrays import Array, frozen
 from sdpid._jobs import parallel
 from sdpid._seeds import generator
-from sdpid.assurance.score_blocks import Groups, ScoreBlocks
 from sdpid.errors import DataError, SolverError
 from sdpid.estimation.estimate import Estimate
 from sdpid.estimation.resolve import Prepared, program_about
+from sdpid.estimation.uncertainty import Groups, ScoreBlocks
 
 Kind = Literal["percentile", "basic"]
 KINDS: tuple[Kind, ...] = ("percentile", "basic")

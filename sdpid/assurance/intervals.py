@@ -6,7 +6,7 @@ Three kinds, each with its own question (see docs/intervals.md):
   all of them, proven from multipliers (see `sdpid.assurance.profile_bounds`). It is the only one
   that says something of parameters that the data leave open and physics bounds.
 * ``gauss_markov``: how far is the unconstrained fit from the truth? Standard errors from blocks of
-  samples, corrected for leverage (see `sdpid.assurance.score_blocks`).
+  samples, corrected for leverage (see `sdpid.estimation.uncertainty`).
 * ``bootstrap``: how would the constrained estimate scatter? Blocks of samples are drawn again,
   and the constrained problem is solved every time (see `sdpid.assurance.bootstrap`).
 """
@@ -24,11 +24,11 @@ from sdpid._threads import one_thread
 from sdpid.assurance.bootstrap import Kind, resampled
 from sdpid.assurance.parameter_functions import ParameterFunctions
 from sdpid.assurance.profile_bounds import End, ProfileBounds
-from sdpid.assurance.score_blocks import Groups, ScoreBlocks
 from sdpid.errors import DataError
 from sdpid.estimation.estimate import Estimate
 from sdpid.estimation.excitation import require_excitation
 from sdpid.estimation.problem import Problem
+from sdpid.estimation.uncertainty import Groups, ScoreBlocks
 
 Method = Literal["profile", "gauss_markov", "bootstrap"]
 

@@ -18,9 +18,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from sdpid._arrays import Array, Indices
-from sdpid.assurance.score_blocks import ScoreBlocks
 from sdpid.errors import DataError
 from sdpid.estimation.problem import Problem
+from sdpid.estimation.uncertainty import ScoreBlocks
 
 # Singular values of the arm's scaled columns below this share of the largest are rounding.
 _RANK = 1e-11

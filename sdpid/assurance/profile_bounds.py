@@ -34,13 +34,13 @@ import numpy as np
 
 from sdpid._arrays import Array
 from sdpid._jobs import parallel
-from sdpid.assurance.score_blocks import ScoreBlocks
 from sdpid.errors import DataError, SolverError
 from sdpid.estimation.bound import clip_psd, cost_scale
 from sdpid.estimation.conic import ConicFamily, ConicSolution
 from sdpid.estimation.problem import Problem
 from sdpid.estimation.scaling import Scaling
 from sdpid.estimation.sdp_program import Coordinates, SdpProgram
+from sdpid.estimation.uncertainty import ScoreBlocks
 
 # A level that changes by less than this share is not worth another solve: the multipliers found
 # before prove a bound at the new level too, worse by the square of that share.

@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 from sdpid._arrays import Array, frozen
 from sdpid.estimation.multipliers import Multipliers
 from sdpid.estimation.problem import Problem
-from sdpid.estimation.uncertainty import sandwich_covariance
+from sdpid.estimation.uncertainty import covariance
 from sdpid.robot.inertia import margin
 
 # A point this far outside a constraint (kg·m², kg, …) counts as feasible: rounding of its own.
@@ -121,11 +121,13 @@ class Estimate:
 
     @cached_property
     def covariance(self) -> Array:
-        """Covariance of the base parameters, (b, b), as if no constraint were active.
+        """Covariance of the unconstrained fit's base parameters, (b, b).
 
-        Sandwich estimate from blocks of samples longer than the filter's memory [white1980]_.
+        The sandwich estimate from blocks of samples that are longer than the filter's memory,
+        corrected for leverage (see `sdpid.estimation.uncertainty`). It is that of the problem:
+        neither constraints nor a prior have a say.
         """
-        return frozen(sandwich_covariance(self.problem, self.base))
+        return frozen(covariance(self.problem))
 
     @cached_property
     def standard_errors(self) -> Array:

@@ -22,7 +22,7 @@ from sdpid.estimation.huber import HuberLoss
 from sdpid.estimation.problem import Problem
 from sdpid.estimation.sdp import solve_sdp
 from sdpid.estimation.triangle import Triangle
-from sdpid.estimation.uncertainty import sandwich_covariance
+from sdpid.estimation.uncertainty import covariance
 from sdpid.estimation.weighting import JointRows, correlation_time, residual_covariance
 from sdpid.estimation.wls import solve_wls
 
@@ -79,7 +79,7 @@ class RobustEstimate(Estimate):
         The sandwich estimate of the weighted problem, with the curvature of the Huber cost
         in place of the weighted least squares': rows beyond their threshold have none.
         """
-        plain = sandwich_covariance(self.problem, self.base)
+        plain = covariance(self.problem)
         if self.curvature is None:
             return frozen(plain)
         A = self.problem.A

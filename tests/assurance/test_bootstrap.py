@@ -10,9 +10,9 @@ import pytest
 
 import sdpid
 from sdpid.assurance.bootstrap import Again, resampled
-from sdpid.assurance.score_blocks import ScoreBlocks
 from sdpid.errors import DataError
 from sdpid.estimation.problem import build_problem
+from sdpid.estimation.uncertainty import ScoreBlocks
 from tests.helpers.arm import ARM, LIGHT, arm_problem
 from tests.helpers.data import make_samples, random_theta
 

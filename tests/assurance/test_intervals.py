@@ -12,11 +12,11 @@ import sdpid
 from sdpid._arrays import Array
 from sdpid.assurance.intervals import FROM_DATA, FROM_PHYSICS, FROM_PRIOR
 from sdpid.assurance.profile_bounds import ProfileBounds
-from sdpid.assurance.score_blocks import ScoreBlocks
 from sdpid.errors import DataError
 from sdpid.estimation.conic import ConicFamily, ConicProgram, Solver, solve_conic
 from sdpid.estimation.estimate import Estimate
 from sdpid.estimation.problem import Problem, build_problem
+from sdpid.estimation.uncertainty import ScoreBlocks
 from sdpid.robot.inertia import Consistency
 from sdpid.robot.model import RobotModel
 from tests.helpers.arm import ARM, BOTH, CONDITIONS, LIGHT, arm_problem

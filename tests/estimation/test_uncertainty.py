@@ -2,13 +2,22 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+from typing import Any
+
 import numpy as np
 import pytest
+from scipy.stats import t
 
 from sdpid._arrays import Array
+from sdpid.assurance.intervals import intervals
 from sdpid.errors import DataError
+from sdpid.estimation.constraints import Constraints
+from sdpid.estimation.prior import Prior
 from sdpid.estimation.problem import build_problem
-from sdpid.estimation.weighting import Weighting
+from sdpid.estimation.sdp import solve_sdp
+from sdpid.estimation.uncertainty import ScoreBlocks
+from sdpid.estimation.weighting import WEIGHTINGS, Weighting
 from sdpid.estimation.wls import solve_wls
 from sdpid.robot.base import structural_base
 from tests.helpers.data import FRICTION, friction_model, make_samples, random_theta
@@ -84,8 +93,6 @@ def slow_motion_coverage(block: int) -> float:
         smooth = {
             name: 2.0 * filtered(rng, count) for name in ("position", "velocity", "acceleration")
         }
-        from dataclasses import replace
-
         from tests.helpers.data import full_regressor
 
         states = smooth["position"], smooth["velocity"], smooth["acceleration"]
@@ -134,3 +141,39 @@ def test_too_few_blocks() -> None:
     samples = make_samples(ARM, random_theta(ARM, rng), rng, count=60, noise=1.0, block=30)
     with pytest.raises(DataError, match="2 blocks of 30 samples, at least 8"):
         _ = solve_wls(build_problem(ARM, samples, base=BASE)).standard_errors
+
+
+@pytest.mark.parametrize("held", ["constraints", "prior"])
+def test_what_holds_an_estimate_back_is_not_noise(held: str) -> None:
+    """Errors are those of the fit: pulling the estimate away from it adds none."""
+    rng = np.random.default_rng(5)
+    theta = random_theta(ARM, rng)
+    samples = make_samples(ARM, theta, rng, count=400, noise=0.1)
+    options: dict[str, Any] = {"weighting": "residual", "base": BASE}
+    if held == "prior":
+        options["prior"] = Prior(bodies=10.0 * theta[:20].reshape(2, 10), strength=1e6)
+    else:
+        options["constraints"] = Constraints(mass_max=0.1 * float(theta[:20:10].min()))
+    problem = build_problem(ARM, samples, **options)
+    free = solve_wls(replace(problem, prior=None))
+    estimate = solve_sdp(problem)
+    # It is held back by many times what noise moves it.
+    assert np.max(np.abs(estimate.base - free.base) / free.standard_errors) > 30.0
+    np.testing.assert_array_equal(estimate.standard_errors, free.standard_errors)
+    error = np.abs(free.base - problem.base_of(theta))
+    assert np.mean(error <= 1.96 * estimate.standard_errors) > 0.8
+
+
+@pytest.mark.parametrize("weighting", WEIGHTINGS)
+def test_there_is_one_covariance(weighting: Weighting) -> None:
+    rng = np.random.default_rng(6)
+    sigma = np.diag([1.0, 4.0])
+    samples = make_samples(
+        ARM, random_theta(ARM, rng), rng, count=200, noise=1.0, covariance=sigma, block=10
+    )
+    estimate = solve_wls(build_problem(ARM, samples, weighting=weighting, base=BASE))
+    found = intervals(estimate, method="gauss_markov", parameters=BASE.names)
+    blocks = ScoreBlocks.of(estimate.problem)
+    quantiles = t.ppf(0.975, blocks.freedom(np.eye(BASE.count)))
+    half = 0.5 * (found.upper - found.lower)
+    np.testing.assert_allclose(half, quantiles * estimate.standard_errors, rtol=1e-9)
