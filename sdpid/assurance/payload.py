@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -38,7 +38,6 @@ from sdpid.robot.consistent import raise_second_moments
 from sdpid.robot.friction import FrictionModel, FrictionTerm
 from sdpid.robot.friction_terms import BY_NAME
 from sdpid.robot.inertia import (
-    from_pseudo_inertia,
     margin,
     physical_parameters,
     transform,
@@ -152,10 +151,10 @@ class Payload:
 
 @one_thread
 def identify_payload(
+    robot: RobotModel | str | os.PathLike[str],
     with_load: Log,
     without_load: Log | Estimate | None = None,
     *,
-    robot: RobotModel | str | os.PathLike[str] | None = None,
     link: str | None = None,
     frame: str | None = None,
     prior: Prior | None = None,
@@ -181,12 +180,12 @@ def identify_payload(
 
     Parameters
     ----------
+    robot : RobotModel, name or path
+        The arm without payload; beside an estimate, the estimate's own robot.
     with_load : Recording, Samples or path
         What was measured with the payload.
     without_load : Recording, Samples, path or Estimate, optional
         What was measured without it.
-    robot : RobotModel, name or path, optional
-        The arm without payload; by default that of the estimate.
     link : str, optional
         Which link carries it; by default the last one.
     frame : str, optional
@@ -309,14 +308,13 @@ def _inside(theta: Array) -> Array:
     return raise_second_moments(theta)
 
 
-def _robot(robot: RobotModel | str | os.PathLike[str] | None, given: Estimate | None) -> RobotModel:
-    if robot is None:
-        if given is None:
-            raise DataError("payload: whose payload is it? Give the robot.")
-        return given.problem.robot
+def _robot(robot: RobotModel | str | os.PathLike[str], given: Estimate | None) -> RobotModel:
     model = robot if isinstance(robot, RobotModel) else load_robot(robot)
     if given is not None and given.problem.robot is not model:
-        raise DataError("payload: the estimate has a robot of its own; leave robot out.")
+        raise DataError(
+            f"payload: the estimate is of another robot object than '{model.name}'; give "
+            "estimate.problem.robot as the robot."
+        )
     return model
 
 
@@ -385,18 +383,18 @@ def _problems(
     terms = tuple(friction)
     arm: Problem | None = None
     notes: tuple[str, ...] = ()
-    # A prior lets the data leave directions open, which a payload may do without; where none was
-    # asked its rows are not used.
-    open_arm = prior or Prior(bodies=np.tile(_ball(), (robot.n_links, 1)))
     if isinstance(without_load, Estimate):
         arm = without_load.problem
     elif without_load is not None:
         bare = _samples(robot, without_load, processing)
         arm = build_problem(
-            robot, bare, friction=terms, weighting=_weighting(weighting, bare), prior=open_arm
+            robot,
+            bare,
+            friction=terms,
+            weighting=_weighting(weighting, bare),
+            prior=prior,
+            check_excitation=False,
         )
-        if prior is None:
-            arm = replace(arm, prior=None)
     elif not np.all(robot.prior[:, 0] > 0.0) and prior is None:
         raise ModelError(
             f"payload: the description of '{robot.name}' gives links no mass; give a recording "
@@ -413,8 +411,10 @@ def _problems(
         samples,
         friction=terms,
         weighting=_weighting(weighting, samples),
-        prior=open_arm if arm is None else Prior(bodies=np.tile(_ball(), (robot.n_links, 1))),
+        prior=prior if arm is None else None,
         base=None if arm is None else arm.base,
+        # The arm may move in ways that show the payload and not all of the arm.
+        check_excitation=False,
     )
     for problem in (loaded, arm):
         if problem is not None and problem.weighting in ("eq9", "eq18"):
@@ -424,11 +424,6 @@ def _problems(
 
 def _weighting(weighting: Weighting | None, samples: Samples) -> Weighting:
     return weighting or ("residual" if samples.covariance is None else "gls")
-
-
-def _ball() -> Array:
-    """Return a ball of 1 kg, for rows that nobody looks at."""
-    return from_pseudo_inertia(np.diag([0.01, 0.01, 0.01, 1.0]))
 
 
 def _separate(problem: Problem, names: Iterable[str]) -> Indices:

@@ -51,9 +51,9 @@ def payload(
     from sdpid.experiment.readers import read_recording
 
     found = identify_payload(
+        robot,
         read_recording(log, **how),
         None if without is None else read_recording(without, **how),
-        robot=robot,
         frame=frame,
         link=link,
         prior=None if strength is None else Prior(strength=strength),

@@ -208,6 +208,7 @@ def build_problem(
     base: BaseParameters | None = None,
     processing: Processing | None = None,
     client: Client | None = None,
+    check_excitation: bool = True,
 ) -> Problem:
     """Build the problem of estimating a robot's parameters from samples.
 
@@ -241,6 +242,9 @@ def build_problem(
     client : dask.distributed.Client, optional
         Of a cluster (extra ``dask``) whose workers read, process and keep the pieces; the result is
         the same. Files must be where the workers see them.
+
+    check_excitation : bool, optional
+        Whether data that leave a base parameter undetermined are refused where there is no prior.
 
     Returns
     -------
@@ -305,7 +309,7 @@ def build_problem(
         profiled=profiled,
         cluster=cluster,
     )
-    if prior is None:
+    if prior is None and check_excitation:
         require_excitation(problem.excitation)
     return problem
 

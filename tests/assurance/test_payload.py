@@ -78,7 +78,7 @@ def test_a_known_payload_by_another_dynamics_algorithm(arm: RobotModel) -> None:
     effort += np.sign(loaded.velocity) * theta[-2 * n : -n] + loaded.velocity * theta[-n:]
     effort += NOISE * np.random.default_rng(5).standard_normal(effort.shape)
     effort += np.arange(n)  # this day's zero errors of the sensors
-    found = identify_payload(replace(loaded, effort=effort), bare, robot=arm, friction=TERMS)
+    found = identify_payload(arm, replace(loaded, effort=effort), bare, friction=TERMS)
     assert holds(found, load()).all()
     assert found.shown
     assert found.mass == pytest.approx(load()[0], abs=0.01)
@@ -92,14 +92,14 @@ def test_a_known_payload_by_another_dynamics_algorithm(arm: RobotModel) -> None:
 
 def test_exact_data_give_the_exact_payload(arm: RobotModel) -> None:
     loaded, bare, _ = pair(arm, load(), noise=0.0)
-    found = identify_payload(loaded, bare, robot=arm, friction=TERMS, weighting="gls")
+    found = identify_payload(arm, loaded, bare, friction=TERMS, weighting="gls")
     assert found.theta == pytest.approx(load(), abs=1e-6)
 
 
 def test_a_point_is_found_at_the_edge_of_what_can_be(arm: RobotModel) -> None:
     point = load(points=1)
     loaded, bare, _ = pair(arm, point)
-    found = identify_payload(loaded, bare, robot=arm)
+    found = identify_payload(arm, loaded, bare)
     assert found.mass == pytest.approx(point[0], abs=0.02)
     assert found.margin is not None
     assert found.margin < 1e-4
@@ -109,7 +109,7 @@ def test_a_point_is_found_at_the_edge_of_what_can_be(arm: RobotModel) -> None:
 def test_the_arm_is_eliminated_exactly(arm: RobotModel) -> None:
     loaded, bare, _ = pair(arm, load())
     options = {"friction": FRICTION, "weighting": "gls"}
-    found = identify_payload(loaded, bare, robot=arm, **options)  # type: ignore[arg-type]
+    found = identify_payload(arm, loaded, bare, **options)  # type: ignore[arg-type]
     problem = build_problem(arm, bare, **options)  # type: ignore[arg-type]
     W = np.vstack([b for s in (bare, loaded) for _, b, _, _ in
                    replace(problem.rows, samples=s).chunks()])  # fmt: skip
@@ -142,7 +142,7 @@ def test_intervals_hold_the_truth_as_often_as_they_say(arm: RobotModel) -> None:
         noisy = [
             replace(s, effort=s.effort + 0.3 * rng.standard_normal(s.effort.shape)) for s in both
         ]
-        found = identify_payload(*noisy, robot=arm, friction=("viscous",), level=0.8)
+        found = identify_payload(arm, *noisy, friction=("viscous",), level=0.8)
         inside.append(holds(found, load())[:4])
     assert 0.65 <= np.mean(inside) <= 0.95
 
@@ -150,37 +150,37 @@ def test_intervals_hold_the_truth_as_often_as_they_say(arm: RobotModel) -> None:
 def test_an_estimate_is_as_good_as_its_recording(arm: RobotModel) -> None:
     loaded, bare, _ = pair(arm, load())
     problem = build_problem(arm, bare, friction=FRICTION, weighting="residual")
-    direct = identify_payload(loaded, bare, robot=arm, friction=FRICTION)
-    through = identify_payload(loaded, solve_wls(problem))
+    direct = identify_payload(arm, loaded, bare, friction=FRICTION)
+    through = identify_payload(arm, loaded, solve_wls(problem))
     assert through.theta == pytest.approx(direct.theta, abs=1e-7)
     assert through.lower == pytest.approx(direct.lower, abs=1e-4)
     believed = build_problem(
         arm, bare, friction=FRICTION, weighting="residual", prior=Prior(strength=0.01)
     )
     estimate = Estimate.of_theta(believed, np.zeros(believed.n_theta), method="any", status="")
-    near = identify_payload(loaded, estimate)
+    near = identify_payload(arm, loaded, estimate)
     assert near.theta == pytest.approx(direct.theta, abs=0.02)
 
 
 def test_a_known_arm(arm: RobotModel) -> None:
     loaded, _, theta = pair(arm, load())
     known = replace(arm, prior=theta[:60].reshape(6, 10))
-    found = identify_payload(loaded, robot=known, friction=TERMS)
+    found = identify_payload(known, loaded, friction=TERMS)
     assert holds(found, load()).all()
     assert any("exactly as described" in note for note in found.notes)
-    believed = identify_payload(loaded, robot=known, friction=TERMS, prior=Prior(strength=100.0))
+    believed = identify_payload(known, loaded, friction=TERMS, prior=Prior(strength=100.0))
     assert holds(believed, load()).all()
     # What is not known exactly leaves more room.
     assert np.all((believed.upper - believed.lower)[:4] > (found.upper - found.lower)[:4])
     # An arm that is not as described shows in wider intervals.
     wrong = replace(arm, prior=1.1 * known.prior)
-    worse = identify_payload(loaded, robot=wrong, friction=TERMS)
+    worse = identify_payload(wrong, loaded, friction=TERMS)
     assert np.all((worse.upper - worse.lower)[:4] > 2.0 * (found.upper - found.lower)[:4])
 
 
 def test_no_payload_is_none(arm: RobotModel) -> None:
     loaded, bare, _ = pair(arm, np.zeros(10))
-    found = identify_payload(loaded, bare, robot=arm)
+    found = identify_payload(arm, loaded, bare)
     assert not found.shown
     assert found.lower[0] == 0.0
     assert found.upper[0] < 0.05
@@ -189,7 +189,7 @@ def test_no_payload_is_none(arm: RobotModel) -> None:
 
 def test_less_than_nothing_is_nothing(arm: RobotModel) -> None:
     loaded, bare, _ = pair(arm, load())
-    found = identify_payload(bare, loaded, robot=arm)  # the other way round
+    found = identify_payload(arm, bare, loaded)  # the other way round
     assert found.mass < 1e-3
     assert not found.shown
     assert found.lower[0] == 0.0
@@ -199,8 +199,8 @@ def test_less_than_nothing_is_nothing(arm: RobotModel) -> None:
 
 def test_the_frame_of_the_flange(arm: RobotModel) -> None:
     loaded, bare, _ = pair(arm, load())
-    at_joint = identify_payload(loaded, bare, robot=arm)
-    found = identify_payload(loaded, bare, robot=arm, frame="ee_link", link="wrist_3_link")
+    at_joint = identify_payload(arm, loaded, bare)
+    found = identify_payload(arm, loaded, bare, frame="ee_link", link="wrist_3_link")
     frame = next(f for f in arm.pin_model.frames if f.name == "ee_link")
     back = transform(found.theta, frame.placement.rotation, frame.placement.translation)
     assert back == pytest.approx(at_joint.theta, abs=1e-6)
@@ -220,7 +220,7 @@ def test_directions_that_nothing_shows_are_bounded_by_matter(arm: RobotModel) ->
         robot, with_payload(theta, payload, 1), rng, count=200, noise=NOISE, block=5
     )
     bare = make_samples(robot, theta, rng, count=200, noise=NOISE, block=5)
-    found = identify_payload(loaded, bare, robot=robot)
+    found = identify_payload(robot, loaded, bare)
     # Mass, two first moments, and the moment about the joints' direction.
     assert found.invisible == 6
     assert "6 of ten directions are invisible" in found.describe()
@@ -241,7 +241,7 @@ def gen3(folder: Path, run: int, effort: str = "tau") -> Recording:
 def test_the_load_of_the_gen3(data_folder: Path) -> None:
     robot = load_robot(data_folder / "kinova_gen3_dynamapp" / "gen3.urdf")
     found = [
-        identify_payload(gen3(data_folder, 1, effort), robot=robot, frame="end_effector_link")
+        identify_payload(robot, gen3(data_folder, 1, effort), frame="end_effector_link")
         for effort in ("tau", "tau_current")
     ]
     for payload in found:
@@ -256,7 +256,7 @@ def test_the_load_of_the_gen3(data_folder: Path) -> None:
     for run in (1, 2):
         for effort in ("tau", "tau_current"):
             payload = identify_payload(
-                gen3(data_folder, run, effort), robot=corrected, frame="end_effector_link"
+                corrected, gen3(data_folder, run, effort), frame="end_effector_link"
             )
             assert payload.shown
             assert 0.5 < payload.mass < 0.8
@@ -269,11 +269,9 @@ def test_refusals(arm: RobotModel) -> None:
     loaded, bare, _ = pair(arm, load(), count=100)
 
     def refused(match: str, kind: type[Exception] = DataError, **options: object) -> None:
-        given = {"robot": arm, **options}
         with pytest.raises(kind, match=match):
-            identify_payload(loaded, bare, **given)  # type: ignore[arg-type]
+            identify_payload(arm, loaded, bare, **options)  # type: ignore[arg-type]
 
-    refused("whose payload", robot=None)
     refused("level is 1.5", level=1.5)
     refused("extent is -1", extent=-1.0)
     refused("no link 'hand'", ModelError, link="hand")
@@ -281,16 +279,16 @@ def test_refusals(arm: RobotModel) -> None:
     refused("'glue', which is no friction term", separate=("glue",))
     refused("no likelihood", weighting="eq18")
     with pytest.raises(DataError, match="give a strength"):
-        identify_payload(loaded, robot=arm, prior=Prior(strength="evidence"))
+        identify_payload(arm, loaded, prior=Prior(strength="evidence"))
     with pytest.raises(ModelError, match="3 last links"):
-        identify_payload(loaded, bare, robot=load_robot(TREE))
+        identify_payload(load_robot(TREE), loaded, bare)
     with pytest.raises(ModelError, match="gives links no mass"):
-        identify_payload(loaded, robot=replace(arm, prior=np.zeros((6, 10))))
+        identify_payload(replace, loaded(arm, prior=np.zeros((6, 10))))
     with pytest.raises(DataError, match="give a recording"):
-        identify_payload(3.0, robot=arm)  # type: ignore[arg-type]
+        identify_payload(arm, 3.0)  # type: ignore[arg-type]
     entropic = build_problem(arm, bare, weighting="residual", prior=Prior(kind="entropic"))
     estimate = Estimate.of_theta(entropic, np.zeros(entropic.n_theta), method="any", status="")
     with pytest.raises(DataError, match="log-det prior"):
-        identify_payload(loaded, estimate)
-    with pytest.raises(DataError, match="leave robot out"):
-        identify_payload(loaded, estimate, robot="denso_vp6242")
+        identify_payload(arm, loaded, estimate)
+    with pytest.raises(DataError, match=r"estimate\.problem\.robot"):
+        identify_payload("denso_vp6242", loaded, estimate)
