@@ -184,10 +184,24 @@ def test_simulate_then_info(tmp_path: Path) -> None:
     assert [joint["joint"] for joint in facts["joints"]] == list(record.names)
 
 
+def test_simulate_any_robot_with_a_trajectory_file(tmp_path: Path) -> None:
+    first, second, motion = (tmp_path / name for name in ("a.parquet", "b.parquet", "m.toml"))
+    options = ("--period", 8, "--periods", 1, "--seed", 4)
+    made = run("simulate", "ur5_robot", "--out", first, "--write-trajectory", motion, *options)
+    assert made.exit_code == 0, made.output
+    again = run("simulate", "ur5_robot", "--out", second, "--trajectory", motion, "--seed", 4)
+    assert again.exit_code == 0, again.output
+    one, other = sdpid.Recording.from_parquet(first), sdpid.Recording.from_parquet(second)
+    np.testing.assert_array_equal(one.position, other.position)
+    np.testing.assert_array_equal(one.effort, other.effort)
+    motion.write_text("period = 1.0")
+    refused(run("simulate", "ur5_robot", "--out", second, "--trajectory", motion), 2, "m.toml")
+
+
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        (("nowhere", "--out", "run.parquet"), "neither bundled"),
+        (("nowhere", "--out", "run.parquet"), "no robot 'nowhere'"),
         ((ROBOT, "--out", "run.csv"), ".parquet"),
         ((ROBOT, "--out", "nofolder/run.parquet"), "no folder"),
     ],

@@ -12,7 +12,6 @@ from sdpid.estimation.estimate import Estimate
 from sdpid.experiment.samples import Samples
 from sdpid.robot.friction import smooth_sign
 from sdpid.robot.model import RobotModel
-from sdpid.robot.urdf import joint_dynamics
 
 # Samples a piece: the regressor of a piece stays below some 100 MB for an arm.
 _CHUNK = 20_000
@@ -125,23 +124,13 @@ def validate_robot(robot: RobotModel, samples: Samples, *, width: float = 0.0) -
             f"has {robot.n}{' with its floating base' if robot.free_flyer else ''}."
         )
     v = samples.velocity
-    damping, friction = _friction(robot)
+    damping, friction = robot.described_friction()
     predicted = damping * v + friction * smooth_sign(v, width, 0.0)
     for first in range(0, len(v), _CHUNK):
         part = slice(first, first + _CHUNK)
         states = samples.position[part], v[part], samples.acceleration[part]
         predicted[part] += robot.inverse_dynamics(robot.prior, *states)
     return _errors(robot, samples, predicted)
-
-
-def _friction(robot: RobotModel) -> tuple[Array, Array]:
-    """Return viscous and Coulomb friction of each coordinate, (n,), from the description."""
-    given = {} if robot.urdf is None else joint_dynamics(robot.urdf, robot.name)
-    names = list(robot.pin_model.names)[1:]
-    own = np.array([given.get(name, (0.0, 0.0)) for name in names])
-    # Friction of a mimic joint is felt at its source, through the gear between them.
-    ratio = np.abs(robot.expansion)
-    return np.asarray(own[:, 0] @ ratio**2), np.asarray(own[:, 1] @ ratio)
 
 
 def _errors(robot: RobotModel, samples: Samples, predicted: Array) -> Validation:

@@ -1,4 +1,4 @@
-"""The command ``sdpid simulate``: the paper's experiment on a simulated robot."""
+"""The command ``sdpid simulate``: a motion of a simulated robot, recorded."""
 
 from __future__ import annotations
 
@@ -9,44 +9,73 @@ import typer
 
 from sdpid._extras import require
 from sdpid.cli import options as opt
-from sdpid.errors import ExportError, ModelError
+from sdpid.errors import DataError, ExportError
 
 
 def simulate(
-    robot: Annotated[str, typer.Argument(help="Bundled robot, or a folder like that of one.")],
+    robot: Annotated[
+        str,
+        typer.Argument(help="URDF file, name of a robot, or a folder like that of a bundled one."),
+    ],
     out: Annotated[Path, typer.Option(help="Parquet file for the recording.")],
-    seed: Annotated[int, typer.Option(min=0, help="Of the excitation and the noise.")] = 0,
-    periods: Annotated[int | None, typer.Option(min=1, help="Recorded periods.")] = None,
+    trajectory: Annotated[
+        Path | None,
+        typer.Option(
+            help="Motion, a TOML file as --write-trajectory makes. By default the paper's "
+            "excitation for a bundled robot, else a motion within the robot's limits."
+        ),
+    ] = None,
+    write_trajectory: Annotated[
+        Path | None, typer.Option(help="TOML file for the motion that was made.")
+    ] = None,
+    seed: Annotated[int, typer.Option(min=0, help="Random seed of motion and noise.")] = 0,
+    periods: Annotated[int | None, typer.Option(min=1, help="Number of periods.")] = None,
     period: Annotated[float | None, typer.Option(help="Length of a period, s.")] = None,
     unmodelled: Annotated[
         bool, typer.Option("--unmodelled", help="Add effects that no linear model has.")
     ] = False,
-    noise: Annotated[bool, typer.Option(help="Quantisation and noise of the sensors.")] = True,
+    noise: Annotated[bool, typer.Option(help="Add sensor noise and quantization.")] = True,
 ) -> None:
-    """Record the paper's experiment on a simulated robot."""
+    """Record a motion of a simulated robot."""
     if out.suffix.lower() != ".parquet":
         raise ExportError(f"--out {out}: recordings are written as .parquet; change the suffix.")
     opt.require_folder("--out", out, [robot])
+    if write_trajectory is not None:
+        opt.require_folder("--write-trajectory", write_trajectory, [robot])
+    if trajectory is not None and period is not None:
+        raise DataError("--period: the trajectory's file has its own; leave one of them out.")
     require("pyarrow", extra="io")
+    from sdpid.experiment.default_motion import default_motion
     from sdpid.experiment.drives import load_drives, plant_folder
     from sdpid.experiment.excitation import paper_excitation
     from sdpid.experiment.plant import simulate as run
     from sdpid.experiment.plant import true_parameters
+    from sdpid.experiment.trajectory import Trajectory
+    from sdpid.robot.load import load_robot
     from sdpid.robot.model import RobotModel
 
     table = plant_folder(robot) / "kinematics.toml"
-    if not table.is_file():
-        raise ModelError(f"no robot {robot!r}: neither bundled nor a folder with {table.name}.")
-    trajectory = paper_excitation(robot, seed, periods=periods, period=period)
-    opt.echo("\n".join((*trajectory.velocity_report(), *trajectory.notes)))
+    bundled = table.is_file()
+    model = RobotModel.from_mdh(table) if bundled else load_robot(robot)
+    if trajectory is not None:
+        motion = Trajectory.from_toml(trajectory)
+        motion = motion if periods is None else motion.with_periods(periods)
+    elif bundled:
+        motion = paper_excitation(robot, seed, periods=periods, period=period)
+    else:
+        motion = default_motion(model, seed, periods=periods, period=period)
+    if write_trajectory is not None:
+        motion.to_toml(write_trajectory)
+    opt.echo("\n".join((*motion.velocity_report(), *motion.notes)))
     recording = run(
-        RobotModel.from_mdh(table),
-        trajectory,
-        theta=true_parameters(robot),
+        model,
+        motion,
+        theta=true_parameters(robot) if bundled else None,
         seed=seed,
-        drives=load_drives(robot),
+        drives=load_drives(robot) if bundled else None,
         unmodelled=unmodelled,
         noise=noise,
     )
     recording.to_parquet(out)
-    opt.echo(f"{recording!r}\n{opt.listed('files', [str(out)])}")
+    files = [str(file) for file in (out, write_trajectory) if file is not None]
+    opt.echo(f"{recording!r}\n{opt.listed('files', files)}")

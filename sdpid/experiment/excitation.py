@@ -19,7 +19,7 @@ from sdpid.experiment.fourier import FourierSeries, quintic
 from sdpid.experiment.trajectory import Trajectory
 from sdpid.robot.library import bundled_folder, bundled_robots
 
-__all__ = ["Trajectory", "paper_excitation"]
+__all__ = ["Trajectory", "filled", "paper_excitation", "quiet_start"]
 
 # The limit frequencies are printed with four decimals; a harmonic on the limit is not above it.
 _ON_LIMIT = 1e-9
@@ -106,8 +106,8 @@ def paper_excitation(
         drawn = rng.choice(np.arange(1, available + 1), size=count, replace=False)
         harmonics[j, :count] = np.sort(drawn)
         phases[j, :count] = rng.uniform(0.0, 2.0 * np.pi, count)
-    series = _filled(period, ranges, harmonics, phases, rate)
-    shift, warnings = _quiet_start(series, ranges, velocity, names, rate, connection)
+    series = filled(period, ranges, harmonics, phases, rate)
+    shift, warnings = quiet_start(series, ranges, velocity, names, rate, connection)
     return Trajectory(
         joint_names=names,
         series=series.delayed(shift),
@@ -127,7 +127,7 @@ def _excitation_file(folder: str | os.PathLike[str]) -> Path:
     return Path(folder) / "excitation.toml"
 
 
-def _filled(
+def filled(
     period: float, ranges: Array, harmonics: Any, phases: Array, rate: float
 ) -> FourierSeries:
     """Return the sum of equal sinusoids, scaled to fill each range about its centre."""
@@ -150,7 +150,7 @@ def _filled(
     )
 
 
-def _quiet_start(
+def quiet_start(
     series: FourierSeries,
     ranges: Array,
     velocity_limit: Array,

@@ -15,6 +15,8 @@ from sdpid._arrays import Array, real_array
 from sdpid._extras import require
 from sdpid._progress import progress as progress_bar
 from sdpid.errors import DataError, ModelError
+from sdpid.experiment.default_motion import default_motion
+from sdpid.experiment.default_plant import default_drives, default_parameters
 from sdpid.experiment.drives import Drives, load_drives, plant_folder
 from sdpid.experiment.mujoco_model import MujocoModel, build_mujoco
 from sdpid.experiment.recording import Recording
@@ -91,9 +93,9 @@ def true_parameters(folder: str | os.PathLike[str]) -> Array:
 
 def simulate(
     robot: RobotModel,
-    trajectory: Trajectory,
+    trajectory: Trajectory | None = None,
     *,
-    theta: ArrayLike,
+    theta: ArrayLike | None = None,
     seed: int | np.random.Generator = 0,
     drives: Drives | None = None,
     unmodelled: bool = False,
@@ -115,19 +117,23 @@ def simulate(
     the state at the end of a period equals that at its start to `SETTLED`, the remaining periods
     repeat the last one instead of being computed again; their noise is drawn anew.
 
+    A robot with mimic joints has no closed loop here: it follows the trajectory exactly, and its
+    efforts are those of its equation of motion.
+
     Parameters
     ----------
     robot : RobotModel
-        The robot.
-    trajectory : Trajectory
-        What it is asked to do; its joints are the robot's.
-    theta : array_like, shape (10·links + 2n,)
+        The robot, on a fixed base.
+    trajectory : Trajectory, optional
+        What it is asked to do; its joints are the robot's. By default `default_motion`.
+    theta : array_like, shape (10·links + 2n,), optional
         True parameters: the links' standard parameters, then Coulomb and viscous friction of
-        all joints.
+        all joints. By default those of the bundled robot of this name, or `default_parameters`.
     seed : int or numpy.random.Generator
         The only source of randomness: the current noise.
     drives : Drives, optional
-        Motors, gains and sensors; by default those of the bundled robot of this name.
+        Motors, gains and sensors; by default those of the bundled robot of this name, or
+        `default_drives`.
     unmodelled : bool
         Add `drives.unmodelled`.
     noise : bool
@@ -138,7 +144,8 @@ def simulate(
     Returns
     -------
     Recording
-        Efforts are currents in A, with their `effort_scale`.
+        Efforts are currents in A, with their `effort_scale`; with `default_drives` efforts in
+        N·m.
 
     Raises
     ------
@@ -149,8 +156,14 @@ def simulate(
     MissingExtraError
         When MuJoCo is not installed (extra ``sim``).
     """
-    plant = _Plant(robot, trajectory, theta, drives, unmodelled)
     rng = np.random.default_rng(seed)
+    if trajectory is None:
+        trajectory = default_motion(robot, rng)
+    theta, drives = _parts(robot, trajectory, theta, drives)
+    if robot.expansion.shape != (robot.n, robot.n):
+        plant: _Plant | _Exact = _Exact(robot, trajectory, theta, drives, unmodelled)
+    else:
+        plant = _Plant(robot, trajectory, theta, drives, unmodelled)
     lead, per_period = trajectory.lead_samples, trajectory.samples_per_period
     total = (trajectory.periods + 1) * per_period + 2 * lead
     position = np.empty((trajectory.n_samples, robot.n))
@@ -193,7 +206,7 @@ def simulate(
         period=trajectory.period,
         start=lead / rate,
         periods=trajectory.periods,
-        effort_scale=scale,
+        effort_scale=None if np.all(scale == 1.0) else scale,
     )
 
 
@@ -201,7 +214,7 @@ def run_plant(
     robot: RobotModel,
     trajectory: Trajectory,
     *,
-    theta: ArrayLike,
+    theta: ArrayLike | None = None,
     drives: Drives | None = None,
     unmodelled: bool = False,
     start: int = 0,
@@ -223,6 +236,7 @@ def run_plant(
     -------
     PlantLog
     """
+    theta, drives = _parts(robot, trajectory, theta, drives)
     plant = _Plant(robot, trajectory, theta, drives, unmodelled)
     stop = trajectory.n_samples if stop is None else stop
     desired = trajectory.sample(start, stop)[0]
@@ -243,6 +257,66 @@ def run_plant(
     )
 
 
+def _parts(
+    robot: RobotModel, trajectory: Trajectory, theta: ArrayLike | None, drives: Drives | None
+) -> tuple[Array, Drives]:
+    """Return parameters and drives: the given ones, the bundled robot's, or made-up ones."""
+    if trajectory.joint_names != robot.joint_names:
+        raise DataError(
+            f"simulate: the trajectory moves {', '.join(trajectory.joint_names)}; robot "
+            f"'{robot.name}' has {', '.join(robot.joint_names)}."
+        )
+    bundled = robot.name in bundled_robots()
+    if theta is None:
+        theta = true_parameters(robot.name) if bundled else default_parameters(robot, trajectory)
+    parameters = _checked_theta(robot, theta)
+    if drives is None:
+        drives = (
+            load_drives(robot.name) if bundled else default_drives(robot, parameters, trajectory)
+        )
+    if drives.n != robot.n:
+        raise DataError(f"simulate: {drives.n} drives, robot '{robot.name}' has {robot.n} joints.")
+    return parameters, drives
+
+
+class _Exact:
+    """A robot that follows its trajectory exactly: no controller, no solver of motion."""
+
+    def __init__(
+        self,
+        robot: RobotModel,
+        trajectory: Trajectory,
+        theta: Array,
+        drives: Drives,
+        unmodelled: bool,
+    ) -> None:
+        if unmodelled:
+            raise DataError(
+                f"simulate: '{robot.name}' has mimic joints; unmodelled effects are not simulated."
+            )
+        self.drives = drives
+        self._robot, self._trajectory = robot, trajectory
+        bodies, friction = theta[: 10 * robot.n_links], theta[10 * robot.n_links :]
+        self._bodies = bodies.reshape(-1, 10)
+        self._coulomb, self._viscous = friction.reshape(2, robot.n)
+        self._state = np.zeros(2 * robot.n)
+
+    def state(self) -> Array:
+        """Return a state that never changes: the motion has settled from its start on."""
+        return self._state
+
+    def extra_torque(self, position: Array, velocity: Array) -> Array:
+        """Return zeros: there are no unmodelled effects."""
+        return np.zeros_like(position)
+
+    def run(self, start: int, stop: int, advance: Callable[[float], None]) -> Array:
+        """Return positions, velocities and torques at samples start … stop − 1."""
+        q, v, a = self._trajectory.sample(start, stop)
+        torque = self._robot.inverse_dynamics(self._bodies, q, v, a)
+        advance(stop - start)
+        return np.stack([q, v, torque + self._coulomb * np.sign(v) + self._viscous * v])
+
+
 class _Plant:
     """A robot in closed loop on its way along a trajectory: it keeps MuJoCo's state."""
 
@@ -250,23 +324,13 @@ class _Plant:
         self,
         robot: RobotModel,
         trajectory: Trajectory,
-        theta: ArrayLike,
-        drives: Drives | None,
+        parameters: Array,
+        drives: Drives,
         unmodelled: bool,
     ) -> None:
         mujoco = require("mujoco", extra="sim")
-        if drives is None:
-            if robot.name not in bundled_robots():
-                raise DataError(f"simulate: '{robot.name}' has no bundled drives; pass `drives`.")
-            drives = load_drives(robot.name)
-        if trajectory.joint_names != robot.joint_names or drives.n != robot.n:
-            raise DataError(
-                f"simulate: the trajectory moves {', '.join(trajectory.joint_names)} and there "
-                f"are {drives.n} drives; robot '{robot.name}' has {', '.join(robot.joint_names)}."
-            )
         if unmodelled and drives.unmodelled is None:
             raise DataError("simulate: these drives have no unmodelled effects; set them.")
-        parameters = _checked_theta(robot, theta)
         self.drives = drives
         self._effects = drives.unmodelled if unmodelled else None
         self._trajectory = trajectory

@@ -5,19 +5,27 @@ It knows nothing of the rule that made it: any `FourierSeries` becomes a traject
 
 from __future__ import annotations
 
+import json
+import os
 from dataclasses import dataclass, replace
 from functools import cached_property
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from sdpid._arrays import Array, frozen, frozen_view, real_array
+from sdpid._files import atomic_write_text
+from sdpid._toml import load_toml
 from sdpid.errors import DataError
 from sdpid.experiment.fourier import FourierSeries, quintic
 
 # A duration counts as a whole number of samples when it is this close to one, in samples: far
 # above the rounding of the product, far below a timing anybody would mean.
 _WHOLE = 1e-6
+# Entries of a trajectory's file.
+_DURATIONS = ("rate_hz", "rest", "connection")
+_SERIES = ("harmonics", "amplitudes", "phases")
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -182,6 +190,60 @@ class Trajectory:
     def with_periods(self, periods: int) -> Trajectory:
         """Return the same motion with another number of periods."""
         return replace(self, periods=periods)
+
+    def to_toml(self, path: str | os.PathLike[str]) -> None:
+        """Write the trajectory to a TOML file, without loss.
+
+        Raises
+        ------
+        ExportError
+            When the file cannot be written.
+        """
+        series = self.series
+        lines = [f"{name} = {float(getattr(self, name))!r}" for name in _DURATIONS]
+        lines += [f"periods = {self.periods}", f"period = {series.period!r}"]
+        lines += [f"notes = {json.dumps(list(self.notes))}"]
+        for j, name in enumerate(self.joint_names):
+            lines += ["", "[[joint]]", f"name = {json.dumps(name)}"]
+            lines += [f"centre = {float(series.centre[j])!r}"]
+            for key in _SERIES:
+                lines.append(f"{key} = {np.asarray(getattr(series, key))[j].tolist()}")
+            lines.append(f"position_range = {self.position_range[j].tolist()}")
+            lines.append(f"velocity_limit = {float(self.velocity_limit[j])!r}")
+        atomic_write_text(Path(path), "\n".join(lines) + "\n")
+
+    @classmethod
+    def from_toml(cls, path: str | os.PathLike[str]) -> Trajectory:
+        """Read a file that `to_toml` wrote.
+
+        Raises
+        ------
+        DataError
+            When it cannot be read, lacks an entry, or holds no trajectory.
+        """
+        table = load_toml(path)
+        try:
+            joints = table["joint"]
+            series = FourierSeries(
+                period=table["period"],
+                centre=np.array([joint["centre"] for joint in joints]),
+                **{key: np.array([joint[key] for joint in joints]) for key in _SERIES},
+            )
+            return cls(
+                joint_names=tuple(str(joint["name"]) for joint in joints),
+                series=series,
+                periods=table["periods"],
+                position_range=np.array([joint["position_range"] for joint in joints]),
+                velocity_limit=np.array([joint["velocity_limit"] for joint in joints]),
+                notes=tuple(table.get("notes", ())),
+                **{name: table[name] for name in _DURATIONS},
+            )
+        except (KeyError, TypeError, ValueError) as cause:
+            raise DataError(
+                f"{path}: {cause!r}: an entry of the trajectory is missing or of another type."
+            ) from None
+        except DataError as cause:
+            raise DataError(f"{path}: {cause}") from None
 
     def sample(self, start: int = 0, stop: int | None = None) -> tuple[Array, Array, Array]:
         """Return positions, velocities and accelerations of a range of samples.

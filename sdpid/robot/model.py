@@ -19,7 +19,7 @@ from sdpid.robot.coordinates import coordinate_names, expand_mimics, link_names
 from sdpid.robot.inertia import PARAMETER_NAMES, PARAMETER_UNITS
 from sdpid.robot.mdh import DhJoint, DhTable
 from sdpid.robot.mjcf import pinocchio_from_mjcf
-from sdpid.robot.urdf import Mimic, pinocchio_from_urdf
+from sdpid.robot.urdf import Mimic, joint_dynamics, pinocchio_from_urdf
 
 Root = Literal["free_flyer"]
 
@@ -310,6 +310,15 @@ class RobotModel:
             if joint.nq == 1 and max(-lower, upper) < _UNLIMITED:
                 limits[column] = lower, upper
         return limits
+
+    def described_friction(self) -> tuple[Array, Array]:
+        """Return viscous and Coulomb friction of each coordinate from the URDF, (n,) each."""
+        given = {} if self.urdf is None else joint_dynamics(self.urdf, self.name)
+        names = list(self.pin_model.names)[1:]
+        values = np.array([given.get(name, (0.0, 0.0)) for name in names])
+        # Friction of a mimic joint is felt at its source, through the gear between them.
+        ratio = np.abs(self.expansion)
+        return np.asarray(values[:, 0] @ ratio**2), np.asarray(values[:, 1] @ ratio)
 
     def _rate_limits(self, values: Array) -> Array:
         limits = np.full(self.n, np.inf)

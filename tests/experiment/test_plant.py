@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any
 
 import mujoco
@@ -10,11 +11,17 @@ import pytest
 
 import sdpid.experiment.plant as plant_module
 from sdpid._arrays import Array
+from sdpid.assurance.validation import validate
 from sdpid.errors import DataError, ModelError
+from sdpid.estimation.problem import build_problem
+from sdpid.estimation.wls import solve_wls
+from sdpid.experiment.default_motion import default_motion
+from sdpid.experiment.default_plant import default_parameters
 from sdpid.experiment.drives import Drives, load_drives
 from sdpid.experiment.excitation import Trajectory, paper_excitation
 from sdpid.experiment.mujoco_model import build_mujoco
 from sdpid.experiment.plant import PlantLog, run_plant, simulate, true_parameters
+from sdpid.experiment.processing import Processing, process
 from sdpid.robot.inertia import theta_from_physical
 from sdpid.robot.library import bundled_folder
 from sdpid.robot.load import load_robot
@@ -290,10 +297,10 @@ def test_bad_parameters(robot: RobotModel, theta: Array, short: Trajectory) -> N
 
 def test_robots_and_trajectories_must_match(theta: Array, short: Trajectory) -> None:
     tree = load_robot(TREE)
-    with pytest.raises(DataError, match="no bundled drives"):
-        simulate(tree, short, theta=theta)
     with pytest.raises(DataError, match="lift"):
-        simulate(tree, short, theta=theta, drives=drives_of(4))
+        simulate(tree, short, theta=theta)
+    with pytest.raises(DataError, match="3 drives, robot 'tree' has 4 joints"):
+        simulate(tree, default_motion(tree, period=8.0), theta=np.ones(48), drives=drives_of(3))
 
 
 def test_drives_are_checked() -> None:
@@ -308,3 +315,61 @@ def test_drives_are_checked() -> None:
         )
     with pytest.raises(DataError, match="not understood"):
         Drives.from_mapping({"torque_constant": [1.0]})
+
+
+@pytest.mark.parametrize(
+    "name", ["ur_description/ur5_robot", "panda_description/panda", "double_pendulum"]
+)
+def test_any_robot_is_simulated_and_found_again(name: str) -> None:
+    """Defaults for everything: the Panda has mimic fingers, the pendulum no limits."""
+    robot = load_robot(name)
+    trajectory = default_motion(robot, 1, period=10.0, periods=2)
+    log = simulate(robot, trajectory, noise=False, progress=False)
+    assert log.effort_scale is None
+    assert log.n_samples == trajectory.n_samples
+    theta = default_parameters(robot, trajectory)
+    settings = Processing(covariance=None, cutoff_hz=20.0, order=4)
+    problem = build_problem(robot, process(log, settings), friction=("coulomb", "viscous"))
+    fit = solve_wls(problem)
+    # The filter takes some of the fastest motion; 1e-4 of the effort is left.
+    assert validate(fit).relative < 3e-4
+    truth = problem.base.matrix @ theta
+    scale = np.linalg.norm(problem.A @ truth)
+    assert np.linalg.norm(problem.A @ (fit.base - truth)) < 1e-3 * scale
+
+
+def test_defaults_of_a_simulation() -> None:
+    robot = load_robot("ur_description/ur5_robot")
+    trajectory = default_motion(robot, 7)
+    low, high = robot.position_limits.T
+    assert (trajectory.position_period.min(axis=0) >= low).all()
+    assert (trajectory.position_period.max(axis=0) <= high).all()
+    assert (trajectory.velocity_peak <= trajectory.velocity_limit).all()
+    assert (trajectory.velocity_limit <= robot.velocity_limits).all()
+    short = default_motion(robot, 7, period=8.0, periods=1)
+    one, other = (simulate(robot, short, seed=s, progress=False) for s in (1, 2))
+    again = simulate(robot, short, seed=1, progress=False)
+    np.testing.assert_array_equal(one.effort, again.effort)
+    noise = (one.effort - other.effort).std(axis=0) / np.sqrt(2.0)
+    rms = np.sqrt(np.mean(one.effort**2, axis=0))
+    assert (noise < 0.05 * rms).all()
+    assert (noise > 1e-4 * rms).all()
+    with pytest.raises(DataError, match=r"at least 6\.25 s"):
+        default_motion(robot, period=5.0)
+    with pytest.raises(ModelError, match="floating base"):
+        default_motion(RobotModel.from_urdf(TREE, root="free_flyer"))
+
+
+def test_a_trajectory_survives_its_file(tmp_path: Path, short: Trajectory) -> None:
+    file = tmp_path / "motion.toml"
+    short.to_toml(file)
+    again = Trajectory.from_toml(file)
+    assert (again.joint_names, again.periods, again.notes) == (
+        short.joint_names,
+        short.periods,
+        short.notes,
+    )
+    np.testing.assert_array_equal(again.sample(0, 20_000), short.sample(0, 20_000))
+    file.write_text(file.read_text().replace("phases", "fases"))
+    with pytest.raises(DataError, match=r"motion.toml: .*phases"):
+        Trajectory.from_toml(file)
