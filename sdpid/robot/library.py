@@ -1,8 +1,9 @@
-"""Robots that can be loaded by name: the bundled folders, and those of example-robot-data."""
+"""Robots that can be loaded by name: bundled, of example-robot-data, of robot_descriptions."""
 
 from __future__ import annotations
 
 import difflib
+import importlib
 import importlib.metadata
 from functools import cache
 from pathlib import Path
@@ -57,18 +58,54 @@ def example_robots() -> dict[str, Path]:
     return dict(sorted(robots.items()))
 
 
+def downloadable_robots() -> tuple[str, ...]:
+    """Return the names of robot_descriptions, where it is installed (extra ``descriptions``)."""
+    try:
+        import robot_descriptions
+    except ModuleNotFoundError:
+        return ()
+    return tuple(sorted(robot_descriptions.DESCRIPTIONS))
+
+
 def robot_names() -> tuple[str, ...]:
-    """Return the names that `load_robot` knows without a download: bundled ones first."""
-    return (*bundled_robots(), *example_robots())
+    """Return the names that `load_robot` knows: bundled robots, those with files, the others."""
+    return (*bundled_robots(), *example_robots(), *downloadable_robots())
 
 
-def find_robot(name: str) -> Path:
-    """Return the URDF of a bundled robot, or of one of example-robot-data by stem or folder/stem.
+def _download(name: str) -> Path:
+    """Return the URDF, xacro or MJCF of a robot of robot_descriptions, cached after a download.
 
     Raises
     ------
     ModelError
-        When there is none, with names that are near, or several folders have a file of that stem.
+        When it cannot be downloaded, or has none of these files.
+    """
+    try:
+        module = importlib.import_module(f"robot_descriptions.{name}")
+    except Exception as cause:  # git fails in many ways
+        reason = " ".join(str(cause).split())[:200]
+        raise ModelError(
+            f"robot {name!r} cannot be fetched by robot_descriptions ({reason}); it needs the "
+            "network the first time."
+        ) from None
+    for kind in ("URDF_PATH", "XACRO_PATH", "MJCF_PATH"):
+        path = getattr(module, kind, None)
+        if path is not None:
+            return Path(path)
+    raise ModelError(f"robot {name!r} of robot_descriptions has neither URDF, xacro nor MJCF.")
+
+
+def find_robot(name: str) -> Path:
+    """Return the description of a robot by name.
+
+    Bundled robots come first, then those of example-robot-data by stem or folder/stem, then those
+    of robot_descriptions, which are downloaded (extra ``descriptions``).
+
+    Raises
+    ------
+    ModelError
+        When there is none, with names that are near; when several folders have a file of that
+        stem; or when a download fails.
     """
     if name in bundled_robots():
         return bundled_folder(name) / f"{name}.urdf"
@@ -78,9 +115,16 @@ def find_robot(name: str) -> Path:
     matches = [key for key in robots if key.split("/")[1] == name]
     if len(matches) > 1:
         raise ModelError(f"robot name {name!r} is ambiguous: use one of {', '.join(matches)}.")
+    if not matches and name in downloadable_robots():
+        return _download(name)
     if not matches:
         shown = name if len(name) <= 80 else name[:77] + "..."
-        raise ModelError(f"no robot {shown!r}: not a file, and not a known name; {_near(name)}.")
+        more = ""
+        if name.endswith("_description") and not downloadable_robots():
+            more = "; for names of robot_descriptions: pip install 'sdpid[descriptions]'"
+        raise ModelError(
+            f"no robot {shown!r}: not a file, and not a known name; {_near(name)}{more}."
+        )
     return robots[matches[0]]
 
 
@@ -93,5 +137,5 @@ def _near(name: str) -> str:
     found = list(dict.fromkeys(near))[:_SHOWN]
     if found:
         return "near it are " + ", ".join(found)
-    some = ", ".join([*bundled_robots(), *list(stems)[-_SHOWN:]])
+    some = ", ".join([*bundled_robots(), *list(example_robots())[-_SHOWN:]])
     return f"{len(robot_names())} robots are known, such as {some}"

@@ -1,9 +1,9 @@
-"""Robots from names, files, URDF text and Pinocchio models."""
+"""Robots from names, files and texts of URDF, MJCF and xacro, and Pinocchio models."""
 
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -12,23 +12,35 @@ from sdpid.errors import ModelError
 from sdpid.robot.library import bundled_folder, bundled_robots, find_robot
 from sdpid.robot.mdh import DhTable
 from sdpid.robot.model import RobotModel, Root
+from sdpid.robot.xacro import expand_xacro, is_xacro
 from sdpid.robot.xml import Description, is_mjcf, is_xml, read_description
 
 
 def load_robot(
-    source: Any, *, root: Root | None = None, gravity: Sequence[float] | None = None
+    source: Any,
+    *,
+    root: Root | None = None,
+    gravity: Sequence[float] | None = None,
+    xacro_args: Mapping[str, str] | None = None,
 ) -> RobotModel:
     """Load a robot.
 
     Parameters
     ----------
     source : str, path, or pinocchio.Model
-        Name of a bundled robot (``"denso_vp6242"``), path of a URDF, its text, name of a robot of
-        example-robot-data (file stem, or folder/stem where ambiguous), or a model.
+        One of
+
+        * name of a bundled robot (``"denso_vp6242"``), of a robot of example-robot-data (file
+          stem, or folder/stem where ambiguous), or of robot_descriptions, which downloads it
+          (``"ur5e_description"``, extra ``descriptions``);
+        * path or text of a URDF, an MJCF (extra ``sim``) or a xacro file (extra ``xacro``);
+        * a model.
     root : {"free_flyer"}, optional
-        Let the base float; its link is then identified too.
+        Let the base float; its link is then identified too. An MJCF says so itself.
     gravity : sequence of 3 floats, optional
-        Gravity in the base link; by default (0, 0, -9.81) m/s², or the model's own.
+        Gravity in the base link; by default (0, 0, -9.81) m/s², or the model's or the MJCF's own.
+    xacro_args : mapping, optional
+        Values of the arguments of a xacro file.
 
     Returns
     -------
@@ -37,8 +49,10 @@ def load_robot(
     Raises
     ------
     ModelError
-        When nothing is found under the name, the text is no URDF, a joint kind is not supported,
-        or nothing moves.
+        When nothing is found under the name, the text is no description, a joint kind is not
+        supported, a mass is negative, or nothing moves.
+    MissingExtraError
+        When the source needs an extra that is not installed.
     """
     if root not in (None, "free_flyer"):
         raise ModelError(f"root is {root!r}; use None or 'free_flyer'.")
@@ -49,6 +63,10 @@ def load_robot(
     found, default_gravity = _find(source)
     if gravity is None:
         gravity = default_gravity
+    if is_xacro(found):
+        found = expand_xacro(found, xacro_args)
+    elif xacro_args is not None:
+        raise ModelError(f"{found.what}: xacro_args are given, and it is no xacro file.")
     if not is_mjcf(found.text, found.what):
         return RobotModel.from_urdf(found.text, what=found.what, root=root, gravity=gravity)
     if root is not None:
