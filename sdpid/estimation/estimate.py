@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -14,6 +14,8 @@ from sdpid.estimation.multipliers import Multipliers
 from sdpid.estimation.problem import Problem
 from sdpid.estimation.uncertainty import covariance
 from sdpid.robot.inertia import margin
+
+Status = Literal["optimal", "infeasible", "iteration limit", "stalled", "failed"]
 
 # A point this far outside a constraint (kg·m², kg, …) counts as feasible: rounding of its own.
 FEASIBLE = 1e-9
@@ -43,7 +45,8 @@ class Estimate:
     theta : ndarray, shape (p,), or None
         Standard parameters; None where the method has none.
     status : str
-        ``"optimal"`` or what went wrong.
+        ``"optimal"`` or what went wrong: ``"infeasible"``, ``"iteration limit"``, ``"stalled"``
+        or ``"failed"``.
     message : str
         What the solver said, in words.
     iterations : int
@@ -62,7 +65,7 @@ class Estimate:
     method: str
     base: Array
     theta: Array | None
-    status: str
+    status: Status
     message: str = ""
     iterations: int = 0
     solve_time: float = 0.0

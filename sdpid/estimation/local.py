@@ -1,4 +1,4 @@
-"""What local solvers share: when a result counts as feasible, and as stationary."""
+"""How far a point is from being stationary, by a bound on what any step from it can gain."""
 
 from __future__ import annotations
 
@@ -14,10 +14,6 @@ from sdpid.estimation.physical_constraints import PhysicalConstraints
 from sdpid.estimation.problem import Problem
 from sdpid.robot.inertia import complement, inertia_tensor
 
-# A local result may lie this far outside a constraint (kg·m², kg, …) and still count as feasible;
-# SLSQP works on scaled constraints and stops near 1e-10 of them.
-FEASIBLE_LOCAL = 1e-7
-
 # Solvers sometimes report success where they merely stopped making progress. Their word is
 # checked: what the best step promises must not exceed this share of the cost.
 STATIONARY = 1e-4
@@ -30,8 +26,8 @@ _FLATTEST = 1e-12
 _ROUNDS = 4
 
 
-def promised_decrease(problem: Problem, theta: Array) -> float:
-    """Return the share of the cost that the best step from theta promises, 0 at an optimum.
+def stationarity_gap(problem: Problem, theta: Array) -> float:
+    """Return the share of the cost that the best step from theta can gain, 0 at an optimum.
 
     It is measured in the physical variables x; there stationary points are optimal
     (docs/theory.md, section 5), which they need not be in coordinates that have the boundary at
@@ -77,7 +73,7 @@ def promised_decrease(problem: Problem, theta: Array) -> float:
     spectral = np.arange(len(values)) < 3 * problem.feasible.n_links
     least, rest = np.inf, g
     for _ in range(_ROUNDS):
-        vectors = _asked(variables, rest)
+        vectors = _gradient_eigenvectors(variables, rest)
         more = constraints.normals(x, vectors)
         slopes = np.vstack([slopes, more])
         values = np.concatenate([values, np.maximum(constraints.along(x, vectors), 0.0)])
@@ -114,7 +110,7 @@ def preconditioner(problem: Problem, theta: Array, jacobian: Array, flattest: fl
     return np.asarray((vectors / np.sqrt(values)) @ vectors.T)
 
 
-def _asked(variables: PhysicalVariables, slope: Array) -> Array:
+def _gradient_eigenvectors(variables: PhysicalVariables, slope: Array) -> Array:
     """Return eigenvectors (links, 3, 3) of the slope in what must exceed the margin."""
     links = variables.problem.robot.n_links
     full = np.zeros(10 * links)

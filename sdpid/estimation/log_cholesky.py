@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from dataclasses import dataclass
 from typing import Any
 
@@ -11,8 +10,8 @@ import numpy as np
 from sdpid._arrays import Array, frozen
 from sdpid._threads import one_thread
 from sdpid.errors import DataError
-from sdpid.estimation.estimate import Estimate, Step
-from sdpid.estimation.local import FEASIBLE_LOCAL, STATIONARY, promised_decrease
+from sdpid.estimation.estimate import Estimate, Status
+from sdpid.estimation.local_run import LocalRun
 from sdpid.estimation.problem import Problem
 from sdpid.estimation.scaling import Scaling
 from sdpid.estimation.starts import checked_start
@@ -211,7 +210,7 @@ def solve_log_cholesky(
     max_iterations: int = 600,
     tolerance: float = 1e-8,
 ) -> Estimate:
-    """Minimise the cost locally in log-Cholesky coordinates [rucker2022]_.
+    """Minimize the cost locally in log-Cholesky coordinates [rucker2022]_.
 
     Every point in these coordinates satisfies the links' inequality with its margin, 4×4 or 6×6,
     so nonlinear least squares with a trust region (SciPy's ``least_squares``) needs no
@@ -261,20 +260,12 @@ def solve_log_cholesky(
         raise DataError(f"solve_log_cholesky: {reason}")
     problem.feasible.require_feasible()
     start = checked_start(problem, start, seed)
-    program = _Program(problem)
-    result = program.run(start, max_iterations, tolerance)
-    theta = program.theta(result.x)
-    return Estimate.of_theta(
-        problem,
-        theta,
-        method="log_cholesky",
-        status=_status(problem, theta, int(result.status)),
-        message=str(result.message),
-        iterations=len(program.history) - 1,
-        solve_time=program.seconds,
-        history=tuple(program.history),
-        start=frozen(start),
-    )
+    run = _Run(problem)
+    result = run.minimized(start, max_iterations, tolerance)
+    # SciPy's status 0 is the limit on evaluations.
+    stopped: Status = "iteration limit" if int(result.status) == 0 else "stalled"
+    theta = run.theta(result.x)
+    return run.estimate("log_cholesky", start, theta, stopped=stopped, message=str(result.message))
 
 
 def unsupported(problem: Problem) -> str | None:
@@ -298,32 +289,19 @@ def unsupported(problem: Problem) -> str | None:
     return None
 
 
-def _status(problem: Problem, theta: Array, code: int) -> str:
-    if problem.feasible.violation(theta) > FEASIBLE_LOCAL:
-        return "infeasible"
-    if promised_decrease(problem, theta) <= STATIONARY:
-        return "optimal"
-    # SciPy's status 0 is the limit on evaluations.
-    return "iteration limit" if code == 0 else "stalled"
-
-
-class _Program:
-    """Scaled residual of the free coordinates with its derivative, and a record of the steps."""
+class _Run(LocalRun):
+    """The residual of the free coordinates with its derivative, and the stages of the solver."""
 
     def __init__(self, problem: Problem) -> None:
-        self.problem, self.coordinates = problem, LogCholesky.of(problem)
-        G, rhs = problem.squared.matrix, problem.squared.rhs
-        scale = 1.0 / np.sqrt(float(rhs @ rhs) + problem.floor)
-        self.G, self.rhs = scale * G, scale * rhs
+        super().__init__(problem)
+        self.coordinates = LogCholesky.of(problem)
         # Constant rows: the floor, so that tolerances are shares of the cost, and one for each
         # row of curvature.
         self.constant = np.zeros(1 + 10 * problem.feasible.n_links + problem.n_theta)
-        self.constant[0] = scale * np.sqrt(problem.floor)
+        self.constant[0] = self.scale * np.sqrt(problem.floor)
         lower, upper = self.coordinates.bounds(_THINNEST[-1])
         self.free = upper - lower > _FIXED
         self.fixed = np.where(self.free, 0.0, lower)
-        self.history: list[Step] = []
-        self.seconds = self.begin = 0.0
 
     def expand(self, x: Array) -> Array:
         """Return all coordinates of the free ones."""
@@ -362,21 +340,9 @@ class _Program:
         J[:count, inertial:] = self.G[:, inertial:] * self.coordinates.friction
         return np.asarray(J[:, self.free])
 
-    def record(self, x: Array) -> None:
-        """Add a step to the history."""
-        theta = self.theta(x)
-        self.history.append(
-            Step(
-                time.perf_counter() - self.begin,
-                self.problem.cost_of(theta),
-                self.problem.feasible.violation(theta),
-            )
-        )
-
-    def run(self, start: Array, max_iterations: int, tolerance: float) -> Any:
+    def minimized(self, start: Array, max_iterations: int, tolerance: float) -> Any:
+        """Return SciPy's result of the last stage."""
         from scipy.optimize import least_squares
-
-        self.begin = time.perf_counter()
 
         last: Array | None = None
 
@@ -410,5 +376,4 @@ class _Program:
                 x, left = result.x, left - int(result.nfev)
                 if left <= 0:
                     break
-        self.seconds = time.perf_counter() - self.begin
         return result

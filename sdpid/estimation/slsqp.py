@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
-import time
 from typing import Any
 
 import numpy as np
 
-from sdpid._arrays import Array, frozen
+from sdpid._arrays import Array
 from sdpid._threads import one_thread
-from sdpid.errors import DataError
 from sdpid.estimation.entropy import LogDetTerm
-from sdpid.estimation.estimate import Estimate, Step
-from sdpid.estimation.local import FEASIBLE_LOCAL, STATIONARY, preconditioner, promised_decrease
+from sdpid.estimation.estimate import Estimate, Status
+from sdpid.estimation.local import preconditioner
+from sdpid.estimation.local_run import LocalRun, require_consistency
 from sdpid.estimation.physical import PhysicalVariables
 from sdpid.estimation.physical_constraints import PhysicalConstraints
 from sdpid.estimation.problem import Problem
@@ -30,6 +29,9 @@ _FLATTEST = 1e-6
 # A round that lowers the cost by less than this share of it is the last.
 _SETTLED = 1e-8
 
+# SciPy's exit modes: 0 is its own convergence, 8 a line search that finds no descent, 9 the limit.
+_STOPPED: dict[int, Status] = {0: "stalled", 8: "stalled", 9: "iteration limit"}
+
 # Below this share of the believed body the logarithm of the log-det prior is continued by its
 # second-order expansion: trial steps may leave the cone.
 _CONTINUED = 1e-6
@@ -44,7 +46,7 @@ def solve_slsqp(
     max_iterations: int = 1000,
     tolerance: float = 1e-12,
 ) -> Estimate:
-    """Minimise the cost locally by SciPy's SLSQP [kraft1988]_, as the paper does by fmincon.
+    """Minimize the cost locally by SciPy's SLSQP [kraft1988]_, as the paper does by fmincon.
 
     The variables are the paper's: inertia about the centre of mass, centre of mass and mass of
     every link, and the friction terms (66 for the Denso). All derivatives are analytic. The
@@ -101,46 +103,25 @@ def solve_slsqp(
         When the start has another size or masses that are not positive, or the problem has no
         consistency to obey.
     """
-    if problem.consistency == "none":
-        raise DataError("solve_slsqp: consistency is 'none', nothing constrains; use solve_wls.")
+    require_consistency(problem, "solve_slsqp")
     start = checked_start(problem, start, seed)
-    program = _Program(problem)
-    theta, result = program.run(start, max_iterations, tolerance)
-    return Estimate.of_theta(
-        problem,
-        theta,
-        method="slsqp",
-        status=_status(problem, theta, int(result.status)),
-        message=str(result.message),
-        iterations=len(program.history) - 1,
-        solve_time=program.seconds,
-        history=tuple(program.history),
-        start=frozen(start),
-    )
+    run = _Run(problem)
+    theta, result = run.minimized(start, max_iterations, tolerance)
+    stopped = _STOPPED.get(int(result.status), "failed")
+    return run.estimate("slsqp", start, theta, stopped=stopped, message=str(result.message))
 
 
-def _status(problem: Problem, theta: Array, code: int) -> str:
-    if problem.feasible.violation(theta) > FEASIBLE_LOCAL:
-        return "infeasible"
-    if promised_decrease(problem, theta) <= STATIONARY:
-        return "optimal"
-    # SciPy's exit modes: 0 is its own convergence, 9 the iteration limit, 8 a line search that
-    # finds no descent.
-    return {0: "stalled", 8: "stalled", 9: "iteration limit"}.get(code, "failed")
-
-
-class _Program:
-    """Scaled cost with its derivative, and a record of the iterations."""
+class _Run(LocalRun):
+    """The cost with its derivative in scaled physical variables, and SLSQP's rounds."""
 
     def __init__(self, problem: Problem) -> None:
-        self.problem, self.variables = problem, PhysicalVariables.of(problem)
+        super().__init__(problem)
+        self.variables = PhysicalVariables.of(problem)
         self.constraints = PhysicalConstraints.of(problem, self.variables)
-        G, h = problem.squared.matrix, problem.squared.rhs
-        self.scale = 1.0 / np.sqrt(float(h @ h) + problem.floor)
-        self.G = self.scale * G
-        self.rhs = self.scale * h
-        self.history: list[Step] = []
-        self.seconds = self.begin = 0.0
+
+    def theta(self, x: Array) -> Array:
+        """Return the standard parameters of the physical variables."""
+        return self.variables.theta(x)
 
     def cost(self, x: Array) -> tuple[float, Array]:
         """Return the scaled cost without its floor, and its gradient."""
@@ -151,20 +132,8 @@ class _Program:
         value, slope = value + self.scale**2 * more, slope + self.scale**2 * slopes
         return value, slope @ self.variables.jacobian(x)
 
-    def record(self, x: Array) -> None:
-        """Add a step to the history."""
-        theta = self.variables.theta(x)
-        self.history.append(
-            Step(
-                time.perf_counter() - self.begin,
-                self.problem.cost_of(theta),
-                self.problem.feasible.violation(theta),
-            )
-        )
-
-    def run(self, start: Array, max_iterations: int, tolerance: float) -> tuple[Array, Any]:
+    def minimized(self, start: Array, max_iterations: int, tolerance: float) -> tuple[Array, Any]:
         """Return the standard parameters of the end point, and SciPy's last result."""
-        self.begin = time.perf_counter()
         x = self._within(self.variables.from_theta(start))
         self.record(x)
         # SciPy also counts iterations that end without a step; the history has steps only.
@@ -179,12 +148,7 @@ class _Program:
             # A round that ended early gets another chance unless it hardly moved.
             if int(result.status) != 9 and abs(before - after) <= _SETTLED * abs(after):
                 break
-        theta = self._best_of(self.variables.theta(x))
-        self.seconds = time.perf_counter() - self.begin
-        # The last step is the point that is handed back.
-        cost, violation = self.problem.cost_of(theta), self.problem.feasible.violation(theta)
-        self.history[-1] = Step(self.seconds, cost, violation)
-        return theta, result
+        return self._best_of(self.variables.theta(x)), result
 
     def _within(self, x: Array) -> Array:
         return np.clip(x, self.constraints.lower, self.constraints.upper)

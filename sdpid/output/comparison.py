@@ -16,7 +16,7 @@ from sdpid._tables import Table
 from sdpid.assurance.certificate import Certificate, certify
 from sdpid.errors import DataError, SdpidError
 from sdpid.estimation.estimate import Estimate
-from sdpid.estimation.local import FEASIBLE_LOCAL
+from sdpid.estimation.local_run import FEASIBLE_LOCAL
 from sdpid.estimation.log_cholesky import solve_log_cholesky, unsupported
 from sdpid.estimation.problem import Problem
 from sdpid.estimation.sdp import solve_sdp

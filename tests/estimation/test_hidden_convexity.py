@@ -19,7 +19,7 @@ The right side is what the local end point fails to be stationary by: the residu
 of constraints with multipliers (C_i(theta*) ≥ 0, to rounding). (*) holds wherever a solver
 stops; it is checked with multipliers and derivatives computed here, from nothing but Phi.
 
-Minimised over λ for the worst w, the same inequality says that `promised_decrease` is an upper
+Minimised over λ for the worst w, the same inequality says that `stationarity_gap` is an upper
 bound of the excess, but for the curvature that it adds to directions that the effort does not
 show (docs/theory.md, section 5).
 """
@@ -44,7 +44,8 @@ from sdpid.estimation.condition_kinds import (
 from sdpid.estimation.conditions import Condition
 from sdpid.estimation.constraints import Constraints
 from sdpid.estimation.estimate import Estimate
-from sdpid.estimation.local import FEASIBLE_LOCAL, STATIONARY, promised_decrease
+from sdpid.estimation.local import STATIONARY, stationarity_gap
+from sdpid.estimation.local_run import FEASIBLE_LOCAL
 from sdpid.estimation.log_cholesky import solve_log_cholesky
 from sdpid.estimation.problem import Problem, build_problem
 from sdpid.estimation.sdp import solve_sdp
@@ -215,7 +216,7 @@ def test_nothing_ends_above_the_optimum_unexplained(
         return
     # What the solver itself reports explains it too, and its word is kept.
     scale = max(local.cost, cost_scale(problem))
-    assert excess <= promised_decrease(problem, theta) * scale * 1.001 + rounding
+    assert excess <= stationarity_gap(problem, theta) * scale * 1.001 + rounding
     if local.status == "optimal":
         assert excess <= STATIONARY * scale * 1.001 + rounding
     # Nothing feasible is below the optimum, but for what violations buy.
@@ -232,7 +233,7 @@ def test_the_optimum_is_stationary(consistency: Consistency, kind: str) -> None:
     """
     best = solved("arm2", consistency, 0.01, kind)
     theta = np.asarray(best.theta)
-    assert promised_decrease(best.problem, theta) <= 1e-3
+    assert stationarity_gap(best.problem, theta) <= 1e-3
     assert explained(best.problem, theta, theta) == 0.0
 
 

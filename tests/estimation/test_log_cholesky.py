@@ -13,8 +13,8 @@ from sdpid.errors import DataError
 from sdpid.estimation.condition_kinds import CenterOfMassInEllipsoid, TotalMass
 from sdpid.estimation.constraints import Constraints
 from sdpid.estimation.estimate import FEASIBLE
-from sdpid.estimation.local import STATIONARY, promised_decrease
-from sdpid.estimation.log_cholesky import LogCholesky, _Program, solve_log_cholesky
+from sdpid.estimation.local import STATIONARY, stationarity_gap
+from sdpid.estimation.log_cholesky import LogCholesky, _Run, solve_log_cholesky
 from sdpid.estimation.prior import Prior, PriorKind
 from sdpid.estimation.problem import Problem, build_problem
 from sdpid.estimation.sdp import solve_sdp
@@ -97,7 +97,7 @@ def test_derivatives(problem: Problem, seed: int) -> None:
 
 @pytest.mark.parametrize("consistency", BOTH)
 def test_jacobian_of_the_residual(consistency: Consistency) -> None:
-    program = _Program(PROBLEMS[consistency])
+    program = _Run(PROBLEMS[consistency])
     start = random_start(program.problem, np.random.default_rng(3))
     x = program.coordinates.from_theta(start)[program.free]
     J, rows, step = program.jacobian(x), len(program.rhs), 1e-6
@@ -138,9 +138,9 @@ def test_hidden_convexity_from_many_starts(planar: Problem) -> None:
 
 def test_the_optimum_promises_nothing_and_a_start_does(planar: Problem) -> None:
     best = solve_sdp(planar)
-    assert promised_decrease(planar, np.asarray(best.theta)) <= 0.01 * STATIONARY
+    assert stationarity_gap(planar, np.asarray(best.theta)) <= 0.01 * STATIONARY
     start = random_start(planar, np.random.default_rng(0))
-    assert promised_decrease(planar, start) > STATIONARY
+    assert stationarity_gap(planar, start) > STATIONARY
 
 
 def test_a_start_on_the_boundary(planar: Problem) -> None:

@@ -18,13 +18,14 @@ from sdpid.estimation.condition_kinds import (
 )
 from sdpid.estimation.conditions import Condition
 from sdpid.estimation.constraints import Constraints
-from sdpid.estimation.local import FEASIBLE_LOCAL, STATIONARY
+from sdpid.estimation.local import STATIONARY
+from sdpid.estimation.local_run import FEASIBLE_LOCAL
 from sdpid.estimation.physical import PhysicalVariables
 from sdpid.estimation.physical_constraints import PhysicalConstraints
 from sdpid.estimation.prior import Prior, PriorKind
 from sdpid.estimation.problem import Problem, build_problem
 from sdpid.estimation.sdp import solve_sdp
-from sdpid.estimation.slsqp import _Program, solve_slsqp
+from sdpid.estimation.slsqp import _Run, solve_slsqp
 from sdpid.estimation.starts import random_start
 from sdpid.robot.inertia import Consistency, physical_parameters
 from sdpid.robot.model import RobotModel
@@ -78,7 +79,7 @@ def test_derivatives(robot: RobotModel, consistency: Consistency, more: str) -> 
         problem = problem.constrained(constraints=problem.constraints.replace(others=others))
     if more == "entropic":
         problem = believed(robot, consistency)
-    program = _Program(problem)
+    program = _Run(problem)
     variables, constraints = program.variables, program.constraints
     rng = np.random.default_rng(2)
     step = 1e-6
