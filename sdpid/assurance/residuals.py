@@ -13,7 +13,7 @@ import numpy as np
 
 from sdpid._arrays import Array, Mask, frozen
 from sdpid.assurance.validation import Validation
-from sdpid.estimation.weighting import LaggedSums
+from sdpid.estimation.weighting import LaggedSums, integrated_time
 from sdpid.experiment.samples import Samples
 
 # Velocities are sorted into this many bins of equally many rows: enough for the two sides of a
@@ -125,10 +125,7 @@ def _of_joint(
         frequency, density = _density(signal, samples.parts, rate)
         # Rows that are not used are zero; the others carry all of the power.
         densities.append(np.sqrt(np.maximum(density, 0.0) * len(kept) / kept.sum()))
-    # Lags count up to where errors are first no longer alike, so that noise does not add up.
-    below = np.flatnonzero(correlation < 0.0)
-    memory = correlation[1 : below[0] if len(below) else None].sum()
-    independent = max(float(kept.sum()) / float(1.0 + 2.0 * memory), 1.0)
+    independent = max(float(kept.sum()) / integrated_time(paired.correlation[0]), 1.0)
     v, e = samples.velocity[kept, j], error[kept]
     binned, share = _over_velocity(v, e, independent)
     return JointErrors(

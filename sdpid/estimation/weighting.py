@@ -244,19 +244,31 @@ def correlation_time(rows: RowSource, base: Array, joints: JointRows) -> float:
     """Return how many samples make one independent one, averaged over the joints, at least 1."""
     mean = joints.mean_residual(base)
     sums = LaggedSums.merged(rows.map(LaggedSums.of_residuals, base, mean))
-    return float(np.mean([_integrated_time(c) for c in sums.correlation[joints.used > 0]]))
+    return float(np.mean([integrated_time(c) for c in sums.correlation[joints.used > 0]]))
 
 
-def _integrated_time(correlation: Array) -> float:
-    """Return 1 + 2·Σ rho over lags up to the first that is not positive (Geyer's cut)."""
-    stop = np.flatnonzero(correlation <= 0.0)
-    last = int(stop[0]) if stop.size else len(correlation)
-    return float(max(1.0, 1.0 + 2.0 * correlation[1:last].sum()))
+def integrated_time(correlation: Array) -> float:
+    """Return ``1 + 2·Σ rho``, the number of samples that are worth one independent one, at least 1.
+
+    The sum ends before the first pair of neighbouring lags, (0, 1), (2, 3), …, whose correlations
+    do not add up to more than zero: Geyer's initial positive sequence [geyer1992]_. Noise at
+    longer lags then does not add up, nor does one negative value end the sum.
+
+    Parameters
+    ----------
+    correlation : ndarray, shape (lags,)
+        Autocorrelations from lag 0 on.
+    """
+    pairs = correlation[: len(correlation) // 2 * 2].reshape(-1, 2).sum(axis=1)
+    stop = np.flatnonzero(pairs <= 0.0)
+    return float(max(1.0, 2.0 * pairs[: stop[0] if stop.size else None].sum() - 1.0))
 
 
 @dataclass(frozen=True, eq=False)
 class LaggedSums:
-    """Products of signals with themselves, later: what an autocorrelation is made of.
+    """Sums of lagged products ``Σ_k x[k]·x[k + lag]`` of each signal, and the number of pairs.
+
+    Dividing gives the autocovariance. The two are kept apart so that recordings can be added.
 
     Attributes
     ----------

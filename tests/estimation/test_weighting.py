@@ -14,7 +14,7 @@ from sdpid.errors import DataError
 from sdpid.estimation.prior import Prior
 from sdpid.estimation.problem import build_problem
 from sdpid.estimation.sdp import solve_sdp
-from sdpid.estimation.weighting import masked_covariance, power, whitener
+from sdpid.estimation.weighting import integrated_time, masked_covariance, power, whitener
 from sdpid.estimation.wls import solve_wls
 from sdpid.experiment.samples import Samples
 from tests.helpers.data import make_samples, random_covariance, random_theta
@@ -174,3 +174,14 @@ def test_efforts_that_are_all_zero_are_refused() -> None:
     samples = replace(samples, effort=np.zeros((60, 3)))
     with pytest.raises(DataError, match=r"efforts that count are zero.*effort was recorded"):
         build_problem(ARM, samples, weighting="residual")
+
+
+def test_the_integrated_time_is_that_of_geyers_sequence() -> None:
+    lags = np.arange(400.0)
+    for memory in (0.0, 0.3, 0.9):
+        expected = (1.0 + memory) / (1.0 - memory)
+        assert integrated_time(memory**lags) == pytest.approx(expected, rel=1e-12)
+    # One negative value does not end the sum, a pair does.
+    assert integrated_time(np.array([1.0, -0.2, 0.5, 0.1, -0.3, 0.2, 0.9, 0.9])) == pytest.approx(1.8)
+    assert integrated_time(np.array([1.0])) == 1.0
+    assert integrated_time(np.array([1.0, -0.9])) == 1.0
