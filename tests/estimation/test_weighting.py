@@ -182,6 +182,7 @@ def test_the_integrated_time_is_that_of_geyers_sequence() -> None:
         expected = (1.0 + memory) / (1.0 - memory)
         assert integrated_time(memory**lags) == pytest.approx(expected, rel=1e-12)
     # One negative value does not end the sum, a pair does.
-    assert integrated_time(np.array([1.0, -0.2, 0.5, 0.1, -0.3, 0.2, 0.9, 0.9])) == pytest.approx(1.8)
+    found = integrated_time(np.array([1.0, -0.2, 0.5, 0.1, -0.3, 0.2, 0.9, 0.9]))
+    assert found == pytest.approx(1.8)
     assert integrated_time(np.array([1.0])) == 1.0
     assert integrated_time(np.array([1.0, -0.9])) == 1.0
