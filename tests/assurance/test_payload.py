@@ -283,7 +283,7 @@ def test_refusals(arm: RobotModel) -> None:
     with pytest.raises(ModelError, match="3 last links"):
         identify_payload(load_robot(TREE), loaded, bare)
     with pytest.raises(ModelError, match="gives links no mass"):
-        identify_payload(replace, loaded(arm, prior=np.zeros((6, 10))))
+        identify_payload(replace(arm, prior=np.zeros((6, 10))), loaded)
     with pytest.raises(DataError, match="give a recording"):
         identify_payload(arm, 3.0)  # type: ignore[arg-type]
     entropic = build_problem(arm, bare, weighting="residual", prior=Prior(kind="entropic"))
