@@ -34,8 +34,8 @@ TIMEOUT = 120.0
 _MOST_MEMORY = 1 << 33
 # ... and at most this part of the machine's memory.
 _MEMORY_SHARE = 0.4
-# What the interpreter and the libraries take before the first byte is read.
-_BASE_MEMORY = 1 << 29
+# What the interpreter and the libraries take before the first byte is read: about 80 MB.
+_BASE_MEMORY = 1 << 28
 # A result without its arrays is not larger; larger arrays are mapped, not loaded.
 _LARGEST_RESULT = 1 << 26
 _MAPPED = 1 << 16
@@ -181,7 +181,8 @@ def _child(name: str) -> None:
         value = getattr(importlib.import_module(module), function)(*request["arguments"])
         answer = {"result": _encoded(value, folder)}
     except SdpidError as cause:
-        answer = {"error": type(cause).__name__, "message": str(cause)}
+        public = next(kind for kind in type(cause).__mro__ if kind.__name__ in errors.__all__)
+        answer = {"error": public.__name__, "message": str(cause)}
     except MemoryError:
         answer = {"error": "MemoryError"}
     except Exception as cause:  # a damaged file makes a library raise almost anything

@@ -23,6 +23,8 @@ def load_toml(path: str | os.PathLike[str]) -> dict[str, Any]:
     DataError
         When the file cannot be read or is not TOML.
     """
+    if Path(path).exists() and not Path(path).is_file():
+        raise DataError(f"cannot read {path}: it is no regular file.")
     try:
         with Path(path).open("rb") as file:
             return dict(tomllib.load(file))

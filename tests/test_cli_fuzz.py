@@ -167,8 +167,8 @@ def test_damaged_files_end_well(kind: str, sound: Path, tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("kind", "old", "new", "words"),
     [
-        ("log.csv", "tau2\n", "tau2\n-1,0,0,0,1e300\n", "effort: is 1e+300 at index (0, 1)"),
-        ("log.csv", "tau2\n", "tau2\n1e\x1c0,0,0,0,0\n", "time is missing"),
+        ("log.csv", "tau2\n", "tau2\n-1,0,0,0,1e300\n", "line 2: effort: 'tau2' is 1e+300"),
+        ("log.csv", "tau2\n", "tau2\n1e\x1c0,0,0,0,0\n", "no line of column names"),
         ("map.toml", "4.0", "9" * 5000, "map.toml: not a TOML file"),
         ("map.toml", "4.0", "[" * 5000, "map.toml: not a TOML file"),
         ("map.toml", "4.0", "1e308", "period: is 1e+308"),

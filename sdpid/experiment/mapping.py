@@ -14,7 +14,8 @@ from sdpid.experiment.motors import MotorSide
 __all__ = ["find_mapping", "read_mapping"]
 
 _NUMBERS = ("period", "start", "periods", "rate_hz")
-_KNOWN = ("columns", "units", "motors", "joint_names", "topic", "effort_scale", *_NUMBERS)
+_TEXTS = ("topic", "missing")
+_KNOWN = ("columns", "units", "motors", "joint_names", *_TEXTS, "effort_scale", *_NUMBERS)
 # How TOML, which has no null, says that a quantity is not to be read.
 _NOTHING = (False, "none")
 
@@ -32,8 +33,8 @@ def read_mapping(source: str | os.PathLike[str] | Mapping[str, Any]) -> dict[str
     ----------
     source : path-like or mapping
         A TOML file, or its content. Keys are ``columns``, ``units`` and ``motors`` (tables),
-        ``joint_names``, ``topic``, ``effort_scale``, ``rate_hz``, ``period``, ``start`` and
-        ``periods``.
+        ``joint_names``, ``topic``, ``missing``, ``effort_scale``, ``rate_hz``, ``period``,
+        ``start`` and ``periods``.
 
     Returns
     -------
@@ -55,14 +56,15 @@ def read_mapping(source: str | os.PathLike[str] | Mapping[str, Any]) -> dict[str
         for quantity, value in _table(where, content, key).items():
             if key == "columns" and value in _NOTHING:
                 content[key] = {**content[key], quantity: None}
-            elif not _texts(value):
+            elif not _texts(value) and not (key == "columns" and _counts(value)):
                 raise DataError(
                     f"{where}: {key}.{quantity} is {value!r}, expected a text or a list of texts."
                 )
     if not _texts(content.get("joint_names", [])) or isinstance(content.get("joint_names"), str):
         raise DataError(f"{where}: joint_names is {content['joint_names']!r}, expected names.")
-    if not isinstance(content.get("topic", ""), str):
-        raise DataError(f"{where}: topic is {content['topic']!r}, expected a text.")
+    for key in _TEXTS:
+        if not isinstance(content.get(key, ""), str):
+            raise DataError(f"{where}: {key} is {content[key]!r}, expected a text.")
     for key in _NUMBERS:
         value = content.get(key, 0)
         if isinstance(value, bool) or not isinstance(value, (int, float)):
@@ -88,3 +90,9 @@ def _texts(value: Any) -> bool:
     return isinstance(value, str) or (
         isinstance(value, (list, tuple)) and all(isinstance(entry, str) for entry in value)
     )
+
+
+def _counts(value: Any) -> bool:
+    """Tell whether a value is the number of a column, or a list of such numbers."""
+    each = value if isinstance(value, (list, tuple)) else [value]
+    return all(isinstance(entry, int) and not isinstance(entry, bool) for entry in each)

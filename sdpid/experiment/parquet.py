@@ -12,7 +12,7 @@ import numpy as np
 from sdpid._extras import require
 from sdpid._files import atomic_path
 from sdpid.errors import DataError
-from sdpid.experiment.sizes import Budget
+from sdpid.experiment.sizes import check_claim
 from sdpid.experiment.stored import StoredTable
 from sdpid.experiment.stored_file import ROWS, StoredFile, numbers, readable
 
@@ -25,6 +25,7 @@ __all__ = ["LARGE", "read_metadata", "read_parquet", "write_parquet"]
 LARGE = 1 << 28
 _KEY = b"sdpid"
 _FORMAT = 1
+_MOST_JOINTS = 10_000
 _QUANTITIES = ("position", "effort", "velocity")
 
 
@@ -97,7 +98,7 @@ def _columns(file: Any, layout: dict[str, list[int]], path: Any) -> dict[str, An
         raise DataError(f"{path}: has columns of more than one number; read it with stored=False.")
     for where in layout.values():
         for index in where:
-            Budget(Path(path)).plausible(names[index], (file.metadata.num_rows,), 8)
+            check_claim(Path(path), names[index], (file.metadata.num_rows,), 8, loaded=False)
     source = StoredFile.of(path, file.metadata, names)
     tables = {quantity: StoredTable(source, where) for quantity, where in layout.items()}
     return tables | {"time": tables["time"].column(0)}
@@ -106,7 +107,7 @@ def _columns(file: Any, layout: dict[str, list[int]], path: Any) -> dict[str, An
 def _arrays(file: Any, layout: dict[str, list[int]], path: Any) -> dict[str, Any]:
     """Return the arrays of a recording, filled piece by piece."""
     names, rows = file.schema_arrow.names, file.metadata.num_rows
-    Budget(Path(path)).take("all columns", (rows, len(names)), 8)
+    check_claim(Path(path), "all columns", (rows, len(names)), 8)
     arrays = {
         quantity: np.empty((rows, len(where)), dtype=np.float64)
         for quantity, where in layout.items()
@@ -136,7 +137,7 @@ def read_metadata(raw: dict[bytes, bytes] | None, path: Any) -> dict[str, Any]:
         return {}
     try:
         metadata = json.loads(raw[_KEY])
-    except ValueError:
+    except (ValueError, RecursionError):
         metadata = None
     if not isinstance(metadata, dict):
         raise DataError(f"{path}: the metadata under 'sdpid' is damaged.")
@@ -144,6 +145,12 @@ def read_metadata(raw: dict[bytes, bytes] | None, path: Any) -> dict[str, Any]:
         raise DataError(
             f"{path}: is of format {metadata.get('format')}, this version reads {_FORMAT}."
         )
+    count, names = metadata.get("n"), metadata.get("joint_names")
+    sound = isinstance(count, int) and 0 < count <= _MOST_JOINTS
+    if names is not None:
+        sound = isinstance(names, list) and all(isinstance(name, str) for name in names)
+    if not sound:
+        raise DataError(f"{path}: the metadata under 'sdpid' is damaged: it names no joints.")
     return metadata
 
 

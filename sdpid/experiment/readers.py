@@ -4,45 +4,35 @@ from __future__ import annotations
 
 import os
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
-from functools import partial
+from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
-from typing import Any, overload
+from typing import Any, TypeAlias, overload
 
 import numpy as np
 from numpy.typing import NDArray
 
 from sdpid.errors import DataError
-from sdpid.experiment.columns import CONVENTIONS, Columns
-from sdpid.experiment.formats import LOADERS, Table
+from sdpid.experiment.columns import CONVENTIONS
+from sdpid.experiment.formats import LOADERS, load_frame
 from sdpid.experiment.mapping import find_mapping, read_mapping
+from sdpid.experiment.missing import MISSING, mend_missing
 from sdpid.experiment.motors import MotorSide
 from sdpid.experiment.recording import Recording
+from sdpid.experiment.selection import Selection, read_selection, select
+from sdpid.experiment.stamps import guess_time_unit
+from sdpid.experiment.table import row_number
+from sdpid.experiment.unit_names import UNITS, is_current
 
 __all__ = ["Reading", "read_described", "read_recording"]
 
-_TABLES = ("position", "effort", "velocity")
+# A file, or a data frame of pandas or polars.
+Source: TypeAlias = "str | os.PathLike[str] | Any"
 
-_DEGREE = np.pi / 180.0
-# Factors to SI. Amperes stay amperes: `effort_scale`, or constants of motors, give torques.
-_CURRENTS = {"A": 1.0, "mA": 1e-3}
-_UNITS: dict[str, dict[str, float]] = {
-    "time": {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9},
-    "position": {"rad": 1.0, "deg": _DEGREE, "turn": 2.0 * np.pi, "m": 1.0, "mm": 1e-3},
-    "velocity": {
-        "rad/s": 1.0,
-        "deg/s": _DEGREE,
-        "rpm": 2.0 * np.pi / 60.0,
-        "m/s": 1.0,
-        "mm/s": 1e-3,
-    },
-    "effort": {
-        **{"N.m": 1.0, "Nm": 1.0, "N·m": 1.0, "mN.m": 1e-3, "mNm": 1e-3, "N": 1.0},
-        **_CURRENTS,
-    },
-}
-# Whole numbers beyond this are counts since 1970, which a double cannot hold to the last one.
-_LONG_COUNT = 1 << 50
+# Larger stamps, in s, count from 1970. Finer units are then made relative before they are
+# converted, since seconds since 1970 in a double resolve 0.2 microseconds.
+_SINCE_1970 = 1e9
+# Formats whose loaders choose among topics and joints.
+_BAGS = (".db3", ".mcap", ".bag")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -68,30 +58,31 @@ class Reading:
 
 
 @overload
-def read_recording(path: str | os.PathLike[str], **how: Any) -> Recording: ...
-@overload
 def read_recording(path: Sequence[str | os.PathLike[str]], **how: Any) -> list[Recording]: ...
-def read_recording(
-    path: str | os.PathLike[str] | Sequence[str | os.PathLike[str]], **how: Any
-) -> Recording | list[Recording]:
+@overload
+def read_recording(path: Source, **how: Any) -> Recording: ...
+def read_recording(path: Any, **how: Any) -> Any:
     """Read a log, or several that were logged in the same way.
 
-    CSV, Parquet, NPZ, MATLAB (MAT), HDF5, and ROS bags with ``sensor_msgs/JointState`` (files
-    ``.db3``, ``.mcap``, ``.bag``, or the folder of a ROS 2 bag).
+    CSV (also ``.csv.gz``), Parquet, NPZ, MATLAB (MAT), HDF5, ROS bags with
+    ``sensor_msgs/JointState`` (files ``.db3``, ``.mcap``, ``.bag``, or the folder of a ROS 2
+    bag), and data frames of pandas or polars.
 
     Quantities are found by the usual names (``t``, ``q``, ``dq``, ``tau``, ``time``,
     ``position``, ``velocity``, ``effort``, ``actual_q``, ``fs``, ``joint_names``, ...): either an
     array of samples × joints, or one column a joint, named like ``q1``, ``q_1``, ``q[0]``,
     ``position_<joint>`` or ``<joint>_position``; the name may end with a unit (``time_ms``,
-    ``position_deg_1``). In files with groups or structs the last part of the path counts. Without
-    time stamps, ``fs`` gives the sample rate in Hz. Nothing is ever unpickled or run.
+    ``position_deg_1``, ``Joint 1 [deg]``). Stamps without a unit that are whole numbers, or that
+    count from 1970, are read in the unit that makes a rate of a robot. In files with groups or
+    structs the last part of the path counts. Without time stamps, ``fs`` gives the sample rate in
+    Hz. Nothing is ever unpickled or run.
 
     What is named otherwise is said by arguments, or by a mapping: a small TOML file beside the
     log, ``run.toml`` for ``run.csv``, with the same names as the arguments. Arguments win.
 
     Parameters
     ----------
-    path : path-like, or a sequence of them
+    path : path-like, data frame, or a sequence of paths
         The file; its suffix tells the format. A sequence gives a list, and all must then have the
         same joints.
     mapping : path-like, mapping or False, optional
@@ -99,7 +90,8 @@ def read_recording(
     columns : mapping, optional
         Where to find quantities that have other names: ``{"effort": "tau_current"}`` names an
         array (or the beginning of the names of its columns), ``{"effort": ["i1", "i2"]}`` lists
-        columns, ``{"velocity": None}`` leaves a quantity out.
+        columns, ``{"velocity": None}`` leaves a quantity out. Of a text file without names,
+        numbers from 1: ``{"time": 1, "position": [2, 3]}``.
     units : mapping, optional
         Units of the file where they are not SI, as ``{"position": "deg", "time": "ms"}``; a list
         has one unit for each joint.
@@ -113,6 +105,9 @@ def read_recording(
         Of a ROS bag.
     rate_hz : float, optional
         Sample rate of a log without time stamps.
+    missing : {"refuse", "drop", "interpolate"}, optional
+        What to do with samples that have no value (NaN, or an empty field): refuse the log (the
+        default), drop the samples, or interpolate linearly over gaps of at most 10 samples.
     period, start, periods, effort_scale : optional
         As in `Recording`; override what the file says.
     stored : bool, optional
@@ -130,7 +125,7 @@ def read_recording(
     MissingExtraError
         When the format needs a package that is not installed.
     """
-    if isinstance(path, (str, os.PathLike)):
+    if not isinstance(path, (list, tuple)):
         return read_described(path, **how).recording
     records = [read_described(one, **how).recording for one in path]
     for one, record in zip(path, records, strict=True):
@@ -143,69 +138,132 @@ def read_recording(
 
 
 def read_described(
-    path: str | os.PathLike[str],
+    path: Source,
     *,
     mapping: str | os.PathLike[str] | Mapping[str, Any] | bool | None = None,
-    columns: Mapping[str, str | Sequence[str] | None] | None = None,
-    units: Mapping[str, str | Sequence[str]] | None = None,
-    motors: MotorSide | Mapping[str, Any] | None = None,
-    joint_names: Sequence[str] | None = None,
-    topic: str | None = None,
-    rate_hz: float | None = None,
-    period: float | None = None,
-    start: float | None = None,
-    periods: int | None = None,
-    effort_scale: Any = None,
     stored: bool | None = None,
+    **how: Any,
 ) -> Reading:
-    """Read a log, and tell where its quantities were found; see `read_recording`."""
-    file = Path(path)
-    suffix = _suffix(file)
-    beside = find_mapping(file) if mapping is None or mapping is True else None
-    said: dict[str, Any] = {}
-    if beside is not None:
-        said = read_mapping(beside)
-    elif mapping is True:
-        raise DataError(f"{file}: there is no mapping beside it.")
-    elif mapping is not None and mapping is not False:
-        said = read_mapping(mapping)
-        beside = None if isinstance(mapping, Mapping) else Path(mapping)
-    columns = {**said.get("columns", {}), **_known(columns or {}, CONVENTIONS, "columns")}
-    units = {**said.get("units", {}), **_known(units or {}, _UNITS, "units")}
-    columns, units = _known(columns, CONVENTIONS, "columns"), _known(units, _UNITS, "units")
-    motors = said.get("motors") if motors is None else motors
-    if isinstance(motors, Mapping):
-        motors = MotorSide.from_mapping(motors)
-    joint_names = _tuple(said.get("joint_names") if joint_names is None else joint_names)
-    topic = said.get("topic") if topic is None else topic
-    rate_hz = said.get("rate_hz") if rate_hz is None else rate_hz
-    given = {"period": period, "start": start, "periods": periods, "effort_scale": effort_scale}
-    given = {key: said.get(key) if value is None else value for key, value in given.items()}
+    """Read a log, and tell where its quantities were found; see `read_recording`.
 
-    described = partial(Reading, file=str(file), mapping=None if beside is None else str(beside))
-    plain = not columns and not units and joint_names is None and motors is None
-    own = _own_recording(file, stored) if suffix == ".parquet" and plain else None
+    Raises
+    ------
+    DataError
+        As `read_recording`; also when an argument is not known.
+    """
+    is_frame = hasattr(path, "columns") and not isinstance(path, (str, os.PathLike))
+    file = Path("data frame") if is_frame else _checked_path(path)
+    options, mapped = _options(file, None if is_frame else file, mapping, how)
+    if is_frame:
+        selection = select(file, load_frame(path), **options.selection)
+        return _converted(file, selection, options, row_number, mapped)
+    suffix = _suffix(file)
+    own = _own_recording(file, stored) if suffix == ".parquet" and options.plain else None
     if own is not None:
-        changed = {name: value for name, value in given.items() if value is not None}
+        changed = {name: v for name in _STATED if (v := getattr(options, name)) is not None}
         recording = replace(own, **changed) if changed else own
-        return described(recording=recording, sources={"all": "as written by Recording.to_parquet"})
+        sources = {"all": "as written by Recording.to_parquet"}
+        return Reading(recording=recording, file=str(file), mapping=mapped, sources=sources)
     if stored:
         raise DataError(
             f"{file}: stored=True leaves the values in a Parquet file with the columns of "
             "Recording.to_parquet, read without columns, units, motors and joint_names; write one, "
             "or leave stored out."
         )
+    choices: dict[str, Any] = {}
     if suffix in _BAGS:
-        found: Table = LOADERS[suffix](file, topic=topic, joint_names=joint_names)
-    elif topic is not None:
+        choices = {"topic": options.topic, "joint_names": options.joint_names}
+    elif options.topic is not None:
         raise DataError(f"{file}: topic is for ROS bags; this is a file {suffix}.")
-    else:
-        found = LOADERS[suffix](file)
-    return _assembled(file, found, columns, units, motors, joint_names, rate_hz, given, described)
+    selection, place = read_selection(file, suffix, choices, options.selection)
+    return _converted(file, selection, options, place, mapped)
 
 
-# Formats whose loaders choose among topics and joints.
-_BAGS = (".db3", ".mcap", ".bag")
+# What a recording states beside its arrays.
+_STATED = ("period", "start", "periods", "effort_scale")
+
+
+@dataclass(kw_only=True)
+class _Options:
+    """The arguments of `read_recording`, completed by a mapping."""
+
+    columns: dict[str, Any] = field(default_factory=dict)
+    units: dict[str, Any] = field(default_factory=dict)
+    motors: MotorSide | None = None
+    joint_names: tuple[str, ...] | None = None
+    topic: str | None = None
+    rate_hz: float | None = None
+    missing: str = "refuse"
+    period: float | None = None
+    start: float | None = None
+    periods: int | None = None
+    effort_scale: Any = None
+
+    @property
+    def plain(self) -> bool:
+        """Whether the columns are to be read as they are."""
+        return not (self.columns or self.units or self.joint_names or self.motors) and (
+            self.missing == "refuse"
+        )
+
+    @property
+    def scaled(self) -> bool:
+        """Whether there are factors that turn currents into torques."""
+        constants = None if self.motors is None else self.motors.torque_constants
+        return self.effort_scale is not None or constants is not None
+
+    @property
+    def selection(self) -> dict[str, Any]:
+        """Arguments of `select`."""
+        return {
+            "columns": self.columns,
+            "wanted": self.joint_names,
+            "scaled": self.scaled,
+            "timeless": self.rate_hz is not None,
+        }
+
+
+def _options(
+    file: Path, log: Path | None, mapping: Any, how: Mapping[str, Any]
+) -> tuple[_Options, str | None]:
+    """Return the arguments, those of a mapping where none are given, and the mapping's path."""
+    known = [each.name for each in fields(_Options)]
+    if unknown := sorted(set(how) - set(known)):
+        raise DataError(
+            f"read_recording: {', '.join(unknown)} is no argument; known are path, mapping, "
+            f"stored, {', '.join(known)}."
+        )
+    beside = find_mapping(log) if log is not None and mapping in (None, True) else None
+    if mapping is True and beside is None:
+        raise DataError(f"{file}: there is no mapping beside it.")
+    stated: dict[str, Any] = {}
+    if beside is not None:
+        stated = read_mapping(beside)
+    elif mapping is not None and mapping is not False:
+        stated = read_mapping(mapping)
+        beside = None if isinstance(mapping, Mapping) else Path(mapping)
+    merged = {**stated, **{name: value for name, value in how.items() if value is not None}}
+    for name, allowed in (("columns", CONVENTIONS), ("units", UNITS)):
+        merged[name] = _known({**stated.get(name, {}), **(how.get(name) or {})}, allowed, name)
+    merged["columns"] = {q: _as_names(value) for q, value in merged["columns"].items()}
+    if isinstance(merged.get("motors"), Mapping):
+        merged["motors"] = MotorSide.from_mapping(merged["motors"])
+    merged["joint_names"] = _tuple(merged.get("joint_names"))
+    options = _Options(**merged)
+    if options.missing not in MISSING:
+        raise DataError(f"missing: is {options.missing!r}, expected one of {', '.join(MISSING)}.")
+    return options, None if beside is None else str(beside)
+
+
+def _checked_path(path: Any) -> Path:
+    """Return a path."""
+    try:
+        return Path(path)
+    except TypeError:
+        raise DataError(
+            f"read_recording: is given {type(path).__name__}, expected the path of a log, a data "
+            "frame, or a list of paths."
+        ) from None
 
 
 def _suffix(file: Path) -> str:
@@ -215,107 +273,111 @@ def _suffix(file: Path) -> str:
             return ".db3"
         raise DataError(f"{file}: is a folder without metadata.yaml, so it is no ROS 2 bag.")
     suffix = file.suffix.lower()
+    if suffix == ".gz":
+        suffix = "".join(file.suffixes[-2:]).lower()
     if suffix not in LOADERS:
         raise DataError(
             f"{file}: format '{suffix}' is not known; supported are {', '.join(sorted(LOADERS))}."
         )
     if not file.is_file():
-        raise DataError(f"{file}: there is no such file.")
+        what = "is no regular file" if file.exists() else "there is no such file"
+        raise DataError(f"{file}: {what}.")
     return suffix
 
 
-def _assembled(
+def _converted(
     file: Path,
-    found: Table,
-    columns: Mapping[str, Any],
-    units: Mapping[str, Any],
-    motors: MotorSide | None,
-    wanted: tuple[str, ...] | None,
-    rate_hz: float | None,
-    given: dict[str, Any],
-    described: Any,
+    found: Selection,
+    options: _Options,
+    place: Any,
+    mapped: str | None,
 ) -> Reading:
-    """Turn the named arrays of a file into a recording."""
-    log = Columns(file, found, columns)
-    stored = log.names()
-    tables: dict[str, NDArray[Any]] = {}
-    labels: dict[str, tuple[str, ...]] = {}
-    for quantity in _TABLES:
-        table, label = log.table(quantity, stored if wanted is None else wanted)
-        if table is None:
-            if quantity == "velocity":
-                continue
-            raise log.missing(quantity)
-        tables[quantity] = _numbers(file, quantity, table)
-        if label is not None:
-            labels[quantity] = label
-    _align(file, tables, labels)
-    own = labels.get("position")
-    if own is None or all(name.isdigit() for name in own):
-        # Numbers are no names; arrays, and numbered columns, follow the stored names.
-        own = stored
-    scale = given["effort_scale"]
-    if scale is None and (raw := log.single("effort_scale")) is not None:
-        scale = np.atleast_1d(raw)
-        if own is not None and stored is not None and own != stored and set(own) <= set(stored):
-            # Columns were picked by name: the factors follow them.
-            scale = scale[[stored.index(name) for name in own]]
-    units = {**log.implied, **units}
-    tables = {name: _scaled(file, table, name, units) for name, table in tables.items()}
-    if _is_current(units) and scale is None and (motors is None or motors.torque_constants is None):
+    """Turn what a log holds into a recording: joints picked, units converted, gaps mended."""
+    tables, motors = found.tables, options.motors
+    units = {**found.units, **options.units}
+    scale = found.numbers.get("effort_scale")
+    scale = scale if options.effort_scale is None else options.effort_scale
+    constants = None if motors is None else motors.torque_constants
+    if is_current(units.get("effort")) and scale is None and constants is None:
         raise DataError(
             f"{file}: effort in A needs effort_scale: torque constant times gear ratio, for each "
             "joint, in N.m/A; or torque constants of motors."
         )
-    if motors is not None:
-        if scale is not None and "effort" in motors.applies_to:
-            raise DataError(
-                f"{file}: effort_scale is of the joints' side, but motors says that efforts are of "
-                "the motors'; give torque_constants in motors instead."
-            )
-        tables = {name: motors.to_joints(name, table) for name, table in tables.items()}
-    names, order = _ordered(file, own, wanted, tables["position"].shape[1])
-    if order is not None:
+    if motors is not None and scale is not None and "effort" in motors.applies_to:
+        raise DataError(
+            f"{file}: effort_scale is of the joints' side, but motors says that efforts are of "
+            "the motors'; give torque_constants in motors instead."
+        )
+    labels = None if found.labels is None else tuple(found.labels)
+    names, order = _ordered(file, labels, options.joint_names, tables["position"].shape[1])
+    if order is not None and motors is None:
+        # Joints that are not wanted may lack values.
         tables = {name: _picked(file, name, table, order) for name, table in tables.items()}
-        if given["effort_scale"] is None and scale is not None and scale.size > max(order):
-            scale = scale[order]
-
-    def scalar(name: str) -> Any:
-        if given[name] is not None:
-            return given[name]
-        value = log.single(name)
-        return None if value is None else value.item() if value.size == 1 else value
-
-    count = scalar("periods")
-    recording = Recording(
-        time=_time(file, log, units, len(tables["position"]), rate_hz),
-        position=tables["position"],
-        effort=tables["effort"],
-        velocity=tables.get("velocity"),
-        joint_names=names,
-        period=scalar("period"),
-        start=scalar("start"),
-        periods=_whole(count),
-        effort_scale=scale,
-    )
-    sources = {}
-    for quantity, used in log.used.items():
-        text = used[0] if len(used) == 1 else f"{used[0]} ... {used[-1]}"
+    time, sources = _time(file, found, options, len(tables["position"]))
+    used = {name: _column_names(found, name, order, motors) for name in tables}
+    time, tables, note = mend_missing(file, time, tables, used, place, options.missing)
+    tables = {name: _scaled(table, name, units, order, motors) for name, table in tables.items()}
+    if motors is not None:
+        tables = {name: motors.to_joints(name, table) for name, table in tables.items()}
+        if order is not None:
+            tables = {name: _picked(file, name, table, order) for name, table in tables.items()}
+    if order is not None and options.effort_scale is None and scale is not None:
+        scale = np.asarray(scale)[order] if np.size(scale) > max(order) else scale
+    stated = {
+        name: value if (value := getattr(options, name)) is not None else found.numbers.get(name)
+        for name in ("period", "start", "periods")
+    }
+    try:
+        recording = Recording(
+            time=time,
+            position=tables["position"],
+            effort=tables["effort"],
+            velocity=tables.get("velocity"),
+            joint_names=names,
+            **{**stated, "periods": _whole(stated["periods"])},
+            effort_scale=scale,
+        )
+    except DataError as cause:
+        raise DataError(f"{file}: {cause}") from None
+    for quantity, names_read in found.used.items():
+        if quantity in sources:
+            continue
+        text = names_read[0] if len(names_read) == 1 else f"{names_read[0]} ... {names_read[-1]}"
         unit = units.get(quantity)
         text += "" if unit is None else f" in {unit if isinstance(unit, str) else '/'.join(unit)}"
         if motors is not None and quantity in motors.applies_to:
             text += ", motor side"
         sources[quantity] = text
-    return described(recording=recording, sources=sources)  # type: ignore[no-any-return]
+    if note:
+        sources["missing values"] = note
+    return Reading(recording=recording, file=str(file), mapping=mapped, sources=sources)
+
+
+def _column_names(
+    found: Selection, quantity: str, order: list[int] | None, motors: MotorSide | None
+) -> list[str]:
+    """Return a name for each column of a table, for messages."""
+    used, count = list(found.used.get(quantity, [quantity])), found.tables[quantity].shape[1]
+    if len(used) != count:
+        labels = found.labels
+        used = [f"{used[0]} of joint {labels[j] if labels else j + 1}" for j in range(count)]
+    return used if order is None or motors is not None else [used[j] for j in order]
 
 
 def _own_recording(file: Path, stored: bool | None) -> Recording | None:
     """Read a file with the columns of `Recording.to_parquet`; None when it has others."""
-    found = LOADERS[".parquet"](file)
+    found = LOADERS[".parquet"](file).arrays
     wanted = ("time", "position_", "effort_")
     if all(any(name.startswith(prefix) for name in found) for prefix in wanted):
         return Recording.from_parquet(file, stored=stored)
     return None
+
+
+def _as_names(value: Any) -> Any:
+    """Return the names of columns as texts; numbers stand for columns without names."""
+    if isinstance(value, (list, tuple)):
+        return [str(entry) for entry in value]
+    return value if value is None else str(value)
 
 
 def _tuple(names: Any) -> tuple[str, ...] | None:
@@ -344,31 +406,6 @@ def _known(given: Mapping[str, Any], allowed: Mapping[str, Any], what: str) -> d
     return dict(given)
 
 
-def _numbers(file: Path, quantity: str, table: NDArray[Any]) -> NDArray[Any]:
-    """Check that a table has two axes and holds numbers."""
-    if table.dtype.kind not in "fiub":
-        raise DataError(f"{file}: {quantity}: holds {table.dtype}, expected numbers.")
-    if table.ndim != 2:
-        raise DataError(
-            f"{file}: {quantity}: has the shape {table.shape}, expected samples × joints."
-        )
-    return table
-
-
-def _align(file: Path, tables: dict[str, NDArray[Any]], labels: dict[str, tuple[str, ...]]) -> None:
-    """Bring columns that carry labels into the order of the positions'."""
-    own = labels.get("position")
-    for quantity, label in labels.items():
-        if own is None or label == own:
-            continue
-        if set(label) != set(own):
-            raise DataError(
-                f"{file}: the columns of {quantity} are of joints {', '.join(label)}, those of "
-                f"position of joints {', '.join(own)}; give columns=."
-            )
-        tables[quantity] = tables[quantity][:, [label.index(name) for name in own]]
-
-
 def _ordered(
     file: Path, own: tuple[str, ...] | None, wanted: tuple[str, ...] | None, n: int
 ) -> tuple[tuple[str, ...] | None, list[int] | None]:
@@ -395,14 +432,12 @@ def _picked(file: Path, name: str, table: NDArray[Any], order: list[int]) -> NDA
     return table[:, order]
 
 
-def _is_current(units: Mapping[str, Any]) -> bool:
-    """Tell whether efforts are logged as currents."""
-    unit = units.get("effort")
-    return any(one in _CURRENTS for one in ([unit] if isinstance(unit, str) else unit or ()))
-
-
 def _scaled(
-    file: Path, values: NDArray[Any], quantity: str, units: Mapping[str, Any]
+    values: NDArray[Any],
+    quantity: str,
+    units: Mapping[str, Any],
+    order: list[int] | None,
+    motors: MotorSide | None,
 ) -> NDArray[Any]:
     """Convert to SI."""
     unit = units.get(quantity)
@@ -410,17 +445,17 @@ def _scaled(
         return values
     each = [unit] if isinstance(unit, str) else list(unit)
     for one in each:
-        if one not in _UNITS[quantity]:
+        if one not in UNITS[quantity]:
             raise DataError(
                 f"units: '{one}' is not known for {quantity}; known are "
-                f"{', '.join(_UNITS[quantity])}."
+                f"{', '.join(UNITS[quantity])}."
             )
-    if values.dtype.kind not in "fiu":
-        raise DataError(f"{file}: {quantity}: holds {values.dtype}, expected numbers.")
-    factors = np.array([_UNITS[quantity][one] for one in each])
+    factors = np.array([UNITS[quantity][one] for one in each])
     if isinstance(unit, str):
         return values if factors[0] == 1.0 else np.asarray(values * factors[0])
-    if values.ndim != 2 or len(each) != values.shape[1]:
+    if order is not None and motors is None and len(each) > max(order):
+        factors = factors[order]
+    if len(factors) != values.shape[1]:
         raise DataError(
             f"units: {len(each)} units for {quantity}, which has the shape {values.shape}."
         )
@@ -428,25 +463,37 @@ def _scaled(
 
 
 def _time(
-    file: Path, log: Columns, units: Mapping[str, Any], count: int, rate_hz: float | None
-) -> NDArray[Any]:
-    """Read the time stamps, or make them from the sample rate."""
-    time = log.single("time")
-    if time is not None:
-        if time.ndim == 2 and 1 in time.shape:
-            time = time.ravel()
-        if time.dtype.kind in "Mm":
-            # Relative, since seconds since 1970 in a double resolve no microsecond.
-            time = (time - time[:1]) / np.timedelta64(1, "ns") * 1e-9
-        elif time.dtype.kind in "iu" and time.ndim == 1 and time.size and time[0] > _LONG_COUNT:
-            time = time.astype(np.int64) - np.int64(time[0])
-        return _scaled(file, np.asarray(time), "time", {**log.implied, **units})
-    rate: Any = rate_hz if rate_hz is not None else log.single("rate")
-    if rate is None:
-        raise log.missing("time")
-    rate = np.asarray(rate)
-    if rate.size != 1 or rate.dtype.kind not in "fiu" or not 0.0 < rate.item() < np.inf:
-        raise DataError(f"{file}: the sample rate is {rate!r}, expected one positive number.")
-    log.used["time"] = (f"sample rate, {rate.item():g} Hz",)
-    stamps: NDArray[Any] = np.arange(count) / float(rate.item())
-    return stamps
+    file: Path, found: Selection, options: _Options, count: int
+) -> tuple[NDArray[Any], dict[str, str]]:
+    """Return the time stamps in s, and where they come from if that is not plain."""
+    time = found.time
+    if time is None:
+        rate = found.rate if options.rate_hz is None else options.rate_hz
+        if isinstance(rate, bool) or not isinstance(rate, (int, float)) or not 0.0 < rate < np.inf:
+            raise DataError(f"{file}: the sample rate is {rate!r}, expected one positive number.")
+        return np.arange(count) / float(rate), {"time": f"sample rate, {rate:g} Hz"}
+    if time.ndim == 2 and 1 in time.shape:
+        time = time.ravel()
+    if time.ndim != 1:
+        raise DataError(f"{file}: time: has the shape {time.shape}, expected one stamp a sample.")
+    name = found.used["time"][0]
+    if time.dtype.kind in "Mm":
+        # Relative, since seconds since 1970 in a double resolve no microsecond.
+        return (time - time[:1]) / np.timedelta64(1, "ns") * 1e-9, {}
+    if time.dtype.kind not in "fiu":
+        raise DataError(f"{file}: time: holds {time.dtype}, expected numbers.")
+    unit = options.units.get("time", found.units.get("time"))
+    if unit is not None and unit not in UNITS["time"]:
+        raise DataError(
+            f"units: '{unit}' is not known for time; known are {', '.join(UNITS['time'])}."
+        )
+    note = {}
+    if unit is None:
+        unit = guess_time_unit(time)
+        if unit != "s":
+            note = {"time": f"{name}, taken for {unit} by the steps of its numbers"}
+    if unit == "s":
+        return time, note
+    if time.size and time[0] * UNITS["time"][unit] > _SINCE_1970:
+        time = time - time[0]
+    return time * UNITS["time"][unit], note

@@ -1,9 +1,12 @@
-"""ROS bags: `sensor_msgs/JointState` from db3 and MCAP files of ROS 2, and bags of ROS 1."""
+"""ROS bags: `sensor_msgs/JointState` from db3 and MCAP files of ROS 2, and bags of ROS 1.
+
+Read in the sandbox only: compressed pieces may unpack to more than memory holds.
+"""
 
 from __future__ import annotations
 
 from array import array
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -13,25 +16,20 @@ from numpy.typing import NDArray
 
 from sdpid._extras import require
 from sdpid.errors import DataError
-from sdpid.experiment.bag_sizes import check_bag
-from sdpid.experiment.sizes import Budget
+from sdpid.experiment.table import Table
 
 __all__ = ["load_rosbag"]
-
-_Columns = dict[str, Callable[[], NDArray[Any]]]
 
 _MESSAGE = "sensor_msgs/msg/JointState"
 _USUAL_TOPIC = "/joint_states"
 _QUANTITIES = ("position", "velocity", "effort")
 # Nanoseconds; whole numbers until they are relative, for a double holds too few digits of them.
 _SECOND = 1_000_000_000
-# Messages after which what they take is counted again.
-_COUNTED = 1000
 
 
 def load_rosbag(
-    path: Path, *, topic: str | None = None, joint_names: tuple[str, ...] | None = None
-) -> _Columns:
+    path: Path, *, topic: str | None = None, joint_names: Sequence[str] | None = None
+) -> Table:
     """Read the joint states of a bag.
 
     Parameters
@@ -40,12 +38,12 @@ def load_rosbag(
         A file ``.db3``, ``.mcap`` or ``.bag``, or the folder of a ROS 2 bag.
     topic : str, optional
         By default the only topic with joint states, or ``/joint_states``.
-    joint_names : tuple of str, optional
+    joint_names : sequence of str, optional
         Joints to take where several sources publish to one topic.
 
     Returns
     -------
-    dict
+    Table
         ``time`` (from the messages' own stamps where they have any, else when they were
         recorded), ``bag_time`` (when they were recorded), both in s from the first message,
         ``joint_names``, ``position``, and ``velocity`` and ``effort`` where they are filled.
@@ -53,27 +51,20 @@ def load_rosbag(
     Raises
     ------
     DataError
-        When the bag is damaged, has no such topic, or a message does not hold what the others do.
+        When the bag has no such topic, or a message does not hold what the others do. Whatever
+        the library raises passes on to the sandbox.
     MissingExtraError
         When rosbags is not installed (extra ``ros``).
     """
     highlevel = require("rosbags.highlevel", extra="ros")
     typesys = require("rosbags.typesys", extra="ros")
-    budget = Budget(path)
-    check_bag(path, budget)
-    try:
-        store = typesys.get_typestore(typesys.Stores.ROS2_HUMBLE)
-        with highlevel.AnyReader([path], default_typestore=store) as reader:
-            states = _States(path, joint_names, budget)
-            wanted = _connections(path, reader, topic)
-            for connection, stamp, raw in reader.messages(connections=wanted):
-                states.add(stamp, reader.deserialize(raw, connection.msgtype))
-    except DataError:
-        raise
-    except Exception as cause:  # a damaged file makes the library raise almost anything
-        brief = (str(cause).splitlines() or [type(cause).__name__])[0][:200]
-        raise DataError(f"{path}: not a readable ROS bag ({brief}).") from None
-    return states.columns()
+    store = typesys.get_typestore(typesys.Stores.ROS2_HUMBLE)
+    with highlevel.AnyReader([path], default_typestore=store) as reader:
+        states = _States(path, None if joint_names is None else tuple(joint_names))
+        wanted = _connections(path, reader, topic)
+        for connection, stamp, raw in reader.messages(connections=wanted):
+            states.add(stamp, reader.deserialize(raw, connection.msgtype))
+    return Table(states.columns())
 
 
 def _connections(path: Path, reader: Any, topic: str | None) -> list[Any]:
@@ -98,9 +89,8 @@ def _connections(path: Path, reader: Any, topic: str | None) -> list[Any]:
 class _States:
     """The joint states of a topic, message by message."""
 
-    def __init__(self, path: Path, names: tuple[str, ...] | None, budget: Budget) -> None:
+    def __init__(self, path: Path, names: tuple[str, ...] | None) -> None:
         self._path = path
-        self._budget = budget
         self._names = names
         self._chosen = names is not None
         self._count = 0
@@ -113,10 +103,6 @@ class _States:
     def add(self, stamp: int, message: Any) -> None:
         """Take one message; one of other joints is passed over."""
         self._count += 1
-        if self._count % _COUNTED == 0:
-            # Every value is held twice for a moment.
-            size = 2 * sum(len(values) + 1 for values in self._values.values())
-            self._budget.take("joint states", (size,), 8)
         names = tuple(message.name)
         if names not in self._order:
             self._order[names] = self._matched(names)
@@ -154,7 +140,7 @@ class _States:
             )
         return [names.index(name) for name in self._names]
 
-    def columns(self) -> _Columns:
+    def columns(self) -> dict[str, Callable[[], NDArray[Any]]]:
         """Return what was collected as named arrays."""
         others = sorted(", ".join(names) for names, order in self._order.items() if order is None)
         if self._names is None or not self._times:
@@ -167,7 +153,7 @@ class _States:
                 f"{self._path}: the messages are of several sets of joints: "
                 f"{', '.join(self._names)}; {'; '.join(others)}. Choose with joint_names=."
             )
-        found: _Columns = {}
+        found: dict[str, Callable[[], NDArray[Any]]] = {}
         recorded = np.array(self._times, dtype=np.int64)
         stamped = np.array(self._stamps, dtype=np.int64)
         best = stamped if stamped.any() else recorded

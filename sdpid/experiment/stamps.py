@@ -11,7 +11,7 @@ import numpy as np
 from sdpid._arrays import Array
 from sdpid.errors import DataError
 
-__all__ = ["Stamps", "blocks"]
+__all__ = ["Stamps", "blocks", "guess_time_unit"]
 
 # A step longer than this many median steps may hold a lost sample, or end with a late stamp.
 _LONG = 1.5
@@ -19,6 +19,12 @@ _LONG = 1.5
 _NEIGHBOURS = 8
 # No robot's controller steps faster, in s.
 _SHORTEST = 1e-9
+# Steps of whole numbers, in the unit that makes a rate between 20 Hz and 20 kHz of them: each unit
+# has three decades of its own. Longer steps are counts of nanoseconds all the same.
+_LARGEST_STEPS = {"ms": 5e1, "us": 5e4}
+# Seconds since 1970 in the years 2001 to 2096: first stamps in that range tell their unit.
+_EPOCH = (1e9, 4e9)
+_EPOCH_UNITS = {"s": 1.0, "ms": 1e3, "us": 1e6, "ns": 1e9}
 # Stamps looked at together: what stays in the cache.
 _BLOCK = 1 << 16
 
@@ -113,10 +119,34 @@ def blocks(column: Any) -> Iterator[tuple[int, Array]]:
         yield begin, column[begin : begin + _BLOCK]
 
 
+def guess_time_unit(time: Any) -> str:
+    """Return the unit of stamps that come without one: s, ms, us or ns.
+
+    Stamps that count from 1970 are told by their size, other whole numbers by their median step:
+    as seconds they would be a log at 1 Hz or less.
+
+    Parameters
+    ----------
+    time : (N,) ndarray
+        The stamps as they stand in the file.
+    """
+    values = np.asarray(time, dtype=np.float64)
+    values = values[np.isfinite(values)]
+    if values.size <= 1:
+        return "s"
+    for unit, factor in _EPOCH_UNITS.items():
+        if _EPOCH[0] * factor <= values[0] < _EPOCH[1] * factor:
+            return unit
+    step = float(np.median(np.diff(values)))
+    if step < 1.0 or np.any(values != np.rint(values)):
+        return "s"
+    return next((unit for unit, most in _LARGEST_STEPS.items() if step <= most), "ns")
+
+
 def _wrong(row: int, stamp: float, before: float) -> str:
     """Say which stamp does not come after the one before it."""
     how = "repeats" if stamp == before else "runs backwards"
-    return f"time {how} at row {row}: {stamp:.9g} s after {before:.9g} s"
+    return f"time {how} at row {row + 1}: {stamp:.9g} s after {before:.9g} s"
 
 
 def _lost_samples(time: Array) -> int:

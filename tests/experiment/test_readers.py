@@ -164,7 +164,7 @@ def test_bad_arguments(tmp_path: Path):
         read_recording(file, units={"position": "grad"})
     with pytest.raises(DataError, match="needs effort_scale"):
         read_recording(file, units={"effort": "A"})
-    with pytest.raises(DataError, match=r"supported are \.bag, \.csv, \.db3"):
+    with pytest.raises(DataError, match=r"supported are \.bag, \.csv, \.csv\.gz, \.db3"):
         read_recording(tmp_path / "log.xyz")
     with pytest.raises(DataError, match="no such file"):
         read_recording(tmp_path / "absent.npz")

@@ -180,9 +180,12 @@ def test_units_joint_by_joint_and_rates(tmp_path: Path):
 def test_csv_errors_name_line_and_column(tmp_path: Path):
     file = tmp_path / "log.csv"
     for text, words in (
-        ("t,q1,tau1\n0,1,2\n1,,2\n", "line 3 (row 1): 'q1' is empty"),
-        ("t;q1;tau1\n0;1;2\n1;1,5;2\n", "'q1' holds '1,5', not a number; decimals need a point"),
-        ("t,q1,tau1\n0,1,2\n1,2\n", "line 3 (row 1) has 2 values for 3 columns"),
+        (
+            "t,q1,tau1\n0,1,2\n1,,2\n",
+            "line 3: position: 'q1' has no value (NaN), as in 1 of 2 rows",
+        ),
+        ("t;q1;tau1\n0;1.5;2\n1;1,5;2\n", "'q1' holds '1.5' where other decimals have commas"),
+        ("t,q1,tau1\n0,1,2\n1,2\n", "line 3 has 2 values for 3 columns"),
     ):
         file.write_text(text)
         with pytest.raises(DataError) as error:

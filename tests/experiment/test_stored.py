@@ -218,8 +218,8 @@ BAD = {
     "missing": ({"position_1": spoilt(7, None)}, "'position_1' has missing values"),
     "text": ({"effort_1": ["a"] * 1200}, "'effort_1' is not numeric"),
     "time": ({"time": spoilt(100, np.nan)}, "'time' is nan at row 100"),
-    "time back": ({"time": np.r_[0:100, 98:1198] * 0.01}, "runs backwards at row 100: 0.98 s "),
-    "time again": ({"time": np.r_[0:100, 99:1199] * 0.01}, "time repeats at row 100: 0.99 s "),
+    "time back": ({"time": np.r_[0:100, 98:1198] * 0.01}, "runs backwards at row 101: 0.98 s "),
+    "time again": ({"time": np.r_[0:100, 99:1199] * 0.01}, "time repeats at row 101: 0.99 s "),
 }
 
 
@@ -308,7 +308,9 @@ def test_stamps_are_counted_block_by_block(steps: list[float], block: int):
         for row in range(1, time.size):
             wrong = time.copy()
             wrong[row:] -= steps[row - 1]
-            with pytest.raises(DataError, match=rf"time repeats at row {row}: .*\(1 such rows\)"):
+            with pytest.raises(
+                DataError, match=rf"time repeats at row {row + 1}: .*\(1 such rows\)"
+            ):
                 Stamps.of(wrong)
 
 

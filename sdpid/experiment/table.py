@@ -1,0 +1,46 @@
+"""What a log file holds: named arrays that are read when asked for."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from numpy.typing import NDArray
+
+from sdpid.errors import DataError
+
+__all__ = ["Arrays", "NoNumbersError", "Table", "row_number"]
+
+
+class NoNumbersError(DataError):
+    """A name of a log stands for something else than numbers or text."""
+
+
+# A name, and how to read what it names. Only what is wanted is read, so an array that cannot be
+# used does no harm to the rest.
+Arrays = Mapping[str, Callable[[], NDArray[Any]]]
+
+
+def row_number(sample: int) -> str:
+    """Return where a sample stands, rows counted from 1."""
+    return f"row {sample + 1}"
+
+
+@dataclass(frozen=True)
+class Table:
+    """The named arrays of a log.
+
+    Attributes
+    ----------
+    arrays : mapping
+        Names, and how to read what they name. Parts of a path are separated by ``/``.
+    place : callable
+        Says where sample k, counted from 0, stands in the file; for messages.
+    unnamed : bool
+        Whether columns have numbers from 1 instead of names.
+    """
+
+    arrays: Arrays
+    place: Callable[[int], str] = row_number
+    unnamed: bool = False
