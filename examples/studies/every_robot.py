@@ -88,9 +88,9 @@ def motion(robot: sdpid.RobotModel, rng: np.random.Generator) -> tuple[Array, Ar
     }
     amplitude = np.array([SLIDE if name in sliding else AMPLITUDE for name in robot.joint_names])
     limits = np.clip(robot.position_limits, -np.pi, np.pi)
-    centre = rng.uniform(limits.min(axis=1), limits.max(axis=1))
+    center = rng.uniform(limits.min(axis=1), limits.max(axis=1))
     x, v, a = sinusoids(rng, amplitude)
-    x += centre
+    x += center
     if not robot.free_flyer:
         return x, v, a
     quaternion, v[:, :6], a[:, :6] = floating(x[:, :6], v[:, :6], a[:, :6])
