@@ -21,20 +21,20 @@ from typing import Any
 import numpy as np
 
 import sdpid
-from sdpid._files import atomic_write_text
-from sdpid._tables import Table
-from sdpid.assurance.validation import implied_error
-from sdpid.estimation.local import FEASIBLE_LOCAL
-from sdpid.experiment.plant import true_parameters
-from sdpid.experiment.stages import filter_stages
-from sdpid.output.plots import (
+from sdpid._common.files import atomic_write_text
+from sdpid._common.tables import Table
+from sdpid.assurance.diagnostics.validation import implied_error
+from sdpid.estimation.local.stationarity import FEASIBLE_LOCAL
+from sdpid.experiment.plant.simulate import true_parameters
+from sdpid.experiment.processing.stages import filter_stages
+from sdpid.output.plots.plots import (
     plot_convergence,
     plot_reconstruction,
     plot_signals,
     save_figure,
 )
+from sdpid.robot.description.catalog import bundled_folder
 from sdpid.robot.inertia import margin
-from sdpid.robot.library import bundled_folder
 
 ROBOT = "denso_vp6242"
 

@@ -1,12 +1,13 @@
-from .assurance.audit_base import BaseAudit, audit_base_parameters
-from .assurance.audit_urdf import UrdfAudit, audit_urdf
-from .assurance.certificate import Certificate, certify, verify
-from .assurance.intervals import Intervals, intervals
-from .assurance.payload import Payload, identify_payload
-from .assurance.price import cost_of_constraints
-from .assurance.validation import Validation, validate
-from .assurance.verdict import verdict
-from .assurance.worst_mass_matrix import worst_mass_matrix
+from .assurance.certificate.certificate import Certificate, certify, verify
+from .assurance.descriptions.audit import UrdfAudit, audit_urdf
+from .assurance.diagnostics.active_constraints import ConstraintState
+from .assurance.diagnostics.cost_of_constraints import cost_of_constraints
+from .assurance.diagnostics.mass_matrix import worst_mass_matrix
+from .assurance.diagnostics.provenance import Provenance
+from .assurance.diagnostics.validation import Validation, validate
+from .assurance.intervals.intervals import Intervals, intervals
+from .assurance.payload.identify import Payload, identify_payload
+from .assurance.tables.audit import BaseAudit, audit_base_parameters
 from .errors import (
     CertificateError,
     DataError,
@@ -18,49 +19,47 @@ from .errors import (
     SdpidError,
     SolverError,
 )
-from .estimation.activity import ConstraintState
-from .estimation.condition_equations import (
+from .estimation.constraints.constraints import Constraints
+from .estimation.constraints.equalities import (
     EqualLinks,
     Fixed,
     FixedLink,
     MirrorPair,
     MirrorSymmetry,
 )
-from .estimation.condition_kinds import (
+from .estimation.constraints.mass import (
     CenterOfMassInBox,
     CenterOfMassInEllipsoid,
     CenterOfMassInHull,
     MassInEllipsoid,
     TotalMass,
 )
-from .estimation.constraints import Constraints
 from .estimation.estimate import Estimate
-from .estimation.log_cholesky import solve_log_cholesky
-from .estimation.modelled import as_cvxpy
-from .estimation.prior import Prior
+from .estimation.local.log_cholesky import solve_log_cholesky
+from .estimation.local.slsqp import solve_slsqp
+from .estimation.prior.prior import Prior
 from .estimation.problem import Problem, build_problem
-from .estimation.provenance import Provenance
-from .estimation.robust import RobustEstimate, solve_robust
-from .estimation.sdp import solve_sdp
-from .estimation.slsqp import solve_slsqp
-from .estimation.streaming import StreamingProblem
+from .estimation.recursive import StreamingProblem
+from .estimation.robust.solve import RobustEstimate, solve_robust
+from .estimation.sdp.cvxpy_form import as_cvxpy
+from .estimation.sdp.solve import solve_sdp
 from .estimation.wls import solve_wls
-from .experiment.choice import Choice, choose_processing
-from .experiment.excitation import Trajectory, paper_excitation
 from .experiment.inspection.inspect import Inspection, inspect_recording
-from .experiment.motors import MotorSide
-from .experiment.plant import simulate
-from .experiment.processing import Processing, process
-from .experiment.readers import read_recording
-from .experiment.recording import Recording
-from .experiment.samples import Samples
-from .output.comparison import Comparison, compare
-from .output.mjcf import write_mjcf
-from .output.parameters_file import read_parameters, write_parameters
-from .output.report import write_report
-from .output.urdf import write_urdf
-from .robot.base import BaseParameters
-from .robot.friction import (
+from .experiment.plant.simulate import simulate
+from .experiment.processing.choose import Choice, choose_processing
+from .experiment.processing.process import Processing, process
+from .experiment.processing.samples import Samples
+from .experiment.readers.read import read_recording
+from .experiment.recording.motor_side import MotorSide
+from .experiment.recording.recording import Recording
+from .experiment.trajectory.paper import Trajectory, paper_excitation
+from .output.report.report import write_report
+from .output.report.verdict import verdict
+from .output.robots.mjcf import write_mjcf
+from .output.robots.urdf import write_urdf
+from .output.tables.parameters_file import read_parameters, write_parameters
+from .robot.description.dh_table import DhJoint, DhTable
+from .robot.friction.model import (
     AsymmetricCoulomb,
     Coulomb,
     Coupling,
@@ -75,12 +74,13 @@ from .robot.friction import (
     TermParameter,
     Viscous,
 )
-from .robot.load import load_robot
-from .robot.mdh import DhJoint, DhTable
-from .robot.model import RobotModel
-from .workflow.chain import identify, mass_matrix
+from .robot.model.base_parameters import BaseParameters
+from .robot.model.load import load_robot
+from .robot.model.model import RobotModel
+from .workflow.comparison import Comparison, compare
 from .workflow.cross_validation import CrossValidation, cross_validate
-from .workflow.identification import Identification
+from .workflow.identify import identify, mass_matrix
+from .workflow.result import Identification
 
 __version__: str
 

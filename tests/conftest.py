@@ -8,8 +8,8 @@ from pathlib import Path
 import pytest
 from hypothesis import HealthCheck, settings
 
-from sdpid.robot.load import load_robot
-from sdpid.robot.model import RobotModel
+from sdpid.robot.model.load import load_robot
+from sdpid.robot.model.model import RobotModel
 
 _CI = os.environ.get("CI", "").lower() == "true"
 

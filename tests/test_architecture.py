@@ -1,4 +1,4 @@
-"""The house has rooms, arrows point one way, and nothing heavy is carried in at the door."""
+"""The rooms of the package: arrows point one way, nothing heavy is imported at the door."""
 
 from __future__ import annotations
 
@@ -6,7 +6,9 @@ import ast
 import json
 import subprocess
 import sys
+from collections import Counter, defaultdict
 from collections.abc import Iterator
+from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
 
 import pytest
@@ -14,10 +16,54 @@ import pytest
 import sdpid
 
 PACKAGE = Path(sdpid.__file__).parent
-MODULES = sorted(PACKAGE.rglob("*.py"))
+MODULES = {
+    ".".join(path.relative_to(PACKAGE.parent).with_suffix("").parts).removesuffix(".__init__"): path
+    for path in sorted(PACKAGE.rglob("*.py"))
+}
 
-# Each may import from those before it.
-ROOMS = ("helpers", "robot", "experiment", "estimation", "assurance", "output", "workflow")
+# The flow of the package. Each room may import from itself and from those before it; so may each
+# sub-package of a room. Helpers (errors, names that begin with an underscore) come before all.
+ROOMS = {
+    "robot": ["inertia", "consistent", "friction", "description", "model"],
+    "experiment": [
+        "recording",
+        "readers",
+        "inspection",
+        "processing",
+        "preparation",
+        "trajectory",
+        "plant",
+    ],
+    "estimation": [
+        "constraints",
+        "conic",
+        "compression",
+        "prior",
+        "effects",
+        "information",
+        "problem",
+        "scaling",
+        "cluster_robust",
+        "duality",
+        "estimate",
+        "wls",
+        "sdp",
+        "local",
+        "robust",
+        "recursive",
+    ],
+    "assurance": [
+        "certificate",
+        "intervals",
+        "diagnostics",
+        "tables",
+        "descriptions",
+        "payload",
+    ],
+    "output": ["tables", "plots", "robots", "report"],
+    "workflow": [],
+    "cli": [],
+}
 
 # What takes long to import, and is loaded by the function that needs it.
 HEAVY = {
@@ -39,43 +85,47 @@ HEAVY = {
 # Who may use a library at all, as beginnings of module names.
 ALLOWED = {
     "pinocchio": ("sdpid.robot.", "sdpid.experiment.plant"),
-    "cvxpy": ("sdpid.estimation.modelled", "sdpid.assurance."),
+    "cvxpy": ("sdpid.estimation.sdp.", "sdpid.assurance."),
     "clarabel": ("sdpid.estimation.conic",),
     "scs": ("sdpid.estimation.conic",),
-    "mujoco": ("sdpid.experiment.plant", "sdpid.experiment.mujoco"),
-    "numba": ("sdpid.robot.kernels",),
+    "mujoco": (
+        "sdpid.experiment.plant",
+        "sdpid.robot.description.mjcf",
+        "sdpid.output.robots.compiled_mjcf",
+    ),
+    "numba": ("sdpid.robot.model.regressor_kernel",),
+    "dask": ("sdpid.estimation.compression.distributed_rows",),
+    "distributed": ("sdpid.estimation.compression.distributed_rows",),
 }
 
+# Features that only some users need. Each can be deleted: nobody but the command line, the
+# workflow and the package face imports it.
+FEATURES = (
+    "sdpid.estimation.compression.distributed_rows",
+    "sdpid.estimation.recursive",
+    "sdpid.estimation.robust",
+    "sdpid.assurance.payload",
+    "sdpid.assurance.tables",
+)
+FACES = ("sdpid.cli", "sdpid.workflow")
 
-def module_name(path: Path) -> str:
-    parts = path.relative_to(PACKAGE.parent).with_suffix("").parts
-    return ".".join(parts[:-1] if parts[-1] == "__init__" else parts)
+# A folder of more modules than this wants sub-folders.
+MOST_MODULES = 13
 
 
-def room(name: str) -> str:
-    """Return the room of a module: helpers stand at the top level and belong to everyone."""
-    parts = name.split(".")
-    if len(parts) > 1 and parts[1] in ("workflow", "cli", "__main__"):
-        return "workflow"
-    helper = len(parts) == 1 or parts[1] == "errors" or parts[1].startswith("_")
-    return "helpers" if helper else parts[1]
-
-
-def imports(tree: ast.AST) -> Iterator[tuple[str, int]]:
-    """Yield every imported module, wherever in the file, with how many dots it starts with."""
-    for node in ast.walk(tree):
+def imports(tree: ast.AST, *, executed_only: bool = False) -> Iterator[tuple[str, int]]:
+    """Yield every imported module, wherever in the file, with the number of leading dots."""
+    nodes = executed(tree) if executed_only else ast.walk(tree)
+    for node in nodes:
         if isinstance(node, ast.Import):
             for alias in node.names:
                 yield alias.name, 0
         elif isinstance(node, ast.ImportFrom):
-            yield node.module or "", node.level
-            if node.module == "sdpid":
-                for alias in node.names:
-                    yield f"sdpid.{alias.name}", 0
-
-
-def type_checking(node: ast.AST) -> bool:
-    return isinstance(node, ast.If) and "TYPE_CHECKING" in ast.dump(node.test)
+            base = node.module or ""
+            yield base, node.level
+            for alias in node.names:
+                if f"{base}.{alias.name}" in MODULES:
+                    yield f"{base}.{alias.name}", node.level
 
 
 def executed(node: ast.AST) -> Iterator[ast.AST]:
@@ -83,51 +133,178 @@ def executed(node: ast.AST) -> Iterator[ast.AST]:
     for child in ast.iter_child_nodes(node):
         if isinstance(child, (ast.FunctionDef, ast.AsyncFunctionDef, ast.Lambda)):
             continue
-        if type_checking(child):
+        if isinstance(child, ast.If) and "TYPE_CHECKING" in ast.dump(child.test):
             continue
         yield child
         yield from executed(child)
 
 
-def parse(path: Path) -> ast.Module:
-    return ast.parse(path.read_text(encoding="utf-8"))
+TREES = {name: ast.parse(path.read_text(encoding="utf-8")) for name, path in MODULES.items()}
+
+# Who imports whom, imports inside functions and for type checkers counted. A package stands for
+# its own __init__.py only: what is imported from a module is counted as that module.
+ARROWS = {
+    name: {
+        imported
+        for imported, _ in imports(tree)
+        if imported in MODULES and imported not in ("sdpid", name)
+    }
+    for name, tree in TREES.items()
+    if name != "sdpid"
+}
 
 
-@pytest.mark.parametrize("path", MODULES, ids=module_name)
-def test_arrows_point_one_way(path: Path) -> None:
-    name = module_name(path)
-    assert room(name) in ROOMS, f"{name} stands in no room; put it in one of {ROOMS}"
-    for imported, level in imports(parse(path)):
-        assert level == 0, f"{name} imports relatively"
-        if imported.split(".")[0] != "sdpid" or name == "sdpid":
+def room(name: str) -> str | None:
+    """Return the room of a module, None for the helpers that stand before all rooms."""
+    first = name.split(".")[1]
+    if first == "__main__":
+        return "cli"
+    if first == "errors" or first.startswith("_"):
+        return None
+    return first
+
+
+def is_face(name: str) -> bool:
+    """Whether a module stands beside the rooms and re-exports names: a public namespace."""
+    return name.count(".") == 1 and room(name) not in ROOMS and room(name) is not None
+
+
+def circle(arrows: dict[str, set[str]]) -> list[str]:
+    """Return a circle of arrows, empty where there is none."""
+    try:
+        TopologicalSorter(arrows).prepare()
+    except CycleError as error:
+        return list(error.args[1])
+    return []
+
+
+def at_level(level: int) -> dict[str, set[str]]:
+    """Return the arrows between rooms (level 2) or between their sub-packages (level 3)."""
+    found: dict[str, set[str]] = defaultdict(set)
+    for name, targets in ARROWS.items():
+        for target in targets:
+            a, b = (".".join(each.split(".")[:level]) for each in (name, target))
+            if a != b and len(a.split(".")) == len(b.split(".")) == level:
+                found[a].add(b)
+    return found
+
+
+@pytest.mark.xfail(strict=True, reason="being opened")
+def test_no_circle_between_files() -> None:
+    assert circle(ARROWS) == []
+
+
+@pytest.mark.parametrize(
+    "level",
+    [
+        pytest.param(2, id="rooms"),
+        pytest.param(
+            3,
+            id="sub-packages",
+            marks=pytest.mark.xfail(strict=True, reason="being opened"),
+        ),
+    ],
+)
+def test_no_circle_between(level: int) -> None:
+    assert circle(at_level(level)) == []
+
+
+def test_arrows_point_one_way() -> None:
+    order = list(ROOMS)
+    wrong = []
+    for name, targets in ARROWS.items():
+        if is_face(name):
             continue
-        assert ROOMS.index(room(imported)) <= ROOMS.index(room(name)), f"{name} imports {imported}"
+        own = room(name)
+        assert own is None or own in ROOMS, f"{name} stands in no room"
+        for target in targets:
+            other = room(target)
+            if other is None:
+                continue
+            if own is None or is_face(target) or order.index(other) > order.index(own):
+                wrong.append(f"{name} imports {target}")
+            elif own == other and ROOMS[own]:
+                ranks = [
+                    ROOMS[own].index(each.split(".")[2])
+                    for each in (name, target)
+                    if len(each.split(".")) > 2
+                ]
+                if len(ranks) == 2 and ranks[1] > ranks[0]:
+                    wrong.append(f"{name} imports {target}")
+    assert wrong == []
 
 
-@pytest.mark.parametrize("path", MODULES, ids=module_name)
-def test_libraries_stay_in_their_rooms(path: Path) -> None:
-    name = module_name(path)
-    for imported, _ in imports(parse(path)):
-        beginnings = ALLOWED.get(imported.split(".")[0])
-        if beginnings is not None:
-            assert name.startswith(beginnings), f"{name} imports {imported}"
+def test_every_part_of_a_room_is_named_in_the_order() -> None:
+    unnamed = [
+        name
+        for name in MODULES
+        if len(name.split(".")) > 2
+        and (order := ROOMS.get(name.split(".")[1]))
+        and name.split(".")[2] not in order
+    ]
+    assert unnamed == []
 
 
-@pytest.mark.parametrize("path", MODULES, ids=module_name)
-def test_heavy_libraries_are_imported_where_they_are_used(path: Path) -> None:
-    for node in executed(parse(path)):
-        if isinstance(node, (ast.Import, ast.ImportFrom)):
-            found = {imported.split(".")[0] for imported, _ in imports(node)}
-            assert not found & HEAVY, f"{module_name(path)}, line {node.lineno}"
+def test_imports_are_absolute() -> None:
+    relative = [name for name, tree in TREES.items() if any(dots for _, dots in imports(tree))]
+    assert relative == []
+
+
+@pytest.mark.xfail(strict=True, reason="being opened")
+def test_libraries_stay_in_their_rooms() -> None:
+    wrong = [
+        f"{name} imports {imported}"
+        for name, tree in TREES.items()
+        for imported, _ in imports(tree)
+        if (allowed := ALLOWED.get(imported.split(".")[0])) and not name.startswith(allowed)
+    ]
+    assert wrong == []
+
+
+def test_heavy_libraries_are_imported_where_they_are_used() -> None:
+    wrong = [
+        f"{name} imports {imported} when it is imported"
+        for name, tree in TREES.items()
+        for imported, _ in imports(tree, executed_only=True)
+        if imported.split(".")[0] in HEAVY
+    ]
+    assert wrong == []
+
+
+@pytest.mark.xfail(strict=True, reason="being opened")
+def test_features_can_be_deleted_alone() -> None:
+    wrong = [
+        f"{name} imports {target}"
+        for name, targets in ARROWS.items()
+        for target in targets
+        for feature in FEATURES
+        if (target + ".").startswith(feature + ".")
+        and not (name + ".").startswith(feature + ".")
+        and not name.startswith(FACES)
+        and not is_face(name)
+    ]
+    assert wrong == []
+
+
+def test_folders_are_small() -> None:
+    sizes = Counter(path.parent for path in MODULES.values() if path.name != "__init__.py")
+    large = {str(folder): size for folder, size in sizes.items() if size > MOST_MODULES}
+    assert large == {}
+
+
+def run(code: str) -> str:
+    """Return what a fresh interpreter prints."""
+    done = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=False, timeout=120
+    )
+    assert done.returncode == 0, done.stderr
+    return done.stdout
 
 
 def loaded_after(code: str) -> set[str]:
     """Return the modules that a fresh interpreter holds after some code."""
-    code += "; import sys, json; print(json.dumps(sorted(sys.modules)))"
-    done = subprocess.run(
-        [sys.executable, "-c", code], capture_output=True, text=True, check=True, timeout=120
-    )
-    return set(json.loads(done.stdout.splitlines()[-1]))
+    out = run(code + "; import sys, json; print(json.dumps(sorted(sys.modules)))")
+    return set(json.loads(out.splitlines()[-1]))
 
 
 def test_importing_the_package_loads_nothing_heavy() -> None:
@@ -136,9 +313,33 @@ def test_importing_the_package_loads_nothing_heavy() -> None:
 
 
 def test_importing_every_module_loads_nothing_heavy() -> None:
-    names = [module_name(path) for path in MODULES if path.stem != "__main__"]
+    names = [name for name in MODULES if not name.endswith("__main__")]
     loaded = loaded_after(f"import importlib; [importlib.import_module(n) for n in {names!r}]")
     assert not {name.split(".")[0] for name in loaded} & HEAVY
+
+
+WITHOUT_FEATURES = """
+import sys, importlib.abc
+class Refuse(importlib.abc.MetaPathFinder):
+    def find_spec(self, name, path=None, target=None):
+        if any((name + ".").startswith(each + ".") for each in {features!r}):
+            raise ModuleNotFoundError(name)
+sys.meta_path.insert(0, Refuse())
+import numpy as np, sdpid
+robot = sdpid.load_robot("denso_vp6242")
+rng = np.random.default_rng(0)
+q, v, a, effort = rng.normal(size=(4, 200, 6))
+samples = sdpid.Samples(position=q, velocity=v, acceleration=a, effort=effort)
+problem = sdpid.build_problem(robot, samples)
+estimate = sdpid.solve_sdp(problem)
+certificate = sdpid.certify(estimate)
+print(estimate.status, certificate.passed, sdpid.validate(estimate).relative > 0.0)
+"""
+
+
+@pytest.mark.xfail(strict=True, reason="being opened")
+def test_the_core_works_without_the_features() -> None:
+    assert run(WITHOUT_FEATURES.format(features=FEATURES)) == "optimal True True\n"
 
 
 def test_every_public_name_is_there() -> None:

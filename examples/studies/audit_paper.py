@@ -18,13 +18,13 @@ from fractions import Fraction
 from pathlib import Path
 
 import sdpid
-from sdpid._tables import Table
-from sdpid.assurance.base_question import base_question
-from sdpid.assurance.base_table import BaseTable, half_unit, read_base_table
-from sdpid.assurance.refutation import Refutation
+from sdpid._common.tables import Table
+from sdpid.assurance.tables.csv_table import BaseTable, half_unit, read_base_table
+from sdpid.assurance.tables.question import base_question
+from sdpid.assurance.tables.refutation import Refutation
+from sdpid.robot.description.catalog import bundled_folder
+from sdpid.robot.description.dh_table import DhTable
 from sdpid.robot.inertia import CONSISTENCIES, Consistency
-from sdpid.robot.library import bundled_folder
-from sdpid.robot.mdh import DhTable
 
 ROBOT = "denso_vp6242"
 FOLDER = bundled_folder(ROBOT)

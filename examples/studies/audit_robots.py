@@ -21,13 +21,13 @@ import numpy as np
 import pinocchio as pin
 
 import sdpid
-from sdpid._files import atomic_write_text
-from sdpid._tables import Table
-from sdpid.assurance.description_checks import carried, carried_theta
-from sdpid.output.repair import RepairReport, repair_urdf
-from sdpid.robot.described import read_urdf_bodies
-from sdpid.robot.library import example_robots
-from sdpid.robot.xml import parse_xml
+from sdpid._common.files import atomic_write_text
+from sdpid._common.tables import Table
+from sdpid.assurance.descriptions.model_checks import carried, carried_theta
+from sdpid.output.robots.repair import RepairReport, repair_urdf
+from sdpid.robot.description.bodies import read_urdf_bodies
+from sdpid.robot.description.catalog import example_robots
+from sdpid.robot.description.xml import parse_xml
 
 QUICK = (
     "allegro_hand_description/allegro_left_hand",

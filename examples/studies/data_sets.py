@@ -24,10 +24,10 @@ from pathlib import Path
 from typing import Literal
 
 import sdpid
-from sdpid._files import atomic_write_text
-from sdpid._tables import Table
-from sdpid.estimation.prior import PriorKind
-from sdpid.experiment.preparation import default_processing, prepare
+from sdpid._common.files import atomic_write_text
+from sdpid._common.tables import Table
+from sdpid.estimation.prior.prior import PriorKind
+from sdpid.experiment.preparation.for_robot import default_processing, prepare
 from sdpid.robot.inertia import Consistency
 from sdpid.workflow import formulate
 

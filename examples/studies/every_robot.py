@@ -20,12 +20,12 @@ from pathlib import Path
 import numpy as np
 
 import sdpid
-from sdpid._arrays import Array
-from sdpid._tables import Table
-from sdpid.estimation.prior import repaired
-from sdpid.robot.friction import FrictionModel
+from sdpid._common.arrays import Array
+from sdpid._common.tables import Table
+from sdpid.estimation.prior.prior import repaired
+from sdpid.robot.description.catalog import example_robots
+from sdpid.robot.friction.model import FrictionModel
 from sdpid.robot.inertia import from_pseudo_inertia, pseudo_inertia
-from sdpid.robot.library import example_robots
 
 QUICK = (
     "asr_twodof_description/TwoDofs",

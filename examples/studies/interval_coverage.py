@@ -17,9 +17,9 @@ from typing import Any
 import numpy as np
 
 import sdpid
-from sdpid._progress import progress
-from sdpid._tables import Table
-from sdpid.experiment.plant import true_parameters
+from sdpid._common.progress import progress
+from sdpid._common.tables import Table
+from sdpid.experiment.plant.simulate import true_parameters
 from sdpid.robot.inertia import (
     complement,
     physical_parameters,

@@ -26,11 +26,16 @@ import numpy as np
 from data_sets import ROBOTS, SETS, TRAINED, part
 
 import sdpid
-from sdpid._arrays import Array, Mask
-from sdpid._files import atomic_write_text
-from sdpid._tables import Table
-from sdpid.estimation.weighting import Weighting
-from sdpid.experiment.preparation import SMOOTH, default_friction, default_processing, prepare
+from sdpid._common.arrays import Array, Mask
+from sdpid._common.files import atomic_write_text
+from sdpid._common.tables import Table
+from sdpid.estimation.compression.covariance import Weighting
+from sdpid.experiment.preparation.for_robot import (
+    SMOOTH,
+    default_friction,
+    default_processing,
+    prepare,
+)
 from sdpid.robot.inertia import Consistency, margin
 
 Terms = tuple[str | sdpid.FrictionTerm, ...]

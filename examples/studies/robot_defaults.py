@@ -23,8 +23,8 @@ from data_sets import ROBOTS, SETS
 from real_robots import DEFAULT, DRIVES, METHODS, QUICK, Case, Terms, found
 
 import sdpid
-from sdpid._files import atomic_write_text
-from sdpid.experiment.preparation import SMOOTH, default_processing
+from sdpid._common.files import atomic_write_text
+from sdpid.experiment.preparation.for_robot import SMOOTH, default_processing
 
 Change = Callable[[sdpid.Recording, sdpid.Processing], sdpid.Processing]
 

@@ -27,12 +27,12 @@ from typing import Any
 
 import numpy as np
 
-from sdpid._arrays import Array
-from sdpid._files import atomic_write_text
-from sdpid.robot.base import BaseParameters, structural_base
-from sdpid.robot.friction import FrictionModel
+from sdpid._common.arrays import Array
+from sdpid._common.files import atomic_write_text
+from sdpid.robot.friction.model import FrictionModel
 from sdpid.robot.inertia import margin, matrix_basis
-from sdpid.robot.model import RobotModel
+from sdpid.robot.model.base_parameters import BaseParameters, structural_base
+from sdpid.robot.model.model import RobotModel
 
 FOLDER = Path(__file__).resolve().parent
 

@@ -9,8 +9,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from sdpid._files import atomic_write_text
-from sdpid.robot.mdh import DhTable
+from sdpid._common.files import atomic_write_text
+from sdpid.robot.description.dh_table import DhTable
 
 FOLDER = Path(__file__).resolve().parent
 TARGET = FOLDER / "denso_vp6242.urdf"

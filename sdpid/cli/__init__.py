@@ -12,9 +12,9 @@ from typing import Annotated
 
 import typer
 
-from sdpid._extras import require
-from sdpid._signals import clean_up_when_ended
-from sdpid._text import printable
+from sdpid._common.extras import require
+from sdpid._common.signals import clean_up_when_ended
+from sdpid._common.text import printable
 from sdpid.cli import errors
 from sdpid.cli import options as opt
 from sdpid.cli.audit import audit
@@ -104,7 +104,7 @@ def identify(
     as_json: opt.Json = False,
 ) -> None:
     """Identify a robot: URDF and logs in; consistent URDF, tables, report, certificate out."""
-    from sdpid.workflow.folder import require_writable
+    from sdpid.workflow.results_folder import require_writable
 
     require_writable(out, opt.files_read((*logs, *(validation or ())), robot, mapping))
     draw = importlib.util.find_spec("matplotlib") is not None if figures is None else figures
@@ -114,7 +114,7 @@ def identify(
     records = [read(log, **how, period=period, start=start, periods=periods) for log in logs]
     checks = [read(log, **how) for log in validation or ()]
     from sdpid import workflow
-    from sdpid.robot.load import load_robot
+    from sdpid.robot.model.load import load_robot
 
     model = load_robot(robot)
     result = workflow.identify(
@@ -192,8 +192,8 @@ def compare(
     how = opt.reading(column, unit, joint_names, effort_scale, mapping, topic)
     record = read(log, **how, period=period, start=start, periods=periods)
     from sdpid import workflow
-    from sdpid.output.comparison import compare as run
-    from sdpid.robot.load import load_robot
+    from sdpid.robot.model.load import load_robot
+    from sdpid.workflow.comparison import compare as run
 
     model = load_robot(robot)
     problem = workflow.formulate(
@@ -235,7 +235,7 @@ def verify(
     as_json: opt.Json = False,
 ) -> None:
     """Check a certificate in exact arithmetic, from its own numbers; status 2 when it fails."""
-    from sdpid.assurance.certificate import verify as run
+    from sdpid.assurance.certificate.certificate import verify as run
 
     found = run(certificate)
     if as_json:

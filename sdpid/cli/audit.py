@@ -13,7 +13,7 @@ from sdpid.cli.errors import NO_ANSWER
 from sdpid.errors import DataError, ExportError
 
 if TYPE_CHECKING:
-    from sdpid.assurance.audit_base import BaseAudit
+    from sdpid.assurance.tables.audit import BaseAudit
 
 _TABLE = "Base parameters (.csv)"
 _DESCRIPTION = "Robot description (.urdf, .xml)"
@@ -118,10 +118,10 @@ def _table(
     mass_max: float,
     friction: list[str] | None,
 ) -> BaseAudit:
-    from sdpid.assurance.audit_base import audit_base_parameters
-    from sdpid.assurance.base_question import named_terms
-    from sdpid.assurance.base_table import read_base_table
-    from sdpid.robot.load import load_robot
+    from sdpid.assurance.tables.audit import audit_base_parameters
+    from sdpid.assurance.tables.csv_table import read_base_table
+    from sdpid.assurance.tables.question import named_terms
+    from sdpid.robot.model.load import load_robot
 
     width: str | float | None = halfwidth
     if halfwidth is not None:
@@ -143,7 +143,7 @@ def _table(
 
 
 def _write_proof(path: Path, found: BaseAudit) -> None:
-    from sdpid._files import atomic_write_text
+    from sdpid._common.files import atomic_write_text
 
     if found.certificate is None:
         typer.echo(f"sdpid: {path}: not written, as there is no proof to write.", err=True)

@@ -38,8 +38,8 @@ def run_audit_urdf(
     ExportError
         When the repaired file cannot be written.
     """
-    from sdpid.assurance.audit_urdf import audit_urdf
-    from sdpid.output.repair import repair_urdf
+    from sdpid.assurance.descriptions.audit import audit_urdf
+    from sdpid.output.robots.repair import repair_urdf
 
     file = _find(path)
     audit = audit_urdf(file)
@@ -56,7 +56,7 @@ def run_audit_urdf(
 
 
 def _find(path: str | os.PathLike[str]) -> Path:
-    from sdpid.robot.library import find_robot
+    from sdpid.robot.description.catalog import find_robot
 
     file = Path(path)
     return file if file.is_file() else find_robot(str(path))

@@ -10,16 +10,16 @@ from sdpid.cli import options as opt
 from sdpid.errors import ModelError
 
 if TYPE_CHECKING:
-    from sdpid.assurance.validation import Validation
-    from sdpid.estimation.constraints import Constraints
-    from sdpid.experiment.recording import Recording
-    from sdpid.robot.friction import FrictionTerm
-    from sdpid.robot.model import RobotModel
+    from sdpid.assurance.diagnostics.validation import Validation
+    from sdpid.estimation.constraints.constraints import Constraints
+    from sdpid.experiment.recording.recording import Recording
+    from sdpid.robot.friction.model import FrictionTerm
+    from sdpid.robot.model.model import RobotModel
 
 
 def read(path: Path, **how: Any) -> Recording:
     """Read a log."""
-    from sdpid.experiment.readers import read_recording
+    from sdpid.experiment.readers.read import read_recording
 
     return read_recording(path, **how)
 
@@ -44,7 +44,13 @@ def processing(
 
 def friction_terms(given: list[str] | None) -> list[str | FrictionTerm] | None:
     """Turn options into terms: names, or names with a speed or joints."""
-    from sdpid.robot.friction import AsymmetricCoulomb, Coulomb, Coupling, SigmoidFriction, Stribeck
+    from sdpid.robot.friction.model import (
+        AsymmetricCoulomb,
+        Coulomb,
+        Coupling,
+        SigmoidFriction,
+        Stribeck,
+    )
 
     smooth: dict[str, Callable[[float | None], FrictionTerm]] = {
         "coulomb": lambda width: Coulomb(width=width),
@@ -79,7 +85,7 @@ def friction_terms(given: list[str] | None) -> list[str | FrictionTerm] | None:
 
 def constraints_of(robot: RobotModel, margin: float, mass_max: float | None) -> Constraints:
     """Return bounds that follow the robot's size, with what was given."""
-    from sdpid.estimation.constraints import Constraints
+    from sdpid.estimation.constraints.constraints import Constraints
 
     given = {} if mass_max is None else {"mass_max": mass_max}
     return Constraints.of_size(robot, margin=margin, **given)
@@ -87,7 +93,7 @@ def constraints_of(robot: RobotModel, margin: float, mass_max: float | None) -> 
 
 def errors_table(fits: dict[str, Validation]) -> str:
     """Return the errors of every joint, a pair of columns for each fit."""
-    from sdpid._tables import Table
+    from sdpid._common.tables import Table
 
     names = next(iter(fits.values())).joint_names
     header = ["joint"]

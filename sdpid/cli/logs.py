@@ -8,7 +8,7 @@ from typing import Annotated
 
 import typer
 
-from sdpid._extras import require
+from sdpid._common.extras import require
 from sdpid.cli import options as opt
 from sdpid.cli.choices import errors_table, processing, read
 
@@ -42,11 +42,11 @@ def validate(
         opt.require_folder("--figure", figure, opt.files_read((log,), robot, mapping))
     how = opt.reading(column, unit, joint_names, effort_scale, mapping, topic)
     record = read(log, **how, period=period, start=start, periods=periods)
-    from sdpid.assurance.prediction_verdict import prediction_findings
-    from sdpid.assurance.validation import validate_robot
-    from sdpid.experiment.preparation import SMOOTH, prepare
-    from sdpid.experiment.training import chosen_processing
-    from sdpid.robot.load import load_robot
+    from sdpid.assurance.diagnostics.validation import validate_robot
+    from sdpid.experiment.preparation.for_robot import SMOOTH, prepare
+    from sdpid.experiment.preparation.several import chosen_processing
+    from sdpid.output.report.prediction_verdict import prediction_findings
+    from sdpid.robot.model.load import load_robot
 
     model = load_robot(robot)
     changes = processing(cutoff, order, velocity, low_pass, derivative)
@@ -55,7 +55,7 @@ def validate(
     fit = validate_robot(model, samples, width=0.0 if record.period is not None else SMOOTH)
     files = []
     if figure is not None:
-        from sdpid.output.plots import plot_fit, save_figure
+        from sdpid.output.plots.plots import plot_fit, save_figure
 
         save_figure(plot_fit(samples, fit), figure)
         files.append(str(figure))
@@ -91,9 +91,9 @@ def info(
 ) -> None:
     """Show what was understood of a log, and what looks wrong with it."""
     how = opt.reading(column, unit, joint_names, effort_scale, mapping, topic)
-    from sdpid.experiment.overview import overview
-    from sdpid.experiment.readers import read_described
-    from sdpid.robot.load import load_robot
+    from sdpid.experiment.preparation.overview import overview
+    from sdpid.experiment.readers.read import read_described
+    from sdpid.robot.model.load import load_robot
 
     found = read_described(log, **how, period=period, start=start, periods=periods)
     facts = overview(found.recording, None if robot is None else load_robot(robot))
@@ -101,7 +101,7 @@ def info(
     if as_json:
         opt.print_json(facts)
         return
-    from sdpid._tables import Table
+    from sdpid._common.tables import Table
 
     joints = facts.pop("joints")
     findings = facts.pop("findings")

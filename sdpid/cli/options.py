@@ -9,8 +9,8 @@ from typing import Annotated, Any
 
 import typer
 
-from sdpid._files import PathLike, require_other_files
-from sdpid._text import printable
+from sdpid._common.files import PathLike, require_other_files
+from sdpid._common.text import printable
 from sdpid.errors import DataError, ExportError
 
 
@@ -301,6 +301,6 @@ def echo(text: str) -> None:
 
 def print_json(values: Any) -> None:
     """Print plain values as JSON on stdout."""
-    from sdpid._json import json_text
+    from sdpid._common.json import json_text
 
     typer.echo(json_text(values))

@@ -46,9 +46,9 @@ def payload(
 ) -> None:
     """Identify what is mounted on the last link: mass, centre of mass and inertia."""
     how = opt.reading(column, unit, joint_names, effort_scale, mapping, topic)
-    from sdpid.assurance.payload import identify_payload
-    from sdpid.estimation.prior import Prior
-    from sdpid.experiment.readers import read_recording
+    from sdpid.assurance.payload.identify import identify_payload
+    from sdpid.estimation.prior.prior import Prior
+    from sdpid.experiment.readers.read import read_recording
 
     found = identify_payload(
         robot,

@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from sdpid._extras import require
+from sdpid._common.extras import require
 from sdpid.cli import options as opt
 from sdpid.errors import DataError, ExportError
 
@@ -45,14 +45,14 @@ def simulate(
     if trajectory is not None and period is not None:
         raise DataError("--period: the trajectory's file has its own; leave one of them out.")
     require("pyarrow", extra="io")
-    from sdpid.experiment.default_motion import default_motion
-    from sdpid.experiment.drives import load_drives, plant_folder
-    from sdpid.experiment.excitation import paper_excitation
-    from sdpid.experiment.plant import simulate as run
-    from sdpid.experiment.plant import true_parameters
-    from sdpid.experiment.trajectory import Trajectory
-    from sdpid.robot.load import load_robot
-    from sdpid.robot.model import RobotModel
+    from sdpid.experiment.plant.default_motion import default_motion
+    from sdpid.experiment.plant.drives import load_drives, plant_folder
+    from sdpid.experiment.plant.simulate import simulate as run
+    from sdpid.experiment.plant.simulate import true_parameters
+    from sdpid.experiment.trajectory.paper import paper_excitation
+    from sdpid.experiment.trajectory.trajectory import Trajectory
+    from sdpid.robot.model.load import load_robot
+    from sdpid.robot.model.model import RobotModel
 
     table = plant_folder(robot) / "kinematics.toml"
     bundled = table.is_file()

@@ -9,10 +9,10 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import ArrayLike
 
-from sdpid._arrays import Array, frozen
-from sdpid.estimation.multipliers import Multipliers
+from sdpid._common.arrays import Array, frozen
+from sdpid.estimation.cluster_robust import covariance
+from sdpid.estimation.duality.multipliers import Multipliers
 from sdpid.estimation.problem import Problem
-from sdpid.estimation.uncertainty import covariance
 from sdpid.robot.inertia import margin
 
 Status = Literal["optimal", "infeasible", "iteration limit", "stalled", "failed"]
@@ -127,7 +127,7 @@ class Estimate:
         """Covariance of the unconstrained fit's base parameters, (b, b).
 
         The sandwich estimate from blocks of samples that are longer than the filter's memory,
-        corrected for leverage (see `sdpid.estimation.uncertainty`). It is that of the problem:
+        corrected for leverage (see `sdpid.estimation.cluster_robust`). It is that of the problem:
         neither constraints nor a prior have a say.
         """
         return frozen(covariance(self.problem))

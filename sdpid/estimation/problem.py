@@ -11,28 +11,28 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from sdpid._arrays import Array, frozen
-from sdpid._threads import one_thread
+from sdpid._common.arrays import Array, frozen
+from sdpid._common.threads import one_thread
 from sdpid.errors import DataError
-from sdpid.estimation.conditions import Layout
-from sdpid.estimation.constraints import Constraints
-from sdpid.estimation.cost_terms import SquaredTerm
-from sdpid.estimation.entropy import LogDetTerm
-from sdpid.estimation.excitation import Excitation, require_excitation
-from sdpid.estimation.factor import Factor, covariance
-from sdpid.estimation.feasible import FeasibleSet
-from sdpid.estimation.prior import Prior, PriorTerms, prior_terms
-from sdpid.estimation.profile import Profiled, close_terms
-from sdpid.estimation.remote import Cluster, Piece, RemoteRows, all_samples
-from sdpid.estimation.rows import LostRows, RowSource
-from sdpid.estimation.weighting import WEIGHTINGS, Weighting
-from sdpid.experiment.processing import Processing
-from sdpid.experiment.recording import Recording
-from sdpid.experiment.samples import Samples
-from sdpid.robot.base import BaseParameters, structural_base
-from sdpid.robot.friction import FrictionModel, FrictionTerm
+from sdpid.estimation.compression.covariance import WEIGHTINGS, Weighting
+from sdpid.estimation.compression.distributed_rows import Cluster, Piece, RemoteRows, all_samples
+from sdpid.estimation.compression.factor import Factor, covariance
+from sdpid.estimation.compression.rows import LostRows, RowSource
+from sdpid.estimation.constraints.condition import Layout
+from sdpid.estimation.constraints.constraints import Constraints
+from sdpid.estimation.constraints.feasible_set import FeasibleSet
+from sdpid.estimation.effects.choose import Profiled, close_terms
+from sdpid.estimation.information import Excitation, require_excitation
+from sdpid.estimation.prior.cost_terms import SquaredTerm
+from sdpid.estimation.prior.log_det import LogDetTerm
+from sdpid.estimation.prior.prior import Prior, PriorTerms, prior_terms
+from sdpid.experiment.processing.process import Processing
+from sdpid.experiment.processing.samples import Samples
+from sdpid.experiment.recording.recording import Recording
+from sdpid.robot.friction.model import FrictionModel, FrictionTerm
 from sdpid.robot.inertia import CONSISTENCIES, Consistency
-from sdpid.robot.model import RobotModel
+from sdpid.robot.model.base_parameters import BaseParameters, structural_base
+from sdpid.robot.model.model import RobotModel
 
 if TYPE_CHECKING:
     from distributed import Client
@@ -73,7 +73,8 @@ class Problem:
     prior : PriorTerms or None
         What is believed beside the data, as further terms of the cost.
     profiled : tuple of Profiled
-        Numbers of friction terms that were chosen by the data (see `sdpid.estimation.profile`).
+        Numbers of friction terms that were chosen by the data (see
+        `sdpid.estimation.effects.choose`).
     cluster : Cluster or None
         Where the rows are, when not here; `samples` is a thinned selection of theirs then.
     seen : int or None
@@ -220,8 +221,8 @@ def build_problem(
         The measurements, n as the robot's; those of several recordings are joined. Recordings and
         files are processed first (see `processing`).
     friction : iterable of str or FrictionTerm
-        Terms beside the links' inertia (see `sdpid.robot.friction`). Numbers of theirs that are
-        None are chosen by the data (see `sdpid.estimation.profile`).
+        Terms beside the links' inertia (see `sdpid.robot.friction.model`). Numbers of theirs that
+        are None are chosen by the data (see `sdpid.estimation.effects.choose`).
     weighting : {"gls", "gls_per_sample", "eq9", "eq18", "residual"}
         ``gls`` whitens with one covariance pooled over the samples; ``gls_per_sample`` with the
         covariance of each; ``eq9`` and ``eq18`` minimise the norm of the normal equations'
@@ -232,8 +233,8 @@ def build_problem(
     constraints : Constraints, optional
         Margins and bounds.
     prior : Prior, optional
-        What is believed beside the data (see `sdpid.estimation.prior`); none by default. With one
-        the data may leave base parameters undetermined.
+        What is believed beside the data (see `sdpid.estimation.prior.prior`); none by default. With
+        one the data may leave base parameters undetermined.
     base : BaseParameters, optional
         Found before for the same robot and terms.
     processing : Processing, optional

@@ -6,10 +6,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from sdpid._arrays import Array
-from sdpid.estimation.feasible import FeasibleSet
+from sdpid._common.arrays import Array
+from sdpid.estimation.constraints.feasible_set import FeasibleSet
 from sdpid.estimation.problem import Problem
-from sdpid.robot.base import characteristic_length
 from sdpid.robot.consistent import raise_second_moments
 from sdpid.robot.inertia import (
     complement,
@@ -20,6 +19,7 @@ from sdpid.robot.inertia import (
     symmetric_basis,
     theta_from_physical,
 )
+from sdpid.robot.model.base_parameters import characteristic_length
 
 # The cost is counted in units of its floor; when the data are exact the floor is rounding, and
 # this share of the squared efforts takes its place.

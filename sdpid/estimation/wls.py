@@ -6,8 +6,8 @@ import time
 
 import numpy as np
 
-from sdpid._arrays import Array, frozen
-from sdpid._threads import one_thread
+from sdpid._common.arrays import Array, frozen
+from sdpid._common.threads import one_thread
 from sdpid.errors import SolverError
 from sdpid.estimation.estimate import Estimate
 from sdpid.estimation.problem import Problem

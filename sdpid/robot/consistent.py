@@ -7,7 +7,7 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import ArrayLike
 
-from sdpid._arrays import Array
+from sdpid._common.arrays import Array
 from sdpid.robot.inertia import (
     Consistency,
     central_moments,
@@ -31,7 +31,8 @@ def raise_eigenvalues(
     """Return the nearest symmetric matrices whose eigenvalues are between `least` and `most`.
 
     Nearest is meant in the Frobenius norm; the proof stands in
-    `sdpid.assurance.nearest_body`. Matrices that satisfy the limits are returned to the bit.
+    `sdpid.assurance.descriptions.nearest_body`. Matrices that satisfy the limits are returned to
+    the bit.
 
     Parameters
     ----------

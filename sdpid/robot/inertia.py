@@ -19,7 +19,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import ArrayLike
 
-from sdpid._arrays import Array
+from sdpid._common.arrays import Array
 
 Consistency = Literal["pseudo_inertia", "spatial_inertia", "none"]
 CONSISTENCIES: tuple[Consistency, ...] = ("pseudo_inertia", "spatial_inertia", "none")

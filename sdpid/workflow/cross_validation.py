@@ -9,20 +9,17 @@ from typing import Any, Literal
 
 import numpy as np
 
-from sdpid._arrays import Array, frozen
-from sdpid._progress import progress
-from sdpid._tables import Table
-from sdpid.assurance.validation import Validation, validate
+from sdpid._common.arrays import Array, frozen
+from sdpid._common.progress import progress
+from sdpid._common.tables import Table
+from sdpid.assurance.diagnostics.validation import Validation, validate
 from sdpid.errors import DataError, IdentifiabilityError
-from sdpid.estimation.constraints import Constraints
-from sdpid.estimation.prior import Prior
-from sdpid.estimation.sdp import solve_sdp
-from sdpid.estimation.weighting import Weighting
+from sdpid.estimation.compression.covariance import Weighting
+from sdpid.estimation.constraints.constraints import Constraints
+from sdpid.estimation.prior.prior import Prior
+from sdpid.estimation.sdp.solve import solve_sdp
 from sdpid.estimation.wls import solve_wls
-from sdpid.experiment.processing import Processing
-from sdpid.experiment.recording import Recording
-from sdpid.experiment.samples import Samples
-from sdpid.experiment.training import (
+from sdpid.experiment.preparation.several import (
     Logs,
     ProcessingOf,
     all_recordings,
@@ -30,10 +27,13 @@ from sdpid.experiment.training import (
     joined,
     recordings,
 )
-from sdpid.robot.friction import FrictionTerm
+from sdpid.experiment.processing.process import Processing
+from sdpid.experiment.processing.samples import Samples
+from sdpid.experiment.recording.recording import Recording
+from sdpid.robot.friction.model import FrictionTerm
 from sdpid.robot.inertia import Consistency
-from sdpid.robot.load import load_robot
-from sdpid.robot.model import RobotModel
+from sdpid.robot.model.load import load_robot
+from sdpid.robot.model.model import RobotModel
 
 By = Literal["time", "recording"]
 

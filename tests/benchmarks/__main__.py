@@ -22,11 +22,11 @@ from importlib.metadata import version
 from pathlib import Path
 
 from sdpid.estimation.problem import Problem, build_problem
-from sdpid.experiment.excitation import paper_excitation
-from sdpid.experiment.plant import simulate, true_parameters
-from sdpid.experiment.processing import process
-from sdpid.experiment.recording import Recording
-from sdpid.robot.load import load_robot
+from sdpid.experiment.plant.simulate import simulate, true_parameters
+from sdpid.experiment.processing.process import process
+from sdpid.experiment.recording.recording import Recording
+from sdpid.experiment.trajectory.paper import paper_excitation
+from sdpid.robot.model.load import load_robot
 from tests.benchmarks import chain, kernels, resolves, solvers, whole_job
 from tests.benchmarks.timing import Row, table
 

@@ -8,9 +8,9 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from sdpid.experiment.filters import butterworth
-from sdpid.experiment.processing import Processing, process
-from sdpid.experiment.recording import Recording
+from sdpid.experiment.processing.filters import butterworth
+from sdpid.experiment.processing.process import Processing, process
+from sdpid.experiment.recording.recording import Recording
 from tests.benchmarks.timing import Row, side_by_side
 
 

@@ -29,8 +29,8 @@ from typing import Any
 import numpy as np
 
 import sdpid
-from sdpid._tables import Table
-from sdpid.experiment.preparation import default_friction, default_processing, prepare
+from sdpid._common.tables import Table
+from sdpid.experiment.preparation.for_robot import default_friction, default_processing, prepare
 from tests.benchmarks.timing import Row, peak
 from tests.benchmarks.timing import table as ratios
 
@@ -48,8 +48,8 @@ ONE_THREAD = dict.fromkeys(
 
 def make_log(path: Path) -> None:
     """Simulate an hour; its periods are not told, as those of a robot at work are not known."""
-    from sdpid.experiment.excitation import paper_excitation
-    from sdpid.experiment.plant import simulate, true_parameters
+    from sdpid.experiment.plant.simulate import simulate, true_parameters
+    from sdpid.experiment.trajectory.paper import paper_excitation
 
     trajectory = paper_excitation(ROBOT, SEED, periods=PERIODS)
     robot, theta = sdpid.load_robot(ROBOT), true_parameters(ROBOT)
@@ -223,7 +223,7 @@ class Sent:
     @contextmanager
     def counted(self) -> Iterator[None]:
         """Count what a problem gathers."""
-        from sdpid.estimation import remote
+        from sdpid.estimation.compression import distributed_rows as remote
 
         gathered = remote._gathered
 

@@ -15,17 +15,17 @@ from typing import Any
 
 import numpy as np
 
-from sdpid._arrays import Array
+from sdpid._common.arrays import Array
+from sdpid.estimation.compression.rows import RowSource
+from sdpid.estimation.compression.triangle import Triangle
+from sdpid.estimation.compression.whitening import compress, whitened_chunks
 from sdpid.estimation.problem import build_problem
-from sdpid.estimation.rows import RowSource
-from sdpid.estimation.triangle import Triangle
-from sdpid.estimation.whitening import compress, whitened_chunks
-from sdpid.experiment.samples import Samples
-from sdpid.robot import kernels
-from sdpid.robot.base import structural_base
-from sdpid.robot.friction import FrictionModel
-from sdpid.robot.load import load_robot
-from sdpid.robot.model import RobotModel
+from sdpid.experiment.processing.samples import Samples
+from sdpid.robot.friction.model import FrictionModel
+from sdpid.robot.model import regressor_kernel as kernels
+from sdpid.robot.model.base_parameters import structural_base
+from sdpid.robot.model.load import load_robot
+from sdpid.robot.model.model import RobotModel
 from tests.benchmarks.timing import Row, side_by_side, table
 
 ARM, HUMANOID = "denso_vp6242", "talos_reduced"

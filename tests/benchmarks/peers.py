@@ -98,7 +98,7 @@ def sdpid_job(everything: bool) -> Callable[[str, str], dict[str, Any]]:
     import sdpid
 
     def job(log_file: str, robot_file: str) -> dict[str, Any]:
-        from sdpid.experiment.preparation import default_friction
+        from sdpid.experiment.preparation.for_robot import default_friction
         from sdpid.workflow import formulate, identify
 
         log = sdpid.read_recording(log_file)

@@ -20,20 +20,20 @@ from pathlib import Path
 
 import numpy as np
 
-from sdpid._arrays import Array
-from sdpid.assurance.bootstrap import resampled
-from sdpid.assurance.certificate import certify
-from sdpid.assurance.intervals import intervals
-from sdpid.estimation.constraints import Constraints
+from sdpid._common.arrays import Array
+from sdpid.assurance.certificate.certificate import certify
+from sdpid.assurance.intervals.bootstrap import resampled
+from sdpid.assurance.intervals.intervals import intervals
+from sdpid.estimation.constraints.constraints import Constraints
 from sdpid.estimation.estimate import Estimate
 from sdpid.estimation.problem import Problem, build_problem
-from sdpid.estimation.sdp import solve_sdp
-from sdpid.estimation.streaming import StreamingProblem
-from sdpid.experiment.excitation import paper_excitation
-from sdpid.experiment.plant import simulate, true_parameters
-from sdpid.experiment.processing import process
-from sdpid.experiment.samples import Samples
-from sdpid.robot.load import load_robot
+from sdpid.estimation.recursive import StreamingProblem
+from sdpid.estimation.sdp.solve import solve_sdp
+from sdpid.experiment.plant.simulate import simulate, true_parameters
+from sdpid.experiment.processing.process import process
+from sdpid.experiment.processing.samples import Samples
+from sdpid.experiment.trajectory.paper import paper_excitation
+from sdpid.robot.model.load import load_robot
 from tests.benchmarks.solvers import PROBLEMS
 from tests.benchmarks.timing import Row, table
 

@@ -9,8 +9,8 @@ import itertools
 import sys
 
 from sdpid.errors import SolverError
-from sdpid.estimation.sdp import solve_sdp
-from tests.estimation.test_sdp import BOTH, ROBOTS, noisy
+from sdpid.estimation.sdp.solve import solve_sdp
+from tests.estimation.sdp.test_solve import BOTH, ROBOTS, noisy
 
 # Margins (kg·m²), weightings and seeds; with three robots under either consistency 648 problems.
 MARGINS = (0.0, 1e-3, 0.005)

@@ -9,17 +9,17 @@ from functools import partial
 
 import numpy as np
 
-from sdpid._arrays import Array
-from sdpid.assurance.certificate import certify
-from sdpid.estimation.constraints import Constraints
+from sdpid._common.arrays import Array
+from sdpid.assurance.certificate.certificate import certify
+from sdpid.estimation.constraints.constraints import Constraints
 from sdpid.estimation.estimate import Estimate
-from sdpid.estimation.log_cholesky import solve_log_cholesky
-from sdpid.estimation.modelled import as_cvxpy
-from sdpid.estimation.prior import Prior, prior_terms
+from sdpid.estimation.local.log_cholesky import solve_log_cholesky
+from sdpid.estimation.local.slsqp import solve_slsqp
+from sdpid.estimation.local.starts import random_start
+from sdpid.estimation.prior.prior import Prior, prior_terms
 from sdpid.estimation.problem import Problem
-from sdpid.estimation.sdp import solve_sdp
-from sdpid.estimation.slsqp import solve_slsqp
-from sdpid.estimation.starts import random_start
+from sdpid.estimation.sdp.cvxpy_form import as_cvxpy
+from sdpid.estimation.sdp.solve import solve_sdp
 from sdpid.estimation.wls import solve_wls
 from sdpid.robot.inertia import Consistency
 from tests.benchmarks.timing import Row, clock

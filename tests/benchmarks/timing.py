@@ -9,8 +9,8 @@ from pathlib import Path
 
 import numpy as np
 
-from sdpid._arrays import Array
-from sdpid._tables import Table
+from sdpid._common.arrays import Array
+from sdpid._common.tables import Table
 
 # What is shorter than this (s) is called again until it is not: one tick of another process
 # would be a large part of it.

@@ -22,8 +22,8 @@ from typing import Any
 
 import numpy as np
 
-from sdpid._arrays import Array
-from sdpid._tables import Table
+from sdpid._common.arrays import Array
+from sdpid._common.tables import Table
 from tests.benchmarks.timing import Row, peak
 
 ROBOT, SEED = "denso_vp6242", 0
@@ -55,15 +55,15 @@ class Clock:
 def job(file: str) -> dict[str, Any]:
     """Do the whole job, as `sdpid.identify` and `Identification.save` do it."""
     clock = Clock()
-    from sdpid.assurance.certificate import certify
-    from sdpid.estimation.constraints import Constraints
+    from sdpid.assurance.certificate.certificate import certify
+    from sdpid.estimation.constraints.constraints import Constraints
     from sdpid.estimation.problem import build_problem
-    from sdpid.estimation.sdp import solve_sdp
+    from sdpid.estimation.sdp.solve import solve_sdp
     from sdpid.estimation.wls import solve_wls
-    from sdpid.experiment.preparation import default_friction, prepare
-    from sdpid.experiment.readers import read_recording
-    from sdpid.output.urdf import write_urdf
-    from sdpid.robot.load import load_robot
+    from sdpid.experiment.preparation.for_robot import default_friction, prepare
+    from sdpid.experiment.readers.read import read_recording
+    from sdpid.output.robots.urdf import write_urdf
+    from sdpid.robot.model.load import load_robot
 
     clock.lap("import")
     robot = load_robot(ROBOT)
@@ -137,9 +137,9 @@ def bandwidth() -> dict[str, Any]:
 
 def make_log(path: Path) -> None:
     """Simulate the experiment of the paper."""
-    from sdpid.experiment.excitation import paper_excitation
-    from sdpid.experiment.plant import simulate, true_parameters
-    from sdpid.robot.load import load_robot
+    from sdpid.experiment.plant.simulate import simulate, true_parameters
+    from sdpid.experiment.trajectory.paper import paper_excitation
+    from sdpid.robot.model.load import load_robot
 
     trajectory = paper_excitation(ROBOT, SEED)
     theta = true_parameters(ROBOT)
@@ -154,7 +154,7 @@ def lengthen(source: Path, target: Path, times: int = TIMES) -> None:
     import pyarrow as pa
     import pyarrow.parquet as pq
 
-    from sdpid.experiment.recording import Recording
+    from sdpid.experiment.recording.recording import Recording
 
     log = Recording.from_parquet(source, stored=True)
     layout = log.period_layout

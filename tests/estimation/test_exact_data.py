@@ -6,16 +6,16 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 
-from sdpid._arrays import Array
+from sdpid._common.arrays import Array
+from sdpid.estimation.compression.covariance import WEIGHTINGS, Weighting
+from sdpid.estimation.local.slsqp import solve_slsqp
+from sdpid.estimation.local.starts import random_start
 from sdpid.estimation.problem import Problem, build_problem
-from sdpid.estimation.sdp import solve_sdp
-from sdpid.estimation.slsqp import solve_slsqp
-from sdpid.estimation.starts import random_start
-from sdpid.estimation.weighting import WEIGHTINGS, Weighting
+from sdpid.estimation.sdp.solve import solve_sdp
 from sdpid.estimation.wls import solve_wls
 from sdpid.robot.inertia import Consistency
-from sdpid.robot.load import load_robot
-from sdpid.robot.model import RobotModel
+from sdpid.robot.model.load import load_robot
+from sdpid.robot.model.model import RobotModel
 from tests.helpers.data import make_samples, random_covariance, random_theta, relative_error
 from tests.helpers.robots import TREE, small_arm
 from tests.helpers.strategies import SEEDS, dh_tables

@@ -11,17 +11,17 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-import sdpid.estimation.rows as rows_module
-from sdpid._arrays import Array
+import sdpid.estimation.compression.rows as rows_module
+from sdpid._common.arrays import Array
 from sdpid.errors import DataError, InfeasibleError, SdpidError
-from sdpid.estimation.condition_kinds import TotalMass
-from sdpid.estimation.constraints import Constraints
+from sdpid.estimation.compression.covariance import WEIGHTINGS, Weighting, residual_covariance
+from sdpid.estimation.constraints.constraints import Constraints
+from sdpid.estimation.constraints.mass import TotalMass
 from sdpid.estimation.problem import build_problem, describe
-from sdpid.estimation.weighting import WEIGHTINGS, Weighting, residual_covariance
 from sdpid.estimation.wls import solve_wls
-from sdpid.experiment.recording import Recording
-from sdpid.robot.load import load_robot
-from sdpid.robot.model import RobotModel
+from sdpid.experiment.recording.recording import Recording
+from sdpid.robot.model.load import load_robot
+from sdpid.robot.model.model import RobotModel
 from tests.helpers.data import (
     brute_force_cost,
     make_samples,
@@ -167,7 +167,7 @@ def test_a_floating_base() -> None:
     theta = random_theta(robot, rng, ("viscous",))
     effort = robot.inverse_dynamics(theta, q, v, a)
     effort[:, 6:] += v[:, 6:] * theta[10 * robot.n_links :]
-    from sdpid.experiment.samples import Samples
+    from sdpid.experiment.processing.samples import Samples
 
     samples = Samples(position=q, velocity=v, acceleration=a, effort=effort)
     problem = build_problem(robot, samples, friction=("viscous",))

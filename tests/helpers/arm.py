@@ -7,11 +7,11 @@ from typing import Any
 import numpy as np
 
 import sdpid
-from sdpid._arrays import Array
-from sdpid.estimation.conditions import Condition
-from sdpid.estimation.constraints import Constraints
+from sdpid._common.arrays import Array
+from sdpid.estimation.constraints.condition import Condition
+from sdpid.estimation.constraints.constraints import Constraints
 from sdpid.estimation.estimate import Estimate
-from sdpid.estimation.prior import Prior
+from sdpid.estimation.prior.prior import Prior
 from sdpid.estimation.problem import Problem, build_problem
 from sdpid.robot.inertia import Consistency
 from tests.helpers.data import flat_links, make_samples, random_links, random_theta

@@ -6,8 +6,8 @@ from pathlib import Path
 
 import numpy as np
 
-from sdpid._arrays import Array
-from sdpid.robot.load import load_robot
+from sdpid._common.arrays import Array
+from sdpid.robot.model.load import load_robot
 
 ARM_URDF = """<?xml version="1.0"?>
 <robot name="arm">

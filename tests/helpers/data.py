@@ -7,12 +7,12 @@ from typing import Any
 
 import numpy as np
 
-from sdpid._arrays import Array
+from sdpid._common.arrays import Array
 from sdpid.estimation.problem import Problem
-from sdpid.experiment.samples import Samples
-from sdpid.robot.friction import FrictionModel, FrictionTerm
+from sdpid.experiment.processing.samples import Samples
+from sdpid.robot.friction.model import FrictionModel, FrictionTerm
 from sdpid.robot.inertia import point_masses
-from sdpid.robot.model import RobotModel
+from sdpid.robot.model.model import RobotModel
 from tests.helpers.strategies import random_states
 
 FRICTION: tuple[str | FrictionTerm, ...] = ("coulomb", "viscous")

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from sdpid._arrays import Array
-from sdpid.robot.described import TENSOR_NAMES
+from sdpid._common.arrays import Array
+from sdpid.robot.description.bodies import TENSOR_NAMES
 from sdpid.robot.inertia import physical_parameters, tensor_entries
 
 

@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 
 import sdpid
-from sdpid._arrays import Array
+from sdpid._common.arrays import Array
 from sdpid.estimation.problem import Problem, build_problem
-from sdpid.experiment.samples import Samples
+from sdpid.experiment.processing.samples import Samples
 from tests.helpers.data import full_regressor, random_theta
 from tests.helpers.robots import small_arm
 

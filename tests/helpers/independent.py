@@ -13,9 +13,9 @@ import cvxpy as cp
 import numpy as np
 
 import sdpid
-from sdpid._arrays import Array
-from sdpid.estimation.conditions import Condition
-from sdpid.estimation.prior import Prior, repaired
+from sdpid._common.arrays import Array
+from sdpid.estimation.constraints.condition import Condition
+from sdpid.estimation.prior.prior import Prior, repaired
 from sdpid.estimation.problem import Problem
 
 

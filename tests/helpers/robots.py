@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import math
 
-from sdpid.robot.mdh import DhJoint, DhTable
-from sdpid.robot.model import RobotModel
+from sdpid.robot.description.dh_table import DhJoint, DhTable
+from sdpid.robot.model.model import RobotModel
 
 _TREE = """<robot name="tree">
 <link name="base"/>

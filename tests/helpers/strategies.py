@@ -13,9 +13,9 @@ import numpy as np
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
-from sdpid._arrays import Array
+from sdpid._common.arrays import Array
+from sdpid.robot.description.dh_table import DhJoint, DhTable
 from sdpid.robot.inertia import point_masses, transform
-from sdpid.robot.mdh import DhJoint, DhTable
 
 # A core of six equal masses on the axes makes every body three-dimensional: its own second
 # moments about its centre are at least 2·CORE_MASS/6·CORE_RADIUS² in every direction, and no

@@ -9,11 +9,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from sdpid._toml import load_toml
-from sdpid.experiment.plant import true_parameters
+from sdpid._common.toml import load_toml
+from sdpid.experiment.plant.simulate import true_parameters
+from sdpid.robot.description.catalog import bundled_folder
+from sdpid.robot.description.dh_table import DhTable
 from sdpid.robot.inertia import margin
-from sdpid.robot.library import bundled_folder
-from sdpid.robot.mdh import DhTable
 
 FOLDER = bundled_folder("denso_vp6242")
 

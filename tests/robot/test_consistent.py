@@ -8,8 +8,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
-from sdpid._arrays import Array
-from sdpid.assurance.verify import has_margin
+from sdpid._common.arrays import Array
+from sdpid.assurance.certificate.verify import has_margin
 from sdpid.robot.consistent import raise_eigenvalues, raise_second_moments
 from sdpid.robot.inertia import Consistency, central_moments, margin
 from tests.helpers.strategies import LEAST_MARGIN, bodies, reals

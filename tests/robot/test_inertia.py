@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis.extra import numpy as hnp
 
-from sdpid._arrays import Array
+from sdpid._common.arrays import Array
 from sdpid.robot.inertia import (
     Consistency,
     from_pseudo_inertia,

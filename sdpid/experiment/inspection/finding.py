@@ -10,11 +10,11 @@ from typing import Any, Literal, TypeAlias
 
 import numpy as np
 
-from sdpid._arrays import Array
+from sdpid._common.arrays import Array
 from sdpid.errors import DataError
-from sdpid.experiment.pieces import continuous
-from sdpid.experiment.recording import Recording
-from sdpid.robot.model import RobotModel
+from sdpid.experiment.recording.gaps import continuous
+from sdpid.experiment.recording.recording import Recording
+from sdpid.robot.model.model import RobotModel
 
 __all__ = ["CHECKS", "Check", "Finding", "Severity", "Subject", "check"]
 

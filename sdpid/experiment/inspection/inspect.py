@@ -9,9 +9,9 @@ from typing import Any
 from sdpid.errors import DataError
 from sdpid.experiment.inspection import effort_checks, motion_checks, time_checks
 from sdpid.experiment.inspection.finding import CHECKS, Finding, Subject
-from sdpid.experiment.matching import joint_columns, match_joints
-from sdpid.experiment.recording import Recording
-from sdpid.robot.model import RobotModel
+from sdpid.experiment.recording.joints import joint_columns, match_joints
+from sdpid.experiment.recording.recording import Recording
+from sdpid.robot.model.model import RobotModel
 
 __all__ = ["Inspection", "inspect_recording", "inspect_recordings"]
 

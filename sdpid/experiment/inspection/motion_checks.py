@@ -8,10 +8,10 @@ from collections.abc import Iterator
 import numpy as np
 
 from sdpid.experiment.inspection.finding import Finding, Subject, check
-from sdpid.experiment.recording import Recording
-from sdpid.experiment.stamps import blocks
-from sdpid.experiment.units import suspect_units
-from sdpid.experiment.velocities import velocity_fit
+from sdpid.experiment.recording.degrees import suspect_units
+from sdpid.experiment.recording.recording import Recording
+from sdpid.experiment.recording.timestamps import blocks
+from sdpid.experiment.recording.velocities import velocity_fit
 
 # No joint of an arm turns faster (rad/s); the fastest reach some 15.
 _FASTEST = 40.0

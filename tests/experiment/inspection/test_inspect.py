@@ -9,8 +9,8 @@ import pytest
 
 import sdpid
 from sdpid.experiment.inspection.inspect import inspect_recording, inspect_recordings
-from sdpid.experiment.overview import overview
-from sdpid.experiment.recording import Recording
+from sdpid.experiment.preparation.overview import overview
+from sdpid.experiment.recording.recording import Recording
 
 RATE = 200.0
 T = np.arange(2000) / RATE

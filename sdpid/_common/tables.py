@@ -1,0 +1,161 @@
+"""Tables of results: one class for text, CSV and HTML; and plain values for JSON."""
+
+from __future__ import annotations
+
+import csv
+import io
+import os
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, fields, is_dataclass
+from html import escape
+from typing import Any
+
+import numpy as np
+
+from sdpid._common.files import atomic_write_text
+from sdpid._common.text import printable
+
+
+@dataclass(frozen=True)
+class Table:
+    """Rows under a header.
+
+    A missing value is None; numbers that are not finite are shown and written as missing too.
+
+    Attributes
+    ----------
+    header : tuple of str
+        Column names.
+    rows : tuple of tuple
+        The cells.
+    formats : dict of str to str
+        Format of the numbers of some columns in `text` and `html`, such as ``{"cost": ".8g"}``.
+    """
+
+    header: tuple[str, ...]
+    rows: tuple[tuple[object, ...], ...]
+    formats: Mapping[str, str] = field(default_factory=dict)
+
+    @classmethod
+    def of_columns(
+        cls, columns: Mapping[str, Sequence[object]], formats: Mapping[str, str] | None = None
+    ) -> Table:
+        """Return a table of columns by name, all of one length."""
+        rows = zip(*(plain(list(column)) for column in columns.values()), strict=True)
+        return cls(tuple(columns), tuple(rows), formats or {})
+
+    def text(self, digits: int = 4) -> str:
+        """Return aligned text, numbers with `digits` significant digits where no format is given.
+
+        Columns of numbers, and of texts that begin with one, are aligned on the right.
+        """
+        lines = [self.header, *self._cells(digits)]
+        widths = [max(map(len, column)) for column in zip(*lines, strict=True)]
+        right = self._right()
+        return "\n".join(
+            "  ".join(
+                cell.rjust(width) if to_right else cell.ljust(width)
+                for cell, width, to_right in zip(line, widths, right, strict=True)
+            ).rstrip()
+            for line in lines
+        )
+
+    def html(self, digits: int = 4) -> str:
+        """Return an HTML ``<table>`` with every text escaped."""
+        sides = [' style="text-align:right"' if right else "" for right in self._right()]
+        lines = ["<table>", _html_row("th", self.header, sides)]
+        lines += [_html_row("td", cells, sides) for cells in self._cells(digits)]
+        return "\n".join([*lines, "</table>"])
+
+    def write(self, path: str | os.PathLike[str]) -> None:
+        """Write as CSV with all digits, whole or not at all."""
+        text = io.StringIO()
+        writer = csv.writer(text, lineterminator="\n")
+        writer.writerow(self.header)
+        for row in self.rows:
+            writer.writerow(["" if cell is None else cell for cell in map(plain, row)])
+        atomic_write_text(path, text.getvalue())
+
+    def _cells(self, digits: int) -> list[tuple[str, ...]]:
+        """Return the rows as text."""
+        formats = [self.formats.get(name, f".{digits}g") for name in self.header]
+        return [
+            tuple(_cell(cell, spec) for cell, spec in zip(row, formats, strict=True))
+            for row in self.rows
+        ]
+
+    def _right(self) -> list[bool]:
+        """Return which columns are aligned on the right: those that hold no text."""
+        return [
+            i > 0 and not any(isinstance(row[i], str) for row in self.rows)
+            for i in range(len(self.header))
+        ]
+
+
+def _cell(value: object, spec: str) -> str:
+    """Return a value as text, a dash where it is missing."""
+    value = plain(value)
+    if value is None:
+        return "-"
+    return format(value, spec) if isinstance(value, float) else printable(str(value))
+
+
+def _html_row(tag: str, cells: Sequence[str], sides: Sequence[str]) -> str:
+    """Return one row of an HTML table."""
+    inner = "".join(
+        f"<{tag}{side}>{escape(cell)}</{tag}>" for cell, side in zip(cells, sides, strict=True)
+    )
+    return f"<tr>{inner}</tr>"
+
+
+def facts_html(title: str, facts: Mapping[str, object], *tables: Table) -> str:
+    """Return a result as HTML for a notebook: a title, named facts, and tables below them.
+
+    Parameters
+    ----------
+    title : str
+        What it is, such as ``"Estimate of arm"``.
+    facts : mapping of str to object
+        Names and values; numbers with five significant digits.
+    *tables : Table
+        Shown below, in order.
+
+    Returns
+    -------
+    str
+        Every text is escaped. For a method ``_repr_html_``.
+    """
+    cells = tuple((name, _cell(value, ".5g")) for name, value in facts.items())
+    rows = [_html_row("td", row, ("", "")) for row in cells]
+    parts = [f"<b>{escape(title)}</b>", "<table>", *rows, "</table>"]
+    return "\n".join([*parts, *(table.html() for table in tables)])
+
+
+def plain(value: Any) -> Any:
+    """Return a value as JSON has it: the one way by which results become dictionaries.
+
+    Parameters
+    ----------
+    value : object
+        Nested dataclasses (by their public fields), mappings, sequences, arrays and scalars.
+
+    Returns
+    -------
+    object
+        Dictionaries, lists, strings, numbers, booleans and None; a number that is not finite is
+        None, since JSON has no other word for it.
+    """
+    if isinstance(value, np.ndarray | np.generic):
+        value = value.tolist()
+    if isinstance(value, float):
+        return value if np.isfinite(value) else None
+    if value is None or isinstance(value, bool | int | str):
+        return value
+    if isinstance(value, os.PathLike):
+        return os.fspath(value)
+    if isinstance(value, Mapping):
+        return {str(key): plain(each) for key, each in value.items()}
+    if is_dataclass(value):
+        names = [each.name for each in fields(value) if not each.name.startswith("_")]
+        return {name: plain(getattr(value, name)) for name in names}
+    return [plain(each) for each in value]

@@ -1,0 +1,399 @@
+"""Certificates: how good an estimate is at worst, from numbers that anyone can recompute.
+
+What a certificate claims is proven in exact arithmetic by `sdpid.assurance.certificate.verify`,
+which needs nothing of this package.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+from dataclasses import dataclass, field
+from fractions import Fraction
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from sdpid import __version__
+from sdpid._common.arrays import Array, frozen
+from sdpid._common.files import atomic_write_text
+from sdpid._common.threads import one_thread
+from sdpid.assurance.certificate import verify as exact
+from sdpid.assurance.certificate.compression_error import compression_error, rows_digest
+from sdpid.assurance.certificate.rounding import (
+    downward,
+    feasible_theta,
+    proven_margins,
+    semidefinite,
+    upward,
+)
+from sdpid.errors import CertificateError
+from sdpid.estimation.duality.bound import Bound, evaluate, relative_gap
+from sdpid.estimation.duality.refine_multipliers import lower_bound
+from sdpid.estimation.estimate import Estimate
+from sdpid.estimation.problem import Problem
+
+SCHEMA, VERSION = exact.SCHEMA, exact.VERSION
+
+# A certificate passes when the cost is proven to be within this share of the global optimum.
+GAP = 1e-6
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Certificate:
+    """A proof of how far an estimate can be from the global optimum.
+
+    Everything it states is checked in exact arithmetic, when first asked for. What is certified is
+    the estimate to rounding: parameters on the edge of a constraint are moved inside by the last
+    digits, and multipliers that rounding left outside their cone likewise.
+
+    Attributes
+    ----------
+    estimate : Estimate
+        What is certified.
+    bound : Bound
+        The lower bound in floating point, and its multipliers.
+    """
+
+    estimate: Estimate
+    bound: Bound
+
+    @property
+    def problem(self) -> Problem:
+        """The problem."""
+        return self.estimate.problem
+
+    @cached_property
+    def theta(self) -> Array | None:
+        """The parameters that are certified: the estimate's, inside every constraint exactly."""
+        if self.estimate.theta is None:
+            return None
+        return frozen(feasible_theta(self.problem.feasible, self.estimate.theta))
+
+    @cached_property
+    def _core(self) -> tuple[dict[str, Any], exact.Recomputed]:
+        """Problem, parameters, multipliers and claims; and what they prove."""
+        problem, dual = self.problem, self.bound.multipliers
+        feasible, theta = problem.feasible, self.theta
+        limits = np.where(dual.rows > 0.0, feasible.row_lower, feasible.row_upper)
+        core: dict[str, Any] = {
+            "problem": _problem(problem),
+            "theta": None if theta is None else theta.tolist(),
+            "multipliers": {
+                "y": dual.y.tolist(),
+                "Z": semidefinite(dual.Z).tolist(),
+                "rows": np.where(np.isfinite(limits), dual.rows, 0.0).tolist(),
+                "W": None if not len(dual.W) else semidefinite(dual.W).tolist(),
+            },
+        }
+        found = exact.Recomputed(core)
+        bound = downward(found.lower_bound)
+        claims: dict[str, Any] = {"lower_bound": bound, "margins": None}
+        cost = violation = gap = None
+        if theta is not None:
+            claims["margins"] = proven_margins(feasible, theta)
+            violation = upward(found.violation)
+            if not found.broken:
+                cost = upward(found.cost)
+                gap = _gap(cost, bound, found)
+        core["claims"] = {**claims, "violation": violation, "cost": cost, "gap": gap}
+        return core, found
+
+    @cached_property
+    def _proof(self) -> exact.Result:
+        """What the stand-alone check says."""
+        return exact.prove(*self._core)
+
+    @property
+    def _claims(self) -> dict[str, Any]:
+        return dict(self._core[0]["claims"])
+
+    @property
+    def cost(self) -> float:
+        """Cost of the certified parameters, rounded up; without parameters the estimate's."""
+        cost = self._claims["cost"]
+        return self.estimate.cost if cost is None else float(cost)
+
+    @property
+    def lower_bound(self) -> float:
+        """No feasible parameters cost less; rounded down."""
+        return float(self._claims["lower_bound"])
+
+    @property
+    def gap(self) -> float:
+        """(cost − lower bound) relative to the cost (see `relative_gap`), rounded up."""
+        gap = self._claims["gap"]
+        if gap is None:
+            return relative_gap(self.problem, self.cost, self.lower_bound)
+        return float(gap)
+
+    @property
+    def margins(self) -> tuple[float | None, ...] | None:
+        """Margin of every link in kg·m², rounded down; None for a link without a positive mass.
+
+        None without standard parameters, or where no consistency is demanded.
+        """
+        margins = self._claims["margins"]
+        return None if margins is None else tuple(margins)
+
+    @property
+    def feasible(self) -> bool:
+        """Whether the certified parameters are proven to satisfy every constraint."""
+        return self._proof.feasible
+
+    @property
+    def passed(self) -> bool:
+        """Whether all that is claimed is proven, and the gap is no more than `GAP`."""
+        return not self._proof.problems and self.gap <= GAP
+
+    def summary(self) -> str:
+        """Return in words what is shown."""
+        if not self.feasible:
+            reason = "; ".join(self._proof.problems)
+            return (
+                f"not feasible: {reason}; no feasible parameters cost less than "
+                f"{self.lower_bound:.10g}."
+            )
+        margins = [margin for margin in self.margins or () if margin is not None]
+        how = f" with margin {min(margins):.6g} kg.m2" if margins else ""
+        return (
+            f"feasible{how}; cost {self.cost:.10g}; no feasible parameters cost less than "
+            f"{self.lower_bound:.10g}; at most {100 * max(self.gap, 0.0):.2e} % above the global "
+            "optimum."
+        )
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return everything that is needed to check the certificate, as plain values.
+
+        The rows of the problem are gone through once, for the error of their compression.
+        """
+        problem, estimate = self.problem, self.estimate
+        base = estimate.base if self.theta is None else problem.base_of(self.theta)
+        data: dict[str, Any] = {
+            "schema": SCHEMA,
+            "version": VERSION,
+            "metadata": {
+                "software": f"sdpid {__version__}",
+                "method": estimate.method,
+                "status": estimate.status,
+                "message": estimate.message,
+            },
+            "origin": {
+                "robot": problem.robot.name,
+                "weighting": problem.weighting,
+                "theta_names": list(problem.base.theta_names),
+                "base_names": list(problem.base.names),
+                "samples": problem.rows.n_samples,
+                "rows": problem.n_rows,
+                "rows_sha256": rows_digest(problem),
+                "compression_error": compression_error(problem, base),
+            },
+            **self._core[0],
+        }
+        return {**data, "sha256": exact.digest(data)}
+
+    def to_json(self, path: str | os.PathLike[str]) -> None:
+        """Write the certificate to a file, whole or not at all."""
+        atomic_write_text(path, _text(self.to_dict()) + "\n")
+
+
+def _gap(cost: float, bound: float, found: exact.Recomputed) -> float:
+    """Return by how much a cost is above a bound, relative to it, rounded up."""
+    scale = max(Fraction(cost), found.scale)
+    return upward((Fraction(cost) - Fraction(bound)) / scale) if scale else 0.0
+
+
+def _problem(problem: Problem) -> dict[str, Any]:
+    """Return the problem as plain values."""
+    feasible, squared, log_det = problem.feasible, problem.squared, problem.log_det
+    believed = slice(problem.base.count, None)
+    own = feasible.n_own
+    rows = zip(
+        feasible.row_names, feasible.rows, feasible.row_lower, feasible.row_upper, strict=True
+    )
+    cones = zip(
+        feasible.block_names[own:],
+        feasible.block_links[own:].tolist(),
+        feasible.block_basis[own:],
+        strict=True,
+    )
+    return {
+        "consistency": problem.consistency,
+        "margin": float(problem.constraints.margin),
+        "links": feasible.n_links,
+        "A": problem.A.tolist(),
+        "base_matrix": problem.base.matrix.tolist(),
+        "rhs": problem.rhs.tolist(),
+        "floor": float(problem.floor),
+        "prior_matrix": squared.matrix[believed].tolist(),
+        "prior_rhs": squared.rhs[believed].tolist(),
+        "lower": feasible.lower.tolist(),
+        "upper": feasible.upper.tolist(),
+        "rows": [
+            {
+                "name": name,
+                "lower": _finite(low),
+                "upper": _finite(high),
+                "coefficients": row.tolist(),
+            }
+            for name, row, low, high in rows
+        ],
+        "cones": [
+            {
+                "name": name,
+                "link": link,
+                "axis": basis[:, -1, -1].tolist(),
+                "vectors": basis[:, :3, -1].T.tolist(),
+            }
+            for name, link, basis in cones
+        ],
+        "entropic_prior": None
+        if not len(log_det.links)
+        else {
+            "links": log_det.links.tolist(),
+            "inverses": semidefinite(log_det.inverses).tolist(),
+            "strength": float(log_det.strength),
+        },
+    }
+
+
+def _finite(limit: float) -> float | None:
+    """Return a limit for JSON, None where there is none."""
+    return float(limit) if np.isfinite(limit) else None
+
+
+def _text(value: Any, indent: str = "") -> str:
+    """Return JSON with one line a key, and a line for each row of numbers."""
+    deeper = indent + " "
+    if isinstance(value, dict) and value:
+        items = [f"{json.dumps(key)}: {_text(item, deeper)}" for key, item in value.items()]
+        opened, closed = "{", "}"
+    elif isinstance(value, list) and any(isinstance(item, (dict, list)) for item in value):
+        items = [_text(item, deeper) for item in value]
+        opened, closed = "[", "]"
+    else:
+        return json.dumps(value, allow_nan=False, separators=(",", ":"))
+    lines = f",\n{deeper}".join(items)
+    return f"{opened}\n{deeper}{lines}\n{indent}{closed}"
+
+
+@one_thread
+def certify(estimate: Estimate, *, bound: Bound | Estimate | None = None) -> Certificate:
+    """Certify an estimate: a lower bound on the cost of all feasible parameters.
+
+    Parameters
+    ----------
+    estimate : Estimate
+        From any solver.
+    bound : Bound or Estimate, optional
+        A bound of the same problem, or an SDP estimate whose multipliers give one. By default
+        the estimate's own multipliers, and where it has none, those of an SDP solved here.
+
+    Returns
+    -------
+    Certificate
+
+    Raises
+    ------
+    CertificateError
+        When the bound belongs to another problem.
+    """
+    if bound is None:
+        if estimate.multipliers is None and estimate.problem.consistency != "none":
+            from sdpid.estimation.sdp.solve import solve_sdp
+
+            bound = solve_sdp(estimate.problem)
+        else:
+            bound = estimate
+    if isinstance(bound, Estimate):
+        if bound.problem is not estimate.problem:
+            raise CertificateError("certify: the bound's estimate is of another problem.")
+        theta = None if bound.theta is None else np.array(bound.theta)
+        bound = lower_bound(bound.problem, theta, bound.proof, bound.cost)
+    value = evaluate(estimate.problem, bound.multipliers)
+    if value != bound.value:
+        raise CertificateError(
+            f"certify: the multipliers give the bound {value}, not {bound.value}; they belong to "
+            "another problem."
+        )
+    return Certificate(estimate=estimate, bound=bound)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Verification:
+    """What checking a certificate file found, recomputed from its numbers.
+
+    Attributes
+    ----------
+    passed : bool
+        Whether every claim is proven.
+    cost : float or None
+        Of the parameters, recomputed and rounded up; None where there are none, or no proof.
+    lower_bound : float
+        What the multipliers prove, recomputed and rounded down.
+    gap : float or None
+        The one above the other, relative to the cost (see `Certificate.gap`).
+    margin : float or None
+        The worst link's margin, where all are proven.
+    problems : tuple of str
+        What is not proven.
+    statements : tuple of str
+        What is proven, in words.
+    sha256 : str
+        Digest of what was checked.
+    """
+
+    passed: bool
+    cost: float | None
+    lower_bound: float
+    gap: float | None
+    margin: float | None
+    problems: tuple[str, ...]
+    statements: tuple[str, ...] = field(default=())
+    sha256: str = ""
+
+
+def verify(path: str | os.PathLike[str]) -> Verification:
+    """Check a certificate file in exact arithmetic, from its own numbers alone.
+
+    The same as ``python verify.py certificate.json`` with the package's stand-alone script.
+
+    Parameters
+    ----------
+    path : path
+        A file written by `Certificate.to_json`.
+
+    Returns
+    -------
+    Verification
+
+    Raises
+    ------
+    CertificateError
+        When the file is not a certificate of this version.
+    """
+    try:
+        data = exact.load(Path(path).read_text(encoding="utf-8"))
+        result = exact.check(data)
+        found = result.exact
+        bound = downward(found.lower_bound)
+        none = found.theta is None or bool(found.broken)
+        cost = None if none else upward(found.cost)
+        gap = None if cost is None else _gap(cost, bound, found)
+    except OSError as cause:
+        raise CertificateError(f"cannot read {path}: {cause.strerror}.") from None
+    except exact.REFUSED as cause:
+        raise CertificateError(f"{path}: not a certificate ({cause}).") from None
+    margins = data["claims"]["margins"] if result.feasible else None
+    return Verification(
+        passed=not result.problems,
+        cost=cost,
+        lower_bound=bound,
+        gap=gap,
+        margin=min(margins) if margins else None,
+        problems=result.problems,
+        statements=result.statements,
+        sha256=exact.digest(data),
+    )

@@ -1,0 +1,278 @@
+"""An audit of a robot description: which bodies cannot exist, and which are implausible."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from sdpid.assurance.descriptions.body_checks import (
+    Finding,
+    check_numbers,
+    check_shape,
+    check_without_shape,
+    consistent,
+)
+from sdpid.assurance.descriptions.link_shape import Shape
+from sdpid.assurance.descriptions.model_checks import check_copies, check_moving
+from sdpid.errors import ModelError
+from sdpid.robot.description.bodies import DescribedBody, read_urdf_bodies
+from sdpid.robot.description.xml import is_mjcf, read_description
+from sdpid.robot.inertia import second_moment_from_inertia
+from sdpid.robot.model.geometry import link_points
+
+_ORDER = {"error": 0, "warning": 1, "note": 2}
+
+
+@dataclass(frozen=True, kw_only=True)
+class BodyAudit:
+    """The numbers of one body.
+
+    Attributes
+    ----------
+    link : str
+        The link.
+    moving : bool
+        Whether a joint moves it.
+    consistent : bool or None
+        Whether some body has these numbers, decided in exact arithmetic; None without numbers.
+    mass : float or None
+        kg.
+    com : tuple of float or None
+        Centre of mass in the link's frame, m.
+    moments : tuple of float or None
+        Principal moments about the centre of mass, rising, kg·m².
+    second_moment : float or None
+        Smallest eigenvalue of the second moments about the centre of mass, kg·m²: the one of the
+        pseudo-inertia once its frame is moved there.
+    triangle_ratio : float or None
+        Largest principal moment over the sum of the others, at most 1 for a body; None where that
+        sum is not positive.
+    gyration : float or None
+        Radius of gyration about the centre of mass, m; None where it is not real.
+    com_outside : float or None
+        Distance of the centre of mass from the hull of the collision geometry (of the visual one
+        where there is no other), m; negative inside.
+    density : float or None
+        Mass over the volume of the hull of all geometry, kg/m³: the least that it can be.
+    """
+
+    link: str
+    moving: bool
+    consistent: bool | None
+    mass: float | None
+    com: tuple[float, ...] | None
+    moments: tuple[float, ...] | None
+    second_moment: float | None
+    triangle_ratio: float | None
+    gyration: float | None
+    com_outside: float | None
+    density: float | None
+
+
+@dataclass(frozen=True, kw_only=True)
+class UrdfAudit:
+    """What an audit found.
+
+    Attributes
+    ----------
+    name : str
+        The description.
+    bodies : tuple of BodyAudit
+        One a link, in document order.
+    findings : tuple of Finding
+        Errors first.
+    """
+
+    name: str
+    bodies: tuple[BodyAudit, ...]
+    findings: tuple[Finding, ...]
+
+    @property
+    def errors(self) -> tuple[Finding, ...]:
+        """What no body can have."""
+        return tuple(f for f in self.findings if f.severity == "error")
+
+    @property
+    def warnings(self) -> tuple[Finding, ...]:
+        """What is implausible."""
+        return tuple(f for f in self.findings if f.severity == "warning")
+
+    @property
+    def passed(self) -> bool:
+        """Whether there are no errors."""
+        return not self.errors
+
+    def table(self) -> str:
+        """Return the bodies as aligned text; ``-`` where a number does not exist."""
+        header = ("link", "mass", "moments", "second moment", "triangle", "com outside", "density")
+        lines: list[tuple[str, ...]] = [header]
+        for body in self.bodies:
+            moments = "-"
+            if body.moments is not None:
+                moments = " ".join(f"{x:.3g}" for x in body.moments)
+            numbers = (body.second_moment, body.triangle_ratio, body.com_outside, body.density)
+            mark = "" if body.consistent is not False else " !"
+            lines.append((body.link + mark, _cell(body.mass), moments, *map(_cell, numbers)))
+        widths = [max(len(line[k]) for line in lines) for k in range(len(header))]
+        return "\n".join(
+            "  ".join(
+                cell.ljust(w) if k == 0 else cell.rjust(w)
+                for k, (cell, w) in enumerate(zip(line, widths, strict=True))
+            )
+            for line in lines
+        )
+
+    def describe(self) -> str:
+        """Return the findings, one a line, and the count."""
+        lines = [
+            f"{f.severity}: " + (f"link '{f.link}': " if f.link else "") + f.message
+            for f in self.findings
+        ]
+        notes = len(self.findings) - len(self.errors) - len(self.warnings)
+        lines.append(
+            f"{self.name}: {len(self.bodies)} links, {len(self.errors)} errors, "
+            f"{len(self.warnings)} warnings, {notes} notes"
+        )
+        return "\n".join(lines)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return everything as plain values."""
+        return {
+            "name": self.name,
+            "passed": self.passed,
+            "bodies": [asdict(body) for body in self.bodies],
+            "findings": [asdict(finding) for finding in self.findings],
+        }
+
+
+def audit_urdf(
+    source: str | os.PathLike[str], *, package_dirs: Sequence[str | os.PathLike[str]] = ()
+) -> UrdfAudit:
+    """Audit the inertias of a URDF, or of an MJCF file, link by link as written.
+
+    Errors are what no body can have, decided in exact arithmetic on the decimals of the file:
+    tensors that violate the triangle inequality or are not positive, negative masses, inertia
+    without mass, asymmetric tensors, numbers that are none, joints that move nothing. Warnings
+    are what is implausible: tensors without thickness, placeholders, copies, centres of mass,
+    densities and radii of gyration that do not fit the geometry, units, the wrong point.
+
+    Parameters
+    ----------
+    source : str or path
+        The file, or its text. MJCF is read by MuJoCo (extra ``sim``), without its shapes.
+    package_dirs : sequence of paths, optional
+        Folders for ``package://`` names, besides the file's own and those above it.
+
+    Returns
+    -------
+    UrdfAudit
+
+    Raises
+    ------
+    ModelError
+        When it cannot be read.
+    """
+    found = read_description(source)
+    text, path, what = found.text, found.path, found.what
+    if is_mjcf(text, what):
+        from sdpid.robot.description.mjcf_bodies import read_mjcf_bodies
+
+        bodies = read_mjcf_bodies(text, path, what)
+        shapes: dict[str, _Shapes] = {}
+        findings: list[Finding] = []
+    else:
+        root, bodies = read_urdf_bodies(text, what)
+        folders = [Path(folder) for folder in package_dirs]
+        if path is not None:
+            folders.append(path.parent)
+        shapes, findings = _shapes(root, what, folders)
+    for body in bodies:
+        findings += check_numbers(body)
+        shape = shapes.get(body.name, _NO_SHAPE)
+        if shape.whole is not None:
+            findings += check_shape(body, shape.collision or shape.whole, shape.whole)
+        else:
+            findings += check_without_shape(body)
+    findings += check_copies(bodies, {name: shape.whole for name, shape in shapes.items()})
+    findings += check_moving(bodies)
+    findings.sort(key=lambda finding: _ORDER[finding.severity])
+    return UrdfAudit(
+        name=what,
+        bodies=tuple(_numbers(body, shapes.get(body.name, _NO_SHAPE)) for body in bodies),
+        findings=tuple(findings),
+    )
+
+
+@dataclass(frozen=True)
+class _Shapes:
+    """The hull of a link's collision geometry, and that of everything it shows."""
+
+    collision: Shape | None = None
+    whole: Shape | None = None
+
+
+_NO_SHAPE = _Shapes()
+
+
+def _shapes(
+    root: Any, what: str, folders: Sequence[Path]
+) -> tuple[dict[str, _Shapes], list[Finding]]:
+    """Return the hulls of the geometry by link, and what could not be read."""
+    shapes, failed, first = {}, 0, ""
+    for link in root.findall("link"):
+        points = {}
+        for kind in ("collision", "visual"):
+            try:
+                points[kind] = link_points(link, kind, what, folders)
+            except ModelError as cause:
+                points[kind] = np.empty((0, 3))
+                failed += 1
+                first = first or str(cause)
+        shapes[link.get("name", "")] = _Shapes(
+            Shape.around(points["collision"]),
+            Shape.around(np.concatenate([points["collision"], points["visual"]])),
+        )
+    if not failed:
+        return shapes, []
+    message = f"{failed} geometries cannot be read and are not compared; the first: {first}"
+    return shapes, [Finding(severity="note", kind="geometry", link="", message=message)]
+
+
+def _numbers(body: DescribedBody, shapes: _Shapes) -> BodyAudit:
+    tensor, mass = body.tensor, body.mass
+    moments = second = ratio = gyration = outside = density = None
+    if tensor is not None:
+        values = np.linalg.eigvalsh(tensor)
+        moments = tuple(float(x) for x in values)
+        second = float(np.linalg.eigvalsh(second_moment_from_inertia(tensor))[0])
+        if values[0] + values[1] > 0.0:
+            ratio = float(values[2] / (values[0] + values[1]))
+        trace = float(np.trace(tensor))
+        if mass is not None and mass > 0.0 and trace >= 0.0:
+            gyration = float(np.sqrt(0.5 * trace / mass))
+    if shapes.whole is not None and mass is not None and mass > 0.0:
+        density = mass / shapes.whole.volume
+        if body.com is not None:
+            outside = (shapes.collision or shapes.whole).distance(body.com)
+    return BodyAudit(
+        link=body.name,
+        moving=body.moving,
+        consistent=consistent(body) if body.described else None,
+        mass=mass,
+        com=None if body.com is None else tuple(float(x) for x in body.com),
+        moments=moments,
+        second_moment=second,
+        triangle_ratio=ratio,
+        gyration=gyration,
+        com_outside=outside,
+        density=density,
+    )
+
+
+def _cell(value: float | None) -> str:
+    return "-" if value is None else f"{value:.3g}"

@@ -1,0 +1,1 @@
+"""Residuals, validation, provenance, active constraints, the mass matrix."""

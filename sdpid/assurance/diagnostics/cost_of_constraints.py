@@ -1,0 +1,254 @@
+"""The cost of constraints: how much effort error they add, joint by joint.
+
+Together they cost the difference between the constrained optimum and the unconstrained fit. One of
+them costs what leaving it out alone would save: the problem is solved again without it, which holds
+however far the parameters then move, where its multiplier is right for small moves only.
+Constraints that share a cost cannot each save all of it, and where either of two would do, leaving
+out one saves nothing, so these costs do not add up to the total. What a local solver missed of the
+optimum is no constraint's cost and is reported apart.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from sdpid._common.arrays import Array, frozen
+from sdpid.errors import DataError
+from sdpid.estimation.compression.covariance import JointRows
+from sdpid.estimation.conic.solve import ConicProgram, solve_conic
+from sdpid.estimation.estimate import Estimate
+from sdpid.estimation.scaling import Scaling
+from sdpid.estimation.sdp.program import Coordinates, SdpProgram
+from sdpid.estimation.sdp.solve import solve_sdp
+from sdpid.estimation.wls import solve_wls
+
+# Clarabel's regularisations; the cheapest of what they find counts.
+_REGULARISATIONS = (1e-10, 1e-8)
+
+# Multipliers count from this share of the cost over their constraint's size on: below, leaving the
+# constraint out would save less than the solver's accuracy.
+_PRESSES = 1e-7
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class CostOfConstraints:
+    """Effort error that constraints add.
+
+    Attributes
+    ----------
+    joint_names : tuple of str
+        The joints.
+    rmse : ndarray, shape (n,)
+        Root mean square error of the constrained optimum on its own rows, N·m; 0 where a joint has
+        no rows.
+    rmse_free : ndarray, shape (n,)
+        Root mean square error of the unconstrained fit, N·m.
+    cost, cost_free : float
+        Weighted cost of both.
+    excess : float
+        Weighted cost of the estimate above that of the constrained optimum.
+    constraints : tuple of str
+        Active constraints that cost something.
+    saved : ndarray, shape (constraints,)
+        What leaving out each of them alone takes off the weighted cost.
+    increase : ndarray, shape (constraints, n)
+        What each of them alone adds to the joints' root mean square errors, N·m. A constraint may
+        make one joint better at the expense of others.
+    """
+
+    joint_names: tuple[str, ...]
+    rmse: Array
+    rmse_free: Array
+    cost: float
+    cost_free: float
+    excess: float
+    constraints: tuple[str, ...]
+    saved: Array
+    increase: Array
+
+    @property
+    def total(self) -> Array:
+        """What all constraints together add to the root mean square errors, N·m, shape (n,)."""
+        return np.asarray(self.rmse - self.rmse_free)
+
+    def table(self) -> str:
+        """Return aligned text: one line a constraint, one column a joint."""
+        lines = [("N.m of rmse", "cost", *self.joint_names)]
+        above = f"{self.excess:+.3g}", *("" for _ in self.joint_names)
+        for name, cost, values in (
+            ("unconstrained", self.cost_free, self.rmse_free),
+            ("all constraints", self.cost - self.cost_free, self.total),
+            *zip(self.constraints, self.saved.tolist(), self.increase, strict=True),
+        ):
+            sign = "" if name == "unconstrained" else "+"
+            cells = (f"{value:{sign}.3g}" for value in (cost, *values))
+            lines.append((name, *cells))
+        if self.excess > 0.0:
+            lines.append(("estimate above the optimum", *above))
+        widths = [max(map(len, column)) for column in zip(*lines, strict=True)]
+        return "\n".join(
+            "  ".join(
+                cell.ljust(width) if j == 0 else cell.rjust(width)
+                for j, (cell, width) in enumerate(zip(line, widths, strict=True))
+            )
+            for line in lines
+        )
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return plain values for JSON."""
+        return {
+            "joints": list(self.joint_names),
+            "rmse": self.rmse.tolist(),
+            "rmse_unconstrained": self.rmse_free.tolist(),
+            "cost": self.cost,
+            "cost_unconstrained": self.cost_free,
+            "excess": self.excess,
+            "constraints": [
+                {"name": name, "cost": cost, "rmse": values}
+                for name, cost, values in zip(
+                    self.constraints, self.saved.tolist(), self.increase.tolist(), strict=True
+                )
+            ],
+        }
+
+
+def cost_of_constraints(estimate: Estimate) -> CostOfConstraints:
+    """Return the effort error that the constraints of an estimate's problem add.
+
+    They are compared at the constrained optimum, which is solved for where the estimate comes from
+    another solver than the SDP.
+
+    Parameters
+    ----------
+    estimate : Estimate
+        With standard parameters.
+
+    Returns
+    -------
+    CostOfConstraints
+
+    Raises
+    ------
+    DataError
+        When the method has no standard parameters.
+    """
+    problem = estimate.problem
+    if estimate.theta is None:
+        raise DataError(
+            f"cost of constraints: method '{estimate.method}' has none; give an estimate of a "
+            "constrained solver."
+        )
+    rows = JointRows.of(problem.rows)
+    used = np.maximum(rows.used, 1.0)
+
+    def rmse(base: Array) -> Array:
+        error = np.append(base, -1.0)
+        squares = [float(np.sum((triangle.R @ error) ** 2)) for triangle in rows.triangles]
+        return np.asarray(np.sqrt(np.array(squares) / used))
+
+    best = estimate if estimate.method == "sdp" else solve_sdp(problem)
+    free = solve_wls(problem)
+    constrained = rmse(best.base)
+    names, saved, increase = [], [], []
+    for name, theta in _without(best):
+        names.append(name)
+        saved.append(best.cost - problem.cost_of(theta))
+        increase.append(constrained - rmse(problem.base_of(theta)))
+    return CostOfConstraints(
+        joint_names=problem.robot.joint_names,
+        rmse=frozen(constrained),
+        rmse_free=frozen(rmse(free.base)),
+        cost=best.cost,
+        cost_free=free.cost,
+        excess=estimate.cost - best.cost,
+        constraints=tuple(names),
+        saved=frozen(saved),
+        increase=frozen(np.reshape(increase, (len(names), len(constrained)))),
+    )
+
+
+def _without(estimate: Estimate) -> Iterator[tuple[str, Array]]:
+    """Yield the constraints that press, with the optimum without each."""
+    problem, theta = estimate.problem, np.array(estimate.theta)
+    feasible = problem.feasible
+    scaling = Scaling.of(problem)
+    scaling = replace(scaling, cost=max(scaling.cost, estimate.cost))
+    coordinates = Coordinates.of(problem, scaling.basis(), theta)
+    if coordinates is None:
+        return
+    boxed = np.ones(problem.n_theta, dtype=bool)
+    program = SdpProgram.build(problem, scaling, coordinates, boxed)
+    found = _solved(program.conic, None)
+    if found is None:
+        return
+    _, rows, duals = found
+    blocks = program.conic.blocks
+    for at, (i, dual) in enumerate(zip(program.moving, duals, strict=True)):
+        if float(np.trace(dual)) > _PRESSES:
+            conic = replace(program.conic, blocks=blocks[:at] + blocks[at + 1 :])
+            yield from _relaxed(feasible.block_names[i], conic, program)
+    names = [_bound_name(estimate, int(k)) for k in program.bounded]
+    names += [feasible.row_names[j] for j in coordinates.limited(problem, scaling)]
+    for j in np.flatnonzero(np.abs(rows) > _PRESSES):
+        lower, upper = program.conic.lower.copy(), program.conic.upper.copy()
+        lower[j], upper[j] = -np.inf, np.inf
+        conic = replace(program.conic, lower=lower, upper=upper)
+        yield from _relaxed(names[j], conic, program)
+    yield from _without_equations(estimate, scaling, theta)
+
+
+def _without_equations(
+    estimate: Estimate, scaling: Scaling, theta: Array
+) -> Iterator[tuple[str, Array]]:
+    """Yield the equations among the constraints, with the optimum without each."""
+    problem = estimate.problem
+    feasible = problem.feasible
+    boxed = np.ones(problem.n_theta, dtype=bool)
+    for j in np.flatnonzero(feasible.equations):
+        lower, upper = feasible.row_lower.copy(), feasible.row_upper.copy()
+        lower[j], upper[j] = -np.inf, np.inf
+        other = replace(
+            problem, feasible=replace(feasible, row_lower=frozen(lower), row_upper=frozen(upper))
+        )
+        coordinates = Coordinates.of(other, scaling.basis(), theta)
+        if coordinates is not None:
+            program = SdpProgram.build(other, scaling, coordinates, boxed)
+            yield from _relaxed(feasible.row_names[j], program.conic, program)
+
+
+def _relaxed(name: str, conic: ConicProgram, program: SdpProgram) -> Iterator[tuple[str, Array]]:
+    """Yield the optimum of a program with one constraint less, unless none is found."""
+    found = _solved(conic, program.problem.cost_of, program.coordinates.theta)
+    if found is not None:
+        yield name, program.coordinates.theta(found[0])
+
+
+def _solved(
+    conic: ConicProgram,
+    cost: Callable[[Array], float] | None,
+    theta: Callable[[Array], Array] | None = None,
+) -> tuple[Array, Array, tuple[Array, ...]] | None:
+    """Return point and multipliers of the cheapest of some attempts."""
+    best, least = None, np.inf
+    for regularisation in _REGULARISATIONS:
+        solution = solve_conic(conic, regularisation=regularisation)
+        if solution.x is None or "Infeasible" in solution.status:
+            continue
+        value = 0.0 if cost is None or theta is None else cost(theta(solution.x))
+        if value < least:
+            best, least = (solution.x, solution.rows, solution.blocks), value
+    return best
+
+
+def _bound_name(estimate: Estimate, k: int) -> str:
+    """Return what a bound on a parameter is called."""
+    problem, feasible = estimate.problem, estimate.problem.feasible
+    if not feasible.bounded[k]:
+        return f"theta_max of {problem.base.theta_names[k]}"
+    if k < 10 * feasible.n_links:
+        return f"mass of {problem.robot.link_names[k // 10]}"
+    return f"sign of {problem.base.theta_names[k]}"

@@ -1,0 +1,277 @@
+"""How a constrained estimate scatters: its data drawn again, its problem solved again.
+
+Drawn are blocks of consecutive samples, as many as there are, each beginning anywhere (the record
+wraps around at its end) [politis1992]_: residuals of filtered signals are correlated, but hardly
+from one block to the next. Every draw brings its own regressor, so nothing is assumed of the
+noise's distribution or of how it depends on the motion. Rows are compressed beforehand: a draw adds
+up small matrices. Or whole periods are drawn, of which only the efforts differ.
+
+The intervals are about base parameters and what they determine. At a boundary of the feasible set
+the bootstrap is known not to be consistent [andrews2000]_: an estimate that a constraint holds
+scatters to one side only.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import chain
+from typing import Literal
+
+import numpy as np
+
+from sdpid._common.arrays import Array, frozen
+from sdpid._common.jobs import parallel
+from sdpid._common.seeds import generator
+from sdpid.errors import DataError, SolverError
+from sdpid.estimation.cluster_robust import Groups, ScoreBlocks
+from sdpid.estimation.estimate import Estimate
+from sdpid.estimation.sdp.reusable import Prepared, program_about
+
+Kind = Literal["percentile", "basic"]
+KINDS: tuple[Kind, ...] = ("percentile", "basic")
+
+# Pieces of a block at which a drawn block may begin.
+_PIECES = 2
+
+# Clarabel's regularisations, in turn until one ends with an accurate point.
+_REGULARISATIONS = (1e-10, 1e-8)
+
+# A cost that may be this share above the optimum, by the solver's own account, is no solution:
+# with a million rows that is a hundredth of a variance.
+_ACCURATE = 1e-8
+
+# Draws that are one job: what they share is sent once.
+_TOGETHER = 25
+
+# Draws that must be expected beyond each end: fewer say nothing about where it is.
+_BEYOND = 2.0
+
+# Where more draws than this share come without a solution, the rest is no sample of anything.
+_MOST_LOST = 0.02
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Resampled:
+    """Estimates of data that were drawn again.
+
+    Attributes
+    ----------
+    base : ndarray, shape (draws, b)
+        Base parameters of each.
+    lost : int
+        Draws without a solution.
+    seconds : float
+        In the solver.
+    """
+
+    base: Array
+    lost: int
+    seconds: float
+
+    def quantiles(
+        self, functionals: Array, level: float, kind: Kind, centre: Array
+    ) -> tuple[Array, Array]:
+        """Return the ends (k,) of intervals of functions (k, b) of the base parameters.
+
+        Parameters
+        ----------
+        functionals : ndarray, shape (k, b)
+            The functions.
+        level : float
+            Probability.
+        kind : {"percentile", "basic"}
+            Quantiles of the draws, or mirrored about the centre.
+        centre : ndarray, shape (b,)
+            The estimate.
+        """
+        if kind not in KINDS:
+            raise DataError(f"bootstrap: kind is {kind!r}; use 'percentile' or 'basic'.")
+        tail = 0.5 * (1.0 - level)
+        # A probability of 1 − 0.95 is not exactly 0.05.
+        needed = int(np.ceil(_BEYOND / tail - 1e-6))
+        if len(self.base) < needed:
+            raise DataError(
+                f"bootstrap: {len(self.base)} resamples say too little of the ends at level "
+                f"{level}; at least {needed} are needed."
+            )
+        drawn = self.base @ functionals.T
+        # The ends are the draws number (count + 1)·tail from either side.
+        low, high = np.quantile(drawn, [tail, 1.0 - tail], axis=0, method="weibull")
+        if kind == "percentile":
+            return np.asarray(low), np.asarray(high)
+        middle = 2.0 * functionals @ centre
+        return np.asarray(middle - high), np.asarray(middle - low)
+
+
+def resampled(
+    estimate: Estimate,
+    *,
+    resamples: int = 400,
+    groups: Groups = "blocks",
+    seed: int | np.random.Generator = 0,
+    n_jobs: int | None = None,
+) -> Resampled:
+    """Draw the data of an estimate again, and estimate every time.
+
+    Parameters
+    ----------
+    estimate : Estimate
+        From any solver. Unconstrained estimates are repeated in closed form, all others as the
+        global optimum under the problem's constraints.
+    resamples : int, optional
+        Number of draws.
+    groups : {"blocks", "periods"}, optional
+        What is drawn.
+    seed : int or numpy.random.Generator, optional
+        Of the draws. Each draw has its own generator, of this seed and its number: the first 400
+        of 1000 draws are those of 400.
+    n_jobs : int, optional
+        Jobs (joblib), by default one a core: threads, or the backend of a surrounding
+        ``joblib.parallel_config``, such as Dask's. The result does not depend on it.
+
+    Returns
+    -------
+    Resampled
+
+    Raises
+    ------
+    DataError
+        When there are too few groups or draws, or the seed is no whole number from 0 on.
+    SolverError
+        When too many draws have no solution.
+    """
+    if resamples < 1:
+        raise DataError(f"bootstrap: {resamples} resamples; at least 1 is needed.")
+    from joblib import delayed
+
+    problem = estimate.problem
+    if groups == "blocks":
+        size = max(problem.samples.block // _PIECES, 1)
+        pieces = ScoreBlocks.of(problem, groups, size=size)
+        run = _PIECES if size > 1 else 1
+    else:
+        pieces, run = ScoreBlocks.of(problem, groups), 1
+    draws = _Draws(pieces, run, _whole(seed), Again.of(estimate))
+    starts = range(0, resamples, _TOGETHER)
+    tasks = (delayed(draws.solve)(range(i, min(i + _TOGETHER, resamples))) for i in starts)
+    done = list(chain.from_iterable(parallel(n_jobs, threads=True)(tasks)))
+    base = [found for found, _ in done if found is not None]
+    lost = resamples - len(base)
+    if lost > _MOST_LOST * resamples:
+        raise SolverError(
+            f"bootstrap: {lost} of {resamples} draws have no solution (limit "
+            f"{_MOST_LOST:.0%}); use method='profile'.",
+            problem=problem,
+        )
+    return Resampled(base=frozen(base), lost=lost, seconds=sum(seconds for _, seconds in done))
+
+
+def _whole(seed: int | np.random.Generator) -> int:
+    """Return a seed as a number, from which each draw's generator is made."""
+    rng = generator(seed)
+    return int(rng.integers(2**63)) if isinstance(seed, np.random.Generator) else int(seed)
+
+
+@dataclass(frozen=True, eq=False)
+class _Draws:
+    """What is drawn, and what it is estimated with; small enough to be sent to other processes.
+
+    Attributes
+    ----------
+    pieces : ScoreBlocks
+        The data.
+    run : int
+        Consecutive pieces that are drawn together.
+    seed : int
+        Of all draws.
+    again : Again
+        The estimate.
+    """
+
+    pieces: ScoreBlocks
+    run: int
+    seed: int
+    again: Again
+
+    def times(self, number: int) -> Array:
+        """Return how often a draw has each piece, (G,)."""
+        count = self.pieces.count
+        rng = np.random.default_rng([self.seed, number])
+        starts = rng.integers(0, count, max(round(count / self.run), 1))
+        drawn = (starts[:, None] + np.arange(self.run)).ravel() % count
+        times = np.bincount(drawn, minlength=count).astype(float)
+        # As many as there are: where they do not divide, the weight is shared out.
+        times *= count / times.sum()
+        if self.pieces.groups == "periods":
+            # A mean of G draws varies less than one of G periods by (G − 1)/G.
+            times = 1.0 + (times - 1.0) * np.sqrt(count / (count - 1.0))
+        return times
+
+    def solve(self, numbers: range) -> list[tuple[Array | None, float]]:
+        """Return the base parameters of some draws, and the seconds in the solver."""
+        pieces, found = self.pieces, []
+        for number in numbers:
+            # Each draw is added up by itself and without BLAS, piece by piece: a product of the
+            # weights of many draws rounds by how many there are.
+            times = self.times(number)
+            information = np.einsum("g,gij->ij", times, pieces.information)
+            target = np.einsum("g,gi->i", times, pieces.target)
+            found.append(self.again.solve(information, target))
+        return found
+
+
+@dataclass(frozen=True, eq=False)
+class Again:
+    """The problem of other data, about the estimate.
+
+    Attributes
+    ----------
+    printed : bool
+        Whether the cost is the norm of the normal equations' residual itself.
+    programs : tuple of Prepared
+        What is solved: with the bounds that any data need, then with all of them; nothing where
+        there is a closed form.
+    """
+
+    printed: bool
+    programs: tuple[Prepared, ...]
+
+    @classmethod
+    def of(cls, estimate: Estimate) -> Again:
+        """Prepare."""
+        problem = estimate.problem
+        printed = problem.weighting in ("eq9", "eq18")
+        if estimate.method == "wls" or estimate.theta is None:
+            return cls(printed, ())
+        theta, few = np.array(estimate.theta), problem.feasible.bounded
+        programs = [
+            program_about(problem, theta, estimate.cost, boxed)
+            for boxed in (few, np.ones_like(few))
+        ]
+        return cls(printed, tuple(Prepared.of(program) for program in programs))
+
+    def solve(self, information: Array, target: Array) -> tuple[Array | None, float]:
+        """Return the base parameters of some data, None where none are found, and the seconds."""
+        scale = np.sqrt(np.maximum(np.diagonal(information), np.finfo(float).tiny))
+        if self.printed:
+            A, rhs = information, target
+        else:
+            try:
+                root = np.linalg.cholesky(information / np.outer(scale, scale))
+            except np.linalg.LinAlgError:
+                return None, 0.0
+            A = np.asarray(root.T * scale)
+            rhs = np.asarray(np.linalg.solve(root, target / scale))
+        if not self.programs:
+            return np.asarray(np.linalg.solve(A / scale, rhs) / scale), 0.0
+        seconds = 0.0
+        for program in self.programs:
+            for regularisation in _REGULARISATIONS:
+                solution = program.solve(A, rhs, regularisation=regularisation)
+                seconds += solution.seconds
+                if solution.x is None or solution.error > _ACCURATE:
+                    continue
+                if np.all(program.inside(program.coordinates.theta(solution.x))):
+                    return np.asarray(program.origin + program.base @ solution.x), seconds
+                break
+        return None, seconds

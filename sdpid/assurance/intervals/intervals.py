@@ -1,0 +1,394 @@
+"""Intervals for base and standard parameters.
+
+Three kinds, each with its own question (see docs/intervals.md):
+
+* ``profile``: what feasible parameters have a cost that the data do not rule out? Extremes over
+  all of them, proven from multipliers (see `sdpid.assurance.intervals.profile_likelihood`). It is
+  the only one that says something of parameters that the data leave open and physics bounds.
+* ``gauss_markov``: how far is the unconstrained fit from the truth? Standard errors from blocks of
+  samples, corrected for leverage (see `sdpid.estimation.cluster_robust`).
+* ``bootstrap``: how would the constrained estimate scatter? Blocks of samples are drawn again,
+  and the constrained problem is solved every time (see `sdpid.assurance.intervals.bootstrap`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass, field
+from typing import Any, Literal
+
+import numpy as np
+
+from sdpid._common.arrays import Array, Mask, frozen
+from sdpid._common.threads import one_thread
+from sdpid.assurance.intervals.bootstrap import Kind, resampled
+from sdpid.assurance.intervals.parameters import ParameterFunctions
+from sdpid.assurance.intervals.profile_likelihood import End, ProfileBounds
+from sdpid.errors import DataError
+from sdpid.estimation.cluster_robust import Groups, ScoreBlocks
+from sdpid.estimation.estimate import Estimate
+from sdpid.estimation.information import require_excitation
+from sdpid.estimation.problem import Problem
+
+Method = Literal["profile", "gauss_markov", "bootstrap"]
+
+FROM_DATA = "from data"
+FROM_PHYSICS = "from physics"
+FROM_PRIOR = "from the prior"
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Intervals:
+    """Intervals of some parameters.
+
+    Attributes
+    ----------
+    names : tuple of str
+        The parameters.
+    kind : tuple of str
+        ``"base"`` or ``"standard"``, one each.
+    units : tuple of str
+        Their units.
+    lower, upper : ndarray, shape (k,)
+        The ends.
+    estimate : ndarray, shape (k,)
+        What they are about: the estimate, with ``gauss_markov`` the unconstrained fit.
+    label : tuple of str
+        What bounds each: ``"from data"``, bounded by the data with the physics switched off;
+        ``"from physics"``, bounded only with consistency, signs and masses; ``"from the prior"``,
+        bounded only by theta_max or by a prior.
+    by_mass : ndarray of bool, shape (k, 2)
+        Ends that rest on the largest mass allowed (Constraints.mass_max).
+    level : float
+        Stated probability.
+    method : str
+        How they were made.
+    groups : str
+        What was taken as independent: ``"blocks"`` or ``"periods"``.
+    slack : ndarray, shape (k, 2), or None
+        Of profile intervals: how far each end, which is proven, is outside of what is attained.
+    seconds : float
+        In the solver.
+    solves : int
+        Programs solved.
+    """
+
+    names: tuple[str, ...]
+    kind: tuple[str, ...]
+    units: tuple[str, ...]
+    lower: Array
+    upper: Array
+    estimate: Array
+    label: tuple[str, ...]
+    by_mass: Mask
+    level: float
+    method: str
+    groups: str
+    slack: Array | None = None
+    seconds: float = 0.0
+    solves: int = field(default=0)
+
+    def __len__(self) -> int:
+        return len(self.names)
+
+    @property
+    def width(self) -> Array:
+        """Upper less lower, shape (k,)."""
+        return np.asarray(self.upper - self.lower)
+
+    def contains(self, values: Any) -> Mask:
+        """Return which intervals hold the given values (k,)."""
+        values = np.asarray(values, dtype=np.float64)
+        return np.asarray((self.lower <= values) & (values <= self.upper))
+
+    def table(self) -> str:
+        """Return aligned text, one line a parameter; an asterisk marks ends at the largest mass."""
+        lines = [("parameter", "unit", "lower", "estimate", "upper", "label")]
+        for i, name in enumerate(self.names):
+            ends = [
+                f"{value:.5g}" + ("*" if rests else " ")
+                for value, rests in zip(
+                    (self.lower[i], self.upper[i]), self.by_mass[i].tolist(), strict=True
+                )
+            ]
+            middle = f"{self.estimate[i]:.5g}"
+            lines.append((name, self.units[i], ends[0], middle, ends[1], self.label[i]))
+        widths = [max(map(len, column)) for column in zip(*lines, strict=True)]
+        out = []
+        for line in lines:
+            cells = zip(line, widths, strict=True)
+            out.append(
+                "  ".join(
+                    cell.rjust(width) if 2 <= j <= 4 else cell.ljust(width)
+                    for j, (cell, width) in enumerate(cells)
+                ).rstrip()
+            )
+        return "\n".join(out)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return plain values for JSON."""
+        return {
+            "method": self.method,
+            "level": self.level,
+            "groups": self.groups,
+            "seconds": self.seconds,
+            "solves": self.solves,
+            "parameters": [
+                {
+                    "name": name,
+                    "kind": self.kind[i],
+                    "unit": self.units[i],
+                    "lower": float(self.lower[i]),
+                    "estimate": float(self.estimate[i]),
+                    "upper": float(self.upper[i]),
+                    "label": self.label[i],
+                    "ends_at_largest_mass": self.by_mass[i].tolist(),
+                }
+                for i, name in enumerate(self.names)
+            ],
+        }
+
+
+@one_thread
+def intervals(
+    estimate: Estimate,
+    *,
+    level: float = 0.95,
+    parameters: Iterable[str] | None = None,
+    method: Method = "profile",
+    groups: Groups = "blocks",
+    resamples: int = 400,
+    kind: Kind = "percentile",
+    seed: int | np.random.Generator = 0,
+    n_jobs: int | None = None,
+) -> Intervals:
+    """Return intervals of base and standard parameters.
+
+    Parameters
+    ----------
+    estimate : Estimate
+        From any solver. Profile intervals need standard parameters.
+    level : float, optional
+        Probability with which each should hold the truth.
+    parameters : iterable of str, optional
+        Names of base or standard parameters; by default all. Only profile intervals can say
+        something of standard parameters that the data leave open: the others leave them out, or
+        raise where they are asked for by name.
+    method : {"profile", "gauss_markov", "bootstrap"}, optional
+        See `sdpid.assurance.intervals.intervals`.
+    groups : {"blocks", "periods"}, optional
+        What is independent: blocks of `samples.block` samples, whose residuals include what the
+        model does not explain; or whole periods, where the samples keep them, which only vary by
+        what does not repeat.
+    resamples : int, optional
+        Of the bootstrap.
+    kind : {"percentile", "basic"}, optional
+        Of the bootstrap: quantiles of the resampled estimates, or mirrored about the estimate.
+    seed : int or numpy.random.Generator, optional
+        Of the bootstrap.
+    n_jobs : int, optional
+        Programs solved at a time (joblib), by default one a core: in threads, or wherever the
+        backend of a surrounding ``joblib.parallel_config`` is. The result does not depend on it.
+
+    Returns
+    -------
+    Intervals
+
+    Raises
+    ------
+    DataError
+        When a name or number makes no sense, or the record is too short.
+    IdentifiabilityError
+        When Gauss-Markov or bootstrap intervals are asked of data that leave base parameters
+        undetermined.
+    SolverError
+        When a program cannot be solved.
+    """
+    if not 0.0 < level < 1.0:
+        raise DataError(f"intervals: level is {level}; give a probability between 0 and 1.")
+    if method not in ("profile", "gauss_markov", "bootstrap"):
+        raise DataError(
+            f"intervals: method is {method!r}; use 'profile', 'gauss_markov' or 'bootstrap'."
+        )
+    problem = estimate.problem
+    asked = (
+        None
+        if parameters is None
+        else tuple([parameters] if isinstance(parameters, str) else parameters)
+    )
+    wanted = ParameterFunctions.of(problem, asked)
+    if method == "profile":
+        return _profile(estimate, wanted, level, groups, n_jobs)
+    require_excitation(problem.excitation)
+    open_ones = [n for n, seen in zip(wanted.names, wanted.determined, strict=True) if not seen]
+    if asked is not None and open_ones:
+        raise DataError(
+            f"intervals: the data alone do not determine {', '.join(open_ones)}; use "
+            "method='profile', which says what physics leaves of them."
+        )
+    wanted = wanted.only(wanted.determined)
+    if method == "gauss_markov":
+        return _gauss_markov(problem, wanted, level, groups)
+    return _bootstrap(estimate, wanted, level, groups, resamples, kind, seed, n_jobs)
+
+
+def _gauss_markov(
+    problem: Problem, wanted: ParameterFunctions, level: float, groups: Groups
+) -> Intervals:
+    """Return the unconstrained fit and quantiles of its standard errors either way."""
+    from scipy.stats import t
+
+    blocks = ScoreBlocks.of(problem, groups)
+    scale = np.linalg.norm(problem.A, axis=0)
+    fit = np.linalg.lstsq(problem.A / scale, problem.rhs, rcond=None)[0] / scale
+    value = wanted.functionals @ fit
+    variance = np.einsum("ki,ij,kj->k", wanted.functionals, blocks.covariance, wanted.functionals)
+    quantile = t.ppf(0.5 * (1.0 + level), blocks.freedom(wanted.functionals))
+    half = quantile * np.sqrt(np.maximum(variance, 0.0))
+    return _made(wanted, value - half, value + half, value, level, "gauss_markov", groups)
+
+
+def _bootstrap(
+    estimate: Estimate,
+    wanted: ParameterFunctions,
+    level: float,
+    groups: Groups,
+    resamples: int,
+    kind: Kind,
+    seed: int | np.random.Generator,
+    n_jobs: int | None,
+) -> Intervals:
+    drawn = resampled(estimate, resamples=resamples, groups=groups, seed=seed, n_jobs=n_jobs)
+    value = wanted.functionals @ estimate.base
+    lower, upper = drawn.quantiles(wanted.functionals, level, kind, estimate.base)
+    return _made(
+        wanted,
+        lower,
+        upper,
+        value,
+        level,
+        "bootstrap",
+        groups,
+        seconds=drawn.seconds,
+        solves=len(drawn.base),
+    )
+
+
+def _profile(
+    estimate: Estimate,
+    wanted: ParameterFunctions,
+    level: float,
+    groups: Groups,
+    n_jobs: int | None,
+) -> Intervals:
+    """Return the extremes over all feasible parameters within the level."""
+    if estimate.theta is None:
+        raise DataError(
+            f"intervals: method '{estimate.method}' gives no standard parameters; use "
+            "method='gauss_markov', or an estimate of a constrained solver."
+        )
+    problem, theta = estimate.problem, np.array(estimate.theta)
+    bounds = ProfileBounds(problem, theta, ScoreBlocks.of(problem, groups), level)
+    asked: list[tuple[Array, Array | None]] = []
+    for function, functional, determined in zip(
+        wanted.functions, wanted.functionals, wanted.determined, strict=True
+    ):
+        moved = bounds.expected(functional) if determined else None
+        asked += [(function, moved), (-function, moved)]
+    found = bounds.minima(asked, n_jobs)
+    ends: list[tuple[End, End]] = list(zip(found[::2], found[1::2], strict=True))
+    box = _box(bounds, wanted, ends)
+    proven = np.array(
+        [
+            (bounds.proven(c, low, box), -bounds.proven(-c, high, box))
+            for c, (low, high) in zip(wanted.functions, ends, strict=True)
+        ]
+    ).reshape(-1, 2)
+    slack = np.array(
+        [
+            [
+                end.found - bounds.proven(sign * c, end, box, end.solved)
+                for sign, end in zip((1.0, -1.0), pair, strict=True)
+            ]
+            for c, pair in zip(wanted.functions, ends, strict=True)
+        ]
+    ).reshape(-1, 2)
+    labels = tuple(
+        FROM_DATA if seen else _label(pair)
+        for seen, pair in zip(wanted.determined.tolist(), ends, strict=True)
+    )
+    return _made(
+        wanted,
+        proven[:, 0],
+        proven[:, 1],
+        wanted.functions @ theta,
+        level,
+        "profile",
+        groups,
+        label=labels,
+        by_mass=np.array([(low.rests[1], high.rests[1]) for low, high in ends]).reshape(-1, 2),
+        slack=frozen(slack),
+        seconds=sum(end.seconds for end in found),
+        solves=sum(end.solves for end in found),
+    )
+
+
+def _label(ends: tuple[End, End]) -> str:
+    """Return what bounds a parameter that the data leave open."""
+    if any(end.rests[0] or end.believed > 0.5 for end in ends):
+        return FROM_PRIOR
+    return FROM_PHYSICS
+
+
+def _box(
+    bounds: ProfileBounds, wanted: ParameterFunctions, ends: list[tuple[End, End]]
+) -> tuple[Array, Array]:
+    """Return bounds of theta that hold at every level used, from the multipliers found."""
+    feasible = bounds.problem.feasible
+    lower, upper = feasible.lower.copy(), feasible.upper.copy()
+    declared = feasible.lower, feasible.upper
+    highest = max((max(end.rise, end.solved) for pair in ends for end in pair), default=0.0)
+    for c, (low, high) in zip(wanted.functions, ends, strict=True):
+        index = np.flatnonzero(c)
+        if len(index) != 1 or c[index[0]] != 1.0:
+            continue
+        k = int(index[0])
+        lower[k] = max(lower[k], bounds.proven(c, low, declared, highest))
+        upper[k] = min(upper[k], -bounds.proven(-c, high, declared, highest))
+    return lower, upper
+
+
+def _made(
+    wanted: ParameterFunctions,
+    lower: Array,
+    upper: Array,
+    value: Array,
+    level: float,
+    method: str,
+    groups: str,
+    *,
+    label: tuple[str, ...] | None = None,
+    by_mass: Mask | None = None,
+    slack: Array | None = None,
+    seconds: float = 0.0,
+    solves: int = 0,
+) -> Intervals:
+    count = len(wanted.names)
+    marks = np.zeros((count, 2), dtype=bool) if by_mass is None else by_mass
+    marks.setflags(write=False)
+    return Intervals(
+        names=wanted.names,
+        kind=wanted.kind,
+        units=wanted.units,
+        lower=frozen(lower),
+        upper=frozen(upper),
+        estimate=frozen(value),
+        label=label or (FROM_DATA,) * count,
+        by_mass=marks,
+        level=level,
+        method=method,
+        groups=groups,
+        slack=slack,
+        seconds=seconds,
+        solves=solves,
+    )

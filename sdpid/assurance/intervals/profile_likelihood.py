@@ -1,0 +1,352 @@
+"""The extremes of linear functions over all feasible parameters whose cost is within a level.
+
+    minimise, maximise c·theta  over feasible theta with ‖G·theta − h‖² ≤ ‖G·theta* − h‖² + rise
+
+One conic program each way; they share everything but the linear cost. What is returned does not
+rest on the solver's word: with its multipliers u of the residual, Z of the matrices (made positive
+semidefinite) and λ of the rows,
+
+    c·theta ≥ (c − G^T·u − Σ F*(Z) − rows^T·λ)·theta + u·h − ‖u‖·rho − Σ⟨Z, F0⟩ + λ·limits
+
+for every such theta, whatever the multipliers, rho² being the level. The bracket is zero but for
+rounding, and what it can amount to is bounded by the box that theta lies in: first the declared
+one, then the one of the bounds found so, at the highest of all levels.
+
+**The level.** The cost is a log-likelihood only up to the size and correlation of the errors. Were
+it one, a rise of z² would make an interval. Where the extreme is taken, theta has moved away from
+the estimate by a residual d = G·(theta − theta*), and to first order it is this combination of the
+data, d·h, that decides how far. So the rise is t²·(d^T·N·d)/(d^T·d) with N the covariance of h that
+the blocks show (the prior's rows count as stated: variance one), and t the quantile of Student's t
+with the degrees of freedom of that combination. For a base parameter of a problem without active
+constraints that is Gauss-Markov's interval; where a constraint is active only the directions count
+along which it lets theta move. d is known when the program is solved: it is solved again where the
+level changes by much.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from sdpid._common.arrays import Array
+from sdpid._common.jobs import parallel
+from sdpid.errors import DataError, SolverError
+from sdpid.estimation.cluster_robust import ScoreBlocks
+from sdpid.estimation.conic.solve import ConicFamily, ConicSolution
+from sdpid.estimation.duality.bound import clip_psd, cost_scale
+from sdpid.estimation.problem import Problem
+from sdpid.estimation.scaling import Scaling
+from sdpid.estimation.sdp.program import Coordinates, SdpProgram
+
+# A level that changes by less than this share is not worth another solve: the multipliers found
+# before prove a bound at the new level too, worse by the square of that share.
+_SETTLED = 0.1
+_ROUNDS = 4
+
+# Ends that are one job: their levels are found together.
+_TOGETHER = 8
+
+# The estimate itself is known to this share of its cost.
+_LEAST_RISE = 1e-6
+
+# Regularisations, tried until the bound proven is within this share of the point found.
+_REGULARISATIONS = (1e-10, 1e-8, 1e-12)
+_CLOSE = 1e-3
+
+# An end that would move by this share, were a limit twice as far, rests on the limit.
+_RESTS = 0.01
+_AT = 0.999
+
+
+@dataclass(frozen=True, eq=False)
+class End:
+    """One extreme, as a minimum: of c·theta at the lower end, of −c·theta at the upper one.
+
+    Attributes
+    ----------
+    found : float
+        At the solver's point: not proven, and within rounding attained.
+    u, Z, rows : ndarray
+        Multipliers of the residual, the matrices and the linear rows.
+    rise : float
+        The level, above the estimate's cost.
+    solved : float
+        The level at which it was found.
+    rests : tuple of bool
+        Whether it rests on theta_max, and on the largest mass.
+    believed : float
+        Share of the prior's rows in what holds it.
+    seconds : float
+        In the solver.
+    solves : int
+        Programs solved.
+    """
+
+    found: float
+    u: Array
+    Z: Array
+    rows: Array
+    rise: float
+    solved: float
+    rests: tuple[bool, bool]
+    believed: float
+    seconds: float = 0.0
+    solves: int = 0
+
+
+_NONE = np.zeros(0)
+_NOTHING = End(0.0, _NONE, _NONE, _NONE, 0.0, 0.0, (False, False), 0.0)
+
+
+class ProfileBounds:
+    """The programs of one estimate.
+
+    Parameters
+    ----------
+    problem : Problem
+        The problem; no log-det prior.
+    theta : ndarray, shape (p,)
+        The estimate.
+    blocks : ScoreBlocks
+        What is known of the errors.
+    level : float
+        Of the intervals, such as 0.95.
+    """
+
+    def __init__(self, problem: Problem, theta: Array, blocks: ScoreBlocks, level: float) -> None:
+        if len(problem.log_det.links):
+            raise DataError(
+                "profile intervals: a log-det prior makes the cost more than squares; use "
+                "method='bootstrap'."
+            )
+        self.problem, self.theta, self.blocks, self.level = problem, theta, blocks, level
+        self.residual = problem.squared.residual(theta)
+        self.least = _LEAST_RISE * max(float(self.residual @ self.residual), cost_scale(problem))
+        data = problem.A @ blocks.covariance @ problem.A.T
+        self.noise = np.eye(len(self.residual))
+        self.noise[: len(data), : len(data)] = data
+        # The size of the level sets, for numbers of order one.
+        self.unit = float(np.sqrt(self.residual @ self.residual + self._start()))
+        scaling = replace(Scaling.of(problem), cost=self.unit**2)
+        coordinates = Coordinates.of(problem, scaling.basis(), np.array(theta))
+        if coordinates is None:
+            raise SolverError(
+                "profile intervals: the equations among the constraints contradict each other.",
+                problem=problem,
+            )
+        self.program = SdpProgram.build(
+            problem, scaling, coordinates, np.ones(problem.n_theta, dtype=bool)
+        )
+        self.family = ConicFamily(replace(self.program.conic, cost=None, radius=1.0))
+
+    def _start(self) -> float:
+        """Return the rise of a typical direction."""
+        count = self.problem.base.count
+        return max(4.0 * float(np.trace(self.noise[:count, :count])) / count, self.least)
+
+    def rises(self, moved: Sequence[Array | None]) -> list[float]:
+        """Return the rise for each extreme, the residual having moved by some vector there.
+
+        Where that is None or next to nothing, it is the rise of a typical direction.
+        """
+        from scipy.special import stdtrit
+
+        count = self.problem.base.count
+        sizes = [0.0 if each is None else float(each @ each) for each in moved]
+        out = [self._start()] * len(moved)
+        known = [i for i, size in enumerate(sizes) if size > self.least * 1e-3]
+        if not known:
+            return out
+        D = np.array([moved[i] for i in known])
+        freedom = self.blocks.freedom(D[:, :count] @ self.problem.A)
+        quantiles = stdtrit(freedom, 0.5 * (1.0 + self.level))
+        variances = np.einsum("ki,ki->k", D @ self.noise, D)
+        for i, quantile, variance in zip(known, quantiles, variances, strict=True):
+            out[i] = max(float(quantile**2 * variance) / sizes[i], self.least)
+        return out
+
+    def expected(self, functional: Array) -> Array:
+        """Return how the residual moves at the extreme of a function (b,) of the base parameters.
+
+        It is that of the problem without constraints.
+        """
+        scale, inverse = self._inverse
+        moved = np.zeros(len(self.residual))
+        moved[: len(scale)] = (functional / scale) @ inverse
+        return moved
+
+    @cached_property
+    def _inverse(self) -> tuple[Array, Array]:
+        """The sizes of the columns of A, and the pseudoinverse of A with columns of size one."""
+        A = self.problem.A
+        scale = np.linalg.norm(A, axis=0)
+        scale = np.where(scale > 0.0, scale, 1.0)
+        return scale, np.asarray(np.linalg.pinv(A / scale, rcond=np.finfo(float).eps * len(A)))
+
+    def minima(
+        self, wanted: Sequence[tuple[Array, Array | None]], n_jobs: int | None = None
+    ) -> list[End]:
+        """Return the least of several functions, as `minimum` does of each.
+
+        Parameters
+        ----------
+        wanted : sequence of (c, moved)
+            The functions, and how the residual is thought to move.
+        n_jobs : int, optional
+            Jobs (joblib), by default one a core: threads, or the backend of a surrounding
+            ``joblib.parallel_config``. The result does not depend on it.
+        """
+        from joblib import delayed
+
+        tasks = [wanted[i : i + _TOGETHER] for i in range(0, len(wanted), _TOGETHER)]
+        found = parallel(n_jobs, threads=True)(delayed(self._some)(task) for task in tasks)
+        return [end for each in found for end in each]
+
+    def _some(self, wanted: Sequence[tuple[Array, Array | None]]) -> list[End]:
+        """Return the least of a few functions: solved one by one, their levels found together."""
+        levels = self.rises([moved for _, moved in wanted])
+        ends: dict[int, End] = {}
+        left = list(range(len(wanted)))
+        for _ in range(_ROUNDS):
+            found = [self._at(wanted[i][0], levels[i]) for i in left]
+            updated = self.rises([moved for _, moved in found])
+            for i, (end, _), rise in zip(left, found, updated, strict=True):
+                before = ends.get(i, _NOTHING)
+                seconds, solves = before.seconds + end.seconds, before.solves + end.solves
+                ends[i] = replace(end, rise=rise, seconds=seconds, solves=solves)
+            left = [i for i in left if abs(ends[i].rise - levels[i]) > _SETTLED * levels[i]]
+            if not left:
+                break
+            for i in left:
+                levels[i] = ends[i].rise
+        return [ends[i] for i in range(len(wanted))]
+
+    def minimum(self, c: Array, moved: Array | None = None) -> End:
+        """Return the least of c·theta.
+
+        Parameters
+        ----------
+        c : ndarray, shape (p,)
+            The function.
+        moved : ndarray, optional
+            How the residual is thought to move, for the first level.
+
+        Raises
+        ------
+        SolverError
+            When the solver finds nothing.
+        """
+        return self._some([(c, moved)])[0]
+
+    def _at(self, c: Array, rise: float) -> tuple[End, Array]:
+        """Return the minimum at a level, and how the residual has moved there."""
+        directions = self.program.coordinates.directions
+        slope = directions.T @ c
+        size = float(np.linalg.norm(slope)) or 1.0
+        radius = self._radius(rise)
+        best: tuple[float, End, Array] | None = None
+        seconds, solves = 0.0, 0
+        box = self.problem.feasible.lower, self.problem.feasible.upper
+        for regularisation in _REGULARISATIONS:
+            solution = self.family.solve(
+                slope / size, radius / self.unit, regularisation=regularisation
+            )
+            seconds, solves = seconds + solution.seconds, solves + 1
+            if solution.x is None or len(solution.ball) == 0:
+                continue
+            end, moved = self._end(c, size, solution, rise)
+            short = end.found - self.proven(c, end, box, rise)
+            if best is None or short < best[0]:
+                best = short, end, moved
+            if short <= _CLOSE * max(abs(end.found - float(c @ self.theta)), 1e-12):
+                break
+        if best is None:
+            raise SolverError(
+                f"profile intervals: the solver found no extreme ({solution.status}); use "
+                "method='gauss_markov' or 'bootstrap'.",
+                problem=self.problem,
+            )
+        return replace(best[1], seconds=seconds, solves=solves), best[2]
+
+    def _radius(self, rise: float) -> float:
+        return float(np.sqrt(self.residual @ self.residual + rise))
+
+    def _end(
+        self, c: Array, size: float, solution: ConicSolution, rise: float
+    ) -> tuple[End, Array]:
+        """Read a solution, and how the residual has moved."""
+        problem, feasible, program = self.problem, self.problem.feasible, self.program
+        theta = program.theta(solution)
+        found = program.multipliers(solution, theta)
+        share = size / self.unit**2
+        u = solution.ball[1:] * size / self.unit
+        rows = share * found.rows
+        limits = np.where(rows > 0.0, feasible.row_lower, feasible.row_upper)
+        rows = np.where(np.isfinite(limits), rows, 0.0)
+        Z = clip_psd(share * found.Z)
+        if np.any(feasible.equations):
+            left = self._left(c, u, Z, np.where(feasible.equations, 0.0, rows))
+            basis = program.scaling.basis()
+            equations = feasible.rows[feasible.equations] @ basis
+            at_limits = left - share * found.bounds
+            rows[feasible.equations] = np.linalg.lstsq(
+                equations.T, basis.T @ at_limits, rcond=None
+            )[0]
+        moved = problem.squared.residual(theta) - self.residual
+        width = max(abs(float(c @ (theta - self.theta))), 1e-300)
+        # What an end would move by, were all limits that theta is at twice as far.
+        limit = np.maximum(np.abs(feasible.lower), np.abs(feasible.upper))
+        held = share * np.abs(np.nan_to_num(found.bounds)) * limit
+        held = np.where(np.abs(theta) >= _AT * limit, held, 0.0)
+        wide = float(np.sum(held[~feasible.bounded]))
+        mass = float(
+            np.sum(held[: 10 * feasible.n_links][feasible.bounded[: 10 * feasible.n_links]])
+        )
+        count = problem.base.count
+        believed = float(u[count:] @ u[count:]) / max(float(u @ u), 1e-300)
+        end = End(
+            found=float(c @ theta),
+            u=u,
+            Z=Z,
+            rows=rows,
+            rise=rise,
+            solved=rise,
+            rests=(wide >= _RESTS * width, mass >= _RESTS * width),
+            believed=believed if float(np.linalg.norm(u)) * self.unit > _RESTS * width else 0.0,
+        )
+        return end, moved
+
+    def _left(self, c: Array, u: Array, Z: Array, rows: Array) -> Array:
+        """Return what multipliers leave of the function."""
+        feasible = self.problem.feasible
+        return np.asarray(
+            c - self.problem.squared.transposed(u) - feasible.adjoint(Z) - rows @ feasible.rows
+        )
+
+    def proven(self, c: Array, end: End, box: tuple[Any, Any], rise: float | None = None) -> float:
+        """Return a value that c·theta is not below, at a level (by default the end's own).
+
+        Parameters
+        ----------
+        c : ndarray, shape (p,)
+            The function.
+        end : End
+            Multipliers.
+        box : tuple of ndarray
+            Lower and upper bounds of theta that hold at this level.
+        rise : float, optional
+            The level.
+        """
+        feasible = self.problem.feasible
+        left = self._left(c, end.u, end.Z, end.rows)
+        radius = self._radius(end.rise if rise is None else rise)
+        limits = np.where(end.rows > 0.0, feasible.row_lower, feasible.row_upper)
+        limits = np.where(end.rows == 0.0, 0.0, limits)
+        value = float(end.u @ self.problem.squared.rhs) - float(np.linalg.norm(end.u)) * radius
+        value -= float(np.einsum("nij,nij->", end.Z, feasible.block_constants))
+        value += float(end.rows @ limits)
+        return value + float(left @ np.where(left > 0.0, box[0], box[1]))

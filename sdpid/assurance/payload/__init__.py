@@ -1,0 +1,1 @@
+"""Identify what is mounted on the last link."""

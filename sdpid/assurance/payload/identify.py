@@ -1,0 +1,447 @@
+"""What is mounted on the last link: mass, centre of mass and inertia, with intervals."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from sdpid._common.arrays import Array, Indices, frozen
+from sdpid._common.threads import one_thread
+from sdpid.assurance.payload.intervals import NOTHING, PayloadIntervals
+from sdpid.assurance.payload.program import (
+    QUANTITIES,
+    QUANTITY_UNITS,
+    PayloadProgram,
+    quantities,
+)
+from sdpid.assurance.payload.rows import (
+    PayloadRows,
+    rows_beside_known,
+    rows_beside_prior,
+    rows_beside_recording,
+)
+from sdpid.errors import DataError, ModelError
+from sdpid.estimation.compression.covariance import Weighting
+from sdpid.estimation.estimate import Estimate
+from sdpid.estimation.prior.prior import Prior
+from sdpid.estimation.problem import Problem, build_problem
+from sdpid.experiment.preparation.for_robot import default_friction, prepare
+from sdpid.experiment.processing.process import Processing
+from sdpid.experiment.processing.samples import Samples
+from sdpid.experiment.readers.read import read_recording
+from sdpid.experiment.recording.recording import Recording
+from sdpid.robot.consistent import raise_second_moments
+from sdpid.robot.friction.model import FrictionModel, FrictionTerm
+from sdpid.robot.friction.terms import BY_NAME
+from sdpid.robot.inertia import (
+    margin,
+    physical_parameters,
+    transform,
+)
+from sdpid.robot.model.load import load_robot
+from sdpid.robot.model.model import RobotModel
+
+Log = Recording | Samples | str | os.PathLike[str]
+
+# Directions in which a unit payload moves the cost by less than this share of the strongest one
+# are invisible, but for rounding.
+_INVISIBLE = 1e-9
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Payload:
+    """What is mounted on a link, as robot controllers ask for it.
+
+    Attributes
+    ----------
+    mass : float
+        kg.
+    com : ndarray, shape (3,)
+        Centre of mass in the frame, m; not finite without a mass.
+    inertia : ndarray, shape (3, 3)
+        About the centre of mass, along the axes of the frame, kg·m².
+    theta : ndarray, shape (10,)
+        The same as the ten parameters about the frame's origin.
+    link, frame : str
+        The link that carries it, and the frame that everything is given in.
+    lower, upper : ndarray, shape (10,)
+        Ends of the intervals of mass, centre of mass, and inertia about it in the order of
+        `names`; infinite where there is none.
+    level : float
+        Their probability.
+    margin : float or None
+        Smallest second moment about the centre of mass, kg·m²; None without a mass.
+    cost, cost_without : float
+        Weighted cost with this payload, and with none.
+    invisible : int
+        How many of the ten directions the recordings say nothing about.
+    shown : bool
+        Whether the recordings tell it from no payload, with the intervals' probability.
+    status : str
+        What the solver said.
+    notes : tuple of str
+        What was assumed, or is to be known.
+    """
+
+    mass: float
+    com: Array
+    inertia: Array
+    theta: Array
+    link: str
+    frame: str
+    lower: Array
+    upper: Array
+    level: float
+    margin: float | None
+    cost: float
+    cost_without: float
+    invisible: int
+    shown: bool
+    status: str
+    notes: tuple[str, ...] = ()
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """The quantities that have intervals."""
+        return QUANTITIES
+
+    @property
+    def values(self) -> Array:
+        """Mass, centre of mass and inertia about it, (10,), in the order of `names`."""
+        return quantities(self.theta)
+
+    def describe(self) -> str:
+        """Return the payload in words and numbers, one quantity a line."""
+        lines = [
+            f"payload of {self.link}, in the frame {self.frame}; inertia about the centre of mass "
+            f"({100.0 * self.level:g} % intervals)"
+        ]
+        for name, unit, value, low, high in zip(
+            QUANTITIES, QUANTITY_UNITS, self.values, self.lower, self.upper, strict=True
+        ):
+            shown = f"{value:.5g}" if np.isfinite(value) else "-"
+            lines.append(f"{name:>6}  {shown:>10} {unit:<6}  {low:>10.4g} … {high:.4g}")
+        return "\n".join([*lines, *self.notes])
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return plain values for JSON."""
+        ends = np.stack([self.lower, self.upper], axis=1)
+        plain = [[float(x) if np.isfinite(x) else None for x in pair] for pair in ends]
+        return {
+            "link": self.link,
+            "frame": self.frame,
+            "mass": self.mass,
+            "centre_of_mass": self.com.tolist() if self.mass > 0.0 else None,
+            "inertia": self.inertia.tolist() if self.mass > 0.0 else None,
+            "level": self.level,
+            "intervals": dict(zip(QUANTITIES, plain, strict=True)),
+            "margin": self.margin,
+            "cost": self.cost,
+            "cost_without": self.cost_without,
+            "invisible_directions": self.invisible,
+            "shown": self.shown,
+            "status": self.status,
+            "notes": list(self.notes),
+        }
+
+
+@one_thread
+def identify_payload(
+    robot: RobotModel | str | os.PathLike[str],
+    with_load: Log,
+    without_load: Log | Estimate | None = None,
+    *,
+    link: str | None = None,
+    frame: str | None = None,
+    prior: Prior | None = None,
+    friction: Iterable[str | FrictionTerm] | None = None,
+    separate: Iterable[str] = ("offset",),
+    processing: Processing | None = None,
+    weighting: Weighting | None = None,
+    mass_max: float = 100.0,
+    extent: float = 1.0,
+    level: float = 0.95,
+) -> Payload:
+    """Identify what is mounted on a link.
+
+    The payload is the body, of all that matter can have, with which the recordings together fit
+    best: its parameters act where the link does and only in the recording with load; those of the
+    arm act in both, and take for every payload the values that fit best. What is known of the
+    arm is
+
+    * a recording without load, or an estimate made from one (of which the data are used, not the
+      result, so that its uncertainty counts);
+    * nothing but the robot's description: with a `prior` it is believed within the prior's limits,
+      without one it is taken as exact and only friction is estimated.
+
+    Parameters
+    ----------
+    robot : RobotModel, name or path
+        The arm without payload; beside an estimate, the estimate's own robot.
+    with_load : Recording, Samples or path
+        What was measured with the payload.
+    without_load : Recording, Samples, path or Estimate, optional
+        What was measured without it.
+    link : str, optional
+        Which link carries it; by default the last one.
+    frame : str, optional
+        A frame fixed to that link, such as the flange's link in the URDF; by default the joint
+        frame of the link.
+    prior : Prior, optional
+        What is believed of the arm beside the data; of a quadratic kind.
+    friction : iterable, optional
+        Friction terms; by default those of the estimate, or as `identify` chooses them.
+    separate : iterable of str, optional
+        Names of friction terms that may differ between the recordings, such as the sensors' zero
+        errors.
+    processing : Processing, optional
+        Of the recordings; by default `default_processing`.
+    weighting : str, optional
+        By default that of the estimate, or ``gls`` for samples with a covariance, else
+        ``residual``.
+    mass_max : float, optional
+        Largest mass, kg.
+    extent : float, optional
+        Largest rms distance of the payload's mass from the frame's origin, m: it bounds what the
+        recordings leave open.
+    level : float, optional
+        Probability of the intervals.
+
+    Returns
+    -------
+    Payload
+
+    Raises
+    ------
+    DataError
+        When the recordings, or a number, make no sense.
+    ModelError
+        When the robot has no such link or frame, or has several last ones.
+    SolverError
+        When the program cannot be solved.
+    """
+    for value, name in ((mass_max, "mass_max"), (extent, "extent")):
+        if not (np.isfinite(value) and value > 0.0):
+            raise DataError(f"payload: {name} is {value}; give a positive number.")
+    if not 0.0 < level < 1.0:
+        raise DataError(f"payload: level is {level}; give a probability between 0 and 1.")
+    given = without_load if isinstance(without_load, Estimate) else None
+    model = _robot(robot, given)
+    number = _link(model, link)
+    rotation, translation, name = _frame(model, number, frame)
+    loaded, arm, notes = _problems(
+        model, with_load, without_load, prior, friction, processing, weighting
+    )
+    chosen, log = (loaded if arm is None else arm), loaded.samples
+    placed = transform(np.eye(10), rotation, translation).T
+    columns = loaded.base.matrix[:, 10 * number : 10 * number + 10] @ placed
+    if arm is not None:
+        rows = rows_beside_recording(loaded, arm, columns, _separate(chosen, separate))
+    elif prior is not None:
+        rows = rows_beside_prior(loaded, columns)
+    else:
+        rows = rows_beside_known(loaded, columns, model.prior)
+    if rows.short:
+        notes += (
+            f"a recording is too short for blocks of {log.block} samples: the intervals trust the "
+            "weighting",
+        )
+    return _solved(rows, model.link_names[number], name, mass_max, extent, level, notes)
+
+
+def _solved(
+    rows: PayloadRows,
+    link: str,
+    frame: str,
+    mass_max: float,
+    extent: float,
+    level: float,
+    notes: tuple[str, ...],
+) -> Payload:
+    program = PayloadProgram(rows, mass_max, extent)
+    singular = np.linalg.svd(rows.matrix * program.units, compute_uv=False)
+    invisible = int(np.count_nonzero(singular <= _INVISIBLE * max(singular[0], 1e-300)))
+    if singular[0] == 0.0:
+        raise DataError("payload: the recordings do not show it at all; move more joints.")
+    if invisible:
+        notes += (
+            f"{invisible} of ten directions are invisible in the recordings: intervals there rest "
+            "on what matter can be",
+        )
+    theta, status = program.solve()
+    theta = _inside(theta)
+    lower, upper = PayloadIntervals(program, theta, level).ends()
+    shown = program.shown(theta, level)
+    if not shown:
+        lower[0] = 0.0
+        notes += ("no payload at all explains the recordings within their errors",)
+    mass, com, inertia = physical_parameters(theta)
+    value = float(margin(theta, "pseudo_inertia"))
+    return Payload(
+        mass=float(mass),
+        com=frozen(com),
+        inertia=frozen(inertia),
+        theta=frozen(theta),
+        link=link,
+        frame=frame,
+        lower=frozen(lower),
+        upper=frozen(upper),
+        level=level,
+        margin=value if np.isfinite(value) else None,
+        cost=program.cost(theta),
+        cost_without=program.cost(np.zeros(10)),
+        invisible=invisible,
+        shown=shown,
+        status=status,
+        notes=notes,
+    )
+
+
+def _inside(theta: Array) -> Array:
+    """Return a body with what a solver leaves negative of its second moments raised to zero."""
+    if not theta[0] > NOTHING:
+        return np.zeros(10)
+    return raise_second_moments(theta)
+
+
+def _robot(robot: RobotModel | str | os.PathLike[str], given: Estimate | None) -> RobotModel:
+    model = robot if isinstance(robot, RobotModel) else load_robot(robot)
+    if given is not None and given.problem.robot is not model:
+        raise DataError(
+            f"payload: the estimate is of another robot object than '{model.name}'; give "
+            "estimate.problem.robot as the robot."
+        )
+    return model
+
+
+def _link(robot: RobotModel, name: str | None) -> int:
+    """Return the link that carries the payload."""
+    if name is not None:
+        if name not in robot.link_names:
+            raise ModelError(
+                f"payload: '{robot.name}' has no link '{name}'; its links are "
+                f"{', '.join(robot.link_names)}."
+            )
+        return robot.link_names.index(name)
+    parents = {int(i) for i in list(robot.pin_model.parents)[1:]}
+    last = [i for i in range(robot.n_links) if i + 1 not in parents]
+    if len(last) > 1:
+        raise ModelError(
+            f"payload: '{robot.name}' has {len(last)} last links, "
+            f"{', '.join(robot.link_names[i] for i in last)}; say which carries it (link=...)."
+        )
+    return last[0]
+
+
+def _frame(robot: RobotModel, link: int, name: str | None) -> tuple[Array, Array, str]:
+    """Return the placement of a frame in a link's joint frame, and what to call it."""
+    if name is None:
+        joint = str(robot.pin_model.names[link + 1])
+        return np.eye(3), np.zeros(3), f"of joint {joint}"
+    fixed = [f for f in robot.pin_model.frames if f.parentJoint == link + 1]
+    for found in fixed:
+        if found.name == name:
+            place = found.placement
+            return np.array(place.rotation), np.array(place.translation), name
+    there = sorted({str(f.name) for f in fixed})
+    raise ModelError(
+        f"payload: no frame '{name}' is fixed to link '{robot.link_names[link]}'; there are "
+        f"{', '.join(there)}."
+    )
+
+
+def _samples(robot: RobotModel, log: Any, processing: Processing | None) -> Samples:
+    if isinstance(log, Samples):
+        return log
+    if not isinstance(log, (Recording, str, os.PathLike)):
+        raise DataError(f"payload: got {type(log).__name__}; give a recording, samples or a path.")
+    record = log if isinstance(log, Recording) else read_recording(log)
+    return prepare(robot, record, processing)
+
+
+def _problems(
+    robot: RobotModel,
+    with_load: Log,
+    without_load: Log | Estimate | None,
+    prior: Prior | None,
+    friction: Iterable[str | FrictionTerm] | None,
+    processing: Processing | None,
+    weighting: Weighting | None,
+) -> tuple[Problem, Problem | None, tuple[str, ...]]:
+    """Return the problems with and without load, compressed with the same base parameters."""
+    if isinstance(with_load, (str, os.PathLike)):
+        with_load = read_recording(with_load)
+    samples = _samples(robot, with_load, processing)
+    if friction is None:
+        friction = ("coulomb", "viscous", "offset")
+        if isinstance(with_load, Recording):
+            friction = default_friction(with_load)
+    terms = tuple(friction)
+    arm: Problem | None = None
+    notes: tuple[str, ...] = ()
+    if isinstance(without_load, Estimate):
+        arm = without_load.problem
+    elif without_load is not None:
+        bare = _samples(robot, without_load, processing)
+        arm = build_problem(
+            robot,
+            bare,
+            friction=terms,
+            weighting=_weighting(weighting, bare),
+            prior=prior,
+            check_excitation=False,
+        )
+    elif not np.all(robot.prior[:, 0] > 0.0) and prior is None:
+        raise ModelError(
+            f"payload: the description of '{robot.name}' gives links no mass; give a recording "
+            "without load."
+        )
+    elif prior is None:
+        notes = ("the links of the arm are taken to be exactly as described",)
+    if arm is not None:
+        terms = arm.friction.terms
+    if prior is not None and prior.strength == "evidence" and arm is None:
+        raise DataError("payload: evidence would weigh the load as an error; give a strength.")
+    loaded = build_problem(
+        robot,
+        samples,
+        friction=terms,
+        weighting=_weighting(weighting, samples),
+        prior=prior if arm is None else None,
+        base=None if arm is None else arm.base,
+        # The arm may move in ways that show the payload and not all of the arm.
+        check_excitation=False,
+    )
+    for problem in (loaded, arm):
+        if problem is not None and problem.weighting in ("eq9", "eq18"):
+            raise DataError(f"payload: weighting '{problem.weighting}' is no likelihood; use gls.")
+    return loaded, arm, notes
+
+
+def _weighting(weighting: Weighting | None, samples: Samples) -> Weighting:
+    return weighting or ("residual" if samples.covariance is None else "gls")
+
+
+def _separate(problem: Problem, names: Iterable[str]) -> Indices:
+    """Return the entries of theta of the friction terms that differ between the recordings."""
+    kinds = []
+    for name in names:
+        if name not in BY_NAME:
+            raise DataError(
+                f"payload: separate names '{name}', which is no friction term; there are "
+                f"{', '.join(BY_NAME)}."
+            )
+        kinds.append(BY_NAME[name])
+    friction: FrictionModel = problem.friction
+    at = 10 * problem.robot.n_links
+    out: list[int] = []
+    for term in friction.terms:
+        count = len(term.parameters(friction.joint_names))
+        if isinstance(term, tuple(kinds)):
+            out += range(at, at + count)
+        at += count
+    return np.array(out, dtype=np.intp)

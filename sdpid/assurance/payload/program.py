@@ -1,0 +1,117 @@
+"""The payload of least cost among all that matter can have."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from sdpid._common.arrays import Array
+from sdpid.assurance.payload.rows import PayloadRows
+from sdpid.errors import SolverError
+from sdpid.estimation.conic.solve import ConicProgram, Matrix, solve_conic
+from sdpid.robot.inertia import matrix_basis, physical_parameters, tensor_entries
+
+# Numbers of order one: a payload's length, m, and its mass where the data have none, kg.
+_LENGTH, _MASS = 0.1, 1.0
+
+# Pull towards a ball, in whitened units: it decides where the data say nothing, and changes what
+# they do say by less than a ten-thousandth of a standard deviation.
+_FAINT = 1e-4
+
+QUANTITIES = (
+    "mass",
+    "com_x",
+    "com_y",
+    "com_z",
+    "Ixx",
+    "Ixy",
+    "Iyy",
+    "Ixz",
+    "Iyz",
+    "Izz",
+)
+QUANTITY_UNITS = ("kg", *("m",) * 3, *("kg.m2",) * 6)
+
+
+def quantities(theta: Array) -> Array:
+    """Return mass, centre of mass, and inertia about it (entries in theta's order), (10,)."""
+    mass, com, inertia = physical_parameters(theta)
+    return np.concatenate([[float(mass)], com, tensor_entries(inertia)])
+
+
+class PayloadProgram:
+    """The semidefinite programs of one payload.
+
+    Parameters
+    ----------
+    rows : PayloadRows
+        The cost.
+    mass_max : float
+        Largest mass, kg.
+    extent : float
+        Largest rms distance of the payload's mass from the frame's origin, m.
+    """
+
+    def __init__(self, rows: PayloadRows, mass_max: float, extent: float) -> None:
+        self.rows = rows
+        fit = np.linalg.lstsq(rows.matrix, rows.rhs, rcond=None)[0]
+        mass = float(np.clip(fit[0], 0.05, mass_max)) if np.isfinite(fit[0]) else _MASS
+        self.units = mass * np.array([1.0, *(_LENGTH,) * 3, *(_LENGTH**2,) * 6])
+        self.cost_unit = float(np.sqrt(max(rows.floor, 1e-7 * float(rows.rhs @ rows.rhs), 1e-300)))
+        linear = rows.matrix * self.units
+        # The mass, and its second moment about the origin, tr(Sigma) = tr(I) / 2.
+        second = np.zeros(10)
+        second[[4, 6, 9]] = 0.5
+        C = np.zeros((2, 10))
+        C[0, 0] = 1.0
+        C[1] = second
+        C[1, 0] -= (extent / _LENGTH) ** 2
+        reference = np.zeros(10)
+        reference[0] = 1.0
+        reference[[4, 6, 9]] = 0.4
+        faint = _FAINT * np.eye(10)
+        basis = matrix_basis("pseudo_inertia")
+        self.conic = ConicProgram(
+            M=np.vstack([linear, faint]) / self.cost_unit,
+            m=-np.concatenate([rows.rhs, faint @ reference]) / self.cost_unit,
+            C=C,
+            lower=np.array([0.0, -np.inf]),
+            upper=np.array([mass_max / mass, 0.0]),
+            blocks=(Matrix(np.arange(10), basis, np.zeros((4, 4))),),
+        )
+        self.seconds, self.solves = 0.0, 0
+
+    def solve(self) -> tuple[Array, str]:
+        """Return the payload (10,) of least cost, and what the solver said.
+
+        Raises
+        ------
+        SolverError
+            When it finds none.
+        """
+        solution = solve_conic(self.conic, regularisation=1e-10)
+        self.seconds += solution.seconds
+        self.solves += 1
+        if solution.x is None:
+            raise SolverError(f"payload: the solver found nothing ({solution.status}).")
+        return solution.x * self.units, solution.status
+
+    def cost(self, theta: Array) -> float:
+        """Return the cost of a payload."""
+        residual = self.rows.matrix @ theta - self.rows.rhs
+        return float(residual @ residual) + self.rows.floor
+
+    def shown(self, theta: Array, level: float) -> bool:
+        """Return whether the recordings show more than chance of a payload.
+
+        No payload at all is the tip of the cone of what matter can be; the cost that it has more
+        than the best one is, without any, at most distributed as chi-square of ten degrees.
+        """
+        from scipy.stats import chi2
+
+        moved = self.rows.matrix @ theta
+        size = float(np.linalg.norm(moved))
+        if not size > 0.0:
+            return False
+        variance, _ = self.rows.error(moved / size)
+        gain = self.cost(np.zeros(10)) - self.cost(theta)
+        return bool(gain > variance * float(chi2.ppf(level, 10)))

@@ -1,0 +1,1 @@
+"""Audit published tables of base parameters."""

@@ -1,0 +1,329 @@
+"""Audit of published base parameters: whether any links that exist can have them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, replace
+from decimal import Decimal
+from fractions import Fraction
+from typing import Any, Literal
+
+import numpy as np
+
+from sdpid._common.arrays import Array, frozen
+from sdpid._common.threads import one_thread
+from sdpid.assurance.tables.proof_search import bound_margin, refute, strongest
+from sdpid.assurance.tables.question import base_question
+from sdpid.assurance.tables.refutation import Refutation, decimal_text
+from sdpid.assurance.tables.witness import Number, Question, exact
+from sdpid.assurance.tables.witness_search import Search
+from sdpid.robot.friction.model import FrictionTerm
+from sdpid.robot.inertia import Consistency
+from sdpid.robot.model.base_parameters import BaseParameters, characteristic_length
+from sdpid.robot.model.model import RobotModel
+
+Verdict = Literal["realisable", "not realisable", "undecided"]
+
+# Changes below this, in units of the halfwidths, are a solver's rounding.
+_NO_CHANGE = 1e-4
+
+# By what share the smallest change is exceeded, for the changed table to have a witness.
+_BEYOND = 1e-4
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class BaseAudit:
+    """What an audit of base parameters found.
+
+    Attributes
+    ----------
+    robot : str
+        Name of the robot.
+    question : Question
+        What was asked, in exact numbers.
+    verdict : {"realisable", "not realisable", "undecided"}
+        The answer; the first two are proven in exact arithmetic.
+    margin : float or None
+        Largest margin that was found (kg·m²; negative: by how much the least consistent link
+        falls short). None where not even that can be had, such as with a negative friction.
+    margin_bound : float or None
+        No links whatever have a larger margin than this, proven under the bound on masses; None
+        where no bound was found.
+    exact_witness : tuple of Fraction, or None
+        Standard parameters of links that can exist and have the base parameters.
+    certificate : Refutation or None
+        The proof that there are none, as short as was found.
+    change : float or None
+        By what factor, less one, all halfwidths must grow for a witness: a witness was found
+        there. 0 when realisable.
+    change_bound : float or None
+        Less than this is proven not to do, within the bounds on masses and on theta.
+    changes : dict
+        The smallest change of the table in sum: what is to be added to an entry beyond its
+        halfwidth.
+    units : dict
+        The entries' units in which changes count: halfwidths where there are any.
+    """
+
+    robot: str
+    question: Question
+    verdict: Verdict
+    margin: float | None
+    margin_bound: float | None
+    exact_witness: tuple[Fraction, ...] | None = None
+    certificate: Refutation | None = None
+    change: float | None = None
+    change_bound: float | None = None
+    changes: Mapping[str, float]
+    units: Mapping[str, float]
+
+    @property
+    def witness(self) -> Array | None:
+        """The witness in floating point, shape (p,); None where there is none."""
+        found = self.exact_witness
+        return None if found is None else frozen([float(x) for x in found])
+
+    def holds(self) -> bool:
+        """Check the witness or the proof anew, in exact arithmetic; False when undecided."""
+        if self.exact_witness is not None:
+            return self.question.is_witness(self.exact_witness)
+        return self.certificate is not None and self.certificate.holds
+
+    @property
+    def needs_mass_bound(self) -> bool | None:
+        """Whether the proof that was found needs the bound on masses; None without a proof."""
+        return None if self.certificate is None else self.certificate.uses_mass_bound
+
+    @property
+    def needs_theta_max(self) -> bool | None:
+        """Whether the proof that was found needs `theta_max`; None without a proof."""
+        return None if self.certificate is None else self.certificate.uses_theta_max
+
+    @property
+    def blamed(self) -> tuple[str, ...]:
+        """Entries that the smallest change in sum touches, the most changed first."""
+        share = {name: abs(x) / self.units[name] for name, x in self.changes.items()}
+        return tuple(sorted(share, key=lambda name: -share[name]))
+
+    def summary(self) -> str:
+        """Return the findings in words."""
+        q = self.question
+        what = "second-moment margin" if q.consistency == "pseudo_inertia" else "margin of I_g"
+        lines = [
+            f"{self.robot}: {self.verdict} ({len(q.names)} parameters; {q.consistency}, {what} "
+            f"at least {decimal_text(q.margin)} kg.m2, masses {decimal_text(q.mass_min)} to "
+            f"{decimal_text(q.mass_max)} kg, theta_max {decimal_text(q.theta_max)})"
+        ]
+        if self.margin is not None:
+            lines.append(f"largest margin found: {self.margin:.4g} kg.m2")
+        if self.margin_bound is not None:
+            lines.append(f"no links have a margin above {self.margin_bound:.4g} kg.m2 (proven)")
+        proof = self.certificate
+        if proof is not None:
+            needs = [
+                name
+                for name, used in (
+                    ("the bound on masses", proof.uses_mass_bound),
+                    ("theta_max", proof.uses_theta_max),
+                )
+                if used
+            ]
+            lines.append(f"proof: {proof.inequality()}")
+            lines += [f"  {reason}" for reason in proof.reasons()]
+            lines.append(f"  needs {' and '.join(needs) if needs else 'no bound on the masses'}")
+        if self.verdict != "realisable":
+            lines += self._change_lines()
+        return "\n".join(lines)
+
+    def _change_lines(self) -> list[str]:
+        lines = []
+        if self.change is not None:
+            least = self.change_bound
+            proven = "" if least is None else f" (proven: at least {least:.4g})"
+            lines.append(
+                f"realisable once every entry may move by {self.change:.4g} halfwidths beyond "
+                f"its own{proven}"
+            )
+        if self.changes:
+            moved = ", ".join(
+                f"{name} by {self.changes[name]:+.4g} "
+                f"({abs(self.changes[name]) / self.units[name]:.3g} halfwidths)"
+                for name in self.blamed
+            )
+            lines.append(f"smallest change in sum, beyond the halfwidths: {moved}")
+        return lines
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the findings as plain values."""
+        q, proof, witness = self.question, self.certificate, self.witness
+        return {
+            "robot": self.robot,
+            "verdict": self.verdict,
+            "consistency": q.consistency,
+            "required_margin": float(q.margin),
+            "mass_min": float(q.mass_min),
+            "mass_max": float(q.mass_max),
+            "theta_max": float(q.theta_max),
+            "margin": self.margin,
+            "margin_bound": self.margin_bound,
+            "witness": None
+            if witness is None
+            else dict(zip(q.theta_names, witness.tolist(), strict=True)),
+            "inequality": None if proof is None else proof.inequality(),
+            "reasons": None if proof is None else list(proof.reasons()),
+            "needs_mass_bound": self.needs_mass_bound,
+            "needs_theta_max": self.needs_theta_max,
+            "change": self.change,
+            "change_bound": self.change_bound,
+            "changes": dict(self.changes),
+            "blamed": list(self.blamed),
+            "certificate": None if proof is None else proof.to_dict(),
+        }
+
+
+@one_thread
+def audit_base_parameters(
+    robot: RobotModel,
+    values: Mapping[str, Number | Decimal | str],
+    halfwidths: Mapping[str, Number | Decimal | str] | Number,
+    *,
+    consistency: Consistency = "pseudo_inertia",
+    margin: Number = 0.0,
+    mass_min: Number = 1e-3,
+    mass_max: Number = 100.0,
+    theta_max: Number = 1e4,
+    friction: Iterable[str | FrictionTerm] | None = None,
+    friction_nonnegative: bool = True,
+    base: BaseParameters | None = None,
+) -> BaseAudit:
+    """Decide whether links that can exist have given base parameters.
+
+    Parameters
+    ----------
+    robot : RobotModel
+        The robot; its inertias do not matter.
+    values : mapping
+        Base parameters by name (see `BaseParameters.names`), and standard ones such as ``m_3``
+        where they are known too. Those that are missing are free. Floats are read as the decimals
+        that print them; strings, decimals and fractions are exact.
+    halfwidths : mapping or number
+        How far from the value the truth may lie: half a unit in the last printed place, or a
+        confidence limit. One number serves for all.
+    consistency : {"pseudo_inertia", "spatial_inertia"}, optional
+        What each link must obey.
+    margin : number, optional
+        The least margin of every link, kg·m² (see `sdpid.robot.inertia.margin`).
+    mass_min, mass_max : number, optional
+        Bounds on each link's mass, kg. A witness respects both; a refutation uses the upper one
+        only where it has to, and says so.
+    theta_max : number, optional
+        Bound on the size of every standard parameter, likewise.
+    friction : iterable of str or FrictionTerm, optional
+        Friction terms of the table. By default those of `sdpid.friction` that have a parameter
+        among `values`, such as Coulomb friction for ``Fs1``.
+    friction_nonnegative : bool, optional
+        Whether Coulomb, viscous and rotor terms are not negative.
+    base : BaseParameters, optional
+        Of the robot with these terms, where they are known already.
+
+    Returns
+    -------
+    BaseAudit
+
+    Raises
+    ------
+    DataError
+        For a name that the robot does not have, a number that is none, a negative halfwidth, a
+        consistency that says nothing, or no values at all.
+
+    Notes
+    -----
+    What is proven holds for the regrouping matrix in `BaseAudit.question`: the stored one, each
+    coefficient read as a decimal of at most 9 digits where it is one to 1e-13, else as the
+    rational number that the double is.
+    """
+    question = base_question(
+        robot,
+        values,
+        halfwidths,
+        consistency=consistency,
+        margin=margin,
+        mass_min=mass_min,
+        mass_max=mass_max,
+        theta_max=theta_max,
+        friction=friction,
+        friction_nonnegative=friction_nonnegative,
+        base=base,
+    )
+    return _audited(robot.name, question, characteristic_length(robot))
+
+
+def _audited(name: str, question: Question, length: float) -> BaseAudit:
+    search = Search.of(question, length)
+    theta = search.most_interior()
+    margins = None if theta is None else search.margins(theta)
+    best = None if margins is None or np.isnan(margins).any() else float(margins.min())
+    bound = bound_margin(search)
+    limit = None if bound is None else bound.margin_bound
+    units = dict(zip(question.names, search.give.tolist(), strict=True))
+    common: dict[str, Any] = {
+        "robot": name,
+        "question": question,
+        "margin": best,
+        "margin_bound": None if limit is None else float(limit),
+        "units": units,
+    }
+    if theta is not None and (best is None or best >= float(question.margin) - 1e-6):
+        witness = search.made_exact(theta)
+        if question.is_witness(witness):
+            return BaseAudit(
+                **common,
+                verdict="realisable",
+                exact_witness=tuple(witness),
+                change=0.0,
+                changes={},
+            )
+    proof = refute(search)
+    change, changes = _changes(search, length)
+    strong = None
+    if proof is not None:
+        strong = strongest(search) or proof
+    least = None if strong is None else strong.change_bound
+    return BaseAudit(
+        **common,
+        verdict="undecided" if proof is None else "not realisable",
+        certificate=proof,
+        change=change,
+        change_bound=None if least is None else float(least),
+        changes=changes,
+    )
+
+
+def _changes(search: Search, length: float) -> tuple[float | None, dict[str, float]]:
+    """Return the least common change for which there is a witness, and the least in sum."""
+    question = search.question
+    factor = None
+    found = search.smallest_changes(each=False)
+    if found is not None:
+        least = float(np.max(found[1] / search.give))
+        for beyond in (_BEYOND, 10 * _BEYOND, 100 * _BEYOND, 1000 * _BEYOND):
+            trial = least * (1.0 + beyond) + beyond
+            add = [exact(trial * x) for x in search.give.tolist()]
+            wide = replace(
+                question,
+                halfwidths=tuple(h + a for h, a in zip(question.halfwidths, add, strict=True)),
+            )
+            wider = Search.of(wide, length)
+            theta = wider.most_interior()
+            if theta is not None and wide.is_witness(wider.made_exact(theta)):
+                factor = trial
+                break
+    changes = {}
+    found = search.smallest_changes(each=True)
+    if found is not None:
+        theta, beyond_box = found
+        signs = np.sign(search.R @ theta - search.value)
+        for name, x, sign, unit in zip(question.names, beyond_box, signs, search.give, strict=True):
+            if x > _NO_CHANGE * unit:
+                changes[name] = float(sign * x)
+    return factor, changes

@@ -1,0 +1,153 @@
+"""The question that a table of base parameters poses, in exact numbers."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from decimal import Decimal
+from fractions import Fraction
+from itertools import combinations
+from typing import Any
+
+import numpy as np
+
+from sdpid.assurance.tables.witness import Number, Question, exact
+from sdpid.errors import DataError
+from sdpid.robot.friction.model import Coupling, FrictionModel, FrictionTerm
+from sdpid.robot.friction.terms import BY_NAME
+from sdpid.robot.inertia import Consistency
+from sdpid.robot.model.base_parameters import BaseParameters, structural_base
+from sdpid.robot.model.model import RobotModel
+
+# Regrouping coefficients that are within this share of a decimal of so many digits are that
+# decimal: they come from a scan in floating point, which leaves some 1e-15 to 1e-13.
+_DIGITS = 9
+_ROUNDING = 1e-13
+
+
+def base_question(
+    robot: RobotModel,
+    values: Mapping[str, Number | Decimal | str],
+    halfwidths: Mapping[str, Number | Decimal | str] | Number,
+    *,
+    consistency: Consistency = "pseudo_inertia",
+    margin: Number = 0.0,
+    mass_min: Number = 1e-3,
+    mass_max: Number = 100.0,
+    theta_max: Number = 1e4,
+    friction: Iterable[str | FrictionTerm] | None = None,
+    friction_nonnegative: bool = True,
+    base: BaseParameters | None = None,
+) -> Question:
+    """Return the question; for the arguments see `sdpid.audit_base_parameters`.
+
+    Raises
+    ------
+    DataError
+        For a name that the robot does not have, a number that is none, a negative halfwidth, a
+        consistency that says nothing, or no values at all.
+    """
+    if consistency not in ("pseudo_inertia", "spatial_inertia"):
+        raise DataError(
+            f"audit: consistency is {consistency!r}; give 'pseudo_inertia' or 'spatial_inertia'."
+        )
+    bounds = {
+        "margin": _positive(margin, "margin", zero=True),
+        "mass_min": _positive(mass_min, "mass_min"),
+        "mass_max": _positive(mass_max, "mass_max"),
+        "theta_max": _positive(theta_max, "theta_max"),
+    }
+    if not bounds["mass_min"] <= bounds["mass_max"] <= bounds["theta_max"]:
+        raise DataError(
+            f"audit: expected mass_min <= mass_max <= theta_max, have {mass_min}, {mass_max} and "
+            f"{theta_max}."
+        )
+    if not values:
+        raise DataError("audit: no values are given; name at least one base parameter.")
+    if isinstance(halfwidths, Mapping):
+        stray = [name for name in halfwidths if name not in values]
+        if stray:
+            raise DataError(f"audit: halfwidths without a value: {', '.join(stray)}.")
+    if friction is None:
+        friction = named_terms(robot, values)
+    model = FrictionModel.from_terms(friction, robot.joint_names, first=robot.n_base)
+    base = structural_base(robot, model) if base is None else base
+    rows, leading = zip(*(_row(robot, base, name) for name in values), strict=True)
+    first = 10 * robot.n_links
+    signs = (first + i for i, p in enumerate(model.parameters) if p.nonnegative)
+    return Question(
+        names=tuple(values),
+        rows=tuple(rows),
+        values=tuple(exact(value) for value in values.values()),
+        halfwidths=tuple(_halfwidth(halfwidths, name) for name in values),
+        theta_names=base.theta_names,
+        n_links=robot.n_links,
+        nonnegative=frozenset(signs if friction_nonnegative else ()),
+        consistency=consistency,
+        leading=tuple(leading),
+        **bounds,
+    )
+
+
+def named_terms(robot: RobotModel, names: Iterable[str]) -> list[FrictionTerm]:
+    """Return the friction terms that have a parameter among the names.
+
+    A rotor inertia that folds into zz has no entry of its own in a table of base parameters: add
+    the names that the table's regrouping mentions.
+    """
+    wanted, joints = set(names), robot.joint_names[robot.n_base :]
+    # Speeds in which friction is not linear change no relation between parameters: any will do.
+    kinds: tuple[Any, ...] = tuple(BY_NAME.values())
+    terms: list[FrictionTerm] = [
+        kind(velocity=1.0) if "velocity" in getattr(kind, "speed_fields", ()) else kind()
+        for kind in kinds
+    ]
+    terms += [Coupling(*pair) for pair in combinations(joints, 2)]
+    return [term for term in terms if any(p.name in wanted for p in term.parameters(joints))]
+
+
+def _row(
+    robot: RobotModel, base: BaseParameters, name: str
+) -> tuple[dict[int, Fraction], int | None]:
+    """Return a parameter's coefficients in theta, and a column that is its own."""
+    if name in base.names:
+        k = base.names.index(name)
+        used = np.flatnonzero(base.matrix[k])
+        return {int(j): _coefficient(float(base.matrix[k, j])) for j in used}, int(base.kept[k])
+    if name in base.theta_names:
+        j = base.theta_names.index(name)
+        return {j: Fraction(1)}, None if j in base.kept else j
+    raise DataError(
+        f"audit: '{robot.name}' has no parameter {name!r}; its base parameters are "
+        f"{', '.join(base.names)}, and standard ones are called like {base.theta_names[0]}."
+    )
+
+
+def _halfwidth(halfwidths: Mapping[str, Number | Decimal | str] | Number, name: str) -> Fraction:
+    if not isinstance(halfwidths, Mapping):
+        width = exact(halfwidths)
+    elif name in halfwidths:
+        width = exact(halfwidths[name])
+    else:
+        raise DataError(f"audit: {name} has no halfwidth; give one, 0 if it is exact.")
+    if width < 0:
+        raise DataError(f"audit: the halfwidth of {name} is {float(width)}; the least is 0.")
+    return width
+
+
+def _coefficient(value: float) -> Fraction:
+    """Return a regrouping coefficient as the short decimal that it is but for rounding.
+
+    Lengths are decimals of few digits, so these are too; a coefficient that is none is taken as
+    the double that it is.
+    """
+    short = Fraction(f"{value:.{_DIGITS}g}")
+    return short if abs(short - Fraction(value)) < _ROUNDING * abs(short) else Fraction(value)
+
+
+def _positive(value: Number, name: str, *, zero: bool = False) -> Fraction:
+    number = exact(value)
+    if number < 0 or (number == 0 and not zero):
+        raise DataError(
+            f"audit: {name} is {value}; it must be {'at least 0' if zero else 'positive'}."
+        )
+    return number

@@ -1,0 +1,1 @@
+"""Whiten the rows of a problem and compress them into a triangular factor."""

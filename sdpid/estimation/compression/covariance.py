@@ -1,0 +1,336 @@
+"""Weights of the torque rows: from samples to whitened rows.
+
+Every weighting is turned into one thing: rows to be stacked and compressed. Rows that are
+masked are zero afterwards, and the covariance of the others is that of the unmasked joints
+alone (masking a joint is not knowing it, not knowing it to be zero).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from sdpid._common.arrays import Array, Mask
+from sdpid.errors import DataError
+from sdpid.estimation.compression.rows import RowSource
+from sdpid.estimation.compression.triangle import Triangle
+
+Weighting = Literal["gls", "gls_per_sample", "eq9", "eq18", "residual"]
+WEIGHTINGS: tuple[Weighting, ...] = ("gls", "gls_per_sample", "eq9", "eq18", "residual")
+
+# A covariance whose reciprocal condition is below this is singular to working accuracy.
+SINGULAR = 1e-12
+
+
+def masked_covariance(covariance: Array, mask: Mask) -> Array:
+    """Return (…, n, n) covariances with masked joints replaced by independent ones."""
+    both = mask[..., :, None] & mask[..., None, :]
+    n = mask.shape[-1]
+    # Of the size of the others, so that the condition number is that of the others.
+    variance = np.where(mask, np.diagonal(covariance, axis1=-2, axis2=-1), 0.0)
+    count = mask.sum(axis=-1)
+    size = np.where(count > 0, variance.sum(axis=-1) / np.maximum(count, 1), 1.0)
+    filler = size[..., None, None] * (np.eye(n) * ~mask[..., :, None])
+    return np.asarray(np.where(both, covariance, filler))
+
+
+def power(covariance: Array, exponent: float) -> Array:
+    """Return symmetric powers of covariances (…, n, n).
+
+    Raises
+    ------
+    DataError
+        When one of them is not positive definite to working accuracy.
+    """
+    values, vectors = np.linalg.eigh(covariance)
+    ratio = values[..., 0] / np.maximum(values[..., -1], np.finfo(float).tiny)
+    if np.any(ratio < SINGULAR):
+        worst = float(np.min(ratio))
+        many = f"{np.count_nonzero(ratio < SINGULAR)} of {ratio.size} " if ratio.ndim else ""
+        raise DataError(
+            f"effort covariance: {many}singular: the smallest eigenvalue is {worst:.1e} of the "
+            f"largest (limit {SINGULAR:.0e}); use more periods than joints, or shrink it "
+            "(Processing.shrinkage)."
+        )
+    scaled = vectors * values[..., None, :] ** exponent
+    return np.asarray(scaled @ np.swapaxes(vectors, -1, -2))
+
+
+def pooled(covariance: Array) -> Array:
+    """Return one covariance for all samples, (n, n) or (K, n, n) to (n, n)."""
+    return covariance if covariance.ndim == 2 else np.asarray(covariance.mean(axis=0))
+
+
+def whitener(covariance: Array, mask: Mask, exponent: float) -> Array:
+    """Return Sigma^exponent for each sample, (K, n, n), masked rows and columns zero.
+
+    Parameters
+    ----------
+    covariance : ndarray, shape (n, n) or (K, n, n)
+        Effort covariance.
+    mask : ndarray of bool, shape (K, n)
+        Rows that are used.
+    exponent : float
+        -1/2 to whiten.
+    """
+    if covariance.ndim == 2:
+        patterns, index = np.unique(mask, axis=0, return_inverse=True)
+        powers = power(masked_covariance(covariance, patterns), exponent)
+        powers = powers * (patterns[:, :, None] & patterns[:, None, :])
+        return np.asarray(powers[index.reshape(-1)])
+    powers = power(masked_covariance(covariance, mask), exponent)
+    return np.asarray(powers * (mask[:, :, None] & mask[:, None, :]))
+
+
+# Least standard deviation: this share of the overall effort, so that one quiet joint cannot
+# dominate; but no more than the joint's own effort varies, or any prediction of it would do.
+_EFFORT_SHARE = 0.03
+
+# An effort whose variance is below this share of the mean squared effort of all joints is constant.
+_SILENT = 1e-12
+
+# Residuals that are alike over more samples than this are a drift: how much longer it lasts says
+# nothing of their number, and of long recordings only this much has to be kept, and sent.
+_MOST_LAGS = 1 << 14
+
+# The variances settle within a few rounds; this is where it stops at the latest.
+_ROUNDS = 10
+
+
+@dataclass(frozen=True, eq=False)
+class JointRows:
+    """Rows compressed joint by joint, so that other variances need no look at the samples.
+
+    Attributes
+    ----------
+    triangles : tuple of Triangle
+        One a joint, not whitened, the efforts in the last column.
+    used : ndarray, shape (n,)
+        Rows that are not masked.
+    squares : ndarray, shape (n,)
+        Sum of the squared efforts of those, (N·m)².
+    sums : ndarray, shape (n, b + 1)
+        Sum of those rows, efforts last.
+    """
+
+    triangles: tuple[Triangle, ...]
+    used: Array
+    squares: Array
+    sums: Array
+
+    @classmethod
+    def of(cls, rows: RowSource) -> JointRows:
+        """Compress the rows of every joint."""
+        n, count = rows.robot.n, rows.base.count
+        triangles = tuple(Triangle(count + 1) for _ in range(n))
+        used, squares, sums = np.zeros(n), np.zeros(n), np.zeros((n, count + 1))
+        for part in rows.parts():
+            stacked, mask = rows.rows(part), rows.mask(part)
+            everything = bool(mask.all())
+            for j, triangle in enumerate(triangles):
+                own = stacked[:, j] if everything else stacked[mask[:, j], j]
+                triangle.add(own)
+                used[j] += len(own)
+                squares[j] += float(own[:, -1] @ own[:, -1])
+                sums[j] += own.sum(axis=0)
+        return cls(triangles, used, squares, sums)
+
+    @classmethod
+    def merged(cls, pieces: Sequence[JointRows]) -> JointRows:
+        """Return the rows of several pieces as if they were one: nothing is approximated."""
+        first = pieces[0]
+        if len(pieces) == 1:
+            return first
+        triangles = []
+        for j in range(len(first.triangles)):
+            triangle = Triangle(first.sums.shape[1])
+            for piece in pieces:
+                triangle.merge(piece.triangles[j])
+            triangles.append(triangle)
+        return cls(
+            tuple(triangles),
+            np.sum([piece.used for piece in pieces], axis=0),
+            np.sum([piece.squares for piece in pieces], axis=0),
+            np.sum([piece.sums for piece in pieces], axis=0),
+        )
+
+    @property
+    def effort(self) -> float:
+        """Mean squared effort over all rows, (N·m)²."""
+        return float(self.squares.sum() / self.used.sum())
+
+    def mean_residual(self, base: Array) -> Array:
+        """Return the mean of every joint's residual ``effort − W @ base``, (n,)."""
+        return np.asarray(self.sums @ np.append(-base, 1.0) / np.maximum(self.used, 1.0))
+
+    def joined(self, variance: Array) -> Array:
+        """Return the triangles of all joints over their standard deviations, below each other."""
+        pairs = zip(self.triangles, variance, strict=True)
+        return np.vstack([t.R / np.sqrt(s) for t, s in pairs])
+
+    def fit(self, variance: Array) -> tuple[Array, int]:
+        """Return the base parameters that fit best under given variances, and the rank."""
+        joined = self.joined(variance)
+        base, _, rank, _ = np.linalg.lstsq(joined[:, :-1], joined[:, -1], rcond=None)
+        return np.asarray(base), int(rank)
+
+    def variance(self, base: Array, rank: int) -> Array:
+        """Return the variance of every joint's residuals at some base parameters, (n,).
+
+        Each joint gives up degrees of freedom in proportion to its rows, and gets a small share
+        of the overall effort added.
+        """
+        error = np.append(base, -1.0)
+        residual = np.array([np.sum((t.R @ error) ** 2) for t in self.triangles])
+        freedom = np.maximum(self.used * (1.0 - rank / self.used.sum()), 1.0)
+        return np.asarray(residual / freedom + self._least_variance)
+
+    @property
+    def _least_variance(self) -> Array:
+        """Added to the variance of each joint's residuals, (n,)."""
+        used = np.maximum(self.used, 1.0)
+        own = self.squares / used - (self.sums[:, -1] / used) ** 2
+        overall = _EFFORT_SHARE**2 * self.effort
+        # An effort that does not vary at all, but for rounding, was not measured.
+        silent = own <= _SILENT * self.effort
+        return np.where(silent, overall, np.minimum(overall, own))
+
+
+def residual_covariance(rows: RowSource, joints: JointRows | None = None) -> Array:
+    """Estimate a diagonal covariance (n, n) from the residuals of the unconstrained fit.
+
+    Each joint has one variance, found by iteration: fit, take the residuals' variance with the
+    degrees of freedom that the fit used up, fit again. A small share of the overall effort is
+    added, since residuals are model error too. The result is multiplied by the number of samples
+    over the number of independent ones, found from the residuals' autocorrelation, so that the
+    cost counts correlated samples as the few independent ones they are.
+
+    Parameters
+    ----------
+    rows : RowSource
+        Regressor and efforts.
+    joints : JointRows, optional
+        The same rows, compressed before.
+
+    Raises
+    ------
+    DataError
+        When every effort is zero, or no row counts.
+    """
+    if joints is None:
+        joints = JointRows.merged(rows.map(JointRows.of))
+    if not joints.squares.sum() > 0.0:
+        raise DataError(
+            f"samples: all {int(joints.used.sum())} efforts that count are zero, so residuals have "
+            "no variance for weighting='residual' to estimate; check that effort was recorded and "
+            "read (columns, units, mask)."
+        )
+    variance = np.full(rows.robot.n, joints.effort)
+    base = np.zeros(rows.base.count)
+    for _ in range(_ROUNDS):
+        base, rank = joints.fit(variance)
+        updated = joints.variance(base, rank)
+        settled = np.allclose(updated, variance, rtol=1e-6)
+        variance = updated
+        if settled:
+            break
+    return np.diag(variance * correlation_time(rows, base, joints))
+
+
+def correlation_time(rows: RowSource, base: Array, joints: JointRows) -> float:
+    """Return how many samples make one independent one, averaged over the joints, at least 1."""
+    mean = joints.mean_residual(base)
+    sums = LaggedSums.merged(rows.map(LaggedSums.of_residuals, base, mean))
+    return float(np.mean([integrated_time(c) for c in sums.correlation[joints.used > 0]]))
+
+
+def integrated_time(correlation: Array) -> float:
+    """Return ``1 + 2·Σ rho``, the number of samples that are worth one independent one, at least 1.
+
+    The sum ends before the first pair of neighbouring lags, (0, 1), (2, 3), …, whose correlations
+    do not add up to more than zero: Geyer's initial positive sequence [geyer1992]_. Noise at
+    longer lags then does not add up, nor does one negative value end the sum.
+
+    Parameters
+    ----------
+    correlation : ndarray, shape (lags,)
+        Autocorrelations from lag 0 on.
+    """
+    pairs = correlation[: len(correlation) // 2 * 2].reshape(-1, 2).sum(axis=1)
+    stop = np.flatnonzero(pairs <= 0.0)
+    return float(max(1.0, 2.0 * pairs[: stop[0] if stop.size else None].sum() - 1.0))
+
+
+@dataclass(frozen=True, eq=False)
+class LaggedSums:
+    """Sums of lagged products ``Σ_k x[k]·x[k + lag]`` of each signal, and the number of pairs.
+
+    Dividing gives the autocovariance. The two are kept apart so that recordings can be added.
+
+    Attributes
+    ----------
+    products : ndarray, shape (n, lags)
+        Of the centred signals, summed over the pairs of which both count.
+    pairs : ndarray, shape (n, lags)
+        How many pairs there are.
+    """
+
+    products: Array
+    pairs: Array
+
+    @classmethod
+    def of(cls, centred: Array, mask: Mask, parts: Sequence[slice]) -> LaggedSums:
+        """Sum over pairs within pieces, up to `_MOST_LAGS` apart.
+
+        Parameters
+        ----------
+        centred : ndarray, shape (K, n)
+            Signals less their mean.
+        mask : ndarray of bool, shape (K, n)
+            Which samples count.
+        parts : sequence of slice
+            Pieces without a break.
+        """
+        longest = min(max(part.stop - part.start for part in parts), _MOST_LAGS)
+        products, pairs = np.zeros((2, centred.shape[1], longest))
+        for part in parts:
+            count = part.stop - part.start
+            size = 1 << (2 * count - 1).bit_length()
+            used = mask[part].T.astype(float)
+            for signals, sums in ((centred[part].T * used, products), (used, pairs)):
+                power = np.abs(np.fft.rfft(signals, size, axis=1)) ** 2
+                lags = min(count, longest)
+                sums[:, :lags] += np.fft.irfft(power, size, axis=1)[:, :lags]
+        return cls(products, np.round(pairs))
+
+    @classmethod
+    def of_residuals(cls, rows: RowSource, base: Array, mean: Array) -> LaggedSums:
+        """Sum over the residuals of rows at some base parameters, about a mean (n,)."""
+        residual, masks = [], []
+        for _, W, effort, mask in rows.chunks():
+            residual.append(effort - W @ base - mean)
+            masks.append(mask)
+        return cls.of(np.concatenate(residual), np.concatenate(masks), rows.samples.parts)
+
+    @classmethod
+    def merged(cls, pieces: Sequence[LaggedSums]) -> LaggedSums:
+        """Return the sums over the pairs of all pieces."""
+        longest = max(piece.products.shape[1] for piece in pieces)
+        products, pairs = np.zeros((2, len(pieces[0].products), longest))
+        for piece in pieces:
+            lags = piece.products.shape[1]
+            products[:, :lags] += piece.products
+            pairs[:, :lags] += piece.pairs
+        return cls(products, pairs)
+
+    @property
+    def correlation(self) -> Array:
+        """Autocorrelations (n, lags), 1 at the first lag; a constant has none at others."""
+        found = self.products / np.maximum(self.pairs, 1.0)
+        first = found[:, :1]
+        none = np.zeros_like(found)
+        none[:, 0] = 1.0
+        return np.where(first > 0.0, found / np.where(first > 0.0, first, 1.0), none)

@@ -1,0 +1,267 @@
+"""Rows that stay where they were read: on the workers of a Dask cluster.
+
+Every piece is one recording, read and processed by the worker that keeps it. What a problem needs
+of the rows are sums over pieces: they are computed where the piece is, sent here, and added in the
+order of the pieces. So neither the number of workers nor the loss of one changes a bit of the
+result: what was lost is read again.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from itertools import chain
+from typing import TYPE_CHECKING, Any, TypeAlias, TypeVar
+
+from sdpid._common.arrays import Array
+from sdpid.errors import DataError, SolverError
+from sdpid.estimation.compression.rows import RowSource
+from sdpid.experiment.preparation.for_robot import default_processing, prepare
+from sdpid.experiment.preparation.several import agreed, common_processing
+from sdpid.experiment.processing.process import Processing
+from sdpid.experiment.processing.samples import Samples
+from sdpid.experiment.readers.read import read_recording
+from sdpid.experiment.recording.recording import Recording
+from sdpid.robot.model.model import RobotModel
+
+if TYPE_CHECKING:
+    from distributed import Client, Future
+
+T = TypeVar("T")
+
+# What one piece of a problem may be given as.
+Piece: TypeAlias = "Samples | Recording | str | os.PathLike[str]"
+
+# A cluster without a worker is looked at again after so many seconds, and then given up.
+_LONELY = 60.0
+
+# Samples that are brought here for plots, and for the speeds at which friction bends.
+_BROUGHT = 4096
+
+
+def samples_of(robot: RobotModel, piece: Piece, processing: Processing | None) -> Samples:
+    """Return the samples of a piece: read, matched to the robot and processed where need be."""
+    if isinstance(piece, Samples):
+        return piece
+    log = piece if isinstance(piece, Recording) else read_recording(piece)
+    return prepare(robot, log, processing)
+
+
+def all_samples(
+    robot: RobotModel, pieces: Iterable[Piece], processing: Processing | None
+) -> Samples:
+    """Return the samples of all pieces, joined.
+
+    Parameters
+    ----------
+    robot : RobotModel
+        Whose joints they have.
+    pieces : iterable of Samples, Recording or path
+        The pieces.
+    processing : Processing, optional
+        Of recordings and files; by default that of the recording with the median cut-off (see
+        `sdpid.experiment.preparation.several.common_processing`).
+    """
+    read = [
+        piece if isinstance(piece, (Samples, Recording)) else read_recording(piece)
+        for piece in pieces
+    ]
+    logs = [piece for piece in read if isinstance(piece, Recording)]
+    why = None
+    if processing is None and logs:
+        processing, why = common_processing(logs)
+    joined = Samples.join([samples_of(robot, piece, processing) for piece in read])
+    return joined if why is None else replace(joined, notes=(*joined.notes, why))
+
+
+@dataclass(frozen=True, eq=False)
+class Cluster:
+    """Samples on the workers of a cluster, one future a recording.
+
+    Attributes
+    ----------
+    client : dask.distributed.Client
+        Of the cluster.
+    robot : Future
+        The robot, once for all. It is a task: data that are scattered are gone with their worker.
+    pieces : tuple of Future
+        The samples of every recording.
+    counts : tuple of int
+        How many there are of each.
+    """
+
+    client: Client
+    robot: Future[RobotModel]
+    pieces: tuple[Future[Samples], ...]
+    counts: tuple[int, ...]
+
+    @classmethod
+    def of(
+        cls,
+        client: Client,
+        robot: RobotModel,
+        pieces: Iterable[Piece],
+        processing: Processing | None,
+    ) -> tuple[Cluster, Samples]:
+        """Have pieces read and processed, and return them with a thinned selection.
+
+        Parameters
+        ----------
+        client : dask.distributed.Client
+            Of the cluster.
+        robot : RobotModel
+            Whose joints they have.
+        pieces : iterable of Samples, Recording or path
+            Files are read by the workers, which must see them.
+        processing : Processing, optional
+            Of recordings and files; by default one for all, see `all_samples`.
+
+        Returns
+        -------
+        Cluster
+        Samples
+            Evenly thinned; its notes say of how many.
+
+        Raises
+        ------
+        DataError
+            When there are no pieces, they cannot be joined, or each has a covariance of its own.
+        """
+        given = tuple(pieces)
+        if not given:
+            raise DataError("samples: there are none to join.")
+        there = client.submit(_same, robot, pure=False)
+        why = None
+        if processing is None and not all(isinstance(piece, Samples) for piece in given):
+            own = [client.submit(_choice, piece, pure=False) for piece in given]
+            processing, why = agreed([each for each in _gathered(client, own) if each is not None])
+        futures = tuple(
+            client.submit(samples_of, there, piece, processing, pure=False) for piece in given
+        )
+        counts = tuple(_gathered(client, [client.submit(_count, f, pure=False) for f in futures]))
+        step = max(sum(counts) // _BROUGHT, 1)
+        found = _gathered(client, [client.submit(_thinned, f, step, pure=False) for f in futures])
+        thin = Samples.join(found)
+        if thin.covariance is not None and thin.covariance.ndim == 3:
+            raise DataError(
+                "samples: pieces have covariances of their own; on a cluster all share one (n, n), "
+                "or have none."
+            )
+        note = f"{sum(counts)} samples of {len(counts)} recordings stay on the workers of a cluster"
+        if step > 1:
+            note += f"; here is one in {step}"
+        notes = (*thin.notes, note) if why is None else (*thin.notes, why, note)
+        return cls(client, there, futures, counts), replace(thin, notes=notes)
+
+
+@dataclass(frozen=True)
+class RemoteRows(RowSource):
+    """The rows of all recordings of a cluster; `samples` is a thinned selection of theirs.
+
+    Attributes
+    ----------
+    cluster : Cluster
+        Where the rows are.
+    """
+
+    cluster: Cluster
+
+    @property
+    def n_samples(self) -> int:
+        """Number of samples that the rows are made of."""
+        return sum(self.cluster.counts)
+
+    def map(
+        self, function: Callable[..., T], *arguments: object, sigma: Array | None = None
+    ) -> list[T]:
+        """Return what a function says of the rows of every piece, in order; see `RowSource`."""
+        if sigma is not None and sigma.ndim == 3:
+            raise DataError(
+                "samples: a covariance a sample cannot be used with rows on a cluster; use the "
+                "weighting 'gls' or 'residual'."
+            )
+        client = self.cluster.client
+        tasks = [
+            client.submit(
+                _mapped,
+                self.cluster.robot,
+                piece,
+                (self.friction, self.base),
+                function,
+                arguments,
+                sigma,
+                pure=False,
+            )
+            for piece in self.cluster.pieces
+        ]
+        return list(chain.from_iterable(_gathered(client, tasks)))
+
+    def parts(self, size: int = 0) -> Iterator[slice]:
+        """Not to be had here."""
+        raise _elsewhere()
+
+    def _fill(self, part: slice, out: Array) -> Array:
+        raise _elsewhere()
+
+
+def _elsewhere() -> DataError:
+    return DataError(
+        "samples: the rows are on the workers of a cluster, and this needs them here; build the "
+        "problem without a client."
+    )
+
+
+def _same(robot: RobotModel) -> RobotModel:
+    return robot
+
+
+def _choice(piece: Piece) -> Processing | None:
+    if isinstance(piece, Samples):
+        return None
+    return default_processing(piece if isinstance(piece, Recording) else read_recording(piece))
+
+
+def _count(samples: Samples) -> int:
+    return samples.n_samples
+
+
+def _thinned(samples: Samples, step: int) -> Samples:
+    return samples.every(step)
+
+
+def _mapped(
+    robot: RobotModel,
+    samples: Samples,
+    model: tuple[Any, Any],
+    function: Callable[..., T],
+    arguments: tuple[object, ...],
+    sigma: Array | None,
+) -> list[T]:
+    """Return what a function says of one recording, on its worker."""
+    rows = RowSource(robot, *model, samples)
+    return rows.map(function, *arguments, sigma=sigma)
+
+
+def _gathered(client: Client, futures: Sequence[Future[Any]]) -> list[Any]:
+    """Return the results of tasks, in their order."""
+    import distributed
+
+    try:
+        while True:
+            try:
+                distributed.wait(futures, timeout=_LONELY)
+                break
+            except distributed.TimeoutError:
+                # Without any worker nothing will ever come.
+                if not client.nthreads():
+                    raise SolverError(
+                        f"cluster: no worker has been left for up to {_LONELY:g} s, and "
+                        f"{len(futures)} pieces wait; see the workers' logs, and start new ones."
+                    ) from None
+        return list(client.gather(list(futures)))
+    except distributed.KilledWorker as cause:
+        raise SolverError(
+            f"cluster: the same task ended its worker again and again ({cause}); a recording may "
+            "be too large for the workers' memory: give them more, or split it."
+        ) from None

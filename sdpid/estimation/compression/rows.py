@@ -1,0 +1,211 @@
+"""The stacked rows of a problem, in chunks.
+
+Rows are never held all at once: chunks are whitened (`sdpid.estimation.compression.whitening`) and
+folded into a small triangular factor (`sdpid.estimation.compression.triangle`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from functools import cached_property
+from typing import NoReturn, TypeVar
+
+import numpy as np
+
+from sdpid._common.arrays import Array, Indices, Mask
+from sdpid.errors import DataError
+from sdpid.experiment.processing.samples import Samples
+from sdpid.robot.friction.model import FrictionModel, JointwiseTerm
+from sdpid.robot.model import regressor_kernel as kernels
+from sdpid.robot.model.base_parameters import BaseParameters
+from sdpid.robot.model.model import RobotModel
+
+T = TypeVar("T")
+
+# Bytes of the rows of a chunk. From samples to the triangle a six-axis arm takes 3.3 µs a sample in
+# chunks of 1 MiB, 2.8 in chunks of 4: what is done once for a chunk then no longer counts, and the
+# rows are still in a cache, if not the fastest, when they are whitened and folded.
+CHUNK_BYTES = 1 << 22
+
+# Samples handled at a time by what does not look at the rows.
+CHUNK = 4096
+
+
+@dataclass(frozen=True)
+class RowSource:
+    """The base regressor and the efforts of a sample set.
+
+    Attributes
+    ----------
+    robot, friction, base, samples
+        What the rows are made of.
+    """
+
+    robot: RobotModel
+    friction: FrictionModel
+    base: BaseParameters
+    samples: Samples
+
+    @property
+    def n_samples(self) -> int:
+        """Number of samples that the rows are made of."""
+        return self.samples.n_samples
+
+    @property
+    def kept(self) -> bool:
+        """Whether sums over the rows can be had."""
+        return True
+
+    def map(
+        self, function: Callable[..., T], *arguments: object, sigma: Array | None = None
+    ) -> list[T]:
+        """Return what a function says of the rows of every piece, in order.
+
+        What is added up over the pieces is the same wherever they are, to the last bit.
+
+        Parameters
+        ----------
+        function : callable
+            Of the rows of a piece, of its part of `sigma` if there is one, and of the arguments.
+        *arguments
+            The same for all pieces.
+        sigma : ndarray, shape (n, n) or (K, n, n), optional
+            A covariance, for all samples or one a sample.
+        """
+        samples = self.samples
+        found = []
+        for part, piece in zip(samples.parts, samples.pieces, strict=True):
+            own = () if sigma is None else (sigma if sigma.ndim == 2 else sigma[part],)
+            found.append(function(self.on(piece), *own, *arguments))
+        return found
+
+    def on(self, samples: Samples) -> RowSource:
+        """Return the rows of other samples, which are here."""
+        return RowSource(self.robot, self.friction, self.base, samples)
+
+    @cached_property
+    def chunk_size(self) -> int:
+        """Samples of a chunk: those whose rows have `CHUNK_BYTES`, at least one."""
+        return max(1, CHUNK_BYTES // self._sample_bytes)
+
+    @property
+    def _sample_bytes(self) -> int:
+        return 8 * self.robot.n * (self.base.count + 1)
+
+    @cached_property
+    def _places(self) -> Indices:
+        """The base parameter that the column of each standard one leads, -1 for none."""
+        places = np.full(len(self.base.theta_names), -1, dtype=np.intp)
+        places[self.base.kept] = np.arange(self.base.count)
+        return places
+
+    def regressor(self, part: slice) -> Array:
+        """Return the base regressor of some samples, shape (k, n, b)."""
+        q = self.samples.position[part]
+        return self._fill(part, np.empty((len(q), self.robot.n, self.base.count)))
+
+    def rows(self, part: slice, out: Array | None = None) -> Array:
+        """Return the base regressor of some samples with the efforts as last column.
+
+        Parameters
+        ----------
+        part : slice
+            The samples.
+        out : ndarray, optional
+            Memory to use, of at least as many samples.
+
+        Returns
+        -------
+        ndarray, shape (k, n, b + 1)
+        """
+        effort = self.samples.effort[part]
+        if out is None:
+            out = np.empty((len(effort), self.robot.n, self.base.count + 1))
+        rows = self._fill(part, out[: len(effort)])
+        rows[:, :, -1] = effort
+        return rows
+
+    def mask(self, part: slice) -> Mask:
+        """Return which rows of some samples are used, shape (k, n)."""
+        if self.samples.mask is None:
+            return np.ones(self.samples.effort[part].shape, dtype=bool)
+        return self.samples.mask[part]
+
+    def chunks(self, size: int = 0) -> Iterator[tuple[slice, Array, Array, Mask]]:
+        """Yield (slice, base regressor, effort, mask) by `size` samples, else `chunk_size`."""
+        for part in self.parts(size):
+            yield part, self.regressor(part), self.samples.effort[part], self.mask(part)
+
+    def parts(self, size: int = 0) -> Iterator[slice]:
+        """Yield the slices of chunks of `size` samples, else of `chunk_size`."""
+        count, size = len(self.samples.effort), size or self.chunk_size
+        for start in range(0, count, size):
+            yield slice(start, min(start + size, count))
+
+    def _fill(self, part: slice, out: Array) -> Array:
+        s = self.samples
+        v, a = s.velocity[part], s.acceleration[part]
+        links = 10 * self.robot.n_links
+        # As the whole log would be, so that its last few samples are computed like the others.
+        many = self._sample_bytes * len(s.effort) >= kernels.WORTH
+        self.robot.regressor_columns(
+            s.position[part], v, a, places=self._places[:links], out=out, compiled=many
+        )
+        self._add_friction(v, a, self._places[links:], out)
+        return out
+
+    def _add_friction(self, v: Array, a: Array, places: Indices, out: Array) -> None:
+        friction = self.friction
+        names, first, start = friction.joint_names, friction.first, 0
+        v, a = v[:, first:], a[:, first:]
+        for term in friction.terms:
+            count = len(term.parameters(names))
+            to = places[start : start + count]
+            start += count
+            if isinstance(term, JointwiseTerm) and type(term).columns is JointwiseTerm.columns:
+                # Diagonal in the joints: one entry a row.
+                shape = term.shape(v, a)
+                for j in np.flatnonzero(to >= 0):
+                    out[:, first + j, to[j]] = shape[:, j]
+            else:
+                kept = np.flatnonzero(to >= 0)
+                out[:, first:, to[kept]] = term.columns(v, a, names)[:, :, kept]
+
+
+@dataclass(frozen=True)
+class LostRows(RowSource):
+    """Rows that were not kept; those of other samples can be had (`on`).
+
+    Attributes
+    ----------
+    seen : int
+        Samples that there were.
+    """
+
+    seen: int
+
+    @property
+    def n_samples(self) -> int:
+        """Number of samples that there were."""
+        return self.seen
+
+    @property
+    def kept(self) -> bool:
+        """They were not."""
+        return False
+
+    def map(self, *_: object, **__: object) -> NoReturn:
+        """Raise: nothing can be summed over them."""
+        raise DataError(
+            f"'{self.robot.name}': the rows of the {self.seen} samples of this problem are not "
+            "kept, so what is summed over them (standard errors, intervals, residuals) is not to "
+            "be had; build a problem of a recording for that."
+        )
+
+    def parts(self, *_: object) -> NoReturn:
+        """Raise, as `map` does."""
+        self.map()
+
+    def _fill(self, *_: object) -> NoReturn:
+        self.map()

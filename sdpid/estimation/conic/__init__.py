@@ -1,0 +1,1 @@
+"""Cone programs for Clarabel and SCS; they know no robot."""

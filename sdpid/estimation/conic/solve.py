@@ -1,0 +1,330 @@
+"""Least squares over a cone: the one form that semidefinite programs are solved in.
+
+    minimise ‖M·x + m‖² + cost·x − Σ_i weight·log det(E_i0 + Σ x_k·E_ik)
+    subject to lower ≤ C·x ≤ upper and F_i0 + Σ x_k·F_ik ⪰ 0
+
+With a radius the squares are no cost but a constraint, ``‖M·x + m‖ ≤ radius``.
+
+It is handed to Clarabel or SCS directly, in their standard form (see
+`sdpid.estimation.conic.standard_form`).
+"""
+
+from __future__ import annotations
+
+import threading
+import time
+from dataclasses import dataclass, field, replace
+from itertools import groupby
+from typing import Any, Literal
+
+import numpy as np
+
+from sdpid._common.arrays import Array, Mask
+from sdpid.estimation.conic.standard_form import (
+    ConicProgram,
+    Matrix,
+    Standard,
+    standard_form,
+    vectoriser,
+)
+
+__all__ = [
+    "TOLERANCE",
+    "ConicFamily",
+    "ConicProgram",
+    "ConicSolution",
+    "Matrix",
+    "Solver",
+    "solve_conic",
+]
+
+# Tighter than a solver can reach: it then stops where it makes no further progress, and what it
+# found is judged by what is recomputed.
+TOLERANCE = 1e-11
+
+# SCS is a first-order method: this is as far as it goes in a reasonable time.
+_SCS_TOLERANCE = 1e-9
+_SCS_ITERATIONS = 20000
+
+Solver = Literal["clarabel", "scs"]
+
+
+@dataclass(frozen=True, eq=False)
+class ConicSolution:
+    """What a solver found; nothing in it is believed.
+
+    Attributes
+    ----------
+    status : str
+        What the solver said, such as ``"Solved"``.
+    x : ndarray, shape (n,), or None
+        None where the solver has none.
+    rows : ndarray, shape (c,)
+        Multipliers of the linear inequalities, lower less upper.
+    blocks : tuple of ndarray
+        Multipliers of the matrix inequalities.
+    iterations : int
+    seconds : float
+        In the solver, by its own clock.
+    ball : ndarray, shape (1 + r,)
+        Multipliers of ‖M·x + m‖ ≤ radius: of the radius, then of the residual; empty without one.
+    residual : ndarray, shape (r,)
+        M·x + m as the multipliers have it; empty with a radius.
+    error : float
+        The largest of gap, primal and dual residual, relative, by the solver's own account;
+        infinite where it gives none.
+    """
+
+    status: str
+    x: Array | None
+    rows: Array = field(default_factory=lambda: np.zeros(0))
+    blocks: tuple[Array, ...] = ()
+    iterations: int = 0
+    seconds: float = 0.0
+    ball: Array = field(default_factory=lambda: np.zeros(0))
+    error: float = np.inf
+    residual: Array = field(default_factory=lambda: np.zeros(0))
+
+
+# Status, variables, multipliers, iterations, seconds and error.
+_Found = tuple[str, Array, Array, int, float, float]
+
+_NOTHING = np.array([np.nan])
+
+
+class ConicFamily:
+    """Programs of one shape, put into form once: cost, squares and radius may differ.
+
+    Clarabel keeps its own form of them as well, one in each thread: only numbers are exchanged
+    between two solves, and each starts afresh, so that what is found does not depend on what was
+    solved before. Nothing is equilibrated: numbers are expected to be of order one.
+
+    Parameters
+    ----------
+    program : ConicProgram
+        One of them.
+    pattern : ndarray of bool, shape (r, n), optional
+        Which entries of M may differ from zero in any of them; by default all have the same
+        squares. Only programs without a radius can have others.
+    tolerance : float, optional
+        Relative gap and residuals at which Clarabel stops.
+    """
+
+    def __init__(
+        self,
+        program: ConicProgram,
+        *,
+        pattern: Mask | None = None,
+        tolerance: float = TOLERANCE,
+    ) -> None:
+        self._tolerance = tolerance
+        self._own = None if pattern is None else (program.M, program.m)
+        if pattern is not None:
+            # Zeros of one program must keep their place.
+            program = replace(program, M=np.where(pattern, 1.0, 0.0))
+        self.program = program
+        self._form = standard_form(program, lower_triangle=False)
+        A = self._form.A
+        columns = np.repeat(np.arange(A.shape[1]), np.diff(A.indptr))
+        self._squares = np.flatnonzero((A.indices < self._form.zero) & (columns < program.n))
+        self._entries = A.indices[self._squares], columns[self._squares]
+        self._local = threading.local()
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {name: value for name, value in vars(self).items() if name != "_local"}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        self.__dict__.update(state)
+        self._local = threading.local()
+
+    def solve(
+        self,
+        cost: Array | None = None,
+        radius: float | None = None,
+        *,
+        squares: tuple[Array, Array] | None = None,
+        regularisation: float = 1e-8,
+    ) -> ConicSolution:
+        """Solve one of the programs with Clarabel.
+
+        Parameters
+        ----------
+        cost : ndarray, shape (n,), optional
+            Another linear cost than the program's.
+        radius : float, optional
+            Another radius; only for programs that have one.
+        squares : tuple of ndarray, optional
+            Other M and m than the program's, M zero outside of the pattern.
+        regularisation : float, optional
+            What Clarabel adds to the diagonal of its linear systems.
+        """
+        standard = self._form
+        squares = self._own if squares is None else squares
+        q, A, b = standard.q, standard.A, standard.b
+        if cost is not None:
+            q = q.copy()
+            q[: self.program.n] = cost
+        if radius is not None or squares is not None:
+            b = b.copy()
+        if radius is not None:
+            b[standard.zero + standard.positive] = radius
+        if squares is not None:
+            A = A.copy()
+            A.data[self._squares] = -squares[0][self._entries]
+            b[: standard.zero] = squares[1]
+        changed = replace(standard, q=q, A=A, b=b)
+        solvers = vars(self._local)
+        key = str(regularisation)
+        solver = solvers.get(key)
+        again = solver is not None
+        if solver is None:
+            solver = _clarabel_solver(changed, regularisation, fixed=self._tolerance)
+            # An older Clarabel takes no other numbers, or not of every program.
+            if getattr(solver, "is_data_update_allowed", bool)():
+                solvers[key] = solver
+        else:
+            # Lists are taken over faster than arrays.
+            values = {"A": A.data.tolist()} if squares is not None else {}
+            solver.update(q=q.tolist(), b=b.tolist(), **values)
+        found = _clarabel_found(solver, again=again)
+        if found[0].startswith("panic"):
+            solvers.pop(key, None)
+        return _read(self.program, changed, found, lower=False)
+
+
+def solve_conic(
+    program: ConicProgram,
+    *,
+    solver: Solver = "clarabel",
+    regularisation: float = 1e-8,
+    verbose: bool = False,
+) -> ConicSolution:
+    """Solve a program.
+
+    Parameters
+    ----------
+    program : ConicProgram
+        The program.
+    solver : {"clarabel", "scs"}, optional
+        The solver.
+    regularisation : float, optional
+        What Clarabel adds to the diagonal of its linear systems.
+    verbose : bool, optional
+        Let the solver print.
+
+    Returns
+    -------
+    ConicSolution
+        With the point where the solver stopped, whatever it calls it.
+    """
+    lower = solver == "scs"
+    standard = standard_form(program, lower_triangle=lower)
+    if lower:
+        found = _scs(standard, verbose)
+    else:
+        found = _clarabel_found(_clarabel_solver(standard, regularisation, verbose=verbose))
+    return _read(program, standard, found, lower=lower)
+
+
+def _read(
+    program: ConicProgram, standard: Standard, found: _Found, *, lower: bool
+) -> ConicSolution:
+    """Sort what a solver found: its point, and the multipliers."""
+    status, v, dual, iterations, seconds, error = found
+    if not (np.all(np.isfinite(v)) and np.all(np.isfinite(dual))):
+        return ConicSolution(status, None, iterations=iterations, seconds=seconds)
+    at = standard.zero
+    rows = np.zeros(len(program.lower))
+    rows[standard.below] += dual[at : at + len(standard.below)]
+    at += len(standard.below)
+    rows[standard.above] -= dual[at : at + len(standard.above)]
+    at += len(standard.above)
+    ball = dual[at : at + standard.ball]
+    at += standard.ball
+    blocks: list[Array] = []
+    # Blocks of one size in turn, of which there is seldom more than one.
+    for size, run in groupby(block.constant.shape[0] for block in program.blocks):
+        count = len(list(run))
+        basis = vectoriser(size, lower=lower)
+        found_there = dual[at : at + count * len(basis)].reshape(count, len(basis))
+        blocks += list((found_there @ basis.reshape(len(basis), -1)).reshape(count, size, size))
+        at += count * len(basis)
+    # Stationary in the residual r itself: 2·r = −(multiplier of M·x + m = r).
+    residual = -0.5 * dual[: standard.zero]
+    x = v[: program.n]
+    return ConicSolution(status, x, rows, tuple(blocks), iterations, seconds, ball, error, residual)
+
+
+def _clarabel_solver(
+    standard: Standard,
+    regularisation: float,
+    *,
+    verbose: bool = False,
+    fixed: float | None = None,
+) -> Any:
+    """Return Clarabel with a program; fixed, to a tolerance, it keeps what others may need."""
+    import clarabel
+
+    settings = clarabel.DefaultSettings()
+    settings.verbose = verbose
+    tolerance = TOLERANCE if fixed is None else fixed
+    settings.tol_gap_abs = settings.tol_gap_rel = settings.tol_feas = tolerance
+    settings.static_regularization_constant = regularisation
+    if fixed is not None:
+        settings.presolve_enable = settings.chordal_decomposition_enable = False
+        settings.equilibrate_enable = False
+    cones: list[Any] = [clarabel.ZeroConeT(standard.zero)] if standard.zero else []
+    if standard.positive:
+        cones.append(clarabel.NonnegativeConeT(standard.positive))
+    if standard.ball:
+        cones.append(clarabel.SecondOrderConeT(standard.ball))
+    cones += [clarabel.PSDTriangleConeT(size) for size in standard.sizes]
+    cones += [clarabel.ExponentialConeT()] * standard.exponential
+    return clarabel.DefaultSolver(standard.P, standard.q, standard.A, standard.b, cones, settings)
+
+
+def _clarabel_found(solver: Any, *, again: bool = False) -> _Found:
+    """Let Clarabel solve; its own clock counts the setup, but only where that is new."""
+    begin = time.perf_counter()
+    try:
+        found = solver.solve()
+    except BaseException as cause:
+        # Where numbers overflow, the solver panics, which is no `Exception`: no point was found.
+        if type(cause).__name__ != "PanicException":
+            raise
+        return f"panic: {cause}", _NOTHING, _NOTHING, 0, 0.0, np.inf
+    seconds = float(found.solve_time)
+    if again:
+        # The one setup is in every solve's time: what the call took is less.
+        seconds = min(seconds, time.perf_counter() - begin)
+    value, bound = float(found.obj_val), float(found.obj_val_dual)
+    gap = abs(value - bound) / max(1.0, abs(value))
+    error = max(gap, float(found.r_prim), float(found.r_dual))
+    error = error if np.isfinite(error) else np.inf
+    iterations = int(found.iterations)
+    return str(found.status), np.array(found.x), np.array(found.z), iterations, seconds, error
+
+
+def _scs(standard: Standard, verbose: bool) -> _Found:
+    import scs
+
+    data = {"P": standard.P, "A": standard.A, "b": standard.b, "c": standard.q}
+    cone = {
+        "z": standard.zero,
+        "l": standard.positive,
+        "q": [standard.ball] if standard.ball else [],
+        "s": list(standard.sizes),
+        "ep": standard.exponential,
+    }
+    solver = scs.SCS(
+        data,
+        cone,
+        eps_abs=_SCS_TOLERANCE,
+        eps_rel=_SCS_TOLERANCE,
+        max_iters=_SCS_ITERATIONS,
+        verbose=verbose,
+    )
+    found = solver.solve()
+    info = found["info"]
+    seconds = 1e-3 * float(info["setup_time"] + info["solve_time"])
+    return str(info["status"]), found["x"], found["y"], int(info["iter"]), seconds, np.inf

@@ -1,0 +1,222 @@
+"""The feasible set of one problem: bounds, matrix inequalities and linear rows in theta."""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from sdpid._common.arrays import Array, Indices, Mask, frozen
+from sdpid.errors import InfeasibleError
+from sdpid.estimation.constraints.condition import Cone, Layout, Row
+from sdpid.estimation.constraints.constraints import Constraints
+from sdpid.robot.inertia import Consistency, margin, margin_shift, matrix_basis
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class FeasibleSet:
+    """All theta with ``lower ≤ theta ≤ upper``, matrices ⪰ 0 and rows within their limits.
+
+    Every matrix inequality is ``F0 + Σ body_k·F_k`` ⪰ 0 in the ten parameters of one link. First
+    come the links' own (none without a consistency), then the cones of further conditions: the
+    cone ``‖v‖ ≤ a`` is the matrix ``[[a·E, v], [v^T, a]]``, v filled up with zeros to the size.
+
+    Attributes
+    ----------
+    consistency : {"pseudo_inertia", "spatial_inertia", "none"}
+        Which matrix inequality each link obeys.
+    constraints : Constraints
+        The numbers.
+    n_links : int
+        Links; their parameters are the first 10·links entries of theta.
+    lower, upper : ndarray, shape (p,)
+        Bounds on theta.
+    block_names : tuple of str
+        What each of the N matrix inequalities says.
+    block_links : ndarray of int, shape (N,)
+        Whose parameters it is about.
+    block_basis : ndarray, shape (N, 10, s, s)
+        F_k.
+    block_constants : ndarray, shape (N, s, s)
+        F0.
+    row_names : tuple of str
+        What each of the r linear rows says.
+    rows : ndarray, shape (r, p)
+        The rows.
+    row_lower, row_upper : ndarray, shape (r,)
+        Their limits, equal for equations, infinite where there is none.
+    """
+
+    consistency: Consistency
+    constraints: Constraints
+    n_links: int
+    lower: Array
+    upper: Array
+    block_names: tuple[str, ...]
+    block_links: Indices
+    block_basis: Array
+    block_constants: Array
+    row_names: tuple[str, ...]
+    rows: Array
+    row_lower: Array
+    row_upper: Array
+
+    @classmethod
+    def build(
+        cls, constraints: Constraints, consistency: Consistency, layout: Layout
+    ) -> FeasibleSet:
+        """Build for a robot with its friction terms.
+
+        Raises
+        ------
+        ModelError, DataError
+            When a condition does not fit the robot.
+        """
+        robot, n_links = layout.robot, layout.robot.n_links
+        nonnegative = np.array([p.nonnegative for p in layout.friction.parameters], dtype=bool)
+        upper = np.full(layout.count, float(constraints.theta_max))
+        lower = -upper
+        if consistency != "none":
+            lower[: 10 * n_links : 10] = constraints.mass_min
+            upper[: 10 * n_links : 10] = constraints.mass_max
+        if constraints.friction_nonnegative and consistency != "none":
+            lower[10 * n_links :][nonnegative] = 0.0
+        said = [part for other in constraints.others for part in other.compile(layout)]
+        said = _told_apart(said)
+        rows = [part for part in said if isinstance(part, Row)]
+        cones = [part for part in said if isinstance(part, Cone)]
+        size = 6 if consistency == "spatial_inertia" else 4
+        names = [cone.name for cone in cones]
+        links = [cone.link for cone in cones]
+        basis = [_arrow(cone, size) for cone in cones]
+        constants = [np.zeros((size, size))] * len(cones)
+        if consistency != "none":
+            names = [f"consistency of {name}" for name in robot.link_names] + names
+            links = [*range(n_links), *links]
+            basis = [matrix_basis(consistency)] * n_links + basis
+            constants = [-constraints.margin * margin_shift(consistency)] * n_links + constants
+        block_links = np.array(links, dtype=np.intp)
+        block_links.setflags(write=False)
+        return cls(
+            consistency=consistency,
+            constraints=constraints,
+            n_links=n_links,
+            lower=frozen(lower),
+            upper=frozen(upper),
+            block_names=tuple(names),
+            block_links=block_links,
+            block_basis=frozen(np.reshape(basis, (len(basis), 10, size, size))),
+            block_constants=frozen(np.reshape(constants, (len(constants), size, size))),
+            row_names=tuple(row.name for row in rows),
+            rows=frozen(np.reshape([row.coefficients for row in rows], (len(rows), layout.count))),
+            row_lower=frozen([row.lower for row in rows]),
+            row_upper=frozen([row.upper for row in rows]),
+        )
+
+    @property
+    def bounded(self) -> Mask:
+        """Parameters with bounds of their own, beside theta_max: masses, and signs of friction."""
+        wide = self.constraints.theta_max
+        return (self.lower > -wide) | (self.upper < wide)
+
+    @property
+    def n_own(self) -> int:
+        """Number of the links' own matrix inequalities, which come first."""
+        return 0 if self.consistency == "none" else self.n_links
+
+    @property
+    def equations(self) -> Mask:
+        """Which rows are equations."""
+        return np.asarray(self.row_lower == self.row_upper)
+
+    def require_feasible(self) -> None:
+        """Raise when the margin alone leaves no parameters.
+
+        A ball about the joint frame's origin has the largest margin for given moments of
+        inertia, so without further conditions it alone decides: its moments are the margin (6×6)
+        or twice it (4×4).
+
+        Raises
+        ------
+        InfeasibleError
+            When the margin asks for more inertia than theta_max allows.
+        """
+        if self.consistency == "none":
+            return
+        factor = 2.0 if self.consistency == "pseudo_inertia" else 1.0
+        needed = factor * self.constraints.margin
+        if needed > self.constraints.theta_max:
+            raise InfeasibleError(
+                f"the margin of {self.constraints.margin} kg.m2 needs moments of inertia of "
+                f"{needed} kg.m2, theta_max allows {self.constraints.theta_max}; lower the margin "
+                "or raise theta_max.",
+                conflict=("margin", "theta_max"),
+            )
+
+    @property
+    def size(self) -> int:
+        """Size s of the matrices: 4 or 6."""
+        return int(self.block_basis.shape[-1])
+
+    def bodies(self, theta: Array) -> Array:
+        """Return the links of theta, shape (links, 10)."""
+        return theta[: 10 * self.n_links].reshape(self.n_links, 10)
+
+    def matrices(self, theta: Array) -> Array:
+        """Return the matrices that are to be positive semidefinite, shape (N, s, s)."""
+        bodies = self.bodies(theta)[self.block_links]
+        blocks = np.einsum("nk,nkij->nij", bodies, self.block_basis)
+        return np.asarray(blocks + self.block_constants)
+
+    def adjoint(self, Z: Array) -> Array:
+        """Return Σ F*(Z_i) as a vector over theta, of multipliers (N, s, s)."""
+        out = np.zeros(len(self.lower))
+        values = np.einsum("nij,nkij->nk", Z, self.block_basis)
+        np.add.at(out[: 10 * self.n_links].reshape(-1, 10), self.block_links, values)
+        return out
+
+    def margins(self, theta: Array) -> Array:
+        """Return every link's margin in kg·m², NaN where the mass is not positive."""
+        return margin(self.bodies(theta), self.consistency)
+
+    def rooms(self, theta: Array) -> Array:
+        """Return by how much each cone of the further conditions holds, in its own unit."""
+        F = self.matrices(theta)[self.n_own :]
+        return np.asarray(F[:, -1, -1] - np.linalg.norm(F[:, -1, :-1], axis=1))
+
+    def violation(self, theta: Array) -> float:
+        """Return by how much theta violates the worst of its constraints, 0 when feasible.
+
+        Margins count in kg·m², masses in kg, everything else in its own unit; a link without a
+        positive mass counts with the size of the mass it lacks.
+        """
+        worst = float(np.max(np.maximum(self.lower - theta, theta - self.upper), initial=0.0))
+        if self.consistency != "none":
+            margins = self.margins(theta)
+            short = self.constraints.margin - margins[np.isfinite(margins)]
+            worst = max(worst, float(np.max(short, initial=0.0)))
+        values = self.rows @ theta
+        outside = np.maximum(self.row_lower - values, values - self.row_upper)
+        worst = max(worst, float(np.max(outside, initial=0.0)))
+        return max(worst, float(np.max(-self.rooms(theta), initial=0.0)))
+
+
+def _told_apart(parts: list[Row | Cone]) -> list[Row | Cone]:
+    """Return rows and cones with a number behind names that occur more than once."""
+    counts = Counter(part.name for part in parts)
+    seen: Counter[str] = Counter()
+    out = []
+    for part in parts:
+        seen[part.name] += 1
+        several = counts[part.name] > 1
+        name = f"{part.name} ({seen[part.name]})" if several else part.name
+        out.append(replace(part, name=name))
+    return out
+
+
+def _arrow(cone: Cone, size: int) -> Array:
+    """Return F_k, shape (10, s, s), of ``[[a·E, v], [v^T, a]]`` ⪰ 0."""
+    basis = np.asarray(cone.axis)[:, None, None] * np.eye(size)
+    basis[:, -1, :3] = basis[:, :3, -1] = np.asarray(cone.vectors).T
+    return basis

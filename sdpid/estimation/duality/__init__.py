@@ -1,0 +1,1 @@
+"""Multipliers, and the lower bounds that they prove."""

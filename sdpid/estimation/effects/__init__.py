@@ -1,0 +1,1 @@
+"""Friction curves whose shape is chosen by the data."""

@@ -1,0 +1,88 @@
+"""Which base parameters the given data excite: a question about a recording, not a robot."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from sdpid._common.arrays import Array, frozen
+from sdpid.errors import IdentifiabilityError
+
+# Below this (columns scaled to unit length) a direction is lost in rounding: not determined.
+UNDETERMINED = 1e-10
+
+# Below this a direction is reported as weak: errors there are a thousand times those of the best.
+WEAK = 1e-3
+
+# A parameter belongs to a direction when its share of the unit vector is at least this.
+_SHARE = 0.3
+
+
+@dataclass(frozen=True, eq=False)
+class Excitation:
+    """How well the data determine the base parameters.
+
+    Attributes
+    ----------
+    names : tuple of str
+        The base parameters.
+    singular_values : ndarray, shape (b,)
+        Of the weighted regressor with columns scaled to unit length, largest first.
+    directions : ndarray, shape (b, b)
+        The matching right singular vectors, as rows.
+    column_norms : ndarray, shape (b,)
+        Lengths of the weighted regressor's columns.
+    """
+
+    names: tuple[str, ...]
+    singular_values: Array
+    directions: Array
+    column_norms: Array
+
+    @classmethod
+    def of(cls, A: Array, names: tuple[str, ...]) -> Excitation:
+        """Analyse a compressed regressor (b, b)."""
+        norms = np.linalg.norm(A, axis=0)
+        scaled = A / np.where(norms > 0.0, norms, 1.0)
+        _, singular, directions = np.linalg.svd(scaled)
+        return cls(names, frozen(singular), frozen(directions), frozen(norms))
+
+    @property
+    def condition_number(self) -> float:
+        """Largest over smallest singular value of the scaled columns; infinite if one is zero."""
+        smallest = float(self.singular_values[-1])
+        return float(self.singular_values[0]) / smallest if smallest > 0.0 else float("inf")
+
+    def weak(self, limit: float = WEAK) -> tuple[tuple[float, tuple[str, ...]], ...]:
+        """Return (singular value, parameters) of each direction weaker than `limit`."""
+        return tuple(
+            (
+                float(value),
+                tuple(n for n, share in zip(self.names, row, strict=True) if abs(share) >= _SHARE),
+            )
+            for value, row in zip(self.singular_values, self.directions, strict=True)
+            if value < limit
+        )
+
+
+def require_excitation(excitation: Excitation) -> None:
+    """Raise when the data leave a base parameter undetermined.
+
+    Raises
+    ------
+    IdentifiabilityError
+        Naming the parameters and the singular values.
+    """
+    lost = excitation.weak(UNDETERMINED)
+    if not lost:
+        return
+    listed = "; ".join(
+        f"{' with '.join(names) or 'a mixture of many'} ({value:.1e})" for value, names in lost[:6]
+    )
+    more = f"; and {len(lost) - 6} more" if len(lost) > 6 else ""
+    raise IdentifiabilityError(
+        f"the data do not excite {len(lost)} of {len(excitation.names)} base parameter directions "
+        f"(singular values, limit {UNDETERMINED:.0e}): {listed}{more}. Record a motion that moves "
+        "these joints, or leave out the terms."
+    )

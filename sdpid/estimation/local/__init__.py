@@ -1,0 +1,1 @@
+"""Local solvers, to be compared with the global optimum."""

@@ -1,0 +1,379 @@
+"""The modern local way: smooth coordinates in which every link is consistent."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from sdpid._common.arrays import Array, frozen
+from sdpid._common.threads import one_thread
+from sdpid.errors import DataError
+from sdpid.estimation.estimate import Estimate, Status
+from sdpid.estimation.local.run import LocalRun
+from sdpid.estimation.local.starts import checked_start
+from sdpid.estimation.problem import Problem
+from sdpid.estimation.scaling import Scaling
+from sdpid.robot.consistent import raise_eigenvalues
+from sdpid.robot.inertia import (
+    central_moments,
+    complement,
+    inertia_tensor,
+    tensor_entries,
+    theta_from_physical,
+)
+
+# Places of a link's coordinates: half the logarithm of the mass, three logarithms and three
+# entries above the diagonal of K, centre of mass.
+_MASS, _DIAGONAL, _ABOVE, _COM = 0, slice(1, 4), slice(4, 7), slice(7, 10)
+_ROWS, _COLUMNS = np.array([0, 1, 2, 0, 0, 1]), np.array([0, 1, 2, 1, 2, 2])
+
+# A start on or outside the boundary has no coordinates: its moments are raised to this share of
+# the mass times the squared length.
+_INSIDE = 1e-6
+
+# Least logarithms on the diagonal, stage by stage; the last allows moments of 1e-7 of the mass
+# times the squared length. A link that goes to the boundary too early does not come back, as its
+# gradient vanishes there, so the way is opened in stages.
+_THINNEST = (-2.0, -3.0, -5.0, -8.0)
+
+# A stage but the last ends when a step lowers the cost by less than this share.
+_STAGE = 1e-4
+
+# A log-mass with less room than this is fixed, not bounded.
+_FIXED = 1e-12
+
+# Curvature of every coordinate, where the squared efforts are one: it keeps directions that the
+# effort does not show from drifting with rounding, and adds nothing to the cost.
+_STILL = 1e-12
+
+# Conditions that a refusal names.
+_NAMED = 4
+
+# The other two tests of convergence: a step or a gradient of rounding.
+_ROUNDING = 1e-14
+
+
+@dataclass(frozen=True, eq=False)
+class LogCholesky:
+    """The coordinates of a problem and how they become standard parameters [rucker2022]_.
+
+    A link has ten, free of units: a, d (3), k (3) and c (3). With the robot's length l and the
+    upper triangular K, its diagonal exp(d) and k above it,
+
+        m = exp(2a),   r = l·c,   N = m·l²·K·K^T + eps·E,
+
+    where N is what must exceed the margin eps: the second moments about the centre of mass, or
+    for the 6×6 inequality the inertia about it. In the first case
+
+        J − eps·diag(1, 1, 1, 0) = U·U^T,   U = exp(a)·[[l·K, r], [0, 1]],
+
+    which is the parameterisation of [rucker2022]_ with the margin taken off; in the second the
+    inertia takes the place of the second moments. The coordinates are one to one with the
+    interior of the feasible set, bounds on the mass are bounds on a, and the rest of the
+    boundary lies at infinity. Friction parameters are only scaled.
+
+    Attributes
+    ----------
+    problem : Problem
+        The problem.
+    length : float
+        The robot's length, m.
+    friction : ndarray
+        Size of each friction parameter.
+    """
+
+    problem: Problem
+    length: float
+    friction: Array
+
+    @classmethod
+    def of(cls, problem: Problem) -> LogCholesky:
+        """Choose the units of a problem's coordinates."""
+        scaling = Scaling.of(problem)
+        return cls(problem, scaling.length, frozen(scaling.friction))
+
+    def _split(self, x: Array) -> tuple[Array, Array, Array]:
+        """Return masses (links,), l·K (links, 3, 3) and centres of mass (links, 3) in m."""
+        links = self.problem.feasible.n_links
+        each = x[: 10 * links].reshape(links, 10)
+        K = np.zeros((links, 3, 3))
+        K[:, _ROWS, _COLUMNS] = np.hstack([np.exp(each[:, _DIAGONAL]), each[:, _ABOVE]])
+        return np.exp(2.0 * each[:, _MASS]), self.length * K, self.length * each[:, _COM]
+
+    def _sizes(self, K: Array) -> Array:
+        """Return the derivative of each entry of l·K in its coordinate, (links, 6)."""
+        out = np.full((len(K), 6), self.length)
+        out[:, :3] = K[:, range(3), range(3)]
+        return out
+
+    def _inertia(self, N: Array) -> Array:
+        """Return the inertia about the centre of mass of what must exceed the margin."""
+        return complement(N) if self.problem.consistency == "pseudo_inertia" else N
+
+    def theta(self, x: Array) -> Array:
+        """Return the standard parameters of coordinates (p,)."""
+        mass, K, com = self._split(x)
+        margin = self.problem.constraints.margin
+        N = mass[:, None, None] * (K @ np.swapaxes(K, 1, 2)) + margin * np.eye(3)
+        bodies = theta_from_physical(mass, com, self._inertia(N))
+        return np.concatenate([bodies.ravel(), x[bodies.size :] * self.friction])
+
+    def from_theta(self, theta: Array) -> Array:
+        """Return the coordinates of standard parameters with positive masses.
+
+        Links on the boundary or outside are moved just inside.
+        """
+        bodies = self.problem.feasible.bodies(theta)
+        mass, com, N = central_moments(bodies, self.problem.consistency)
+        size = (mass * self.length**2)[:, None, None]
+        free = (N - self.problem.constraints.margin * np.eye(3)) / size
+        S = raise_eigenvalues(free, np.full(len(free), _INSIDE))
+        # The upper factor is the lower one seen from the other corner.
+        K = np.linalg.cholesky(S[:, ::-1, ::-1])[:, ::-1, ::-1]
+        entries = K[:, _ROWS, _COLUMNS]
+        each = np.empty((len(mass), 10))
+        each[:, _MASS] = 0.5 * np.log(mass)
+        each[:, _DIAGONAL] = np.log(entries[:, :3])
+        each[:, _ABOVE] = entries[:, 3:]
+        each[:, _COM] = com / self.length
+        return np.concatenate([each.ravel(), theta[bodies.size :] / self.friction])
+
+    def link_jacobians(self, x: Array) -> Array:
+        """Return the derivative of each link's parameters in its coordinates, (links, 10, 10)."""
+        mass, K, com = self._split(x)
+        J = np.zeros((len(mass), 10, 10))
+        # All but the margin is proportional to the mass.
+        square = self._inertia(K @ np.swapaxes(K, 1, 2))
+        J[:, :, _MASS] = 2.0 * theta_from_physical(np.ones(len(mass)), com, square)
+        sizes = self._sizes(K)
+        for place, (i, j) in enumerate(zip(_ROWS, _COLUMNS, strict=True)):
+            step = np.zeros((len(mass), 3, 3))
+            step[:, i, :] = K[:, :, j] * sizes[:, place, None]
+            change = self._inertia(step + np.swapaxes(step, 1, 2))
+            J[:, 4:, 1 + place] = tensor_entries(change)
+        for k in range(3):
+            outer = np.zeros((len(mass), 3, 3))
+            outer[:, k, :] = self.length * com
+            J[:, 1 + k, 7 + k] = self.length
+            J[:, 4:, 7 + k] = tensor_entries(complement(outer + np.swapaxes(outer, 1, 2)))
+        return np.asarray(mass[:, None, None] * J)
+
+    def curvatures(self, x: Array, gradient: Array) -> Array:
+        """Return the second derivative of ``gradient·theta`` in each link's coordinates.
+
+        Shape (links, 10, 10). With L the gradient in N and C that in the moments of the centre
+        of mass, it is that of ``m·(g_m + g_h·r + tr(l²·K^T·L·K) + r^T·C·r)``.
+        """
+        mass, K, com = self._split(x)
+        parts = self.problem.feasible.bodies(gradient)
+        # An entry off the diagonal stands for two.
+        inertia = inertia_tensor(parts) * (0.5 + 0.5 * np.eye(3))
+        L, C = self._inertia(inertia), complement(inertia)
+        LK, sizes = L @ K, self._sizes(K)
+        pull = parts[:, 1:4] + 2.0 * np.einsum("lij,lj->li", C, com)
+        first = np.zeros((len(mass), 10))
+        first[:, 1:7] = 2.0 * LK[:, _ROWS, _COLUMNS] * sizes
+        first[:, _COM] = self.length * pull
+        value = parts[:, 0] + np.einsum("lij,lij->l", LK, K)
+        value = value + 0.5 * np.einsum("li,li->l", pull + parts[:, 1:4], com)
+        out = np.zeros((len(mass), 10, 10))
+        same = _COLUMNS[:, None] == _COLUMNS
+        out[:, 1:7, 1:7] = 2.0 * L[:, _ROWS[:, None], _ROWS] * same
+        out[:, 1:7, 1:7] *= sizes[:, :, None] * sizes[:, None, :]
+        out[:, range(1, 4), range(1, 4)] += first[:, _DIAGONAL]
+        out[:, _COM, _COM] = 2.0 * self.length**2 * C
+        out[:, _MASS, :] = out[:, :, _MASS] = 2.0 * first
+        out[:, _MASS, _MASS] = 4.0 * value
+        return np.asarray(mass[:, None, None] * out)
+
+    def bounds(self, thinnest: float) -> tuple[Array, Array]:
+        """Return bounds on the coordinates: of masses and friction, and how thin a link gets."""
+        feasible = self.problem.feasible
+        links = 10 * feasible.n_links
+        lower, upper = np.full(self.problem.n_theta, -np.inf), np.full(self.problem.n_theta, np.inf)
+        lower[:links].reshape(-1, 10)[:, _DIAGONAL] = thinnest
+        lower[:links:10] = 0.5 * np.log(self.problem.constraints.mass_min)
+        upper[:links:10] = 0.5 * np.log(self.problem.constraints.mass_max)
+        lower[links:] = feasible.lower[links:] / self.friction
+        upper[links:] = feasible.upper[links:] / self.friction
+        return lower, upper
+
+
+@one_thread
+def solve_log_cholesky(
+    problem: Problem,
+    *,
+    start: Array | None = None,
+    seed: int | np.random.Generator = 0,
+    max_iterations: int = 600,
+    tolerance: float = 1e-8,
+) -> Estimate:
+    """Minimize the cost locally in log-Cholesky coordinates [rucker2022]_.
+
+    Every point in these coordinates satisfies the links' inequality with its margin, 4×4 or 6×6,
+    so nonlinear least squares with a trust region (SciPy's ``least_squares``) needs no
+    constraints but bounds on masses and friction. Derivatives are analytic. To the
+    Gauss–Newton matrix the positive part of what it leaves out is added: without it progress
+    along the boundary is much slower.
+
+    The boundary lies at infinity, so where links end on it the result stays above the optimum.
+    Measured on the Denso with periods of 38 s, ten random starts: where the optimum is inside
+    (6×6, margin 0.01) all end there to every digit, in 17 to 27 iterations and 0.1 s; where
+    every link ends on or near the boundary (4×4, margin 0.005) all reach the limit of 600
+    evaluations after 1.1 s, nine of them 3e-6 to 5e-4 above the semidefinite program's cost and
+    one 2e-2; the two best are ``"optimal"``. The semidefinite program takes 0.01 s.
+
+    Parameters
+    ----------
+    problem : Problem
+        The problem, with a consistency.
+    start : ndarray, shape (p,), optional
+        Standard parameters to start from, masses positive. Links on the boundary or outside are
+        first moved inside.
+    seed : int or numpy.random.Generator, optional
+        Of the random start that is used without `start`.
+    max_iterations : int, optional
+        Limit on evaluations of the residual, refused steps included.
+    tolerance : float, optional
+        A step that lowers the cost by less than this share of it is the last.
+
+    Returns
+    -------
+    Estimate
+        With status ``"optimal"`` when the point is feasible and, recomputed in physical
+        variables, stationary; otherwise ``"iteration limit"``, ``"stalled"``, or ``"infeasible"``
+        where a parameter exceeds ``theta_max``, which the coordinates cannot express. How far
+        from the global optimum a result is, `certify` tells.
+
+    Raises
+    ------
+    DataError
+        When the start has another size or masses that are not positive, or the problem has no
+        consistency to obey, further conditions (`Constraints.others`) or a log-det prior.
+    InfeasibleError
+        When no parameters satisfy the constraints.
+    """
+    reason = unsupported(problem)
+    if reason is not None:
+        raise DataError(f"solve_log_cholesky: {reason}")
+    problem.feasible.require_feasible()
+    start = checked_start(problem, start, seed)
+    run = _Run(problem)
+    result = run.minimized(start, max_iterations, tolerance)
+    # SciPy's status 0 is the limit on evaluations.
+    stopped: Status = "iteration limit" if int(result.status) == 0 else "stalled"
+    theta = run.theta(result.x)
+    return run.estimate("log_cholesky", start, theta, stopped=stopped, message=str(result.message))
+
+
+def unsupported(problem: Problem) -> str | None:
+    """Return why a problem cannot be solved in these coordinates, None where it can."""
+    feasible = problem.feasible
+    if problem.consistency == "none":
+        return "consistency is 'none', nothing constrains; use solve_wls."
+    # Facets of a hull are many; a few names tell.
+    names = [*feasible.row_names, *feasible.block_names[feasible.n_own :]]
+    if names:
+        said = ", ".join(names[:_NAMED]) + (", …" if len(names) > _NAMED else "")
+        return (
+            f"its coordinates cannot express further conditions ({said}), only margins, masses "
+            "and signs; use solve_sdp or solve_slsqp."
+        )
+    if len(problem.log_det.links):
+        return (
+            "a log-det prior (kind 'entropic') is no sum of squares; use solve_sdp or "
+            "solve_slsqp, or a prior of kind 'pullback'."
+        )
+    return None
+
+
+class _Run(LocalRun):
+    """The residual of the free coordinates with its derivative, and the stages of the solver."""
+
+    def __init__(self, problem: Problem) -> None:
+        super().__init__(problem)
+        self.coordinates = LogCholesky.of(problem)
+        # Constant rows: the floor, so that tolerances are shares of the cost, and one for each
+        # row of curvature.
+        self.constant = np.zeros(1 + 10 * problem.feasible.n_links + problem.n_theta)
+        self.constant[0] = self.scale * np.sqrt(problem.floor)
+        lower, upper = self.coordinates.bounds(_THINNEST[-1])
+        self.free = upper - lower > _FIXED
+        self.fixed = np.where(self.free, 0.0, lower)
+
+    def expand(self, x: Array) -> Array:
+        """Return all coordinates of the free ones."""
+        full = self.fixed.copy()
+        full[self.free] = x
+        return full
+
+    def theta(self, x: Array) -> Array:
+        """Return the standard parameters, masses that rounding took over their bounds put back."""
+        theta, feasible = self.coordinates.theta(self.expand(x)), self.problem.feasible
+        clipped = np.clip(theta, feasible.lower, feasible.upper)
+        return np.where(feasible.bounded, clipped, theta)
+
+    def residual(self, x: Array) -> Array:
+        values = self.G @ self.coordinates.theta(self.expand(x)) - self.rhs
+        return np.concatenate([values, self.constant])
+
+    def jacobian(self, x: Array) -> Array:
+        """Return the derivative of the residual, and rows that add curvature to its square.
+
+        The residual of those rows is zero, so they do not change the gradient.
+        """
+        full = self.expand(x)
+        inertial = 10 * self.problem.feasible.n_links
+        gradient = (self.G @ self.coordinates.theta(full) - self.rhs) @ self.G
+        values, vectors = np.linalg.eigh(self.coordinates.curvatures(full, gradient))
+        roots = np.sqrt(np.maximum(values, 0.0))[:, :, None] * np.swapaxes(vectors, 1, 2)
+        jacobians = self.coordinates.link_jacobians(full)
+        count = len(self.rhs)
+        J = np.zeros((count + len(self.constant), len(full)))
+        for link, first in enumerate(range(0, inertial, 10)):
+            own = slice(first, first + 10)
+            J[:count, own] = self.G[:, own] @ jacobians[link]
+            J[count + 1 + first : count + 11 + first, own] = roots[link]
+        J[-len(full) :] = np.sqrt(_STILL) * np.eye(len(full))
+        J[:count, inertial:] = self.G[:, inertial:] * self.coordinates.friction
+        return np.asarray(J[:, self.free])
+
+    def minimized(self, start: Array, max_iterations: int, tolerance: float) -> Any:
+        """Return SciPy's result of the last stage."""
+        from scipy.optimize import least_squares
+
+        last: Array | None = None
+
+        def jacobian(x: Array) -> Array:
+            # Called at every accepted step, and where a stage starts: where the one before ended.
+            nonlocal last
+            if last is None or not np.array_equal(x, last):
+                self.record(x)
+            last = x.copy()
+            return self.jacobian(x)
+
+        x = self.coordinates.from_theta(start)[self.free]
+        left = max_iterations
+        # A trial step that overflows has an infinite cost, and the next one is shorter.
+        with np.errstate(over="ignore", invalid="ignore"):
+            for stage, thinnest in enumerate(_THINNEST):
+                stages = len(_THINNEST) - stage
+                lower, upper = (side[self.free] for side in self.coordinates.bounds(thinnest))
+                result = least_squares(
+                    self.residual,
+                    np.clip(x, lower, upper),
+                    jac=jacobian,
+                    bounds=(lower, upper),
+                    method="trf",
+                    x_scale=1.0,
+                    ftol=tolerance if stages == 1 else max(tolerance, _STAGE),
+                    xtol=_ROUNDING,
+                    gtol=_ROUNDING,
+                    max_nfev=max(left // stages, 1),
+                )
+                x, left = result.x, left - int(result.nfev)
+                if left <= 0:
+                    break
+        return result

@@ -1,0 +1,218 @@
+"""The paper's way: a local nonlinear program in masses, centres of mass and inertias."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from sdpid._common.arrays import Array
+from sdpid._common.threads import one_thread
+from sdpid.estimation.estimate import Estimate, Status
+from sdpid.estimation.local.physical_constraints import PhysicalConstraints
+from sdpid.estimation.local.physical_variables import PhysicalVariables
+from sdpid.estimation.local.run import LocalRun, require_consistency
+from sdpid.estimation.local.starts import checked_start
+from sdpid.estimation.local.stationarity import preconditioner
+from sdpid.estimation.prior.log_det import LogDetTerm
+from sdpid.estimation.problem import Problem
+from sdpid.robot.inertia import matrix_basis
+
+# Iterations after which SLSQP starts again from where it is, with variables in which the cost is
+# round there (measured: 200 and more are worse, 50 no better).
+_ROUND = 100
+
+# Least curvature in a round's variables, as a share of the largest: unseen directions are neither
+# left as they are nor blown up (measured: 1e-4 and above is worse, 1e-8 no better).
+_FLATTEST = 1e-6
+
+# A round that lowers the cost by less than this share of it is the last.
+_SETTLED = 1e-8
+
+# SciPy's exit modes: 0 is its own convergence, 8 a line search that finds no descent, 9 the limit.
+_STOPPED: dict[int, Status] = {0: "stalled", 8: "stalled", 9: "iteration limit"}
+
+# Below this share of the believed body the logarithm of the log-det prior is continued by its
+# second-order expansion: trial steps may leave the cone.
+_CONTINUED = 1e-6
+
+
+@one_thread
+def solve_slsqp(
+    problem: Problem,
+    *,
+    start: Array | None = None,
+    seed: int | np.random.Generator = 0,
+    max_iterations: int = 1000,
+    tolerance: float = 1e-12,
+) -> Estimate:
+    """Minimize the cost locally by SciPy's SLSQP [kraft1988]_, as the paper does by fmincon.
+
+    The variables are the paper's: inertia about the centre of mass, centre of mass and mass of
+    every link, and the friction terms (66 for the Denso). All derivatives are analytic. The
+    constraints are smooth but for crossing eigenvalues: every eigenvalue of the inertia about
+    the centre of mass (for full consistency: of the second moments about it, which is the
+    triangle inequality) is at least the margin. Further conditions are rows and cones in theta,
+    equations among them.
+
+    SLSQP runs in rounds of 100 iterations. Each begins where the last one ended, with the
+    variables rotated and scaled so that the cost's Gauss–Newton matrix is the identity there,
+    which is SLSQP's own first guess. At the end eigenvalues below the margin are raised to it
+    where that makes the point more nearly feasible. A log-det prior is part of the cost.
+
+    Measured on the Denso with periods of 38 s, ten random starts, against the same without
+    rounds and rescaling: where the optimum is inside (6×6, margin 0.01) all ten end at it
+    (relative excess below 1e-6) after 44 to 118 iterations and 0.2 to 0.5 s; without, seven
+    came within 3e-6 after 900 iterations and 1.3 s, and three stalled at 9.4 times the optimum.
+    Where every link ends on or near the boundary (4×4, margin 0.005) all end feasible, 2e-5 to
+    4e-4 above the optimum, at the limit of 1000 iterations after 2 to 4 s; without, five of ten
+    ended infeasible, the others 4e-4 to 5e-3 above it, after 3000 iterations and 4.5 s. The
+    semidefinite program takes 0.01 s. With a total mass, a box, an ellipsoid and a mirror
+    symmetry beside, four of four are optimal under either inequality, within 1e-6. With a
+    log-det prior of one nat none of four is after 1000 iterations and 4 to 6 s: they are 5e-4
+    to 0.2 above the optimum.
+
+    So what fails is patience: eigenvalues meet or logarithms steepen, steps are short, and each
+    round begins with trial steps far outside. Neither smoothed eigenvalues nor redundant linear
+    cuts helped.
+
+    Parameters
+    ----------
+    problem : Problem
+        The problem.
+    start : ndarray, shape (p,), optional
+        Standard parameters to start from, masses positive.
+    seed : int or numpy.random.Generator, optional
+        Of the random start that is used without `start`.
+    max_iterations : int, optional
+        Limit on iterations, of all rounds together.
+    tolerance : float, optional
+        SLSQP's `ftol` on the scaled cost.
+
+    Returns
+    -------
+    Estimate
+        With status ``"optimal"`` when the point is feasible and, recomputed, stationary, whatever
+        SLSQP says of it; otherwise the status says what happened: ``"infeasible"``,
+        ``"iteration limit"``, ``"stalled"`` or ``"failed"``. How far from the global optimum a
+        result is, `certify` tells.
+
+    Raises
+    ------
+    DataError
+        When the start has another size or masses that are not positive, or the problem has no
+        consistency to obey.
+    """
+    require_consistency(problem, "solve_slsqp")
+    start = checked_start(problem, start, seed)
+    run = _Run(problem)
+    theta, result = run.minimized(start, max_iterations, tolerance)
+    stopped = _STOPPED.get(int(result.status), "failed")
+    return run.estimate("slsqp", start, theta, stopped=stopped, message=str(result.message))
+
+
+class _Run(LocalRun):
+    """The cost with its derivative in scaled physical variables, and SLSQP's rounds."""
+
+    def __init__(self, problem: Problem) -> None:
+        super().__init__(problem)
+        self.variables = PhysicalVariables.of(problem)
+        self.constraints = PhysicalConstraints.of(problem, self.variables)
+
+    def theta(self, x: Array) -> Array:
+        """Return the standard parameters of the physical variables."""
+        return self.variables.theta(x)
+
+    def cost(self, x: Array) -> tuple[float, Array]:
+        """Return the scaled cost without its floor, and its gradient."""
+        theta = self.variables.theta(x)
+        residual = self.G @ theta - self.rhs
+        value, slope = float(residual @ residual), 2.0 * residual @ self.G
+        more, slopes = _continued(self.problem.log_det, theta)
+        value, slope = value + self.scale**2 * more, slope + self.scale**2 * slopes
+        return value, slope @ self.variables.jacobian(x)
+
+    def minimized(self, start: Array, max_iterations: int, tolerance: float) -> tuple[Array, Any]:
+        """Return the standard parameters of the end point, and SciPy's last result."""
+        x = self._within(self.variables.from_theta(start))
+        self.record(x)
+        # SciPy also counts iterations that end without a step; the history has steps only.
+        left = max_iterations
+        while True:
+            before = self.cost(x)[0] + self.scale**2 * self.problem.floor
+            result, x = self._round(x, min(left, _ROUND), tolerance)
+            left -= int(result.nit)
+            if left <= 0 or result.nit == 0:
+                break
+            after = self.cost(x)[0] + self.scale**2 * self.problem.floor
+            # A round that ended early gets another chance unless it hardly moved.
+            if int(result.status) != 9 and abs(before - after) <= _SETTLED * abs(after):
+                break
+        return self._best_of(self.variables.theta(x)), result
+
+    def _within(self, x: Array) -> Array:
+        return np.clip(x, self.constraints.lower, self.constraints.upper)
+
+    def _best_of(self, theta: Array) -> Array:
+        """Return theta, moved inside where that makes it more nearly feasible."""
+        moved = self.variables.inside(theta)
+        violation = self.problem.feasible.violation
+        return moved if violation(moved) < violation(theta) else theta
+
+    def _round(self, x: Array, limit: int, tolerance: float) -> tuple[Any, Array]:
+        """Run SLSQP from x; return its result and where it ended."""
+        from scipy.optimize import minimize
+
+        constraints, variables = self.constraints, self.variables
+        theta, J = variables.theta(x), variables.jacobian(x)
+        steps = preconditioner(self.problem, theta, J, _FLATTEST) / self.scale
+
+        def at(z: Array) -> Array:
+            return np.asarray(x + steps @ z)
+
+        def cost(z: Array) -> tuple[float, Array]:
+            value, slope = self.cost(at(z))
+            return value, slope @ steps
+
+        kinds = [("ineq", constraints.at_least, constraints.at_least_jacobian)]
+        if len(constraints.zero(x)):
+            kinds.append(("eq", constraints.zero, constraints.zero_jacobian))
+        result = minimize(
+            cost,
+            np.zeros(len(x)),
+            jac=True,
+            method="SLSQP",
+            constraints=[
+                {
+                    "type": kind,
+                    "fun": lambda z, value=value: value(at(z)),
+                    "jac": lambda z, slope=slope: slope(at(z)) @ steps,
+                }
+                for kind, value, slope in kinds
+            ],
+            callback=lambda z: self.record(at(z)),
+            options={"maxiter": limit, "ftol": tolerance},
+        )
+        end = at(result.x)
+        return result, self._within(end) if np.all(np.isfinite(end)) else x
+
+
+def _continued(entropy: LogDetTerm, theta: Array) -> tuple[float, Array]:
+    """Return the value and the gradient of a log-det prior, finite everywhere.
+
+    Eigenvalues of the bodies in units of the believed ones enter by ``t − 1 − log t``; below
+    `_CONTINUED` the logarithm is replaced by its second-order expansion there.
+    """
+    roots = entropy.roots
+    t, vectors = np.linalg.eigh(np.swapaxes(roots, 1, 2) @ entropy.matrices(theta) @ roots)
+    near = np.maximum(t, _CONTINUED)
+    below = (t - near) / near
+    value = float((t - 1.0 - np.log(near) - below + 0.5 * below**2).sum())
+    slopes = 1.0 - (1.0 - below) / near
+    turned = roots @ vectors
+    matrices = (turned * slopes[:, None, :]) @ np.swapaxes(turned, 1, 2)
+    out = np.zeros(len(theta))
+    each = np.einsum("lij,kij->lk", matrices, matrix_basis("pseudo_inertia"))
+    for link, part in zip(entropy.links, each, strict=True):
+        out[10 * link : 10 * link + 10] = part
+    return 2.0 * entropy.strength * value, 2.0 * entropy.strength * out

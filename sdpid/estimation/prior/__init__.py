@@ -1,0 +1,1 @@
+"""The prior: bodies, friction, and its strength."""

@@ -1,0 +1,304 @@
+"""What is believed before the data: the description's inertias, and friction of a likely size."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from numbers import Real
+from typing import Literal, get_args
+
+import numpy as np
+
+from sdpid._common.arrays import Array, Indices, frozen, real_array
+from sdpid.errors import DataError
+from sdpid.estimation.compression.rows import CHUNK, RowSource
+from sdpid.estimation.prior.cost_terms import CostTerm, SquaredTerm
+from sdpid.estimation.prior.evidence import STRONGEST, WEAKEST, strength_by_evidence
+from sdpid.estimation.prior.log_det import LogDetTerm
+from sdpid.robot.consistent import raise_second_moments
+from sdpid.robot.inertia import (
+    from_pseudo_inertia,
+    margin,
+    pseudo_inertia,
+    symmetric_basis,
+)
+from sdpid.robot.model.base_parameters import characteristic_length
+
+PriorKind = Literal["euclidean", "scaled_euclidean", "pullback", "entropic"]
+
+# Second moments about the centre of mass of a believed body are at least those of a ball whose
+# points are 2 cm from its centre (rms, per axis): descriptions have links that are no bodies, and
+# some that are points.
+_RADIUS = 0.02
+
+# A second moment short of the least by this share is short by rounding: nothing is said of it.
+_ROUNDED = 1e-6
+
+# Friction and offset terms are believed to move the joint's effort by this share of its rms.
+_FRICTION_SHARE = 1.0 / 3.0
+
+
+# A link that the description gives no mass is believed to be a ball of the mean link's mass, its
+# radius of gyration this share of the robot's length; and that with a standard deviation so many
+# times larger than others. Enough to keep it from running off, and next to no belief.
+_BALL = 0.5
+_VAGUE = 10.0
+
+# A strength by evidence this close to an end of the range (relative) is at that end.
+_AT_END = 0.02
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Prior:
+    """A belief about the parameters.
+
+    Each link is believed to be near a body P0 = L·L^T (pseudo-inertia). Being elsewhere costs
+    ``strength·d`` nats, with d by kind:
+
+    * ``"euclidean"``: half the squared distance of the ten parameters in SI units. It depends on
+      the frames and on the units, and is here for comparison.
+    * ``"scaled_euclidean"``: the same with each parameter in units of the believed body's: its
+      mass, and its rms distance from the joint frame's origin as the length.
+    * ``"pullback"``: ``½·‖L^(-1)·P·L^(-T) − E‖²``, the second-order expansion of the next, a
+      quadratic that is the same in every frame.
+    * ``"entropic"``: the log-det divergence ``−log det(P·P0^(-1)) + tr(P0^(-1)·P) − 4``, the same
+      in every frame and infinite at the boundary of what can exist, so that estimates stay
+      strictly inside [lee2020]_.
+
+    Friction terms are believed to be zero with a standard deviation that moves the effort by a
+    third of its rms, whatever the strength. Nats are units of a log-likelihood; they mean what
+    they say when the weighting counts correlated samples as the few independent ones they are
+    (``weighting="residual"``). With ``gls`` and ``gls_per_sample`` and samples without a covariance
+    errors of every row are taken to have a variance of one (N·m)², and a note of the problem's
+    prior says so. The costs of ``eq9`` and ``eq18`` are no likelihood: they take no prior.
+
+    The default is the pullback with a fixed strength of one nat. On real recordings the pullback
+    and the entropic kind predict equally well, and the pullback costs nothing; strengths from 0.3
+    to 3 change predictions little, so that on a correctly counted likelihood a strength that is
+    fitted has little to win. ``"evidence"`` is for robots that are believed much more or much
+    less than usual: it takes the strength, between 0.01 and 100 nats, that makes the data most
+    probable, by the closed form of the problem without constraints (for ``"entropic"`` with the
+    pullback in its place). Only the samples of the problem are looked at.
+
+    Attributes
+    ----------
+    strength : float or "evidence"
+        Factor on the links' penalty, nats.
+    kind : {"pullback", "entropic", "scaled_euclidean", "euclidean"}
+        How far a body is from the believed one.
+    friction : bool
+        Whether friction terms are believed to be small too.
+    bodies : ndarray, shape (links, 10), optional
+        The bodies; by default those of the robot's description. A row of zeros is next to no
+        belief: an average ball, ten times less certain than others.
+        Bodies that could not exist are repaired first, and a note of the problem's prior says so.
+    """
+
+    strength: float | Literal["evidence"] = 1.0
+    kind: PriorKind = "pullback"
+    friction: bool = True
+    bodies: Array | None = None
+
+    def __post_init__(self) -> None:
+        if self.bodies is not None:
+            bodies = frozen(real_array(self.bodies, "Prior: bodies", ndim=2))
+            if bodies.shape[1] != 10:
+                raise DataError(
+                    f"Prior: bodies have shape {bodies.shape}; give (links, 10), one row a link in "
+                    "the order of the robot's links."
+                )
+            object.__setattr__(self, "bodies", bodies)
+        if self.kind not in get_args(PriorKind):
+            raise DataError(f"Prior: kind is {self.kind!r}: use one of {get_args(PriorKind)}.")
+        if self.strength == "evidence":
+            return
+        given: object = self.strength
+        if not (isinstance(given, Real) and 0.0 < float(given) < np.inf):
+            raise DataError(
+                f"Prior: strength is {self.strength}; give a positive number of nats, or "
+                "'evidence'."
+            )
+
+    def _key(self) -> tuple[object, ...]:
+        bodies = None if self.bodies is None else (self.bodies.shape, self.bodies.tobytes())
+        return self.strength, self.kind, self.friction, bodies
+
+    def __eq__(self, other: object) -> bool:
+        return self._key() == other._key() if isinstance(other, Prior) else NotImplemented
+
+    def __hash__(self) -> int:
+        return hash(self._key())
+
+
+@dataclass(frozen=True, eq=False)
+class PriorTerms:
+    """A prior as terms of a problem's cost, twice its nats.
+
+    Attributes
+    ----------
+    terms : tuple of CostTerm
+        One `SquaredTerm`, and with kind ``"entropic"`` a `LogDetTerm` of the described links.
+    notes : tuple of str
+        What was repaired, left out or chosen.
+    strength : float
+        The links' strength, nats.
+    """
+
+    terms: tuple[CostTerm, ...]
+    notes: tuple[str, ...]
+    strength: float
+
+
+def repaired(bodies: Array) -> tuple[Array, tuple[int, ...], tuple[int, ...]]:
+    """Return bodies with their second moments raised to the least.
+
+    Links without a positive mass are returned as they are.
+
+    Returns
+    -------
+    ndarray, shape (links, 10)
+    tuple of int
+        Links that could not exist.
+    tuple of int
+        Other links that were thinner than the least.
+    """
+    least = bodies[:, 0] * _RADIUS**2
+    margins = margin(bodies, "pseudo_inertia")
+    # Links without a positive mass have no margin: NaN, which is neither.
+    wrong = np.flatnonzero(margins <= 0.0)
+    thin = np.flatnonzero((margins > 0.0) & (margins < (1.0 - _ROUNDED) * least))
+    raised = raise_second_moments(bodies, least)
+    return raised, tuple(int(i) for i in wrong), tuple(int(i) for i in thin)
+
+
+def prior_terms(
+    prior: Prior, rows: RowSource, *, data: tuple[Array, Array] | None = None
+) -> PriorTerms:
+    """Turn a prior into terms of a problem's cost.
+
+    Parameters
+    ----------
+    prior : Prior
+        The belief.
+    rows : RowSource
+        The robot, its friction terms and the samples, whose sizes scale the friction's belief.
+    data : tuple of ndarray, optional
+        A (b, b) and rhs (b,), the compressed rows of the base parameters, whitened so that their
+        cost is twice a negative log-likelihood; needed for a strength by evidence only.
+
+    Raises
+    ------
+    DataError
+        When no link has a body to believe in, or a strength by evidence is asked without data.
+    """
+    bodies, known, notes = _believed(prior, rows)
+    theta_size = 10 * rows.robot.n_links + len(rows.friction.parameters)
+    R = np.zeros((bodies.size, theta_size))
+    for i, body in enumerate(bodies):
+        own = slice(10 * i, 10 * i + 10)
+        R[own, own] = _block(prior.kind, body) / (1.0 if i in known else _VAGUE)
+    r = R[:, : bodies.size] @ bodies.ravel()
+    weights = _friction_weights(rows) if prior.friction else np.zeros(0)
+    F = np.zeros((len(weights), theta_size))
+    F[:, theta_size - len(weights) :] = np.diag(weights)
+    f = np.zeros(len(weights))
+    if prior.strength == "evidence":
+        if data is None:
+            raise DataError(
+                "Prior: a strength by evidence needs a likelihood of the data; use "
+                "weighting='residual', or 'gls' with samples that have a covariance."
+            )
+        strength = strength_by_evidence((data[0] @ rows.base.matrix, data[1]), (R, r), (F, f))
+        notes.append(f"prior: strength {strength:.2g} nats by evidence{_at_end(strength)}")
+    else:
+        strength = float(prior.strength)
+    terms: list[CostTerm] = []
+    if prior.kind == "entropic":
+        terms.append(LogDetTerm.around(known, bodies[known], strength, theta_size))
+        vague = np.repeat(~np.isin(np.arange(len(bodies)), known), 10)
+        R, r = R[vague], r[vague]
+    root = np.sqrt(strength)
+    squared = SquaredTerm(frozen(np.vstack([root * R, F])), frozen(np.concatenate([root * r, f])))
+    return PriorTerms((squared, *terms), tuple(notes), strength)
+
+
+def _believed(prior: Prior, rows: RowSource) -> tuple[Array, Indices, list[str]]:
+    """Return bodies that can exist, the links that are described, and what was done to them."""
+    robot = rows.robot
+    given = robot.prior if prior.bodies is None else prior.bodies
+    if given.shape != (robot.n_links, 10):
+        raise DataError(f"Prior: bodies have shape {given.shape}, expected {(robot.n_links, 10)}.")
+    bodies, wrong, thin = repaired(given)
+    known = np.flatnonzero(given[:, 0] > 0.0)
+    if known.size == 0:
+        raise DataError(
+            f"Prior: the description of '{robot.name}' gives no link a mass; give bodies, or no "
+            "prior."
+        )
+    notes = []
+    if wrong:
+        names = ", ".join(robot.link_names[i] for i in wrong)
+        notes.append(f"prior: {names} could not exist as described and were repaired first")
+    if thin:
+        names = ", ".join(robot.link_names[i] for i in thin)
+        notes.append(
+            f"prior: thinner than {100.0 * _RADIUS:g} cm (rms about the center of mass) as "
+            f"described, and widened to that: {names}"
+        )
+    unknown = np.setdiff1d(np.arange(robot.n_links), known)
+    if unknown.size:
+        size = (_BALL * characteristic_length(robot)) ** 2
+        ball = np.diag([size, size, size, 1.0]) * float(np.mean(given[known, 0]))
+        bodies[unknown] = from_pseudo_inertia(ball)
+        names = ", ".join(robot.link_names[i] for i in unknown)
+        notes.append(f"prior: next to nothing is believed of {names}, which have no mass")
+    return bodies, known, notes
+
+
+def _block(kind: PriorKind, body: Array) -> Array:
+    """Return the rows (10, 10) whose squared norm is twice the nats of one link at strength 1."""
+    if kind == "euclidean":
+        return np.eye(10)
+    P = pseudo_inertia(body)
+    if kind == "scaled_euclidean":
+        length = float(np.sqrt(np.trace(P[:3, :3]) / body[0]))
+        return np.diag(1.0 / (body[0] * np.array([1.0, *(length,) * 3, *(length**2,) * 6])))
+    inverse = np.linalg.inv(np.linalg.cholesky(P))
+    units = inverse @ pseudo_inertia(np.eye(10)) @ inverse.T
+    return np.asarray(np.einsum("aij,kij->ak", symmetric_basis(4), units))
+
+
+def _at_end(strength: float) -> str:
+    """Return a remark when a strength is at an end of the range that was searched."""
+    if strength < WEAKEST * (1.0 + _AT_END):
+        return " (the least that is tried: the data do not bear the description out)"
+    if strength > STRONGEST * (1.0 - _AT_END):
+        return " (the most that is tried)"
+    return ""
+
+
+def _friction_weights(rows: RowSource) -> Array:
+    """Return 1/standard deviation of every friction term."""
+    sums = rows.map(_squares)
+    count, efforts, terms = (np.sum(each, axis=0) for each in zip(*sums, strict=True))
+    count = np.maximum(count, 1)
+    effort = np.sqrt(efforts / count)
+    # A joint that is all but silent gets a thousandth of the loudest one's effort.
+    effort = np.maximum(effort, 1e-3 * float(effort.max()) or 1.0)
+    # Size of a term's effect relative to the effort of each joint that it acts on.
+    share = np.sqrt((terms / count[:, None] / effort[:, None] ** 2).max(axis=0))
+    return np.asarray(share / _FRICTION_SHARE)
+
+
+def _squares(rows: RowSource) -> tuple[Array, Array, Array]:
+    """Return rows used (n,), and sums of squares of efforts (n,) and friction terms (n, f)."""
+    s, n = rows.samples, rows.robot.n
+    count, efforts = np.zeros(n), np.zeros(n)
+    terms = np.zeros((n, len(rows.friction.parameters)))
+    for start in range(0, s.n_samples, CHUNK):
+        part = slice(start, start + CHUNK)
+        columns = rows.friction.columns(s.velocity[part], s.acceleration[part])
+        mask = rows.mask(part)
+        count += mask.sum(axis=0)
+        efforts += (np.where(mask, s.effort[part], 0.0) ** 2).sum(axis=0)
+        terms += (np.where(mask[:, :, None], columns, 0.0) ** 2).sum(axis=0)
+    return count, efforts, terms

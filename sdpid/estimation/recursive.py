@@ -1,0 +1,345 @@
+"""A problem that goes on: new samples come in, old ones fade, and it is solved again and again.
+
+Samples are folded into the triangular factor of the cost and forgotten: memory does not grow. What
+weighs them is fixed at the start. A solve takes the program of the solve before, in which only the
+numbers of the squares change; the solution is proven as any other, and where that fails everything
+starts from scratch (`sdpid.solve_sdp`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from copy import copy
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from sdpid._common.arrays import Array, frozen, real_array
+from sdpid._common.threads import one_thread
+from sdpid.errors import DataError
+from sdpid.estimation.compression.rows import RowSource
+from sdpid.estimation.compression.triangle import Triangle
+from sdpid.estimation.compression.whitening import whitened_chunks
+from sdpid.estimation.conic.solve import ConicSolution
+from sdpid.estimation.constraints.condition import Layout
+from sdpid.estimation.constraints.constraints import Constraints
+from sdpid.estimation.constraints.feasible_set import FeasibleSet
+from sdpid.estimation.duality.bound import PROVEN, TINY_COST, relative_gap
+from sdpid.estimation.duality.refine_multipliers import lower_bound
+from sdpid.estimation.estimate import Estimate
+from sdpid.estimation.information import require_excitation
+from sdpid.estimation.problem import Problem
+from sdpid.estimation.sdp.program import SdpProgram
+from sdpid.estimation.sdp.reusable import Prepared, program_about
+from sdpid.estimation.sdp.solve import repair, solve_sdp
+from sdpid.experiment.processing.samples import Samples
+from sdpid.robot.friction.model import FrictionModel, FrictionTerm
+from sdpid.robot.inertia import CONSISTENCIES, Consistency
+from sdpid.robot.model.base_parameters import structural_base
+from sdpid.robot.model.model import RobotModel
+
+# What Clarabel adds to the diagonal of its linear systems: the first that `solve_sdp` tries.
+_REGULARISATION = 1e-10
+
+_WEIGHTINGS = ("gls", "gls_per_sample", "residual")
+
+
+class StreamingProblem:
+    """A problem that takes samples while the robot works.
+
+    Weights are those of the start, for good: its covariance (``gls``, ``residual``), or that of
+    each sample (``gls_per_sample``). So are friction terms with their numbers, and a prior.
+
+    Parameters
+    ----------
+    start : Problem
+        The problem to go on from; what it has seen counts as seen just now.
+    forgetting : float, optional
+        Factor, in (0, 1], of the weight of all samples before at every sample. They count as
+        ``1 / (1 − forgetting)`` samples; 1 forgets nothing.
+    memory : float, optional
+        The same in time, in s: weights fall by e in so long. Needs samples with times.
+
+    Raises
+    ------
+    DataError
+        When a number makes no sense, or the weighting is ``eq9`` or ``eq18``, whose costs are not
+        sums over samples.
+    """
+
+    def __init__(
+        self, start: Problem, *, forgetting: float = 1.0, memory: float | None = None
+    ) -> None:
+        if not 0.0 < forgetting <= 1.0:
+            raise DataError(
+                f"forgetting: is {forgetting}; give a factor a sample in (0, 1], such as 0.999, "
+                "or 1 to forget nothing."
+            )
+        if memory is not None and not (0.0 < memory < np.inf and forgetting == 1.0):
+            raise DataError(
+                f"memory: is {memory} s with forgetting {forgetting}; give one of them, a time "
+                "above zero or a factor a sample."
+            )
+        if start.weighting not in _WEIGHTINGS:
+            raise DataError(
+                f"streaming: the cost of weighting {start.weighting!r} is no sum over samples; "
+                f"use one of {', '.join(_WEIGHTINGS)}."
+            )
+        self.forgetting, self.memory = forgetting, memory
+        b = start.base.count
+        factor = np.zeros((b + 1, b + 1))
+        factor[:b, :b], factor[:b, b], factor[b, b] = start.A, start.rhs, np.sqrt(start.floor)
+        self._triangle = Triangle(b + 1)
+        self._triangle.add(factor)
+        seen = start.rows.n_samples if start.n_rows else 0
+        self._problem = replace(start, cluster=None, seen=seen)
+        self._seen = seen
+        self._folded = True
+        self._time: float | None = None
+        # The program of the solves to come, and what it is about.
+        self._program: tuple[SdpProgram, Prepared] | None = None
+        self._about: Estimate | None = None
+        self._boxed = start.feasible.bounded
+        self._last: Array | None = None
+
+    @classmethod
+    def of_robot(
+        cls,
+        robot: RobotModel,
+        *,
+        covariance: ArrayLike | None = None,
+        friction: Iterable[str | FrictionTerm] = ("coulomb", "viscous"),
+        consistency: Consistency = "pseudo_inertia",
+        constraints: Constraints | None = None,
+        forgetting: float = 1.0,
+        memory: float | None = None,
+    ) -> StreamingProblem:
+        """Return a problem that has seen nothing yet.
+
+        Parameters
+        ----------
+        robot : RobotModel
+            The robot.
+        covariance : ndarray, shape (n, n), optional
+            Of the effort, for good (``gls``); by default the identity.
+        friction : iterable of str or FrictionTerm, optional
+            Terms beside the links' inertia; their numbers must be given.
+        consistency, constraints : optional
+            As of `sdpid.build_problem`.
+        forgetting, memory : optional
+            As of the class.
+
+        Raises
+        ------
+        DataError
+            When something makes no sense.
+        """
+        if consistency not in CONSISTENCIES:
+            raise DataError(f"consistency is {consistency!r}: use one of {CONSISTENCIES}.")
+        n = robot.n
+        sigma = np.eye(n) if covariance is None else real_array(covariance, "covariance", ndim=2)
+        rest = np.zeros((1, n))
+        nobody = Samples(
+            position=np.zeros((1, int(robot.pin_model.nq))),
+            velocity=rest,
+            acceleration=rest,
+            effort=rest,
+            covariance=sigma,
+        )
+        model = FrictionModel.from_terms(friction, robot.joint_names, first=robot.n_base)
+        speeds = [np.ones(1)] * (n - robot.n_base)
+        for term in model.terms:
+            for parameter in term.open_parameters(speeds, model.joint_names):
+                raise DataError(
+                    f"friction: {type(term).__name__} leaves {parameter.name} to the data, of "
+                    "which there are none yet; give it, or start from a problem of a recording."
+                )
+        base = structural_base(robot, model)
+        b = base.count
+        start = Problem(
+            robot=robot,
+            samples=nobody,
+            friction=model,
+            base=base,
+            weighting="gls",
+            sigma=frozen(sigma),
+            A=frozen(np.zeros((b, b))),
+            rhs=frozen(np.zeros(b)),
+            floor=0.0,
+            n_rows=0,
+            feasible=FeasibleSet.build(
+                constraints or Constraints(), consistency, Layout(robot, model)
+            ),
+        )
+        return cls(start, forgetting=forgetting, memory=memory)
+
+    @one_thread
+    def update(self, samples: Samples) -> None:
+        """Take samples in, the newest last.
+
+        Parameters
+        ----------
+        samples : Samples
+            Filtered and differentiated as the start's.
+
+        Raises
+        ------
+        DataError
+            When their joints are not the robot's, or times or covariances are missing; nothing is
+            taken in then.
+        """
+        problem = self._problem
+        self._check(samples)
+        weights, kept, time = self._weights(samples)
+        sigma = problem.sigma
+        if problem.weighting == "gls_per_sample":
+            if samples.covariance is None:
+                raise DataError(
+                    "samples: have no covariance, which the weighting 'gls_per_sample' needs."
+                )
+            sigma = samples.covariance
+        rows = RowSource(problem.robot, problem.friction, problem.base, samples)
+        roots = np.sqrt(weights)
+        # A copy, which takes the place of the factor only when all rows are in.
+        triangle = copy(self._triangle)
+        if kept < 1.0:
+            triangle.scale(float(np.sqrt(kept)))
+        for part, weighted, _ in whitened_chunks(rows, sigma):
+            faded = weighted * roots[part, None, None]
+            triangle.add(faded.reshape(-1, weighted.shape[2]))
+        self._triangle, self._time, self._folded = triangle, time, False
+        self._seen += samples.n_samples
+        used = problem.n_rows + samples.n_rows
+        self._problem = replace(problem, samples=samples, n_rows=used, seen=self._seen)
+
+    def _check(self, samples: Samples) -> None:
+        robot = self._problem.robot
+        if samples.n != robot.n:
+            raise DataError(
+                f"samples have {samples.n} joints, the robot '{robot.name}' has {robot.n}: "
+                f"{', '.join(robot.joint_names)}."
+            )
+        if samples.joint_names is not None and samples.joint_names != robot.joint_names:
+            raise DataError(
+                f"samples name the joints {', '.join(samples.joint_names)}, the robot has "
+                f"{', '.join(robot.joint_names)}; rename or reorder the columns."
+            )
+
+    def _weights(self, samples: Samples) -> tuple[Array, float, float | None]:
+        """Return the samples' weights (K,), the factor for all before, and the time it is."""
+        if self.memory is None:
+            ages = np.arange(samples.n_samples - 1, -1, -1.0)
+            return self.forgetting**ages, self.forgetting**samples.n_samples, None
+        if samples.time is None:
+            raise DataError(
+                "samples: have no time, which a memory in s needs; give `time`, or a factor a "
+                "sample (`forgetting`)."
+            )
+        time = samples.time
+        before = float(time[0]) if self._time is None else self._time
+        step = float(np.diff(time, prepend=before).min())
+        if step < 0.0:
+            raise DataError(
+                f"samples: time goes back by {-step:.6g} s (the last update ended at "
+                f"{before:.6g} s); give each sample once, in order."
+            )
+        now = float(time[-1])
+        weights = np.exp((time - now) / self.memory)
+        return weights, float(np.exp((before - now) / self.memory)), now
+
+    @property
+    def problem(self) -> Problem:
+        """The problem as it stands, as large as the first however much has been seen."""
+        if not self._folded:
+            A, rhs, floor = self._triangle.split()
+            self._problem = replace(self._problem, A=frozen(A), rhs=frozen(rhs), floor=floor)
+            self._folded = True
+        return self._problem
+
+    @one_thread
+    def solve(self) -> Estimate:
+        """Return the global optimum of the problem as it stands.
+
+        Returns
+        -------
+        Estimate
+            As of `sdpid.solve_sdp`: proven to be within 1e-6 of the optimum, or that raises. Of all
+            optimal parameters it is some, not those nearest to the description; the base
+            parameters are the same.
+
+        Raises
+        ------
+        IdentifiabilityError
+            When what is remembered leaves a base parameter undetermined and there is no prior.
+        InfeasibleError, SolverError
+            As of `sdpid.solve_sdp`.
+        """
+        problem = self.problem
+        if problem.prior is None:
+            require_excitation(problem.excitation)
+        estimate = self._quick(problem)
+        if estimate is None:
+            estimate = solve_sdp(problem)
+            self._prepare(estimate)
+        self._last = estimate.theta
+        return estimate
+
+    def _prepare(self, estimate: Estimate) -> None:
+        """Keep the program about an estimate for the solves to come."""
+        problem = estimate.problem
+        if len(problem.log_det.links):
+            # The weight of its logarithms is in units of the cost, which changes.
+            return
+        program = program_about(problem, np.array(estimate.theta), estimate.cost, self._boxed)
+        self._about, self._program = estimate, (program, Prepared.of(program))
+
+    def _solved(
+        self, problem: Problem, unit: float
+    ) -> tuple[SdpProgram, ConicSolution, Array] | None:
+        """Return the solution of the program of before with the data of now, and its theta."""
+        while self._program is not None and self._about is not None:
+            program, prepared = self._program
+            solution = prepared.solve(
+                problem.A, problem.rhs, cost=unit, regularisation=_REGULARISATION
+            )
+            if solution.x is None:
+                break
+            theta = prepared.coordinates.theta(solution.x)
+            outside = ~prepared.inside(theta)
+            if not outside.any():
+                scaling = replace(program.scaling, cost=unit)
+                return replace(program, problem=problem, scaling=scaling), solution, theta
+            # theta_max matters after all: from now on with the bounds that were overstepped.
+            self._boxed = self._boxed | outside
+            self._prepare(self._about)
+        return None
+
+    def _quick(self, problem: Problem) -> Estimate | None:
+        """Return what is found without starting from scratch; None where nothing is proven so."""
+        if self._last is None:
+            return None
+        efforts = float(problem.rhs @ problem.rhs) + problem.floor
+        # What is found cannot cost more than what was found before.
+        unit = max(problem.cost_of(self._last), TINY_COST * efforts, float(np.finfo(float).tiny))
+        solved = self._solved(problem, unit)
+        if solved is None:
+            return None
+        program, solution, found = solved
+        theta = repair(problem, found)
+        multipliers = program.multipliers(solution, theta)
+        estimate = Estimate.of_theta(
+            problem,
+            theta,
+            method="sdp",
+            status="optimal",
+            message=f"clarabel: {solution.status}; any point of the optimal face",
+            iterations=solution.iterations,
+            solve_time=solution.seconds,
+            multipliers=multipliers,
+        )
+        bound = lower_bound(problem, theta, multipliers, estimate.cost)
+        proven = relative_gap(problem, estimate.cost, bound.value) <= PROVEN
+        if not proven or not estimate.feasible:
+            return None
+        return replace(estimate, multipliers=bound.multipliers)

@@ -1,0 +1,131 @@
+"""Which of the equally good parameters to hand back.
+
+Directions of theta that the effort does not show are free: all feasible theta with the same base
+parameters cost the same. The rule: the one nearest to the robot's own description, and where a
+link has none, to a ball of the robot's size, in the distance ``‖L^(-1)·P·L^(-T) − E‖`` between
+pseudo-inertias with P0 = L·L^T the reference (the constant-pullback metric [lee2020]_).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+
+import numpy as np
+
+from sdpid._common.arrays import Array
+from sdpid.estimation.conic.solve import ConicProgram, ConicSolution, solve_conic
+from sdpid.estimation.problem import Problem
+from sdpid.estimation.scaling import Scaling
+from sdpid.estimation.sdp.program import Coordinates, SdpProgram
+
+# The face often has no interior: matrices may be so much below zero in the links' own scale, which
+# the caller repairs. Tried in turn: links in units of the reference or of the point itself, this
+# slack, and Clarabel's regularisation.
+_TRIALS = ((False, 1e-10, 1e-8), (True, 1e-10, 1e-8))
+
+# Where that does not succeed the distance is weighed against the cost instead, in units in which
+# the cost is one: the stronger the nearer, the weaker the cheaper.
+_WEIGHTS = (1e-8, 1e-9, 1e-10, 1e-11, 1e-12)
+_REGULARISATION = 1e-10
+
+# Null directions of the scaled base matrix: its singular values are of order one or rounding.
+_NULL = 1e-9
+
+
+def nearest_on_face(problem: Problem, theta: Array) -> Iterator[tuple[Array, float]]:
+    """Yield parameters with theta's base parameters, as near to the reference as was found.
+
+    Parameters
+    ----------
+    problem : Problem
+        The problem, with a consistency.
+    theta : ndarray, shape (p,)
+        Feasible parameters.
+
+    Yields
+    ------
+    theta : ndarray, shape (p,)
+        Nearer than before and feasible but for rounding, which the caller repairs; of several, the
+        first that is still good enough after that will do. Nothing where the solver finds none.
+    seconds : float
+        In the solver so far.
+    """
+    seconds = 0.0
+    feasible = problem.feasible
+    links = 10 * feasible.n_links
+    reference = Scaling.of(problem)
+    basis = reference.basis()
+    # The base parameters stay, and so do the equations among the constraints.
+    kept = [problem.base.matrix @ basis, _unit_rows(feasible.rows[feasible.equations] @ basis)]
+    _, singular, rows = np.linalg.svd(np.vstack(kept))
+    rank = int(np.count_nonzero(singular > _NULL * singular[0]))
+    null = basis @ rows[rank:].T
+    if null.shape[1] == 0:
+        yield theta, seconds
+        return
+    goal = np.concatenate([reference.bodies.ravel(), theta[links:]])
+    there = np.column_stack([null[:links], (theta - goal)[:links]])
+    distance = np.linalg.solve(basis[:links, :links], there)
+    for own_scale, slack, regularisation in _TRIALS:
+        scaling = reference.around(theta) if own_scale else reference
+        solution = _step(problem, theta, null, distance, scaling, slack, regularisation)
+        seconds += solution.seconds
+        if solution.x is None:
+            continue
+        nearer = np.linalg.norm(distance[:, :-1] @ solution.x + distance[:, -1])
+        if nearer <= np.linalg.norm(distance[:, -1]):
+            yield np.asarray(theta + null @ solution.x), seconds
+    scaling = replace(reference, cost=max(reference.cost, problem.cost_of(theta)))
+    coordinates = Coordinates.of(problem, basis, goal)
+    if coordinates is None:
+        return
+    for weight in _WEIGHTS:
+        program = SdpProgram.build(problem, scaling, coordinates, feasible.bounded, anchor=weight)
+        solution = solve_conic(program.conic, regularisation=_REGULARISATION)
+        seconds += solution.seconds
+        if solution.x is not None:
+            yield program.theta(solution), seconds
+
+
+def _unit_rows(rows: Array) -> Array:
+    """Return rows of unit length; rows of zeros stay."""
+    sizes = np.linalg.norm(rows, axis=1, keepdims=True)
+    return np.asarray(rows / np.where(sizes > 0.0, sizes, 1.0))
+
+
+def _step(
+    problem: Problem,
+    theta: Array,
+    null: Array,
+    distance: Array,
+    scaling: Scaling,
+    slack: float,
+    regularisation: float,
+) -> ConicSolution:
+    """Return the step along the null directions that brings theta nearest."""
+    feasible = problem.feasible
+    coordinates = Coordinates(theta, null)
+    inverses = np.asarray(np.linalg.inv(scaling.block_roots(feasible)))
+    blocks = coordinates.inequalities(feasible, inverses, slack=slack)
+    bounded = np.flatnonzero(feasible.bounded & (np.abs(null).max(axis=1) > 0.0))
+    scale = scaling.theta[bounded][:, None]
+    unequal = coordinates.limited(problem, scaling)
+    rows, sizes = feasible.rows[unequal], scaling.row_sizes(feasible)[unequal][:, None]
+    C = np.vstack([null[bounded] / scale, rows @ null / sizes])
+    here = np.concatenate([theta[bounded], rows @ theta])
+    scale = np.concatenate([scale, sizes])[:, 0]
+    lower = np.concatenate([feasible.lower[bounded], feasible.row_lower[unequal]])
+    upper = np.concatenate([feasible.upper[bounded], feasible.row_upper[unequal]])
+    return solve_conic(
+        ConicProgram(
+            M=distance[:, :-1],
+            m=distance[:, -1],
+            C=C,
+            # Where theta is outside by rounding it need not come back.
+            lower=np.minimum(lower - here, 0.0) / scale,
+            upper=np.maximum(upper - here, 0.0) / scale,
+            blocks=tuple(block for block in blocks if len(block.index)),
+        ),
+        regularisation=regularisation,
+    )

@@ -1,0 +1,334 @@
+"""A problem as a cone program in scaled coordinates, and what its solution says of theta."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from sdpid._common.arrays import Array, Indices, Mask, frozen
+from sdpid.estimation.conic.solve import ConicProgram, ConicSolution, Matrix
+from sdpid.estimation.constraints.feasible_set import FeasibleSet
+from sdpid.estimation.duality.bound import clip_psd
+from sdpid.estimation.duality.multipliers import Multipliers
+from sdpid.estimation.problem import Problem
+from sdpid.estimation.scaling import Scaling
+from sdpid.estimation.wls import solve_wls
+from sdpid.robot.inertia import pseudo_inertia
+
+# Equations that are this close to dependent are dependent; what they then contradict each other
+# by, in units of the rows, must be rounding.
+_DEPENDENT = 1e-10
+CONTRADICTION = 1e-9
+
+# What moves less than this in scaled units is fixed, but for rounding, which a solver would scale
+# up: such limits are left to the check of what is found.
+_FIXED = 1e-12
+
+
+def contradiction(problem: Problem, scaling: Scaling, chosen: Indices) -> float:
+    """Return by how much equations contradict each other, in units of the rows.
+
+    Parameters
+    ----------
+    problem : Problem
+        The problem.
+    scaling : Scaling
+        Units.
+    chosen : ndarray of int
+        Rows of the feasible set that are equations.
+    """
+    feasible = problem.feasible
+    rows = feasible.rows[chosen] @ scaling.basis()
+    _, U, singular, _, target = _decomposed(rows, feasible.row_lower[chosen])
+    return _contradiction(U[:, len(singular) :], target)
+
+
+def _decomposed(rows: Array, target: Array) -> tuple[Indices, Array, Array, Array, Array]:
+    """Return the columns that scaled rows touch, their decomposition there, and the target.
+
+    Rows are taken to unit length; of the singular values those above rounding are returned.
+    """
+    sizes = np.linalg.norm(rows, axis=1)
+    sizes = np.where(sizes > 0.0, sizes, 1.0)
+    rows = rows / sizes[:, None]
+    touched = np.flatnonzero(np.any(rows != 0.0, axis=0))
+    U, singular, V = np.linalg.svd(rows[:, touched])
+    rank = int(np.count_nonzero(singular > _DEPENDENT * singular.max(initial=0.0)))
+    return touched, U, singular[:rank], V, target / sizes
+
+
+def _contradiction(left: Array, target: Array) -> float:
+    """Return the part of a target that rows cannot reach, along the left null directions."""
+    worst = float(np.abs(left.T @ target).max(initial=0.0))
+    return worst / max(1.0, float(np.abs(target).max(initial=0.0)))
+
+
+def best_fit(problem: Problem, scaling: Scaling) -> Array:
+    """Return standard parameters whose base parameters fit best, smallest in scaled size."""
+    basis = scaling.basis()
+    if problem.prior is not None:
+        squared = problem.squared
+        scaled = squared.matrix @ basis
+        return np.asarray(basis @ np.linalg.lstsq(scaled, squared.rhs, rcond=None)[0])
+    target = solve_wls(problem).base
+    return np.asarray(basis @ np.linalg.lstsq(problem.base.matrix @ basis, target, rcond=None)[0])
+
+
+@dataclass(frozen=True, eq=False)
+class Coordinates:
+    """``theta = origin + directions @ x``: scaled, and along the equations among the rows.
+
+    Attributes
+    ----------
+    origin : ndarray, shape (p,)
+    directions : ndarray, shape (p, n)
+    """
+
+    origin: Array
+    directions: Array
+
+    @classmethod
+    def of(cls, problem: Problem, basis: Array, reference: Array) -> Coordinates | None:
+        """Build about a reference; None where the equations contradict each other."""
+        feasible = problem.feasible
+        equations = feasible.rows[feasible.equations]
+        if not len(equations):
+            return cls(reference, basis)
+        target = feasible.row_lower[feasible.equations] - equations @ reference
+        touched, U, singular, V, target = _decomposed(equations @ basis, target)
+        rank = len(singular)
+        if _contradiction(U[:, rank:], target) > CONTRADICTION:
+            return None
+        along = (U[:, :rank].T @ target) / singular
+        step = V[:rank].T @ along
+        rest = np.setdiff1d(np.arange(basis.shape[1]), touched)
+        free = len(touched) - rank
+        directions = np.zeros((len(basis), free + len(rest)))
+        directions[:, :free] = basis[:, touched] @ V[rank:].T
+        directions[:, free:] = basis[:, rest]
+        size = np.linalg.norm(basis, axis=1, keepdims=True)
+        directions[np.abs(directions) < _FIXED * size] = 0.0
+        return cls(reference + basis[:, touched] @ step, directions)
+
+    def theta(self, x: Array) -> Array:
+        """Return the standard parameters at x."""
+        return np.asarray(self.origin + self.directions @ x)
+
+    def limited(self, problem: Problem, scaling: Scaling) -> Indices:
+        """Return the rows that are not equations and that x can change."""
+        feasible = problem.feasible
+        moved = np.abs(feasible.rows @ self.directions).max(axis=1, initial=0.0)
+        moves = moved > _FIXED * scaling.row_sizes(feasible)
+        return np.flatnonzero(~feasible.equations & moves)
+
+    def inequalities(
+        self, feasible: FeasibleSet, inverses: Array, *, slack: float = 0.0
+    ) -> list[Matrix]:
+        """Return a set's matrix inequalities, each scaled by its inverse, as functions of x."""
+        transposed = np.swapaxes(inverses, 1, 2)
+        return self.matrices(
+            inverses @ feasible.block_constants @ transposed + slack * np.eye(feasible.size),
+            inverses[:, None] @ feasible.block_basis @ transposed[:, None],
+            feasible.block_links,
+        )
+
+    def matrices(self, constants: Array, basis: Array, links: Indices) -> list[Matrix]:
+        """Return matrices of links, ``constant + Σ body_k·basis_k``, as functions of x."""
+        out = []
+        for constant, units, link in zip(constants, basis, links, strict=True):
+            own = self.directions[10 * link : 10 * link + 10]
+            index = np.flatnonzero(np.any(own != 0.0, axis=0))
+            linear = np.einsum("ka,kij->aij", own[:, index], units)
+            here = self.origin[10 * link : 10 * link + 10]
+            out.append(Matrix(index, linear, constant + np.einsum("k,kij->ij", here, units)))
+        return out
+
+
+@dataclass(frozen=True, eq=False)
+class SdpProgram:
+    """A problem in the coordinates of one scaling.
+
+    Attributes
+    ----------
+    problem : Problem
+        The problem.
+    scaling : Scaling
+        The units.
+    coordinates : Coordinates
+        From x to theta.
+    bounded : ndarray of int
+        The parameters whose bounds are part of the program.
+    own : ndarray of bool, shape (p,)
+        Those of them whose bounds are the problem's.
+    moving : ndarray of int
+        The matrix inequalities that x can change.
+    inverses : ndarray, shape (N, s, s)
+        From matrices to scaled ones.
+    conic : ConicProgram
+        The program.
+    """
+
+    problem: Problem
+    scaling: Scaling
+    coordinates: Coordinates
+    bounded: Indices
+    own: Mask
+    moving: Indices
+    inverses: Array
+    conic: ConicProgram
+
+    @classmethod
+    def build(
+        cls,
+        problem: Problem,
+        scaling: Scaling,
+        coordinates: Coordinates,
+        boxed: Mask,
+        *,
+        anchor: float = 0.0,
+        reach: float | None = None,
+    ) -> SdpProgram:
+        """Build a program.
+
+        Parameters
+        ----------
+        problem : Problem
+            The problem.
+        scaling : Scaling
+            Units.
+        coordinates : Coordinates
+            In those units.
+        boxed : ndarray of bool, shape (p,)
+            Parameters whose bounds are part of the program.
+        anchor : float, optional
+            Weight of ‖x‖² beside the cost.
+        reach : float, optional
+            Largest size of bodies, in lengths of the robot.
+        """
+        feasible = problem.feasible
+        x, origin = coordinates.directions, coordinates.origin
+        unit = np.sqrt(scaling.cost)
+        M, m = problem.squared.matrix @ x / unit, problem.squared.residual(origin) / unit
+        if anchor > 0.0:
+            M = np.vstack([M, np.sqrt(anchor) * np.eye(x.shape[1])])
+            m = np.concatenate([m, np.zeros(x.shape[1])])
+        limit = np.where(boxed, np.inf, _largest(problem, scaling, reach))
+        bounded = np.flatnonzero((boxed | np.isfinite(limit)) & np.any(x != 0.0, axis=1))
+        size = scaling.theta[bounded]
+        unequal = coordinates.limited(problem, scaling)
+        rows, sizes = feasible.rows[unequal], scaling.row_sizes(feasible)[unequal]
+        C = [x[bounded] / size[:, None], rows @ x / sizes[:, None]]
+        lower = [
+            (np.maximum(feasible.lower, -limit) - origin)[bounded] / size,
+            (feasible.row_lower[unequal] - rows @ origin) / sizes,
+        ]
+        upper = [
+            (np.minimum(feasible.upper, limit) - origin)[bounded] / size,
+            (feasible.row_upper[unequal] - rows @ origin) / sizes,
+        ]
+        inverses = np.asarray(np.linalg.inv(scaling.block_roots(feasible)))
+        blocks = coordinates.inequalities(feasible, inverses)
+        moving = [
+            i for i, block in enumerate(blocks) if np.abs(block.linear).max(initial=0.0) > _FIXED
+        ]
+        cost, log_dets, weight = _log_dets(problem, scaling, coordinates)
+        conic = ConicProgram(
+            M=M,
+            m=m,
+            cost=cost,
+            C=np.vstack(C),
+            lower=np.concatenate(lower),
+            upper=np.concatenate(upper),
+            blocks=tuple(blocks[i] for i in moving),
+            log_dets=log_dets,
+            weight=weight,
+        )
+        return cls(
+            problem,
+            scaling,
+            coordinates,
+            bounded,
+            boxed,
+            np.array(moving, dtype=np.intp),
+            inverses,
+            conic,
+        )
+
+    def theta(self, solution: ConicSolution) -> Array:
+        """Return the standard parameters of a solution that has a point."""
+        return self.coordinates.theta(np.asarray(solution.x))
+
+    def multipliers(self, solution: ConicSolution, theta: Array) -> Multipliers:
+        """Return the multipliers of a solution in units of the cost.
+
+        Those of the residual are the solver's own, where it has them: what is left of the gradient
+        is smaller by orders than with the residual at theta, the point moved inside.
+        """
+        problem, feasible, scaling = self.problem, self.problem.feasible, self.scaling
+        count = len(self.bounded)
+        bounds = np.zeros(problem.n_theta)
+        included = np.zeros(problem.n_theta, dtype=bool)
+        bounds[self.bounded] = scaling.cost * solution.rows[:count] / scaling.theta[self.bounded]
+        included[self.bounded] = True
+        # Bounds that only an attempt has are none of the problem's.
+        included &= self.own
+        bounds[~included] = 0.0
+        rows = np.zeros(len(feasible.rows))
+        unequal = self.coordinates.limited(problem, scaling)
+        rows[unequal] = scaling.cost * solution.rows[count:] / scaling.row_sizes(feasible)[unequal]
+        Z = np.zeros_like(feasible.block_constants)
+        for i, dual in zip(self.moving, solution.blocks, strict=True):
+            Z[i] = scaling.cost * self.inverses[i].T @ dual @ self.inverses[i]
+        Z = clip_psd(Z)
+        if np.any(feasible.equations):
+            rows[feasible.equations] = self._of_equations(theta, Z, bounds, rows)
+        y = problem.squared.residual(theta)
+        if len(solution.residual) >= len(y):
+            y = np.asarray(solution.residual[: len(y)] * np.sqrt(scaling.cost))
+        exists = np.isfinite(problem.log_det.value(theta))
+        return Multipliers(
+            y=frozen(y),
+            Z=frozen(Z),
+            rows=frozen(rows),
+            W=problem.log_det.multiplier(theta) if exists else problem.log_det.inverses,
+            bounds=frozen(bounds),
+            bounds_included=included,
+        )
+
+    def _of_equations(self, theta: Array, Z: Array, bounds: Array, rows: Array) -> Array:
+        """Return the multipliers of the equations: what the others leave of the gradient."""
+        problem, feasible = self.problem, self.problem.feasible
+        left = problem.gradient(theta) - feasible.adjoint(Z)
+        left = left - bounds - rows @ feasible.rows
+        basis = self.scaling.basis()
+        equations = feasible.rows[feasible.equations] @ basis
+        return np.asarray(np.linalg.lstsq(equations.T, basis.T @ left, rcond=None)[0])
+
+
+def _log_dets(
+    problem: Problem, scaling: Scaling, coordinates: Coordinates
+) -> tuple[Array, tuple[Matrix, ...], float]:
+    """Return linear cost, matrices and weight of the log-det term."""
+    term = problem.log_det
+    inverses = np.linalg.inv(scaling.roots(4)[term.links])
+    units = np.broadcast_to(pseudo_inertia(np.eye(10)), (len(inverses), 10, 4, 4))
+    matrices = coordinates.matrices(
+        np.zeros_like(inverses),
+        inverses[:, None] @ units @ np.swapaxes(inverses, 1, 2)[:, None],
+        term.links,
+    )
+    slope = term.trace_slope() / scaling.cost
+    return slope @ coordinates.directions, tuple(matrices), 2.0 * term.strength / scaling.cost
+
+
+def _largest(problem: Problem, scaling: Scaling, reach: float | None) -> Array:
+    """Return the largest standard parameters of bodies of so many lengths, infinite if None."""
+    out = np.full(problem.n_theta, np.inf)
+    if reach is not None:
+        far = reach * scaling.length
+        units = np.array([1.0, *(far,) * 3, *(far**2,) * 6])
+        out[: scaling.bodies.size] = np.tile(
+            problem.constraints.mass_max * units, len(scaling.bodies)
+        )
+    return out

@@ -1,0 +1,134 @@
+"""One program for data that change: everything but the numbers of the squares is kept."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from sdpid._common.arrays import Array, Mask
+from sdpid.errors import SolverError
+from sdpid.estimation.conic.solve import ConicFamily, ConicSolution
+from sdpid.estimation.problem import Problem
+from sdpid.estimation.scaling import Scaling
+from sdpid.estimation.sdp.program import Coordinates, SdpProgram
+
+# In units of the cost: far below what is proven (1e-6), and reached without wasting iterations.
+_TOLERANCE = 1e-9
+
+
+def program_about(problem: Problem, theta: Array, cost: float, boxed: Mask) -> SdpProgram:
+    """Return a problem's program in the units of its description, about a solution.
+
+    Parameters
+    ----------
+    problem : Problem
+        The problem.
+    theta : ndarray, shape (p,)
+        A solution.
+    cost : float
+        What it costs: the unit of the cost, where it is not smaller than the scaling's own.
+    boxed : ndarray of bool, shape (p,)
+        Parameters whose bounds are part of the program: at least `FeasibleSet.bounded`.
+
+    Raises
+    ------
+    SolverError
+        When the equations among the constraints contradict each other.
+    """
+    scaling = Scaling.of(problem)
+    scaling = replace(scaling, cost=max(scaling.cost, cost))
+    coordinates = Coordinates.of(problem, scaling.basis(), np.array(theta))
+    if coordinates is None:
+        raise SolverError(
+            f"'{problem.robot.name}': the equations among the constraints contradict each other.",
+            problem=problem,
+        )
+    return SdpProgram.build(problem, scaling, coordinates, boxed)
+
+
+@dataclass(frozen=True, eq=False)
+class Prepared:
+    """A program that takes other data. It holds no samples, and is small enough to be sent away.
+
+    Attributes
+    ----------
+    family : ConicFamily
+        The program.
+    coordinates : Coordinates
+        From the program's x to theta.
+    base : ndarray, shape (b, n)
+        From x to base parameters.
+    origin : ndarray, shape (b,)
+        The base parameters at x = 0.
+    believed, expected : ndarray, shapes (r, n) and (r,)
+        Squares of a prior, in units of the cost's root.
+    lower, upper : ndarray, shape (p,)
+        Bounds of theta.
+    held : ndarray of bool, shape (p,)
+        Parameters whose bounds the program has.
+    cost : float
+        The unit of the cost.
+    """
+
+    family: ConicFamily
+    coordinates: Coordinates
+    base: Array
+    origin: Array
+    believed: Array
+    expected: Array
+    lower: Array
+    upper: Array
+    held: Mask
+    cost: float
+
+    @classmethod
+    def of(cls, program: SdpProgram) -> Prepared:
+        """Prepare a program."""
+        problem, unit = program.problem, float(np.sqrt(program.scaling.cost))
+        matrix, count = problem.base.matrix, problem.base.count
+        base = np.asarray(matrix @ program.coordinates.directions)
+        conic = program.conic
+        pattern = conic.M != 0.0
+        # Any data mix the rows of `base`.
+        pattern[:count] = np.any(base != 0.0, axis=0)
+        return cls(
+            ConicFamily(conic, pattern=pattern, tolerance=_TOLERANCE),
+            program.coordinates,
+            base,
+            np.asarray(matrix @ program.coordinates.origin),
+            conic.M[count:] * unit,
+            conic.m[count:] * unit,
+            problem.feasible.lower,
+            problem.feasible.upper,
+            program.own,
+            program.scaling.cost,
+        )
+
+    def solve(
+        self, A: Array, rhs: Array, *, cost: float | None = None, regularisation: float
+    ) -> ConicSolution:
+        """Solve with the cost ``‖A @ base − rhs‖²`` of other data.
+
+        Parameters
+        ----------
+        A, rhs : ndarray, shapes (b, b) and (b,)
+            Compressed data.
+        cost : float, optional
+            Another unit of the cost; not with a log-det prior.
+        regularisation : float
+            Of Clarabel.
+        """
+        unit = float(np.sqrt(self.cost if cost is None else cost))
+        squares = (
+            np.vstack([A @ self.base, self.believed]) / unit,
+            np.concatenate([A @ self.origin - rhs, self.expected]) / unit,
+        )
+        return self.family.solve(squares=squares, regularisation=regularisation)
+
+    def inside(self, theta: Array) -> Mask:
+        """Return which parameters (p,) are within their bounds, which the program need not have.
+
+        Those that it has are met but for rounding.
+        """
+        return np.asarray(self.held | ((theta >= self.lower) & (theta <= self.upper)))

@@ -1,0 +1,386 @@
+"""The global optimum, as a semidefinite program."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from sdpid._common.arrays import Array, Mask, frozen
+from sdpid._common.threads import one_thread
+from sdpid.errors import InfeasibleError, SolverError
+from sdpid.estimation.conic.solve import Solver, solve_conic
+from sdpid.estimation.duality.bound import PROVEN, Bound, cost_scale, relative_gap
+from sdpid.estimation.duality.refine_multipliers import lower_bound
+from sdpid.estimation.estimate import FEASIBLE, Estimate
+from sdpid.estimation.problem import Problem
+from sdpid.estimation.scaling import Scaling
+from sdpid.estimation.sdp.infeasibility import explained, require_consistent
+from sdpid.estimation.sdp.nearest_to_prior import nearest_on_face
+from sdpid.estimation.sdp.program import Coordinates, SdpProgram, best_fit
+from sdpid.robot.consistent import raise_second_moments
+
+# What is taken to be inside: a solution on the boundary is moved in by this share of the link's
+# own second moments, so that rounding cannot take it out again. It is some fifty roundings and no
+# more: moments that the data do not show may be as large as theta_max, and what is added to them
+# is added to those that the data do show.
+_INSIDE = 1e-14
+
+# What Clarabel adds to the diagonal of its linear systems. Its default of 1e-8 suits some 6×6
+# inequalities, whose ten parameters spread over 21 entries; for the 4×4 it is too much where the
+# data are precise and the cost steep: the solver then stops 1e-3 above the optimum.
+_DEGENERATE, _STEEP, _BETWEEN = 1e-8, 1e-12, 1e-10
+
+# Weight of ‖x‖² in some attempts, beside a cost of order one: where the optimal face is unbounded
+# but for theta_max, it keeps the path of the solver from running off along it. They start from
+# what was found before, so that what it costs vanishes from one to the next.
+_ANCHORS = (1e-13, 1e-12, 1e-10)
+
+# In some attempts bodies are no larger than this many lengths of the robot. Where far larger ones
+# would fit no better, or hardly, the solver is spared the way to theta_max; a proof covers
+# everything up to theta_max all the same.
+_NEAR = 1.0
+
+# Where so many attempts found nothing the cost is counted in units larger by this factor.
+_PATIENCE = 3
+_COARSER = 1e3
+
+# Choosing among the optimal points may cost this share of the cost.
+_FACE = 1e-7
+
+# Statuses that come without a point, and those of them that say that there is none.
+_INFEASIBLE = ("PrimalInfeasible", "AlmostPrimalInfeasible", "infeasible", "infeasible_inaccurate")
+_NO_POINT = (*_INFEASIBLE, "DualInfeasible", "AlmostDualInfeasible", "NumericalError", "unbounded")
+
+
+@one_thread
+def solve_sdp(problem: Problem, *, verbose: bool = False) -> Estimate:
+    """Minimise the cost over all consistent parameters: the global optimum.
+
+    The parameters are measured from the robot's description, in units in which they are of order
+    one, and what a solver makes of them is recomputed: it is moved inside every constraint, and
+    its multipliers are turned into a bound, which is kept for `sdpid.certify`. Attempts go on
+    until bound and cost are within 1e-6 of each other (docs/theory.md, section 9). Of all optimal
+    parameters, which differ in directions that the effort does not show, those nearest to the
+    robot's description are returned (see `sdpid.estimation.sdp.nearest_to_prior`).
+
+    Parameters
+    ----------
+    problem : Problem
+        The problem.
+    verbose : bool, optional
+        Let the solver print.
+
+    Returns
+    -------
+    Estimate
+        With status ``"optimal"``.
+
+    Raises
+    ------
+    InfeasibleError
+        When no parameters satisfy the constraints.
+    SolverError
+        When the solver ends without an optimum; the last point found is attached.
+    """
+    try:
+        problem.feasible.require_feasible()
+    except InfeasibleError as error:
+        error.problem = problem
+        raise
+    search = _Search.of(problem, verbose=verbose)
+    for number, attempt in enumerate(_attempts()):
+        search.try_once(attempt, patient=number >= _PATIENCE)
+        if search.proven:
+            break
+    return _settled(*search.result())
+
+
+@dataclass(eq=False)
+class _Search:
+    """What the attempts have found so far, and where the next one begins.
+
+    Attributes
+    ----------
+    problem : Problem
+        The problem.
+    verbose : bool
+        Whether the solver prints.
+    scaling, around : Scaling
+        Units of the description's links, and of those found last.
+    described, reference : ndarray, shape (p,)
+        Where attempts are measured from: the description's links, and those found last.
+    boxed : ndarray of bool, shape (p,)
+        Parameters whose bounds the solver is given.
+    seconds, iterations, status
+        Of the solver, over all attempts; the status is the last one's.
+    best : Estimate or None
+        The cheapest feasible point.
+    bound : Bound or None
+        The strongest proof. It may come from another attempt than the point.
+    """
+
+    problem: Problem
+    verbose: bool
+    scaling: Scaling
+    around: Scaling
+    described: Array
+    reference: Array
+    boxed: Mask
+    seconds: float = 0.0
+    iterations: int = 0
+    status: str = ""
+    best: Estimate | None = None
+    bound: Bound | None = None
+
+    @classmethod
+    def of(cls, problem: Problem, *, verbose: bool) -> _Search:
+        """Begin at the links of the description."""
+        scaling = Scaling.of(problem)
+        described = _described(problem, scaling)
+        boxed = problem.feasible.bounded
+        return cls(problem, verbose, scaling, scaling, described, described, boxed)
+
+    @property
+    def gap(self) -> float:
+        """Gap between the point and the proof."""
+        if self.best is None or self.bound is None:
+            return np.inf
+        return relative_gap(self.problem, self.best.cost, self.bound.value)
+
+    @property
+    def proven(self) -> bool:
+        """Whether what was found is an optimum."""
+        if self.best is None:
+            return False
+        return self.gap <= PROVEN and (self.best.violation or 0.0) <= FEASIBLE
+
+    def try_once(self, attempt: _Attempt, *, patient: bool) -> None:
+        """Solve once, and keep what is better than before.
+
+        Parameters
+        ----------
+        attempt : _Attempt
+            How.
+        patient : bool
+            Whether the cost is counted in larger units where nothing was found so far.
+        """
+        problem = self.problem
+        program = self._program(attempt)
+        solution = solve_conic(
+            program.conic,
+            solver=attempt.solver,
+            regularisation=attempt.regularisation,
+            verbose=self.verbose,
+        )
+        self.status = f"{attempt.solver}: {solution.status}"
+        self.seconds += solution.seconds
+        self.iterations += solution.iterations
+        if solution.x is None or solution.status in _NO_POINT:
+            if problem.constraints.others and solution.status in _INFEASIBLE:
+                require_consistent(problem)
+            # Where constraints hold together, Clarabel is wrong that they do not.
+            if self.best is None and patient:
+                self._count_in(_COARSER * self.scaling.cost)
+            return
+        theta = program.theta(solution)
+        outside = (theta < problem.feasible.lower) | (theta > problem.feasible.upper)
+        if np.any(outside & ~self.boxed):
+            # theta_max matters after all: give the solver the bounds that it overstepped.
+            self.boxed = self.boxed | outside
+            return
+        theta = repair(problem, theta)
+        if not np.isfinite(problem.cost_of(theta)):
+            # Outside of what a log-det prior is defined for: where solvers end that find nothing.
+            return
+        self._keep(
+            Estimate.of_theta(
+                problem,
+                theta,
+                method="sdp",
+                status="optimal",
+                message=self.status,
+                iterations=self.iterations,
+                solve_time=self.seconds,
+                multipliers=program.multipliers(solution, theta),
+            )
+        )
+
+    def _program(self, attempt: _Attempt) -> SdpProgram:
+        """Return the problem in the units of an attempt, measured from its centre."""
+        scaling = self.around if attempt.around else self.scaling
+        centre = self.reference if attempt.around else self.described
+        coordinates = Coordinates.of(self.problem, scaling.basis(), centre)
+        if coordinates is None:
+            raise explained(self.problem)
+        return SdpProgram.build(
+            self.problem,
+            scaling,
+            coordinates,
+            self.boxed,
+            anchor=attempt.anchor,
+            reach=attempt.reach,
+        )
+
+    def _keep(self, estimate: Estimate) -> None:
+        """Keep a point, its proof, or both, and begin from there next time."""
+        bound = self._bound(estimate)
+        if self.best is None or _better(estimate, self.best):
+            self.best = estimate
+        if self.bound is None or bound.value > self.bound.value:
+            self.bound = bound
+        if self.proven:
+            return
+        # From now on count the cost in units of itself.
+        self._count_in(max(self.scaling.cost, self.best.cost))
+        self.reference = np.array(self.best.theta)
+        self.around = self.scaling.around(self.reference)
+
+    def _bound(self, estimate: Estimate, *, exhaustive: bool = False) -> Bound:
+        """Return the bound that an estimate's multipliers prove."""
+        theta = np.array(estimate.theta)
+        return lower_bound(
+            self.problem, theta, estimate.proof, estimate.cost, exhaustive=exhaustive
+        )
+
+    def _count_in(self, cost: float) -> None:
+        self.scaling = replace(self.scaling, cost=cost)
+        self.around = replace(self.around, cost=cost)
+
+    def result(self) -> tuple[Estimate, Bound]:
+        """Return the optimum and its proof.
+
+        Raises
+        ------
+        SolverError
+            When what was found is none; InfeasibleError when the constraints are to blame.
+        """
+        if self.best is not None and self.bound is not None and self.gap > PROVEN:
+            refined = self._bound(self.best, exhaustive=True)
+            self.bound = max(self.bound, refined, key=lambda each: each.value)
+        if self.best is not None and self.bound is not None:
+            self.best = replace(
+                self.best,
+                multipliers=self.bound.multipliers,
+                iterations=self.iterations,
+                solve_time=self.seconds,
+            )
+        if self.proven and self.best is not None and self.bound is not None:
+            return self.best, self.bound
+        if self.problem.constraints.others:
+            require_consistent(self.problem)
+        found = "nothing"
+        if self.best is not None:
+            found = f"a relative gap of {self.gap:.1e} and a violation of {self.best.violation:.1e}"
+        raise SolverError(
+            f"SDP of '{self.problem.robot.name}': ended '{self.status}' with {found} "
+            f"(limits {PROVEN:.0e} and {FEASIBLE:.0e}); check the excitation "
+            "(problem.excitation) and the margin, or give a prior.",
+            problem=self.problem,
+            found=self.best,
+        )
+
+
+def _better(first: Estimate, second: Estimate) -> bool:
+    """Whether the first is feasible and the second not, or cheaper where both or none are."""
+    if first.feasible != second.feasible:
+        return first.feasible
+    return first.cost < second.cost
+
+
+@dataclass(frozen=True)
+class _Attempt:
+    """How one attempt is made.
+
+    Attributes
+    ----------
+    regularisation : float
+        Clarabel's.
+    around : bool
+        Whether it starts from what the attempt before found, links in units of theirs; otherwise
+        from the links of the robot's description.
+    anchor : float
+        Weight of ‖x‖².
+    reach : float or None
+        Largest size of bodies, in lengths of the robot.
+    solver : {"clarabel", "scs"}
+        Which solver.
+    """
+
+    regularisation: float
+    around: bool = False
+    anchor: float = 0.0
+    reach: float | None = None
+    solver: Solver = "clarabel"
+
+
+def _attempts() -> tuple[_Attempt, ...]:
+    """Return what is tried in turn until the gap is proven small, the likeliest first."""
+    plain = [_Attempt(value) for value in (_BETWEEN, _STEEP, _DEGENERATE)]
+    around = [_Attempt(value, around=True) for value in (_BETWEEN, _DEGENERATE, _STEEP)]
+    near = [_Attempt(value, around=True, reach=_NEAR) for value in (_BETWEEN, _DEGENERATE)]
+    anchored = [
+        _Attempt(value, around=True, anchor=anchor)
+        for anchor in _ANCHORS
+        for value in (_BETWEEN, _DEGENERATE)
+    ]
+    # Another algorithm, for a second opinion.
+    other = _Attempt(0.0, around=True, solver="scs")
+    return (
+        *(plain[0], anchored[0], *around[:2], anchored[1], *around[:2]),
+        *(*plain[1:], anchored[0], around[2], *near, *anchored[2:], other),
+    )
+
+
+def _described(problem: Problem, scaling: Scaling) -> Array:
+    """Return the links that the scaling is about, with the friction that fits best."""
+    fit = best_fit(problem, scaling)
+    return np.concatenate([scaling.bodies.ravel(), fit[scaling.bodies.size :]])
+
+
+def _settled(estimate: Estimate, bound: Bound) -> Estimate:
+    """Move along the directions that cost nothing, to the point nearest to the description.
+
+    What is found is kept only where it costs no more than the solver's own accuracy, and where
+    the bound proves it too.
+    """
+    problem = estimate.problem
+    if problem.consistency == "none" or problem.prior is not None or estimate.theta is None:
+        # Without matrix inequalities nothing says what is near; with a prior nothing is free.
+        return estimate
+    allowed = estimate.cost + _FACE * max(estimate.cost, cost_scale(problem))
+    spent = 0.0
+    for found, seconds in nearest_on_face(problem, np.array(estimate.theta)):
+        theta, spent = repair(problem, found), seconds
+        moved = replace(
+            estimate,
+            solve_time=estimate.solve_time + seconds,
+            theta=frozen(theta),
+            base=frozen(problem.base_of(theta)),
+            message=f"{estimate.message}; nearest to the description on the optimal face",
+        )
+        proven = relative_gap(problem, moved.cost, bound.value) <= PROVEN
+        if moved.feasible and moved.cost <= allowed and proven:
+            return moved
+    return replace(
+        estimate,
+        solve_time=estimate.solve_time + spent,
+        message=f"{estimate.message}; any point of the optimal face",
+    )
+
+
+def repair(problem: Problem, theta: Array) -> Array:
+    """Move parameters that are outside by rounding just inside every constraint.
+
+    Bounds are clipped; a link short of its margin gets the missing moments about its center of
+    mass.
+    """
+    feasible = problem.feasible
+    theta = np.clip(theta, feasible.lower, feasible.upper)
+    if feasible.consistency == "none":
+        return theta
+    bodies = feasible.bodies(theta)
+    moments = np.maximum(bodies[:, 4] + bodies[:, 6] + bodies[:, 9], 1e-3)
+    least = feasible.constraints.margin + _INSIDE * moments
+    raised = raise_second_moments(bodies, least, consistency=feasible.consistency)
+    return np.concatenate([raised.ravel(), theta[raised.size :]])

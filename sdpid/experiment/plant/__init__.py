@@ -1,0 +1,1 @@
+"""Simulate the closed-loop experiment."""

@@ -1,0 +1,1 @@
+"""Prepare recordings for a robot: joints, units, defaults, several logs."""

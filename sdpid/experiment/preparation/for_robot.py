@@ -1,0 +1,58 @@
+"""A recording made ready for a robot: joints matched, units checked, defaults chosen."""
+
+from __future__ import annotations
+
+from sdpid.experiment.processing.choose import default_processing
+from sdpid.experiment.processing.process import Processing, process
+from sdpid.experiment.processing.samples import Samples
+from sdpid.experiment.recording.joints import match_joints
+from sdpid.experiment.recording.recording import Recording
+from sdpid.robot.friction.model import Coulomb, FrictionTerm, SigmoidFriction
+from sdpid.robot.model.model import RobotModel
+
+__all__ = ["default_friction", "default_processing", "prepare"]
+
+# Half-width of the smooth sign of real friction, rad/s: sensors' velocity noise makes the exact
+# sign flicker near standstill.
+SMOOTH = 0.02
+
+
+def default_friction(log: Recording) -> tuple[str | FrictionTerm, ...]:
+    """Return the friction terms used when nothing else is said.
+
+    Records with periods are masked around reversals, where the exact sign is right. Others get
+    a smooth sign, beside it a sigmoid whose speeds the data choose, joint by joint, and an offset
+    for the sensors' zero errors. The same terms serve torque sensors and motor currents: on five
+    real robots none predicted worse for the sigmoid, and the others choose it whichever is left
+    out (docs/real_robots.md). Rotor inertia and couplings are knowledge of the drives that
+    a log does not hold; on torque sensors, which do not feel it, rotor inertia did harm.
+    """
+    if log.period is not None:
+        return ("coulomb", "viscous")
+    return (Coulomb(width=SMOOTH), SigmoidFriction(), "viscous", "offset")
+
+
+def prepare(robot: RobotModel, log: Recording, processing: Processing | None = None) -> Samples:
+    """Process a recording for a robot: joints matched, units checked.
+
+    Parameters
+    ----------
+    robot : RobotModel
+        The robot.
+    log : Recording
+        What was measured; its columns are found by name (see `match_joints`).
+    processing : Processing, optional
+        By default `default_processing`.
+
+    Returns
+    -------
+    Samples
+
+    Raises
+    ------
+    DataError
+        When a joint of the robot is not in it, positions look like degrees, or it cannot be
+        processed.
+    """
+    named = match_joints(robot, log)
+    return process(named, processing, position_limits=robot.position_limits)

@@ -1,0 +1,93 @@
+"""What was understood of a recording, and what looks wrong with it."""
+
+from __future__ import annotations
+
+from dataclasses import asdict
+from typing import Any
+
+import numpy as np
+
+from sdpid.errors import DataError
+from sdpid.experiment.inspection.finding import Finding
+from sdpid.experiment.inspection.inspect import inspect_recording
+from sdpid.experiment.inspection.signals import bandwidth, gaps, noise
+from sdpid.experiment.processing.choose import choose_processing
+from sdpid.experiment.recording.joints import match_joints
+from sdpid.experiment.recording.recording import Recording
+from sdpid.robot.model.model import RobotModel
+
+__all__ = ["overview"]
+
+
+def overview(recording: Recording, robot: RobotModel | None = None) -> dict[str, Any]:
+    """Describe a recording, and compare it with a robot.
+
+    Parameters
+    ----------
+    recording : Recording
+        What was measured.
+    robot : RobotModel, optional
+        Whose joints these are.
+
+    Returns
+    -------
+    dict
+        Plain values for JSON: sizes, times (s), the processing chosen by default and why,
+        ``joints`` with a range each (rad, rad/s, N.m), the standard deviation of its noise, and
+        the frequencies (Hz) at which it mostly moves and below which 95 % of the motion lies; and
+        ``findings`` (see `inspect_recording`). Missing is None.
+    """
+    matched, findings = recording, list(inspect_recording(recording, robot).findings)
+    if robot is not None and not any(each.kind == "joints_unknown" for each in findings):
+        matched = match_joints(robot, recording)
+    processing, reasons = None, None
+    try:
+        choice = choose_processing(matched)
+        processing = asdict(choice.processing)
+        del processing["reasons"]
+        reasons = "; ".join(choice.reasons)
+    except DataError as cause:
+        findings.append(Finding(severity="error", kind="processing", message=str(cause)))
+    steps = np.diff(matched.time) / matched.step
+    layout = matched.period_layout
+    return {
+        "samples": matched.n_samples,
+        "duration_s": matched.duration,
+        "rate_hz": matched.rate_hz,
+        "jitter_of_a_step": float(np.abs(steps - np.rint(steps)).max()),
+        "lost_samples": round(matched.duration / matched.step) + 1 - matched.n_samples,
+        **gaps(matched),
+        "velocity": None if matched.velocity is None else "measured",
+        "effort": "N.m" if matched.effort_scale is None else "turned into N.m by effort_scale",
+        "period_s": matched.period,
+        "periods": None if layout is None else layout[2],
+        "start_s": matched.start,
+        "processing": processing,
+        "processing_chosen_for": reasons,
+        "joints": _joints(matched),
+        "findings": [finding.to_dict() for finding in findings],
+    }
+
+
+def _joints(recording: Recording) -> list[dict[str, Any]]:
+    """Return the range of every joint."""
+    position, velocity = recording.position, recording.velocity
+    effort = recording.effort
+    if recording.effort_scale is not None:
+        effort = effort * recording.effort_scale
+    motion = [bandwidth(position[:, j], recording.rate_hz) for j in range(recording.n)]
+    return [
+        {
+            "joint": name,
+            "position_min": float(position[:, j].min()),
+            "position_max": float(position[:, j].max()),
+            "speed_max": None if velocity is None else float(np.abs(velocity[:, j]).max()),
+            "effort_rms": float(np.sqrt(np.mean(effort[:, j] ** 2))),
+            "effort_max": float(np.abs(effort[:, j]).max()),
+            "position_noise": noise(position[:, j]),
+            "effort_noise": noise(effort[:, j]),
+            "motion_hz": None if moves is None else moves[0],
+            "bandwidth_hz": None if moves is None else moves[1],
+        }
+        for j, (name, moves) in enumerate(zip(recording.names, motion, strict=True))
+    ]

@@ -1,0 +1,1 @@
+"""Process a recording into `Samples`: filters, derivatives, gaps, periods."""

@@ -1,0 +1,277 @@
+"""The processing chosen from a recording by a stated rule, and why."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any, Literal, get_args
+
+import numpy as np
+
+from sdpid._common.arrays import Array
+from sdpid.errors import DataError
+from sdpid.experiment.processing.settings import Processing, Reason
+from sdpid.experiment.processing.spectrum import least_error_filter
+from sdpid.experiment.recording.gaps import continuous
+from sdpid.experiment.recording.recording import Recording
+from sdpid.experiment.recording.velocities import disagreement
+
+__all__ = ["Choice", "Rule", "choose_processing", "default_processing"]
+
+Rule = Literal["motion", "noise"]
+
+# The cut-off for records without periods: this many times the frequency below which 95 % of the
+# motion lies (the paper's decade above the fastest motion, which reaches some three times as far),
+# and at most this share of the sampling rate, up to which differences of fourth order
+# lose no more than 2 % of a velocity.
+_CUTOFF_OVER_MOTION = 30.0
+_CUTOFF_OVER_RATE = 1.0 / 7.5
+_MOTION_SHARE = 0.95
+# By the rule "noise" the cut-off has at least so many periods in the record: at fewer the default
+# filter's memory takes more than a tenth of the record at either end.
+_LEAST_PERIODS = 20.0
+# Records with more samples than this (four minutes at 1 kHz) are averaged over neighbours down to
+# a rate of at least so many Hz before their motion's spectrum is taken: arms do not move at half
+# of that.
+_LONG = 1 << 18
+_RATE_OF_MOTION = 100.0
+# Samples averaged at a time: the rows of all joints stay in a core's cache.
+_BLOCK = 1 << 14
+# Below this rate differences of the position lose too much, and a recorded velocity is used.
+_RATE_OF_DIFFERENCES = 100.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class Choice:
+    """A processing with what it was chosen from.
+
+    Attributes
+    ----------
+    processing : Processing
+        Its `reasons` end up in the notes of the samples.
+    rule : {"motion", "noise"}
+        How the cut-off was chosen.
+    motion_hz : float or None
+        Frequency below which 95 % of the motion lies, in Hz; None for records with periods, whose
+        filter does not depend on it.
+    rate_hz : float
+        Sample rate in Hz.
+    """
+
+    processing: Processing
+    rule: Rule
+    motion_hz: float | None
+    rate_hz: float
+
+    @property
+    def reasons(self) -> tuple[str, ...]:
+        """Why each setting has its value, in words."""
+        return tuple(reason.said(self.processing) for reason in self.processing.reasons)
+
+
+def choose_processing(log: Recording, *, rule: Rule = "motion", **given: Any) -> Choice:
+    """Choose how a recording is processed, from this recording alone.
+
+    A record with periods is averaged over them, filtered as by ``Processing()``; where they are
+    too few for a covariance of each sample, one is pooled over the samples, and one period alone
+    has none.
+
+    A record without periods passes, by the rule ``"motion"``, a Butterworth filter of order 4
+    whose cut-off is 30 times the frequency below which 95 % of its motion lies (the median over
+    the joints), at most 2/15 of the sampling rate: 20 to 60 times predict alike on five real
+    robots (docs/real_robots.md). By the rule ``"noise"`` it passes the filter, of two types,
+    orders 1 to 4 and all cut-offs between the motion's frequency (and 20 periods in the record)
+    and 2/15 of the rate, that is expected to leave the least error of the acceleration: what it
+    takes from the motion, and what it leaves of the positions' noise; see
+    `sdpid.experiment.processing.spectrum`. Either way a recorded velocity is used below 100 Hz,
+    where differences of the position lose too much, as long as it is the rate of the position.
+
+    Parameters
+    ----------
+    log : Recording
+        What is to be trained on. Where it has gaps, its longest piece decides.
+    rule : {"motion", "noise"}
+        How filter and cut-off are chosen.
+    **given
+        Fields of `Processing` that are known and stand as they are.
+
+    Returns
+    -------
+    Choice
+
+    Raises
+    ------
+    DataError
+        When the rule is unknown, no joint moves, or a given value is out of its range.
+    """
+    if rule not in get_args(Rule):
+        raise DataError(f"rule: {rule!r} is unknown; choose one of {', '.join(get_args(Rule))}.")
+    layout = log.period_layout
+    if layout is not None:
+        found, reasons = _with_periods(layout[2], log.n)
+        motion = None
+    else:
+        log = max(continuous(log)[0], key=lambda piece: piece.n_samples)
+        motion = motion_frequency(log)
+        found, reasons = _without_periods(log, motion, rule)
+    processing = replace(found, **{**given, "reasons": tuple(reasons)})
+    return Choice(processing=processing, rule=rule, motion_hz=motion, rate_hz=log.rate_hz)
+
+
+def default_processing(log: Recording, *, rule: Rule = "motion") -> Processing:
+    """Return how a recording is processed when nothing else is said; see `choose_processing`."""
+    return choose_processing(log, rule=rule).processing
+
+
+def motion_frequency(log: Recording) -> float:
+    """Return the frequency in Hz below which 95 % of the motion lies, the median over joints.
+
+    Of records of more than 2^18 samples positions are averaged over neighbours first, to a rate
+    of at least 100 Hz, piece by piece, and what the average takes is given back.
+
+    Raises
+    ------
+    DataError
+        When no joint moves.
+    """
+    if log.n_samples > _LONG:
+        found = _of_long(log)
+    else:
+        frequency, power = _spectrum(np.asarray(log.position), log.rate_hz)
+        found = _most_below(frequency, power)
+    if not found.size:
+        raise DataError("position: no joint moves; nothing can be identified.")
+    return float(np.median(found))
+
+
+def _spectrum(position: Array, rate_hz: float, length: int | None = None) -> tuple[Array, Array]:
+    """Return frequencies, and the power of positions (N, n) at them, zeros appended to `length`."""
+    length = length or len(position)
+    # A window, so that a record that does not end where it began does not look fast.
+    window = np.hanning(len(position))[:, None]
+    spectrum = np.fft.rfft(window * (position - position.mean(axis=0)), length, axis=0)
+    power: Array = np.abs(spectrum) ** 2
+    return np.asarray(np.fft.rfftfreq(length, 1.0 / rate_hz), dtype=np.float64), power
+
+
+def _most_below(frequency: Array, power: Array) -> Array:
+    """Return the frequency below which most power lies, of each joint that moves."""
+    total = power.sum(axis=0)
+    moving = total > 0.0
+    share = np.cumsum(power[:, moving] / total[moving], axis=0)
+    return np.asarray(frequency[(share < _MOTION_SHARE).sum(axis=0)])
+
+
+def _of_long(log: Recording) -> Array:
+    """Return the frequency below which most motion lies, of each joint that moves."""
+    averaged, few = _averaged(log)
+    rate = log.rate_hz / few
+    # A product of small factors is transformed several times faster than any other length.
+    step = 1 << max(averaged.shape[1].bit_length() - 5, 0)
+    length = -(-averaged.shape[1] // step) * step
+    found = []
+    for position in averaged:
+        # Of a joint that does not move nothing is left, not even rounding.
+        moved = (position - position[0])[:, None]
+        frequency, power = _spectrum(moved, rate, length)
+        # The share of an oscillation's amplitude that the average over `few` samples leaves.
+        angle = np.pi * frequency / log.rate_hz
+        left = np.ones_like(angle)
+        left[1:] = np.sin(few * angle[1:]) / (few * np.sin(angle[1:]))
+        found.append(_most_below(frequency, power / left[:, None] ** 2))
+    return np.concatenate(found)
+
+
+def _averaged(log: Recording) -> tuple[Array, int]:
+    """Return means of successive positions, (n, means), and of how many each is."""
+    few = max(int(log.rate_hz / _RATE_OF_MOTION), 1)
+    count = log.n_samples // few
+    out = np.empty((log.n, count))
+    # Stored columns are read on from where each was left.
+    columns = [log.position[:, j] for j in range(log.n)]
+    size = max(_BLOCK // few, 1)
+    for start in range(0, count, size):
+        stop = min(start + size, count)
+        for mean, column in zip(out, columns, strict=True):
+            part = column[few * start : few * stop]
+            np.mean(part.reshape(-1, few), axis=1, out=mean[start:stop])
+    return out, few
+
+
+def _with_periods(periods: int, joints: int) -> tuple[Processing, Sequence[Reason]]:
+    """Choose the covariance that the periods allow."""
+    covariance: Literal["period", "pooled"] | None
+    if periods > joints:
+        covariance, why = "period", "more than joints"
+    elif periods > 1:
+        covariance, why = "pooled", f"no more than {joints} joints: too few for one a sample"
+    else:
+        covariance, why = None, "no spread"
+    text = f"{periods} {'period' if periods == 1 else 'periods'}, {why}"
+    reason = Reason(field="covariance", value=covariance, text=text)
+    return Processing(covariance=covariance), [reason]
+
+
+def _without_periods(
+    log: Recording, motion: float, rule: Rule
+) -> tuple[Processing, Sequence[Reason]]:
+    """Choose filter, velocity and derivative from a record without gaps."""
+    rate = log.rate_hz
+    slowest = rate / log.n_samples
+    highest = _CUTOFF_OVER_RATE * rate
+    processing = Processing(
+        cutoff_hz=min(_CUTOFF_OVER_MOTION * max(motion, slowest), highest),
+        order=4,
+        decimation=None,
+        reversal_time=None,
+        derivative="central4",
+    )
+    lies = f"{100 * _MOTION_SHARE:g} % of the motion lies below {motion:.4g} Hz"
+    cap = f"2/15 of the rate of {rate:.6g} Hz"
+    if rule == "noise":
+        lowest = min(max(motion, _LEAST_PERIODS * slowest), highest)
+        found = least_error_filter(log, lowest, highest)
+        processing = replace(
+            processing, cutoff_hz=found.cutoff_hz, order=found.order, filter=found.filter
+        )
+        bound = ""
+        if found.cutoff_hz == highest:
+            bound = f" and most allowed, {cap}"
+        elif found.cutoff_hz == lowest:
+            least = "that of the motion" if lowest == motion else f"{_LEAST_PERIODS:g} periods"
+            bound = f" and least allowed, {least}"
+        why = (
+            f"best of all cut-offs{bound}; {lies}; expected error of the acceleration "
+            f"{100 * found.error:.3g} % (rms), {100 * found.taken:.3g} % taken from the motion, "
+            f"{100 * found.left:.3g} % left of the noise"
+        )
+        order = f"least within {100 * found.slack:g} % of the least error"
+        reasons = [
+            Reason(field="filter", value=processing.filter, text="by the same error"),
+            Reason(field="order", value=processing.order, text=order),
+        ]
+    else:
+        if processing.cutoff_hz == highest:
+            why = f"{cap}, below {_CUTOFF_OVER_MOTION:g} × motion; {lies}"
+        elif motion < slowest:
+            why = f"{_CUTOFF_OVER_MOTION:g} × {slowest:.4g} Hz, the slowest that the record shows"
+        else:
+            why = f"{_CUTOFF_OVER_MOTION:g} × motion, below {cap}; {lies}"
+        reasons = []
+    reasons.insert(0, Reason(field="cutoff_hz", value=processing.cutoff_hz, text=why))
+    velocity, why = _velocity(log, max(motion, slowest))
+    reasons.append(Reason(field="velocity", value=velocity, text=why))
+    return replace(processing, velocity=velocity), reasons
+
+
+def _velocity(log: Recording, motion: float) -> tuple[Literal["measured", "differentiated"], str]:
+    """Choose between the recorded velocity and the position's derivative."""
+    limit = f"{_RATE_OF_DIFFERENCES:g} Hz"
+    if log.velocity is None:
+        return "differentiated", "none was recorded"
+    if log.rate_hz >= _RATE_OF_DIFFERENCES:
+        return "differentiated", f"sampled at {log.rate_hz:.6g} Hz, not below {limit}"
+    wrong = disagreement(log, motion)
+    if wrong is not None:
+        return "differentiated", f"the recorded one is not used: {wrong}"
+    return "measured", f"sampled at {log.rate_hz:.6g} Hz, below {limit}, and agrees with positions"

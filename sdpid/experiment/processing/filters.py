@@ -1,0 +1,127 @@
+"""Zero-phase low-pass filters: Butterworth and Bessel."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Literal, get_args
+
+import numpy as np
+
+from sdpid._common.arrays import Array, frozen
+from sdpid.errors import DataError
+
+__all__ = ["FILTERS", "FilterType", "ZeroPhaseFilter", "butterworth", "low_pass"]
+
+FilterType = Literal["butterworth", "bessel"]
+
+FILTERS: tuple[str, ...] = get_args(FilterType)
+
+# After so many time constants exp(-45) = 3e-20 of a disturbance is left: below rounding, also
+# with the polynomial factors that repeated passes bring.
+_FORGOTTEN = 45.0
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class ZeroPhaseFilter:
+    """A low-pass filter run forward and backward, so that it has no phase.
+
+    Attributes
+    ----------
+    sections : (S, 6) ndarray
+        Second-order sections of the filter of a single pass.
+    time_constant : float
+        Time in which its slowest mode decays by a factor of e, in samples.
+    """
+
+    sections: Array
+    time_constant: float
+
+    @property
+    def reach(self) -> int:
+        """Number of samples after which a disturbance is forgotten to rounding."""
+        return math.ceil(_FORGOTTEN * self.time_constant)
+
+    def apply(self, signal: Array) -> Array:
+        """Filter a signal forward and backward.
+
+        Either pass starts from the steady state of its first value. The ends are therefore only
+        as good as that guess; the caller provides `reach` extra samples and cuts them off.
+
+        Parameters
+        ----------
+        signal : (N,) ndarray
+            The signal.
+
+        Returns
+        -------
+        (N,) ndarray
+        """
+        from scipy.signal import sosfilt, sosfilt_zi
+
+        # SciPy asks for a writable array, though it does not write to it.
+        sections = np.array(self.sections)
+        steady = sosfilt_zi(sections)
+        for _ in range(2):
+            signal, _state = sosfilt(sections, signal, zi=steady * signal[0])
+            signal = signal[::-1]
+        return signal
+
+    def gain(self, frequency_hz: Array | float, rate_hz: float) -> Array:
+        """Return the gain of the forward and backward passes together at given frequencies."""
+        from scipy.signal import sosfreqz
+
+        _, response = sosfreqz(self.sections, worN=np.atleast_1d(frequency_hz), fs=rate_hz)
+        gain: Array = np.abs(response) ** 2
+        return gain
+
+
+def low_pass(kind: FilterType, cutoff_hz: float, order: int, rate_hz: float) -> ZeroPhaseFilter:
+    """Design a zero-phase low-pass filter.
+
+    Parameters
+    ----------
+    kind : {"butterworth", "bessel"}
+        ``"butterworth"`` has the flattest pass band. ``"bessel"`` follows a step with next to no
+        overshoot (0.3 % of it at order 4, where Butterworth has 6.8 %), forgets 2.6 times as fast
+        there, and takes more from the pass band: at a tenth of the cut-off 0.64 %, where
+        Butterworth takes 1e-8.
+    cutoff_hz : float
+        Frequency at which a single pass has lost 3 dB, in Hz; forward and backward lose 6 dB.
+    order : int
+        Order of a single pass.
+    rate_hz : float
+        Sample rate in Hz.
+
+    Returns
+    -------
+    ZeroPhaseFilter
+
+    Raises
+    ------
+    DataError
+        When the type is unknown or the cut-off is not below half the sample rate.
+    """
+    if kind not in FILTERS:
+        raise DataError(f"filter: {kind!r} is unknown; choose one of {', '.join(FILTERS)}.")
+    if not cutoff_hz < rate_hz / 2.0:
+        raise DataError(
+            f"cutoff_hz: {cutoff_hz:g} Hz is not below half the sample rate of {rate_hz:.6g} Hz; "
+            f"choose one below {rate_hz / 2.0:.6g} Hz."
+        )
+    from scipy.signal import bessel, butter, zpk2sos
+
+    if kind == "bessel":
+        zeros, poles, factor = bessel(order, cutoff_hz, fs=rate_hz, norm="mag", output="zpk")
+    else:
+        zeros, poles, factor = butter(order, cutoff_hz, fs=rate_hz, output="zpk")
+    sections = zpk2sos(zeros, poles, factor)
+    slowest = float(np.abs(poles).max())
+    # A cut-off close to half the rate puts the poles near the origin: at least one sample.
+    time_constant = max(1.0, -1.0 / math.log(slowest)) if slowest > 0.0 else 1.0
+    return ZeroPhaseFilter(sections=frozen(sections), time_constant=time_constant)
+
+
+def butterworth(cutoff_hz: float, order: int, rate_hz: float) -> ZeroPhaseFilter:
+    """Design a zero-phase Butterworth filter; see `low_pass`."""
+    return low_pass("butterworth", cutoff_hz, order, rate_hz)

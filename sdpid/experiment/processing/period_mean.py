@@ -1,0 +1,146 @@
+"""Period by period: filter a channel, fold it into the mean, and measure the spread."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sdpid._common.arrays import Array
+from sdpid.experiment.processing.derivatives import Stencil
+from sdpid.experiment.processing.filters import ZeroPhaseFilter
+from sdpid.experiment.processing.window import Window
+
+__all__ = ["Chain", "near_standstill"]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Chain:
+    """The filter, the window it is run over, and what is kept of its output.
+
+    Attributes
+    ----------
+    window : Window
+        The part of the record to be filtered.
+    low_pass : ZeroPhaseFilter
+        The filter; a pass is forward and backward.
+    stencil : Stencil
+        Central differences.
+    decimation : int
+        Every so many samples are kept.
+    passes : int
+        Zero-phase passes over a signal that is to be differentiated, 1 or 2. What is kept as it
+        is (position, torque, a measured velocity) always gets 1.
+    margin : int
+        Samples on either side that differences and mask need.
+    """
+
+    window: Window
+    low_pass: ZeroPhaseFilter
+    stencil: Stencil
+    decimation: int
+    passes: int
+    margin: int
+
+    def kept(self, signal: NDArray[Any]) -> Any:
+        """Return the kept samples of a period that still has (what is left of) its margins."""
+        margin = (signal.size - self.window.length) // 2
+        return signal[margin : margin + self.window.length : self.decimation]
+
+    def parts(self, size: int) -> Iterator[Chain]:
+        """Yield the chain over pieces of about `size` samples, which together are the window.
+
+        The periods of a periodic window are averaged, so it is not taken apart.
+        """
+        window = self.window
+        if window.circular:
+            yield self
+            return
+        size = max(1, size // self.decimation) * self.decimation
+        for first in range(0, window.length, size):
+            length = min(size, window.length - first)
+            yield replace(self, window=replace(window, first=window.first + first, length=length))
+
+    def period(self, column: Array, p: int, *, scale: float = 1.0) -> Array:
+        """Return one period, with its margins, scaled and filtered once."""
+        pad = self.low_pass.reach
+        signal = self.window.read(column, p, pad + self.margin)
+        if scale != 1.0:
+            signal = np.multiply(signal, scale, out=_own(signal))
+        return self.low_pass.apply(signal)[pad : signal.size - pad]
+
+    def mean(self, column: Array) -> tuple[Array, Array, float]:
+        """Return the averages after one and after `passes` passes, and the periods' spread.
+
+        The averages still have their margins; with one pass they are the same array. Averaging
+        commutes with the filter, so only averages are filtered. The spread is the rms deviation of
+        the unfiltered periods from their mean: at least as large as that of the filtered ones,
+        which `spread` returns.
+        """
+        window, pad = self.window, self.low_pass.reach
+        size = window.length + 2 * (pad + self.margin)
+        inner = slice(pad + self.margin, size - pad - self.margin)
+        signal, squares = np.zeros(size), 0.0
+        for p in range(window.periods):
+            period = self.window.read(column, p, pad + self.margin)
+            change = np.subtract(period, signal, out=_own(period))
+            if p:
+                squares += p / (p + 1) * float(np.dot(change[inner], change[inner]))
+                change /= p + 1
+            signal += change
+        once = signal = self.low_pass.apply(signal)
+        for _ in range(self.passes - 1):
+            signal = self.low_pass.apply(signal)
+        keep = slice(pad, size - pad)
+        return once[keep], signal[keep], math.sqrt(squares / (window.periods * window.length))
+
+    def spread(self, column: Array) -> float:
+        """Return the rms deviation of the kept samples, filtered, from their mean over periods."""
+        window = self.window
+        kept = np.array([self.kept(self.period(column, p)) for p in range(window.periods)])
+        kept -= kept.mean(axis=0)
+        return float(np.sqrt(np.mean(kept**2)))
+
+
+def _own(signal: Array) -> Array | None:
+    """Return the array that was read where it is a copy: what was recorded is read-only."""
+    return signal if signal.flags.writeable else None
+
+
+def near_standstill(
+    velocity: Array, speed: float, reach: int, *, circular: bool
+) -> NDArray[np.bool_]:
+    """Tell which samples are near a reversal or a standstill.
+
+    Parameters
+    ----------
+    velocity : (N,) ndarray
+        Velocity of one joint.
+    speed : float
+        Below this speed a sample is slow.
+    reach : int
+        Samples within so many samples of a slow one are near it.
+    circular : bool
+        The last sample is followed by the first.
+
+    Returns
+    -------
+    (N,) ndarray of bool
+    """
+    slow = np.abs(velocity) < speed
+    # A fast reversal may pass the slow band between two samples: both are then slow.
+    negative = np.signbit(velocity)
+    turns = negative[1:] != negative[:-1]
+    slow[1:] |= turns
+    slow[:-1] |= turns
+    if circular and negative[0] != negative[-1]:
+        slow[0] = slow[-1] = True
+    reach = min(reach, velocity.size)
+    around = np.pad(slow, reach, mode="wrap") if circular else np.pad(slow, reach)
+    counts = np.concatenate(([0], np.cumsum(around)))
+    near: NDArray[np.bool_] = counts[2 * reach + 1 :] != counts[: -2 * reach - 1]
+    return near

@@ -1,0 +1,396 @@
+"""From a recording to samples: filter, differentiate, cut, average, decimate.
+
+The chain is that of section III-C of the paper [denso]_. Its steps are linear and do not
+depend on time, so they may be carried out in any order. Here each channel is filtered period by
+period, together with its neighbours on either side, and folded at once into the average. To
+rounding, that equals filtering the whole record first, and it needs the memory of one period.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from sdpid._common import progress as _progress
+from sdpid._common.arrays import Array
+from sdpid._common.threads import one_thread
+from sdpid.errors import DataError
+from sdpid.experiment.processing.choose import default_processing
+from sdpid.experiment.processing.efforts import Efforts, in_threads
+from sdpid.experiment.processing.filters import ZeroPhaseFilter
+from sdpid.experiment.processing.period_mean import Chain, near_standstill
+from sdpid.experiment.processing.samples import Samples
+from sdpid.experiment.processing.settings import Processing
+from sdpid.experiment.processing.window import Window
+from sdpid.experiment.recording.degrees import require_plausible_units
+from sdpid.experiment.recording.gaps import continuous
+from sdpid.experiment.recording.outliers import require_no_outliers
+from sdpid.experiment.recording.recording import Recording
+from sdpid.experiment.recording.uniform_grid import Grid, make_grid
+
+__all__ = ["Processing", "process"]
+
+# Without periods the ends of the record are guessed, and the guess is forgotten exponentially.
+# On real logs (UR10, Gen3; orders 1, 2, 4 at 4, 10, 15 Hz) 5 time constants left at most 2 % of
+# the rms acceleration and 0.7 % of the rms torque, on the outermost samples only and below what
+# any model of these robots misses; 10 left 2e-4 and 5e-5 and would cost a third of a record of
+# two seconds at 10 Hz.
+_TRIM_TIME_CONSTANTS = 5.0
+# A block must be clearly longer than the memory of the filter, which is run twice: forward and
+# backward (four times over the derivatives with filter_alike=False).
+_BLOCK_TIME_CONSTANTS = 20.0
+_BLOCK_SECONDS = 1.0
+# Periods of a settled periodic motion repeat to a per cent or so; with a wrong period they
+# differ by as much as the joint moves. Below a hundredth of a radian it does not matter.
+_PERIOD_SPREAD = 0.2
+_PERIOD_SPREAD_FLOOR = 0.01
+# Records without periods are filtered in pieces of so many samples, to save memory.
+_CHUNK = 1 << 18
+# decimation=None: the paper keeps ten samples per period of the cut-off frequency.
+_RATE_OVER_CUTOFF = 10.0
+# A repeated effort that varies by less than this part of its rms is noise-free: rounding.
+_NOISE_FREE = 1e-9
+
+
+class _TooShortError(DataError):
+    """Nothing of a record is left between its ends."""
+
+
+@one_thread
+def process(
+    log: Recording,
+    processing: Processing | None = None,
+    *,
+    position_limits: ArrayLike | None = None,
+    progress: bool | None = None,
+) -> Samples:
+    """Turn a recording into samples for a regression.
+
+    In this order: effort to torque; zero-phase low-pass filter; differentiation; with
+    ``filter_alike=False`` the same filter once more on the derivatives; removal of all but the
+    whole periods; average over the periods; decimation; covariance of the torque from the spread
+    of the periods.
+
+    No transient of the filter is left in the samples. Records with periods are filtered with 45
+    time constants of their neighbourhood: the recorded lead-in and lead-out where they are as
+    long as that, else the other end of the periodic part (a periodic signal continues with its
+    beginning). Records without periods are continued by point reflection, and then trimmed; see
+    `Processing.trim_s`.
+
+    Before all that, angles that wrap are continued, and a record without periods is split where
+    more than four samples in a row are missing. Each piece is processed on its own, as if it were
+    a record; pieces of which nothing is left after trimming are dropped. `Samples.starts` says
+    where the others begin.
+
+    Parameters
+    ----------
+    log : Recording
+        What was measured.
+    processing : Processing, optional
+        How to process it; by default what `identify` chooses for this recording (see
+        `choose_processing`). ``Processing.paper()`` is section III-C of the paper to the letter.
+    position_limits : (n, 2) array_like, optional
+        The robot's limits in rad, infinite where there are none. They tell degrees from radians
+        more surely than the positions alone.
+    progress : bool, optional
+        Show a progress bar or not; by default on a terminal.
+
+    Returns
+    -------
+    Samples
+        With `notes` that say what was done and noticed.
+
+    Raises
+    ------
+    DataError
+        When positions look like degrees or jump by more than two turns in a step, the cut-off is
+        not below half the sample rate, time stamps of a record with periods
+        have a gap, the record (or every piece of it) is too short, periods are too few for a
+        covariance or do not look alike, or a joint has no row left after masking.
+    """
+    require_no_outliers(log)
+    require_plausible_units(log, position_limits)
+    processing = default_processing(log) if processing is None else processing
+    if processing.velocity == "measured" and log.velocity is None:
+        raise DataError(
+            "velocity: the recording has none, but velocity='measured' was asked for; use "
+            "velocity='differentiated'."
+        )
+    if processing.derivative == "spectral" and log.period is None:
+        raise DataError(
+            "derivative: 'spectral' takes the Fourier series of a whole period, and the recording "
+            "has no periods; give its period, or use derivative='central4' or 'savitzky_golay'."
+        )
+    _check_period_count(log, processing)
+    pieces, notes = continuous(log)
+    with _progress.progress(log.n * len(pieces), "processing", enabled=progress) as advance:
+        samples = _joined(pieces, processing, advance)
+    if samples.mask is not None:
+        _check_rows(log, processing, samples.mask)
+    reasons = [reason.said(processing) for reason in processing.reasons]
+    return replace(samples, notes=(*reasons, *notes, *samples.notes))
+
+
+def _joined(
+    pieces: tuple[Recording, ...], processing: Processing, advance: Callable[[int], object]
+) -> Samples:
+    """Process the pieces of a record, and join what is left of them."""
+    found: list[Samples] = []
+    short: list[tuple[Recording, str]] = []
+    for piece in pieces:
+        try:
+            found.append(_processed(piece, processing, advance))
+        except _TooShortError as error:
+            short.append((piece, str(error)))
+            advance(piece.n)
+    if not found:
+        longest, why = max(short, key=lambda each: each[0].duration)
+        if len(pieces) == 1:
+            raise DataError(why)
+        raise DataError(
+            f"time: gaps split the record into {len(short)} pieces, each too short; of the "
+            f"longest, with {longest.n_samples} samples: {why}"
+        )
+    samples = Samples.join(found)
+    if not short:
+        return samples
+    dropped = (
+        f"{len(short)} of {len(pieces)} pieces dropped, too short to be filtered: "
+        f"{sum(piece.n_samples for piece, _ in short)} samples, "
+        f"{sum(piece.duration for piece, _ in short):.6g} s"
+    )
+    return replace(samples, notes=(dropped, *samples.notes))
+
+
+def _processed(log: Recording, processing: Processing, advance: Callable[[int], object]) -> Samples:
+    """Process a record without gaps and wrapped angles."""
+    grid = make_grid(log, processing.timing)
+    low_pass = processing.low_pass(1.0 / grid.step)
+    stencil = processing.stencil(1.0 / grid.step)
+    window = _window(log, grid, low_pass, processing)
+    decimation = processing.decimation or max(
+        1, math.floor(1.0 / (grid.step * _RATE_OVER_CUTOFF * processing.cutoff_hz) + 1e-9)
+    )
+    reach = math.floor((processing.reversal_time or 0.0) / grid.step + 1e-9)
+    chain = Chain(
+        window=window,
+        low_pass=low_pass,
+        stencil=stencil,
+        decimation=decimation,
+        passes=1 if processing.filter_alike else 2,
+        # A reversal just outside the window masks rows inside it (a change of sign shows one sample
+        # further out); a periodic window has no outside.
+        margin=stencil.margin + (0 if window.circular else reach + 1),
+    )
+
+    kept = np.arange(0, window.length, decimation, dtype=np.float64)
+    P, K, n = window.periods, kept.size, log.n
+    position, velocity, acceleration = (np.empty((K, n)) for _ in range(3))
+    mask = None if processing.reversal_time is None else np.empty((K, n), dtype=np.bool_)
+
+    def motion(j: int) -> None:
+        columns = log.position[:, j], None if log.velocity is None else log.velocity[:, j]
+        first = 0
+        for part in chain.parts(_CHUNK):
+            found = _motion(log, j, columns, part, processing)
+            rows = slice(first, first + found[0].size)
+            position[rows, j], fine, acceleration[rows, j] = found
+            velocity[rows, j] = part.kept(fine)
+            if mask is not None:
+                speed = processing.reversal_speed
+                slow = near_standstill(fine, speed, reach, circular=window.circular)
+                mask[rows, j] = ~part.kept(slow)
+            first = rows.stop
+        advance(1)
+
+    in_threads(motion, range(n))
+    wanted = log.period is not None and processing.covariance is not None
+    efforts = Efforts.of(log, chain, covariance=wanted, chunk=_CHUNK)
+    effort, covariance = efforts.mean, efforts.covariance
+    notes = _notes(log, processing, chain, grid, mask)
+    if efforts.note is not None:
+        notes.append(efforts.note)
+    if covariance is not None:
+        pooled = covariance.mean(axis=0)
+        if processing.covariance == "pooled":
+            covariance = pooled
+        elif processing.shrinkage > 0.0:
+            covariance *= 1.0 - processing.shrinkage
+            covariance += processing.shrinkage * pooled
+        noise = np.sqrt(np.diagonal(covariance, axis1=-2, axis2=-1).reshape(-1, n).mean(axis=0))
+        size = np.sqrt(np.mean(effort**2, axis=0))
+        exact = [name for j, name in enumerate(log.names) if noise[j] <= _NOISE_FREE * size[j]]
+        if exact:
+            notes.append(
+                f"the effort of joint {', '.join(exact)} repeats exactly: its covariance is "
+                "rounding error, use covariance=None"
+            )
+    kept_rate = 1.0 / (grid.step * decimation)
+    memory_s = low_pass.time_constant * grid.step
+    block = math.ceil(max(_BLOCK_TIME_CONSTANTS * memory_s, _BLOCK_SECONDS) * kept_rate)
+    return Samples(
+        position=position,
+        velocity=velocity,
+        acceleration=acceleration,
+        effort=effort,
+        covariance=covariance,
+        mask=mask,
+        time=grid.origin + grid.step * (window.first + kept),
+        joint_names=log.joint_names,
+        periods=None if log.period is None else P,
+        block=min(block, K),
+        notes=tuple(notes),
+        effort_periods=efforts.periods,
+    )
+
+
+def _motion(
+    log: Recording,
+    j: int,
+    columns: tuple[Array, Array | None],
+    chain: Chain,
+    processing: Processing,
+) -> tuple[Array, Array, Array]:
+    """Return position (K,), velocity at the full rate and acceleration (K,) of one joint.
+
+    The velocity keeps what is left of the margins, for the mask.
+
+    Filtering a derivative is differentiating what was filtered, and averaging commutes with
+    both. So no derivative is filtered: only averages are differentiated, of the position after
+    as many passes as its derivatives are to have.
+    """
+    step = chain.window.grid.step
+    column, measured = columns
+    signal, last, spread = chain.mean(column)
+    motion = float(np.std(last))
+    limit = max(_PERIOD_SPREAD * motion, _PERIOD_SPREAD_FLOOR)
+    # What the filter removes does not count, but that is only looked at where it matters.
+    if spread > limit and (spread := chain.spread(column)) > limit:
+        raise DataError(
+            f"period: the periods of joint {log.names[j]} do not repeat: their positions spread "
+            f"by {spread:.3g} rad (rms) where the mean period moves by {motion:.3g} rad (rms), "
+            f"limit {100 * _PERIOD_SPREAD:g} %. Check period ({log.period:g} s) and start, and "
+            "leave out periods before the motion has settled."
+        )
+    position = chain.kept(signal)
+    differences = chain.stencil
+    if processing.velocity == "differentiated":
+        velocity = differences.velocity(last, step)
+        return position, velocity, chain.kept(differences.acceleration(last, step))
+    assert measured is not None
+    signal, last, _ = chain.mean(measured)
+    velocity = differences.inner(signal)
+    return position, velocity, chain.kept(differences.velocity(last, step))
+
+
+def _check_period_count(log: Recording, processing: Processing) -> None:
+    """Refuse fewer periods than the covariance asked for needs, before any work is done."""
+    layout = log.period_layout
+    if layout is None or processing.covariance is None:
+        return
+    P, n = layout[2], log.n
+    if P < 2:
+        raise DataError(
+            "periods: the record has 1, a covariance needs at least 2; record more, or use "
+            "covariance=None."
+        )
+    if processing.covariance == "period" and processing.shrinkage == 0.0 and n >= P:
+        raise DataError(
+            f"periods: {P} periods for {n} joints: Sigma_k has a rank of at most {P - 1}, so it "
+            f"has no inverse; at least {n + 1} periods are needed. Record more, or use "
+            "covariance='pooled', shrinkage between 0 and 1, or covariance=None."
+        )
+
+
+def _check_rows(log: Recording, processing: Processing, mask: NDArray[np.bool_]) -> None:
+    """Refuse a joint whose rows are all masked: what holds it still cannot identify it."""
+    empty = [name for j, name in enumerate(log.names) if not mask[:, j].any()]
+    if empty:
+        raise DataError(
+            f"mask: leaves no row of joint {', '.join(empty)}: it never moves clear of standstill, "
+            f"{processing.reversal_time:g} s away from any speed below "
+            f"{processing.reversal_speed:g} rad/s. Use a motion that moves it, a shorter "
+            "reversal_time, or reversal_time=None to keep all rows."
+        )
+
+
+def _window(
+    log: Recording, grid: Grid, low_pass: ZeroPhaseFilter, processing: Processing
+) -> Window:
+    """Return the part of the grid that is kept: the whole periods, or all but the ends."""
+    layout = log.period_layout
+    if layout is not None:
+        first, length, periods = layout
+        if first + length * periods > grid.count:
+            raise DataError(
+                f"periods: {periods} periods of {length} samples from sample {first} on need "
+                f"{first + length * periods} samples, there are {grid.count}: samples were lost; "
+                "use timing='resample'."
+            )
+        return Window(grid=grid, first=first, length=length, periods=periods, circular=True)
+    if processing.trim_s is None:
+        trim = math.ceil(_TRIM_TIME_CONSTANTS * low_pass.time_constant)
+    else:
+        trim = round(processing.trim_s / grid.step)
+    length = grid.count - 2 * trim
+    if length < 1:
+        raise _TooShortError(
+            f"time: the record lasts {log.duration:.4g} s, and {trim * grid.step:.4g} s are cut "
+            f"off at either end (memory of the filter at {processing.cutoff_hz:g} Hz: "
+            f"{low_pass.time_constant * grid.step:.3g} s); record longer, raise cutoff_hz, or "
+            "set trim_s."
+        )
+    return Window(grid=grid, first=trim, length=length, periods=1, circular=False)
+
+
+def _notes(
+    log: Recording,
+    processing: Processing,
+    chain: Chain,
+    grid: Grid,
+    mask: NDArray[np.bool_] | None,
+) -> list[str]:
+    """Say what was done, in the order it was done."""
+    window = chain.window
+    notes = [] if grid.note is None else [grid.note]
+    alike = "all signals once"
+    if chain.passes == 2:
+        alike = "position and torque once, velocity and acceleration twice"
+        if processing.velocity == "measured":
+            alike = "position, velocity and torque once, acceleration twice"
+    notes.append(
+        f"zero-phase {processing.filter.capitalize()} filter of order {processing.order} at "
+        f"{processing.cutoff_hz:g} Hz: {alike}"
+    )
+    if processing.derivative == "savitzky_golay":
+        notes.append(
+            f"derivatives of polynomials over {2 * chain.stencil.margin + 1} samples "
+            "(Savitzky-Golay)"
+        )
+    elif processing.derivative == "spectral":
+        notes.append("derivatives of the Fourier series of the mean period")
+    if window.circular:
+        notes.append(
+            f"mean of {window.periods} periods of {window.length} samples ({log.period:g} s)"
+        )
+    else:
+        notes.append(
+            f"{window.first * grid.step:.4g} s trimmed at either end, "
+            f"{window.first / chain.low_pass.time_constant:.3g} time constants of the filter"
+        )
+    if chain.decimation > 1:
+        notes.append(f"one sample in {chain.decimation} kept")
+    if mask is not None:
+        shares = ", ".join(
+            f"{name} {100.0 * (1.0 - share):.3g} %"
+            for name, share in zip(log.names, mask.mean(axis=0), strict=True)
+        )
+        notes.append(
+            f"rows masked within {processing.reversal_time:g} s of a speed below "
+            f"{processing.reversal_speed:g} rad/s: {shares}"
+        )
+    return notes

@@ -1,0 +1,356 @@
+"""`Samples`: what the estimators see, after processing."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sdpid._common.arrays import Array, frozen_view, real_array
+from sdpid.errors import DataError
+from sdpid.experiment.recording.recording import checked_names
+
+__all__ = ["Samples"]
+
+# A covariance may be this far from symmetric, relative to its largest entry: rounding of a sum of
+# products, with room for one that came through a text file.
+_ASYMMETRY = 1e-6
+
+
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class Samples:
+    """States and efforts, sample by sample, ready for a regression.
+
+    Parameters
+    ----------
+    position : (K, n) or (K, nq) array_like
+        Joint positions in rad; with a free flyer the configuration, one column more than n.
+    velocity, acceleration : (K, n) array_like
+        In rad/s and rad/s².
+    effort : (K, n) array_like
+        In N·m.
+    covariance : (n, n) or (K, n, n) array_like, optional
+        Covariance of the effort in (N·m)², one for all samples or one a sample. From periodic
+        records it is that of a single period, the paper's (11); the mean over `periods` periods
+        has ``covariance / periods``.
+    mask : (K, n) array_like of bool, optional
+        True where the row (sample k, joint j) is to be used. None uses all. A joint may have no
+        row at all: nobody measures the six efforts of a floating base.
+    time : (K,) array_like, optional
+        In s.
+    joint_names : sequence of str, optional
+        One name a column of `effort`.
+    periods : int, optional
+        Number of periods that were averaged.
+    block : int, optional
+        Number of samples in a block clearly longer than the memory of the filter. Blocks, not
+        samples, are the independent units of standard errors.
+    notes : sequence of str, optional
+        What processing did, and what it noticed.
+    effort_periods : (P, K, n) array_like, optional
+        Effort of each period before averaging, in N·m.
+    starts : sequence of int, optional
+        First sample of each piece that was recorded without a break, in rising order from 0.
+
+    Raises
+    ------
+    DataError
+        When shapes disagree, a value is not finite, a covariance cannot be one, or the mask
+        leaves no row at all.
+    """
+
+    position: Array
+    velocity: Array
+    acceleration: Array
+    effort: Array
+    covariance: Array | None = None
+    mask: NDArray[np.bool_] | None = None
+    time: Array | None = None
+    joint_names: tuple[str, ...] | None = None
+    periods: int | None = None
+    block: int = 1
+    notes: tuple[str, ...] = ()
+    effort_periods: Array | None = None
+    starts: tuple[int, ...] = (0,)
+
+    def __post_init__(self) -> None:
+        effort = self._keep("effort", 2)
+        K, n = effort.shape
+        if K == 0 or n == 0:
+            raise DataError(f"effort: has shape {effort.shape}, there is nothing to fit.")
+        position = self._keep("position", 2)
+        if position.shape[0] != K or position.shape[1] < n:
+            raise DataError(
+                f"position: has shape {position.shape}, expected {(K, n)} as effort has (or more "
+                "columns with a free flyer)."
+            )
+        for name in ("velocity", "acceleration"):
+            self._expect(name, self._keep(name, 2), (K, n))
+        if self.time is not None:
+            self._expect("time", self._keep("time", 1), (K,))
+        if self.joint_names is not None:
+            object.__setattr__(self, "joint_names", checked_names(self.joint_names, n))
+        self._check_covariance(K, n)
+        self._check_mask(K, n)
+        for name, least in (("periods", 1), ("block", 1)):
+            value = getattr(self, name)
+            if value is None and name == "periods":
+                continue
+            whole = isinstance(value, (int, np.integer)) or (
+                isinstance(value, (float, np.floating)) and float(value).is_integer()
+            )
+            if isinstance(value, bool) or not whole or value < least:
+                raise DataError(f"{name}: is {value}, expected a whole number of at least {least}.")
+            object.__setattr__(self, name, int(value))
+        if self.effort_periods is not None:
+            self._expect("effort_periods", self._keep("effort_periods", 3), (self.periods, K, n))
+        object.__setattr__(self, "notes", tuple(self.notes))
+        starts = tuple(int(start) for start in self.starts)
+        rising = all(first < second for first, second in pairwise((*starts, K)))
+        if starts[:1] != (0,) or not rising:
+            raise DataError(
+                f"starts: are {self.starts}, expected rising sample numbers from 0, below {K}."
+            )
+        object.__setattr__(self, "starts", starts)
+
+    @staticmethod
+    def join(pieces: Sequence[Samples]) -> Samples:
+        """Put samples of several recordings, or of parts of one, behind each other.
+
+        Parameters
+        ----------
+        pieces : sequence of Samples
+            Of the same joints. Averages over periods cannot be joined: what they average, and
+            so their covariance, would differ from sample to sample.
+
+        Returns
+        -------
+        Samples
+            `starts` says where the pieces begin; covariances and masks are kept sample by sample,
+            the longest block holds for all, and `notes` name each piece.
+
+        Raises
+        ------
+        DataError
+            When there is nothing to join, or joints, kinds of configuration or covariances do
+            not agree.
+        """
+        pieces = tuple(pieces)
+        if len(pieces) == 1:
+            return pieces[0]
+        if not pieces:
+            raise DataError("samples: there are none to join.")
+        first = pieces[0]
+        for number, piece in enumerate(pieces[1:], 2):
+            for name in ("position", "effort"):
+                had, has = getattr(first, name).shape[1], getattr(piece, name).shape[1]
+                if had != has:
+                    raise DataError(
+                        f"samples: {name} of piece {number} has {has} columns, that of the first "
+                        f"{had}; join recordings of one robot."
+                    )
+            if piece.joint_names != first.joint_names:
+                raise DataError(
+                    f"samples: the joints of piece {number} are {', '.join(piece.names)}, those "
+                    f"of the first {', '.join(first.names)}; put them in one order."
+                )
+        if any(piece.periods is not None for piece in pieces):
+            raise DataError(
+                "samples: averages over periods cannot be joined with others; identify from one "
+                "periodic recording, or leave its period out."
+            )
+        counts = [piece.n_samples for piece in pieces]
+        offsets = np.cumsum([0, *counts[:-1]]).tolist()
+
+        def stacked(of: Callable[[Samples], Array]) -> Array:
+            return np.concatenate([of(piece) for piece in pieces])
+
+        timed = all(piece.time is not None for piece in pieces)
+        masked = any(piece.mask is not None for piece in pieces)
+        return Samples(
+            position=stacked(lambda piece: piece.position),
+            velocity=stacked(lambda piece: piece.velocity),
+            acceleration=stacked(lambda piece: piece.acceleration),
+            effort=stacked(lambda piece: piece.effort),
+            covariance=_joined_covariance(pieces),
+            mask=np.concatenate([_mask_of(piece) for piece in pieces]) if masked else None,
+            time=np.concatenate([np.asarray(piece.time) for piece in pieces]) if timed else None,
+            joint_names=first.joint_names,
+            block=max(piece.block for piece in pieces),
+            notes=_joined_notes(pieces),
+            starts=tuple(
+                offset + start
+                for offset, piece in zip(offsets, pieces, strict=True)
+                for start in piece.starts
+            ),
+        )
+
+    @property
+    def parts(self) -> tuple[slice, ...]:
+        """The pieces, as slices of the samples."""
+        return tuple(slice(a, b) for a, b in pairwise((*self.starts, self.n_samples)))
+
+    @property
+    def pieces(self) -> tuple[Samples, ...]:
+        """The pieces, each by itself."""
+        return (self,) if len(self.starts) == 1 else tuple(self._picked(p) for p in self.parts)
+
+    def thinned(self, most: int) -> Samples:
+        """Return at most about twice so many samples, evenly spread over every piece."""
+        return self.every(max(self.n_samples // most, 1))
+
+    def every(self, step: int) -> Samples:
+        """Return one sample in so many, beginning with the first of every piece."""
+        if step == 1:
+            return self
+        return Samples.join([piece._picked(slice(None, None, step)) for piece in self.pieces])
+
+    def _picked(self, which: slice) -> Samples:
+        """Return some samples of one piece; averages are no longer said to be any."""
+        covariance, time = self.covariance, self.time
+        if covariance is not None and covariance.ndim == 3:
+            covariance = covariance[which]
+        picked = Samples(
+            position=self.position[which],
+            velocity=self.velocity[which],
+            acceleration=self.acceleration[which],
+            effort=self.effort[which],
+            covariance=covariance,
+            time=None if time is None else time[which],
+            joint_names=self.joint_names,
+            block=self.block,
+        )
+        if self.mask is not None:
+            # Unlike a whole, a part may have no row that is used.
+            object.__setattr__(picked, "mask", frozen_view(np.ascontiguousarray(self.mask[which])))
+        return picked
+
+    def __repr__(self) -> str:
+        parts = [f"{self.n_samples} samples", f"{self.n} joints", f"{self.n_rows} rows used"]
+        if self.periods is not None:
+            parts.append(f"mean of {self.periods} periods")
+        if len(self.starts) > 1:
+            parts.append(f"{len(self.starts)} pieces")
+        return f"Samples({', '.join(parts)})"
+
+    @property
+    def n(self) -> int:
+        """Number of efforts a sample."""
+        return int(self.effort.shape[1])
+
+    @property
+    def n_samples(self) -> int:
+        """Number of samples, K."""
+        return int(self.effort.shape[0])
+
+    @property
+    def n_rows(self) -> int:
+        """Number of rows (sample, joint) in use."""
+        return int(self.effort.size if self.mask is None else np.count_nonzero(self.mask))
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Joint names for messages: the given ones, or numbers from 1."""
+        if self.joint_names is not None:
+            return self.joint_names
+        return tuple(str(j + 1) for j in range(self.n))
+
+    def _keep(self, name: str, ndim: int) -> Array:
+        """Check the array in a field and put it back as a read-only contiguous view."""
+        array = np.ascontiguousarray(real_array(getattr(self, name), name, ndim=ndim))
+        view: Array = frozen_view(array)
+        object.__setattr__(self, name, view)
+        return view
+
+    @staticmethod
+    def _expect(name: str, array: Array, shape: tuple[Any, ...]) -> None:
+        """Raise when an array has another shape than the rest asks for."""
+        if array.shape != shape:
+            raise DataError(f"{name}: has shape {array.shape}, expected {shape} to match effort.")
+
+    def _check_covariance(self, K: int, n: int) -> None:
+        """Check shape, symmetry, and what every covariance satisfies entry by entry."""
+        if self.covariance is None:
+            return
+        covariance = self._keep("covariance", 2 if np.ndim(self.covariance) == 2 else 3)
+        if covariance.shape not in ((n, n), (K, n, n)):
+            raise DataError(
+                f"covariance: has shape {covariance.shape}, expected {(n, n)} or {(K, n, n)}."
+            )
+        scale = float(np.abs(covariance).max())
+        gap = float(np.abs(covariance - np.swapaxes(covariance, -1, -2)).max())
+        if gap > _ASYMMETRY * scale:
+            raise DataError(
+                f"covariance: is not symmetric; entries differ by {gap:.3g}, the largest is "
+                f"{scale:.3g}."
+            )
+        # Cheap necessary conditions for a positive semidefinite matrix; the eigenvalues are the
+        # business of whoever factorises it.
+        variance = np.diagonal(covariance, axis1=-2, axis2=-1)
+        if variance.min() < 0.0:
+            j = int(np.argwhere(variance < 0.0)[0][-1])
+            raise DataError(
+                f"covariance: joint {self.names[j]} has a negative variance ({variance.min():.3g})."
+            )
+        bound = np.sqrt(variance[..., :, None] * variance[..., None, :])
+        excess = float((np.abs(covariance) - bound).max())
+        if excess > _ASYMMETRY * scale:
+            raise DataError(
+                "covariance: is not positive semidefinite; an entry exceeds the geometric mean of "
+                f"its two variances by {excess:.3g}."
+            )
+
+    def _check_mask(self, K: int, n: int) -> None:
+        """Check shape and type of the mask, and that it leaves something."""
+        if self.mask is None:
+            return
+        mask = np.ascontiguousarray(self.mask)
+        if mask.dtype != np.bool_ or mask.shape != (K, n):
+            raise DataError(
+                f"mask: has shape {mask.shape} and type {mask.dtype}, expected {(K, n)} and bool."
+            )
+        if not mask.any():
+            raise DataError(
+                f"mask: leaves none of {mask.size} rows, there is nothing to fit; True marks a row "
+                "that is used."
+            )
+        object.__setattr__(self, "mask", frozen_view(mask))
+
+
+def _mask_of(samples: Samples) -> NDArray[np.bool_]:
+    if samples.mask is None:
+        return np.ones(samples.effort.shape, dtype=np.bool_)
+    return samples.mask
+
+
+def _joined_covariance(pieces: Sequence[Samples]) -> Array | None:
+    """Return one covariance for all pieces, or one a sample where they differ."""
+    given = [piece.covariance for piece in pieces if piece.covariance is not None]
+    if not given:
+        return None
+    if len(given) < len(pieces):
+        raise DataError(
+            f"samples: {len(given)} of {len(pieces)} pieces have a covariance of the effort; give "
+            "it for all, or for none."
+        )
+    if all(each.ndim == 2 and np.array_equal(each, given[0]) for each in given):
+        return given[0]
+    n = pieces[0].n
+    shapes = [(piece.n_samples, n, n) for piece in pieces]
+    return np.concatenate([np.broadcast_to(c, s) for c, s in zip(given, shapes, strict=True)])
+
+
+def _joined_notes(pieces: Sequence[Samples]) -> tuple[str, ...]:
+    """Return what all pieces say, then what each says alone."""
+    common = [note for note in pieces[0].notes if all(note in p.notes for p in pieces)]
+    own = [
+        f"piece {number}: {note}"
+        for number, piece in enumerate(pieces, 1)
+        for note in piece.notes
+        if note not in common
+    ]
+    return (*common, f"{len(pieces)} pieces joined", *own)

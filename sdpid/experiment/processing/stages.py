@@ -1,0 +1,99 @@
+"""One joint's signals before and after filtering, as the paper's Fig. 3 shows them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from sdpid._common.arrays import Array
+from sdpid.errors import DataError
+from sdpid.experiment.processing.derivatives import stencil
+from sdpid.experiment.processing.process import Processing
+from sdpid.experiment.recording.recording import Recording
+
+
+@dataclass(frozen=True, eq=False)
+class Stages:
+    """Signals of one joint in a stretch of a recording.
+
+    Attributes
+    ----------
+    time : ndarray, shape (K,)
+        Seconds.
+    before, after : dict of str to ndarray
+        ``position``, ``torque``, ``velocity`` and ``acceleration``. Before filtering, the
+        derivatives are those of the filtered position.
+    """
+
+    time: Array
+    before: dict[str, Array]
+    after: dict[str, Array]
+
+
+def filter_stages(
+    log: Recording,
+    joint: int,
+    window: tuple[float, float],
+    processing: Processing | None = None,
+) -> Stages:
+    """Filter a stretch of one joint's signals, by default as section III-C does.
+
+    Parameters
+    ----------
+    log : Recording
+        The recording.
+    joint : int
+        Index of the joint.
+    window : (float, float)
+        From and to, in the recording's time (s).
+    processing : Processing, optional
+        By default `Processing.paper`.
+
+    Raises
+    ------
+    DataError
+        When the window holds too few samples or the joint does not exist.
+    """
+    processing = Processing.paper() if processing is None else processing
+    if not 0 <= joint < log.n:
+        raise DataError(f"joint {joint} does not exist; the recording has {log.n}, counted from 0.")
+    low_pass = processing.low_pass(1.0 / log.step)
+    difference = processing.stencil(1.0 / log.step)
+    if processing.derivative == "spectral":
+        # A stretch is no whole period.
+        difference = stencil("central6")
+    first, last = np.searchsorted(log.time, window)
+    pad = 2 * low_pass.reach + 2 * difference.margin
+    start, stop = max(0, int(first) - pad), min(len(log.time), int(last) + pad)
+    if last - first < 2 or stop - start <= 2 * pad:
+        raise DataError(
+            f"window {window[0]:g} … {window[1]:g} s: {last - first} samples, too few to filter; "
+            f"the recording runs from {log.time[0]:g} to {log.time[-1]:g} s."
+        )
+    scale = 1.0 if log.effort_scale is None else float(log.effort_scale[joint])
+    position = np.ascontiguousarray(log.position[start:stop, joint])
+    torque = log.effort[start:stop, joint] * scale
+    smooth = low_pass.apply(position)
+    velocity = difference.velocity(smooth, log.step)
+    acceleration = difference.acceleration(smooth, log.step)
+    margin = difference.margin
+    passes = not processing.filter_alike
+    before = {
+        "position": position[margin:-margin],
+        "torque": torque[margin:-margin],
+        "velocity": velocity,
+        "acceleration": acceleration,
+    }
+    after = {
+        "position": smooth[margin:-margin],
+        "torque": low_pass.apply(torque)[margin:-margin],
+        "velocity": low_pass.apply(velocity) if passes else velocity,
+        "acceleration": low_pass.apply(acceleration) if passes else acceleration,
+    }
+    inner = slice(int(first) - start - margin, int(last) - start - margin)
+    return Stages(
+        time=np.array(log.time[first:last]),
+        before={key: value[inner] for key, value in before.items()},
+        after={key: value[inner] for key, value in after.items()},
+    )

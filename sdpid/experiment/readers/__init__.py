@@ -1,0 +1,1 @@
+"""Read log files of many formats into a `Recording`."""

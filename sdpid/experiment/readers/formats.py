@@ -1,0 +1,175 @@
+"""One loader for each file format: from a path to named arrays that are read when asked for."""
+
+from __future__ import annotations
+
+import tokenize
+import zipfile
+import zlib
+from collections.abc import Callable
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sdpid._common.extras import require
+from sdpid.errors import DataError
+from sdpid.experiment.readers.hdf5 import load_hdf5
+from sdpid.experiment.readers.matlab import load_mat
+from sdpid.experiment.readers.ros_bag import load_rosbag
+from sdpid.experiment.readers.table import NoNumbersError, Table
+from sdpid.experiment.readers.text_file import load_text
+from sdpid.experiment.recording.memory_budget import check_claim
+
+__all__ = ["LOADERS", "SANDBOXED"]
+
+# What reading a damaged archive can raise; a broken header may also ask for too much memory.
+_DAMAGE = (
+    tokenize.TokenError,
+    zipfile.BadZipFile,
+    zlib.error,
+    OSError,
+    EOFError,
+    KeyError,
+    MemoryError,
+    RuntimeError,
+    SyntaxError,
+)
+# The headers of arrays that are read; version 3 is for names of fields that are not Latin.
+_HEADERS: dict[tuple[int, int], Any] = {
+    (1, 0): np.lib.format.read_array_header_1_0,
+    (2, 0): np.lib.format.read_array_header_2_0,
+}
+
+
+def load_npz(path: Path) -> Table:
+    """List the arrays of a NumPy archive; pickled objects are never loaded."""
+
+    def member(name: str) -> NDArray[Any]:
+        try:
+            with zipfile.ZipFile(path) as archive, archive.open(f"{name}.npy") as stream:
+                version = np.lib.format.read_magic(stream)
+                if version not in _HEADERS:
+                    raise ValueError(f"arrays of version {version} are not read")
+                shape, _, dtype = _HEADERS[version](stream)
+                check_claim(path, name, shape, dtype.itemsize)
+            with np.load(path, allow_pickle=False) as arrays:
+                return np.asarray(arrays[name])
+        except ValueError as cause:
+            if "allow_pickle" in str(cause):
+                raise NoNumbersError(
+                    f"{path}: '{name}' holds Python objects, which are never loaded because they "
+                    "can run code; save it as an array of numbers."
+                ) from None
+            raise DataError(f"{path}: '{name}' is damaged ({cause}).") from None
+        except _DAMAGE as cause:
+            raise DataError(f"{path}: '{name}' is damaged ({cause}).") from None
+
+    try:
+        with zipfile.ZipFile(path) as archive:
+            entries = [entry for entry in archive.namelist() if entry.endswith(".npy")]
+    except (*_DAMAGE, ValueError) as cause:
+        raise DataError(f"{path}: not a readable NumPy archive ({cause}).") from None
+    names = [entry.removesuffix(".npy") for entry in entries]
+    return Table({name: partial(member, name) for name in names})
+
+
+def load_frame(frame: Any) -> Table:
+    """List the columns of a data frame (pandas, polars), and an index that is named or of times."""
+    arrays: dict[str, Callable[[], NDArray[Any]]] = {}
+    index = getattr(frame, "index", None)
+    if index is not None:
+        kind = getattr(getattr(index, "dtype", None), "kind", "")
+        name = "time" if index.name is None and kind in "Mm" else index.name
+        if name is not None:
+            arrays[str(name)] = partial(np.asarray, index)
+    for name in frame.columns:
+        arrays[str(name)] = partial(_frame_column, frame, name)
+    return Table(arrays)
+
+
+def _frame_column(frame: Any, name: Any) -> NDArray[Any]:
+    """Return one column of a data frame."""
+    values = np.asarray(frame[name])
+    if values.dtype.kind != "O":
+        return values
+    try:
+        return values.astype(np.float64)
+    except (TypeError, ValueError):
+        raise NoNumbersError(f"data frame: '{name}' holds objects, expected numbers.") from None
+
+
+def load_parquet(path: Path) -> Table:
+    """List the columns of a Parquet file, and what `Recording.to_parquet` kept beside them."""
+    from sdpid.experiment.recording.parquet import read_metadata
+
+    pa = require("pyarrow", extra="io")
+    pq = require("pyarrow.parquet", extra="io")
+    errors = (pa.lib.ArrowException, OSError, ValueError, NotImplementedError, MemoryError)
+
+    def column(name: str) -> NDArray[Any]:
+        try:
+            with pq.ParquetFile(path) as file:
+                _check_column(path, file.metadata, name)
+            values = pq.read_table(path, columns=[name]).column(0).combine_chunks()
+        except errors as cause:
+            raise DataError(f"{path}: column '{name}' is damaged ({cause}).") from None
+        if values.null_count:
+            raise DataError(f"{path}: column '{name}' has {values.null_count} missing values.")
+        if not (pa.types.is_list(values.type) or pa.types.is_fixed_size_list(values.type)):
+            return np.asarray(values.to_numpy(zero_copy_only=False))
+        if not len(values):
+            raise DataError(f"{path}: column '{name}' has no rows.")
+        lengths = np.unique(values.value_lengths().to_numpy(zero_copy_only=False))
+        if lengths.size != 1:
+            raise DataError(
+                f"{path}: column '{name}' is ragged: its rows have {lengths.min()} to "
+                f"{lengths.max()} entries."
+            )
+        flat = np.asarray(values.flatten().to_numpy(zero_copy_only=False))
+        return flat.reshape(len(values), int(lengths[0]))
+
+    try:
+        schema = pq.read_schema(path)
+    except errors as cause:
+        raise DataError(f"{path}: not a readable Parquet file ({cause}).") from None
+    table = {name: partial(column, name) for name in schema.names}
+    metadata = read_metadata(schema.metadata, path)
+    for name in ("joint_names", "period", "start", "periods", "effort_scale"):
+        if metadata.get(name) is not None:
+            table[name] = partial(np.asarray, metadata[name])
+    return Table(table)
+
+
+def _check_column(path: Path, metadata: Any, name: str) -> None:
+    """Refuse a column that is too large: run lengths may stand for any number of values."""
+    count = 0
+    for group in range(metadata.num_row_groups):
+        row_group = metadata.row_group(group)
+        for k in range(row_group.num_columns):
+            chunk = row_group.column(k)
+            if chunk.path_in_schema.split(".")[0] == name:
+                count += max(chunk.num_values, row_group.num_rows)
+    check_claim(path, name, (count,), 8)
+
+
+# A new format is one function and one line here.
+LOADERS: dict[str, Callable[..., Table]] = {
+    ".bag": load_rosbag,
+    ".csv": load_text,
+    ".csv.gz": load_text,
+    ".db3": load_rosbag,
+    ".h5": load_hdf5,
+    ".hdf5": load_hdf5,
+    ".mat": load_mat,
+    ".mcap": load_rosbag,
+    ".npz": load_npz,
+    ".parquet": load_parquet,
+    ".tsv": load_text,
+    ".tsv.gz": load_text,
+    ".txt": load_text,
+    ".txt.gz": load_text,
+}
+# Formats whose libraries hang, crash or ask for all memory on some damaged files.
+SANDBOXED = (".bag", ".db3", ".h5", ".hdf5", ".mat", ".mcap")

@@ -1,0 +1,134 @@
+"""Samples without a value: refused by name, dropped, or interpolated."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sdpid.errors import DataError
+from sdpid.experiment.recording.stored_file import LARGEST
+
+__all__ = ["MISSING", "mend_missing"]
+
+# What to do with samples that lack a value.
+MISSING = ("refuse", "drop", "interpolate")
+# Linear interpolation over more samples than this would invent motion.
+_LONGEST_GAP = 10
+
+_Tables = dict[str, NDArray[Any]]
+
+
+def mend_missing(
+    file: Path,
+    time: NDArray[Any],
+    tables: Mapping[str, NDArray[Any]],
+    names: Mapping[str, Sequence[str]],
+    place: Callable[[int], str],
+    how: str,
+) -> tuple[NDArray[Any], _Tables, str | None]:
+    """Check that every value is a finite number, or mend what is missing as asked.
+
+    Parameters
+    ----------
+    file : Path
+        For messages.
+    time : (N,) ndarray
+        Stamps.
+    tables : mapping of (N, n) ndarrays
+        The quantities.
+    names : mapping of sequences of str
+        What the columns of each table are called in the file.
+    place : callable
+        Says where sample k stands in the file.
+    how : {"refuse", "drop", "interpolate"}
+        What to do with NaN. Infinite and absurdly large values are always refused.
+
+    Returns
+    -------
+    time, tables, note
+        The last says in words what was mended, None where nothing was missing.
+
+    Raises
+    ------
+    DataError
+        Naming the place and column of the first bad value, or of a gap that is too long.
+    """
+    columns = {"time": time[:, None], **tables}
+    if any(len(table) != len(time) for table in tables.values()):
+        return time, dict(tables), None  # the recording says which length is wrong
+    if all(_sound(table) for table in columns.values()):
+        return time, dict(tables), None
+    for quantity, table in columns.items():
+        bad = np.isinf(table) | (np.abs(table) > LARGEST)
+        if bad.any():
+            raise _bad_value(file, quantity, table, bad, names, place)
+    lacking = {quantity: np.isnan(table) for quantity, table in columns.items()}
+    rows = np.logical_or.reduce([lacks.any(axis=1) for lacks in lacking.values()])
+    if how == "refuse" or (how == "interpolate" and lacking["time"].any()):
+        first = next(name for name, lacks in lacking.items() if lacks.any())
+        raise _bad_value(file, first, columns[first], lacking[first], names, place)
+    if how == "drop":
+        kept = ~rows
+        mended = {name: table[kept] for name, table in tables.items()}
+        return time[kept], mended, f"{np.count_nonzero(rows)} of {rows.size} samples dropped"
+    filled: _Tables = {}
+    for quantity, table in tables.items():
+        table = np.array(table, dtype=np.float64)
+        for j in map(int, np.flatnonzero(lacking[quantity].any(axis=0))):
+            lacks = lacking[quantity][:, j]
+            _check_gaps(file, lacks, names[quantity][j], place)
+            table[lacks, j] = np.interp(time[lacks], time[~lacks], table[~lacks, j])
+        filled[quantity] = table
+    note = f"interpolated in {np.count_nonzero(rows)} of {rows.size} samples"
+    return time, filled, note
+
+
+def _sound(table: NDArray[Any]) -> bool:
+    """Tell whether all values are finite and of a size that robots have."""
+    if not table.size or table.dtype.kind not in "fiu":
+        return True
+    # What is not a number is not below the limit either.
+    return bool(table.min() >= -LARGEST and table.max() <= LARGEST)
+
+
+def _bad_value(
+    file: Path,
+    quantity: str,
+    table: NDArray[Any],
+    bad: NDArray[Any],
+    names: Mapping[str, Sequence[str]],
+    place: Callable[[int], str],
+) -> DataError:
+    """Return the error that names the first of some bad values."""
+    row, column = (int(k) for k in np.argwhere(bad)[0])
+    name = "time" if quantity == "time" else names[quantity][column]
+    value, count = float(table[row, column]), int(np.count_nonzero(bad[:, column]))
+    where = f"{file}: {place(row)}: {quantity}: '{name}'"
+    if not np.isnan(value):
+        what = "not finite" if np.isinf(value) else f"more than {LARGEST:g}, which no robot has"
+        return DataError(f"{where} is {value:.3g}, {what}; repair that sample, or name its unit.")
+    if count == len(table):
+        return DataError(
+            f"{file}: {quantity}: '{name}' has no value in any row; leave that joint out with "
+            "joint_names=, or the quantity with columns=."
+        )
+    return DataError(
+        f"{where} has no value (NaN), as in {count} of {len(table)} rows; repair the file, or read "
+        "it with missing='drop' or missing='interpolate'."
+    )
+
+
+def _check_gaps(file: Path, lacks: NDArray[Any], name: str, place: Callable[[int], str]) -> None:
+    """Refuse gaps that are too long to interpolate, or that reach an end of the log."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], lacks, [False]]).astype(np.int8)))
+    for begin, end in zip(edges[::2], edges[1::2], strict=True):
+        if end - begin > _LONGEST_GAP or begin == 0 or end == lacks.size:
+            raise DataError(
+                f"{file}: '{name}' has no value in {end - begin} samples from {place(int(begin))} "
+                f"on; at most {_LONGEST_GAP} between two values are interpolated. Read it with "
+                "missing='drop', or cut the log there."
+            )

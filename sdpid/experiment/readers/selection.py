@@ -1,0 +1,201 @@
+"""The quantities of a log, found among its arrays but not yet converted."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sdpid._common.sandbox import run_in_sandbox
+from sdpid.errors import DataError
+from sdpid.experiment.readers.column_names import Columns
+from sdpid.experiment.readers.formats import LOADERS, SANDBOXED
+from sdpid.experiment.readers.table import Table, row_number
+
+__all__ = ["Selection", "read_selection", "select"]
+
+_SCALARS = ("period", "start", "periods")
+
+
+@dataclass(kw_only=True)
+class Selection:
+    """What a log holds of each quantity, in the units of the file.
+
+    Attributes
+    ----------
+    tables : dict
+        Position, effort and, where there is any, velocity: (N, n) each.
+    labels : tuple of str or None
+        Names of the joints in the order of the columns.
+    time : (N,) ndarray or None
+        Stamps.
+    rate : float or None
+        Samples a second, where there are no stamps.
+    numbers : dict
+        What the file says of ``period``, ``start``, ``periods`` and ``effort_scale``.
+    used : dict
+        The names that each quantity was read from.
+    units : dict
+        The units that these names imply.
+    """
+
+    tables: dict[str, NDArray[Any]]
+    labels: Sequence[str] | None = None
+    time: NDArray[Any] | None = None
+    rate: float | None = None
+    numbers: dict[str, Any] = field(default_factory=dict)
+    used: dict[str, Sequence[str]] = field(default_factory=dict)
+    units: dict[str, Any] = field(default_factory=dict)
+
+
+def select(
+    file: Path,
+    table: Table,
+    columns: Mapping[str, Any],
+    wanted: Sequence[str] | None,
+    *,
+    scaled: bool,
+    timeless: bool = False,
+) -> Selection:
+    """Find the quantities of a log.
+
+    Parameters
+    ----------
+    file : Path
+        For messages.
+    table : Table
+        The arrays of the log.
+    columns : mapping
+        Names for quantities, as in `read_recording`.
+    wanted : sequence of str or None
+        The joints to be read.
+    scaled : bool
+        Whether currents will be turned into torques.
+    timeless : bool, optional
+        Whether a sample rate is given, so that no stamps are needed.
+
+    Raises
+    ------
+    DataError
+        When a quantity is not found, is ambiguous, or holds no numbers.
+    """
+    log = Columns(file, table, columns, scaled=scaled)
+    stored = log.names()
+    tables: dict[str, NDArray[Any]] = {}
+    labels: dict[str, tuple[str, ...]] = {}
+    known = stored if wanted is None else tuple(wanted)
+    for quantity in ("position", "effort", "velocity"):
+        found, own = log.table(quantity, labels.get("position", known))
+        if found is None:
+            if quantity == "velocity":
+                continue
+            raise log.missing(quantity)
+        tables[quantity] = _numbers(file, quantity, found)
+        if own is not None:
+            labels[quantity] = own
+    _align(file, tables, labels)
+    names = labels.get("position")
+    if names is None or all(name.isdigit() for name in names):
+        # Numbers are no names; arrays, and numbered columns, follow the stored names.
+        names = stored
+    count = tables["position"].shape[1]
+    numbers = {name: _item(log.number(name, 1)) for name in _SCALARS}
+    scale = log.number("effort_scale", count if stored is None else len(stored))
+    if scale is not None:
+        scale = np.atleast_1d(scale)
+        if stored is not None and names != stored and set(names or ()) <= set(stored):
+            # Columns were picked by name: the factors follow them.
+            scale = scale[[stored.index(name) for name in names or ()]]
+    time = log.single("time")
+    rate = None if time is not None else _rate(file, log.number("rate", 1))
+    if time is None and rate is None and not timeless:
+        raise log.missing("time")
+    return Selection(
+        tables=tables,
+        labels=names,
+        time=time,
+        rate=rate,
+        numbers={**numbers, "effort_scale": scale},
+        used=dict(log.used),
+        units=dict(log.implied),
+    )
+
+
+def read_selection(
+    file: Path, suffix: str, choices: Mapping[str, Any], how: Mapping[str, Any]
+) -> tuple[Selection, Callable[[int], str]]:
+    """Load a log and find its quantities; in a child process where its library may come to harm.
+
+    Parameters
+    ----------
+    file : Path
+        The log.
+    suffix : str
+        Its format, as in `LOADERS`.
+    choices : mapping
+        Arguments of the loader.
+    how : mapping
+        Arguments of `select`.
+
+    Returns
+    -------
+    Selection, callable
+        The second says where sample k stands in the file.
+    """
+    if suffix in SANDBOXED:
+        arguments = (str(file), suffix, dict(choices), dict(how))
+        found = run_in_sandbox(_plain_selection, *arguments, subject=str(file))
+        return Selection(**found), row_number
+    table = LOADERS[suffix](file, **choices)
+    return select(file, table, **how), table.place
+
+
+def _plain_selection(
+    path: str, suffix: str, choices: dict[str, Any], how: dict[str, Any]
+) -> dict[str, Any]:
+    """Load a log and return its `Selection` as plain values."""
+    file = Path(path)
+    return vars(select(file, LOADERS[suffix](file, **choices), **how))
+
+
+def _item(value: NDArray[Any] | None) -> Any:
+    """Return a single number as such."""
+    return None if value is None else value.item()
+
+
+def _rate(file: Path, rate: NDArray[Any] | None) -> float | None:
+    """Return the sample rate that a file says, checked."""
+    if rate is None:
+        return None
+    if rate.dtype.kind not in "fiu" or not 0.0 < rate.item() < np.inf:
+        raise DataError(f"{file}: the sample rate is {rate!r}, expected one positive number.")
+    return float(rate.item())
+
+
+def _numbers(file: Path, quantity: str, table: NDArray[Any]) -> NDArray[Any]:
+    """Check that a table has two axes and holds numbers."""
+    if table.dtype.kind not in "fiub":
+        raise DataError(f"{file}: {quantity}: holds {table.dtype}, expected numbers.")
+    if table.ndim != 2:
+        raise DataError(
+            f"{file}: {quantity}: has the shape {table.shape}, expected samples × joints."
+        )
+    return table
+
+
+def _align(file: Path, tables: dict[str, NDArray[Any]], labels: dict[str, tuple[str, ...]]) -> None:
+    """Bring columns that carry labels into the order of the positions'."""
+    own = labels.get("position")
+    for quantity, label in labels.items():
+        if own is None or label == own:
+            continue
+        if set(label) != set(own):
+            raise DataError(
+                f"{file}: the columns of {quantity} are of joints {', '.join(label)}, those of "
+                f"position of joints {', '.join(own)}; give columns=."
+            )
+        tables[quantity] = tables[quantity][:, [label.index(name) for name in own]]

@@ -1,0 +1,1 @@
+"""The recording: time stamps, joints, units, storage."""

@@ -1,0 +1,123 @@
+"""Match the joints of a recording with the joints of a robot, by name."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from itertools import takewhile
+
+from sdpid.errors import DataError
+from sdpid.experiment.recording.recording import Recording
+from sdpid.robot.model.model import RobotModel
+
+__all__ = ["joint_columns", "match_joints"]
+
+
+def match_joints(robot: RobotModel, log: Recording) -> Recording:
+    """Return a recording with the robot's joints, in the robot's order.
+
+    Columns are found by name, and columns of other joints (a gripper's) are left out. Names may
+    differ from the robot's by one common prefix and one common suffix: ``left_elbow_joint`` is
+    ``elbow_joint`` and ``fer_joint1`` is ``panda_joint1``. Only a recording without names is
+    taken column by column.
+
+    Parameters
+    ----------
+    robot : RobotModel
+        The robot.
+    log : Recording
+        What was measured.
+
+    Returns
+    -------
+    Recording
+
+    Raises
+    ------
+    DataError
+        When a joint of the robot has no column or could have several, or when there are no names
+        and another number of columns.
+    """
+    names = log.joint_names
+    if log.n < robot.n or (names is None and log.n != robot.n):
+        raise DataError(
+            f"the recording has {log.n} joints, the robot '{robot.name}' has {robot.n}: "
+            f"{', '.join(robot.joint_names)}. Give a column for each of them and, where there are "
+            "others, the columns' joint_names."
+        )
+    if names is None or log.n == 1:
+        return replace(log, joint_names=robot.joint_names)
+    order = joint_columns(robot, names)
+    if order == list(range(log.n)):
+        return replace(log, joint_names=robot.joint_names)
+    return replace(
+        log,
+        position=log.position[:, order],
+        effort=log.effort[:, order],
+        velocity=None if log.velocity is None else log.velocity[:, order],
+        effort_scale=None if log.effort_scale is None else log.effort_scale[order],
+        joint_names=robot.joint_names,
+    )
+
+
+def joint_columns(robot: RobotModel, names: Sequence[str]) -> list[int]:
+    """Return the column of each of the robot's joints.
+
+    Raises
+    ------
+    DataError
+        When a joint has no column, or could have several.
+    """
+    ways = {robot.joint_names}
+    if not set(robot.joint_names) <= set(names):
+        ways = _ways(_without_affixes(robot.joint_names), names)
+    if len(ways) == 1:
+        (way,) = ways
+        return [list(names).index(name) for name in way]
+    here = f"joint names of the recording ({', '.join(names)})"
+    if ways:
+        listed = "; ".join(", ".join(way) for way in sorted(ways))
+        raise DataError(
+            f"{here} match those of the robot '{robot.name}' in {len(ways)} ways: {listed}. Leave "
+            "out the columns of other joints, or rename the columns."
+        )
+    common = set(names) & set(robot.joint_names)
+    missing = [name for name in robot.joint_names if name not in common]
+    lacks = f", which lack {', '.join(missing)}" if common else ""
+    raise DataError(
+        f"{here}{lacks} are not those of the robot '{robot.name}' "
+        f"({', '.join(robot.joint_names)}), not even with another prefix or suffix; rename them, "
+        "or leave the names out to take the columns in the robot's order."
+    )
+
+
+def _without_affixes(names: Sequence[str]) -> list[str]:
+    """Return names without their longest common prefix and suffix."""
+    if len(names) == 1:
+        return list(names)
+    start = _common(names)
+    rest = [name[start:] for name in names]
+    end = _common([name[::-1] for name in rest])
+    return [name[: len(name) - end] for name in rest]
+
+
+def _common(names: Sequence[str]) -> int:
+    """Return the length of the longest common prefix."""
+    shared = takewhile(lambda letters: len(set(letters)) == 1, zip(*names, strict=False))
+    return sum(1 for _ in shared)
+
+
+def _ways(cores: Sequence[str], names: Sequence[str]) -> set[tuple[str, ...]]:
+    """Return all choices of names ``prefix + core + suffix`` with one prefix and one suffix."""
+    there = set(names)
+    ways = set()
+    first = cores[0]
+    for name in names:
+        for start in range(len(name) - len(first) + 1):
+            if not name.startswith(first, start):
+                continue
+            prefix, suffix = name[:start], name[start + len(first) :]
+            way = tuple(f"{prefix}{core}{suffix}" for core in cores)
+            if there.issuperset(way):
+                ways.add(way)
+    return ways

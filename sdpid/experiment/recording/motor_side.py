@@ -1,0 +1,157 @@
+"""From the motors' side to the joints' side: gears, signs, offsets, and coupled joints."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from sdpid._common.arrays import Array, frozen, real_array
+from sdpid.errors import DataError
+
+__all__ = ["MotorSide"]
+
+# Beyond this condition number (columns scaled) a matrix of gear ratios is a mistake: real ones
+# differ from a diagonal by a coupling or two.
+_MOST_CONDITION = 1e6
+_QUANTITIES = ("position", "velocity", "effort")
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class MotorSide:
+    """How what was logged at the motors becomes what happens at the joints.
+
+    With the matrix R of motor turns a joint turn, joint positions are
+    ``inv(R) @ motor_position + offsets``, velocities ``inv(R) @ motor_velocity``, and efforts
+    ``T @ (torque_constants * motor_effort)``. Equal power on both sides makes T the transpose of
+    R, which is the default. Joints that are coupled at their motors have entries off the diagonal.
+
+    Parameters
+    ----------
+    position_matrix : (n, n) array_like
+        R, signs included. For plain gears `from_gears`.
+    effort_matrix : (n, n) array_like, optional
+        T, where it is not the transpose of R.
+    offsets : (n,) array_like, optional
+        Joint position in rad (m) where the motors read zero.
+    torque_constants : (n,) array_like, optional
+        Motor torque in N·m per A, where efforts are logged as currents.
+    applies_to : tuple of str
+        Which quantities are on the motors' side; the others are on the joints' side already.
+
+    Raises
+    ------
+    DataError
+        When shapes do not agree, or the matrix cannot be inverted.
+    """
+
+    position_matrix: Array
+    effort_matrix: Array | None = None
+    offsets: Array | None = None
+    torque_constants: Array | None = None
+    applies_to: tuple[str, ...] = _QUANTITIES
+
+    def __post_init__(self) -> None:
+        n = np.asarray(self.position_matrix, dtype=object).shape[:1]
+        shapes = {"position_matrix": 2, "effort_matrix": 2, "offsets": 1, "torque_constants": 1}
+        for name, ndim in shapes.items():
+            if (value := getattr(self, name)) is None:
+                continue
+            array = frozen(real_array(value, f"motors.{name}", ndim=ndim))
+            if array.shape != n * ndim or array.size == 0:
+                raise DataError(
+                    f"motors.{name}: has shape {array.shape}, expected {n * ndim}: position_matrix "
+                    "has a row for each joint."
+                )
+            object.__setattr__(self, name, array)
+        for name in ("position_matrix", "effort_matrix"):
+            if (array := getattr(self, name)) is not None:
+                size = np.abs(array).max(axis=0)
+                if not size.all() or np.linalg.cond(array / size) > _MOST_CONDITION:
+                    raise DataError(f"motors.{name}: cannot be inverted: {array.tolist()}.")
+        applies: Any = self.applies_to
+        if not isinstance(applies, (list, tuple)) or any(a not in _QUANTITIES for a in applies):
+            raise DataError(
+                f"motors.applies_to: is {self.applies_to!r}, expected some of "
+                f"{', '.join(_QUANTITIES)}."
+            )
+        object.__setattr__(self, "applies_to", tuple(applies))
+        if self.torque_constants is not None and "effort" not in self.applies_to:
+            raise DataError("motors.torque_constants: needs effort in applies_to.")
+
+    @classmethod
+    def from_gears(cls, ratios: Any, signs: Any = None, **others: Any) -> MotorSide:
+        """Return the side of motors that each drive one joint through a gear.
+
+        Parameters
+        ----------
+        ratios : (n,) array_like
+            Motor turns a joint turn.
+        signs : (n,) array_like, optional
+            1 or -1: whether motor and joint turn the same way.
+        **others : optional
+            As in `MotorSide`.
+        """
+        gears = real_array(ratios, "motors.gear_ratios", ndim=1)
+        ways = np.ones_like(gears) if signs is None else real_array(signs, "motors.signs", ndim=1)
+        if ways.shape != gears.shape or not np.all(np.abs(ways) == 1.0):
+            raise DataError(
+                f"motors.signs: is {ways.tolist()}, expected 1 or -1 for each of "
+                f"{gears.size} motors."
+            )
+        return cls(position_matrix=np.diag(gears * ways), **others)
+
+    @classmethod
+    def from_mapping(cls, given: Mapping[str, Any]) -> MotorSide:
+        """Return what a table ``[motors]`` says.
+
+        Keys are ``gear_ratios`` (and ``signs``) or ``position_matrix``, and ``effort_matrix``,
+        ``offsets``, ``torque_constants``, ``applies_to``.
+        """
+        fields = ("effort_matrix", "offsets", "torque_constants", "applies_to")
+        known = ("gear_ratios", "signs", "position_matrix", *fields)
+        if unknown := sorted(set(given) - set(known)):
+            raise DataError(
+                f"motors: {', '.join(unknown)} is not known; known are {', '.join(known)}."
+            )
+        others = {key: given[key] for key in fields if key in given}
+        if ("position_matrix" in given) == ("gear_ratios" in given) or (
+            "position_matrix" in given and "signs" in given
+        ):
+            raise DataError(
+                "motors: give either gear_ratios (and signs) or position_matrix, which has signs."
+            )
+        if "gear_ratios" in given:
+            return cls.from_gears(given["gear_ratios"], given.get("signs"), **others)
+        return cls(position_matrix=given["position_matrix"], **others)
+
+    @property
+    def n(self) -> int:
+        """Number of joints, as many as motors."""
+        return int(self.position_matrix.shape[0])
+
+    def to_joints(self, quantity: str, values: Array) -> Array:
+        """Convert samples × motors to samples × joints.
+
+        Raises
+        ------
+        DataError
+            When there is another number of columns.
+        """
+        if quantity not in self.applies_to:
+            return values
+        if values.ndim != 2 or values.shape[1] != self.n:
+            raise DataError(
+                f"{quantity}: has shape {values.shape}, motors is for {self.n} columns."
+            )
+        if quantity == "effort":
+            turned = self.position_matrix.T if self.effort_matrix is None else self.effort_matrix
+            if self.torque_constants is not None:
+                turned = turned * self.torque_constants
+            return np.ascontiguousarray(values @ turned.T)
+        joints = np.ascontiguousarray(values @ np.linalg.inv(self.position_matrix).T)
+        if quantity == "position" and self.offsets is not None:
+            joints += self.offsets
+        return joints

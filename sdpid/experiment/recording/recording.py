@@ -1,0 +1,351 @@
+"""`Recording`: what was measured, checked once, in SI units."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from sdpid._common.arrays import Array, frozen_view, real_array
+from sdpid.errors import DataError
+from sdpid.experiment.recording.stored import StoredColumn, StoredTable
+from sdpid.experiment.recording.stored_file import LARGEST
+from sdpid.experiment.recording.timestamps import Stamps
+
+__all__ = ["Recording"]
+
+# The end of the last period may be off by this many samples. A period that does not divide the
+# record is off by many; half a sample is where the nearest sample becomes another one.
+_PERIOD_SLACK = 0.5
+# Below two samples a period has no motion at all.
+_LEAST_SAMPLES = 2
+
+
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class Recording:
+    """A log of joint positions and efforts over time.
+
+    Large arrays are not copied: a C-contiguous float64 array is kept as a read-only view, so the
+    caller must not change it afterwards.
+
+    Parameters
+    ----------
+    time : (N,) array_like
+        Time stamps in s, strictly increasing.
+    position : (N, n) array_like
+        Joint positions in rad (m for a prismatic joint).
+    effort : (N, n) array_like
+        Joint efforts in N·m (N), or in another unit when `effort_scale` is given.
+    velocity : (N, n) array_like, optional
+        Measured joint velocities in rad/s (m/s).
+    joint_names : sequence of str, optional
+        One name a joint, in the order of the columns.
+    period : float, optional
+        Length of one period of a periodic excitation, in s; a whole number of samples.
+    start : float, optional
+        Time at which the first whole period begins, in s; by default the first sample.
+    periods : int, optional
+        Number of whole periods from `start` on. By default as many as the record holds, which
+        then must be a whole number.
+    effort_scale : (n,) array_like, optional
+        N·m per unit of effort: the torque constant times the gear ratio when currents in A were
+        logged. None means that efforts are in N·m already.
+
+    Attributes
+    ----------
+    stamps : Stamps
+        The time stamps in numbers.
+
+    Raises
+    ------
+    DataError
+        When the arrays are ragged, not finite or of different lengths, when time does not
+        increase, when names or scales do not match the joints, or when the period does not
+        divide the record.
+    """
+
+    time: Array
+    position: Array
+    effort: Array
+    velocity: Array | None = None
+    joint_names: tuple[str, ...] | None = None
+    period: float | None = None
+    start: float | None = None
+    periods: int | None = None
+    effort_scale: Array | None = None
+    stamps: Stamps = field(init=False)
+
+    def __post_init__(self) -> None:
+        for name in ("time", "position", "effort"):
+            if getattr(self, name) is None:
+                raise DataError(f"{name} is missing; a recording needs time, position and effort.")
+        time: Any = _kept(self, "time", 1)
+        if time.size < _LEAST_SAMPLES:
+            raise DataError(f"time: has {time.size} samples, at least {_LEAST_SAMPLES} are needed.")
+        # A pass over a stored column is not repeated for every changed copy of a recording.
+        once = time.remembered if isinstance(time, StoredColumn) else None
+        object.__setattr__(self, "stamps", once(Stamps.of) if once else Stamps.of(time))
+        position = _kept(self, "position", 2)
+        n = position.shape[1]
+        if n == 0:
+            raise DataError("position: has no joints (no columns).")
+        for name in ("position", "effort", "velocity"):
+            if getattr(self, name) is not None:
+                shape = _kept(self, name, 2).shape
+                if shape != (time.size, n):
+                    raise DataError(
+                        f"{name}: has shape {shape}, expected {(time.size, n)}: one row for each "
+                        f"of the {time.size} time stamps, one column for each of the {n} joints."
+                    )
+        if self.joint_names is not None:
+            object.__setattr__(self, "joint_names", checked_names(self.joint_names, n))
+        if self.effort_scale is not None:
+            scale = _kept(self, "effort_scale", 1)
+            if scale.shape != (n,) or not scale.all():
+                raise DataError(
+                    f"effort_scale: is {scale.tolist()}, expected {n} non-zero factors, one for "
+                    "each joint."
+                )
+        self._check_period()
+
+    def __repr__(self) -> str:
+        parts = [f"{self.n_samples} samples", f"{self.n} joints", f"{self.rate_hz:.6g} Hz"]
+        layout = self.period_layout
+        if layout is not None:
+            parts.append(f"{layout[2]} periods of {self.period:.6g} s")
+        return f"Recording({', '.join(parts)})"
+
+    @property
+    def n(self) -> int:
+        """Number of joints."""
+        return int(self.position.shape[1])
+
+    @property
+    def n_samples(self) -> int:
+        """Number of samples, N."""
+        return int(self.time.size)
+
+    @property
+    def duration(self) -> float:
+        """Time from the first to the last sample, in s."""
+        return self.stamps.last - self.stamps.first
+
+    @property
+    def step(self) -> float:
+        """Nominal time step in s: the duration over the number of steps, lost samples counted.
+
+        Where time stamps jitter, this mean is far more accurate than the median of the steps.
+        """
+        return self.stamps.step
+
+    @property
+    def stored(self) -> bool:
+        """Whether the arrays stay in their file; see `from_parquet`."""
+        return isinstance(self.position, StoredTable)
+
+    @property
+    def rate_hz(self) -> float:
+        """Nominal sample rate in Hz."""
+        return 1.0 / self.step
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Joint names for messages and columns: the given ones, or numbers from 1."""
+        if self.joint_names is not None:
+            return self.joint_names
+        return tuple(str(j + 1) for j in range(self.n))
+
+    @property
+    def period_layout(self) -> tuple[int, int, int] | None:
+        """First sample, samples per period and number of periods; None without a period.
+
+        The numbers count nominal steps from the first sample.
+        """
+        if self.period is None:
+            return None
+        per_period = round(self.period / self.step)
+        first = 0 if self.start is None else round((self.start - self.stamps.first) / self.step)
+        if self.periods is not None:
+            return int(first), per_period, self.periods
+        held = (self.duration / self.step + 1.0 - first) / per_period
+        return int(first), per_period, round(held)
+
+    def _check_period(self) -> None:
+        """Check `period`, `start` and `periods` against the record and each other."""
+        if self.period is None:
+            for name in ("start", "periods"):
+                if getattr(self, name) is not None:
+                    raise DataError(f"{name} is given without a period; give period as well.")
+            return
+        period = _positive(self.period, "period")
+        object.__setattr__(self, "period", period)
+        if self.periods is not None:
+            count = self.periods
+            if not isinstance(count, (int, np.integer)) or isinstance(count, bool) or count < 1:
+                raise DataError(f"periods: is {count}, expected a whole number of at least 1.")
+            object.__setattr__(self, "periods", int(count))
+        if self.start is not None:
+            start = _number(self.start, "start")
+            begin, end = self.stamps.first, self.stamps.last
+            if not begin - self.step / 2 <= start <= end:
+                raise DataError(
+                    f"start: {start:.9g} s is outside the record, which runs from {begin:.9g} s "
+                    f"to {end:.9g} s."
+                )
+            object.__setattr__(self, "start", start)
+        if period < _LEAST_SAMPLES * self.step * (1.0 - 1e-9):
+            raise DataError(
+                f"period: {period:.6g} s is shorter than {_LEAST_SAMPLES} steps of "
+                f"{self.step:.6g} s."
+            )
+        layout = self.period_layout
+        assert layout is not None
+        first, per_period, count = layout
+        held = self.duration / self.step + 1.0 - first
+        begin = self.stamps.first + first * self.step
+        where = f"from {begin:.9g} s on the record holds {held:.10g} samples"
+        exact = period / self.step
+        if self.periods is not None and count * per_period > held + _PERIOD_SLACK:
+            raise DataError(
+                f"periods: {count} periods of {exact:.10g} samples do not fit: {where}, that is "
+                f"{held / exact:.6g} periods."
+            )
+        if self.periods is None and (count < 1 or abs(held - count * per_period) > _PERIOD_SLACK):
+            raise DataError(
+                f"period: {period:.9g} s ({exact:.10g} samples) does not divide the record: "
+                f"{where}, that is {held / exact:.6g} periods; set `start` and `periods` to pick "
+                "whole periods."
+            )
+        if abs(exact - per_period) * count > _PERIOD_SLACK:
+            raise DataError(
+                f"period: {period:.9g} s is {exact:.10g} samples at {self.rate_hz:.9g} Hz, not a "
+                f"whole number: after {count} periods the samples are "
+                f"{abs(exact - per_period) * count:.3g} steps out of place; resample the record."
+            )
+
+    def to_parquet(self, path: str | os.PathLike[str]) -> None:
+        """Write the recording to a Parquet file, without loss, whole or not at all.
+
+        Columns are ``time``, ``position_<joint>``, ``effort_<joint>`` and, when there are any,
+        ``velocity_<joint>``; the rest is kept in the file's metadata under the key ``sdpid``.
+
+        Raises
+        ------
+        ExportError
+            When the file cannot be written.
+        MissingExtraError
+            When pyarrow is not installed (extra ``io``).
+        """
+        from sdpid.experiment.recording.parquet import write_parquet
+
+        write_parquet(self, path)
+
+    @staticmethod
+    def from_parquet(path: str | os.PathLike[str], *, stored: bool | None = None) -> Recording:
+        """Read a file that `to_parquet` wrote, or one with the same columns.
+
+        Parameters
+        ----------
+        path : path-like
+            The file.
+        stored : bool, optional
+            True leaves the values in the file, where `position[:, j]` and the others are then
+            columns that are decoded piece by piece as they are read (see
+            `sdpid.experiment.recording.stored`), so that a recording may be larger than memory. The
+            file must stay as it is. Time stamps are checked at once, other values as they are read.
+            By default true for files whose values would take more than 256 MB.
+
+        Raises
+        ------
+        DataError
+            When the file is missing, damaged, or lacks a column.
+        MissingExtraError
+            When pyarrow is not installed (extra ``io``).
+        """
+        from sdpid.experiment.recording.parquet import read_parquet
+
+        return read_parquet(path, stored=stored)
+
+
+def checked_names(names: Any, n: int) -> tuple[str, ...]:
+    """Return `names` as a tuple of `n` distinct, non-empty strings.
+
+    Raises
+    ------
+    DataError
+        When there is another number of names, or one is empty, repeated or not a string.
+    """
+    if isinstance(names, str) or not isinstance(names, (Sequence, np.ndarray)):
+        raise DataError(f"joint_names: is {names!r}, expected a sequence of {n} names.")
+    result = tuple(names)
+    if any(not isinstance(name, str) or not name for name in result):
+        raise DataError(f"joint_names: {result} holds something that is not a name.")
+    result = tuple(str(name) for name in result)
+    if len(result) != n:
+        raise DataError(
+            f"joint_names: {len(result)} names ({', '.join(result)}) for {n} joints (columns)."
+        )
+    repeated = sorted({name for name in result if result.count(name) > 1})
+    if repeated:
+        raise DataError(f"joint_names: {', '.join(repeated)} is there more than once.")
+    return result
+
+
+def _kept(record: Recording, name: str, ndim: int) -> Array:
+    """Check the array in a field and put it back as a read-only contiguous view."""
+    given: Any = getattr(record, name)
+    if isinstance(given, (StoredColumn, StoredTable)) and given.ndim == ndim:
+        # Its values are checked as they are decoded.
+        return given  # type: ignore[return-value]
+    array = np.ascontiguousarray(given) if _sound(given, ndim) else _checked(given, name, ndim)
+    view: Array = frozen_view(array)
+    object.__setattr__(record, name, view)
+    return view
+
+
+def _sound(given: Any, ndim: int) -> bool:
+    """Tell in two passes, and without another array, that all is well."""
+    return (
+        isinstance(given, np.ndarray)
+        and given.dtype == np.float64
+        and given.ndim == ndim
+        and given.size > 0
+        # What is not a number is not below the limit either.
+        and bool(given.min() >= -LARGEST and given.max() <= LARGEST)
+    )
+
+
+def _checked(given: Any, name: str, ndim: int) -> Array:
+    """Convert what is no such array, or say what is wrong with it."""
+    array = np.ascontiguousarray(real_array(given, name, ndim=ndim))
+    if array.size and max(array.max(), -array.min()) > LARGEST:
+        first = tuple(int(i) for i in np.argwhere(np.abs(array) > LARGEST)[0])
+        raise DataError(
+            f"{name}: is {array[first]:.3g} at index {first}, more than {LARGEST:g}, which no "
+            "robot has; repair that sample, or say its unit."
+        )
+    return array
+
+
+def _number(value: Any, name: str) -> float:
+    """Return `value` as a float, or raise when it is not a finite number."""
+    try:
+        number = float(value)
+    except (TypeError, ValueError, OverflowError):
+        number = float("nan")
+    if not abs(number) <= LARGEST:
+        # Python refuses to print an int of thousands of digits.
+        shown = "a huge number" if isinstance(value, int) else repr(value)
+        raise DataError(f"{name}: is {shown}, expected a finite number of at most {LARGEST:g}.")
+    return number
+
+
+def _positive(value: Any, name: str) -> float:
+    """Return `value` as a float, or raise when it is not finite and positive."""
+    number = _number(value, name)
+    if number <= 0.0:
+        raise DataError(f"{name}: is {number:g}, expected a positive number.")
+    return number

@@ -1,0 +1,164 @@
+"""What one pass over the time stamps tells: whether they increase, their steps, lost samples."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from sdpid._common.arrays import Array
+from sdpid.errors import DataError
+
+__all__ = ["Stamps", "blocks", "guess_time_unit"]
+
+# A step longer than this many median steps may hold a lost sample, or end with a late stamp.
+_LONG = 1.5
+# To tell the two apart, so many stamps on either side are averaged: a lost sample shifts them all.
+_NEIGHBOURS = 8
+# No robot's controller steps faster, in s.
+_SHORTEST = 1e-9
+# Steps of whole numbers, in the unit that makes a rate between 20 Hz and 20 kHz of them: each unit
+# has three decades of its own. Longer steps are counts of nanoseconds all the same.
+_LARGEST_STEPS = {"ms": 5e1, "us": 5e4}
+# Seconds since 1970 in the years 2001 to 2096: first stamps in that range tell their unit.
+_EPOCH = (1e9, 4e9)
+_EPOCH_UNITS = {"s": 1.0, "ms": 1e3, "us": 1e6, "ns": 1e9}
+# Stamps looked at together: what stays in the cache.
+_BLOCK = 1 << 16
+
+
+@dataclass(frozen=True, kw_only=True)
+class Stamps:
+    """The time stamps of a record in numbers.
+
+    Attributes
+    ----------
+    first, last : float
+        The first and the last one, in s.
+    count : int
+        How many there are.
+    least, most : float
+        The shortest and the longest step, in s.
+    row : int
+        The row that ends the (first) longest step.
+    lost : int
+        Samples that are missing between regular ones.
+    """
+
+    first: float
+    last: float
+    count: int
+    least: float
+    most: float
+    row: int
+    lost: int
+
+    @staticmethod
+    def of(time: Any) -> Stamps:
+        """Look at all stamps, block by block.
+
+        Where steps differ by half or more, lost samples are looked for; a stored column is then
+        read into an array.
+
+        Parameters
+        ----------
+        time : (N,) ndarray or StoredColumn
+            The stamps, finite.
+
+        Raises
+        ------
+        DataError
+            When they do not increase, naming the first row that does not.
+        """
+        least, most, row, wrong = np.inf, -np.inf, 0, 0
+        said = ""
+        first = last = np.nan
+        for begin, values in blocks(time):
+            # With the stamp before, so that no step between blocks is missed.
+            steps = np.diff(values, prepend=last) if begin else np.diff(values)
+            if steps.size:
+                low, high = float(steps.min()), float(steps.max())
+                least = min(least, low)
+                if high > most:
+                    most = high
+                    row = begin + values.size - steps.size + int(np.argmax(steps))
+                if not low > 0.0:
+                    if not wrong:
+                        k = int(np.argmax(steps <= 0.0))
+                        at = k + values.size - steps.size
+                        before = float(values[at - 1]) if at else last
+                        said = _wrong(begin + at, float(values[at]), before)
+                    wrong += int(np.count_nonzero(steps <= 0.0))
+            first = first if begin else float(values[0])
+            last = float(values[-1])
+        if wrong:
+            raise DataError(f"{said} ({wrong} such rows); sort the rows or remove the duplicates.")
+        if last - first < _SHORTEST * (len(time) - 1):
+            raise DataError(
+                f"time: {len(time)} samples within {last - first:.3g} s; say their unit."
+            )
+        lost = 0 if most < _LONG * least else _lost_samples(np.asarray(time))
+        return Stamps(
+            first=first, last=last, count=len(time), least=least, most=most, row=row, lost=lost
+        )
+
+    @property
+    def step(self) -> float:
+        """The duration over the number of steps, lost samples counted."""
+        return (self.last - self.first) / (self.count - 1 + self.lost)
+
+
+def blocks(column: Any) -> Iterator[tuple[int, Array]]:
+    """Yield the first rows and the values of pieces of an array, or of a stored column."""
+    if not isinstance(column, np.ndarray):
+        yield from column.blocks()
+        return
+    for begin in range(0, column.size, _BLOCK):
+        yield begin, column[begin : begin + _BLOCK]
+
+
+def guess_time_unit(time: Any) -> str:
+    """Return the unit of stamps that come without one: s, ms, us or ns.
+
+    Stamps that count from 1970 are told by their size, other whole numbers by their median step:
+    as seconds they would be a log at 1 Hz or less.
+
+    Parameters
+    ----------
+    time : (N,) ndarray
+        The stamps as they stand in the file.
+    """
+    values = np.asarray(time, dtype=np.float64)
+    values = values[np.isfinite(values)]
+    if values.size <= 1:
+        return "s"
+    for unit, factor in _EPOCH_UNITS.items():
+        if _EPOCH[0] * factor <= values[0] < _EPOCH[1] * factor:
+            return unit
+    step = float(np.median(np.diff(values)))
+    if step < 1.0 or np.any(values != np.rint(values)):
+        return "s"
+    return next((unit for unit, most in _LARGEST_STEPS.items() if step <= most), "ns")
+
+
+def _wrong(row: int, stamp: float, before: float) -> str:
+    """Say which stamp does not come after the one before it."""
+    how = "repeats" if stamp == before else "runs backwards"
+    return f"time {how} at row {row + 1}: {stamp:.9g} s after {before:.9g} s"
+
+
+def _lost_samples(time: Array) -> int:
+    """Count the samples that are missing between regular ones."""
+    steps = np.diff(time)
+    median = float(np.median(steps))
+    lost = 0
+    for i in np.flatnonzero(steps > _LONG * median):
+        # Late samples catch up within as many as the gap held.
+        around = max(_NEIGHBOURS, 2 * round(float(steps[i]) / median))
+        width = min(around, int(i) + 1, time.size - 1 - int(i))
+        before, after = time[i + 1 - width : i + 1], time[i + 1 : i + 1 + width]
+        shift = float(np.median(after - before)) / median - width
+        lost += max(0, min(round(shift), round(float(steps[i]) / median) - 1))
+    return lost

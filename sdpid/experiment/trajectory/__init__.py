@@ -1,0 +1,1 @@
+"""Trajectories: Fourier series and the excitation of the paper."""

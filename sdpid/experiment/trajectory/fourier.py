@@ -1,0 +1,164 @@
+"""Periodic joint motion as a Fourier series, and the polynomial that leads into it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from sdpid._common.arrays import Array, frozen, real_array
+from sdpid.errors import DataError
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class FourierSeries:
+    """``q_j(t) = centre_j + Σ_h amplitudes_jh · sin(2π·harmonics_jh·t/period + phases_jh)``.
+
+    Joints with fewer sinusoids than others are padded with harmonic 0 and amplitude 0.
+
+    Attributes
+    ----------
+    period : float
+        Period in s.
+    centre : ndarray, shape (n,)
+        Mean positions in rad.
+    harmonics : ndarray of int, shape (n, H)
+        Multiples of the fundamental frequency 1/period.
+    amplitudes : ndarray, shape (n, H)
+        Amplitudes in rad.
+    phases : ndarray, shape (n, H)
+        Phases in rad.
+
+    Raises
+    ------
+    DataError
+        When shapes differ, a value is not finite, a harmonic is negative or no whole number, or
+        a harmonic 0 has an amplitude.
+    """
+
+    period: float
+    centre: Array
+    harmonics: Any
+    amplitudes: Array
+    phases: Array
+
+    def __post_init__(self) -> None:
+        if not (np.isfinite(self.period) and self.period > 0.0):
+            raise DataError(f"Fourier series: period is {self.period}; give a positive time in s.")
+        centre = real_array(self.centre, "centre", ndim=1)
+        harmonics = real_array(self.harmonics, "harmonics", ndim=2)
+        amplitudes = real_array(self.amplitudes, "amplitudes", ndim=2)
+        phases = real_array(self.phases, "phases", ndim=2)
+        if not (harmonics.shape == amplitudes.shape == phases.shape) or len(centre) != len(
+            harmonics
+        ):
+            raise DataError(
+                f"Fourier series: centre {centre.shape}, harmonics {harmonics.shape}, amplitudes "
+                f"{amplitudes.shape} and phases {phases.shape} do not fit; give (n,) and three "
+                "times (n, H)."
+            )
+        whole = np.rint(harmonics).astype(np.int64)
+        if np.any(whole != harmonics) or np.any(whole < 0):
+            raise DataError("Fourier series: harmonics must be whole numbers of at least 0.")
+        if np.any((whole == 0) & (amplitudes != 0.0)):
+            raise DataError(
+                "Fourier series: harmonic 0 with an amplitude; put a constant into the centre."
+            )
+        whole.setflags(write=False)
+        object.__setattr__(self, "period", float(self.period))
+        object.__setattr__(self, "centre", frozen(centre))
+        object.__setattr__(self, "harmonics", whole)
+        object.__setattr__(self, "amplitudes", frozen(amplitudes))
+        object.__setattr__(self, "phases", frozen(phases))
+
+    @property
+    def n(self) -> int:
+        """Number of joints."""
+        return len(self.centre)
+
+    def evaluate(self, time: Any, *, derivative: int = 0) -> Array:
+        """Return a derivative of the positions at any times, (K,) to (K, n)."""
+        time = np.asarray(time, dtype=np.float64)
+        rate = 2.0 * np.pi * self.harmonics / self.period
+        out = np.zeros((len(time), self.n))
+        # sin differentiates into itself a quarter turn further on.
+        quarter = 0.5 * np.pi * derivative
+        for h in range(self.harmonics.shape[1]):
+            angle = time[:, None] * rate[:, h] + self.phases[:, h] + quarter
+            out += self.amplitudes[:, h] * rate[:, h] ** derivative * np.sin(angle)
+        return out + self.centre if derivative == 0 else out
+
+    def one_period(self, samples: int, *, derivative: int = 0) -> Array:
+        """Return a derivative at equally spaced samples of one period, shape (samples, n).
+
+        By an inverse FFT, which costs far less than the sum of sinusoids.
+
+        Raises
+        ------
+        DataError
+            When the samples are too few for the highest harmonic.
+        """
+        highest = int(self.harmonics.max(initial=0))
+        if 2 * highest >= samples:
+            raise DataError(
+                f"Fourier series: {samples} samples a period are too few for harmonic {highest}; "
+                f"at least {2 * highest + 1} are needed."
+            )
+        rate = 2.0 * np.pi * self.harmonics / self.period
+        quarter = 0.5 * np.pi * (derivative - 1)
+        lines = 0.5 * samples * self.amplitudes * rate**derivative
+        spectrum = np.zeros((self.n, samples // 2 + 1), dtype=np.complex128)
+        joints = np.arange(self.n)[:, None]
+        np.add.at(spectrum, (joints, self.harmonics), lines * np.exp(1j * (self.phases + quarter)))
+        values = np.fft.irfft(spectrum, n=samples, axis=1)
+        if derivative == 0:
+            values += self.centre[:, None]
+        return np.ascontiguousarray(values.T)
+
+    def delayed(self, shift: Array) -> FourierSeries:
+        """Return the series that starts `shift_j` seconds (n,) into joint j's period."""
+        turn = 2.0 * np.pi * self.harmonics * np.asarray(shift)[:, None] / self.period
+        return FourierSeries(
+            period=self.period,
+            centre=self.centre,
+            harmonics=self.harmonics,
+            amplitudes=self.amplitudes,
+            phases=np.mod(self.phases + turn, 2.0 * np.pi),
+        )
+
+
+# Rows: coefficients of s^3, s^4, s^5 of the quintic that starts at rest at zero and ends, at
+# s = 1, with unit position, velocity and acceleration respectively.
+_QUINTIC = np.array([[10.0, -15.0, 6.0], [-4.0, 7.0, -3.0], [0.5, -1.0, 0.5]])
+
+
+def quintic(
+    s: Array, duration: float, offset: Array, velocity: Array, acceleration: Array
+) -> tuple[Array, Array, Array]:
+    """Return the motion from rest at zero to a moving end, as a polynomial of fifth degree.
+
+    Parameters
+    ----------
+    s : ndarray, shape (K,)
+        Fraction of the duration, 0 at rest and 1 at the moving end.
+    duration : float
+        Duration in s; negative runs the time backwards (a moving start that comes to rest).
+    offset, velocity, acceleration : ndarray, shape (..., n)
+        State at the moving end.
+
+    Returns
+    -------
+    position, velocity, acceleration : ndarray, shape (..., K, n)
+    """
+    ends = np.stack([offset, velocity * duration, acceleration * duration**2], axis=-1)
+    coefficients = ends @ _QUINTIC
+    powers = np.array([3.0, 4.0, 5.0])
+    column = np.asarray(s)[:, None]
+    shapes = (
+        column**powers,
+        powers * column ** (powers - 1.0) / duration,
+        powers * (powers - 1.0) * column ** (powers - 2.0) / duration**2,
+    )
+    position, rate, change = (np.einsum("kc,...nc->...kn", shape, coefficients) for shape in shapes)
+    return position, rate, change

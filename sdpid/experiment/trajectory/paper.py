@@ -1,0 +1,189 @@
+"""Excitation: the rule of the paper that makes a trajectory.
+
+Another rule (an optimal excitation, say) is another function that returns a `Trajectory`.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from sdpid._common.arrays import Array
+from sdpid._common.toml import load_toml
+from sdpid.errors import DataError
+from sdpid.experiment.trajectory.fourier import FourierSeries, quintic
+from sdpid.experiment.trajectory.trajectory import Trajectory
+from sdpid.robot.description.catalog import bundled_folder, bundled_robots
+
+__all__ = ["Trajectory", "filled", "paper_excitation", "quiet_start"]
+
+# The limit frequencies are printed with four decimals; a harmonic on the limit is not above it.
+_ON_LIMIT = 1e-9
+# Points at which a connection is checked, and starts that are tried, per period.
+_CHECKS, _STARTS = 61, 4000
+# What a connection must keep clear of its limits at those points, as a fraction of them: between
+# two points it may come closer by about half as much.
+_CLEAR = 0.005
+
+
+def paper_excitation(
+    folder: str | os.PathLike[str],
+    seed: int | np.random.Generator,
+    *,
+    periods: int | None = None,
+    period: float | None = None,
+) -> Trajectory:
+    """Draw an excitation by the paper's rule (its Table II and section III-B).
+
+    Each axis gets a sum of sinusoids of equal amplitude and random phase. Their frequencies are
+    distinct multiples of the fundamental, drawn without replacement from those not above the
+    axis's limit frequency. The sum is scaled so that its largest excursion from the centre is
+    half of the axis's range. By Bernstein's inequality its speed then stays below 2π times the
+    limit frequency times half the range, which is how the table's velocity limit is made.
+
+    The origin of each axis's period is moved to the first instant from which the connections
+    stay within the axis's range and velocity limit (from a random start axis 3 would swing out
+    by more than its range). This changes the phases, not the motion.
+
+    Parameters
+    ----------
+    folder : str or path
+        Name of a bundled robot, or a folder with an ``excitation.toml``.
+    seed : int or numpy.random.Generator
+        The only source of randomness.
+    periods : int, optional
+        Number of periods; by default the file's (12).
+    period : float, optional
+        Length of a period in s; by default the file's (380 s). With a shorter one fewer harmonics
+        lie below the limit; then all of them are used, and `notes` says so.
+
+    Returns
+    -------
+    Trajectory
+
+    Raises
+    ------
+    DataError
+        When the file is missing or misses an entry, or no harmonic lies below a limit.
+    """
+    path = _excitation_file(folder)
+    table = load_toml(path)
+    try:
+        axes: Sequence[Mapping[str, Any]] = table["axis"]
+        names = tuple(str(axis["name"]) for axis in axes)
+        ranges = np.radians([axis["range_deg"] for axis in axes]).reshape(len(axes), 2)
+        velocity = np.radians([float(axis["velocity_deg_s"]) for axis in axes])
+        limits = [float(axis["limit_hz"]) for axis in axes]
+        wanted, rate = int(table["sinusoids"]), float(table["rate_hz"])
+        period = float(table["period_s"] if period is None else period)
+        periods = int(table["periods"] if periods is None else periods)
+        rest, connection = float(table["rest_s"]), float(table["connection_s"])
+    except (KeyError, TypeError, ValueError) as cause:
+        raise DataError(f"{path}: {cause!r}: an entry is missing or not a number.") from None
+    if not (np.isfinite(period) and period > 0.0):
+        raise DataError(f"period: is {period}; give a positive time in s.")
+    rng = np.random.default_rng(seed)
+    harmonics = np.zeros((len(axes), wanted), dtype=np.int64)
+    phases = np.zeros((len(axes), wanted))
+    notes = []
+    for j, limit in enumerate(limits):
+        available = int(np.floor(limit * period + _ON_LIMIT))
+        if available < 1:
+            raise DataError(
+                f"{names[j]}: no harmonic of {1.0 / period:.4g} Hz lies below the limit frequency "
+                f"of {limit} Hz; give a period of at least {1.0 / limit:.4g} s."
+            )
+        count = min(wanted, available)
+        if count < wanted:
+            notes.append(
+                f"{names[j]}: only {count} of {wanted} harmonics of 1/{period:g} Hz lie below "
+                f"{limit} Hz; all of them are used."
+            )
+        drawn = rng.choice(np.arange(1, available + 1), size=count, replace=False)
+        harmonics[j, :count] = np.sort(drawn)
+        phases[j, :count] = rng.uniform(0.0, 2.0 * np.pi, count)
+    series = filled(period, ranges, harmonics, phases, rate)
+    shift, warnings = quiet_start(series, ranges, velocity, names, rate, connection)
+    return Trajectory(
+        joint_names=names,
+        series=series.delayed(shift),
+        rate_hz=rate,
+        periods=periods,
+        rest=rest,
+        connection=connection,
+        position_range=ranges,
+        velocity_limit=velocity,
+        notes=(*notes, *warnings),
+    )
+
+
+def _excitation_file(folder: str | os.PathLike[str]) -> Path:
+    if isinstance(folder, str) and folder in bundled_robots():
+        return bundled_folder(folder) / "excitation.toml"
+    return Path(folder) / "excitation.toml"
+
+
+def filled(
+    period: float, ranges: Array, harmonics: Any, phases: Array, rate: float
+) -> FourierSeries:
+    """Return the sum of equal sinusoids, scaled to fill each range about its centre."""
+    used = (harmonics > 0).astype(np.float64)
+    unit = FourierSeries(
+        period=period,
+        centre=np.zeros(len(ranges)),
+        harmonics=harmonics,
+        amplitudes=used,
+        phases=phases,
+    )
+    peak = np.abs(unit.one_period(round(period * rate))).max(axis=0)
+    half = 0.5 * (ranges[:, 1] - ranges[:, 0])
+    return FourierSeries(
+        period=period,
+        centre=ranges.mean(axis=1),
+        harmonics=harmonics,
+        amplitudes=used * (half / peak)[:, None],
+        phases=phases,
+    )
+
+
+def quiet_start(
+    series: FourierSeries,
+    ranges: Array,
+    velocity_limit: Array,
+    names: Sequence[str],
+    rate: float,
+    connection: float,
+) -> tuple[Array, list[str]]:
+    """Return when each joint's period should start, (n,) in s, and notes where none is good."""
+    samples = round(series.period * rate)
+    stride = max(1, samples // _STARTS)
+    states = [series.one_period(samples, derivative=order)[::stride] for order in range(3)]
+    states[0] = states[0] - series.centre
+    s = np.linspace(0.0, 1.0, _CHECKS)
+    margins = []
+    for seconds in (connection, -connection):
+        position, velocity, _ = quintic(s, seconds, *states)
+        position += series.centre
+        inside = np.minimum(ranges[:, 1] - position, position - ranges[:, 0]).min(axis=1)
+        # In units of the half range and of the limit, so that the worse of the two counts.
+        inside /= 0.5 * (ranges[:, 1] - ranges[:, 0])
+        slow = 1.0 - (np.abs(velocity) / velocity_limit).max(axis=1)
+        margins.append(np.minimum(inside, slow))
+    margin = np.minimum(*margins)
+    shift = np.empty(series.n)
+    notes = []
+    for j in range(series.n):
+        good = np.flatnonzero(margin[:, j] >= _CLEAR)
+        best = int(good[0]) if good.size else int(np.argmax(margin[:, j]))
+        shift[j] = best * stride / rate
+        if not good.size:
+            notes.append(
+                f"{names[j]}: from every start of the period the connection comes closer than "
+                f"{100.0 * _CLEAR:g} % to the end of the range or the velocity limit; from the "
+                f"one taken {100.0 * margin[best, j]:.1f} % are left."
+            )
+    return shift, notes

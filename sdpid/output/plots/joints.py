@@ -1,0 +1,152 @@
+"""Small plots of one joint, for a page that is read on a phone as well: one column of panels.
+
+No names stand in them, so nothing that a robot's description says is drawn.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from sdpid._common.arrays import Array, Mask
+from sdpid.assurance.diagnostics.residuals import JointErrors
+from sdpid.output.plots.figures import BLUE, GREY, RED, SHADE, TimeLine, decimate, shade, stretch
+from sdpid.output.plots.panels import Panel, keys, logarithmic, stacked
+
+# Stretches along a line, of which the least and the greatest value are kept: more than a page shows
+# of it in pixels would not be seen.
+COLUMNS = 400
+
+# Heights of the panels, points (they are 280 wide): of two, of three of which two share an axis,
+# and of three. All pictures are as high, and three joints fit on a printed page.
+_EFFORT, _ERROR, _SHARED, _THIRD = 116.0, 86.0, 57.0, 50.0
+
+# Densities below this share of the highest are not shown: what a filter left above its cut-off is
+# nothing to look at.
+_FLOOR, _TOP = 1e-5, 3.0
+
+# What the autocorrelation of independent errors stays within, nineteen times of twenty.
+_WITHIN = 1.96
+
+
+def plot_joint(
+    time: Array | None,
+    measured: Array,
+    predicted: Array,
+    used: Mask,
+    *,
+    starts: Sequence[int] = (0,),
+) -> Any:
+    """Show measured against predicted effort of a joint, and the error below.
+
+    Parameters
+    ----------
+    time : ndarray, shape (K,), or None
+        In s; None: the samples are counted.
+    measured, predicted : ndarray, shape (K,)
+        Efforts, N·m.
+    used : ndarray of bool, shape (K,)
+        True where a row counts; the others are shaded.
+    starts : sequence of int, optional
+        First sample of each piece recorded without a break; they are drawn behind each other.
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+    """
+    line = TimeLine.of(time, len(measured), starts)
+    t, used = line.time, line.kept(used)
+    measured, predicted = line.broken(measured), line.broken(predicted)
+    error = np.where(used, measured - predicted, np.nan)
+    # Of a long record, what is about the largest error once more in full.
+    near = detail(error) if stretch(len(t), points=2 * COLUMNS) > 1 else None
+    high = (_EFFORT, _ERROR) if near is None else (_SHARED, _SHARED)
+    panels = [
+        Panel(high[0], "effort [N·m]", keys=True),
+        Panel(high[1], "error [N·m]", x=line.label),
+    ]
+    if near is not None:
+        label = f"{line.label.partition(',')[0]}, about the largest error"
+        panels.append(Panel(_SHARED, "effort [N·m]", x=label))
+    figure, (above, below, *more) = stacked(panels)
+    _efforts(above, t, measured, predicted, used)
+    keys(above)
+    shade(below, t, ~used)
+    _line(below, t, error, color=GREY, linewidth=0.6)
+    if near is not None:
+        _efforts(more[0], t[near], measured[near], predicted[near], used[near])
+    return figure
+
+
+def _efforts(axis: Any, t: Array, measured: Array, predicted: Array, used: Mask) -> None:
+    axis.margins(x=0.0)
+    shade(axis, t, ~used)
+    _line(axis, t, measured, color=BLUE, linewidth=1.4, label="measured")
+    _line(axis, t, predicted, color=RED, linewidth=0.8, label="predicted")
+
+
+def detail(error: Array) -> slice:
+    """Return which of many samples are shown in full: those about the largest error."""
+    size = np.abs(error)
+    at = 0 if np.isnan(size).all() else int(np.nanargmax(size))
+    first = min(max(at - COLUMNS // 2, 0), max(len(error) - COLUMNS, 0))
+    return slice(first, first + COLUMNS)
+
+
+def plot_joint_errors(errors: JointErrors, *, timed: bool = True) -> Any:
+    """Show spectrum, autocorrelation and velocity dependence of a joint's errors.
+
+    Parameters
+    ----------
+    errors : JointErrors
+        From `sdpid.assurance.diagnostics.residuals.joint_errors`.
+    timed : bool, optional
+        Whether frequencies are in Hz and lags in s, rather than in samples.
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+    """
+    frequency = "frequency [Hz]" if timed else "cycles per sample"
+    panels = (
+        Panel(_THIRD, "N·m/√Hz" if timed else "N·m", x=frequency, keys=True),
+        Panel(_THIRD, "autocorrelation", x="lag [s]" if timed else "lag [samples]"),
+        Panel(_THIRD, "error [N·m]", x="velocity [rad/s]"),
+    )
+    figure, (spectrum, correlation, friction) = stacked(panels)
+    _spectrum(spectrum, errors)
+    level = _WITHIN / float(np.sqrt(errors.independent))
+    correlation.axhspan(-level, level, color=SHADE, linewidth=0.0)
+    _line(correlation, errors.lag, errors.autocorrelation, color=RED, linewidth=0.8)
+    correlation.set_xlim(0.0, max(float(errors.lag[-1]), 1e-9))
+    if len(errors.velocity):
+        friction.fill_between(errors.velocity, errors.low, errors.high, color=SHADE, linewidth=0.0)
+        friction.plot(
+            errors.velocity, errors.mean, color=RED, marker="o", markersize=2.5, linewidth=0.8
+        )
+    friction.axhline(0.0, color=GREY, linewidth=0.6)
+    return figure
+
+
+def _spectrum(axis: Any, errors: JointErrors) -> None:
+    f = errors.frequency
+    positive = f > 0.0
+    top = max(float(errors.effort_density.max()), float(errors.error_density.max())) or 1.0
+    ends = (0.1, 1.0)
+    if np.count_nonzero(positive) > 1:
+        ends = float(f[positive][0]), float(f[-1])
+    logarithmic(axis, ends, (_FLOOR * top, _TOP * top))
+    for density, colour, label in (
+        (errors.effort_density, BLUE, "measured effort"),
+        (errors.error_density, RED, "error"),
+    ):
+        shown = positive & (density > 0.0)
+        _line(axis, f[shown], density[shown], color=colour, linewidth=0.8, label=label)
+    keys(axis)
+
+
+def _line(axis: Any, x: Array, y: Array, **style: Any) -> None:
+    """Draw a line; of a long one the extremes of each of `COLUMNS` stretches."""
+    axis.plot(*decimate(x, y, points=2 * COLUMNS), solid_joinstyle="round", **style)

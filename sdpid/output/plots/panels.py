@@ -1,0 +1,122 @@
+"""Panels under each other, for pictures that are as wide as a phone.
+
+Their places are fixed, so that nothing needs to be drawn to find them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from sdpid._common.extras import require
+from sdpid.output.plots.figures import SMALL, dress, legend, new_figure
+
+# Points; a phone shows it some 340 pixels wide, so letters of 8 are 10 pixels high.
+WIDTH = 280.0
+
+# Free at the edges (on the left for a label and six digits), above a panel (with its keys), and
+# below one (with numbers, and with a label below them), points.
+_LEFT, _RIGHT = 48.0, 6.0
+_ABOVE, _KEYS = 6.0, 15.0
+_BELOW, _WORDS = 1.0, 25.0
+
+# From a panel to the middle of the label on its left, points.
+_LABEL = 36.0
+
+# About so many ticks; each costs as much time as a line.
+_TICKS_X, _TICKS_Y = 6, 4
+
+# Numbers beyond these powers of ten get a common factor, so that they fit on the left.
+_POWERS = (-3, 4)
+
+
+@dataclass(frozen=True)
+class Panel:
+    """The size and the labels of a panel.
+
+    Attributes
+    ----------
+    height : float
+        Of the frame, points.
+    y, x : str
+        What its axes show; where `x` is empty, the panel shares that axis with the one below it.
+    keys : bool
+        Whether there is room for a legend above.
+    """
+
+    height: float
+    y: str
+    x: str = ""
+    keys: bool = False
+
+
+def stacked(panels: Sequence[Panel]) -> tuple[Any, list[Any]]:
+    """Return a figure with panels under each other, and their axes from the top.
+
+    Parameters
+    ----------
+    panels : sequence of Panel
+        From the top; the last has an `x`.
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+    list of matplotlib.axes.Axes
+
+    Raises
+    ------
+    MissingExtraError
+        When matplotlib is not installed (extra ``plot``).
+    """
+    ticker = require("matplotlib.ticker", extra="plot")
+    high = sum(p.height + _above(p) + (_WORDS if p.x else _BELOW) for p in panels)
+    figure = new_figure(WIDTH / 72.0, high / 72.0, layout=None)
+    figure.patch.set_visible(False)
+    axes: list[Any] = []
+    top, above = high, None
+    for panel in panels:
+        top -= _above(panel) + panel.height
+        wide = WIDTH - _LEFT - _RIGHT
+        place = (_LEFT / WIDTH, top / high, wide / WIDTH, panel.height / high)
+        axis = figure.add_axes(place, sharex=above)
+        dress(axis, xlabel=panel.x, ylabel=panel.y)
+        axis.xaxis.label.set_fontsize(SMALL)
+        axis.yaxis.label.set_fontsize(SMALL)
+        axis.xaxis.set_label_coords(0.5, -15.0 / panel.height)
+        axis.yaxis.set_label_coords(-_LABEL / wide, 0.5)
+        # The grid shows where the ticks are.
+        axis.tick_params(length=0.0, left=False, bottom=False, labelbottom=bool(panel.x))
+        axis.ticklabel_format(scilimits=_POWERS)
+        axis.xaxis.set_major_locator(ticker.MaxNLocator(_TICKS_X, steps=(1, 2, 5, 10)))
+        axis.yaxis.set_major_locator(ticker.MaxNLocator(_TICKS_Y, steps=(1, 2, 5, 10)))
+        for part in (axis.xaxis, axis.yaxis):
+            part.offsetText.set_fontsize(SMALL)
+        axis.xaxis.offsetText.set_visible(bool(panel.x))
+        axes.append(axis)
+        top -= _WORDS if panel.x else _BELOW
+        above = None if panel.x else axis
+    return figure, axes
+
+
+def logarithmic(axis: Any, x: tuple[float, float], y: tuple[float, float]) -> None:
+    """Give both axes of a panel logarithmic scales between these ends, with few ticks."""
+    ticker = require("matplotlib.ticker", extra="plot")
+    axis.set(xscale="log", yscale="log", xlim=x, ylim=y)
+    for part, (low, high), count in ((axis.xaxis, x, _TICKS_X), (axis.yaxis, y, _TICKS_Y)):
+        # Powers of ten; numbers between them where there may be fewer than two.
+        subs = (1.0,) if high >= 100.0 * low else (1.0, 2.0, 5.0)
+        part.set_major_locator(ticker.LogLocator(subs=subs, numticks=count))
+        part.set_minor_locator(ticker.NullLocator())
+        # Without mathematical typesetting, which takes half as long as all the rest.
+        part.set_major_formatter(ticker.StrMethodFormatter("{x:g}"))
+
+
+def keys(axis: Any) -> None:
+    """Add a legend above a panel."""
+    place = {"loc": "lower right", "bbox_to_anchor": (1.0, 1.0), "borderaxespad": 0.0}
+    legend(axis, **place, ncols=3, frameon=False, borderpad=0.2, handlelength=1.5)
+
+
+def _above(panel: Panel) -> float:
+    return _KEYS if panel.keys else _ABOVE

@@ -1,0 +1,344 @@
+"""Plots that tell whether to trust an estimate.
+
+Every function returns a `matplotlib.figure.Figure`; nothing is shown and
+no global state of matplotlib is touched. `save_figure` writes it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from sdpid._common.arrays import Array, real_array
+from sdpid._common.extras import require
+from sdpid.assurance.diagnostics.validation import Validation
+from sdpid.errors import DataError
+from sdpid.experiment.processing.process import Processing
+from sdpid.experiment.processing.samples import Samples
+from sdpid.experiment.processing.stages import filter_stages
+from sdpid.experiment.recording.recording import Recording
+from sdpid.output.plots.convergence import plot_convergence
+from sdpid.output.plots.figures import (
+    BLUE,
+    GREY,
+    INK,
+    NORMAL,
+    PLAIN,
+    RED,
+    SHADE,
+    SMALL,
+    TimeLine,
+    bottom_legend,
+    dress,
+    long_line,
+    new_figure,
+    same_length,
+    save_figure,
+    shade,
+    stretch,
+)
+from sdpid.output.plots.parameters import plot_parameters
+
+# Of a figure of efforts, inches: its width, what is free at its edges and under a heading, between
+# the columns and the rows of panels, from a panel to its label; and the left column's share.
+_WIDTH, _LEFT, _RIGHT, _TOP, _BOTTOM, _HEADING = 12.0, 0.95, 0.15, 0.35, 0.95, 0.35
+_BETWEEN, _ABOVE, _LABEL, _SHARE = 0.95, 0.42, 0.65, 0.61
+
+_UNITS = {"position": "rad", "torque": "N·m", "velocity": "rad/s", "acceleration": "rad/s²"}
+
+__all__ = [
+    "plot_convergence",
+    "plot_filtering",
+    "plot_fit",
+    "plot_parameters",
+    "plot_reconstruction",
+    "plot_signals",
+    "save_figure",
+]
+
+
+def plot_filtering(
+    log: Recording,
+    joint: int = 0,
+    *,
+    window: tuple[float, float],
+    processing: Processing | None = None,
+    title: str | None = None,
+) -> Any:
+    """Show position, torque, velocity and acceleration of a joint before and after filtering.
+
+    Parameters
+    ----------
+    log : Recording
+        The recording.
+    joint : int, optional
+        Index of the joint.
+    window : (float, float)
+        Instants between which to show them, s.
+    processing : Processing, optional
+        By default `Processing.paper`.
+    title : str, optional
+        Heading of the figure.
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+
+    Raises
+    ------
+    DataError
+        When the window holds too few samples, or the joint does not exist.
+    """
+    stages = filter_stages(log, joint, window, processing)
+    return plot_signals(stages.time, stages.before, stages.after, units=_UNITS, title=title)
+
+
+def plot_signals(
+    time: ArrayLike,
+    before: Mapping[str, ArrayLike],
+    after: Mapping[str, ArrayLike],
+    *,
+    units: Mapping[str, str] | None = None,
+    window: tuple[float, float] | None = None,
+    title: str | None = None,
+) -> Any:
+    """Show signals before and after filtering, and their differences.
+
+    Parameters
+    ----------
+    time : array_like, shape (K,)
+        Time in s.
+    before, after : mapping of str to array_like, shape (K,)
+        Signals by name (position, torque, velocity, acceleration), the same names in both; one
+        row of panels each, in the order of `before`.
+    units : mapping of str to str, optional
+        Unit of each signal, such as ``"rad/s"``.
+    window : (float, float), optional
+        Instants between which to show them, s; by default all.
+    title : str, optional
+        Heading of the figure.
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+
+    Raises
+    ------
+    DataError
+        When names or lengths differ, or the window holds fewer than two samples.
+    """
+    t = real_array(time, "time", ndim=1)
+    names = list(before)
+    if not names or set(names) != set(after):
+        raise DataError(
+            f"plot: signals before filtering are {', '.join(before) or 'none'}, after it "
+            f"{', '.join(after) or 'none'}; give the same names."
+        )
+    raw = {k: real_array(before[k], f"{k} before", ndim=1) for k in names}
+    smooth = {k: real_array(after[k], f"{k} after", ndim=1) for k in names}
+    for signals in (raw, smooth):
+        same_length(signals.items(), len(t))
+    inside = np.ones(len(t), dtype=bool)
+    if window is not None:
+        inside = (t >= window[0]) & (t <= window[1])
+        if np.count_nonzero(inside) < 2:
+            raise DataError(
+                f"plot: the window {window[0]:g} to {window[1]:g} s holds no samples; the record "
+                f"runs from {t.min():g} to {t.max():g} s."
+            )
+    t = t[inside]
+    figure = new_figure(11.0, 1.2 + 1.95 * len(names), title)
+    axes = figure.subplots(len(names), 2, sharex=True, squeeze=False)
+    for i, name in enumerate(names):
+        symbol = units.get(name, "") if units else ""
+        unit = f" [{symbol}]" if symbol else ""
+        y, z = raw[name][inside], smooth[name][inside]
+        left, right = axes[i]
+        long_line(left, t, y, color=BLUE, label="before filtering")
+        long_line(left, t, z, color=RED, label="after filtering", linewidth=1.1)
+        error = y - z
+        long_line(right, t, error, color=GREY)
+        last = "time [s]" if i == len(names) - 1 else ""
+        label = name[:1].upper() + name[1:]
+        dress(left, ylabel=f"{label}{unit}", xlabel=last)
+        dress(right, ylabel=f"error{unit}", xlabel=last)
+        rms = float(np.sqrt(np.mean(np.square(error))))
+        size = f"RMS {rms:#.3g} {symbol}".rstrip()
+        right.set_title(size, fontsize=SMALL, color=INK, loc="right", **PLAIN)
+        left.set_xlim(t[0], t[-1])
+    bottom_legend(figure, *axes[0, 0].get_legend_handles_labels())
+    figure.align_ylabels(axes)
+    return figure
+
+
+def plot_fit(
+    samples: Samples,
+    fit: Validation,
+    *,
+    count: int | None = None,
+    title: str | None = None,
+) -> Any:
+    """Show measured against predicted effort, joint by joint, with the errors beside.
+
+    Parameters
+    ----------
+    samples : Samples
+        The measurements.
+    fit : Validation
+        Their prediction; the errors in the titles are those of all rows.
+    count : int, optional
+        Draw the first samples only, so that curves can be told apart.
+    title : str, optional
+        Heading of the figure.
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+    """
+    shown = slice(None, count)
+    total = len(samples.effort[shown])
+    return plot_reconstruction(
+        None if samples.time is None else samples.time[shown],
+        samples.effort[shown],
+        fit.effort_predicted[shown],
+        fit.joint_names,
+        fit.rmse,
+        mask=None if samples.mask is None else samples.mask[shown],
+        starts=[start for start in samples.starts if start < total],
+        title=title,
+    )
+
+
+def plot_reconstruction(
+    time: ArrayLike | None,
+    measured: ArrayLike,
+    predicted: ArrayLike,
+    joint_names: Sequence[str],
+    rmse: ArrayLike | None = None,
+    *,
+    mask: ArrayLike | None = None,
+    starts: Sequence[int] = (0,),
+    units: str | Sequence[str] = "N·m",
+    title: str | None = None,
+) -> Any:
+    """Show measured against predicted effort, joint by joint, with the errors beside.
+
+    Parameters
+    ----------
+    time : array_like, shape (K,), or None
+        Time in s; None: the samples are counted.
+    measured, predicted : array_like, shape (K, n)
+        Efforts.
+    joint_names : sequence of str
+        The n joints.
+    rmse : array_like, shape (n,), optional
+        Root mean square errors for the titles; by default those of the rows in use.
+    mask : array_like of bool, shape (K, n), optional
+        True where a row is used; the others are shaded.
+    starts : sequence of int, optional
+        First sample of each piece recorded without a break; they are drawn behind each other.
+    units : str or sequence of str, optional
+        Unit of the efforts, one for all or one a joint.
+    title : str, optional
+        Heading of the figure.
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+
+    Raises
+    ------
+    DataError
+        When shapes do not fit.
+    """
+    y = real_array(measured, "measured", ndim=2)
+    z = real_array(predicted, "predicted", ndim=2)
+    K, n = y.shape
+    t = np.arange(K, dtype=np.float64) if time is None else real_array(time, "time", ndim=1)
+    same_length([("measured", y), ("predicted", z)], len(t))
+    used = np.ones((K, n), dtype=bool) if mask is None else np.asarray(mask, dtype=bool)
+    unit = [units] * n if isinstance(units, str) else list(units)
+    for name, size in (("joint_names", len(joint_names)), ("units", len(unit))):
+        if size != n:
+            raise DataError(f"plot: {name} has {size} entries, measured has {n} columns.")
+    if z.shape != (K, n) or used.shape != (K, n) or K < 2:
+        raise DataError(
+            f"plot: measured has shape {(K, n)}, predicted {z.shape}, mask {used.shape}; they "
+            "must agree and have at least two rows."
+        )
+    errors = _rmse(y - z, used) if rmse is None else real_array(rmse, "rmse", ndim=1)
+    if len(errors) != n:
+        raise DataError(f"plot: rmse has {len(errors)} entries, measured has {n} columns.")
+    sizes = _rmse(y, used)
+    line = TimeLine.of(None if time is None else t, K, starts)
+    t, shown = line.time, line.kept(used)
+    ticker = require("matplotlib.ticker", extra="plot")
+    height = 1.75 * n + _TOP + _BOTTOM + (_HEADING if title else 0.0)
+    figure = new_figure(_WIDTH, height, title, layout=None)
+    axes = _placed(figure, n, height, _HEADING if title else 0.0)
+    for j in range(n):
+        left, right = axes[j]
+        for axis in (left, right):
+            shade(axis, t, ~shown[:, j])
+        long_line(left, t, line.broken(y[:, j]), color=BLUE, label="measured", linewidth=1.8)
+        long_line(left, t, line.broken(z[:, j]), color=RED, label="predicted", linewidth=0.9)
+        error = y[:, j] - z[:, j]
+        long_line(right, t, line.broken(np.where(used[:, j], error, np.nan)), color=GREY)
+        last = line.label if j == n - 1 else ""
+        size = sizes[j]
+        share = f"  ({100.0 * errors[j] / size:.2g} % of RMS)" if size > 0.0 else ""
+        dress(left, ylabel=f"effort [{unit[j]}]", xlabel=last)
+        dress(right, ylabel=f"error [{unit[j]}]", xlabel=last)
+        said = f"RMSE {errors[j]:#.3g} {unit[j]}{share}"
+        for axis, words in ((left, joint_names[j]), (right, said)):
+            # With a height, so that nothing is measured to find one.
+            axis.set_title(words, fontsize=NORMAL, color=INK, loc="left", y=1.0, **PLAIN)
+            axis.yaxis.set_major_locator(ticker.MaxNLocator(5, steps=(1, 2, 5, 10)))
+        left.set_xlim(t[0], t[-1])
+    # Shared by all panels. Few ticks: each costs as much as a line.
+    axes[0, 0].xaxis.set_major_locator(ticker.MaxNLocator(6, steps=(1, 2, 5, 10)))
+    handles, labels = axes[0, 0].get_legend_handles_labels()
+    if not used.all():
+        patches = require("matplotlib.patches", extra="plot")
+        handles.append(patches.Patch(facecolor=SHADE, edgecolor=GREY, linewidth=0.5))
+        labels.append("rows not used")
+    bottom_legend(figure, handles, labels, loc="lower center")
+    if (each := stretch(len(t))) > 1:
+        said = f"drawn: least and greatest value of each {each} samples"
+        figure.text(1.0 - _RIGHT / _WIDTH, 0.08 / height, said, ha="right", fontsize=SMALL, c=GREY)
+    return figure
+
+
+def _placed(figure: Any, n: int, height: float, heading: float) -> Any:
+    """Return n rows of a wide and a narrow panel, with fixed room for their words."""
+    across = _WIDTH - _LEFT - _RIGHT - _BETWEEN
+    widths = np.array([_SHARE, 1.0 - _SHARE]) * across
+    tall = (height - _TOP - _BOTTOM - heading - (n - 1) * _ABOVE) / n
+    axes = figure.subplots(
+        n,
+        2,
+        sharex=True,
+        squeeze=False,
+        gridspec_kw={
+            "width_ratios": widths,
+            "left": _LEFT / _WIDTH,
+            "right": 1.0 - _RIGHT / _WIDTH,
+            "bottom": _BOTTOM / height,
+            "top": 1.0 - (_TOP + heading) / height,
+            "wspace": 2.0 * _BETWEEN / across,
+            "hspace": _ABOVE / tall,
+        },
+    )
+    for row in axes:
+        for axis, width in zip(row, widths, strict=True):
+            axis.yaxis.set_label_coords(-_LABEL / width, 0.5)
+            axis.xaxis.set_label_coords(0.5, -0.34 / tall)
+    return axes
+
+
+def _rmse(error: Array, used: np.ndarray) -> Array:
+    count = np.maximum(used.sum(axis=0), 1)
+    return np.asarray(np.sqrt(np.square(np.where(used, error, 0.0)).sum(axis=0) / count))

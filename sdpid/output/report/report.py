@@ -1,0 +1,357 @@
+"""The report: one HTML file that tells what was identified, and how far to trust it.
+
+It needs no network and no other file: style and pictures are in it. Everything that names
+something (robots, joints, links, notes) is escaped.
+"""
+
+from __future__ import annotations
+
+import importlib.util
+import json
+import os
+from collections.abc import Iterator
+from importlib.resources import files
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from sdpid import __version__
+from sdpid._common.extras import require
+from sdpid._common.files import atomic_write_text
+from sdpid.assurance.diagnostics.active_constraints import constraint_states
+from sdpid.assurance.diagnostics.provenance import provenance
+from sdpid.assurance.diagnostics.residuals import JointErrors, period, used_rows
+from sdpid.assurance.diagnostics.validation import Validation
+from sdpid.estimation.information import WEAK
+from sdpid.experiment.processing.samples import Samples
+from sdpid.output.plots.figures import stretch
+from sdpid.output.plots.inline_svg import image_source
+from sdpid.output.plots.joints import COLUMNS, plot_joint, plot_joint_errors
+from sdpid.output.report.prediction_verdict import grade
+from sdpid.output.report.verdict import Judged, errors_of, findings, judged
+from sdpid.output.tables.intervals_shown import Ends, GivenIntervals, ends_of, in_words
+from sdpid.output.tables.tables import base_table
+
+_TEMPLATE = "report.html.j2"
+
+# Weakly excited directions that are listed one by one; more say no more.
+_DIRECTIONS = 12
+
+# What the pictures show.
+_EFFORTS = "measured against predicted effort, and the error"
+_ERRORS = "spectrum, autocorrelation and velocity dependence of the error"
+
+# Values below this share of their standard error are what a solver leaves of zero, at a bound.
+_NOTHING = 1e-6
+
+
+def write_report(
+    identification: Judged,
+    target: str | os.PathLike[str],
+    *,
+    command: str | None = None,
+    intervals: GivenIntervals | None = None,
+    figures: bool | None = None,
+    sha256: str | None = None,
+) -> Path:
+    """Write a self-contained HTML page about an identification, whole or not at all.
+
+    Parameters
+    ----------
+    identification : Identification
+        What `identify` found.
+    target : path
+        The file.
+    command : str, optional
+        The command line that made it.
+    intervals : Intervals, optional
+        For the parameter tables.
+    figures : bool, optional
+        Draw plots; by default where matplotlib is installed.
+    sha256 : str, optional
+        The certificate's digest, where it is known; else the certificate is written out once
+        more to find it.
+
+    Returns
+    -------
+    Path
+        The file.
+
+    Raises
+    ------
+    MissingExtraError
+        When jinja2 is not installed (extra ``report``), or matplotlib is not and figures are
+        asked for (extra ``plot``).
+    ExportError
+        When the file cannot be written.
+    """
+    text = report_html(
+        identification, command=command, intervals=intervals, figures=figures, sha256=sha256
+    )
+    atomic_write_text(target, text)
+    return Path(target)
+
+
+def report_html(
+    identification: Judged,
+    *,
+    command: str | None = None,
+    intervals: GivenIntervals | None = None,
+    figures: bool | None = None,
+    sha256: str | None = None,
+) -> str:
+    """Return the page that `write_report` writes; arguments and errors are its."""
+    jinja2 = require("jinja2", extra="report")
+    drawable = importlib.util.find_spec("matplotlib") is not None
+    if figures:
+        require("matplotlib", extra="plot")
+    environment = jinja2.Environment(
+        autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True, lstrip_blocks=True
+    )
+    environment.filters.update(number=_number, percent=_percent, fixed=_fixed)
+    environment.filters["capitalised"] = _capitalised
+    template = files("sdpid.output.report").joinpath(_TEMPLATE).read_text(encoding="utf-8")
+    if sha256 is None:
+        sha256 = str(identification.certificate.to_dict()["sha256"])
+    shown = _context(identification, drawable if figures is None else figures, intervals)
+    page = environment.from_string(template).render(
+        **shown, command=command, sha256=sha256, version=__version__, drawable=drawable
+    )
+    return str(page)
+
+
+def certificate_digest(path: str | os.PathLike[str]) -> str:
+    """Return the digest that a certificate's file states."""
+    return str(json.loads(Path(path).read_text(encoding="utf-8"))["sha256"])
+
+
+def _context(result: Judged, draw: bool, intervals: GivenIntervals | None) -> dict[str, Any]:
+    """Return what the template shows."""
+    problem, certificate = result.problem, result.certificate
+    samples, _ = judged(result)
+    errors = errors_of(result)
+    ends = ends_of(intervals)
+    base, theta = list(_base(result, ends)), list(_theta(result, ends))
+    states = constraint_states(result.estimate)
+    return {
+        "robot": problem.robot,
+        "result": result,
+        "problem": problem,
+        "sample_count": problem.rows.n_samples,
+        "thinned": _thinned(result),
+        "held_out": result.validation is not None,
+        "findings": findings(result, errors),
+        "data": list(_data(result)),
+        "joints": list(_joints(result)),
+        "excitation": _excitation(result),
+        "weak_limit": WEAK,
+        "fits": list(_fits(result)),
+        "has_mask": samples.mask is not None,
+        "plots": list(_plots(result, errors)) if draw else [],
+        "stretch": stretch(samples.n_samples, points=2 * COLUMNS),
+        "base": base,
+        "theta": theta,
+        "friction": [_term(term) for term in problem.friction.described()],
+        "has_errors": any(row["error"] is not None for row in base),
+        "has_intervals": any(row["interval"] for row in (*base, *theta)),
+        "intervals_in_words": in_words(intervals),
+        "crossed": result.cross_validation,
+        "states": [s for s in states if s.active],
+        "state_count": len(states),
+        "certificate": certificate,
+        "certified": certificate.passed and problem.consistency != "none",
+        "cost": certificate.cost,
+        "lower_bound": certificate.lower_bound,
+        "gap": certificate.gap,
+        "worst_margin": result.estimate.worst_margin,
+    }
+
+
+def _data(result: Judged) -> Iterator[tuple[str, list[str]]]:
+    """Yield facts about the recordings: label, and one value each."""
+    problem = result.problem
+    parts = [problem.samples]
+    counts = [(problem.rows.n_samples, problem.n_rows)]
+    rates = [_rate(problem.samples, problem.rows.n_samples)]
+    if (fresh := result.validation_samples) is not None:
+        parts.append(fresh)
+        counts.append((fresh.n_samples, fresh.n_rows))
+        rates.append(_rate(fresh, fresh.n_samples))
+    yield "samples", [f"{samples:,}" for samples, _ in counts]
+    yield "rows used", [f"{rows:,} of {samples * problem.robot.n:,}" for samples, rows in counts]
+    yield "rate", rates
+    yield "duration", [_duration(s) for s in parts]
+    if any(len(s.starts) > 1 for s in parts):
+        yield "pieces, recorded apart", [str(len(s.starts)) for s in parts]
+    if any(s.periods is not None for s in parts):
+        yield "periods averaged", ["–" if s.periods is None else str(s.periods) for s in parts]
+
+
+def _thinned(result: Judged) -> int:
+    """Return of how many training samples one is here: more than 1 where they are on a cluster."""
+    problem = result.problem
+    return max(round(problem.rows.n_samples / max(problem.samples.n_samples, 1)), 1)
+
+
+def _rate(samples: Samples, count: int) -> str:
+    """Return the rate of so many samples, of which these are all or evenly spread."""
+    if samples.time is None:
+        return "–"
+    if count == samples.n_samples:
+        return f"{1.0 / period(samples):.5g} Hz"
+    return f"{count / _seconds(samples):.4g} Hz"
+
+
+def _duration(samples: Samples) -> str:
+    return "–" if samples.time is None else f"{_seconds(samples):.5g} s"
+
+
+def _seconds(samples: Samples) -> float:
+    # The last sample of a piece lasts as long as the others.
+    assert samples.time is not None
+    pieces = [samples.time[part] for part in samples.parts]
+    return sum(float(piece[-1] - piece[0]) + period(samples) for piece in pieces)
+
+
+def _term(described: dict[str, Any]) -> str:
+    """Return a friction term and its numbers in words."""
+    said = []
+    for key, value in described.items():
+        if key in ("term", "parameters") or value is None or value == 0.0:
+            continue
+        many = value if isinstance(value, (list, tuple)) else [value]
+        shown = (f"{v:.3g}" if isinstance(v, float) else str(v) for v in many)
+        said.append(f"{key.replace('_', ' ')} {', '.join(shown)}")
+    return f"{described['term']} ({'; '.join(said)})" if said else str(described["term"])
+
+
+def _joints(result: Judged) -> Iterator[dict[str, Any]]:
+    """Yield what every joint did."""
+    samples, robot = result.problem.samples, result.problem.robot
+    shift = samples.position.shape[1] - robot.n
+    for j in range(robot.n):
+        kept = used_rows(samples, j)
+        own = j >= robot.n_base
+        q = samples.position[:, j + shift] if own else None
+        yield {
+            "name": robot.joint_names[j],
+            "low": None if q is None else float(q.min()),
+            "high": None if q is None else float(q.max()),
+            "speed": float(np.abs(samples.velocity[:, j]).max()),
+            "acceleration": float(np.abs(samples.acceleration[:, j]).max()),
+            "effort": float(np.sqrt(np.mean(samples.effort[kept, j] ** 2))) if kept.any() else None,
+        }
+
+
+def _excitation(result: Judged) -> dict[str, Any]:
+    """Return how well the data show the base parameters."""
+    excitation = result.problem.excitation
+    weak = excitation.weak()
+    return {
+        "condition": excitation.condition_number,
+        "largest": float(excitation.singular_values[0]),
+        "count": len(excitation.names),
+        "weak": weak[::-1][:_DIRECTIONS],
+        "weak_count": len(weak),
+    }
+
+
+def _fits(result: Judged) -> Iterator[dict[str, Any]]:
+    """Yield errors of every joint, on training and validation data."""
+    training, free, held = result.training, result.training_wls, result.validation
+    samples, counted = judged(result)
+    for j, name in enumerate(training.joint_names):
+        if training.rows[j] == 0:
+            continue
+        yield {
+            "name": name,
+            "level": grade(samples, counted, j),
+            "training": _errors(training, j),
+            "free": _errors(free, j),
+            "held": None if held is None else _errors(held, j),
+        }
+
+
+def _errors(fit: Validation, j: int) -> dict[str, float]:
+    return {"rmse": float(fit.rmse[j]), "nrmse": float(fit.nrmse[j]), "r2": float(fit.r2[j])}
+
+
+def _plots(result: Judged, errors: tuple[JointErrors, ...]) -> Iterator[dict[str, Any]]:
+    """Yield the pictures of every joint."""
+    samples, fit = judged(result)
+    shown = {each.joint: each for each in errors}
+    for j, name in enumerate(fit.joint_names):
+        if name not in shown:
+            continue
+        columns = samples.effort[:, j], fit.effort_predicted[:, j], used_rows(samples, j)
+        efforts = plot_joint(samples.time, *columns, starts=samples.starts)
+        found = plot_joint_errors(shown[name], timed=samples.time is not None)
+        yield {
+            "name": name,
+            "rmse": float(fit.rmse[j]),
+            "r2": float(fit.r2[j]),
+            "pictures": [
+                (image_source(efforts), _EFFORTS),
+                (image_source(found), _ERRORS),
+            ],
+        }
+
+
+def _base(result: Judged, ends: dict[str, Ends]) -> Iterator[dict[str, Any]]:
+    """Yield the base parameters."""
+    for row in base_table(result.estimate, result.wls).rows:
+        name, unit, value, free, error, regrouping = row
+        if isinstance(error, float) and isinstance(value, float) and abs(value) < _NOTHING * error:
+            value = 0.0
+        yield {
+            "name": name,
+            "unit": unit,
+            "value": value,
+            "free": free,
+            "error": error,
+            "regrouping": regrouping,
+            "interval": ends.get(str(name)),
+        }
+
+
+def _theta(result: Judged, ends: dict[str, Ends]) -> Iterator[dict[str, Any]]:
+    """Yield the standard parameters, with shares of what they come from."""
+    estimate, base = result.estimate, result.problem.base
+    if estimate.theta is None:
+        return
+    sources = provenance(estimate)
+    for k, name in enumerate(base.theta_names):
+        shares = [float(sources.data[k]), float(sources.physics[k]), float(sources.prior[k])]
+        yield {
+            "name": name,
+            "unit": base.theta_units[k],
+            "value": float(estimate.theta[k]),
+            "shares": shares,
+            "interval": ends.get(name),
+        }
+
+
+def _number(value: float | None, digits: int = 4) -> str:
+    """Return a number for people: a real minus sign, a dash where there is none."""
+    if value is None or not np.isfinite(value):
+        return "–"
+    if value == 0.0:
+        return "0"
+    text = f"{value:#.{digits}g}" if 1e-4 <= abs(value) < 10.0**digits else f"{value:.{digits}g}"
+    return text.rstrip(".").replace("-", "−")
+
+
+def _capitalised(text: str) -> str:
+    """Return a note as a sentence without its full stop; names in it stay as they are."""
+    return (text[:1].upper() + text[1:]).removesuffix(".")
+
+
+def _percent(share: float | None, digits: int = 3) -> str:
+    """Return a share in percent."""
+    return "–" if share is None else f"{_number(100.0 * share, digits)} %"
+
+
+def _fixed(value: float) -> str:
+    """Return a number with four decimals, as R² is compared in."""
+    return f"{value:.4f}".replace("-", "−")

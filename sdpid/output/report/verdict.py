@@ -1,0 +1,427 @@
+"""What a model can be trusted for, and what not, in words.
+
+Every statement follows from a number against a limit that is named here, with its reason.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Protocol
+from weakref import WeakKeyDictionary
+
+import numpy as np
+
+from sdpid._common.arrays import Array
+from sdpid.assurance.certificate.certificate import Certificate
+from sdpid.assurance.diagnostics.active_constraints import constraint_states
+from sdpid.assurance.diagnostics.provenance import provenance
+from sdpid.assurance.diagnostics.residuals import JointErrors, joint_errors, used_rows
+from sdpid.assurance.diagnostics.validation import Validation, validate
+from sdpid.estimation.compression.rows import RowSource
+from sdpid.estimation.estimate import Estimate
+from sdpid.estimation.problem import Problem
+from sdpid.experiment.inspection import finding as inspection
+from sdpid.experiment.processing.samples import Samples
+from sdpid.output.report.prediction_verdict import (
+    MOVES,
+    Finding,
+    effort_findings,
+    friction_findings,
+    listed,
+    percent,
+)
+
+# Held-out over training error. Another motion weighs the same defects differently, which makes
+# some 20 % either way; at 1.5 half as much again is wrong on what was not seen as on what was.
+CARRIES, FAILS = 1.2, 1.5
+
+# The constraints' share in the error: where they make the relative residual larger by this, they
+# contradict the data by more than rounding and noise, which cost a correct model far below 1 %.
+PRICE = 0.05
+
+# A parameter is the prior's where more than half of the uncertainty that it would leave remains.
+PRIOR = 0.5
+
+# Motion beyond the recorded range by more than a tenth of it is extrapolation.
+BEYOND = 0.1
+
+# A description's speed limit is hardly reached in a recording; below half of it friction and
+# inertia at full speed are guesses.
+SLOW = 0.5
+
+
+class Crossed(Protocol):
+    """A cross-validation: `sdpid.CrossValidation`, or anything with these."""
+
+    @property
+    def by(self) -> str:
+        """What was held out: ``"time"`` or ``"recording"``."""
+
+    @property
+    def relative(self) -> float:
+        """Relative residual of all that was held out."""
+
+    @property
+    def relative_unconstrained(self) -> float:
+        """That of the unconstrained fits."""
+
+    @property
+    def relatives(self) -> Array:
+        """Of each fold."""
+
+    @property
+    def training(self) -> float:
+        """Mean relative residual of the folds on their training rows."""
+
+
+class Judged(Protocol):
+    """What is judged: `sdpid.Identification`, or anything with these."""
+
+    @property
+    def problem(self) -> Problem:
+        """What was solved."""
+
+    @property
+    def wls(self) -> Estimate:
+        """The unconstrained fit."""
+
+    @property
+    def estimate(self) -> Estimate:
+        """The estimate."""
+
+    @property
+    def certificate(self) -> Certificate:
+        """Its certificate."""
+
+    @property
+    def training(self) -> Validation:
+        """The estimate on the rows it was made from."""
+
+    @property
+    def training_wls(self) -> Validation:
+        """The unconstrained fit there."""
+
+    @property
+    def validation(self) -> Validation | None:
+        """The estimate on other rows."""
+
+    @property
+    def validation_samples(self) -> Samples | None:
+        """Those rows."""
+
+    @property
+    def cross_validation(self) -> Crossed | None:
+        """Blocks of the training recordings held out in turn."""
+
+    @property
+    def findings(self) -> tuple[inspection.Finding, ...]:
+        """What is wrong with the recordings."""
+
+
+def verdict(identification: Judged) -> tuple[str, ...]:
+    """Return in plain words what a model can be trusted for, and what not.
+
+    Parameters
+    ----------
+    identification : Identification
+        What `identify` found.
+
+    Returns
+    -------
+    tuple of str
+        Statements, the most important first.
+    """
+    return tuple(finding.text for finding in findings(identification))
+
+
+def findings(
+    identification: Judged, errors: tuple[JointErrors, ...] | None = None
+) -> tuple[Finding, ...]:
+    """Return the statements of `verdict` with what each means for the model.
+
+    Parameters
+    ----------
+    identification : Identification
+        What `identify` found.
+    errors : tuple of JointErrors, optional
+        Of the prediction that counts (see `judged`), where they are known.
+
+    Returns
+    -------
+    tuple of Finding
+    """
+    if errors is None:
+        errors = errors_of(identification)
+    return (
+        *_recordings(identification),
+        *effort_findings(*judged(identification), _seen_on(identification)),
+        *_held_out(identification),
+        *_crossed(identification),
+        *friction_findings(judged(identification)[1], errors),
+        *_reach(identification),
+        *_one_way(identification),
+        *_weak(identification),
+        *_sources(identification),
+        *_constraints(identification),
+        *_proof(identification),
+    )
+
+
+def _recordings(identification: Judged) -> Iterator[Finding]:
+    """Name what makes the recordings something else than what they are taken for."""
+    for each in identification.findings:
+        if each.severity == "error":
+            yield Finding("bad", f"The recording is not what it says: {each}.")
+
+
+# Of identifications that are still in use: a report and its verdict look at the same errors.
+_ERRORS: WeakKeyDictionary[Judged, tuple[JointErrors, ...]] = WeakKeyDictionary()
+
+
+def errors_of(identification: Judged) -> tuple[JointErrors, ...]:
+    """Return what the errors of the prediction that counts look like; computed once."""
+    found = _ERRORS.get(identification)
+    if found is None:
+        found = _ERRORS[identification] = joint_errors(*judged(identification))
+    return found
+
+
+def judged(identification: Judged) -> tuple[Samples, Validation]:
+    """Return the rows and the prediction that count: held-out ones where there are some."""
+    if identification.validation is not None and identification.validation_samples is not None:
+        return identification.validation_samples, identification.validation
+    return identification.problem.samples, identification.training
+
+
+def _seen_on(result: Judged) -> str:
+    """Return what the prediction that counts was made on, in words."""
+    return "motion that was not used for the fit" if result.validation else "its own training data"
+
+
+def _held_out(result: Judged) -> Iterator[Finding]:
+    """Compare held-out with training error."""
+    if result.validation is None:
+        if result.cross_validation is not None:
+            return
+        yield Finding(
+            "caution",
+            "Nothing was held out, so every error here is on the data that were fitted: how well "
+            "it predicts other motion is not known. Give a second recording (--validation), or "
+            "hold out blocks of this one (--folds 5).",
+        )
+        return
+    held, own = result.validation.relative, result.training.relative
+    ratio = held / max(own, np.finfo(float).tiny)
+    numbers = f"relative residual {percent(held)}, on the training data {percent(own)}"
+    if ratio <= CARRIES:
+        yield Finding("good", f"It carries over to other motion: {numbers}.")
+    elif ratio <= FAILS:
+        yield Finding("caution", f"It is somewhat worse on other motion: {numbers}.")
+    else:
+        yield Finding(
+            "bad",
+            f"It does not carry over to other motion: {numbers}, {ratio:.1f} times as much. The "
+            "motion was too poor for the model, or the robot changed in between (load, "
+            "temperature).",
+        )
+
+
+def _crossed(result: Judged) -> Iterator[Finding]:
+    """Compare what was held out in turn with training error."""
+    crossed = result.cross_validation
+    if crossed is None:
+        return
+    what = "blocks of time" if crossed.by == "time" else "recordings"
+    low, high = float(crossed.relatives.min()), float(crossed.relatives.max())
+    ratio = crossed.relative / max(crossed.training, np.finfo(float).tiny)
+    numbers = (
+        f"with {len(crossed.relatives)} {what} held out in turn the relative residual is "
+        f"{percent(crossed.relative)} ({percent(low)} to {percent(high)}), on the training data "
+        f"{percent(crossed.training)}"
+    )
+    if ratio <= CARRIES:
+        yield Finding("good", f"It predicts what it has not seen as well: {numbers}.")
+    elif ratio <= FAILS:
+        yield Finding("caution", f"It is somewhat worse on what it has not seen: {numbers}.")
+    else:
+        yield Finding(
+            "bad",
+            f"It does not predict what it has not seen: {numbers}, {ratio:.1f} times as much. "
+            "Parts of the recording show what the others do not: record more of it.",
+        )
+
+
+def _reach(result: Judged) -> Iterator[Finding]:
+    """Say where prediction is extrapolation."""
+    problem, samples = result.problem, result.problem.samples
+    robot = problem.robot
+    joints = range(robot.n_base, robot.n)
+    peaks = np.abs(_speeds(problem)).max(axis=0)
+    slow = [
+        f"{robot.joint_names[j]} ({peaks[j]:.2g} of {robot.velocity_limits[j]:.2g} rad/s)"
+        for j in joints
+        if np.isfinite(robot.velocity_limits[j]) and peaks[j] < SLOW * robot.velocity_limits[j]
+    ]
+    if slow:
+        yield Finding(
+            "caution",
+            "Beyond the recorded speeds it extrapolates; these joints stayed below half of what "
+            f"the description allows: {listed(slow)}.",
+        )
+    fresh = result.validation_samples
+    if fresh is None:
+        return
+    beyond = []
+    for j in joints:
+        for what, own, other in (
+            ("velocity", samples.velocity, fresh.velocity),
+            ("acceleration", samples.acceleration, fresh.acceleration),
+        ):
+            room = np.abs(own[:, j]).max()
+            if np.abs(other[:, j]).max() > (1.0 + BEYOND) * room:
+                beyond.append(f"{robot.joint_names[j]} ({what})")
+    if beyond:
+        yield Finding(
+            "caution",
+            f"The validation motion goes beyond the training motion: {listed(beyond)}. Its errors "
+            "include extrapolation.",
+        )
+
+
+def _one_way(result: Judged) -> Iterator[Finding]:
+    """Name joints with friction that moved in one direction only."""
+    robot, friction = result.problem.robot, result.problem.friction
+    moving = friction.columns(np.ones((1, robot.n)), np.zeros((1, robot.n)))[0]
+    lowest, highest = _speeds(result.problem)
+    named = []
+    for j in range(robot.n_base, robot.n):
+        forwards, backwards = highest[j] > MOVES, lowest[j] < -MOVES
+        if forwards != backwards and moving[j].any():
+            named.append(f"{robot.joint_names[j]} ({'forwards' if forwards else 'backwards'})")
+    if named:
+        yield Finding(
+            "caution",
+            f"Joints that moved in one direction only: {listed(named, 99)}. Their friction in the "
+            "other direction is an extrapolation: in one direction Coulomb friction and an offset "
+            "cannot be told apart. Record them moving both ways.",
+        )
+
+
+def _speeds(problem: Problem) -> Array:
+    """Return the lowest and the highest velocity (2, n) of each joint on the rows that count."""
+    rows = problem.rows
+    pieces = rows.map(_speeds_of) if rows.kept else [_speeds_of(rows)]
+    found = np.array(pieces)
+    return np.stack([found[:, 0].min(axis=0), found[:, 1].max(axis=0)])
+
+
+def _speeds_of(rows: RowSource) -> Array:
+    """Return those of one piece; a joint without rows stands still."""
+    samples = rows.samples
+    found = np.zeros((2, samples.n))
+    for j in range(samples.n):
+        v = samples.velocity[used_rows(samples, j), j]
+        if len(v):
+            found[:, j] = v.min(), v.max()
+    return found
+
+
+def _weak(result: Judged) -> Iterator[Finding]:
+    """Name weakly excited directions."""
+    weak = result.problem.excitation.weak()
+    if not weak:
+        return
+    count = len(result.problem.base.names)
+    shown = [" with ".join(names) or "a mixture of many" for _, names in weak[::-1]]
+    held = (
+        "the description's inertias decide there"
+        if result.problem.prior is not None
+        else "their values are as good as arbitrary, and other motion may bring that to light"
+    )
+    yield Finding(
+        "caution",
+        f"{len(weak)} of {count} directions of the base parameters are weakly excited; {held}. "
+        f"The weakest: {listed(shown)}. Do not read these parameters one by one.",
+    )
+
+
+def _sources(result: Judged) -> Iterator[Finding]:
+    """Count parameters that the prior gave."""
+    if result.estimate.theta is None:
+        return
+    sources = provenance(result.estimate)
+    from_prior = int(np.count_nonzero(sources.prior > PRIOR))
+    if not from_prior:
+        return
+    links = result.problem.robot.link_names
+    masses = [name for i, name in enumerate(links) if sources.prior[10 * i] > PRIOR]
+    told = f" The mass is the description's for {listed(masses)}." if masses else ""
+    yield Finding(
+        "caution",
+        f"{from_prior} of {len(sources.names)} standard parameters are the description's or the "
+        "choice nearest to it, not measured: many do not act on the effort at all. The effort is "
+        f"predicted all the same; do not quote them as masses or inertias of the robot.{told}",
+    )
+
+
+def _constraints(result: Judged) -> Iterator[Finding]:
+    """Say what physics costs, and name parameters at the end of what is allowed."""
+    own, free = result.training.relative, result.training_wls.relative
+    states = [s for s in constraint_states(result.estimate) if s.active]
+    pressing = sorted((s for s in states if s.multiplier), key=lambda s: -abs(s.multiplier or 0.0))
+    if own > (1.0 + PRICE) * free:
+        names = listed([s.name for s in pressing]) if pressing else "none"
+        if result.problem.prior is None:
+            why = "The constraints contradict the data"
+            end = "Something is not in the model, or a limit is wrong."
+        else:
+            why, end = "The prior and the constraints hold the fit back", _whether_it_pays(result)
+        yield Finding(
+            "caution",
+            f"{why}: the relative residual on the training data is {percent(own)}, without them "
+            f"{percent(free)}. {end} Active constraints: {names} (cost_of_constraints tells "
+            "what each costs).",
+        )
+    limit = f"{result.problem.constraints.theta_max:g}"
+    ends = [s.name for s in states if s.name.endswith((f" most {limit}", f" least -{limit}"))]
+    if ends:
+        yield Finding(
+            "bad",
+            f"Nothing but a numerical limit holds {listed(ends)}: the data do not determine these "
+            "parameters. Use a prior, or a richer motion.",
+        )
+    heavy = [s.name for s in states if s.name.startswith("mass of ") and " at most " in s.name]
+    if heavy:
+        yield Finding(
+            "caution",
+            f"Masses are as large as is allowed: {listed(heavy)}. The data hardly tell them from "
+            "those of their neighbours; lower --mass-max to what the link can weigh, or use a "
+            "prior.",
+        )
+
+
+def _whether_it_pays(result: Judged) -> str:
+    """Compare with the unconstrained fit on other motion."""
+    if result.validation is not None and result.validation_samples is not None:
+        held, where = result.validation.relative, "the validation data"
+        free = validate(result.wls, result.validation_samples).relative
+    elif result.cross_validation is not None:
+        held, where = result.cross_validation.relative, "what was held out in turn"
+        free = result.cross_validation.relative_unconstrained
+    else:
+        return "Only held-out data tell whether that pays."
+    outcome = "it pays" if held <= free else "it does not pay"
+    return f"On {where} {outcome}: {percent(held)}, without them {percent(free)}."
+
+
+def _proof(result: Judged) -> Iterator[Finding]:
+    """Say whether the optimum is proven."""
+    if result.certificate.passed:
+        if result.problem.consistency != "none":
+            yield Finding(
+                "good",
+                "Every link is physically possible, and no possible parameters fit better: proven "
+                "in exact arithmetic. That says nothing about what the model leaves out.",
+            )
+    elif result.problem.consistency != "none":
+        yield Finding("bad", f"It is not proven to be the best fit: {result.certificate.summary()}")

@@ -1,0 +1,1 @@
+"""Write robots: URDF and MJCF."""

@@ -1,0 +1,158 @@
+"""The MJCF of a robot that was described by a URDF: its bodies and joints, with room for numbers.
+
+MuJoCo loads URDF itself, but welds fixed links into what carries them and saves six digits. Here
+every link stays a body under its name, and every number is written in full.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from sdpid._common.arrays import Array
+from sdpid.experiment.plant.mujoco_model import joint_axis
+from sdpid.output.robots.compiled_mjcf import quaternion_of
+from sdpid.output.robots.urdf_tree import FixedChild, UrdfTree
+from sdpid.output.robots.written_bodies import lifted, possible
+from sdpid.robot.inertia import physical_parameters
+from sdpid.robot.model.model import RobotModel
+
+
+def numbers(values: Sequence[float] | Array) -> str:
+    """Return numbers in their shortest form that reads back the same."""
+    # Adding zero turns -0.0 into 0.0.
+    return " ".join(repr(float(x) + 0.0) for x in np.atleast_1d(values))
+
+
+def quoted(text: str) -> str:
+    """Return text as an attribute with its quotes."""
+    from xml.sax.saxutils import quoteattr
+
+    return quoteattr(text)
+
+
+def _body(link: str) -> str:
+    """Return the name of a link's body as an attribute; MuJoCo keeps ``world`` for itself."""
+    return quoted("world_link" if link == "world" else link)
+
+
+def inertial_markup(body: Array) -> str:
+    """Return the <inertial> of a body given by its ten parameters; zeros are a body without mass.
+
+    Principal moments and their axes rather than ``fullinertia``: releases of MuJoCo differ in how
+    exactly they take a full tensor apart.
+    """
+    if not np.any(body):
+        return '<inertial pos="0 0 0" mass="0" diaginertia="0 0 0"/>'
+    mass, com, inertia = physical_parameters(body)
+    moments, axes = np.linalg.eigh(inertia)
+    axes[:, 0] *= np.sign(np.linalg.det(axes))
+    return (
+        f'<inertial pos="{numbers(com)}" quat="{numbers(quaternion_of(axes))}" '
+        f'mass="{numbers(mass)}" diaginertia="{numbers(moments)}"/>'
+    )
+
+
+def mjcf_skeleton(robot: RobotModel, tree: UrdfTree | None) -> tuple[str, tuple[str, ...]]:
+    """Return the MJCF of a robot's kinematics, without shapes.
+
+    Links fixed to moving ones are bodies with the description's own inertials. Moving bodies have
+    unit inertials, to be replaced. The second result names the fixed links whose inertials no body
+    can have: MuJoCo would not load them, and they are zero.
+
+    Parameters
+    ----------
+    robot : RobotModel
+        The robot.
+    tree : UrdfTree or None
+        Its URDF, where there is one: for fixed links and names.
+    """
+    model = robot.pin_model
+    names = robot.link_names if tree is None else tuple(tree.moving_links(robot))
+    columns = {name: j for j, name in enumerate(robot.joint_names)}
+    impossible: list[str] = []
+    children: dict[int, list[int]] = {}
+    for i in range(1, model.njoints):
+        children.setdefault(int(model.parents[i]), []).append(i)
+
+    def body(i: int, depth: int) -> list[str]:
+        pad = "  " * depth
+        place = model.jointPlacements[i]
+        out = [f"{pad}<body name={_body(names[i - 1])}{_pose(place.rotation, place.translation)}>"]
+        out.append(f'{pad}  <inertial pos="0 0 0" mass="1" diaginertia="1 1 1"/>')
+        out.append(f"{pad}  {_joint(robot, i, columns.get(model.names[i]))}")
+        for child in [] if tree is None else tree.fixed_children(names[i - 1]):
+            inertial = child.body
+            if inertial is not None and np.any(inertial):
+                if possible(inertial, "pseudo_inertia"):
+                    inertial = lifted(inertial, "pseudo_inertia")
+                else:
+                    impossible.append(child.name)
+                    inertial = None
+            out += _fixed(replace(child, body=inertial), depth + 1)
+        for k in children.get(i, ()):
+            out += body(k, depth + 1)
+        return [*out, f"{pad}</body>"]
+
+    lines = [
+        f"<mujoco model={quoted(robot.name)}>",
+        '  <compiler angle="radian" autolimits="true" inertiafromgeom="false"/>',
+        f'  <option gravity="{numbers(robot.gravity)}"/>',
+        "  <worldbody>",
+    ]
+    for i in children.get(0, ()):
+        lines += body(i, 2)
+    lines.append("  </worldbody>")
+    followers = [i for i in range(1, model.njoints) if _follows(robot, i)]
+    if followers:
+        lines.append("  <equality>")
+        lines += [f"    {_equality(robot, i)}" for i in followers]
+        lines.append("  </equality>")
+    return "\n".join([*lines, "</mujoco>", ""]), tuple(impossible)
+
+
+def _pose(rotation: Array, translation: Array) -> str:
+    quaternion = quaternion_of(np.asarray(rotation))
+    return f' pos="{numbers(translation)}" quat="{numbers(quaternion)}"'
+
+
+def _fixed(child: FixedChild, depth: int) -> list[str]:
+    pad = "  " * depth
+    opening = f"{pad}<body name={_body(child.name)}{_pose(child.rotation, child.translation)}"
+    if child.body is None or not np.any(child.body):
+        return [opening + "/>"]
+    return [opening + ">", f"{pad}  {inertial_markup(child.body)}", f"{pad}</body>"]
+
+
+def _joint(robot: RobotModel, i: int, column: int | None) -> str:
+    joint, name = robot.pin_model.joints[i], str(robot.pin_model.names[i])
+    if joint.nv == 6:
+        return f"<freejoint name={quoted(name)}/>"
+    kind, axis = joint_axis(joint)
+    mark = "hinge" if kind == "revolute" else "slide"
+    out = f'<joint name={quoted(name)} type="{mark}" axis="{numbers(axis)}"'
+    if column is not None:
+        lower, upper = robot.position_limits[column]
+        if np.isfinite([lower, upper]).all() and lower < upper:
+            out += f' range="{numbers([lower, upper])}"'
+        effort = robot.effort_limits[column]
+        if np.isfinite(effort) and effort > 0.0:
+            out += f' actuatorfrcrange="{numbers([-effort, effort])}"'
+    return out + "/>"
+
+
+def _follows(robot: RobotModel, i: int) -> bool:
+    """Return whether a joint mimics another."""
+    return robot.pin_model.joints[i].nv == 1 and robot.pin_model.names[i] not in robot.joint_names
+
+
+def _equality(robot: RobotModel, i: int) -> str:
+    row = robot.pin_model.joints[i].idx_v
+    source = int(np.flatnonzero(robot.expansion[row])[0]) if robot.expansion[row].any() else 0
+    coefficients = [robot.offset[row], robot.expansion[row, source], 0.0, 0.0, 0.0]
+    return (
+        f"<joint joint1={quoted(str(robot.pin_model.names[i]))} "
+        f'joint2={quoted(robot.joint_names[source])} polycoef="{numbers(coefficients)}"/>'
+    )

@@ -1,0 +1,306 @@
+"""Repaired robot descriptions: the nearest inertias that bodies can have, all else untouched."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field
+from fractions import Fraction
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from sdpid._common.arrays import Array
+from sdpid._common.files import atomic_path
+from sdpid.assurance.descriptions.body_checks import consistent, thin, thin_limit
+from sdpid.assurance.descriptions.model_checks import carried, carried_theta
+from sdpid.assurance.descriptions.nearest_body import (
+    NearestProof,
+    aim,
+    moment_floor,
+    prove_nearest,
+)
+from sdpid.errors import ExportError
+from sdpid.robot.consistent import raise_eigenvalues
+from sdpid.robot.description.bodies import (
+    TENSOR_NAMES,
+    DescribedBody,
+    exact_decimal,
+    exact_second_moment,
+    read_urdf_bodies,
+)
+from sdpid.robot.description.xml import encode_xml, is_mjcf, read_description
+from sdpid.robot.description.xml_edits import Document, Element
+from sdpid.robot.inertia import (
+    complement,
+    inertia_tensor,
+    margin,
+    second_moment_from_inertia,
+    tensor_entries,
+)
+
+# Entries that differ by less, relative to the largest, differ by rounding: they are not rewritten.
+_SAME = 1e-15
+# What moves must have a mass; this one changes efforts by some 1e-5 N. A ball of this radius.
+TOKEN_MASS, TOKEN_RADIUS = 1e-6, 0.01  # kg, m
+
+
+@dataclass(frozen=True, kw_only=True)
+class RepairedBody:
+    """What was done to one body.
+
+    Attributes
+    ----------
+    link : str
+        The link.
+    reason : {"impossible", "no thickness", "point", "no mass"}
+        Why.
+    moments, new_moments : tuple of float
+        Principal moments before and after, kg·m².
+    mass, new_mass : float
+        kg; they differ for ``"no mass"`` only.
+    proof : NearestProof or None
+        That none is nearer, checked in exact arithmetic; None where a token body was written.
+    """
+
+    link: str
+    reason: str
+    moments: tuple[float, ...]
+    new_moments: tuple[float, ...]
+    mass: float
+    new_mass: float
+    proof: NearestProof | None
+
+
+@dataclass(frozen=True, kw_only=True)
+class RepairReport:
+    """What was repaired, and what could not be.
+
+    Attributes
+    ----------
+    text : str
+        The repaired description.
+    bodies : tuple of RepairedBody
+        What changed, in document order.
+    left : tuple of str
+        Links that are wrong and were left so: their mass is negative, or a number is none.
+    path : Path or None
+        The file, where one was written.
+    """
+
+    text: str = field(repr=False)
+    bodies: tuple[RepairedBody, ...]
+    left: tuple[str, ...]
+    path: Path | None = None
+
+    def describe(self) -> str:
+        """Return the report in words, one body a line."""
+        lines = [f"{len(self.bodies)} bodies repaired"]
+        for body in self.bodies:
+            before, after = (
+                " ".join(f"{x:.6g}" for x in m) for m in (body.moments, body.new_moments)
+            )
+            line = f"{body.link} ({body.reason}): principal moments {before} -> {after} kg·m²"
+            if body.mass != body.new_mass:
+                line += f", mass {body.mass:.6g} -> {body.new_mass:.6g} kg"
+            if body.proof is not None:
+                line += (
+                    f"; second moments moved by {body.proof.distance:.3g} kg·m², proven that no "
+                    f"body is nearer than {body.proof.lower_bound:.3g}"
+                )
+            lines.append(line)
+        if self.left:
+            lines.append(
+                "not repaired, give the true numbers (mass negative or no number): "
+                + ", ".join(self.left)
+            )
+        return "\n".join(lines)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return it as plain values, without the text."""
+        return {
+            "path": None if self.path is None else str(self.path),
+            "bodies": [asdict(body) for body in self.bodies],
+            "left": list(self.left),
+        }
+
+
+def repair_urdf(
+    source: str | os.PathLike[str], *, target: str | os.PathLike[str] | None = None
+) -> RepairReport:
+    """Write the nearest inertia that a body can have wherever a URDF has one that none can.
+
+    Nearest is meant in the Frobenius distance of second moments about the centre of mass, with
+    mass and centre kept, and every repair is proven nearest in exact arithmetic
+    (`sdpid.assurance.descriptions.nearest_body`). So that loaders accept the result in spite of
+    rounding, repaired bodies have second moments of at least a millionth of the largest, those of a
+    ball of 0.1 mm, and 1e-12 kg·m². What changes:
+
+    * tensors that no body can have, and those on the edge (without thickness) that loaders
+      refuse: entries of ``<inertia>``;
+    * points that are moved by a joint with nothing else fixed to them: the same;
+    * inertia without mass, and moving links with no mass at all: a token mass of 1e-6 kg.
+
+    All other bytes stay as they are. Negative masses and numbers that are none are left; they
+    can be had from nothing else in the file.
+
+    Parameters
+    ----------
+    source : str or path
+        The URDF, or its text.
+    target : str or path, optional
+        File to write, whole or not at all.
+
+    Returns
+    -------
+    RepairReport
+
+    Raises
+    ------
+    ModelError
+        When the source cannot be read.
+    ExportError
+        When it is MJCF, or the target cannot be written.
+    CertificateError
+        When a repair cannot be proven nearest.
+    """
+    found = read_description(source)
+    text, what = found.text, found.what
+    if is_mjcf(text, what):
+        raise ExportError(f"{what}: only URDF is repaired; correct the MJCF by hand.")
+    _, bodies = read_urdf_bodies(text, what)
+    repair = _Repair(text, bodies)
+    for body in bodies:
+        repair.alone(body)
+    for carrier in carried(bodies):
+        repair.together(carrier)
+    result = repair.document.text()
+    if target is not None:
+        with atomic_path(target) as temporary:
+            temporary.write_bytes(encode_xml(result))
+    order = {body.name: k for k, body in enumerate(bodies)}
+    return RepairReport(
+        text=result,
+        bodies=tuple(sorted(repair.done.values(), key=lambda b: order[b.link])),
+        left=tuple(repair.left),
+        path=None if target is None else Path(target),
+    )
+
+
+class _Repair:
+    """A document, its bodies as they stand, and what has been done to them."""
+
+    def __init__(self, text: str, bodies: tuple[DescribedBody, ...]) -> None:
+        self.document = Document(text)
+        self.links = {
+            link.attributes.get("name", ""): link for link in self.document.root.find_all("link")
+        }
+        self.bodies = {body.name: body for body in bodies}
+        self.done: dict[str, RepairedBody] = {}
+        self.left: list[str] = []
+
+    def alone(self, body: DescribedBody) -> None:
+        """Repair what is wrong with a body by itself."""
+        if body.problems or (body.mass is not None and body.mass < 0.0):
+            self.left.append(body.name)
+        elif consistent(body) is False:
+            if body.mass == 0.0:
+                self._write(body, "no mass", TOKEN_MASS)
+            else:
+                self._write(body, "impossible")
+        elif thin(body):
+            self._write(body, "no thickness")
+
+    def together(self, carrier: str) -> None:
+        """Repair what is wrong with bodies that move as one."""
+        group = carried(list(self.bodies.values()))[carrier]
+        if any(body.name in self.left for body in group):
+            return
+        total = carried_theta(group)
+        if total[0] == 0.0:
+            self._write(self.bodies[carrier], "no mass", TOKEN_MASS)
+        elif not margin(total, "pseudo_inertia") >= thin_limit(inertia_tensor(total)):
+            heaviest = max(group, key=lambda body: body.mass or 0.0)
+            self._write(heaviest, "point")
+
+    def _write(self, body: DescribedBody, reason: str, mass: float | None = None) -> None:
+        link, old = self.links[body.name], body.tensor
+        if old is None:
+            old = np.zeros((3, 3))
+        new_mass = mass if mass is not None else (body.mass or 0.0)
+        given = second_moment_from_inertia(old)
+        proof = None
+        if old.any() or mass is None:
+            floor = moment_floor(given, new_mass)
+            nearest = complement(raise_eigenvalues(given, aim(floor)))
+        else:
+            floor = 0.0
+            nearest = 2.0 * new_mass * TOKEN_RADIUS**2 * np.eye(3)
+        values = {
+            key: repr(float(value) + 0.0)
+            for key, value in zip(TENSOR_NAMES, tensor_entries(nearest), strict=True)
+        }
+        entries = tuple(exact_decimal(value) for value in values.values())
+        if body.entries is not None:
+            values = {
+                key: value
+                for key, value, now, before in zip(
+                    values, values.values(), entries, body.entries, strict=True
+                )
+                if abs(float(now - before)) > _SAME * float(np.abs(old).max())
+            }
+            entries = tuple(
+                now if key in values else before
+                for key, now, before in zip(TENSOR_NAMES, entries, body.entries, strict=True)
+            )
+        if floor:
+            exact = body.entries or (Fraction(0),) * len(TENSOR_NAMES)
+            proof = prove_nearest(
+                exact_second_moment(exact), exact_second_moment(entries), Fraction(floor)
+            )
+        self._set(link, values, None if mass is None else repr(mass))
+        changed = DescribedBody(
+            name=body.name,
+            described=True,
+            moving=body.moving,
+            carrier=body.carrier,
+            mass=new_mass,
+            com=np.zeros(3) if body.com is None else body.com,
+            rotation=body.rotation,
+            entries=entries,
+            placement=body.placement,
+            joint=body.joint,
+            parent=body.parent,
+        )
+        self.bodies[body.name] = changed
+        self.done[body.name] = RepairedBody(
+            link=body.name,
+            reason=reason,
+            moments=_moments(old),
+            new_moments=_moments(nearest),
+            mass=body.mass or 0.0,
+            new_mass=new_mass,
+            proof=proof,
+        )
+
+    def _set(self, link: Element, inertia: Mapping[str, str], mass: str | None) -> None:
+        inertial = link.find("inertial")
+        if inertial is None:
+            tensor = " ".join(f'{key}="{value}"' for key, value in inertia.items())
+            self.document.insert_child(
+                link,
+                f'<inertial>\n  <mass value="{mass}"/>\n  <inertia {tensor}/>\n</inertial>',
+            )
+            return
+        for name, attributes in (
+            ("mass", {} if mass is None else {"value": mass}),
+            ("inertia", inertia),
+        ):
+            element = inertial.find(name)
+            if element is not None and attributes:
+                self.document.set_attributes(element, attributes)
+
+
+def _moments(tensor: Array) -> tuple[float, ...]:
+    return tuple(float(x) for x in np.linalg.eigvalsh(tensor))

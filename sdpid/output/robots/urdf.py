@@ -1,0 +1,326 @@
+"""Identified inertias and friction, put back into the user's own URDF."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Literal, TypeAlias
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from sdpid._common.arrays import Array, real_array
+from sdpid._common.files import atomic_path
+from sdpid.errors import ExportError, ModelError
+from sdpid.estimation.estimate import Estimate
+from sdpid.estimation.problem import Problem
+from sdpid.output.robots.urdf_tree import FixedChild, UrdfTree, inertial_values
+from sdpid.output.robots.written_bodies import (
+    add_shapes,
+    joint_numbers,
+    lifted,
+    require_consistent,
+    rest_of,
+    standard_parameters,
+)
+from sdpid.robot.description.xml import encode_xml, read_description
+from sdpid.robot.description.xml_edits import Document, Element
+from sdpid.robot.friction.model import Coulomb, Viscous
+from sdpid.robot.inertia import margin
+from sdpid.robot.model.base_parameters import generic_states
+from sdpid.robot.model.model import RobotModel, Root
+
+# How a body is split among a moving link and those fixed to it.
+Fixed: TypeAlias = Literal["keep", "merge"] | Mapping[str, ArrayLike]
+
+# The written file is read back; its efforts may differ by this fraction of the largest one.
+_READ_BACK = 1e-10
+_STATES, _SEED = 8, 20240229
+
+
+@dataclass(frozen=True, kw_only=True)
+class ExportReport:
+    """What was written, and what could not be.
+
+    Attributes
+    ----------
+    path : Path
+        The file.
+    links_changed : tuple of str
+        Links whose inertial was written, those whose inertial was set to zero included.
+    joints_changed : tuple of str
+        Joints whose damping or friction was written.
+    lumped : tuple of str
+        Moving links that took over the inertia of the links fixed to them, because what was left
+        of the identified body without these, or one of these, could not exist.
+    left_out : tuple of str
+        Parameters for which URDF has no place, such as ``Fo1`` or ``Ia3``.
+    triangle_violations : tuple of str
+        Moving links whose principal moments violate the triangle inequality. Readers that ask for
+        it (MuJoCo) reject them; estimates under ``consistency="pseudo_inertia"`` have none.
+    kind : str
+        What was written.
+    notes : tuple of str
+        What else there is to say.
+    """
+
+    path: Path
+    links_changed: tuple[str, ...]
+    joints_changed: tuple[str, ...] = ()
+    lumped: tuple[str, ...] = ()
+    left_out: tuple[str, ...] = ()
+    triangle_violations: tuple[str, ...] = ()
+    kind: str = "a URDF"
+    notes: tuple[str, ...] = ()
+
+    def describe(self) -> str:
+        """Return the report in words, one statement a line."""
+        lines = [f"{self.path}: wrote the inertia of {len(self.links_changed)} links"]
+        if self.joints_changed:
+            lines[0] += f" and the friction of {len(self.joints_changed)} joints"
+        if self.lumped:
+            lines.append(
+                "with the links fixed to them counted in, whose own inertials are now zero: "
+                + ", ".join(self.lumped)
+            )
+        if self.left_out:
+            lines.append(f"no place in {self.kind}: " + ", ".join(self.left_out))
+        if self.triangle_violations:
+            lines.append(
+                "triangle inequality violated (MuJoCo will not load it): "
+                + ", ".join(self.triangle_violations)
+            )
+        return "\n".join([*lines, *self.notes])
+
+
+def write_urdf(
+    estimate: Estimate,
+    *,
+    target: str | os.PathLike[str],
+    source: str | os.PathLike[str] | None = None,
+    fixed: Fixed = "keep",
+) -> ExportReport:
+    """Write the URDF with identified inertias and friction.
+
+    Only the ``<inertial>`` of moving links and the damping and friction of joints change, and of
+    joints only what the problem has: damping with a viscous term (N·m·s/rad, N·s/m for sliding
+    joints), friction with a Coulomb term (N·m, N). All other bytes stay as they are.
+
+    An identified body is what moves with a joint: a link and the links fixed to it. Those keep
+    their inertials and the moving link takes the rest. Where no body can be the rest, or one of
+    theirs is none that a body can have, the moving link takes all and theirs become zero. (Zero
+    rather than removed: readers invent a mass for links without an inertial.)
+
+    Parameters
+    ----------
+    estimate : Estimate
+        Parameters to write; it must have `theta`.
+    target : str or path
+        File to write, whole or not at all; it may be the source.
+    source : str or path, optional
+        URDF to change, as a path or its text; by default the one the robot was loaded from.
+    fixed : {"keep", "merge"} or mapping, optional
+        How a body is split among the link that moves and the links fixed to it: as above; the
+        moving link takes all; or a mapping from names of fixed links to the ten parameters
+        (about their own frames) that they are to have, the others keeping theirs.
+
+    Returns
+    -------
+    ExportReport
+
+    Raises
+    ------
+    ExportError
+        When the estimate has no standard parameters, a link of it is not consistent, friction is
+        negative, the source describes another robot, or a body cannot be split as asked.
+    ModelError
+        When the source is not a URDF.
+    """
+    problem = estimate.problem
+    robot = problem.robot
+    what = f"URDF of '{robot.name}'"
+    theta = standard_parameters(estimate, what, "URDF")
+    text = source_text(robot, source, what)
+    bodies = problem.feasible.bodies(theta)
+    consistency = problem.consistency
+    require_consistent(robot, bodies, consistency, what)
+    tree = UrdfTree(text)
+    links = tree.moving_links(robot)
+    document = tree.document
+    changed: list[str] = []
+    lumped: list[str] = []
+    flat: list[str] = []
+    families = {link: _asked(tree.fixed_children(link), fixed) for link in links}
+    _require_known(fixed, [child.name for family in families.values() for child in family])
+    for link, body in zip(links, bodies, strict=True):
+        children = [c for c in families[link] if c.body is not None and np.any(c.body)]
+        rest = None if fixed == "merge" and children else rest_of(body, children, consistency)
+        given = () if isinstance(fixed, str) else [c for c in families[link] if c.name in fixed]
+        if given and rest is None:
+            names = ", ".join(child.name for child in children)
+            raise ExportError(
+                f"{what}: link '{link}' cannot be split as asked: no body can be the rest of its "
+                f"{body[0]:.6g} kg without {names}, or one of those cannot exist; give less, or "
+                "fixed='keep'."
+            )
+        for child in given:
+            _write_inertial(document, tree.links[child.name], np.asarray(child.body))
+            changed.append(child.name)
+        if rest is not None:
+            body = rest
+        else:
+            lumped.append(link)
+            for child in children:
+                _write_inertial(document, tree.links[child.name], np.zeros(10))
+                changed.append(child.name)
+        body = lifted(body, consistency)
+        if not margin(body, "pseudo_inertia") >= 0.0:
+            flat.append(link)
+        _write_inertial(document, tree.links[link], body)
+        changed.append(link)
+    joints, left_out, notes = _write_friction(tree, problem, theta)
+    result = document.text()
+    _read_back(robot, bodies, result)
+    with atomic_path(target) as temporary:
+        temporary.write_bytes(encode_xml(result))
+    return ExportReport(
+        path=Path(target),
+        links_changed=tuple(changed),
+        joints_changed=joints,
+        lumped=tuple(lumped),
+        left_out=left_out,
+        triangle_violations=tuple(flat),
+        notes=notes,
+    )
+
+
+def _asked(children: Sequence[FixedChild], fixed: Fixed) -> list[FixedChild]:
+    """Return fixed links with the bodies that they are to have."""
+    if isinstance(fixed, str):
+        return list(children)
+    return [
+        replace(child, body=real_array(fixed[child.name], f"fixed: {child.name}", ndim=1))
+        if child.name in fixed
+        else child
+        for child in children
+    ]
+
+
+def _require_known(fixed: Fixed, names: Sequence[str]) -> None:
+    """Refuse what says nothing of a link that is fixed to a moving one."""
+    if isinstance(fixed, str):
+        if fixed not in ("keep", "merge"):
+            raise ExportError(
+                f"fixed: is {fixed!r}; use 'keep', 'merge', or bodies by the names of links."
+            )
+        return
+    unknown = [name for name in fixed if name not in names]
+    if unknown:
+        raise ExportError(
+            f"fixed: {unknown[0]!r} is no link that is fixed to a moving one: "
+            f"{', '.join(names) or 'there are none'}."
+        )
+    short = [name for name, body in fixed.items() if np.shape(body) != (10,)]
+    if short:
+        raise ExportError(
+            f"fixed: the body of {short[0]!r} has shape {np.shape(fixed[short[0]])}, expected the "
+            "ten parameters (10,) about the link's own frame."
+        )
+
+
+def source_text(robot: RobotModel, source: str | os.PathLike[str] | None, what: str) -> str:
+    """Return the text that is to be changed: of a file, itself, or the robot's own.
+
+    Raises
+    ------
+    ExportError
+        When there is none, or it cannot be read.
+    """
+    if source is None:
+        if robot.urdf is None:
+            raise ExportError(
+                f"{what}: the robot was not loaded from a URDF; give the file to change as source."
+            )
+        return robot.urdf
+    try:
+        return read_description(source).text
+    except ModelError as cause:
+        raise ExportError(f"{what}: {cause}") from None
+
+
+def _write_inertial(document: Document, link: Element, body: Array) -> None:
+    values = inertial_values(body)
+    inertial = link.find("inertial")
+    lines = [
+        f"  <{tag} " + " ".join(f'{key}="{value}"' for key, value in attributes.items()) + "/>"
+        for tag, attributes in values.items()
+    ]
+    if inertial is None:
+        document.insert_child(link, "\n".join(["<inertial>", *lines, "</inertial>"]))
+        return
+    for tag, line in zip(values, lines, strict=True):
+        element = inertial.find(tag)
+        if element is None:
+            document.insert_child(inertial, line.strip())
+        else:
+            document.set_attributes(element, values[tag])
+
+
+def _write_friction(
+    tree: UrdfTree, problem: Problem, theta: Array
+) -> tuple[tuple[str, ...], tuple[str, ...], tuple[str, ...]]:
+    """Write damping and friction; return joints changed, parameters left out, and notes."""
+    tail = theta[10 * problem.robot.n_links :]
+    written, left_out = joint_numbers(
+        problem.friction,
+        tail,
+        {Coulomb: "friction", Viscous: "damping"},
+        f"URDF of '{problem.robot.name}'",
+    )
+    left_out, notes = add_shapes(problem, tail, written, left_out, "friction", "damping")
+    for joint, source in tree.mimics.items():
+        # What was identified at the source joint holds the friction of its followers.
+        if source in written and tree.joints[joint].find("dynamics") is not None:
+            written[joint] = dict.fromkeys(written[source], 0.0)
+    for name, numbers in written.items():
+        attributes = {key: repr(value + 0.0) for key, value in numbers.items()}
+        element = tree.joints[name].find("dynamics")
+        if element is not None:
+            tree.document.set_attributes(element, attributes)
+        else:
+            line = "<dynamics " + " ".join(f'{k}="{v}"' for k, v in attributes.items()) + "/>"
+            tree.document.insert_child(tree.joints[name], line, last=True)
+    return tuple(written), left_out, notes
+
+
+def _read_back(robot: RobotModel, bodies: Array, text: str) -> None:
+    """Check that the written text is the identified robot, by its efforts at generic states.
+
+    Raises
+    ------
+    ExportError
+        When it is not: the source describes other joints or other lengths.
+    """
+    what = f"URDF of '{robot.name}'"
+    root: Root | None = "free_flyer" if robot.free_flyer else None
+    try:
+        written = RobotModel.from_urdf(text, root=root, gravity=robot.gravity.tolist())
+    except ModelError as cause:
+        raise ExportError(f"{what}: the changed file cannot be read back ({cause}).") from None
+    if written.joint_names != robot.joint_names:
+        raise ExportError(
+            f"{what}: the source has the joints {', '.join(written.joint_names)}, the robot has "
+            f"{', '.join(robot.joint_names)}; give the URDF of the same robot."
+        )
+    states = generic_states(robot, _STATES, _SEED)
+    expected = robot.inverse_dynamics(bodies, *states)
+    found = written.inverse_dynamics(written.prior, *states)
+    error, scale = float(np.abs(found - expected).max()), float(np.abs(expected).max())
+    if not error <= _READ_BACK * max(scale, 1.0):
+        raise ExportError(
+            f"{what}: the efforts of the written robot differ from the identified ones by "
+            f"{error:.3g} of {scale:.3g} N·m (limit {_READ_BACK:.0e} of it); the source's joints "
+            "are placed differently. Give the URDF that the robot was identified with."
+        )

@@ -1,0 +1,224 @@
+"""What every format of robot has in common: bodies that are written, and numbers of joints."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from sdpid._common.arrays import Array
+from sdpid.errors import ExportError
+from sdpid.estimation.estimate import Estimate
+from sdpid.estimation.problem import Problem
+from sdpid.output.robots.urdf_tree import FixedChild
+from sdpid.robot.consistent import raise_second_moments
+from sdpid.robot.friction.model import (
+    FrictionModel,
+    FrictionTerm,
+    SigmoidFriction,
+    SquareRootFriction,
+    Stribeck,
+)
+from sdpid.robot.inertia import (
+    Consistency,
+    margin,
+    transform,
+)
+from sdpid.robot.model.model import RobotModel
+
+# Rounding in the inertia about the centre of mass, as a fraction of the size of the inertia that
+# it is the difference of. A margin negative by no more than this is not negative.
+_ROUNDING = 1e-14
+# Readers reject a body that rounding has put on the edge (MuJoCo: principal moments below 1e-14
+# kg·m², or a triangle inequality missed by one bit). Written bodies are at least this far inside,
+# kg·m²; it changes efforts by some 1e-13 N·m.
+_INSIDE = 1e-13
+# Friction negative by no more than this (N·m, N·m·s/rad) is zero with a solver's rounding.
+_FRICTION_ZERO = 1e-9
+
+
+def standard_parameters(estimate: Estimate, what: str, kind: str) -> Array:
+    """Return theta of an estimate that is to be written.
+
+    Raises
+    ------
+    ExportError
+        When it has base parameters only.
+    """
+    if estimate.theta is None:
+        raise ExportError(
+            f"{what}: the estimate by {estimate.method} has base parameters only, "
+            f"which no {kind} can hold; use solve_sdp or another solver that returns theta."
+        )
+    return estimate.theta
+
+
+def _rounding(bodies: Array) -> Array:
+    """Return the rounding error of the inertia about the centre of mass, in kg·m²."""
+    return np.asarray(_ROUNDING * np.abs(bodies[..., 4:]).max(axis=-1))
+
+
+def require_consistent(
+    robot: RobotModel, bodies: Array, consistency: Consistency, what: str
+) -> None:
+    """Raise where a body (links, 10) has no mass or violates the consistency.
+
+    Raises
+    ------
+    ExportError
+        With the link's name and its margin.
+    """
+    margins = margin(bodies, consistency)
+    for name, body, value, error in zip(
+        robot.link_names, bodies, margins, _rounding(bodies), strict=True
+    ):
+        if not body[0] > 0.0:
+            raise ExportError(
+                f"{what}: link '{name}' has a mass of {body[0]:.6g} kg, it must "
+                "be positive; solve with a consistency."
+            )
+        if value < -error:
+            raise ExportError(
+                f"{what}: link '{name}' is not consistent, its margin is "
+                f"{value:.3g} kg·m² and the least is 0; solve with a consistency, or with a "
+                "positive Constraints.margin if the solver stopped just outside."
+            )
+
+
+def possible(bodies: Array, consistency: Consistency) -> bool:
+    """Return whether bodies (..., 10) satisfy a consistency, but for rounding."""
+    return bool(np.all(margin(bodies, consistency) >= -_rounding(bodies)))
+
+
+def rest_of(body: Array, children: Sequence[FixedChild], consistency: Consistency) -> Array | None:
+    """Return what the moving link has of a body when its children keep theirs, None if nothing.
+
+    It does not work either when a child's own inertial is none that a body can have.
+    """
+    if not children:
+        return body
+    own = np.array([child.body for child in children])
+    if not possible(own, consistency):
+        return None
+    inside = [transform(c.body, c.rotation, c.translation) for c in children if c.body is not None]
+    rest = body - np.sum(inside, axis=0)
+    enough = rest[0] > 0.0 and margin(rest, consistency) >= _INSIDE + _rounding(rest)
+    return rest if enough else None
+
+
+def lifted(body: Array, consistency: Consistency) -> Array:
+    """Return the body, moved off the edge of the consistent set if rounding has put it there."""
+    return raise_second_moments(body, _INSIDE + _rounding(body), consistency=consistency)
+
+
+def joint_numbers(
+    friction: FrictionModel,
+    tail: Array,
+    places: Mapping[type[FrictionTerm], str],
+    what: str,
+) -> tuple[dict[str, dict[str, float]], tuple[str, ...]]:
+    """Return the attributes of every joint, and the parameters for which there is no place.
+
+    Parameters
+    ----------
+    friction : FrictionModel
+        The terms.
+    tail : ndarray
+        Their parameters.
+    places : mapping
+        The attribute that holds a term's parameter.
+    what : str
+        What is written, for messages.
+
+    Raises
+    ------
+    ExportError
+        When a number is negative.
+    """
+    at = 0
+    left_out: list[str] = []
+    numbers: dict[str, dict[str, float]] = {}
+    for term in friction.terms:
+        parameters = term.parameters(friction.joint_names)
+        values = tail[at : at + len(parameters)]
+        at += len(parameters)
+        attribute = places.get(type(term))
+        if attribute is None:
+            left_out += [p.name for p in parameters]
+            continue
+        for name, parameter, value in zip(friction.joint_names, parameters, values, strict=True):
+            if value < -_FRICTION_ZERO:
+                raise ExportError(
+                    f"{what}: {parameter.name} of joint '{name}' is {value:.3g} "
+                    f"{parameter.unit}, the least is 0; solve with "
+                    "Constraints(friction_nonnegative=True)."
+                )
+            numbers.setdefault(name, {})[attribute] = max(float(value), 0.0)
+    return numbers, tuple(left_out)
+
+
+# Functions of speed that no format has a place for.
+_SHAPES = (SigmoidFriction, SquareRootFriction, Stribeck)
+
+
+def add_shapes(
+    problem: Problem,
+    tail: Array,
+    numbers: dict[str, dict[str, float]],
+    left_out: tuple[str, ...],
+    coulomb: str,
+    viscous: str,
+) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """Add other functions of speed as the Coulomb and viscous friction that fit them best.
+
+    They fit at the speeds of the problem's samples; neither is negative.
+
+    Parameters
+    ----------
+    problem : Problem
+        Terms and samples.
+    tail : ndarray
+        The friction parameters.
+    numbers : dict
+        Attributes of every joint, to be added to.
+    left_out : tuple of str
+        Parameters for which there is no place.
+    coulomb, viscous : str
+        The attributes.
+
+    Returns
+    -------
+    left_out : tuple of str
+        What there is still no place for.
+    notes : tuple of str
+        What was added, and how well it fits.
+    """
+    from scipy.optimize import nnls
+
+    friction, samples = problem.friction, problem.samples
+    names = friction.joint_names
+    velocity = np.asarray(samples.velocity)[:, friction.first :]
+    acceleration = np.asarray(samples.acceleration)[:, friction.first :]
+    effort, added, at = np.zeros_like(velocity), [], 0
+    for term in friction.terms:
+        parameters = term.parameters(names)
+        values = tail[at : at + len(parameters)]
+        at += len(parameters)
+        if isinstance(term, _SHAPES):
+            effort += term.columns(velocity, acceleration, names) @ values
+            added += [p.name for p in parameters]
+    if not added:
+        return left_out, ()
+    worst = 0.0
+    for j, name in enumerate(names):
+        columns = np.column_stack([np.sign(velocity[:, j]), velocity[:, j]])
+        found, missed = nnls(columns, effort[:, j])
+        worst = max(worst, float(missed) / np.sqrt(len(effort)))
+        own = numbers.setdefault(name, {})
+        for attribute, value in zip((coulomb, viscous), found, strict=True):
+            own[attribute] = own.get(attribute, 0.0) + float(value)
+    note = (
+        f"{', '.join(added)} are written as the Coulomb and viscous friction that fit them best at "
+        f"the speeds of the samples, to {worst:.2g} N.m rms at the worst joint"
+    )
+    return tuple(name for name in left_out if name not in added), (note,)

@@ -1,0 +1,1 @@
+"""Tables of parameters as CSV, JSON and YAML."""

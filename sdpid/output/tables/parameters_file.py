@@ -1,0 +1,243 @@
+"""Parameters as a file for other programs: JSON or YAML, with units, errors and where from."""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any, Protocol
+
+import numpy as np
+
+from sdpid._common.arrays import Array
+from sdpid._common.extras import require
+from sdpid._common.files import atomic_write_text
+from sdpid.assurance.diagnostics.provenance import provenance
+from sdpid.errors import DataError, ExportError, IdentifiabilityError
+from sdpid.estimation.estimate import Estimate
+
+FORMAT = "sdpid parameters"
+VERSION = 1
+
+# A file of a hundred links has some 300 kB.
+_MAX_BYTES = 16 * 2**20
+
+
+class NamedIntervals(Protocol):
+    """Intervals by name, such as `sdpid.assurance.intervals.intervals.Intervals`."""
+
+    @property
+    def names(self) -> Sequence[str]:
+        """The parameters."""
+
+    @property
+    def lower(self) -> Any:
+        """Lower ends."""
+
+    @property
+    def upper(self) -> Any:
+        """Upper ends."""
+
+
+def write_parameters(
+    estimate: Estimate,
+    path: str | os.PathLike[str],
+    *,
+    intervals: NamedIntervals | None = None,
+) -> Path:
+    """Write all parameters of an estimate as JSON or YAML, by the file's suffix.
+
+    The file holds what was estimated and how, then ``standard`` and ``base`` parameters by name.
+    Each has its ``value`` and ``unit``; standard ones the ``shares`` of data, physics and prior
+    in them (`sdpid.assurance.diagnostics.provenance`); base ones their ``standard_error`` and what
+    they stand for (``expression``); both an ``interval`` where one is given. What is not known is
+    null.
+
+    Parameters
+    ----------
+    estimate : Estimate
+        From any solver; without standard parameters that part is null.
+    path : str or path
+        With the suffix ``.json``, ``.yaml`` or ``.yml`` (extra ``yaml``); written whole or not at
+        all.
+    intervals : Intervals, optional
+        What has names, lower and upper ends (and, where it tells them apart, their kinds).
+
+    Returns
+    -------
+    Path
+        The file.
+
+    Raises
+    ------
+    ExportError
+        For another suffix, or a folder that cannot be written to.
+    MissingExtraError
+        When YAML is asked and PyYAML is not installed.
+    """
+    target = Path(path)
+    content = parameters_dict(estimate, intervals=intervals)
+    if target.suffix.lower() == ".json":
+        text = json.dumps(content, indent=1, allow_nan=False, ensure_ascii=False) + "\n"
+    elif target.suffix.lower() in (".yaml", ".yml"):
+        yaml = require("yaml", extra="yaml")
+        text = yaml.safe_dump(content, sort_keys=False, allow_unicode=True, width=100)
+    else:
+        raise ExportError(
+            f"{target}: parameters are written as .json, .yaml or .yml; choose such a name."
+        )
+    atomic_write_text(target, text)
+    return target
+
+
+def parameters_dict(
+    estimate: Estimate, *, intervals: NamedIntervals | None = None
+) -> dict[str, Any]:
+    """Return what `write_parameters` writes, as plain values."""
+    from sdpid import __version__
+
+    problem, base = estimate.problem, estimate.problem.base
+    ends = _ends(intervals)
+    standard: dict[str, Any] | None = None
+    if estimate.theta is not None:
+        parts = provenance(estimate).to_dict()
+        standard = {
+            name: {
+                "value": value,
+                "unit": unit,
+                "interval": ends.get((name, "standard"), ends.get((name, None))),
+                "shares": parts[name],
+            }
+            for name, value, unit in zip(
+                base.theta_names, _plain(estimate.theta), base.theta_units, strict=True
+            )
+        }
+    errors: Sequence[float | None]
+    try:
+        errors = _plain(estimate.standard_errors)
+    except (DataError, IdentifiabilityError):
+        # Too short a record for blocks, or data that leave something open.
+        errors = [None] * base.count
+    robot = problem.robot
+    return {
+        "format": FORMAT,
+        "version": VERSION,
+        "made_by": f"sdpid {__version__}",
+        "robot": robot.name,
+        "joints": list(robot.joint_names),
+        "links": dict(
+            zip((str(i + 1) for i in range(robot.n_links)), robot.link_names, strict=True)
+        ),
+        "frames": "link parameters are about the origin and along the axes of the joint's frame",
+        "method": estimate.method,
+        "status": estimate.status,
+        "consistency": problem.consistency,
+        "weighting": problem.weighting,
+        "cost": estimate.cost,
+        "friction_terms": problem.friction.described(),
+        "interval_method": getattr(intervals, "method", None),
+        "interval_level": getattr(intervals, "level", None),
+        "standard": standard,
+        "base": {
+            name: {
+                "value": value,
+                "unit": unit,
+                "standard_error": error,
+                "interval": ends.get((name, "base"), ends.get((name, None))),
+                "expression": base.expression(name),
+            }
+            for name, value, unit, error in zip(
+                base.names, _plain(estimate.base), base.units, errors, strict=True
+            )
+        },
+    }
+
+
+def _plain(values: Array) -> list[float | None]:
+    """Return numbers; None where one is not finite, which JSON cannot say."""
+    return [float(x) if np.isfinite(x) else None for x in values]
+
+
+def _ends(intervals: NamedIntervals | None) -> dict[tuple[str, str | None], list[float | None]]:
+    """Return the two ends by name and kind; kind None holds for both."""
+    if intervals is None:
+        return {}
+    kinds: Sequence[str | None] = getattr(intervals, "kind", (None,) * len(intervals.names))
+    out: dict[tuple[str, str | None], list[float | None]] = {}
+    both = zip(_plain(intervals.lower), _plain(intervals.upper), strict=True)
+    for name, kind, (lower, upper) in zip(intervals.names, kinds, both, strict=True):
+        out[name, kind] = [lower, upper]
+    for (name, kind), value in list(out.items()):
+        # A standard parameter that is a base parameter is listed once, as that.
+        if kind == "base":
+            out.setdefault((name, "standard"), value)
+    return out
+
+
+def read_parameters(path: str | os.PathLike[str]) -> dict[str, float]:
+    """Read the standard parameters of a file that `write_parameters` wrote.
+
+    Parameters
+    ----------
+    path : str or path
+        JSON or YAML (extra ``yaml``), by its suffix.
+
+    Returns
+    -------
+    dict of str to float
+        Values in SI units by name, in the order of theta; base parameters where the file has no
+        standard ones.
+
+    Raises
+    ------
+    DataError
+        When the file cannot be read, is none of ours, or a value is no finite number.
+    MissingExtraError
+        When it is YAML and PyYAML is not installed.
+    """
+    source = Path(path)
+    content = _content(source)
+    if not isinstance(content, Mapping) or content.get("format") != FORMAT:
+        raise DataError(f"{source}: is no file of parameters (it lacks 'format: {FORMAT}').")
+    if content.get("version") != VERSION:
+        raise DataError(
+            f"{source}: has version {content.get('version')!r}, this release reads {VERSION}."
+        )
+    key = "base" if content.get("standard") is None else "standard"
+    entries = content.get(key)
+    if not isinstance(entries, Mapping) or not entries:
+        raise DataError(f"{source}: '{key}' holds no parameters by name.")
+    return {str(name): _value(entry, f"{source}: {key}, {name}") for name, entry in entries.items()}
+
+
+def _content(source: Path) -> Any:
+    try:
+        if source.stat().st_size > _MAX_BYTES:
+            raise DataError(f"{source}: is larger than {_MAX_BYTES} bytes; not a parameter file.")
+        text = source.read_text(encoding="utf-8-sig")
+    except (OSError, UnicodeDecodeError) as cause:
+        raise DataError(f"{source}: cannot be read ({cause}).") from None
+    if source.suffix.lower() == ".json":
+        try:
+            return json.loads(text)
+        except (ValueError, RecursionError) as cause:
+            raise DataError(f"{source}: not JSON ({cause}).") from None
+    yaml = require("yaml", extra="yaml")
+    try:
+        return yaml.safe_load(text)
+    except (yaml.YAMLError, ValueError, RecursionError) as cause:
+        reason = str(cause).replace("\n", " ")
+        raise DataError(f"{source}: not YAML ({reason}).") from None
+
+
+def _value(entry: Any, what: str) -> float:
+    value: Any = entry.get("value") if isinstance(entry, Mapping) else entry
+    try:
+        # YAML takes numbers such as 1e-5, written by hand, for text.
+        number = float("nan") if isinstance(value, bool) else float(value)
+    except (TypeError, ValueError, OverflowError):
+        number = float("nan")
+    if not np.isfinite(number):
+        raise DataError(f"{what}: the value is {value!r}; give a finite number.")
+    return number

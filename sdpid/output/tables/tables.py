@@ -1,0 +1,63 @@
+"""Tables of parameters, as CSV."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from sdpid._common.tables import Table
+from sdpid.assurance.diagnostics.provenance import provenance
+from sdpid.errors import DataError, IdentifiabilityError
+from sdpid.estimation.estimate import Estimate
+from sdpid.output.tables.intervals_shown import Ends, GivenIntervals, ends_of
+
+# Columns of an interval.
+_ENDS = ("lower", "upper", "label")
+
+
+def base_table(
+    estimate: Estimate, wls: Estimate | None = None, intervals: GivenIntervals | None = None
+) -> Table:
+    """Return base parameters with the unconstrained fit, its standard errors, and intervals."""
+    base = estimate.problem.base
+    header = ["parameter", "unit", "value"]
+    columns: list[Sequence[object]] = [base.names, base.units, estimate.base.tolist()]
+    if wls is not None:
+        header += ["unconstrained", "standard_error"]
+        errors: Sequence[float | None]
+        try:
+            errors = wls.standard_errors.tolist()
+        except (IdentifiabilityError, DataError):
+            # With a prior the data need not determine everything, or may be too few for blocks;
+            # then there is no such error.
+            errors = [None] * len(base.names)
+        columns += [wls.base.tolist(), errors]
+    if intervals is not None:
+        header += _ENDS
+        columns += _end_columns(base.names, intervals)
+    header.append("regrouping")
+    columns.append([base.expression(name) for name in base.names])
+    return Table(tuple(header), tuple(zip(*columns, strict=True)))
+
+
+def theta_table(estimate: Estimate, intervals: GivenIntervals | None = None) -> Table:
+    """Return standard parameters, their intervals, and what they come from (shares of one)."""
+    base = estimate.problem.base
+    none: list[None] = [None] * len(base.theta_names)
+    sources = None if estimate.theta is None else provenance(estimate)
+    columns: list[Sequence[object]] = [base.theta_names, base.theta_units]
+    columns.append(none if estimate.theta is None else estimate.theta.tolist())
+    header = ["parameter", "unit", "value"]
+    if intervals is not None:
+        header += _ENDS
+        columns += _end_columns(base.theta_names, intervals)
+    for name in ("data", "physics", "prior"):
+        header.append(name)
+        columns.append(none if sources is None else getattr(sources, name).tolist())
+    return Table(tuple(header), tuple(zip(*columns, strict=True)))
+
+
+def _end_columns(names: Sequence[str], intervals: GivenIntervals) -> list[Sequence[object]]:
+    """Return lower ends, upper ends and labels of the named parameters."""
+    ends, none = ends_of(intervals), Ends(None, None, "")
+    rows = [ends.get(name, none) for name in names]
+    return [[row.lower for row in rows], [row.upper for row in rows], [row.label for row in rows]]

@@ -1,0 +1,283 @@
+"""The bodies of a robot description as they are written, link by link, before anything is merged.
+
+Loaders add up what is fixed together and turn a tensor into principal moments; what cannot exist
+is hidden by that or refused without a reason. Here every number is read as written, tensors also
+as exact fractions of the decimals in the text, and nothing is refused: what cannot be read is
+said in `DescribedBody.problems`.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from fractions import Fraction
+from typing import Any
+
+import numpy as np
+
+from sdpid._common.arrays import Array, frozen
+from sdpid.errors import ModelError
+from sdpid.robot.description.urdf import LARGEST
+from sdpid.robot.description.xml import parse_xml
+from sdpid.robot.inertia import TENSOR_INDEX, theta_from_physical
+
+# In the order of `TENSOR_INDEX`.
+TENSOR_NAMES = ("ixx", "ixy", "iyy", "ixz", "iyz", "izz")
+
+# The lower triangle has no place in a URDF; some files have it all the same.
+_TRANSPOSED = {"iyx": "ixy", "izx": "ixz", "izy": "iyz"}
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class DescribedBody:
+    """One body as described.
+
+    Attributes
+    ----------
+    name : str
+        The link.
+    described : bool
+        Whether it has an ``<inertial>`` at all.
+    moving : bool
+        Whether some joint that is not fixed lies between it and the root.
+    carrier : str
+        The link that it is fixed to, through any number of fixed joints: the child of the last
+        joint that moves, or the root; itself if nothing is in between.
+    mass : float or None
+        kg; None where it is missing or no number.
+    com : ndarray, shape (3,), or None
+        Centre of mass in the link's frame, m.
+    rotation : ndarray, shape (3, 3)
+        Axes of the tensor in the link's frame.
+    entries : tuple of Fraction, or None
+        The tensor about the centre of mass in the order of `TENSOR_INDEX`, exactly as written,
+        kg·m².
+    half_digit : float
+        Half a unit in the last digit of the entry that is written most coarsely, kg·m²: by so
+        much rounding may have changed an entry.
+    placement : ndarray, shape (4, 4)
+        The link's frame in the carrier's.
+    problems : tuple of str
+        What cannot be read, in words.
+    joint : str or None
+        The joint that moves the carrier.
+    parent : str or None
+        The link on that joint's other side.
+    inferred : bool
+        Whether the loader makes its inertia from its shapes.
+    """
+
+    name: str
+    described: bool
+    moving: bool = False
+    carrier: str = ""
+    mass: float | None = None
+    com: Array | None = None
+    rotation: Array = field(default_factory=lambda: frozen(np.eye(3)))
+    entries: tuple[Fraction, ...] | None = None
+    half_digit: float = 0.0
+    placement: Array = field(default_factory=lambda: frozen(np.eye(4)))
+    problems: tuple[str, ...] = ()
+    joint: str | None = None
+    parent: str | None = None
+    inferred: bool = False
+
+    @property
+    def tensor(self) -> Array | None:
+        """The inertia about the centre of mass along its own axes, shape (3, 3), kg·m²."""
+        if self.entries is None:
+            return None
+        tensor = np.empty((3, 3))
+        for value, (i, j) in zip(self.entries, TENSOR_INDEX, strict=True):
+            tensor[i, j] = tensor[j, i] = float(value)
+        return tensor
+
+    @property
+    def theta(self) -> Array | None:
+        """The ten parameters in the link's frame; None where a number is missing."""
+        tensor = self.tensor
+        if self.mass is None or self.com is None or tensor is None:
+            return None
+        return theta_from_physical(self.mass, self.com, self.rotation @ tensor @ self.rotation.T)
+
+
+def exact_decimal(text: str) -> Fraction:
+    """Return the exact value of a decimal number.
+
+    Raises
+    ------
+    ValueError
+        When the text is not a finite number of a size that a double can hold.
+    """
+    value = float(text)
+    if not math.isfinite(value):
+        raise ValueError(text)
+    # Also keeps an exponent of millions from being expanded.
+    if value == 0.0:
+        return Fraction(0)
+    return Fraction(text.strip().replace("_", "x"))
+
+
+def exact_inertia(entries: tuple[Fraction, ...]) -> list[list[Fraction]]:
+    """Return the rows of the tensor with those entries (order of `TENSOR_INDEX`)."""
+    rows = [[Fraction(0)] * 3 for _ in range(3)]
+    for value, (i, j) in zip(entries, TENSOR_INDEX, strict=True):
+        rows[i][j] = rows[j][i] = value
+    return rows
+
+
+def exact_second_moment(entries: tuple[Fraction, ...]) -> list[list[Fraction]]:
+    """Return the rows of ``½·tr(I)·E − I`` exactly."""
+    rows = exact_inertia(entries)
+    half = (rows[0][0] + rows[1][1] + rows[2][2]) / 2
+    return [[half * (i == j) - rows[i][j] for j in range(3)] for i in range(3)]
+
+
+def read_urdf_bodies(text: str | bytes, what: str) -> tuple[Any, tuple[DescribedBody, ...]]:
+    """Return the root element of a URDF and its bodies, one a ``<link>``, in document order.
+
+    Raises
+    ------
+    ModelError
+        When it is not a URDF, or its joints make no tree.
+    """
+    root = parse_xml(text, what)
+    if root.tag != "robot":
+        raise ModelError(f"{what}: the root element is <{root.tag}>, a URDF has <robot>.")
+    links = root.findall("link")
+    names = [link.get("name", "") for link in links]
+    if not links:
+        raise ModelError(f"{what}: has no <link>; give the URDF itself, not a xacro file.")
+    if len(set(names)) < len(names):
+        twice = sorted({name for name in names if names.count(name) > 1})
+        raise ModelError(f"{what}: link names must differ; given twice: {', '.join(twice)}.")
+    parents: dict[str, Any] = {}
+    for joint in root.findall("joint"):
+        ends = [_end(joint, which) for which in ("parent", "child")]
+        for end in ends:
+            if end not in names:
+                raise ModelError(
+                    f"{what}: joint '{joint.get('name', '?')}' names the link '{end}', which "
+                    "does not exist."
+                )
+        if ends[1] in parents:
+            raise ModelError(f"{what}: link '{ends[1]}' is the child of two joints.")
+        parents[ends[1]] = joint
+    return root, tuple(_body(link, parents, what) for link in links)
+
+
+def _end(joint: Any, which: str) -> str:
+    element = joint.find(which)
+    return "" if element is None else str(element.get("link", ""))
+
+
+def _body(link: Any, parents: Mapping[str, Any], what: str) -> DescribedBody:
+    name = link.get("name", "")
+    problems: list[str] = []
+    placement, carrier, seen = np.eye(4), name, {name}
+    while carrier in parents and parents[carrier].get("type") == "fixed":
+        joint = parents[carrier]
+        placement = _placement(joint, f"joint '{joint.get('name')}'", problems) @ placement
+        carrier = _end(joint, "parent")
+        if carrier in seen:
+            raise ModelError(f"{what}: the joints above link '{name}' go in a circle.")
+        seen.add(carrier)
+    mover = parents.get(carrier)
+    place: dict[str, Any] = {
+        "name": name,
+        "moving": mover is not None,
+        "carrier": carrier,
+        "joint": None if mover is None else mover.get("name", "?"),
+        "parent": None if mover is None else _end(mover, "parent"),
+        "placement": frozen(placement),
+    }
+    inertial = link.find("inertial")
+    if inertial is None:
+        return DescribedBody(described=False, problems=tuple(problems), **place)
+    mass = _number(inertial.find("mass"), "value", "mass", problems)
+    frame = _placement(inertial, "the inertial", problems)
+    element = inertial.find("inertia")
+    found = [_number(element, key, key, problems) for key in TENSOR_NAMES]
+    entries = None
+    half_digit = 0.0
+    numbers = [value for value in found if value is not None]
+    if len(numbers) == len(found):
+        entries = tuple(numbers)
+        half_digit = max(_half_digit(element.get(key)) for key in TENSOR_NAMES)
+        _check_symmetry(element, dict(zip(TENSOR_NAMES, numbers, strict=True)), problems)
+    return DescribedBody(
+        described=True,
+        mass=None if mass is None else float(mass),
+        com=frozen(frame[:3, 3]) if np.isfinite(frame).all() else None,
+        rotation=frozen(frame[:3, :3]),
+        entries=entries,
+        half_digit=half_digit,
+        problems=tuple(problems),
+        **place,
+    )
+
+
+def _number(element: Any, key: str, what: str, problems: list[str]) -> Fraction | None:
+    text = None if element is None else element.get(key)
+    if text is None:
+        problems.append(f"{what} is missing")
+        return None
+    try:
+        number = exact_decimal(text)
+    except ValueError:
+        problems.append(f"{what} is '{text}', which is no finite number")
+        return None
+    if abs(number) > LARGEST:
+        problems.append(f"{what} is '{text}', more than {LARGEST:g}, which no robot has")
+        return None
+    return number
+
+
+def _half_digit(text: str) -> float:
+    """Return half a unit in the last digit of a number as written."""
+    mantissa, _, exponent = text.strip().lower().partition("e")
+    decimals = len(mantissa.partition(".")[2])
+    if not float(mantissa):
+        return 0.0  # an entry that is zero is so by symmetry, not by rounding
+    return 0.5 * 10.0 ** (int(exponent or 0) - decimals)
+
+
+def _check_symmetry(element: Any, values: Mapping[str, Fraction], problems: list[str]) -> None:
+    for lower, upper in _TRANSPOSED.items():
+        text = element.get(lower)
+        if text is None:
+            continue
+        try:
+            same = exact_decimal(text) == values[upper]
+        except ValueError:
+            same = False
+        if not same:
+            problems.append(
+                f"the tensor is not symmetric: {lower} is '{text}', {upper} is "
+                f"'{element.get(upper)}'"
+            )
+
+
+def _placement(element: Any, what: str, problems: list[str]) -> Array:
+    """Return the frame of an element's ``<origin>``; not finite where it cannot be read."""
+    from scipy.spatial.transform import Rotation
+
+    placement = np.eye(4)
+    origin = element.find("origin")
+    if origin is None:
+        return placement
+    values = []
+    for key in ("xyz", "rpy"):
+        text = origin.get(key, "0 0 0")
+        try:
+            numbers = np.array([float(word) for word in text.split()])
+        except ValueError:
+            numbers = np.array([])
+        if numbers.shape != (3,) or not (np.abs(numbers) <= LARGEST).all():
+            problems.append(f"{key} of {what} is '{text}', expected 3 finite numbers")
+            return np.full((4, 4), np.nan)
+        values.append(numbers)
+    placement[:3, 3] = values[0]
+    placement[:3, :3] = Rotation.from_euler("xyz", values[1]).as_matrix()
+    return placement

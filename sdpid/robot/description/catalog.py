@@ -1,0 +1,141 @@
+"""Robots that can be loaded by name: bundled, of example-robot-data, of robot_descriptions."""
+
+from __future__ import annotations
+
+import difflib
+import importlib
+import importlib.metadata
+from functools import cache
+from pathlib import Path
+
+from sdpid.errors import ModelError
+
+# Names that an error offers, and how alike they are at least (1: equal).
+_SHOWN, _ALIKE = 5, 0.6
+_LONGEST_NAME = 80
+
+_PACKAGE = Path(__file__).resolve().parents[2]
+
+
+def models_folder() -> Path:
+    """Return the folder of bundled robots: of the checkout, or packed into the wheel."""
+    checkout = _PACKAGE.parent / "models"
+    packed = _PACKAGE / "models"
+    return packed if packed.is_dir() else checkout
+
+
+def bundled_robots() -> tuple[str, ...]:
+    """Return the names of the bundled robots."""
+    folder = models_folder()
+    return tuple(sorted(path.parent.name for path in folder.glob("*/kinematics.toml")))
+
+
+def bundled_folder(name: str) -> Path:
+    """Return the folder of a bundled robot.
+
+    Raises
+    ------
+    ModelError
+        When there is none of that name.
+    """
+    if name not in bundled_robots():
+        raise ModelError(f"no bundled robot is called {name!r}: {', '.join(bundled_robots())}.")
+    return models_folder() / name
+
+
+@cache
+def example_robots() -> dict[str, Path]:
+    """Return the URDF files of the installed example-robot-data, by folder/stem."""
+    try:
+        files = importlib.metadata.files("example-robot-data") or []
+    except importlib.metadata.PackageNotFoundError:
+        return {}
+    robots = {}
+    for file in files:
+        if file.suffix == ".urdf" and "robots" in file.parts:
+            folder = file.parts[file.parts.index("robots") + 1]
+            robots[f"{folder}/{file.stem}"] = Path(str(file.locate()))
+    return dict(sorted(robots.items()))
+
+
+def downloadable_robots() -> tuple[str, ...]:
+    """Return the names of robot_descriptions, where it is installed (extra ``descriptions``)."""
+    try:
+        import robot_descriptions
+    except ModuleNotFoundError:
+        return ()
+    return tuple(sorted(robot_descriptions.DESCRIPTIONS))
+
+
+def robot_names() -> tuple[str, ...]:
+    """Return the names that `load_robot` knows: bundled robots, those with files, the others."""
+    return (*bundled_robots(), *example_robots(), *downloadable_robots())
+
+
+def _download(name: str) -> Path:
+    """Return the URDF, xacro or MJCF of a robot of robot_descriptions, cached after a download.
+
+    Raises
+    ------
+    ModelError
+        When it cannot be downloaded, or has none of these files.
+    """
+    try:
+        module = importlib.import_module(f"robot_descriptions.{name}")
+    except Exception as cause:  # git fails in many ways
+        reason = " ".join(str(cause).split())[:200]
+        raise ModelError(
+            f"robot {name!r} cannot be fetched by robot_descriptions ({reason}); it needs the "
+            "network the first time."
+        ) from None
+    for kind in ("URDF_PATH", "XACRO_PATH", "MJCF_PATH"):
+        path = getattr(module, kind, None)
+        if path is not None:
+            return Path(path)
+    raise ModelError(f"robot {name!r} of robot_descriptions has neither URDF, xacro nor MJCF.")
+
+
+def find_robot(name: str) -> Path:
+    """Return the description of a robot by name.
+
+    Bundled robots come first, then those of example-robot-data by stem or folder/stem, then those
+    of robot_descriptions, which are downloaded (extra ``descriptions``).
+
+    Raises
+    ------
+    ModelError
+        When there is none, with names that are near; when several folders have a file of that
+        stem; or when a download fails.
+    """
+    if name in bundled_robots():
+        return bundled_folder(name) / f"{name}.urdf"
+    robots = example_robots()
+    if name in robots:
+        return robots[name]
+    matches = [key for key in robots if key.split("/")[1] == name]
+    if len(matches) > 1:
+        raise ModelError(f"robot name {name!r} is ambiguous: use one of {', '.join(matches)}.")
+    if not matches and name in downloadable_robots():
+        return _download(name)
+    if not matches:
+        shown = name if len(name) <= 80 else name[:77] + "..."
+        more = ""
+        if name.endswith("_description") and not downloadable_robots():
+            more = "; for names of robot_descriptions: pip install 'sdpid[descriptions]'"
+        raise ModelError(
+            f"no robot {shown!r}: not a file, and not a known name; {_near(name)}{more}."
+        )
+    return robots[matches[0]]
+
+
+def _near(name: str) -> str:
+    """Return the known names that are most like one that is not known."""
+    stems = {key.split("/")[-1]: key for key in robot_names()}
+    word = name.lower()[:_LONGEST_NAME]
+    near = [stem for stem in stems if word and (word in stem.lower() or stem.lower() in word)]
+    near += difflib.get_close_matches(word, stems, n=_SHOWN, cutoff=_ALIKE)
+    found = list(dict.fromkeys(near))[:_SHOWN]
+    if found:
+        return "near it are " + ", ".join(found)
+    some = ", ".join([*bundled_robots(), *list(example_robots())[-_SHOWN:]])
+    return f"{len(robot_names())} robots are known, such as {some}"

@@ -1,0 +1,315 @@
+"""Denavit-Hartenberg tables, modified and standard, and the URDF that says the same."""
+
+from __future__ import annotations
+
+import math
+import os
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from sdpid._common.arrays import Array, real_array
+from sdpid._common.toml import load_toml
+from sdpid.errors import ModelError
+
+# Rotations by multiples of a right angle are written as exact zeros and ones: sin and cos of
+# a rounded pi/2 differ from them by less than this.
+_SNAP = 1e-15
+
+_OPTIONAL = ("lower", "upper", "velocity", "effort")
+
+
+@dataclass(frozen=True, kw_only=True)
+class DhJoint:
+    """One row of a table; the joint variable is added to `theta` (revolute) or `r` (prismatic).
+
+    Attributes
+    ----------
+    alpha, theta : float
+        Angles about x and z in rad.
+    d, r : float
+        Lengths along x and z in m.
+    kind : {"revolute", "prismatic"}
+        The joint.
+    name : str, optional
+        By default ``joint_1``, ``joint_2``, … in the table's order.
+    lower, upper : float, optional
+        Range of the joint variable; without them the joint is unlimited.
+    velocity, effort : float, optional
+        Largest speed and effort.
+    """
+
+    alpha: float = 0.0
+    d: float = 0.0
+    theta: float = 0.0
+    r: float = 0.0
+    kind: Literal["revolute", "prismatic"] = "revolute"
+    name: str | None = None
+    lower: float | None = None
+    upper: float | None = None
+    velocity: float | None = None
+    effort: float | None = None
+
+
+def _rotation(axis: int, angle: float) -> Array:
+    c, s = math.cos(angle), math.sin(angle)
+    i, j = (axis + 1) % 3, (axis + 2) % 3
+    transform = np.eye(4)
+    transform[i, i], transform[i, j], transform[j, i], transform[j, j] = c, -s, s, c
+    transform[np.abs(transform) < _SNAP] = 0.0
+    return transform
+
+
+def _translation(axis: int, length: float) -> Array:
+    transform = np.eye(4)
+    transform[axis, 3] = length
+    return transform
+
+
+def rpy_matrix(rpy: Sequence[float]) -> Array:
+    """Return the rotation of fixed-axis roll, pitch and yaw, as URDF means them."""
+    roll, pitch, yaw = rpy
+    return (_rotation(2, yaw) @ _rotation(1, pitch) @ _rotation(0, roll))[:3, :3]
+
+
+def matrix_rpy(rotation: ArrayLike) -> tuple[float, float, float]:
+    """Return roll, pitch and yaw of a rotation matrix; at gimbal lock roll is zero."""
+    R = np.asarray(rotation, dtype=np.float64)
+    horizontal = math.hypot(R[0, 0], R[1, 0])
+    pitch = math.atan2(-R[2, 0], horizontal)
+    # Below this the two remaining angles are one: only their sum or difference exists.
+    if horizontal < 1e-12:
+        return 0.0, pitch, math.atan2(-R[0, 1], R[1, 1])
+    return math.atan2(R[2, 1], R[2, 2]), pitch, math.atan2(R[1, 0], R[0, 0])
+
+
+@dataclass(frozen=True, kw_only=True)
+class DhTable:
+    """A Denavit-Hartenberg table.
+
+    With ``convention="modified"`` [khalil2002]_ frame i follows frame i-1 by
+    ``Rot(x, alpha) Trans(x, d) Rot(z, theta) Trans(z, r)``; with ``"standard"`` by
+    ``Rot(z, theta) Trans(z, r) Trans(x, d) Rot(x, alpha)``.
+
+    Attributes
+    ----------
+    joints : tuple of DhJoint
+        From the base to the tip.
+    name : str
+        The robot's name.
+    convention : {"modified", "standard"}
+        The convention.
+    base_translation, base_rpy : tuple of float
+        Placement of frame 0 in the base link, in m and rad.
+    gravity : tuple of float
+        Gravity in the base link, m/s².
+    """
+
+    joints: tuple[DhJoint, ...]
+    name: str = "robot"
+    convention: Literal["modified", "standard"] = "modified"
+    base_translation: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    base_rpy: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    gravity: tuple[float, float, float] = (0.0, 0.0, -9.81)
+
+    def __post_init__(self) -> None:
+        if not self.joints:
+            raise ModelError("kinematic table: it has no joints; give at least one row.")
+        if self.convention not in ("modified", "standard"):
+            raise ModelError(
+                f"kinematic table: convention {self.convention!r}; use 'modified' or 'standard'."
+            )
+        for i, joint in enumerate(self.joints):
+            if joint.kind not in ("revolute", "prismatic"):
+                raise ModelError(
+                    f"kinematic table, row {i + 1}: joint kind {joint.kind!r} is not supported; "
+                    "use 'revolute' or 'prismatic'."
+                )
+            for key in ("alpha", "d", "theta", "r", "lower", "upper", "velocity", "effort"):
+                value = getattr(joint, key)
+                if value is None and key in _OPTIONAL:
+                    continue
+                if not isinstance(value, (int, float)) or not math.isfinite(value):
+                    raise ModelError(
+                        f"kinematic table, row {i + 1}: {key} is {value!r}; give a finite number."
+                    )
+            if (joint.lower is None) != (joint.upper is None):
+                raise ModelError(f"kinematic table, row {i + 1}: give both limits or neither.")
+            if joint.lower is not None and joint.upper is not None and joint.lower > joint.upper:
+                raise ModelError(
+                    f"kinematic table, row {i + 1}: lower limit {joint.lower} is above the upper "
+                    f"limit {joint.upper}."
+                )
+        for key in ("base_translation", "base_rpy", "gravity"):
+            what = f"kinematic table: {key}"
+            vector = real_array(getattr(self, key), what, ndim=1, error=ModelError)
+            if vector.shape != (3,):
+                raise ModelError(f"{what} has {vector.size} numbers, give 3.")
+            object.__setattr__(self, key, tuple(vector.tolist()))
+        for value in (self.name, *self.joint_names):
+            if not isinstance(value, str):
+                raise ModelError(f"kinematic table: the name {value!r} is not text.")
+        names = self.joint_names
+        if len(set(names)) != len(names):
+            raise ModelError(f"kinematic table: joint names repeat: {', '.join(names)}.")
+
+    @property
+    def joint_names(self) -> tuple[str, ...]:
+        """Names of the joints."""
+        return tuple(joint.name or f"joint_{i + 1}" for i, joint in enumerate(self.joints))
+
+    @classmethod
+    def from_mapping(cls, data: Mapping[str, Any], *, what: str = "kinematic table") -> DhTable:
+        """Build from the content of a TOML file (see ``models/denso_vp6242/kinematics.toml``).
+
+        Raises
+        ------
+        ModelError
+            When a key is missing or unknown.
+        """
+        rows = data.get("joint")
+        if not isinstance(rows, Sequence) or isinstance(rows, (str, bytes)):
+            raise ModelError(f"{what}: no [[joint]] rows.")
+        try:
+            joints = tuple(DhJoint(**row) for row in rows)
+        except TypeError as cause:
+            raise ModelError(f"{what}: a [[joint]] row is not understood ({cause}).") from None
+        base = data.get("base", {})
+        if not isinstance(base, Mapping):
+            raise ModelError(f"{what}: base is {base!r}; give translation and rpy.")
+        return cls(
+            joints=joints,
+            name=data.get("name", "robot"),
+            convention=data.get("convention", "modified"),
+            base_translation=base.get("translation", (0.0, 0.0, 0.0)),
+            base_rpy=base.get("rpy", (0.0, 0.0, 0.0)),
+            gravity=data.get("gravity", (0.0, 0.0, -9.81)),
+        )
+
+    @classmethod
+    def from_toml(cls, path: str | os.PathLike[str]) -> DhTable:
+        """Read a table from a TOML file."""
+        return cls.from_mapping(load_toml(path), what=str(Path(path).name))
+
+    def base_transform(self) -> Array:
+        """Return the placement of frame 0 in the base link, shape (4, 4)."""
+        transform = np.eye(4)
+        transform[:3, :3] = rpy_matrix(self.base_rpy)
+        transform[:3, 3] = self.base_translation
+        return transform
+
+    def link_transform(self, index: int, variable: float) -> Array:
+        """Return the transform from frame `index` to the next at a joint variable."""
+        joint = self.joints[index]
+        revolute = joint.kind == "revolute"
+        about_z = _rotation(2, joint.theta + (variable if revolute else 0.0)) @ _translation(
+            2, joint.r + (0.0 if revolute else variable)
+        )
+        about_x = _rotation(0, joint.alpha) @ _translation(0, joint.d)
+        return about_x @ about_z if self.convention == "modified" else about_z @ about_x
+
+    def forward_kinematics(self, q: ArrayLike) -> Array:
+        """Return the placements of frames 1 … n in the base link, shape (n, 4, 4)."""
+        transform = self.base_transform()
+        frames = []
+        for i, variable in enumerate(np.asarray(q, dtype=np.float64)):
+            transform = transform @ self.link_transform(i, float(variable))
+            frames.append(transform)
+        return np.stack(frames)
+
+    def joint_placements(self) -> tuple[list[Array], Array]:
+        """Return each joint's placement in the link before it, and the tip in the last link.
+
+        A joint frame has the joint's axis along z and moves with the joint. For a modified table
+        it is the table's own frame. For a standard one the fixed part after the joint belongs to
+        the next placement, and the last of them places the tip.
+        """
+        before = self.base_transform()
+        placements = []
+        for i, joint in enumerate(self.joints):
+            if self.convention == "modified":
+                placements.append(before @ self.link_transform(i, 0.0))
+                before = np.eye(4)
+            else:
+                placements.append(before @ _rotation(2, joint.theta) @ _translation(2, joint.r))
+                before = _rotation(0, joint.alpha) @ _translation(0, joint.d)
+        return placements, before
+
+    def to_urdf(self, inertias: ArrayLike | None = None) -> str:
+        """Return the URDF of the table.
+
+        Parameters
+        ----------
+        inertias : array_like, shape (n, 10), optional
+            Standard parameters of the links in their joint frames; without them the links have
+            no inertial element.
+
+        Returns
+        -------
+        str
+            The URDF. A standard table gets a fixed frame ``tip`` at its last frame.
+        """
+        from lxml import etree
+
+        from sdpid.robot.description.urdf import inertial_element
+
+        robot = etree.Element("robot", name=self.name)
+        robot.append(etree.Comment(" Generated from the kinematic table; edit the table. "))
+        etree.SubElement(robot, "link", name="base_link")
+        bodies = None
+        if inertias is not None:
+            bodies = real_array(inertias, "inertias", ndim=2, error=ModelError)
+            if bodies.shape != (len(self.joints), 10):
+                raise ModelError(
+                    f"inertias: shape {bodies.shape}, expected {(len(self.joints), 10)}: ten "
+                    "parameters for each joint's link."
+                )
+        placements, tip = self.joint_placements()
+        links = [f"link_{i + 1}" for i in range(len(self.joints))]
+        for i, link_name in enumerate(links):
+            link = etree.SubElement(robot, "link", name=link_name)
+            if bodies is not None:
+                link.append(inertial_element(bodies[i]))
+        for i, (joint, name) in enumerate(zip(self.joints, self.joint_names, strict=True)):
+            limited = joint.lower is not None or joint.kind == "prismatic"
+            kind = joint.kind if limited else "continuous"
+            element = etree.SubElement(robot, "joint", name=name, type=kind)
+            _origin(element, placements[i])
+            etree.SubElement(element, "parent", link="base_link" if i == 0 else links[i - 1])
+            etree.SubElement(element, "child", link=links[i])
+            etree.SubElement(element, "axis", xyz="0 0 1")
+            etree.SubElement(element, "limit", _limits(joint))
+        if self.convention == "standard":
+            etree.SubElement(robot, "link", name="tip")
+            element = etree.SubElement(robot, "joint", name="tip_joint", type="fixed")
+            _origin(element, tip)
+            etree.SubElement(element, "parent", link=links[-1])
+            etree.SubElement(element, "child", link="tip")
+        etree.indent(robot)
+        return str(etree.tostring(robot, xml_declaration=True, encoding="UTF-8"), "utf-8") + "\n"
+
+
+def _origin(element: Any, transform: Array) -> None:
+    from lxml import etree
+
+    rpy = matrix_rpy(transform[:3, :3])
+    etree.SubElement(element, "origin", xyz=numbers(transform[:3, 3]), rpy=numbers(rpy))
+
+
+def _limits(joint: DhJoint) -> dict[str, str]:
+    # URDF demands effort and velocity; where the table is silent this stands for 'no limit'.
+    limits = {"effort": joint.effort or 1e9, "velocity": joint.velocity or 1e9}
+    if joint.lower is not None and joint.upper is not None:
+        limits |= {"lower": joint.lower, "upper": joint.upper}
+    elif joint.kind == "prismatic":
+        limits |= {"lower": -1e9, "upper": 1e9}
+    return {key: repr(float(value)) for key, value in limits.items()}
+
+
+def numbers(values: ArrayLike) -> str:
+    """Return numbers as XML text, shortest form that reads back to the same float64."""
+    return " ".join(repr(float(value) + 0.0) for value in np.ravel(np.asarray(values)))

@@ -1,0 +1,287 @@
+"""MJCF files: compiled by MuJoCo in a child process, and turned into a Pinocchio model.
+
+MuJoCo's parser trusts its input: a file that includes itself ends the process, and a large
+``<replicate>`` never ends. Nothing of a stranger is therefore parsed in this process.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from sdpid._common.arrays import Array
+from sdpid._common.extras import require
+from sdpid._common.sandbox import run_in_sandbox
+from sdpid.errors import ModelError
+from sdpid.robot.description.urdf import Mimic
+from sdpid.robot.inertia import theta_from_physical, transform
+
+# A scene of a humanoid with meshes compiles in some seconds.
+TIMEOUT = 60.0
+
+
+def parsed(text: str, path: str | None, what: str) -> Any:
+    """Return MuJoCo's ``MjSpec`` of a file, or of a text; only within a child process.
+
+    Raises
+    ------
+    ModelError
+        When MuJoCo cannot parse it.
+    MissingExtraError
+        When MuJoCo is not installed (extra ``sim``).
+    """
+    mujoco = require("mujoco", extra="sim")
+    try:
+        return mujoco.MjSpec.from_string(text) if path is None else mujoco.MjSpec.from_file(path)
+    except (ValueError, RuntimeError) as cause:
+        raise ModelError(f"{what}: MuJoCo cannot parse it ({_line(cause)}).") from None
+
+
+def compiled(text: str, path: str | None, folder: str | None, what: str) -> Any:
+    """Return MuJoCo's ``MjModel`` of a file, or of a text with files in a folder.
+
+    Only within a child process, or after the same text compiled in one.
+
+    Raises
+    ------
+    ModelError
+        When MuJoCo cannot compile it.
+    MissingExtraError
+        When MuJoCo is not installed (extra ``sim``).
+    """
+    spec = parsed(text, path, what)
+    if folder is not None:
+        spec.modelfiledir = folder
+    try:
+        return spec.compile()
+    except (ValueError, RuntimeError) as cause:
+        raise ModelError(f"{what}: MuJoCo cannot compile it ({_line(cause)}).") from None
+
+
+def _line(cause: Exception) -> str:
+    return " ".join(str(cause).split())
+
+
+def in_child(function: Callable[..., Any], *arguments: Any, what: str) -> Any:
+    """Return what a function of MJCF returns in a child process with limits.
+
+    Raises
+    ------
+    ModelError
+        When MuJoCo refuses the file, crashes, or takes more than its time or memory.
+    MissingExtraError
+        When MuJoCo is not installed (extra ``sim``).
+    """
+    return run_in_sandbox(
+        function, *arguments, what, subject=what, error=ModelError, timeout=TIMEOUT
+    )
+
+
+def check_compiles(text: str, folder: str | None, what: str) -> None:
+    """Refuse an MJCF text that does not compile in a child process.
+
+    Raises
+    ------
+    ModelError
+        When it does not.
+    MissingExtraError
+        When MuJoCo is not installed (extra ``sim``).
+    """
+    in_child(_compiles, text, folder, what=what)
+
+
+def _compiles(text: str, folder: str | None, what: str) -> None:
+    compiled(text, None, folder, what)
+
+
+def pinocchio_from_mjcf(text: str, path: Path | None, what: str) -> tuple[Any, tuple[Mimic, ...]]:
+    """Return the Pinocchio model of an MJCF file, and joints that mimic others.
+
+    Every hinge and slide becomes a joint with the angle that MuJoCo gives it (``ref`` included);
+    a body with several gets links without mass in between. Bodies without joints are part of what
+    carries them. Linear joint equalities become mimic joints.
+
+    Parameters
+    ----------
+    text : str
+        The file.
+    path : Path or None
+        Where it is, for what it includes.
+    what : str
+        What it is called in messages.
+
+    Raises
+    ------
+    ModelError
+        When MuJoCo cannot compile it, nothing moves, or it has ball joints or closed loops.
+    MissingExtraError
+        When MuJoCo is not installed (extra ``sim``).
+    """
+    found = in_child(_numbers, text, None if path is None else str(path.resolve()), what=what)
+    return _Build(found, what).model, _mimics(found, what)
+
+
+def _numbers(text: str, path: str | None, what: str) -> dict[str, Any]:
+    """Return the numbers of a compiled model that make its kinematics and inertias."""
+    mujoco = require("mujoco", extra="sim")
+    model = compiled(text, path, None, what)
+    arrays = (
+        *("body_parentid", "body_pos", "body_quat", "body_mass", "body_ipos", "body_iquat"),
+        *("body_inertia", "body_jntadr", "body_jntnum", "jnt_type", "jnt_pos", "jnt_axis"),
+        *("jnt_range", "jnt_limited", "jnt_actfrcrange", "jnt_actfrclimited", "eq_type"),
+        *("eq_active0", "eq_obj1id", "eq_obj2id", "eq_data"),
+    )
+    found: dict[str, Any] = {name: np.asarray(getattr(model, name)).tolist() for name in arrays}
+    found["ref"] = [float(model.qpos0[at]) for at in model.jnt_qposadr]
+    found["gravity"] = [float(x) for x in model.opt.gravity]
+    found["name"] = str(model.names.split(b"\0")[0].decode("utf-8", "replace"))
+    found["bodies"] = [str(model.body(i).name) for i in range(model.nbody)]
+    found["joints"] = [str(model.joint(i).name) for i in range(model.njnt)]
+    found["kinds"] = {
+        kind: int(getattr(mujoco.mjtJoint, f"mjJNT_{kind.upper()}"))
+        for kind in ("free", "ball", "slide", "hinge")
+    }
+    found["equalities"] = {
+        int(getattr(mujoco.mjtEq, f"mjEQ_{kind.upper()}")): kind
+        for kind in ("connect", "weld", "joint", "tendon", "flex")
+    }
+    return found
+
+
+def _joint_names(found: dict[str, Any]) -> list[str]:
+    """Return a name for every joint; MuJoCo's may be empty."""
+    owners: dict[int, int] = {}
+    for body, (first, count) in enumerate(
+        zip(found["body_jntadr"], found["body_jntnum"], strict=True)
+    ):
+        owners |= dict.fromkeys(range(first, first + count), body)
+    return [
+        name or f"{found['bodies'][owners[i]] or f'body_{owners[i]}'}_joint_{i}"
+        for i, name in enumerate(found["joints"])
+    ]
+
+
+def _mimics(found: dict[str, Any], what: str) -> tuple[Mimic, ...]:
+    """Return the joints that an active equality makes follow others.
+
+    Raises
+    ------
+    ModelError
+        For equalities that close a loop or are not linear.
+    """
+    names, mimics = _joint_names(found), []
+    columns = [found[f"eq_{key}"] for key in ("type", "active0", "obj1id", "obj2id", "data")]
+    for kind, active, first, second, data in zip(*columns, strict=True):
+        if not active:
+            continue
+        name = found["equalities"].get(str(kind), "another kind of")
+        if name != "joint" or second < 0 or any(data[2:5]):
+            raise ModelError(
+                f"{what}: has a {name} equality, which is not supported; supported are linear "
+                "equalities of two joints. Remove it, or set active='false'."
+            )
+        # q1 − ref1 = c0 + c1·(q2 − ref2)
+        offset = found["ref"][first] + data[0] - data[1] * found["ref"][second]
+        mimics.append(Mimic(names[first], names[second], data[1], offset))
+    return tuple(mimics)
+
+
+class _Build:
+    """A Pinocchio model made body by body."""
+
+    def __init__(self, found: dict[str, Any], what: str) -> None:
+        import pinocchio as pin
+
+        self.found, self.what = found, what
+        self.names = _joint_names(found)
+        self.model = pin.Model()
+        self.model.name = found["name"] or "robot"
+        self.model.gravity.linear = np.array(found["gravity"])
+        # For each body, the joint that carries it and its placement in that joint's frame.
+        self.carriers: list[tuple[int, Any]] = [(0, pin.SE3.Identity())]
+        for body in range(1, len(found["bodies"])):
+            self._add(body)
+
+    def _add(self, body: int) -> None:
+        import pinocchio as pin
+
+        found = self.found
+        joint, place = self.carriers[found["body_parentid"][body]]
+        place = place * _placement(found["body_pos"][body], found["body_quat"][body])
+        first, count = found["body_jntadr"][body], found["body_jntnum"][body]
+        for number in range(first, first + count):
+            joint, place = self._add_joint(number, joint, place)
+        self.carriers.append((joint, place))
+        R = _placement(np.zeros(3), found["body_iquat"][body]).rotation
+        own = theta_from_physical(
+            found["body_mass"][body],
+            found["body_ipos"][body],
+            R @ np.diag(found["body_inertia"][body]) @ R.T,
+        )
+        if joint and own[0] > 0.0:
+            inertia = pin.Inertia.FromDynamicParameters(
+                transform(own, place.rotation, place.translation)
+            )
+            self.model.appendBodyToJoint(joint, inertia, pin.SE3.Identity())
+        name = found["bodies"][body] or f"body_{body}"
+        if not self.model.existBodyName(name):
+            self.model.addBodyFrame(name, joint, place, 0)
+
+    def _add_joint(self, number: int, parent: int, place: Any) -> tuple[int, Any]:
+        """Add a joint that moves a body at `place`; return it and the body's place in it."""
+        import pinocchio as pin
+
+        found = self.found
+        kinds = {value: kind for kind, value in found["kinds"].items()}
+        kind = kinds[found["jnt_type"][number]]
+        name, axis = self.names[number], np.array(found["jnt_axis"][number])
+        if kind == "free":
+            return self.model.addJoint(
+                parent, pin.JointModelFreeFlyer(), pin.SE3.Identity(), name
+            ), pin.SE3.Identity()
+        if kind == "ball":
+            raise ModelError(
+                f"{self.what}: joint '{name}' is a ball joint, which is not supported; supported "
+                "are hinge, slide and a free joint at the root."
+            )
+        anchor = pin.SE3(np.eye(3), np.array(found["jnt_pos"][number]))
+        ref = found["ref"][number]
+        if kind == "hinge":
+            back = pin.SE3(pin.AngleAxis(-ref, axis).matrix(), np.zeros(3))
+        else:
+            back = pin.SE3(np.eye(3), -ref * axis)
+        limit = [[np.inf], [np.inf], [-np.inf], [np.inf]]
+        if found["jnt_actfrclimited"][number]:
+            limit[0] = [max(np.abs(found["jnt_actfrcrange"][number]))]
+        if found["jnt_limited"][number]:
+            limit[2], limit[3] = ([value] for value in found["jnt_range"][number])
+        joint = self.model.addJoint(
+            parent, _joint_model(kind, axis), place * anchor * back, name, *map(np.array, limit)
+        )
+        return joint, anchor.inverse()
+
+
+def _joint_model(kind: str, axis: Array) -> Any:
+    """Return Pinocchio's joint about or along an axis, aligned with x, y or z where it is."""
+    import pinocchio as pin
+
+    prefix, unaligned = (
+        ("JointModelR", pin.JointModelRevoluteUnaligned)
+        if kind == "hinge"
+        else ("JointModelP", pin.JointModelPrismaticUnaligned)
+    )
+    for letter, unit in zip("XYZ", np.eye(3), strict=True):
+        if np.array_equal(axis, unit):
+            return getattr(pin, prefix + letter)()
+    return unaligned(axis)
+
+
+def _placement(position: Any, quaternion: Any) -> Any:
+    """Return Pinocchio's placement of MuJoCo's position and quaternion, scalar first."""
+    import pinocchio as pin
+
+    w, x, y, z = quaternion
+    return pin.SE3(pin.Quaternion(w, x, y, z).normalized().matrix(), np.array(position))

@@ -1,0 +1,210 @@
+"""What sdpid itself reads from and writes into URDF; Pinocchio does the rest."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from sdpid.errors import ModelError
+from sdpid.robot.description.quiet import Caught, caught_stderr
+from sdpid.robot.description.xml import parse_xml, undeclared
+from sdpid.robot.inertia import physical_parameters
+
+# No length, mass or inertia of a robot is larger; squares of these are far from overflow.
+LARGEST = 1e12
+
+# Where the numbers are that make a model: elements within links and joints, their attributes, how
+# many numbers each has, and whether it may be left out.
+_PLACES = (
+    ("link", "inertial/origin", ("xyz", "rpy"), 3, True),
+    ("link", "inertial/mass", ("value",), 1, False),
+    ("link", "inertial/inertia", ("ixx", "ixy", "ixz", "iyy", "iyz", "izz"), 1, False),
+    ("joint", "origin", ("xyz", "rpy"), 3, True),
+    ("joint", "axis", ("xyz",), 3, True),
+)
+# What the parser of URDF takes for a number; Python takes more.
+_NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?", re.ASCII)
+
+# Places in the parser's own source, which help nobody.
+_LINES = re.compile(r"\s*at line \d+ in \S+")
+
+_ONE_VARIABLE = ("revolute", "continuous", "prismatic")
+
+
+@dataclass(frozen=True)
+class Mimic:
+    """A joint that repeats another: ``q = multiplier·q_source + offset``."""
+
+    joint: str
+    source: str
+    multiplier: float
+    offset: float
+
+
+def check_urdf(text: str, what: str, *, floating: bool = False) -> tuple[str, tuple[Mimic, ...]]:
+    """Check the joints of a URDF and return the robot's name and its mimic joints.
+
+    With a `floating` base the base itself moves, so that no joint needs to.
+
+    Raises
+    ------
+    ModelError
+        When it is not a URDF, has no moving joint, or has a joint of a kind that has more than
+        one variable.
+    """
+    root = parse_xml(text, what)
+    if root.tag != "robot":
+        raise ModelError(f"{what}: the root element is <{root.tag}>, a URDF has <robot>.")
+    _check_numbers(root, what)
+    moving = 0
+    mimics = []
+    for joint in root.findall("joint"):
+        name, kind = joint.get("name", "?"), joint.get("type", "?")
+        if kind == "fixed":
+            continue
+        if kind not in _ONE_VARIABLE:
+            raise ModelError(
+                f"{what}: joint '{name}' is of kind '{kind}'; supported are "
+                f"{', '.join(_ONE_VARIABLE)} and fixed (a floating base: root='free_flyer')."
+            )
+        moving += 1
+        mimic = joint.find("mimic")
+        if mimic is not None:
+            try:
+                multiplier = float(mimic.get("multiplier", "1"))
+                offset = float(mimic.get("offset", "0"))
+                if not np.isfinite([multiplier, offset]).all():
+                    raise ValueError
+            except ValueError:
+                raise ModelError(
+                    f"{what}: joint '{name}': the mimic's multiplier or offset is not a number."
+                ) from None
+            mimics.append(Mimic(name, mimic.get("joint", ""), multiplier, offset))
+    if moving == 0 and not floating:
+        raise ModelError(f"{what}: no moving joint; nothing can be identified.")
+    return root.get("name", "robot"), tuple(mimics)
+
+
+def pinocchio_from_urdf(
+    text: str, what: str, *, floating: bool = False
+) -> tuple[Any, tuple[Mimic, ...]]:
+    """Return the Pinocchio model of a URDF and its mimic joints.
+
+    Raises
+    ------
+    ModelError
+        When it is not a URDF of supported joints, or Pinocchio cannot read it.
+    """
+    import pinocchio as pin
+
+    name, mimics = check_urdf(text, what, floating=floating)
+    free = (pin.JointModelFreeFlyer(),) if floating else ()
+    said = Caught()
+    try:
+        # The parser of URDF says what is wrong on standard error, not in its error.
+        with caught_stderr() as said:
+            model = pin.buildModelFromXML(undeclared(text), *free)
+    except (RuntimeError, ValueError) as cause:
+        raise ModelError(
+            f"{what}: Pinocchio cannot read it ({_LINES.sub('', said.text) or cause})."
+        ) from None
+    model.name = name
+    return model, mimics
+
+
+def _check_numbers(root: Any, what: str) -> None:
+    """Refuse numbers that are none, missing or absurdly large.
+
+    The parser only complains on standard error, and leaves out the whole inertia of such a link.
+    """
+    for kind, path, keys, count, optional in _PLACES:
+        for owner in root.findall(kind):
+            for element in owner.findall(path):
+                for key in keys:
+                    text = element.get(key)
+                    if text is None and optional:
+                        continue
+                    words = [] if text is None else text.split()
+                    wrong = len(words) != count or not all(map(_NUMBER.fullmatch, words))
+                    if wrong or not all(abs(float(word)) <= LARGEST for word in words):
+                        given = "missing" if text is None else f"'{text[:60]}'"
+                        raise ModelError(
+                            f"{what}: {kind} '{owner.get('name', '?')}': {key} of "
+                            f"<{element.tag}> is {given}, expected {count} number"
+                            f"{'s' if count > 1 else ''} of at most {LARGEST:g}."
+                        )
+    for link in root.findall("link"):
+        inertial = link.find("inertial")
+        mass = None if inertial is None else inertial.find("mass")
+        if mass is not None and float(mass.get("value")) < 0.0:
+            raise ModelError(
+                f"{what}: link '{link.get('name', '?')}': the mass is {mass.get('value')} kg, the "
+                "least is 0; give the true mass."
+            )
+        for name in ("mass", "inertia"):
+            if inertial is not None and inertial.find(name) is None:
+                raise ModelError(
+                    f"{what}: link '{link.get('name', '?')}': its <inertial> has no <{name}>; add "
+                    "it, or leave out the whole <inertial>."
+                )
+
+
+def joint_dynamics(text: str, what: str) -> dict[str, tuple[float, float]]:
+    """Return (damping, friction) of the joints of a URDF that have a ``<dynamics>`` element.
+
+    Raises
+    ------
+    ModelError
+        When one is not a number of at least 0.
+    """
+    found = {}
+    for joint in parse_xml(text, what).findall("joint"):
+        element = joint.find("dynamics")
+        if element is None:
+            continue
+        values = []
+        for key in ("damping", "friction"):
+            try:
+                value = float(element.get(key, "0"))
+            except ValueError:
+                value = float("nan")
+            if not 0.0 <= value <= LARGEST:
+                raise ModelError(
+                    f"{what}: joint '{joint.get('name', '?')}' has {key}="
+                    f"'{element.get(key)}'; give a number of at least 0, and at most {LARGEST:g}."
+                )
+            values.append(value)
+        found[joint.get("name", "?")] = (values[0], values[1])
+    return found
+
+
+def inertial_element(body: ArrayLike) -> Any:
+    """Return the <inertial> element of a body given by its ten parameters.
+
+    The inertia is written about the centre of mass along the axes of the frame. A body without
+    mass has no centre of mass: it is refused.
+
+    Raises
+    ------
+    ModelError
+        When the mass is not positive.
+    """
+    from lxml import etree
+
+    body = np.asarray(body, dtype=np.float64)
+    if not body[0] > 0.0:
+        raise ModelError(f"inertial: the mass is {body[0]} kg, a URDF needs a positive one.")
+    mass, com, inertia = physical_parameters(body)
+    element = etree.Element("inertial")
+    xyz = " ".join(repr(float(x) + 0.0) for x in com)
+    etree.SubElement(element, "origin", xyz=xyz, rpy="0 0 0")
+    etree.SubElement(element, "mass", value=repr(float(mass)))
+    names = {"ixx": (0, 0), "ixy": (0, 1), "ixz": (0, 2), "iyy": (1, 1), "iyz": (1, 2)}
+    names["izz"] = (2, 2)
+    entries = {key: repr(float(inertia[ij]) + 0.0) for key, ij in names.items()}
+    etree.SubElement(element, "inertia", entries)
+    return element

@@ -1,0 +1,1 @@
+"""Friction and drive terms, and their columns in the regressor."""

@@ -1,0 +1,138 @@
+"""Friction and drive terms: what a joint's effort holds beside the links' inertia.
+
+`FrictionModel` puts the terms of a robot together. What a term is stands in
+`sdpid.robot.friction.term`, the terms there are in `sdpid.robot.friction.terms`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import asdict, dataclass, is_dataclass
+
+import numpy as np
+
+from sdpid._common.arrays import Array
+from sdpid.errors import ModelError
+from sdpid.robot.friction.term import FrictionTerm, JointwiseTerm, OpenParameter, TermParameter
+from sdpid.robot.friction.terms import (
+    BY_NAME,
+    AsymmetricCoulomb,
+    Coulomb,
+    Coupling,
+    Offset,
+    RotorInertia,
+    SigmoidFriction,
+    SquareRootFriction,
+    Stribeck,
+    Viscous,
+    smooth_sign,
+)
+
+__all__ = [
+    "AsymmetricCoulomb",
+    "Coulomb",
+    "Coupling",
+    "FrictionModel",
+    "FrictionTerm",
+    "JointwiseTerm",
+    "Offset",
+    "OpenParameter",
+    "RotorInertia",
+    "SigmoidFriction",
+    "SquareRootFriction",
+    "Stribeck",
+    "TermParameter",
+    "Viscous",
+    "smooth_sign",
+]
+
+
+@dataclass(frozen=True)
+class FrictionModel:
+    """The terms of a robot's joints, in order.
+
+    Attributes
+    ----------
+    terms : tuple of FrictionTerm
+        The terms.
+    joint_names : tuple of str
+        The joints that have friction: all but a floating base.
+    parameters : tuple of TermParameter
+        All parameters, term by term over the joints: the tail of theta.
+    first : int
+        Velocity coordinates before the first of these joints (6 with a floating base).
+    """
+
+    terms: tuple[FrictionTerm, ...]
+    joint_names: tuple[str, ...]
+    parameters: tuple[TermParameter, ...]
+    first: int = 0
+
+    @classmethod
+    def from_terms(
+        cls, terms: Iterable[str | FrictionTerm], joint_names: Sequence[str], *, first: int = 0
+    ) -> FrictionModel:
+        """Build from names and term objects.
+
+        Parameters
+        ----------
+        terms : iterable of str or FrictionTerm
+            Names are coulomb, viscous, offset, asymmetric_coulomb, rotor_inertia, stribeck,
+            sigmoid, square_root.
+        joint_names : sequence of str
+            The robot's velocity coordinates.
+        first : int, optional
+            How many of them belong to a floating base, which has no friction.
+
+        Raises
+        ------
+        ModelError
+            For an unknown name, a term given twice, or a joint that the robot does not have.
+        """
+        if isinstance(terms, str):
+            raise ModelError(f"friction: give a tuple of terms, such as ('{terms}',).")
+        objects = []
+        for term in terms:
+            if isinstance(term, FrictionTerm):
+                objects.append(term)
+            elif isinstance(term, str) and term in BY_NAME:
+                objects.append(BY_NAME[term]())
+            else:
+                raise ModelError(
+                    f"friction: no term is called {term!r}; there are {', '.join(BY_NAME)}, "
+                    "or give a FrictionTerm object."
+                )
+        names = tuple(joint_names)[first:]
+        parameters = tuple(p for term in objects for p in term.parameters(names))
+        seen: set[str] = set()
+        for parameter in parameters:
+            if parameter.name in seen:
+                raise ModelError(f"friction: the parameter {parameter.name} is defined twice.")
+            seen.add(parameter.name)
+        return cls(tuple(objects), names, parameters, first)
+
+    def columns(self, velocity: Array, acceleration: Array) -> Array:
+        """Return all columns, shape (K, n, number of parameters)."""
+        columns = np.zeros((*velocity.shape, len(self.parameters)))
+        v, a = velocity[:, self.first :], acceleration[:, self.first :]
+        start = 0
+        for term in self.terms:
+            block = term.columns(v, a, self.joint_names)
+            columns[:, self.first :, start : start + block.shape[2]] = block
+            start += block.shape[2]
+        return columns
+
+    def characteristic_speeds(self) -> Array:
+        """Return speeds (k, number of joints) about which columns change their shape."""
+        n = len(self.joint_names)
+        return np.concatenate([np.zeros((0, n)), *(t.characteristic_speeds(n) for t in self.terms)])
+
+    def described(self) -> list[dict[str, object]]:
+        """Return each term's kind, its settings, and its parameters' names, as plain values."""
+        out: list[dict[str, object]] = []
+        for term in self.terms:
+            settings: dict[str, object] = asdict(term) if is_dataclass(term) else {}
+            plain = {k: list(v) if isinstance(v, tuple) else v for k, v in settings.items()}
+            names = [p.name for p in term.parameters(self.joint_names)]
+            out.append({"term": type(term).__name__, **plain, "parameters": names})
+        return out

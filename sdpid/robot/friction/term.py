@@ -1,0 +1,271 @@
+"""What a friction term is: its parameters, their columns, and speeds that are still open.
+
+A term names its parameters and gives their regressor columns from the joint velocities and
+accelerations. The effort it stands for is ``columns @ parameters``. The columns may depend on
+further numbers, such as the width of a smooth sign, in which the effort is not linear. Those
+that are not given are open: `sdpid.estimation.effects.choose` chooses them by the data.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import ClassVar
+
+import numpy as np
+
+from sdpid._common.arrays import Array
+from sdpid.errors import ModelError
+
+# A speed that is open lies above what a twentieth of the samples stay below: fewer could not tell
+# it from a smaller one. And at most at half of the top speed: beyond, the shapes are straight
+# lines (tanh) or constants (the Stribeck peak), which other terms have.
+_SLOW_SHARE = 0.05
+_MOST_OF_TOP = 0.5
+
+# The lower limit as a share of the top speed: never below (velocities are not that accurate), and
+# never above (a motion that always runs fast must leave something to choose).
+_LEAST_OF_TOP = (1e-3, 0.1)
+
+# Top speed (rad/s) taken for a joint that does not move: any will do.
+_STANDING = 1.0
+
+
+@dataclass(frozen=True)
+class TermParameter:
+    """One parameter of a term.
+
+    Attributes
+    ----------
+    name : str
+        Short name with the joint's number counted from 1, such as ``Fs1``.
+    unit : str
+        Its unit; for a prismatic joint read N for N.m and m for rad.
+    nonnegative : bool
+        Whether physics forbids negative values.
+    joint : int
+        Index of the joint after whose link it is listed.
+    """
+
+    name: str
+    unit: str
+    nonnegative: bool
+    joint: int
+
+
+@dataclass(frozen=True)
+class OpenParameter:
+    """A number in which the effort is not linear, to be chosen by the data.
+
+    Attributes
+    ----------
+    name : str
+        Its name, such as ``width3`` for joint 3.
+    lower, upper : float
+        Where it is looked for, both positive: the search is logarithmic.
+    unit : str
+        Its unit.
+    """
+
+    name: str
+    lower: float
+    upper: float
+    unit: str
+
+    def __post_init__(self) -> None:
+        if not 0.0 < self.lower <= self.upper < np.inf:
+            raise ModelError(
+                f"OpenParameter {self.name}: limits are {self.lower} and {self.upper}; give "
+                "0 < lower <= upper."
+            )
+
+
+class FrictionTerm(ABC):
+    """Base of every term: its parameters, and their columns."""
+
+    @abstractmethod
+    def parameters(self, joint_names: Sequence[str]) -> tuple[TermParameter, ...]:
+        """Return the parameters of a robot with these joints."""
+
+    @abstractmethod
+    def columns(self, velocity: Array, acceleration: Array, joint_names: Sequence[str]) -> Array:
+        """Return the regressor columns, shape (K, n, number of parameters).
+
+        Parameters
+        ----------
+        velocity, acceleration : ndarray, shape (K, n)
+            Joint velocities (rad/s) and accelerations (rad/s²).
+        joint_names : sequence of str
+            The n joints.
+        """
+
+    def open_parameters(
+        self, speeds: Sequence[Array], joint_names: Sequence[str]
+    ) -> tuple[OpenParameter, ...]:
+        """Return what is to be chosen by the data before there are columns: nothing.
+
+        Parameters
+        ----------
+        speeds : sequence of ndarray
+            Of each joint the measured speeds |v| (rad/s) of the samples in use, possibly none.
+        joint_names : sequence of str
+            The n joints.
+        """
+        return ()
+
+    def with_values(self, values: Sequence[float]) -> FrictionTerm:
+        """Return a copy with values for the open parameters, in their order."""
+        if len(values):
+            raise ModelError(f"{type(self).__name__}: has no open parameters.")
+        return self
+
+    def characteristic_speeds(self, n: int) -> Array:
+        """Return speeds (k, n) about which the columns of each joint change their shape: none.
+
+        The scan for base parameters looks at states with such speeds too; a term that is all but
+        zero or constant at other speeds would else be taken for dependent.
+        """
+        return np.zeros((0, n))
+
+
+@dataclass(frozen=True)
+class JointwiseTerm(FrictionTerm):
+    """A term with one parameter a joint, which acts on that joint alone.
+
+    Attributes
+    ----------
+    symbol : str
+        Beginning of the parameters' names.
+    unit : str
+        Their unit.
+    nonnegative : bool
+        Whether physics forbids negative values.
+    speed_fields : tuple of str
+        Fields that are speeds: one number for all joints, a tuple with one a joint, or None for
+        numbers that the data choose, one a joint.
+    """
+
+    symbol: ClassVar[str]
+    unit: ClassVar[str]
+    nonnegative: ClassVar[bool]
+    speed_fields: ClassVar[tuple[str, ...]] = ()
+
+    @abstractmethod
+    def shape(self, velocity: Array, acceleration: Array) -> Array:
+        """Return the effort of a unit parameter at every joint, shape (K, n)."""
+
+    def parameters(self, joint_names: Sequence[str]) -> tuple[TermParameter, ...]:
+        """Return one parameter for each joint."""
+        return tuple(
+            TermParameter(f"{self.symbol}{j + 1}", self.unit, self.nonnegative, j)
+            for j in range(len(joint_names))
+        )
+
+    def columns(self, velocity: Array, acceleration: Array, joint_names: Sequence[str]) -> Array:
+        """Return the columns: diagonal in the joints."""
+        shape = self.shape(velocity, acceleration)
+        count, n = shape.shape
+        columns = np.zeros((count, n, n))
+        joints = np.arange(n)
+        columns[:, joints, joints] = shape
+        return columns
+
+    def speed(self, field: str, n: int) -> Array:
+        """Return the values (n,) of a speed field.
+
+        Raises
+        ------
+        ModelError
+            When it is still open, or has not one value a joint.
+        """
+        return joint_speeds(self, field, n)
+
+    def open_parameters(
+        self, speeds: Sequence[Array], joint_names: Sequence[str]
+    ) -> tuple[OpenParameter, ...]:
+        """Return one open parameter a joint for each speed field that is None."""
+        return open_speeds(self, self.speed_fields, speeds)
+
+    def with_values(self, values: Sequence[float]) -> FrictionTerm:
+        """Return a copy with values for the open speeds: field by field over the joints."""
+        return close_speeds(self, self.speed_fields, values)
+
+    def characteristic_speeds(self, n: int) -> Array:
+        """Return the values of the speed fields."""
+        rows = [joint_speeds(self, field, n) for field in self.speed_fields]
+        kept = [row for row in rows if np.any(row > 0.0)]
+        return np.reshape(kept, (len(kept), n))
+
+
+# Speeds of friction curves, rad/s or m/s; beyond these, curves overflow or are constant.
+SLOWEST, FASTEST = 1e-9, 1e9
+
+
+def check_speeds(term: FrictionTerm, fields: Sequence[str], *, positive: bool = False) -> None:
+    """Raise `ModelError` unless the fields hold None, a speed, or a tuple of speeds."""
+    for field in fields:
+        value = getattr(term, field)
+        if value is None:
+            continue
+        numbers = value if isinstance(value, tuple) else (value,)
+        zero = "" if positive else " or 0"
+        if not all(SLOWEST <= x <= FASTEST or (x == 0.0 and not positive) for x in numbers):
+            raise ModelError(
+                f"{type(term).__name__}: {field} is {value}; give a positive velocity{zero}, "
+                f"between {SLOWEST:g} and {FASTEST:g} rad/s."
+            )
+
+
+def joint_speeds(term: FrictionTerm, field: str, n: int) -> Array:
+    """Return a field's values for n joints; see `JointwiseTerm.speed`."""
+    value = getattr(term, field)
+    if value is None:
+        raise ModelError(
+            f"{type(term).__name__}: {field} is open; give it a value, or let build_problem "
+            "choose it by the data."
+        )
+    if isinstance(value, tuple) and len(value) != n:
+        raise ModelError(
+            f"{type(term).__name__}: {field} has {len(value)} values, the robot {n} joints; give "
+            "one a joint, or one for all."
+        )
+    return np.broadcast_to(np.asarray(value, dtype=np.float64), (n,))
+
+
+def open_speeds(
+    term: FrictionTerm, fields: Sequence[str], speeds: Sequence[Array]
+) -> tuple[OpenParameter, ...]:
+    """Return one open parameter a joint for each field that is None, limits from the speeds."""
+    return tuple(
+        OpenParameter(f"{field}{j + 1}", *speed_limits(measured), "rad/s")
+        for field in fields
+        if getattr(term, field) is None
+        for j, measured in enumerate(speeds)
+    )
+
+
+def speed_limits(measured: Array) -> tuple[float, float]:
+    """Return the least and the largest speed worth looking at, from measured speeds (K,)."""
+    top = float(measured.max(initial=0.0)) or _STANDING
+    slow = float(np.quantile(measured, _SLOW_SHARE)) if measured.size else 0.0
+    least, most = _LEAST_OF_TOP
+    return float(np.clip(slow, least * top, most * top)), _MOST_OF_TOP * top
+
+
+def close_speeds(
+    term: FrictionTerm, fields: Sequence[str], values: Sequence[float]
+) -> FrictionTerm:
+    """Return a copy whose fields that are None hold the values, in equal parts."""
+    missing = [field for field in fields if getattr(term, field) is None]
+    if not missing:
+        return FrictionTerm.with_values(term, values)
+    each, rest = divmod(len(values), len(missing))
+    if rest or not each:
+        raise ModelError(
+            f"{type(term).__name__}: {len(values)} values for {', '.join(missing)}; give one a "
+            "joint for each."
+        )
+    chosen = [tuple(float(x) for x in values[k * each :][:each]) for k in range(len(missing))]
+    changes = dict(zip(missing, chosen, strict=True))
+    return replace(term, **changes)  # type: ignore[type-var]

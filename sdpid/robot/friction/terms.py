@@ -1,0 +1,368 @@
+"""The friction and drive terms there are."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from sdpid._common.arrays import Array
+from sdpid.errors import ModelError
+from sdpid.robot.friction.term import (
+    FrictionTerm,
+    JointwiseTerm,
+    OpenParameter,
+    TermParameter,
+    check_speeds,
+    close_speeds,
+    open_speeds,
+)
+
+# A speed of a term: one for all joints, one a joint, or None for those that fit best.
+Speed = float | tuple[float, ...] | None
+
+
+def smooth_sign(velocity: Array, width: ArrayLike, dead_zone: float) -> Array:
+    """Return sign(v), or tanh(v / width) where width > 0; zero within the dead zone.
+
+    Parameters
+    ----------
+    velocity : ndarray, shape (..., n)
+        Velocities, rad/s.
+    width : array_like, scalar or shape (n,)
+        Widths of the smooth sign, rad/s; 0 for the exact one.
+    dead_zone : float
+        Speed below which the result is zero, rad/s.
+    """
+    widths = np.asarray(width, dtype=np.float64)
+    shape = np.sign(velocity)
+    if np.any(widths > 0.0):
+        smooth = np.tanh(velocity / np.where(widths > 0.0, widths, 1.0))
+        shape = np.where(widths > 0.0, smooth, shape)
+    if dead_zone > 0.0:
+        shape = np.where(np.abs(velocity) < dead_zone, 0.0, shape)
+    return np.asarray(shape)
+
+
+@dataclass(frozen=True)
+class _SignTerm(JointwiseTerm):
+    width: Speed = 0.0
+    dead_zone: float = 0.0
+    unit: ClassVar[str] = "N.m"
+    nonnegative: ClassVar[bool] = True
+    speed_fields: ClassVar[tuple[str, ...]] = ("width",)
+
+    def __post_init__(self) -> None:
+        check_speeds(self, ("width", "dead_zone"))
+
+    def _sign(self, velocity: Array) -> Array:
+        return smooth_sign(velocity, self.speed("width", velocity.shape[-1]), self.dead_zone)
+
+
+@dataclass(frozen=True)
+class Coulomb(_SignTerm):
+    """Coulomb friction ``Fs·sign(v)``.
+
+    Attributes
+    ----------
+    width : float, tuple of float, or None
+        Where positive (rad/s), ``tanh(v / width)`` takes the place of the sign. One for all
+        joints, one a joint, or None for those that fit the data best.
+    dead_zone : float
+        Speed (rad/s) below which the term is zero.
+    """
+
+    symbol: ClassVar[str] = "Fs"
+
+    def shape(self, velocity: Array, acceleration: Array) -> Array:
+        """Return the sign of the velocity, smoothed as asked."""
+        return self._sign(velocity)
+
+
+@dataclass(frozen=True)
+class Viscous(JointwiseTerm):
+    """Viscous friction ``Fv·v``."""
+
+    symbol: ClassVar[str] = "Fv"
+    unit: ClassVar[str] = "N.m.s/rad"
+    nonnegative: ClassVar[bool] = True
+
+    def shape(self, velocity: Array, acceleration: Array) -> Array:
+        """Return the velocity."""
+        return velocity
+
+
+@dataclass(frozen=True)
+class Offset(JointwiseTerm):
+    """A constant effort ``Fo``: a sensor's or a current's zero error."""
+
+    symbol: ClassVar[str] = "Fo"
+    unit: ClassVar[str] = "N.m"
+    nonnegative: ClassVar[bool] = False
+
+    def shape(self, velocity: Array, acceleration: Array) -> Array:
+        """Return ones."""
+        return np.ones_like(velocity)
+
+
+@dataclass(frozen=True)
+class RotorInertia(JointwiseTerm):
+    """Inertia of the rotor seen through the gear, ``Ia·a``, without its gyroscopic effects."""
+
+    symbol: ClassVar[str] = "Ia"
+    unit: ClassVar[str] = "kg.m2"
+    nonnegative: ClassVar[bool] = True
+
+    def shape(self, velocity: Array, acceleration: Array) -> Array:
+        """Return the acceleration."""
+        return acceleration
+
+
+@dataclass(frozen=True)
+class SquareRootFriction(JointwiseTerm):
+    """Friction that grows ever more slowly with speed, ``Fq·sign(v)·√|v|``.
+
+    Between Coulomb and viscous friction: harmonic drives and greased gears that both leave
+    unexplained.
+    """
+
+    symbol: ClassVar[str] = "Fq"
+    unit: ClassVar[str] = "N.m.s^0.5/rad^0.5"
+    nonnegative: ClassVar[bool] = True
+
+    def shape(self, velocity: Array, acceleration: Array) -> Array:
+        """Return the signed root of the speed."""
+        return np.asarray(np.sign(velocity) * np.sqrt(np.abs(velocity)))
+
+
+@dataclass(frozen=True)
+class Stribeck(JointwiseTerm):
+    """What friction at rest exceeds Coulomb friction by, ``Fst·exp(−|v/vs|^exponent)·sign(v)``.
+
+    A companion of `Coulomb`: the sum is the Stribeck curve [armstrong1994]_.
+
+    Attributes
+    ----------
+    velocity : float, tuple of float, or None
+        The speed vs (rad/s) at which the peak has fallen to 1/e: one for all joints, one a
+        joint, or None for those that fit the data best.
+    exponent : float
+        2 for a Gaussian peak, 1 for an exponential one.
+    width : float, tuple of float, or None
+        Width (rad/s) of the sign, as for `Coulomb`.
+    """
+
+    velocity: Speed = None
+    exponent: float = 2.0
+    width: Speed = 0.0
+    symbol: ClassVar[str] = "Fst"
+    unit: ClassVar[str] = "N.m"
+    nonnegative: ClassVar[bool] = True
+    speed_fields: ClassVar[tuple[str, ...]] = ("velocity", "width")
+
+    def __post_init__(self) -> None:
+        check_speeds(self, ("velocity",), positive=True)
+        check_speeds(self, ("width",))
+        if not (np.isfinite(self.exponent) and self.exponent > 0.0):
+            raise ModelError(f"Stribeck: exponent is {self.exponent}; give a positive number.")
+
+    def shape(self, velocity: Array, acceleration: Array) -> Array:
+        """Return the peak about standstill, signed."""
+        n = velocity.shape[-1]
+        ratio = np.abs(velocity) / self.speed("velocity", n)
+        # Far out the power may overflow; the peak is zero long before.
+        peak = np.exp(-(np.minimum(ratio, 1e3) ** min(self.exponent, 50.0)))
+        return np.asarray(peak * smooth_sign(velocity, self.speed("width", n), 0.0))
+
+
+@dataclass(frozen=True)
+class SigmoidFriction(JointwiseTerm):
+    """Friction that saturates, ``Fsg·tanh(v / w)``.
+
+    The field's sigmoid ``c/(1 + exp(−2·v/w)) − c/2`` with Fsg = c/2 [gaz2019]_. Alone it is
+    Coulomb friction with a smooth sign; beside `Coulomb` it is what still grows at first.
+
+    Attributes
+    ----------
+    velocity : float, tuple of float, or None
+        The speed w (rad/s): one for all joints, one a joint, or None for those that fit the
+        data best.
+    """
+
+    velocity: Speed = None
+    symbol: ClassVar[str] = "Fsg"
+    unit: ClassVar[str] = "N.m"
+    nonnegative: ClassVar[bool] = True
+    speed_fields: ClassVar[tuple[str, ...]] = ("velocity",)
+
+    def __post_init__(self) -> None:
+        check_speeds(self, ("velocity",), positive=True)
+
+    def shape(self, velocity: Array, acceleration: Array) -> Array:
+        """Return the sigmoid."""
+        return np.tanh(velocity / self.speed("velocity", velocity.shape[-1]))
+
+
+@dataclass(frozen=True)
+class _OneSidedCoulomb(_SignTerm):
+    direction: ClassVar[float]
+
+    def shape(self, velocity: Array, acceleration: Array) -> Array:
+        sign = self._sign(velocity)
+        return np.where(sign * self.direction > 0.0, sign, 0.0)
+
+
+@dataclass(frozen=True)
+class _PositiveCoulomb(_OneSidedCoulomb):
+    symbol: ClassVar[str] = "Fsp"
+    direction: ClassVar[float] = 1.0
+
+
+@dataclass(frozen=True)
+class _NegativeCoulomb(_OneSidedCoulomb):
+    symbol: ClassVar[str] = "Fsn"
+    direction: ClassVar[float] = -1.0
+
+
+@dataclass(frozen=True)
+class AsymmetricCoulomb(FrictionTerm):
+    """Coulomb friction ``Fsp`` for positive and ``Fsn`` for negative velocity, both ≥ 0.
+
+    Attributes
+    ----------
+    width, dead_zone
+        As for `Coulomb`.
+    """
+
+    width: Speed = 0.0
+    dead_zone: float = 0.0
+
+    def __post_init__(self) -> None:
+        check_speeds(self, ("width", "dead_zone"))
+
+    def _sides(self) -> tuple[_OneSidedCoulomb, _OneSidedCoulomb]:
+        return (
+            _PositiveCoulomb(self.width, self.dead_zone),
+            _NegativeCoulomb(self.width, self.dead_zone),
+        )
+
+    def parameters(self, joint_names: Sequence[str]) -> tuple[TermParameter, ...]:
+        """Return the positive side of every joint, then the negative side."""
+        return tuple(p for side in self._sides() for p in side.parameters(joint_names))
+
+    def columns(self, velocity: Array, acceleration: Array, joint_names: Sequence[str]) -> Array:
+        """Return the columns of the two sides."""
+        sides = [side.columns(velocity, acceleration, joint_names) for side in self._sides()]
+        return np.concatenate(sides, axis=2)
+
+    def open_parameters(
+        self, speeds: Sequence[Array], joint_names: Sequence[str]
+    ) -> tuple[OpenParameter, ...]:
+        """Return one width a joint, for both sides, when the width is None."""
+        return open_speeds(self, ("width",), speeds)
+
+    def with_values(self, values: Sequence[float]) -> FrictionTerm:
+        """Return a copy with these widths, one a joint."""
+        return close_speeds(self, ("width",), values)
+
+    def characteristic_speeds(self, n: int) -> Array:
+        """Return the widths."""
+        return self._sides()[0].characteristic_speeds(n)
+
+
+@dataclass(frozen=True)
+class Coupling(FrictionTerm):
+    """The drive of one motor that turns two joints, as in a coupled wrist.
+
+    The motor's speed is the sum of both joints' speeds. Its inertia, viscous and Coulomb
+    friction that the two joints' own terms do not hold appear crosswise:
+    ``tau_i += Ia·a_j + Fv·v_j + Fs·sign(v_i + v_j)`` and the same with i and j exchanged.
+
+    Attributes
+    ----------
+    first, second : str
+        Names of the two joints.
+    width : float or None
+        Width (rad/s) of the sign of the motor's speed, as for `Coulomb`.
+    """
+
+    first: str
+    second: str
+    width: float | None = 0.0
+
+    def __post_init__(self) -> None:
+        if isinstance(self.width, tuple):
+            raise ModelError(f"Coupling: width is {self.width}; give one number for the motor.")
+        check_speeds(self, ("width",))
+
+    def _joints(self, joint_names: Sequence[str]) -> tuple[int, int]:
+        for name in (self.first, self.second):
+            if name not in joint_names:
+                raise ModelError(
+                    f"Coupling: the robot has no joint '{name}'; it has {', '.join(joint_names)}."
+                )
+        if self.first == self.second:
+            raise ModelError(f"Coupling: '{self.first}' is named twice; name two joints.")
+        return joint_names.index(self.first), joint_names.index(self.second)
+
+    def parameters(self, joint_names: Sequence[str]) -> tuple[TermParameter, ...]:
+        """Return rotor inertia, viscous and Coulomb friction of the coupling."""
+        i, j = self._joints(joint_names)
+        pair = f"{i + 1}_{j + 1}"
+        last = max(i, j)
+        # The viscous and inertial cross terms may have either sign: they are differences.
+        return (
+            TermParameter(f"Ia{pair}", "kg.m2", False, last),
+            TermParameter(f"Fv{pair}", "N.m.s/rad", False, last),
+            TermParameter(f"Fs{pair}", "N.m", True, last),
+        )
+
+    def columns(self, velocity: Array, acceleration: Array, joint_names: Sequence[str]) -> Array:
+        """Return the three columns, which act on both joints."""
+        if self.width is None:
+            raise ModelError(
+                "Coupling: width is open; give it a value, or let build_problem choose it by the "
+                "data."
+            )
+        i, j = self._joints(joint_names)
+        columns = np.zeros((*velocity.shape, 3))
+        for own, other in ((i, j), (j, i)):
+            columns[:, own, 0] = acceleration[:, other]
+            columns[:, own, 1] = velocity[:, other]
+            columns[:, own, 2] = smooth_sign(velocity[:, i] + velocity[:, j], self.width, 0.0)
+        return columns
+
+    def open_parameters(
+        self, speeds: Sequence[Array], joint_names: Sequence[str]
+    ) -> tuple[OpenParameter, ...]:
+        """Return the width when it is None, looked for where the two joints' widths would be."""
+        if self.width is not None:
+            return ()
+        i, j = self._joints(joint_names)
+        (found,) = open_speeds(self, ("width",), [np.concatenate([speeds[i], speeds[j]])])
+        return (OpenParameter(f"width{i + 1}_{j + 1}", found.lower, found.upper, found.unit),)
+
+    def with_values(self, values: Sequence[float]) -> FrictionTerm:
+        """Return a copy with this width."""
+        if self.width is not None or len(values) != 1:
+            return FrictionTerm.with_values(self, values)
+        return Coupling(self.first, self.second, float(values[0]))
+
+    def characteristic_speeds(self, n: int) -> Array:
+        """Return the width."""
+        return np.full((1, n), self.width) if self.width else np.zeros((0, n))
+
+
+BY_NAME: dict[str, type[FrictionTerm]] = {
+    "coulomb": Coulomb,
+    "viscous": Viscous,
+    "offset": Offset,
+    "asymmetric_coulomb": AsymmetricCoulomb,
+    "rotor_inertia": RotorInertia,
+    "stribeck": Stribeck,
+    "sigmoid": SigmoidFriction,
+    "square_root": SquareRootFriction,
+}

@@ -1,0 +1,341 @@
+"""Base parameters: the combinations of standard parameters that the motion can show.
+
+They are a property of the robot, not of a recording: found from the regressor at generic states
+by one deterministic scan [gautier1990]_. Which of them a given recording excites is another
+question (`sdpid.estimation.information`).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from sdpid._common.arrays import Array, Indices, Mask, frozen
+from sdpid.errors import IdentifiabilityError
+from sdpid.robot.friction.model import FrictionModel
+from sdpid.robot.inertia import PARAMETER_NAMES
+from sdpid.robot.model.model import RobotModel
+
+# The field's order of a link's parameters, as indices into Pinocchio's order.
+_FIELD_ORDER = tuple(
+    PARAMETER_NAMES.index(name)
+    for name in ("xx", "xy", "xz", "yy", "yz", "zz", "mx", "my", "mz", "m")
+)
+
+# A column counts as dependent when what the kept ones leave of it is below this fraction of it.
+# Rounding leaves some 1e-13; descriptions that write pi/2 as 1.5708 leave up to 1e-5, although
+# their axes are meant to be parallel or perpendicular. The gap around it is reported.
+DEPENDENT = 2e-5
+
+# A column this small beside the largest of any kind is rounding.
+_NOTHING = 2e-11
+
+# Regrouping coefficients smaller than this (in the scaled columns) are zeros blurred by rounding.
+ZERO = 1e-9
+
+# Generic states: enough rows for the ten parameters of every link many times over.
+_STATES = 120
+
+# Further ones for each speed that friction terms name: a few parameters a joint depend on it.
+_STATES_OF_SPEED = 30
+_SEED = 20210621
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class BaseParameters:
+    """The base parameters of a robot with its friction terms.
+
+    Attributes
+    ----------
+    names, units : tuple of str
+        In the order of listing: link by link, a link's friction after its inertial parameters.
+        The suffix ``r`` marks a parameter into which others are regrouped.
+    matrix : ndarray, shape (b, p)
+        B with ``base = B @ theta``, zeros exact.
+    kept : ndarray of int, shape (b,)
+        The column of theta that each base parameter leads with: the regressor of the base
+        parameters is that of theta, restricted to these columns.
+    theta_names, theta_units : tuple of str
+        The standard parameters.
+    singular_values : ndarray
+        Of the regressor at generic states, columns scaled to unit norm, largest first.
+    tolerance : float
+        Columns of which the others leave a smaller fraction are called dependent.
+    smallest_kept, largest_dropped : float
+        The fractions on either side of the tolerance: the gap that decides the rank.
+    """
+
+    names: tuple[str, ...]
+    units: tuple[str, ...]
+    matrix: Array
+    kept: Indices
+    theta_names: tuple[str, ...]
+    theta_units: tuple[str, ...]
+    singular_values: Array
+    tolerance: float
+    smallest_kept: float
+    largest_dropped: float
+
+    @property
+    def count(self) -> int:
+        """Number of base parameters."""
+        return len(self.names)
+
+    @cached_property
+    def eliminated(self) -> tuple[str, ...]:
+        """Standard parameters that have no influence at all on the effort."""
+        used = np.any(self.matrix != 0.0, axis=0)
+        return tuple(name for name, u in zip(self.theta_names, used, strict=True) if not u)
+
+    def expression(self, name: str) -> str:
+        """Return the regrouping of one base parameter, such as ``xx_2 - yy_2 - 0.0441*m_3``.
+
+        Raises
+        ------
+        KeyError
+            When there is no base parameter of that name.
+        """
+        if name not in self.names:
+            raise KeyError(f"no base parameter {name!r}; there are {', '.join(self.names)}")
+        i = self.names.index(name)
+        row = self.matrix[i]
+        others = [j for j in np.flatnonzero(row) if j != self.kept[i]]
+        terms = [self.theta_names[self.kept[i]]]
+        for j in others:
+            size = abs(row[j])
+            factor = "" if abs(size - 1.0) < ZERO else f"{size:.6g}*"
+            terms.append(f"{'-' if row[j] < 0 else '+'} {factor}{self.theta_names[j]}")
+        return " ".join(terms)
+
+    def explain(self) -> str:
+        """Return in words how the rank was decided."""
+        rank, total = self.count, len(self.theta_names)
+        return (
+            f"{rank} base parameters of {total} standard ones. Scanning the columns of the "
+            f"regressor at {_STATES} generic states, the least independent column kept has "
+            f"{self.smallest_kept:.1e} of its length outside the span of those before it, the "
+            f"most independent one dropped {self.largest_dropped:.1e}; the tolerance is "
+            f"{self.tolerance:.0e}. Singular values (unit columns) "
+            f"{rank - 1}..{rank + 1}: "
+            + ", ".join(f"{s:.1e}" for s in self.singular_values[rank - 2 : rank + 1])
+            + "."
+        )
+
+
+def generic_states(robot: RobotModel, count: int, seed: int) -> tuple[Array, Array, Array]:
+    """Return random states at which no accidental dependence holds.
+
+    Speeds and accelerations are of the size at which inertial and gravitational efforts are
+    comparable on a robot of this length, so that the columns are well scaled.
+    """
+    rng = np.random.default_rng(seed)
+    n, model = robot.n, robot.pin_model
+    rate = np.sqrt(max(float(np.linalg.norm(robot.gravity)), 1.0) / characteristic_length(robot))
+    q = rng.uniform(-np.pi, np.pi, (count, n))
+    if robot.free_flyer:
+        # Mimic joints follow their source here too: apart they would show more parameters.
+        angles = q @ robot.expansion.T
+        q = np.empty((count, model.nq))
+        q[:, :3] = angles[:, :3]
+        q[:, 3:7] = rng.standard_normal((count, 4))
+        q[:, 3:7] /= np.linalg.norm(q[:, 3:7], axis=1, keepdims=True)
+        for joint in list(model.joints)[2:]:
+            angle = angles[:, joint.idx_v]
+            if joint.nq == 2:
+                q[:, joint.idx_q], q[:, joint.idx_q + 1] = np.cos(angle), np.sin(angle)
+            else:
+                q[:, joint.idx_q] = angle
+    v = rate * rng.uniform(-1.5, 1.5, (count, n))
+    a = rate**2 * rng.uniform(-1.5, 1.5, (count, n))
+    return q, v, a
+
+
+def characteristic_length(robot: RobotModel) -> float:
+    """Return a length of the robot's size (m): the root mean square offset between joints."""
+    offsets = [
+        np.linalg.norm(robot.pin_model.jointPlacements[i].translation)
+        for i in range(2, robot.pin_model.njoints)
+    ]
+    nonzero = [x for x in offsets if x > 1e-6]
+    return float(np.sqrt(np.mean(np.square(nonzero)))) if nonzero else 1.0
+
+
+def _scan_order(robot: RobotModel, friction: FrictionModel) -> Indices:
+    links = [10 * i + k for i in range(robot.n_links) for k in _FIELD_ORDER]
+    first = 10 * robot.n_links
+    return np.array([*links, *range(first, first + len(friction.parameters))], dtype=np.intp)
+
+
+def _generic_rows(robot: RobotModel, friction: FrictionModel, seed: int) -> Array:
+    q, v, a = generic_states(robot, _STATES, seed)
+    slow = friction.characteristic_speeds()
+    if len(slow):
+        # A smooth sign or a Stribeck peak is a sign, or nothing, at generic speeds: states at
+        # which it has its shape are generic ones run at its own speed.
+        more = generic_states(robot, _STATES_OF_SPEED * len(slow), seed + 2)
+        speeds = np.repeat(slow, _STATES_OF_SPEED, axis=0)
+        rng = np.random.default_rng(seed + 3)
+        more[1][:, robot.n_base :] = speeds * rng.uniform(-1.5, 1.5, speeds.shape)
+        q, v, a = (np.concatenate(pair) for pair in zip((q, v, a), more, strict=True))
+    columns = np.concatenate([robot.regressor(q, v, a), friction.columns(v, a)], axis=2)
+    return columns.reshape(-1, columns.shape[2])
+
+
+def structural_base(robot: RobotModel, friction: FrictionModel) -> BaseParameters:
+    """Find the base parameters of a robot with friction terms.
+
+    Columns are scanned link by link in Pinocchio's order of links and the field's order of
+    parameters (xx xy xz yy yz zz mx my mz m), friction last; a column independent of those
+    kept before it is kept. For joints about z that is Khalil's choice [gautier1990]_.
+
+    Parameters
+    ----------
+    robot : RobotModel
+        The robot.
+    friction : FrictionModel
+        Its friction and drive terms.
+
+    Returns
+    -------
+    BaseParameters
+
+    Raises
+    ------
+    IdentifiabilityError
+        When no rank can be decided: the relation found at one set of states fails at another.
+    """
+    W = _generic_rows(robot, friction, _SEED)
+    order = _scan_order(robot, friction)
+    norms = np.linalg.norm(W, axis=0)
+    size = _size_of_kind(robot, friction, norms)
+    visible = (norms > DEPENDENT * size) & (norms > _NOTHING * norms.max())
+    scale = np.where(visible, norms, 1.0)
+    R = np.asarray(np.linalg.qr((W / scale)[:, order], mode="r"))
+    kept, coefficients, residues = _scan(R, visible[order])
+    residues[~visible[order]] = (norms / np.where(size > 0.0, size, 1.0))[order][~visible[order]]
+    singular = np.linalg.svd(R, compute_uv=False)
+    dropped = residues[~kept]
+    K = np.zeros((int(kept.sum()), W.shape[1]))
+    K[:, order[kept]] = np.eye(len(K))
+    K[:, order[~kept]] = coefficients
+    K[np.abs(K) < ZERO] = 0.0
+    leading = order[kept]
+    matrix = K * scale[None, :] / scale[leading][:, None]
+    matrix[np.arange(len(matrix)), leading] = 1.0
+    _verify(robot, friction, matrix, leading)
+    listing = _listing(robot, friction, leading)
+    matrix, leading = _clean(matrix[listing]), leading[listing]
+    names, units = _names(robot, friction, matrix, leading)
+    kept_index = np.array(leading, dtype=np.intp)
+    kept_index.setflags(write=False)
+    return BaseParameters(
+        names=names,
+        units=units,
+        matrix=frozen(matrix),
+        kept=kept_index,
+        theta_names=(*robot.parameter_names, *(p.name for p in friction.parameters)),
+        theta_units=(*robot.parameter_units, *(p.unit for p in friction.parameters)),
+        singular_values=frozen(singular),
+        tolerance=DEPENDENT,
+        smallest_kept=float(residues[kept].min()),
+        largest_dropped=float(dropped.max()) if dropped.size else 0.0,
+    )
+
+
+def _size_of_kind(robot: RobotModel, friction: FrictionModel, norms: Array) -> Array:
+    """Return the largest norm among the columns of each one's unit.
+
+    A column this much longer than rounding may still be nothing but the misalignment of axes
+    that are meant to be parallel: its length counts against that of columns like it.
+    """
+    units = np.array([*robot.parameter_units, *(p.unit for p in friction.parameters)])
+    size = np.empty_like(norms)
+    for unit in set(units.tolist()):
+        size[units == unit] = norms[units == unit].max()
+    return size
+
+
+def _scan(R: Array, visible: Mask) -> tuple[Mask, Array, Array]:
+    """Keep the leftmost independent columns of R.
+
+    Returns which are kept, the coefficients of the others in them, and the fraction of each
+    column that those kept before it leave.
+    """
+    size, count = R.shape
+    Q = np.zeros((size, min(size, count)))
+    rank = 0
+    kept: Mask = np.zeros(count, dtype=bool)
+    residues = np.zeros(count)
+    for j in range(count):
+        if not visible[j]:
+            continue
+        rest = R[:, j].copy()
+        # Projecting twice keeps the basis orthogonal to rounding ("twice is enough").
+        for _ in range(2):
+            rest -= Q[:, :rank] @ (Q[:, :rank].T @ rest)
+        residues[j] = np.linalg.norm(rest) / np.linalg.norm(R[:, j])
+        if residues[j] > DEPENDENT and rank < Q.shape[1]:
+            kept[j] = True
+            Q[:, rank] = rest / np.linalg.norm(rest)
+            rank += 1
+    basis = R[:, kept]
+    coefficients = np.linalg.lstsq(basis, R[:, ~kept], rcond=None)[0]
+    coefficients[:, ~visible[~kept]] = 0.0
+    return kept, np.asarray(coefficients), residues
+
+
+def _clean(matrix: Array) -> Array:
+    """Replace entries that are integers but for rounding, so that expressions read well."""
+    rounded = np.round(matrix)
+    return np.asarray(np.where(np.abs(matrix - rounded) < ZERO, rounded, matrix))
+
+
+def _verify(robot: RobotModel, friction: FrictionModel, matrix: Array, leading: Indices) -> None:
+    """Check the regrouping at states that were not used to find it."""
+    W = _generic_rows(robot, friction, _SEED + 1)
+    error = np.abs(W[:, leading] @ matrix - W).max(axis=0)
+    limit = 10.0 * DEPENDENT * max(float(np.abs(W).max()), 1.0)
+    worst = int(np.argmax(error))
+    if error[worst] > limit:
+        names = (*robot.parameter_names, *(p.name for p in friction.parameters))
+        raise IdentifiabilityError(
+            f"base parameters of '{robot.name}': the regrouping of {names[worst]} fails by "
+            f"{error[worst]:.1e} (limit {limit:.1e}) at fresh states; its axes are neither "
+            "parallel nor independent to working accuracy. Check the description's angles."
+        )
+
+
+def _owner(robot: RobotModel, friction: FrictionModel, column: int) -> tuple[int, int]:
+    """Return (link, 0) of an inertial column and (link of its joint, 1) of a friction column."""
+    if column < 10 * robot.n_links:
+        return column // 10, 0
+    name = friction.joint_names[friction.parameters[column - 10 * robot.n_links].joint]
+    model = robot.pin_model
+    if model.existJointName(name):
+        return int(model.getJointId(name)) - 1, 1
+    return 0, 1
+
+
+def _listing(robot: RobotModel, friction: FrictionModel, leading: Indices) -> list[int]:
+    rank = {int(c): i for i, c in enumerate(_scan_order(robot, friction))}
+    keys = [(*_owner(robot, friction, int(c)), rank[int(c)]) for c in leading]
+    return sorted(range(len(leading)), key=keys.__getitem__)
+
+
+def _names(
+    robot: RobotModel, friction: FrictionModel, matrix: Array, leading: Indices
+) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    names, units = [], []
+    for row, column in zip(matrix, leading, strict=True):
+        regrouped = "r" if np.count_nonzero(row) > 1 else ""
+        if column < 10 * robot.n_links:
+            names.append(f"{PARAMETER_NAMES[column % 10]}{regrouped}{column // 10 + 1}")
+            units.append(robot.parameter_units[column])
+        else:
+            parameter = friction.parameters[column - 10 * robot.n_links]
+            symbol = parameter.name.rstrip("0123456789_")
+            names.append(f"{symbol}{regrouped}{parameter.name[len(symbol) :]}")
+            units.append(parameter.unit)
+    return tuple(names), tuple(units)

@@ -1,0 +1,101 @@
+"""How the links move: velocities of all links at many positions, and how one joint drives its link.
+
+Velocities are (angular, linear) in the frame of each link, at its origin, so that the kinetic
+energy of a link is half ``V^T·I·V`` with the 6×6 spatial inertia of `sdpid.robot.inertia`.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from sdpid._common.arrays import Array, real_array
+from sdpid.errors import DataError
+from sdpid.robot.model.model import RobotModel
+
+# From Pinocchio's (linear, angular) to (angular, linear).
+_ANGULAR_FIRST = np.array([3, 4, 5, 0, 1, 2])
+
+
+def link_jacobians(robot: RobotModel, q: ArrayLike) -> Array:
+    """Return the velocities of the links per unit of each coordinate's velocity.
+
+    Parameters
+    ----------
+    robot : RobotModel
+        The robot.
+    q : array_like, shape (K, n)
+        Joint positions; with a floating base those of the joints only, (K, n − 6).
+
+    Returns
+    -------
+    ndarray, shape (K, links, 6, n)
+    """
+    import pinocchio as pin
+
+    configurations = _configurations(robot, q)
+    model = robot.pin_model
+    data = model.createData()
+    out = np.empty((len(configurations), robot.n_links, 6, model.nv))
+    for k, configuration in enumerate(configurations):
+        pin.computeJointJacobians(model, data, configuration)
+        for i in range(robot.n_links):
+            out[k, i] = pin.getJointJacobian(model, data, i + 1, pin.ReferenceFrame.LOCAL)
+    return np.asarray(out[:, :, _ANGULAR_FIRST] @ robot.expansion)
+
+
+def joint_rates(robot: RobotModel) -> Array:
+    """Return the matrix N (nv, 6·links) that reads joint velocities off the links' velocities.
+
+    A joint's velocity is the component along its axis of what its link moves relative to the link
+    before, ``S^T·(V − X·V_before)``. Turning the joint does not change its axis, in either frame,
+    so N does not depend on the position. Coordinates are those of Pinocchio's joints.
+    """
+    import pinocchio as pin
+
+    model: Any = robot.pin_model
+    data = model.createData()
+    q = pin.neutral(model)
+    pin.computeJointJacobians(model, data, q)
+    out = np.zeros((model.nv, 6 * robot.n_links))
+    for i in range(1, model.njoints):
+        joint = model.joints[i]
+        columns = slice(joint.idx_v, joint.idx_v + joint.nv)
+        J = pin.getJointJacobian(model, data, i, pin.ReferenceFrame.LOCAL)[_ANGULAR_FIRST]
+        S = J[:, columns]
+        out[columns, 6 * i - 6 : 6 * i] = S.T
+        before = model.parents[i]
+        if before > 0:
+            # Action on motions from the frame before to this one, angular first.
+            X = data.oMi[i].actInv(data.oMi[before]).action
+            X = X[np.ix_(_ANGULAR_FIRST, _ANGULAR_FIRST)]
+            out[columns, 6 * before - 6 : 6 * before] = -S.T @ X
+    return out
+
+
+def _configurations(robot: RobotModel, q: ArrayLike) -> Array:
+    """Return Pinocchio's configurations, a floating base at rest in the origin."""
+    if not robot.free_flyer:
+        return robot.configuration(q)
+    import pinocchio as pin
+
+    positions = real_array(q, "q", ndim=2)
+    model: Any = robot.pin_model
+    n = robot.n - robot.n_base
+    if positions.shape[1] != n:
+        raise DataError(
+            f"q: {positions.shape[1]} columns, the robot '{robot.name}' has {n} joints beside its "
+            "floating base."
+        )
+    full = np.hstack([np.zeros((len(positions), robot.n_base)), positions])
+    angles = full @ robot.expansion.T + robot.offset
+    out = np.tile(pin.neutral(model), (len(positions), 1))
+    for joint in list(model.joints)[2:]:
+        if joint.nq == 2:
+            out[:, joint.idx_q] = np.cos(angles[:, joint.idx_v])
+            out[:, joint.idx_q + 1] = np.sin(angles[:, joint.idx_v])
+        else:
+            out[:, joint.idx_q] = angles[:, joint.idx_v]
+    return out

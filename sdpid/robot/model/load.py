@@ -1,0 +1,95 @@
+"""Robots from names, files and texts of URDF, MJCF and xacro, and Pinocchio models."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from sdpid.errors import ModelError
+from sdpid.robot.description.catalog import bundled_folder, bundled_robots, find_robot
+from sdpid.robot.description.dh_table import DhTable
+from sdpid.robot.description.xacro import expand_xacro, is_xacro
+from sdpid.robot.description.xml import Description, is_mjcf, is_xml, read_description
+from sdpid.robot.model.model import RobotModel, Root
+
+
+def load_robot(
+    source: Any,
+    *,
+    root: Root | None = None,
+    gravity: Sequence[float] | None = None,
+    xacro_args: Mapping[str, str] | None = None,
+) -> RobotModel:
+    """Load a robot.
+
+    Parameters
+    ----------
+    source : str, path, or pinocchio.Model
+        One of
+
+        * name of a bundled robot (``"denso_vp6242"``), of a robot of example-robot-data (file
+          stem, or folder/stem where ambiguous), or of robot_descriptions, which downloads it
+          (``"ur5e_description"``, extra ``descriptions``);
+        * path or text of a URDF, an MJCF (extra ``sim``) or a xacro file (extra ``xacro``);
+        * a model.
+    root : {"free_flyer"}, optional
+        Let the base float; its link is then identified too. An MJCF says so itself.
+    gravity : sequence of 3 floats, optional
+        Gravity in the base link; by default (0, 0, -9.81) m/s², or the model's or the MJCF's own.
+    xacro_args : mapping, optional
+        Values of the arguments of a xacro file.
+
+    Returns
+    -------
+    RobotModel
+
+    Raises
+    ------
+    ModelError
+        When nothing is found under the name, the text is no description, a joint kind is not
+        supported, a mass is negative, or nothing moves.
+    MissingExtraError
+        When the source needs an extra that is not installed.
+    """
+    if root not in (None, "free_flyer"):
+        raise ModelError(f"root is {root!r}; use None or 'free_flyer'.")
+    if not isinstance(source, (str, os.PathLike)):
+        if root is not None:
+            raise ModelError("root: a pinocchio.Model already has its root; leave it out.")
+        return RobotModel.from_pinocchio(source, gravity=gravity)
+    found, default_gravity = _find(source)
+    if gravity is None:
+        gravity = default_gravity
+    if is_xacro(found):
+        found = expand_xacro(found, xacro_args)
+    elif xacro_args is not None:
+        raise ModelError(f"{found.what}: xacro_args are given, and it is no xacro file.")
+    if not is_mjcf(found.text, found.what):
+        return RobotModel.from_urdf(found.text, what=found.what, root=root, gravity=gravity)
+    if root is not None:
+        raise ModelError(
+            f"{found.what}: an MJCF says itself whether its base floats; leave root out, and give "
+            "its first body a <freejoint/>."
+        )
+    return RobotModel.from_mjcf(found.text, path=found.path, what=found.what, gravity=gravity)
+
+
+def _find(source: str | os.PathLike[str]) -> tuple[Description, Sequence[float] | None]:
+    """Return the description under a name or path, and the gravity of a bundled robot."""
+    if isinstance(source, str) and not is_xml(source):
+        if source in bundled_robots():
+            table = DhTable.from_toml(bundled_folder(source) / "kinematics.toml")
+            return replace(read_description(find_robot(source)), what=source), table.gravity
+        if not _is_file(Path(source)):
+            return read_description(find_robot(source)), None
+    return read_description(source), None
+
+
+def _is_file(path: Path) -> bool:
+    try:
+        return path.is_file()
+    except (OSError, ValueError):  # such as a name that is too long to be one
+        return False

@@ -1,0 +1,561 @@
+"""The robot: its kinematics in Pinocchio, and everything that is linear in its parameters."""
+
+from __future__ import annotations
+
+import functools
+import os
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from sdpid._common.arrays import Array, Indices, frozen, real_array
+from sdpid.errors import DataError, ModelError
+from sdpid.robot.description.dh_table import DhJoint, DhTable
+from sdpid.robot.description.mjcf import pinocchio_from_mjcf
+from sdpid.robot.description.urdf import Mimic, joint_dynamics, pinocchio_from_urdf
+from sdpid.robot.inertia import PARAMETER_NAMES, PARAMETER_UNITS
+from sdpid.robot.model import regressor_kernel as kernels
+from sdpid.robot.model.coordinates import coordinate_names, expand_mimics, link_names
+
+Root = Literal["free_flyer"]
+
+# Descriptions and our own URDFs write 'no limit' as a number at least this large.
+_UNLIMITED = 1e9
+
+
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class RobotModel:
+    """A tree of links with revolute, continuous or prismatic joints, on a fixed or floating base.
+
+    Attributes
+    ----------
+    name : str
+        The robot's name.
+    pin_model : pinocchio.Model
+        The kinematics; not to be changed.
+    joint_names : tuple of str
+        The n velocity coordinates: one name a joint, six for a floating base. Joints that mimic
+        another are not among them.
+    link_names : tuple of str
+        The moving links, named after their joints' bodies, in Pinocchio's order.
+    prior : ndarray, shape (links, 10)
+        Inertial parameters of the description; zero where it gives none.
+    expansion : ndarray, shape (nv, n)
+        Velocities of Pinocchio's joints from the n coordinates: the identity but for mimic joints.
+    offset : ndarray, shape (nv,)
+        Positions of Pinocchio's joints at zero coordinates (mimic offsets).
+    urdf : str or None
+        Text of the description, where there is one.
+    """
+
+    name: str
+    pin_model: Any
+    joint_names: tuple[str, ...]
+    link_names: tuple[str, ...]
+    prior: Array
+    expansion: Array
+    offset: Array
+    urdf: str | None = None
+
+    @classmethod
+    def from_mdh(
+        cls,
+        table: DhTable | str | os.PathLike[str] | Mapping[str, Any] | Iterable[Any],
+        *,
+        gravity: Sequence[float] | None = None,
+        convention: Literal["modified", "standard"] | None = None,
+        base_translation: Sequence[float] | None = None,
+        base_rpy: Sequence[float] | None = None,
+        inertias: ArrayLike | None = None,
+        name: str | None = None,
+    ) -> RobotModel:
+        """Build from a Denavit-Hartenberg table.
+
+        Parameters
+        ----------
+        table : DhTable, path of a TOML file, mapping, or iterable of DhJoint or mappings
+            The table; modified (Khalil) unless it says otherwise.
+        gravity : sequence of 3 floats, optional
+            Gravity in the base link (m/s²); by default what the table says, else -z.
+        convention : {"modified", "standard"}, optional
+            Overrides the table's.
+        base_translation, base_rpy : sequence of 3 floats, optional
+            Placement of frame 0 in the base link (m, rad).
+        inertias : array_like, shape (n, 10), optional
+            Inertial parameters of the links.
+        name : str, optional
+            The robot's name.
+
+        Raises
+        ------
+        ModelError
+            When the table is not understood.
+        """
+        if isinstance(table, (str, os.PathLike)):
+            table = DhTable.from_toml(table)
+        elif isinstance(table, Mapping):
+            table = DhTable.from_mapping(table)
+        elif not isinstance(table, DhTable):
+            if not isinstance(table, Iterable):
+                raise ModelError(f"kinematic table: got {type(table).__name__}; give rows.")
+            rows = tuple(table)
+            table = DhTable(joints=tuple(r if isinstance(r, DhJoint) else _row(r) for r in rows))
+        changes: dict[str, Any] = {
+            "gravity": gravity,
+            "convention": convention,
+            "base_translation": base_translation,
+            "base_rpy": base_rpy,
+            "name": name,
+        }
+        fields = {key: getattr(table, key) for key in changes}
+        fields |= {key: value for key, value in changes.items() if value is not None}
+        table = DhTable(joints=table.joints, **fields)
+        return cls.from_urdf(table.to_urdf(inertias), gravity=table.gravity)
+
+    @classmethod
+    def from_urdf(
+        cls,
+        text: str,
+        *,
+        what: str = "description",
+        root: Root | None = None,
+        gravity: Sequence[float] | None = None,
+    ) -> RobotModel:
+        """Build from the text of a URDF.
+
+        Parameters
+        ----------
+        text : str
+            The URDF.
+        what : str, optional
+            What it is called in messages.
+        root : {"free_flyer"}, optional
+            Let the base float; its link is then identified too.
+        gravity : sequence of 3 floats, optional
+            Gravity in the base link, m/s²; by default (0, 0, -9.81).
+
+        Raises
+        ------
+        ModelError
+            When it is not a URDF, a joint kind is not supported, or nothing moves.
+        """
+        model, mimics = pinocchio_from_urdf(text, what, floating=root is not None)
+        return cls._build(model, mimics, gravity, text)
+
+    @classmethod
+    def from_mjcf(
+        cls,
+        text: str,
+        *,
+        path: Path | None = None,
+        what: str = "description",
+        gravity: Sequence[float] | None = None,
+    ) -> RobotModel:
+        """Build from an MJCF (extra ``sim``).
+
+        Parameters
+        ----------
+        text : str
+            The MJCF.
+        path : Path, optional
+            Its file, for what it includes.
+        what : str, optional
+            What it is called in messages.
+        gravity : sequence of 3 floats, optional
+            Gravity in the world, m/s²; by default the file's.
+
+        Raises
+        ------
+        ModelError
+            When MuJoCo cannot compile it, nothing moves, or it has ball joints or closed loops.
+        MissingExtraError
+            When MuJoCo is not installed.
+        """
+        model, mimics = pinocchio_from_mjcf(text, path, what)
+        return cls._build(model, mimics, gravity, None)
+
+    @classmethod
+    def from_pinocchio(cls, model: Any, *, gravity: Sequence[float] | None = None) -> RobotModel:
+        """Build from a Pinocchio model, which is copied.
+
+        Parameters
+        ----------
+        model : pinocchio.Model
+            Revolute, continuous and prismatic joints, on a fixed or floating base.
+        gravity : sequence of 3 floats, optional
+            Gravity in the base link, m/s²; by default the model's.
+
+        Raises
+        ------
+        ModelError
+            When it is no Pinocchio model, a joint kind is not supported, a mass is negative, or
+            nothing moves.
+        """
+        import pinocchio as pin
+
+        if not isinstance(model, pin.Model):
+            raise ModelError(
+                f"robot: got {type(model).__name__}; give a name, a path, URDF text or a "
+                "pinocchio.Model."
+            )
+        return cls._build(model.copy(), (), gravity, None)
+
+    @classmethod
+    def _build(
+        cls,
+        model: Any,
+        mimics: Sequence[Mimic],
+        gravity: Sequence[float] | None,
+        urdf: str | None,
+    ) -> RobotModel:
+        """Build from a Pinocchio model that is changed and kept."""
+        if model.njoints < 2:
+            raise ModelError(f"robot '{model.name}': no moving joint; nothing can be identified.")
+        if gravity is not None:
+            values = real_array(gravity, "gravity", ndim=1, error=ModelError)
+            if values.shape != (3,):
+                raise ModelError(f"gravity: {values.size} numbers, give 3 (m/s²).")
+            model.gravity.linear = values
+        expansion, offset, names = expand_mimics(coordinate_names(model), mimics)
+        if any(mimic.offset for mimic in mimics) and model.joints[1].nv == 6:
+            raise ModelError("mimic joints with an offset are not supported on a floating base.")
+        links = link_names(model)
+        prior = [model.inertias[i].toDynamicParameters() for i in range(1, model.njoints)]
+        for link, body in zip(links, prior, strict=True):
+            if body[0] < 0.0:
+                raise ModelError(
+                    f"robot '{model.name}': link '{link}': the mass is {body[0]:g} kg, the least "
+                    "is 0; give the true mass."
+                )
+        return cls(
+            name=model.name,
+            pin_model=model,
+            joint_names=names,
+            link_names=links,
+            prior=frozen(prior),
+            expansion=frozen(expansion),
+            offset=frozen(offset),
+            urdf=urdf,
+        )
+
+    def __repr__(self) -> str:
+        base = ", free flyer" if self.free_flyer else ""
+        return f"RobotModel('{self.name}', {self.n} coordinates, {self.n_links} links{base})"
+
+    @property
+    def n(self) -> int:
+        """Number of velocity coordinates."""
+        return len(self.joint_names)
+
+    @property
+    def n_links(self) -> int:
+        """Number of moving links."""
+        return len(self.link_names)
+
+    @property
+    def free_flyer(self) -> bool:
+        """Whether the base floats."""
+        return bool(self.pin_model.njoints > 1 and self.pin_model.joints[1].nv == 6)
+
+    @property
+    def n_base(self) -> int:
+        """Number of velocity coordinates of a floating base: 6 or 0."""
+        return 6 if self.free_flyer else 0
+
+    @property
+    def gravity(self) -> Array:
+        """Gravity in the base link, m/s²."""
+        return np.array(self.pin_model.gravity.linear)
+
+    @property
+    def parameter_names(self) -> tuple[str, ...]:
+        """Names of the 10·links inertial parameters, such as ``xx_2``, counted from 1."""
+        return tuple(f"{p}_{i + 1}" for i in range(self.n_links) for p in PARAMETER_NAMES)
+
+    @property
+    def parameter_units(self) -> tuple[str, ...]:
+        """Units of the 10·links inertial parameters."""
+        return PARAMETER_UNITS * self.n_links
+
+    def _single_joints(self) -> list[tuple[int, Any]]:
+        """Return (column, Pinocchio joint) of each coordinate that is one joint of its own."""
+        columns = {name: j for j, name in enumerate(self.joint_names)}
+        model = self.pin_model
+        return [
+            (columns[model.names[i]], model.joints[i])
+            for i in range(1, model.njoints)
+            if model.names[i] in columns
+        ]
+
+    @property
+    def reach(self) -> float:
+        """Length of the longest way from the base to a joint, m, from joint to joint."""
+        way = np.zeros(self.pin_model.njoints)
+        for i in range(1, self.pin_model.njoints):
+            offset = float(np.linalg.norm(self.pin_model.jointPlacements[i].translation))
+            way[i] = way[self.pin_model.parents[i]] + offset
+        return float(way.max())
+
+    @property
+    def position_limits(self) -> Array:
+        """Limits of the joints' positions, shape (n, 2), infinite where there are none."""
+        limits = np.tile([-np.inf, np.inf], (self.n, 1))
+        for column, joint in self._single_joints():
+            lower = self.pin_model.lowerPositionLimit[joint.idx_q]
+            upper = self.pin_model.upperPositionLimit[joint.idx_q]
+            if joint.nq == 1 and max(-lower, upper) < _UNLIMITED:
+                limits[column] = lower, upper
+        return limits
+
+    def described_friction(self) -> tuple[Array, Array]:
+        """Return viscous and Coulomb friction of each coordinate from the URDF, (n,) each."""
+        given = {} if self.urdf is None else joint_dynamics(self.urdf, self.name)
+        names = list(self.pin_model.names)[1:]
+        values = np.array([given.get(name, (0.0, 0.0)) for name in names])
+        # Friction of a mimic joint is felt at its source, through the gear between them.
+        ratio = np.abs(self.expansion)
+        return np.asarray(values[:, 0] @ ratio**2), np.asarray(values[:, 1] @ ratio)
+
+    def _rate_limits(self, values: Array) -> Array:
+        limits = np.full(self.n, np.inf)
+        for column, joint in self._single_joints():
+            if values[joint.idx_v] < _UNLIMITED:
+                limits[column] = values[joint.idx_v]
+        return limits
+
+    @property
+    def velocity_limits(self) -> Array:
+        """Largest speeds, shape (n,), infinite where there are none."""
+        return self._rate_limits(self.pin_model.velocityLimit)
+
+    @property
+    def effort_limits(self) -> Array:
+        """Largest efforts, shape (n,), infinite where there are none."""
+        return self._rate_limits(self.pin_model.effortLimit)
+
+    def configuration(self, position: ArrayLike) -> Array:
+        """Return Pinocchio's configurations, (K, n) to (K, nq).
+
+        Continuous joints become cosine and sine, mimic joints their expanded angle. With a
+        floating base the positions are already configurations, (K, nq).
+        """
+        position = real_array(position, "position", ndim=2)
+        model = self.pin_model
+        if self.free_flyer and position.shape[1] == model.nq:
+            return position
+        wanted = model.nq if self.free_flyer else self.n
+        if position.shape[1] != wanted:
+            raise DataError(
+                f"position: {position.shape[1]} columns, the robot '{self.name}' has {wanted}: "
+                f"{', '.join(self.joint_names)}."
+            )
+        angles = self._expand(position) + self.offset if self._mimics else position.copy()
+        if model.nq == model.nv:
+            return np.ascontiguousarray(angles)
+        q = np.empty((len(angles), model.nq))
+        for joint in list(model.joints)[1:]:
+            if joint.nq == 2:
+                q[:, joint.idx_q] = np.cos(angles[:, joint.idx_v])
+                q[:, joint.idx_q + 1] = np.sin(angles[:, joint.idx_v])
+            else:
+                q[:, joint.idx_q] = angles[:, joint.idx_v]
+        return q
+
+    @functools.cached_property
+    def _mimics(self) -> bool:
+        rows, columns = self.expansion.shape
+        plain = rows == columns and np.array_equal(self.expansion, np.eye(rows))
+        return not plain or bool(self.offset.any())
+
+    def _expand(self, values: Array) -> Array:
+        return values @ self.expansion.T if self._mimics else values
+
+    def _states(self, q: ArrayLike, v: ArrayLike, a: ArrayLike) -> tuple[Array, Array, Array]:
+        q = self.configuration(q)
+        rates = []
+        for values, name in ((v, "velocity"), (a, "acceleration")):
+            array = real_array(values, name, ndim=2)
+            if array.shape != (len(q), self.n):
+                raise DataError(
+                    f"{name}: shape {array.shape}, expected {(len(q), self.n)} "
+                    f"for {len(q)} positions of '{self.name}'."
+                )
+            rates.append(np.ascontiguousarray(self._expand(array)))
+        return q, rates[0], rates[1]
+
+    def regressor(
+        self, q: ArrayLike, v: ArrayLike, a: ArrayLike, *, out: Array | None = None
+    ) -> Array:
+        """Return Y with ``effort = Y @ theta`` for the links' inertial parameters.
+
+        Parameters
+        ----------
+        q : array_like, shape (K, n)
+            Joint positions in rad or m; (K, nq) configurations with a floating base.
+        v, a : array_like, shape (K, n)
+            Velocities and accelerations.
+        out : ndarray, shape (K, n, 10·links), optional
+            Where to write it, float64 and C-contiguous. Memory that was used before takes a third
+            of the time of memory that comes new from the system, page by page.
+
+        Returns
+        -------
+        ndarray, shape (K, n, 10·links)
+            Columns link by link in Pinocchio's order of parameters [carpentier2019]_. Compiled
+            where Numba is installed (the extra ``fast``) and there is at least a megabyte of it,
+            else Pinocchio's own, sample by sample; they differ by rounding.
+
+        Raises
+        ------
+        DataError
+            When a shape does not fit or a value is not finite.
+        """
+        q, v, a = self._states(q, v, a)
+        if out is not None:
+            _check_out(out, (len(q), self.n, 10 * self.n_links))
+        if self._tree is not None:
+            found = kernels.regressor(self._tree, q, v, a, out=out)
+            if found is not None:
+                return found
+        return self._pinocchio_regressor(q, v, a, out)
+
+    def regressor_columns(
+        self,
+        q: ArrayLike,
+        v: ArrayLike,
+        a: ArrayLike,
+        *,
+        places: Indices,
+        out: Array,
+        compiled: bool | None = None,
+    ) -> Array:
+        """Write some columns of the regressor into a wider block, and zeros everywhere else.
+
+        Parameters
+        ----------
+        q, v, a : array_like
+            As for `regressor`.
+        places : ndarray of int, shape (10·links,)
+            The column of `out` that each parameter's goes to, -1 for none.
+        out : ndarray, shape (K, n, columns)
+            Float64 and C-contiguous.
+        compiled : bool, optional
+            Whether to use the compiled loop: of a log's blocks all or none. By default the size
+            decides.
+
+        Returns
+        -------
+        ndarray
+            `out`.
+
+        Raises
+        ------
+        DataError
+            When a shape does not fit or a value is not finite.
+        """
+        q, v, a = self._states(q, v, a)
+        _check_out(out, (len(q), self.n, out.shape[-1]))
+        if len(places) != 10 * self.n_links or np.max(places, initial=-1) >= out.shape[2]:
+            raise DataError(
+                f"places: {len(places)} entries up to {np.max(places, initial=-1)}; expected one "
+                f"for each of {10 * self.n_links} parameters, below {out.shape[2]} columns."
+            )
+        if self._tree is not None:
+            found = kernels.regressor(self._tree, q, v, a, out=out, places=places, worth=compiled)
+            if found is not None:
+                return found
+        wanted = np.flatnonzero(places >= 0)
+        out[:] = 0.0
+        out[:, :, places[wanted]] = self._pinocchio_regressor(q, v, a)[:, :, wanted]
+        return out
+
+    @functools.cached_property
+    def _tree(self) -> kernels.Tree | None:
+        return kernels.flatten(self.pin_model, self.expansion)
+
+    def _pinocchio_regressor(self, q: Array, v: Array, a: Array, out: Array | None = None) -> Array:
+        """Return the same from Pinocchio, sample by sample."""
+        import pinocchio as pin
+
+        model, data = self.pin_model, self.pin_model.createData()
+        mimics = self.expansion.shape[0] != self.expansion.shape[1]
+        if out is None:
+            out = np.empty((len(q), self.n, 10 * self.n_links))
+        compute = pin.computeJointTorqueRegressor
+        for k in range(len(q)):
+            # With a single joint the binding drops the axis of length one.
+            Y = compute(model, data, q[k], v[k], a[k]).reshape(model.nv, -1)
+            out[k] = self.expansion.T @ Y if mimics else Y
+        return out
+
+    def inverse_dynamics(self, theta: ArrayLike, q: ArrayLike, v: ArrayLike, a: ArrayLike) -> Array:
+        """Return the efforts (K, n) of links with the given parameters, without friction."""
+        theta = np.asarray(theta, dtype=np.float64).reshape(-1)
+        return self.regressor(q, v, a) @ theta[: 10 * self.n_links]
+
+    def with_inertias(self, theta: ArrayLike) -> Any:
+        """Return a copy of the Pinocchio model whose links have the given parameters."""
+        import pinocchio as pin
+
+        bodies = np.asarray(theta, dtype=np.float64).reshape(-1)[: 10 * self.n_links]
+        model = self.pin_model.copy()
+        for i, body in enumerate(bodies.reshape(self.n_links, 10)):
+            model.inertias[i + 1] = pin.Inertia.FromDynamicParameters(body)
+        return model
+
+    def mass_matrix(self, theta: ArrayLike, q: ArrayLike) -> Array:
+        """Return the joint-space mass matrices.
+
+        Linear in theta, computed from the regressor at unit accelerations without gravity, so it
+        holds for any parameters, consistent or not, massless links included.
+
+        Parameters
+        ----------
+        theta : array_like, shape (10·links, …) flattened
+            Inertial parameters; further entries (friction) are ignored.
+        q : array_like, shape (K, n) or (n,)
+            Joint positions.
+
+        Returns
+        -------
+        ndarray, shape (K, n, n) or (n, n)
+        """
+        import pinocchio as pin
+
+        positions = np.asarray(q, dtype=np.float64)
+        configurations = self.configuration(np.atleast_2d(positions))
+        bodies = np.asarray(theta, dtype=np.float64).reshape(-1)[: 10 * self.n_links]
+        model = self.pin_model.copy()
+        model.gravity = pin.Motion.Zero()
+        data = model.createData()
+        zero = np.zeros(model.nv)
+        out = np.empty((len(configurations), self.n, self.n))
+        for k, configuration in enumerate(configurations):
+            for j in range(self.n):
+                unit = np.ascontiguousarray(self.expansion[:, j])
+                Y = pin.computeJointTorqueRegressor(model, data, configuration, zero, unit)
+                out[k, :, j] = self.expansion.T @ (Y.reshape(model.nv, -1) @ bodies)
+        out = 0.5 * (out + out.transpose(0, 2, 1))
+        return out[0] if positions.ndim == 1 else out
+
+
+def _check_out(out: Array, shape: tuple[int, ...]) -> None:
+    if out.shape != shape or out.dtype != np.float64 or not out.flags.c_contiguous:
+        raise DataError(
+            f"out: shape {out.shape} of {out.dtype}, expected {shape} of float64, C-contiguous."
+        )
+
+
+def _row(row: Any) -> DhJoint:
+    if not isinstance(row, Mapping):
+        raise ModelError(
+            f"kinematic table: a row is {row!r}; give a mapping with alpha, d, theta, r."
+        )
+    try:
+        return DhJoint(**row)
+    except TypeError as cause:
+        raise ModelError(f"kinematic table: a row is not understood ({cause}).") from None

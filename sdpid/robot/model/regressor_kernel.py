@@ -1,0 +1,541 @@
+"""The regressor of many samples at once, compiled where Numba is installed.
+
+Every link's motion is kept in the link's own frame, and so is the axis of every joint that moves
+it, carried along from link to link. One row of a link's block is then that axis times the link's
+6 x 10 body regressor: there are no world frames, and no forces that travel back along the tree.
+"""
+
+from __future__ import annotations
+
+import functools
+import itertools
+import logging
+import math
+import sys
+import threading
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import numpy as np
+
+from sdpid._common.arrays import Array, Indices
+
+# Kinds of joints.
+REVOLUTE, PRISMATIC, FLOATING = 0, 1, 2
+
+# An axis is one of rotation or of translation when the other half is smaller than this: joints
+# are given by unit vectors, whose rounding is far below.
+_PURE = 1e-12
+
+# Bytes that Pinocchio writes in about a millisecond; only to load Numba takes half a second. The
+# size decides, not whether it is loaded, so that the same call gives the same bits every time.
+SMALL = 1 << 20
+
+# Bytes of the rows of a log, gone through two or three times, in which Numba makes up for its own
+# loading: a tenth of a second of Pinocchio each time.
+WORTH = 1 << 26
+
+# Bytes from which the C library takes an array from the system, at the latest, as zeros, and from
+# which threads are worth their start.
+_LARGE = 1 << 25
+
+# Parts of a large array for every thread: one whose core is busy elsewhere does fewer.
+_SHARES = 4
+
+# Other arrays, read-only ones among them, would be compiled for anew; they are copied.
+_COMPILED_FOR: tuple[Literal["C", "A", "W"], ...] = ("C", "A", "W")
+
+# Compiling for longer than this is worth a line, s.
+_PATIENCE = 1.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class Tree:
+    """A robot's kinematics as plain arrays, which is what a compiled function takes.
+
+    Attributes
+    ----------
+    kind : ndarray of int, shape (links,)
+        REVOLUTE, PRISMATIC or FLOATING.
+    parent : ndarray of int, shape (links,)
+        The link that each one hangs on, -1 for the base.
+    first_q, first_v : ndarray of int, shape (links,)
+        Pinocchio's first position and velocity coordinate of each joint.
+    unbounded : ndarray of bool, shape (links,)
+        Whether a joint's position is a cosine and a sine.
+    column : ndarray of int, shape (nv,)
+        The robot's coordinate that moves each of Pinocchio's.
+    factor : ndarray, shape (nv,)
+        How fast: 1 but for mimic joints.
+    shared : ndarray of bool, shape (nv,)
+        Whether several of Pinocchio's coordinates move with the same one of the robot's.
+    turn : ndarray, shape (links, 3, 3, 3)
+        Rotation of a joint's frame in its parent's: ``turn[0] cos + turn[1] sin + turn[2]``.
+    place : ndarray, shape (links, 2, 3)
+        Origin of a joint's frame in its parent's, and what a metre of a prismatic joint adds.
+    axis : ndarray, shape (links, 3)
+        Axes in the joints' own frames.
+    gravity : ndarray, shape (3,)
+        Gravity in the base link, m/s².
+    n : int
+        The robot's coordinates.
+    """
+
+    kind: Indices
+    parent: Indices
+    first_q: Indices
+    first_v: Indices
+    unbounded: Any
+    column: Indices
+    factor: Array
+    shared: Any
+    turn: Array
+    place: Array
+    axis: Array
+    gravity: Array
+    n: int
+
+    @functools.cached_property
+    def arrays(self) -> tuple[Any, ...]:
+        """The arrays, in the order in which the compiled function takes them."""
+        names = "kind parent first_q first_v unbounded column factor shared turn place axis gravity"
+        return tuple(getattr(self, name) for name in names.split())
+
+
+def flatten(model: Any, expansion: Array) -> Tree | None:
+    """Return the plain arrays of a Pinocchio model, None when a joint is not covered.
+
+    Parameters
+    ----------
+    model : pinocchio.Model
+        The kinematics.
+    expansion : ndarray, shape (nv, n)
+        Velocities of Pinocchio's joints from the robot's coordinates.
+
+    Returns
+    -------
+    Tree or None
+    """
+    import pinocchio as pin
+
+    if (np.count_nonzero(expansion, axis=1) > 1).any() or model.gravity.angular.any():
+        return None
+    links = model.njoints - 1
+    kind = np.zeros(links, dtype=np.intp)
+    turn, place, axis = np.zeros((links, 3, 3, 3)), np.zeros((links, 2, 3)), np.zeros((links, 3))
+    neutral = pin.neutral(model)
+    for i in range(links):
+        joint, placement = model.joints[i + 1], model.jointPlacements[i + 1]
+        R = np.array(placement.rotation)
+        place[i, 0] = placement.translation
+        if i == 0 and joint.nv == 6 and joint.nq == 7:
+            kind[i], turn[i, 2] = FLOATING, R
+            continue
+        if joint.nv != 1:
+            return None
+        data = joint.createData()
+        joint.calc(data, neutral)
+        linear, angular = np.split(np.array(data.S).ravel(), 2)
+        if np.abs(linear).max() < _PURE:
+            kind[i], axis[i] = REVOLUTE, angular
+            x, y, z = angular
+            about = np.outer(angular, angular)
+            turn[i, 2] = R @ about
+            turn[i, 0] = R - turn[i, 2]
+            turn[i, 1] = R @ np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+        elif np.abs(angular).max() < _PURE:
+            kind[i], axis[i], turn[i, 2], place[i, 1] = PRISMATIC, linear, R, R @ linear
+        else:
+            return None
+    joints = list(model.joints)[1:]
+    column = np.argmax(expansion != 0.0, axis=1)
+    return Tree(
+        kind=kind,
+        parent=np.array([model.parents[i + 1] - 1 for i in range(links)], dtype=np.intp),
+        first_q=np.array([joint.idx_q for joint in joints], dtype=np.intp),
+        first_v=np.array([joint.idx_v for joint in joints], dtype=np.intp),
+        unbounded=np.array([joint.nq == 2 for joint in joints]),
+        column=column.astype(np.intp),
+        factor=expansion[np.arange(len(column)), column].copy(),
+        shared=np.bincount(column, minlength=expansion.shape[1])[column] > 1,
+        turn=turn,
+        place=place,
+        axis=axis,
+        gravity=np.array(model.gravity.linear),
+        n=expansion.shape[1],
+    )
+
+
+def regressor(
+    tree: Tree,
+    q: Array,
+    v: Array,
+    a: Array,
+    *,
+    out: Array | None = None,
+    places: Indices | None = None,
+    worth: bool | None = None,
+) -> Array | None:
+    """Return the regressor of samples, None without Numba or when there are few.
+
+    Parameters
+    ----------
+    tree : Tree
+        The robot.
+    q : ndarray, shape (K, nq)
+        Pinocchio's configurations.
+    v, a : ndarray, shape (K, nv)
+        Velocities and accelerations of Pinocchio's joints.
+    out : ndarray, shape (K, n, columns), optional
+        Where to write, C-contiguous. All of it is written: columns that are no parameter's become
+        zero.
+    places : ndarray of int, shape (10·links,), optional
+        The column that each parameter's goes to, -1 for none; by default its own.
+    worth : bool, optional
+        Whether to use the compiled loop: of a log's blocks all or none. By default the size
+        decides.
+
+    Returns
+    -------
+    ndarray of shape (K, n, 10·links) or that of `out`, or None
+    """
+    count = 10 * len(tree.kind)
+    shape = (len(q), tree.n, count) if out is None else out.shape
+    size = 8 * math.prod(shape)
+    fill = compiled() if (size >= SMALL if worth is None else worth) else None
+    if fill is None:
+        return None
+    states = [np.require(x, np.float64, _COMPILED_FOR) for x in (q, v, a)]
+    whole = places is None
+    route = np.arange(count) if places is None else np.require(places, np.intp, _COMPILED_FOR)
+    # Most of a sample is zero. A large new array comes as zeros from the system; any other is
+    # cleared sample by sample in the cache.
+    clear, threads = True, 1
+    if out is not None:
+        threads = _threads() if size >= _LARGE else 1
+    elif size >= _LARGE:
+        # The system clears pages no faster for two threads than for one.
+        out, clear = np.zeros(shape), False
+    rows = np.empty(shape) if out is None else out
+
+    def work(part: slice) -> None:
+        fill(*tree.arrays, route, whole, clear, *(x[part] for x in states), rows[part])
+
+    if threads == 1:
+        work(slice(None))
+    else:
+        from concurrent.futures import ThreadPoolExecutor
+
+        ends = np.linspace(0, len(q), _SHARES * threads + 1).astype(int)
+        with ThreadPoolExecutor(threads) as pool:
+            list(pool.map(work, itertools.starmap(slice, itertools.pairwise(ends))))
+    return rows
+
+
+def _threads() -> int:
+    """Return how many threads Numba was given: the cores, or NUMBA_NUM_THREADS."""
+    import numba
+
+    return max(1, int(numba.config.NUMBA_NUM_THREADS))
+
+
+@functools.cache
+def compiled() -> Callable[..., None] | None:
+    """Return the compiled loop, None where Numba is missing or cannot be imported."""
+    try:
+        import numba
+    except ImportError:  # missing, or it refuses this NumPy
+        return None
+    options = {"fastmath": {"contract", "nsz", "reassoc"}}
+    return _compile(numba.njit, _fill, _first_call, **options)
+
+
+def _compile(
+    njit: Any, function: Any, first: Callable[[Any], None], **options: Any
+) -> Callable[..., None]:
+    """Compile a function and keep the result on the disk where that is possible."""
+    options = {"nogil": True, "error_model": "numpy", **options}
+    try:
+        # Beside the module or, where that is not writable, in the user's cache folder.
+        quick = njit(cache=True, **options)(function)
+        first(quick)
+    except (OSError, RuntimeError):  # neither is writable, or the disk is full
+        quick = njit(**options)(function)
+        first(quick)
+    done: Callable[..., None] = quick
+    return done
+
+
+def _first_call(fill: Callable[..., None]) -> None:
+    """Compile for the only types there are, with a line to the user when that takes long."""
+    timer = threading.Timer(_PATIENCE, _say)
+    timer.daemon = True
+    timer.start()
+    try:
+        index, flags = np.zeros(0, dtype=np.intp), np.zeros(0, dtype=np.bool_)
+        row, table = np.zeros(0), np.zeros((0, 0))
+        fill(
+            *(index,) * 4,
+            flags,
+            index,
+            row,
+            flags,
+            np.zeros((0, 3, 3, 3)),
+            np.zeros((0, 2, 3)),
+            np.zeros((0, 3)),
+            np.zeros(3),
+            index,
+            True,
+            True,
+            *(table,) * 3,
+            np.zeros((0, 0, 0)),
+        )
+    finally:
+        timer.cancel()
+
+
+def _say() -> None:
+    note = "compiling the regressor for this machine; this takes seconds, once"
+    logging.getLogger(__name__).info(note)
+    if sys.stderr.isatty():
+        print(f"sdpid: {note}", file=sys.stderr)
+
+
+def _fill(
+    kind: Indices,
+    parent: Indices,
+    first_q: Indices,
+    first_v: Indices,
+    unbounded: Any,
+    column: Indices,
+    factor: Array,
+    shared: Any,
+    turn: Array,
+    place: Array,
+    axis: Array,
+    gravity: Array,
+    route: Indices,
+    whole: bool,
+    clear: bool,
+    q: Array,
+    v: Array,
+    a: Array,
+    out: Array,
+) -> None:
+    """Write the regressor's blocks, link by link along each sample's tree.
+
+    `out` holds zeros, or is to be cleared. Written for a compiler: scalars, and nothing allocated
+    for a sample; lines of like products, four or more in a row, become one instruction each.
+    """
+    links, nv = len(kind), len(column)
+    R, G = np.zeros((3, 4)), np.empty((3, 3))
+    r = np.empty(3)
+    spin, turning = np.empty((links, 3)), np.empty((links, 3))
+    # Body regressors. The first four columns give the acceleration of a point at r, too.
+    M = np.zeros((links, 6, 10))
+    # Axes of the coordinates that move a link, in its frame, translation first; how many, which.
+    S = np.zeros((links, nv, 8))
+    moves, count = np.empty((links, nv), dtype=np.intp), np.zeros(links, dtype=np.intp)
+    for i in range(links):
+        p, n = parent[i], 0
+        if p >= 0:
+            n = count[p]
+            moves[i, :n] = moves[p, :n]
+        # The joint's own axes, at rest in its frame.
+        if kind[i] == FLOATING:
+            for j in range(6):
+                moves[i, n + j] = first_v[i] + j
+                S[i, n + j, j + j // 3] = 1.0
+            n += 6
+        else:
+            moves[i, n] = first_v[i]
+            start = 4 if kind[i] == REVOLUTE else 0
+            for c in range(3):
+                S[i, n, start + c] = axis[i, c]
+            n += 1
+        count[i] = n
+    # Which of a link's parameters have a place: wanted[first[i] : first[i + 1]].
+    first, wanted = np.zeros(links + 1, dtype=np.intp), np.zeros(10 * links, dtype=np.intp)
+    row, total = np.empty(10), 0
+    for c in range(10 * links):
+        if route[c] >= 0:
+            wanted[total] = c
+            total += 1
+        first[c // 10 + 1] = total
+    for k in range(len(out)):
+        if clear:
+            out[k] = 0.0
+        for i in range(links):
+            p, at, to = parent[i], first_q[i], first_v[i]
+            x, y, d = 0.0, 0.0, 0.0
+            if kind[i] == PRISMATIC:
+                d = q[k, at]
+            elif unbounded[i]:
+                x, y = q[k, at], q[k, at + 1]
+            elif kind[i] == REVOLUTE:
+                x, y = math.cos(q[k, at]), math.sin(q[k, at])
+            for c in range(3):
+                for e in range(3):
+                    R[c, e] = turn[i, 0, c, e] * x + turn[i, 1, c, e] * y + turn[i, 2, c, e]
+                r[c] = place[i, 0, c] + place[i, 1, c] * d
+            if kind[i] == FLOATING:
+                qx, qy, qz, qw = q[k, at + 3], q[k, at + 4], q[k, at + 5], q[k, at + 6]
+                G[0, 0] = 1.0 - 2.0 * (qy * qy + qz * qz)
+                G[1, 1] = 1.0 - 2.0 * (qx * qx + qz * qz)
+                G[2, 2] = 1.0 - 2.0 * (qx * qx + qy * qy)
+                G[0, 1], G[1, 0] = 2.0 * (qx * qy - qz * qw), 2.0 * (qx * qy + qz * qw)
+                G[0, 2], G[2, 0] = 2.0 * (qx * qz + qy * qw), 2.0 * (qx * qz - qy * qw)
+                G[1, 2], G[2, 1] = 2.0 * (qy * qz - qx * qw), 2.0 * (qy * qz + qx * qw)
+                for c in range(3):
+                    for e in range(3):
+                        R[c, e] = (
+                            turn[i, 2, c, 0] * G[0, e]
+                            + turn[i, 2, c, 1] * G[1, e]
+                            + turn[i, 2, c, 2] * G[2, e]
+                        )
+            # The parent's motion at this origin, turned into this frame.
+            if p >= 0:
+                ux, uy, uz = spin[p, 0], spin[p, 1], spin[p, 2]
+                tx, ty, tz = turning[p, 0], turning[p, 1], turning[p, 2]
+                gx = M[p, 0, 0] + M[p, 0, 1] * r[0] + M[p, 0, 2] * r[1] + M[p, 0, 3] * r[2]
+                gy = M[p, 1, 0] + M[p, 1, 1] * r[0] + M[p, 1, 2] * r[1] + M[p, 1, 3] * r[2]
+                gz = M[p, 2, 0] + M[p, 2, 1] * r[0] + M[p, 2, 2] * r[1] + M[p, 2, 3] * r[2]
+                wx = R[0, 0] * ux + R[1, 0] * uy + R[2, 0] * uz
+                wy = R[0, 1] * ux + R[1, 1] * uy + R[2, 1] * uz
+                wz = R[0, 2] * ux + R[1, 2] * uy + R[2, 2] * uz
+                ax = R[0, 0] * tx + R[1, 0] * ty + R[2, 0] * tz
+                ay = R[0, 1] * tx + R[1, 1] * ty + R[2, 1] * tz
+                az = R[0, 2] * tx + R[1, 2] * ty + R[2, 2] * tz
+            else:
+                gx, gy, gz = -gravity[0], -gravity[1], -gravity[2]
+                wx = wy = wz = ax = ay = az = 0.0
+            bx = R[0, 0] * gx + R[1, 0] * gy + R[2, 0] * gz
+            by = R[0, 1] * gx + R[1, 1] * gy + R[2, 1] * gz
+            bz = R[0, 2] * gx + R[1, 2] * gy + R[2, 2] * gz
+            # The joint's own.
+            sx, sy, sz = axis[i, 0], axis[i, 1], axis[i, 2]
+            dq, ddq = v[k, to], a[k, to]
+            if kind[i] == REVOLUTE:
+                ax += sx * ddq + (wy * sz - wz * sy) * dq
+                ay += sy * ddq + (wz * sx - wx * sz) * dq
+                az += sz * ddq + (wx * sy - wy * sx) * dq
+                wx += sx * dq
+                wy += sy * dq
+                wz += sz * dq
+            elif kind[i] == PRISMATIC:
+                bx += sx * ddq + 2.0 * (wy * sz - wz * sy) * dq
+                by += sy * ddq + 2.0 * (wz * sx - wx * sz) * dq
+                bz += sz * ddq + 2.0 * (wx * sy - wy * sx) * dq
+            else:
+                # Only a first joint floats: there is no motion of a parent to add to.
+                wx, wy, wz = v[k, to + 3], v[k, to + 4], v[k, to + 5]
+                ax, ay, az = a[k, to + 3], a[k, to + 4], a[k, to + 5]
+                bx += a[k, to] + wy * v[k, to + 2] - wz * v[k, to + 1]
+                by += a[k, to + 1] + wz * v[k, to] - wx * v[k, to + 2]
+                bz += a[k, to + 2] + wx * v[k, to + 1] - wy * v[k, to]
+            spin[i, 0], spin[i, 1], spin[i, 2] = wx, wy, wz
+            turning[i, 0], turning[i, 1], turning[i, 2] = ax, ay, az
+            xx, yy, zz = wx * wx, wy * wy, wz * wz
+            xy, xz, yz = wx * wy, wx * wz, wy * wz
+            M[i, 0, 0], M[i, 0, 1], M[i, 0, 2], M[i, 0, 3] = bx, -yy - zz, xy - az, xz + ay
+            M[i, 1, 0], M[i, 1, 1], M[i, 1, 2], M[i, 1, 3] = by, xy + az, -xx - zz, yz - ax
+            M[i, 2, 0], M[i, 2, 1], M[i, 2, 2], M[i, 2, 3] = bz, xz - ay, yz + ax, -xx - yy
+            M[i, 3, 2], M[i, 3, 3] = bz, -by
+            M[i, 4, 1], M[i, 4, 3] = -bz, bx
+            M[i, 5, 1], M[i, 5, 2] = by, -bx
+            M[i, 3, 4], M[i, 3, 5], M[i, 3, 6] = ax, ay - xz, -yz
+            M[i, 3, 7], M[i, 3, 8], M[i, 3, 9] = az + xy, yy - zz, yz
+            M[i, 4, 4], M[i, 4, 5], M[i, 4, 6] = xz, ax + yz, ay
+            M[i, 4, 7], M[i, 4, 8], M[i, 4, 9] = zz - xx, az - xy, -xz
+            M[i, 5, 4], M[i, 5, 5], M[i, 5, 6] = -xy, xx - yy, xy
+            M[i, 5, 7], M[i, 5, 8], M[i, 5, 9] = ax - yz, ay + xz, az
+            # The axes that move the parent, seen from here.
+            if p >= 0:
+                for j in range(count[p]):
+                    lx, ly, lz = S[p, j, 0], S[p, j, 1], S[p, j, 2]
+                    ux, uy, uz = S[p, j, 4], S[p, j, 5], S[p, j, 6]
+                    lx += uy * r[2] - uz * r[1]
+                    ly += uz * r[0] - ux * r[2]
+                    lz += ux * r[1] - uy * r[0]
+                    s0 = R[0, 0] * lx + R[1, 0] * ly + R[2, 0] * lz
+                    s1 = R[0, 1] * lx + R[1, 1] * ly + R[2, 1] * lz
+                    s2 = R[0, 2] * lx + R[1, 2] * ly + R[2, 2] * lz
+                    s3 = R[0, 3] * lx + R[1, 3] * ly + R[2, 3] * lz
+                    S[i, j, 0], S[i, j, 1], S[i, j, 2], S[i, j, 3] = s0, s1, s2, s3
+                    s0 = R[0, 0] * ux + R[1, 0] * uy + R[2, 0] * uz
+                    s1 = R[0, 1] * ux + R[1, 1] * uy + R[2, 1] * uz
+                    s2 = R[0, 2] * ux + R[1, 2] * uy + R[2, 2] * uz
+                    s3 = R[0, 3] * ux + R[1, 3] * uy + R[2, 3] * uz
+                    S[i, j, 4], S[i, j, 5], S[i, j, 6], S[i, j, 7] = s0, s1, s2, s3
+            for j in range(count[i]):
+                lx, ly, lz = S[i, j, 0], S[i, j, 1], S[i, j, 2]
+                ux, uy, uz = S[i, j, 4], S[i, j, 5], S[i, j, 6]
+                r0 = (
+                    lx * M[i, 0, 0]
+                    + ly * M[i, 1, 0]
+                    + lz * M[i, 2, 0]
+                    + ux * M[i, 3, 0]
+                    + uy * M[i, 4, 0]
+                    + uz * M[i, 5, 0]
+                )
+                r1 = (
+                    lx * M[i, 0, 1]
+                    + ly * M[i, 1, 1]
+                    + lz * M[i, 2, 1]
+                    + ux * M[i, 3, 1]
+                    + uy * M[i, 4, 1]
+                    + uz * M[i, 5, 1]
+                )
+                r2 = (
+                    lx * M[i, 0, 2]
+                    + ly * M[i, 1, 2]
+                    + lz * M[i, 2, 2]
+                    + ux * M[i, 3, 2]
+                    + uy * M[i, 4, 2]
+                    + uz * M[i, 5, 2]
+                )
+                r3 = (
+                    lx * M[i, 0, 3]
+                    + ly * M[i, 1, 3]
+                    + lz * M[i, 2, 3]
+                    + ux * M[i, 3, 3]
+                    + uy * M[i, 4, 3]
+                    + uz * M[i, 5, 3]
+                )
+                r4 = ux * M[i, 3, 4] + uy * M[i, 4, 4] + uz * M[i, 5, 4]
+                r5 = ux * M[i, 3, 5] + uy * M[i, 4, 5] + uz * M[i, 5, 5]
+                r6 = ux * M[i, 3, 6] + uy * M[i, 4, 6] + uz * M[i, 5, 6]
+                r7 = ux * M[i, 3, 7] + uy * M[i, 4, 7] + uz * M[i, 5, 7]
+                r8 = ux * M[i, 3, 8] + uy * M[i, 4, 8] + uz * M[i, 5, 8]
+                r9 = ux * M[i, 3, 9] + uy * M[i, 4, 9] + uz * M[i, 5, 9]
+                m, to = moves[i, j], 10 * i
+                h, f = column[m], factor[m]
+                if whole and not shared[m]:
+                    out[k, h, to + 0] = r0
+                    out[k, h, to + 1] = r1
+                    out[k, h, to + 2] = r2
+                    out[k, h, to + 3] = r3
+                    out[k, h, to + 4] = r4
+                    out[k, h, to + 5] = r5
+                    out[k, h, to + 6] = r6
+                    out[k, h, to + 7] = r7
+                    out[k, h, to + 8] = r8
+                    out[k, h, to + 9] = r9
+                    continue
+                row[0] = r0
+                row[1] = r1
+                row[2] = r2
+                row[3] = r3
+                row[4] = r4
+                row[5] = r5
+                row[6] = r6
+                row[7] = r7
+                row[8] = r8
+                row[9] = r9
+                if shared[m]:
+                    for t in range(first[i], first[i + 1]):
+                        out[k, h, route[wanted[t]]] += f * row[wanted[t] - to]
+                else:
+                    for t in range(first[i], first[i + 1]):
+                        out[k, h, route[wanted[t]]] = row[wanted[t] - to]

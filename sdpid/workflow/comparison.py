@@ -1,0 +1,282 @@
+"""Estimators side by side on one problem, measured against the proven bound."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import numpy as np
+
+from sdpid._common.jobs import parallel
+from sdpid._common.progress import progress
+from sdpid._common.seeds import generator
+from sdpid._common.tables import Table
+from sdpid.assurance.certificate.certificate import Certificate, certify
+from sdpid.errors import DataError, SdpidError
+from sdpid.estimation.estimate import Estimate
+from sdpid.estimation.local.log_cholesky import solve_log_cholesky, unsupported
+from sdpid.estimation.local.run import FEASIBLE_LOCAL
+from sdpid.estimation.local.slsqp import solve_slsqp
+from sdpid.estimation.local.starts import random_start
+from sdpid.estimation.problem import Problem
+from sdpid.estimation.sdp.solve import solve_sdp
+from sdpid.estimation.wls import solve_wls
+
+
+@dataclass(frozen=True, kw_only=True)
+class Row:
+    """One solver run.
+
+    Attributes
+    ----------
+    solver, start : str
+        Which solver, from where.
+    status, message : str
+        What happened.
+    cost : float or None
+        Its cost, None when it failed.
+    gap : float or None
+        (cost − proven lower bound) over the cost; negative below the bound, which only an
+        infeasible point can be.
+    worst_margin : float or None
+        Smallest margin of a link, kg·m².
+    violation : float or None
+        By how much the worst constraint is violated.
+    iterations : int or None
+        Iterations.
+    seconds : float or None
+        Time in the solver.
+    """
+
+    solver: str
+    start: str
+    status: str
+    cost: float | None = None
+    gap: float | None = None
+    worst_margin: float | None = None
+    violation: float | None = None
+    iterations: int | None = None
+    seconds: float | None = None
+    message: str = ""
+
+
+# Local solvers by name.
+_LOCAL = {"slsqp": solve_slsqp, "log_cholesky": solve_log_cholesky}
+
+_LABELS = {"slsqp": "SLSQP", "log_cholesky": "log-Cholesky"}
+
+_COLUMNS = tuple(Row.__dataclass_fields__)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Comparison:
+    """Solver runs on one problem.
+
+    Attributes
+    ----------
+    rows : tuple of Row
+        One a solver and start.
+    estimates : tuple of Estimate or None
+        What each run found, None where it failed.
+    certificate : Certificate
+        Of the global optimum; its bound is the one that gaps are taken to.
+    """
+
+    rows: tuple[Row, ...]
+    estimates: tuple[Estimate | None, ...]
+    certificate: Certificate
+
+    def table(self) -> str:
+        """Return the rows as aligned text."""
+        header = ("solver", "start", "status", "cost", "gap", "margin", "iterations", "seconds")
+        rows = [
+            (
+                r.solver,
+                r.start,
+                r.status,
+                _text(r.cost, ".8g"),
+                _text(r.gap, ".1e"),
+                _text(r.worst_margin, ".2e"),
+                r.iterations,
+                _text(r.seconds, ".3g"),
+            )
+            for r in self.rows
+        ]
+        return Table(header, tuple(rows)).text()
+
+    def to_frame(self) -> Any:
+        """Return the rows as a pandas DataFrame (extra ``io``)."""
+        from sdpid._common.extras import require
+
+        pandas = require("pandas", extra="io")
+        return pandas.DataFrame([vars(row) for row in self.rows], columns=list(_COLUMNS))
+
+    def plot(
+        self, solver: str = "slsqp", *, against: Literal["seconds", "iterations"] = "iterations"
+    ) -> Any:
+        """Draw the costs of a local solver's starts above the proven bound (extra ``plot``).
+
+        Parameters
+        ----------
+        solver : str, optional
+            Which local solver.
+        against : {"iterations", "seconds"}, optional
+            What the horizontal axis shows.
+
+        Returns
+        -------
+        matplotlib.figure.Figure
+
+        Raises
+        ------
+        DataError
+            When no start of the solver has a history.
+        """
+        from sdpid.output.plots.convergence import plot_convergence
+
+        own = [e for r, e in zip(self.rows, self.estimates, strict=True) if r.solver == solver]
+        histories = [e.history for e in own if e is not None and e.history]
+        if not histories:
+            raise DataError(f"plot: no start of {solver!r} has a history; compare it first.")
+        best = self.certificate.estimate
+        return plot_convergence(
+            histories,
+            self.certificate.lower_bound,
+            {"SDP": (best.solve_time, best.cost)},
+            against=against,
+            failed=len(own) - len(histories),
+            label=_LABELS.get(solver, solver),
+            feasible=FEASIBLE_LOCAL,
+            title=f"{_LABELS.get(solver, solver)}: cost above the proven bound",
+        )
+
+    def to_csv(self, path: str | os.PathLike[str]) -> None:
+        """Write the rows, a missing value being an empty field."""
+        Table(_COLUMNS, tuple(tuple(vars(row).values()) for row in self.rows)).write(path)
+
+
+def _text(value: float | None, form: str) -> str:
+    return "-" if value is None else format(value, form)
+
+
+def compare(
+    problem: Problem,
+    *,
+    starts: int = 20,
+    seed: int = 0,
+    extra_starts: Sequence[tuple[str, np.ndarray]] = (),
+    local: Sequence[str] = ("slsqp", "log_cholesky"),
+    max_iterations: int | None = None,
+    n_jobs: int | None = None,
+    show_progress: bool | None = None,
+) -> Comparison:
+    """Run every solver on a problem, the local ones from many starts.
+
+    Parameters
+    ----------
+    problem : Problem
+        The problem, with a consistency.
+    starts : int, optional
+        Random starts of the local solvers, the same for each.
+    seed : int, optional
+        Of the starts.
+    extra_starts : sequence of (label, theta), optional
+        Further starts.
+    local : sequence of str, optional
+        Local solvers, of ``"slsqp"`` and ``"log_cholesky"``.
+    max_iterations : int, optional
+        Limit of the local solvers; by default each has its own.
+    n_jobs : int, optional
+        Jobs (joblib), by default one a core: processes, or the backend of a surrounding
+        ``joblib.parallel_config``, such as Dask's.
+    show_progress : bool, optional
+        Show a progress bar; by default on a terminal.
+
+    Returns
+    -------
+    Comparison
+        A local run that raises is a row with status ``"error"`` and its message. A local solver
+        that cannot handle the problem's conditions or prior is left out, and one row says why.
+
+    Raises
+    ------
+    SolverError
+        When the global optimum cannot be found: then there is nothing to compare with.
+    DataError
+        When the problem has no consistency, or a local solver is not known.
+    """
+    unknown = [name for name in local if name not in _LOCAL]
+    if unknown:
+        raise DataError(
+            f"compare: local solver {unknown[0]!r} is not known: use {', '.join(_LOCAL)}."
+        )
+    if problem.consistency == "none":
+        raise DataError("compare: the problem's consistency is 'none'; choose one first.")
+    from joblib import delayed
+
+    best = solve_sdp(problem)
+    certificate = certify(best)
+    wls = solve_wls(problem)
+    rng = generator(seed)
+    points = [(f"random {i + 1}", random_start(problem, rng)) for i in range(starts)]
+    points += [(label, np.asarray(theta)) for label, theta in extra_starts]
+    jobs = parallel(n_jobs, return_as="generator")
+    left_out = {"log_cholesky": unsupported(problem)}
+    able = [solver for solver in local if left_out.get(solver) is None]
+    runs = [(solver, label, start) for solver in able for label, start in points]
+    with progress(len(runs), "local solvers", enabled=show_progress) as advance:
+        results = []
+        sent = problem.without_rows()
+        tasks = (delayed(_run)(solver, sent, x, max_iterations) for solver, _, x in runs)
+        for result in jobs(tasks):
+            results.append(result)
+            advance(1)
+    entries: list[tuple[str, str, Estimate | str]] = [("wls", "-", wls), ("sdp", "-", best)]
+    for (solver, label, start), result in zip(runs, results, strict=True):
+        if isinstance(result, str):
+            entries.append((solver, label, result))
+        else:
+            # A worker's estimate has a copy of the problem; give it this one.
+            fields = {k: getattr(result, k) for k in _RETURNED}
+            entries.append(
+                (solver, label, Estimate.of_theta(problem, result.theta, start=start, **fields))
+            )
+    entries += [(solver, "-", f"{left_out[solver]}") for solver in local if solver not in able]
+    return Comparison(
+        rows=tuple(_row(solver, label, found, certificate) for solver, label, found in entries),
+        estimates=tuple(None if isinstance(f, str) else f for _, _, f in entries),
+        certificate=certificate,
+    )
+
+
+_RETURNED = ("method", "status", "message", "iterations", "solve_time", "history")
+
+
+def _run(
+    solver: str, problem: Problem, start: np.ndarray, max_iterations: int | None
+) -> Estimate | str:
+    limit = {} if max_iterations is None else {"max_iterations": max_iterations}
+    try:
+        return _LOCAL[solver](problem, start=start, **limit)
+    except SdpidError as error:
+        return f"{type(error).__name__}: {error}"
+
+
+def _row(solver: str, start: str, found: Estimate | str, certificate: Certificate) -> Row:
+    if isinstance(found, str):
+        return Row(solver=solver, start=start, status="error", message=found)
+    gap = certify(found, bound=certificate.bound).gap
+    return Row(
+        solver=solver,
+        start=start,
+        status=found.status,
+        cost=found.cost,
+        gap=gap,
+        worst_margin=found.worst_margin,
+        violation=found.violation,
+        iterations=found.iterations,
+        seconds=found.solve_time,
+        message=found.message,
+    )

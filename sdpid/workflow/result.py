@@ -1,0 +1,188 @@
+"""What an identification found, and how it is told and saved."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, cast
+
+from sdpid._common.tables import plain
+from sdpid.assurance.certificate.certificate import Certificate
+from sdpid.assurance.diagnostics.active_constraints import constraint_states
+from sdpid.assurance.diagnostics.validation import Validation
+from sdpid.assurance.intervals.intervals import Intervals
+from sdpid.estimation.estimate import Estimate
+from sdpid.estimation.problem import Problem, describe
+from sdpid.experiment.inspection.finding import Finding
+from sdpid.experiment.processing.samples import Samples
+from sdpid.output.report.verdict import verdict
+from sdpid.output.tables.intervals_shown import GivenIntervals, ends_of, in_words
+from sdpid.workflow.results_folder import save as save_results
+
+if TYPE_CHECKING:
+    from sdpid.workflow.cross_validation import CrossValidation
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Identification:
+    """What `identify` found.
+
+    Attributes
+    ----------
+    problem : Problem
+        What was solved.
+    wls : Estimate
+        The unconstrained fit.
+    estimate : Estimate
+        The global optimum under the constraints.
+    certificate : Certificate
+        Of `estimate`.
+    training : Validation
+        `estimate` on the rows it was made from.
+    training_wls : Validation
+        The unconstrained fit on the same rows.
+    validation : Validation or None
+        `estimate` on the validation recording.
+    validation_samples : Samples or None
+        That recording, processed the same way.
+    intervals : Intervals or None
+        Of the parameters; None where they were not wanted, or cannot be had (see `intervals_note`).
+    cross_validation : CrossValidation or None
+        Blocks of the training recordings held out in turn (see `sdpid.cross_validate`).
+    intervals_note : str or None
+        Why there are none, or what to beware of in them.
+    notes : tuple of str
+        What was chosen, and the findings in words.
+    findings : tuple of Finding
+        What is wrong with the recordings (see `sdpid.inspect_recording`).
+    """
+
+    problem: Problem
+    wls: Estimate
+    estimate: Estimate
+    certificate: Certificate
+    training: Validation
+    training_wls: Validation
+    validation: Validation | None = None
+    validation_samples: Samples | None = None
+    intervals: Intervals | None = None
+    cross_validation: CrossValidation | None = None
+    intervals_note: str | None = None
+    notes: tuple[str, ...] = ()
+    findings: tuple[Finding, ...] = ()
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the result as plain values for JSON: None where a number is not finite."""
+        estimate = self.estimate
+        weak = self.problem.excitation.weak()
+        content = {
+            "problem": describe(self.problem),
+            "processing": list(self.problem.samples.notes),
+            "notes": [*self.notes, *([self.intervals_note] if self.intervals_note else [])],
+            "findings": [finding.to_dict() for finding in self.findings],
+            "verdict": list(verdict(self)),
+            "status": estimate.status,
+            "cost": estimate.cost,
+            "cost_unconstrained": self.wls.cost,
+            "lower_bound": self.certificate.lower_bound,
+            "gap": self.certificate.gap,
+            "certified": self.certificate.passed,
+            "worst_margin": estimate.worst_margin,
+            "constraints": [s.to_dict() for s in constraint_states(estimate) if s.active],
+            "solve_time": estimate.solve_time,
+            "prior": None if self.problem.prior is None else list(self.problem.prior.notes),
+            "weakly_excited": [{"singular_value": v, "parameters": list(n)} for v, n in weak],
+            "base_parameters": estimate.named(),
+            "standard_parameters": estimate.named_theta(),
+            "training": self.training.to_dict(),
+            "training_unconstrained": self.training_wls.to_dict(),
+            "validation": None if self.validation is None else self.validation.to_dict(),
+            "cross_validation": (
+                None if self.cross_validation is None else self.cross_validation.to_dict()
+            ),
+            "intervals": None if self.intervals is None else _intervals(self.intervals),
+        }
+        return cast(dict[str, Any], plain(content))
+
+    def summary(self) -> str:
+        """Return the result in words."""
+        lines = [
+            f"{self.problem.robot.name}: {self.problem.base.count} base parameters from "
+            f"{self.problem.n_rows} rows; {self.certificate.summary()}",
+            f"relative residual {100 * self.training.relative:.2f} % (unconstrained "
+            f"{100 * self.training_wls.relative:.2f} %)",
+        ]
+        if self.problem.prior is not None:
+            lines.append("the description's own inertias count as a weak belief beside the data")
+            lines += self.problem.prior.notes
+        if self.validation is not None:
+            lines.append(f"on the validation recording {100 * self.validation.relative:.2f} %")
+        if self.cross_validation is not None:
+            lines.append(self.cross_validation.summary())
+        if (meaning := in_words(self.intervals)) is not None:
+            lines.append(meaning)
+        weak = self.problem.excitation.weak()
+        if weak:
+            lines.append(
+                f"{len(weak)} directions are weakly excited, the weakest: "
+                f"{', '.join(weak[-1][1]) or 'a mixture'} (singular value {weak[-1][0]:.1e})"
+            )
+        return "\n".join(lines)
+
+    def save(
+        self,
+        folder: str | os.PathLike[str],
+        *,
+        figures: bool = True,
+        report: Callable[[str], None] | None = None,
+        command: str | None = None,
+        intervals: GivenIntervals | None = None,
+    ) -> tuple[Path, ...]:
+        """Write tables, robots, certificate, plots and a report into a folder: all, or none.
+
+        The robot is written as identified.urdf where it came from one, and as identified.xml
+        (MJCF) where MuJoCo is installed and can hold it.
+
+        Parameters
+        ----------
+        folder : path
+            Created when it is not there.
+        figures : bool, optional
+            Draw plots too (extra ``plot``).
+        report : callable, optional
+            Told in words what could not be written as identified (see `ExportReport`), and which
+            files there are not, and why.
+        command : str, optional
+            The command line, for report.html.
+        intervals : Intervals, optional
+            To be shown in place of `self.intervals`.
+
+        Returns
+        -------
+        tuple of Path
+            The files.
+
+        Raises
+        ------
+        ExportError
+            When the folder cannot be written to, or the estimate cannot be exported.
+        """
+        return save_results(
+            self,
+            folder,
+            figures=figures,
+            report=report,
+            command=command,
+            intervals=self.intervals if intervals is None else intervals,
+        )
+
+
+def _intervals(found: Intervals) -> dict[str, Any]:
+    """Return intervals as plain values; ends that are not finite are null."""
+    ends = ends_of(found)
+    told = found.to_dict()
+    for entry in told["parameters"]:
+        entry["lower"], entry["upper"], _ = ends[entry["name"]]
+    return told

@@ -1,0 +1,576 @@
+"""Certificates as files: what they say is proven, and what was changed is found out."""
+
+from __future__ import annotations
+
+import copy
+import json
+import math
+import subprocess
+import sys
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+import sdpid
+from sdpid.assurance.certificate import verify as exact
+from sdpid.assurance.certificate.certificate import GAP, Verification, certify, verify
+from sdpid.assurance.certificate.compression_error import compression_error, rows_digest
+from sdpid.assurance.certificate.rounding import downward, feasible_theta, semidefinite, upward
+from sdpid.errors import CertificateError, DataError
+from sdpid.estimation.compression.covariance import WEIGHTINGS
+from sdpid.estimation.estimate import Estimate
+from sdpid.estimation.local.slsqp import solve_slsqp
+from sdpid.estimation.prior.prior import Prior
+from sdpid.estimation.problem import build_problem
+from sdpid.estimation.sdp.solve import solve_sdp
+from sdpid.estimation.wls import solve_wls
+from sdpid.robot.inertia import matrix_basis
+from tests.helpers.arm import ARM, BODIES, FIRST, LAST, LIGHT, arm_problem
+from tests.helpers.data import make_samples, random_covariance, random_theta
+
+Data = dict[str, Any]
+Path_ = tuple[Any, ...]
+
+
+def certificate(kind: str) -> Data:
+    """Return a certificate with rows of every sort and a cone, or with a log-det prior."""
+    others = (
+        LIGHT,
+        sdpid.CenterOfMassInBox(FIRST, (-0.3, -0.3, -np.inf), (0.3, np.inf, 0.3)),
+        sdpid.CenterOfMassInEllipsoid(LAST, (0, 0.01, 0), (0.02, 0.05, 0.03)),
+        sdpid.Fixed({"Fv1": 0.5}),
+    )
+    priors = {"entropic": Prior(kind="entropic", bodies=BODIES), "prior": Prior(bodies=BODIES)}
+    problem = arm_problem(
+        *others,
+        margin=0.0 if kind == "entropic" else 1e-3,
+        consistency="spatial_inertia" if kind == "spatial" else "pseudo_inertia",
+        prior=priors.get(kind),
+    )
+    return certify(solve_sdp(problem)).to_dict()
+
+
+MADE = {kind: certificate(kind) for kind in ("pseudo", "spatial", "prior", "entropic")}
+
+
+def sealed(data: Data) -> Data:
+    """Return a certificate whose digest is right: what a forger would write."""
+    try:
+        return {**data, "sha256": exact.digest(data)}
+    except (ValueError, OverflowError):
+        return data
+
+
+def checked(data: Data, folder: Path) -> Verification:
+    """Verify through a file; NaN is written as Python does."""
+    path = folder / "c.json"
+    path.write_text(json.dumps(data), encoding="utf-8")
+    return verify(path)
+
+
+def holds(text: str) -> bool:
+    """Whether what a file says is proven."""
+    try:
+        return not exact.check(exact.load(text)).problems
+    except exact.REFUSED:
+        return False
+
+
+def rejected(data: Data, folder: Path) -> bool:
+    """Whether a certificate is refused, or found not to hold."""
+    try:
+        return not checked(data, folder).passed
+    except CertificateError:
+        return True
+
+
+def alone(path: Path) -> subprocess.CompletedProcess[str]:
+    """Run the script where nothing but the standard library can be imported."""
+    command = [sys.executable, "-I", "-S", str(exact.__file__), str(path)]
+    return subprocess.run(command, capture_output=True, text=True, timeout=60)
+
+
+@pytest.mark.parametrize("kind", list(MADE))
+def test_it_holds_from_the_file_alone(kind: str, tmp_path: Path) -> None:
+    data = MADE[kind]
+    found = checked(data, tmp_path)
+    assert found.passed, found.problems
+    assert found.problems == ()
+    assert found.gap is not None
+    assert found.gap <= GAP
+    assert found.cost == data["claims"]["cost"]
+    assert found.lower_bound == data["claims"]["lower_bound"]
+    assert found.margin is not None
+    assert found.sha256 == data["sha256"]
+    # Every new part is in use, or tampering below would mean nothing.
+    problem, multipliers = data["problem"], data["multipliers"]
+    assert len(problem["rows"]) == len(multipliers["rows"]) == 6
+    assert len(problem["cones"]) == 1
+    assert np.abs(multipliers["rows"]).max() > 0.1
+    assert np.trace(np.array(multipliers["Z"][-1])) > 0.1
+    entropic = kind == "entropic"
+    assert (problem["entropic_prior"] is not None) == (multipliers["W"] is not None) == entropic
+    assert bool(problem["prior_matrix"]) == (kind in ("prior", "entropic"))
+
+
+@pytest.mark.parametrize("kind", list(MADE))
+def test_a_bare_python_proves_it(kind: str, tmp_path: Path) -> None:
+    path = tmp_path / "c.json"
+    path.write_text(json.dumps(MADE[kind]), encoding="utf-8")
+    done = alone(path)
+    assert done.returncode == 0, done.stderr
+    claims = MADE[kind]["claims"]
+    for said in (
+        f"No feasible parameters cost less than {claims['lower_bound']!r}.",
+        f"with margin {min(claims['margins'])!r} kg.m2",
+        f"They cost at most {claims['cost']!r}.",
+        f"a gap of at most {claims['gap']!r}",
+        "PROVEN.",
+    ):
+        assert said in done.stdout
+
+
+def test_status_of_the_script(tmp_path: Path) -> None:
+    path = tmp_path / "c.json"
+    data = copy.deepcopy(MADE["pseudo"])
+    data["theta"][0] += 1.0
+    path.write_text(json.dumps(data), encoding="utf-8")
+    done = alone(path)
+    assert done.returncode == 1
+    assert "NOT PROVEN: the digest" in done.stdout
+    assert "\nPROVEN" not in done.stdout
+    path.write_text("{}", encoding="utf-8")
+    assert alone(path).returncode == 2
+    assert alone(tmp_path / "none.json").returncode == 2
+    assert exact.main([]) == 2
+
+
+# ---- What is claimed is as strong as can be, and no stronger ------------------------------------
+
+
+@pytest.mark.parametrize("kind", list(MADE))
+@pytest.mark.parametrize(
+    ("claim", "toward"), [("cost", -math.inf), ("lower_bound", math.inf), ("gap", -math.inf)]
+)
+def test_no_claim_can_be_better_by_a_digit(
+    kind: str, claim: str, toward: float, tmp_path: Path
+) -> None:
+    data = copy.deepcopy(MADE[kind])
+    data["claims"][claim] = math.nextafter(data["claims"][claim], toward)
+    assert rejected(sealed(data), tmp_path)
+
+
+@pytest.mark.parametrize("kind", list(MADE))
+def test_margins_cannot_be_better(kind: str, tmp_path: Path) -> None:
+    for link, margin in enumerate(MADE[kind]["claims"]["margins"]):
+        data = copy.deepcopy(MADE[kind])
+        data["claims"]["margins"][link] = margin + 1e-12
+        assert rejected(sealed(data), tmp_path)
+
+
+@pytest.mark.parametrize("kind", list(MADE))
+def test_the_numbers_are_those_of_floating_point(kind: str) -> None:
+    from sdpid.estimation.duality.bound import evaluate
+
+    problem = arm_problem(
+        LIGHT,
+        consistency="spatial_inertia" if kind == "spatial" else "pseudo_inertia",
+        prior=Prior(kind="entropic", bodies=BODIES) if kind == "entropic" else None,
+    )
+    estimate = solve_sdp(problem)
+    found = certify(estimate)
+    assert found.cost == pytest.approx(estimate.cost, rel=1e-13)
+    assert found.lower_bound == pytest.approx(evaluate(problem, found.bound.multipliers), rel=1e-12)
+    assert found.margins == pytest.approx(tuple(estimate.margins), rel=1e-9)
+    assert found.gap == pytest.approx((found.cost - found.lower_bound) / found.cost, abs=1e-15)
+
+
+# ---- Tampering ----------------------------------------------------------------------------------
+
+
+def leaves(value: Any, path: Path_ = ()) -> Iterator[Path_]:
+    """Yield the paths of everything that is neither list nor object, and of what is empty."""
+    if isinstance(value, (dict, list)) and value:
+        items = value.items() if isinstance(value, dict) else enumerate(value)
+        for key, item in items:
+            yield from leaves(item, (*path, key))
+    else:
+        yield path
+
+
+def at(data: Data, path: Path_) -> Any:
+    value: Any = data
+    for key in path:
+        value = value[key]
+    return value
+
+
+LEAVES = {
+    kind: [path for path in leaves(data) if path[0] not in exact.UNSEALED]
+    for kind, data in MADE.items()
+}
+
+
+@given(st.data())
+def test_a_changed_digit_anywhere_that_matters_is_rejected(data: st.DataObject) -> None:
+    """Without a new digest, every change of anything but descriptions is seen."""
+    kind = data.draw(st.sampled_from(list(MADE)))
+    path = data.draw(st.sampled_from(LEAVES[kind]))
+    forged = copy.deepcopy(MADE[kind])
+    where, value = at(forged, path[:-1]), at(forged, path)
+    other = [True, "a half", None, 10**400, [], {}, float("nan"), float("inf"), -float("inf")]
+    if type(value) in (int, float):
+        other += [value + 1, math.nextafter(value, math.inf), math.nextafter(value, -math.inf)]
+        other += [-value] if value else []
+    new = data.draw(st.sampled_from([item for item in other if repr(item) != repr(value)]))
+    how = data.draw(st.sampled_from(["change", "remove", "swap", "reverse"]))
+    if how == "change":
+        where[path[-1]] = new
+    elif how == "remove":
+        del where[path[-1]]
+    elif isinstance(where, list) and where != where[::-1] and how == "reverse":
+        where.reverse()
+    elif isinstance(where, list) and (k := path[-1]) and where[k] != where[k - 1]:
+        where[k], where[k - 1] = where[k - 1], where[k]
+    else:
+        where[path[-1]] = new
+    assert not holds(json.dumps(forged))
+
+
+@given(st.data())
+def test_so_is_any_character_of_the_file(data: st.DataObject) -> None:
+    """One character of the text is another: it is refused, or means the same."""
+    kind = data.draw(st.sampled_from(list(MADE)))
+    text = json.dumps(MADE[kind])
+    k = data.draw(st.integers(0, len(text) - 1))
+    forged = text[:k] + data.draw(st.sampled_from('0123456789-+.eE,[]{}" tx')) + text[k + 1 :]
+    if not holds(forged):
+        return
+    same, found = copy.deepcopy(MADE[kind]), exact.load(forged)
+    assert {**found, "metadata": None} == {**same, "metadata": None}
+
+
+@given(st.data())
+def test_whatever_else_is_sealed_makes_sense_or_is_refused(data: st.DataObject) -> None:
+    """Anything may stand anywhere: the check ends with an answer or says what is wrong."""
+    kind = data.draw(st.sampled_from(list(MADE)))
+    path = data.draw(st.sampled_from(LEAVES[kind]))
+    depth = data.draw(st.integers(1, len(path)))
+    forged = copy.deepcopy(MADE[kind])
+    where, key = at(forged, path[: depth - 1]), path[depth - 1]
+    odd = [None, True, -1, 10**400, 1e300, -1e300, 5e-324, "x", [], {}, [[]], [None], {"x": 1}]
+    where[key] = data.draw(st.sampled_from(odd))
+    try:
+        result = exact.check(sealed(forged))
+    except exact.MalformedError:
+        return
+    if not result.problems and path[0] != "problem":
+        # Other parameters or multipliers may do as well, but prove no more than there is.
+        claims = MADE[kind]["claims"]
+        assert forged["claims"]["lower_bound"] <= claims["cost"]
+
+
+def test_descriptions_may_be_changed(tmp_path: Path) -> None:
+    data = copy.deepcopy(MADE["pseudo"])
+    data["metadata"] = {"said": "something else"}
+    assert checked(data, tmp_path).passed
+
+
+def test_a_key_occurs_once(tmp_path: Path) -> None:
+    text = json.dumps(MADE["pseudo"])
+    assert holds(text)
+    assert not holds(text[:-1] + ', "theta": null}')
+    assert not holds(text.replace('"floor": ', '"floor": 0.0, "floor": ', 1))
+
+
+@pytest.mark.parametrize("literal", ["NaN", "Infinity", "-Infinity", "1e999", "1" + "0" * 5000])
+def test_literals_that_are_no_numbers(literal: str) -> None:
+    text = json.dumps(MADE["pseudo"])
+    floor = json.dumps(MADE["pseudo"]["problem"]["floor"])
+    forged = text.replace(f'"floor": {floor}', f'"floor": {literal}', 1)
+    assert forged != text
+    assert not holds(forged)
+
+
+def change(path: tuple[Any, ...], how: Callable[[Any], Any]) -> Callable[[Data], None]:
+    """Return what changes one entry."""
+
+    def apply(data: Data) -> None:
+        at: Any = data
+        for key in path[:-1]:
+            at = at[key]
+        at[path[-1]] = how(at[path[-1]])
+
+    return apply
+
+
+def scaled(factor: float) -> Callable[[Any], Any]:
+    """Return what scales all numbers of a value."""
+    return lambda value: (factor * np.array(value)).tolist()
+
+
+# Of the total mass, a known friction, and a wall that nothing leans on: each is said otherwise.
+TAMPERED: dict[str, Callable[[Data], None]] = {
+    "another total mass": change(("problem", "rows", 0, "upper"), lambda value: value - 0.01),
+    "no total mass": change(("problem", "rows", 0, "upper"), lambda value: None),
+    "other coefficients": change(("problem", "rows", 0, "coefficients"), scaled(1.01)),
+    "another friction": change(("problem", "rows", -1, "lower"), lambda value: value + 1e-3),
+    "another friction above": change(("problem", "rows", -1, "upper"), lambda value: value - 1e-3),
+    "a row less": lambda data: data["problem"]["rows"].pop(),
+    "a multiplier less": lambda data: data["multipliers"]["rows"].pop(),
+    "a row and its multiplier less": lambda data: (
+        data["problem"]["rows"].pop(0),
+        data["multipliers"]["rows"].pop(0),
+    ),
+    "larger multipliers of rows": change(("multipliers", "rows"), scaled(1.01)),
+    "no multipliers of rows": change(("multipliers", "rows"), scaled(0.0)),
+    "reversed multipliers of rows": change(("multipliers", "rows"), scaled(-1.0)),
+    "another axis": change(("problem", "cones", 0, "axis"), scaled(0.99)),
+    "other vectors": change(("problem", "cones", 0, "vectors"), scaled(1.01)),
+    "another link": change(("problem", "cones", 0, "link"), lambda link: 1 - link),
+    "no cone": change(("problem", "cones"), lambda cones: []),
+    "no multiplier of the cone": lambda data: data["multipliers"]["Z"].pop(),
+    "a larger multiplier of the cone": change(("multipliers", "Z", -1), scaled(1.1)),
+    "a negative multiplier of the cone": change(("multipliers", "Z", -1), scaled(-1.0)),
+    "a smaller floor": change(("problem", "floor"), lambda floor: 0.9 * floor),
+    "a smaller margin": change(("problem", "margin"), lambda value: value + 1e-2),
+    "version 1": change(("version",), lambda version: 1),
+    "another cost": change(("claims", "cost"), lambda cost: 0.999 * cost),
+    "another bound": change(("claims", "lower_bound"), lambda bound: 1.001 * bound),
+}
+
+ENTROPIC: dict[str, Callable[[Data], None]] = {
+    "another strength": change(
+        ("problem", "entropic_prior", "strength"), lambda value: 1.01 * value
+    ),
+    "a strength below zero": change(
+        ("problem", "entropic_prior", "strength"), lambda value: -value
+    ),
+    "other beliefs": change(("problem", "entropic_prior", "inverses"), scaled(1.01)),
+    "beliefs that no body has": change(("problem", "entropic_prior", "inverses"), scaled(-1.0)),
+    "another order": change(("problem", "entropic_prior", "links"), lambda links: links[::-1]),
+    "a link less": lambda data: data["problem"]["entropic_prior"]["links"].pop(),
+    "no belief": change(
+        (
+            "problem",
+            "entropic_prior",
+        ),
+        lambda value: None,
+    ),
+    "no tangent": change(("multipliers", "W"), lambda value: None),
+    "another tangent": change(("multipliers", "W"), scaled(1.1)),
+    "a tangent that touches nowhere": change(("multipliers", "W"), scaled(-1.0)),
+    "one tangent less": lambda data: data["multipliers"]["W"].pop(),
+}
+
+
+@pytest.mark.parametrize("kind", list(MADE))
+@pytest.mark.parametrize("name", list(TAMPERED))
+def test_what_was_changed_is_found_out(name: str, kind: str, tmp_path: Path) -> None:
+    data = copy.deepcopy(MADE[kind])
+    TAMPERED[name](data)
+    assert rejected(sealed(data), tmp_path)
+
+
+@pytest.mark.parametrize("name", list(ENTROPIC))
+def test_so_is_what_was_changed_of_a_log_det_prior(name: str, tmp_path: Path) -> None:
+    data = copy.deepcopy(MADE["entropic"])
+    ENTROPIC[name](data)
+    assert rejected(sealed(data), tmp_path)
+
+
+@pytest.mark.parametrize("field", ["Z", "W"])
+def test_matrices_must_be_symmetric(field: str, tmp_path: Path) -> None:
+    """One triangle alone does not show that a multiplier is positive semidefinite."""
+    data = copy.deepcopy(MADE["entropic"])
+    matrix = data["multipliers"][field][0]
+    matrix[0][1] += 1e-3 * max(map(max, matrix))
+    found = rejected(sealed(data), tmp_path)
+    assert found
+
+
+def test_a_bound_cannot_be_forged_by_half_a_matrix(tmp_path: Path) -> None:
+    """What is optimal among bodies about their joint's frame is passed off as optimal.
+
+    Multipliers of the equations that say so are hidden in the upper triangles: were the lower
+    ones alone looked at, those would be positive semidefinite, and all would add up.
+    """
+    problem = arm_problem()
+    names = problem.base.theta_names
+    hidden = [10 * link + k for link in range(2) for k in (1, 2, 3, 5, 7, 8)]
+    fixed = sdpid.Fixed({names[k]: 0.0 for k in hidden})
+    among = solve_sdp(arm_problem(fixed))
+    assert among.cost > solve_sdp(problem).cost * 1.01
+    proof = certify(among)
+    data = proof.to_dict()
+    multipliers = dict(zip(hidden, data["multipliers"]["rows"], strict=True))
+    data["problem"]["rows"], data["multipliers"]["rows"] = [], []
+    assert not checked(sealed(data), tmp_path).passed
+    basis = matrix_basis("pseudo_inertia")
+    for k, multiplier in multipliers.items():
+        i, j = np.argwhere(np.triu(basis[k % 10], 1))[0]
+        data["multipliers"]["Z"][k // 10][i][j] += multiplier / basis[k % 10, i, j]
+    assert not checked(sealed(data), tmp_path).passed
+
+
+@pytest.mark.parametrize("kind", list(MADE))
+def test_any_multipliers_prove_no_more_than_the_optimum(kind: str, tmp_path: Path) -> None:
+    """Multipliers made up at random never reach the cost, let alone exceed it."""
+    rng = np.random.default_rng(0)
+    best = MADE[kind]["claims"]["cost"]
+    for _ in range(10):
+        data = copy.deepcopy(MADE[kind])
+        Z = np.array(data["multipliers"]["Z"])
+        root = rng.standard_normal(Z.shape)
+        size = 10.0 ** rng.uniform(-4, 1)
+        data["multipliers"]["Z"] = (Z + size * root @ np.swapaxes(root, 1, 2)).tolist()
+        rows = np.array(data["multipliers"]["rows"])
+        data["multipliers"]["rows"] = (rows + size * rng.standard_normal(len(rows))).tolist()
+        y = np.array(data["multipliers"]["y"])
+        data["multipliers"]["y"] = (y + size * rng.standard_normal(len(y))).tolist()
+        assert checked(sealed(data), tmp_path).lower_bound <= best * (1.0 + GAP)
+
+
+@pytest.mark.parametrize("text", ["", "[]", "{}", '{"schema": "sdpid-certificate"}', "nonsense"])
+def test_what_is_no_certificate(text: str, tmp_path: Path) -> None:
+    path = tmp_path / "c.json"
+    path.write_text(text, encoding="utf-8")
+    with pytest.raises(CertificateError):
+        verify(path)
+    with pytest.raises(CertificateError, match="cannot read"):
+        verify(tmp_path / "none.json")
+
+
+# ---- Other estimates ----------------------------------------------------------------------------
+
+
+def test_a_local_result_is_certified_by_the_bound_of_another(tmp_path: Path) -> None:
+    problem = arm_problem(LIGHT)
+    best = solve_sdp(problem)
+    early = solve_slsqp(problem, max_iterations=4)
+    assert early.cost > 1.001 * best.cost
+    found = certify(early, bound=best)
+    assert not found.passed
+    assert found.gap == pytest.approx(1.0 - best.cost / early.cost, rel=1e-3)
+    found.to_json(tmp_path / "c.json")
+    again = verify(tmp_path / "c.json")
+    # It does not claim to be optimal, and what it claims is true.
+    assert again.passed == found.feasible
+    assert again.gap == found.gap
+
+
+def test_without_standard_parameters_only_the_bound_is_proven(tmp_path: Path) -> None:
+    problem = arm_problem(LIGHT)
+    found = certify(solve_wls(problem), bound=solve_sdp(problem))
+    assert not found.feasible
+    assert not found.passed
+    assert found.margins is None
+    assert found.gap < 0.0
+    assert "not feasible" in found.summary()
+    found.to_json(tmp_path / "c.json")
+    again = verify(tmp_path / "c.json")
+    assert not again.passed
+    assert again.cost is None
+    assert again.statements == (f"No feasible parameters cost less than {found.lower_bound!r}.",)
+
+
+def test_what_is_not_feasible_is_not_certified() -> None:
+    problem = arm_problem(LIGHT)
+    best = solve_sdp(problem)
+    assert best.theta is not None
+    for k, change in ((0, -100.0), (4, -0.1), (20, -100.0)):
+        theta = np.array(best.theta)
+        theta[k] += change
+        moved = Estimate.of_theta(problem, theta, method="made up", status="made up")
+        found = certify(moved, bound=best)
+        assert not found.feasible
+        assert not found.passed
+
+
+def test_without_a_consistency(tmp_path: Path) -> None:
+    problem = arm_problem(consistency="none")
+    found = certify(solve_sdp(problem))
+    assert found.margins is None
+    found.to_json(tmp_path / "c.json")
+    again = verify(tmp_path / "c.json")
+    assert again.passed == (not again.problems)
+    assert again.margin is None
+
+
+@pytest.mark.parametrize("weighting", WEIGHTINGS)
+def test_the_rows_are_named_and_the_compression_is_measured(weighting: Any) -> None:
+    rng = np.random.default_rng(5)
+    fields = {"covariance": random_covariance(rng, 2, 60)} if "gls" in weighting else {}
+    samples = make_samples(ARM, random_theta(ARM, rng), rng, noise=0.1, **fields)
+    problem = build_problem(ARM, samples, weighting=weighting)
+    estimate = solve_wls(problem)
+    assert compression_error(problem, estimate.base) < 1e-9
+    assert compression_error(problem, 1.1 * estimate.base) < 1e-11
+    again = build_problem(ARM, samples)
+    assert rows_digest(problem) == rows_digest(again)
+    moved = make_samples(ARM, random_theta(ARM, rng), rng, noise=0.1)
+    assert rows_digest(problem) != rows_digest(build_problem(ARM, moved))
+
+
+# ---- Rounding -----------------------------------------------------------------------------------
+
+
+def test_rounding_goes_the_safe_way() -> None:
+    from fractions import Fraction
+
+    third = Fraction(1, 3)
+    assert Fraction(downward(third)) < third < Fraction(upward(third))
+    assert math.nextafter(downward(third), math.inf) == upward(third)
+    assert upward(Fraction(0.1)) == downward(Fraction(0.1)) == 0.1
+
+
+@pytest.mark.parametrize("size", [4, 6])
+def test_multipliers_on_the_edge_are_moved_inside(size: int) -> None:
+    rng = np.random.default_rng(6)
+    units = 10.0 ** rng.uniform(-4, 4, (40, size))
+    V = units[:, :, None] * rng.standard_normal((40, size, 2))
+    Z = V @ np.swapaxes(V, 1, 2)
+    assert not all(exact.positive_semidefinite(z.tolist()) for z in Z)
+    moved = semidefinite(Z)
+    assert all(exact.positive_semidefinite(z.tolist()) for z in moved)
+    # Small entries beside large ones stay what they are.
+    scale = np.sqrt(np.einsum("nii->ni", Z))
+    assert np.max(np.abs(moved - Z) / (scale[:, :, None] * scale[:, None, :])) < 1e-12
+    # What is not near the cone is not passed off as if it were.
+    wrong = -np.eye(size)[None]
+    assert np.array_equal(semidefinite(wrong), wrong)
+
+
+@pytest.mark.parametrize("consistency", ["pseudo_inertia", "spatial_inertia"])
+def test_parameters_on_the_edge_are_moved_inside(consistency: Any) -> None:
+    feasible = arm_problem(consistency=consistency, margin=1e-3).feasible
+    theta = np.concatenate([BODIES.ravel(), np.zeros(4)])
+    lowest = feasible.margins(theta)
+    moments = 2.0 if consistency == "pseudo_inertia" else 1.0
+    for short in (1e-16, 1e-12):
+        bodies = BODIES.copy()
+        bodies[:, [4, 6, 9]] += moments * (1e-3 - lowest - short)[:, None]
+        theta[:20] = bodies.ravel()
+        theta[20] = -1e-13
+        moved = feasible_theta(feasible, theta)
+        assert np.max(np.abs(moved - theta)) < 3e-12
+        assert np.all(moved >= feasible.lower)
+        for body in feasible.bodies(moved):
+            assert exact.has_margin(body.tolist(), 1e-3, consistency)
+
+
+def test_a_problem_sent_without_its_rows_says_nothing_of_them() -> None:
+    problem = arm_problem()
+    sent = problem.without_rows()
+    whole, without = (sdpid.certify(sdpid.solve_sdp(each)).to_dict() for each in (problem, sent))
+    assert without["origin"]["samples"] == problem.samples.n_samples
+    assert without["origin"]["rows"] == problem.n_rows
+    assert without["origin"]["rows_sha256"] is without["origin"]["compression_error"] is None
+    assert without["claims"] == whole["claims"]
+    with pytest.raises(DataError, match="not kept"):
+        _ = sdpid.solve_wls(sent).standard_errors

@@ -1,0 +1,294 @@
+"""Payloads are found from recordings with and without them, and intervals hold the truth."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from sdpid._common.arrays import Array
+from sdpid.assurance.payload.identify import Payload, identify_payload
+from sdpid.assurance.payload.program import quantities
+from sdpid.errors import DataError, ModelError
+from sdpid.estimation.estimate import Estimate
+from sdpid.estimation.prior.prior import Prior
+from sdpid.estimation.problem import build_problem
+from sdpid.estimation.wls import solve_wls
+from sdpid.experiment.processing.samples import Samples
+from sdpid.experiment.recording.recording import Recording
+from sdpid.robot.inertia import margin, point_masses, transform
+from sdpid.robot.model.load import load_robot
+from sdpid.robot.model.model import RobotModel
+from tests.helpers.data import FRICTION, make_samples, random_theta
+from tests.helpers.robots import TREE, planar_arm
+from tests.helpers.strategies import random_states
+
+NOISE = 0.05  # N·m
+TERMS = (*FRICTION, "offset")
+
+
+@pytest.fixture(scope="module")
+def arm() -> RobotModel:
+    return load_robot("ur5_robot")
+
+
+def load(points: int = 8) -> Array:
+    """Return a payload of some 1.6 kg in the last joint's frame."""
+    rng = np.random.default_rng(11)
+    centres = rng.uniform(-0.08, 0.08, (points, 3)) + np.array([0.02, -0.01, 0.1])
+    return point_masses(rng.uniform(0.1, 0.3, points), centres)
+
+
+def with_payload(theta: Array, payload: Array, link: int = 5) -> Array:
+    out = theta.copy()
+    out[10 * link : 10 * link + 10] += payload
+    return out
+
+
+def pair(
+    robot: RobotModel, payload: Array, *, seed: int = 0, noise: float = NOISE, count: int = 300
+) -> tuple[Samples, Samples, Array]:
+    """Return samples with and without a payload, and the arm's own parameters."""
+    rng = np.random.default_rng(seed)
+    theta = random_theta(robot, rng)
+    full = with_payload(theta, payload)
+    loaded = make_samples(robot, full, rng, count=count, noise=noise, block=5)
+    return loaded, make_samples(robot, theta, rng, count=count, noise=noise, block=5), theta
+
+
+def holds(found: Payload, payload: Array) -> np.ndarray:
+    truth = quantities(payload)
+    return (found.lower <= truth) & (truth <= found.upper)
+
+
+def test_a_known_payload_by_another_dynamics_algorithm(arm: RobotModel) -> None:
+    import pinocchio as pin
+
+    loaded, bare, theta = pair(arm, load())
+    model = arm.with_inertias(theta)
+    body = pin.Inertia.FromDynamicParameters(load())
+    model.appendBodyToJoint(6, body, pin.SE3.Identity())
+    data = model.createData()
+    states = zip(loaded.position, loaded.velocity, loaded.acceleration, strict=True)
+    effort = np.array([pin.rnea(model, data, q, v, a) for q, v, a in states])
+    n = arm.n
+    effort += np.sign(loaded.velocity) * theta[-2 * n : -n] + loaded.velocity * theta[-n:]
+    effort += NOISE * np.random.default_rng(5).standard_normal(effort.shape)
+    effort += np.arange(n)  # this day's zero errors of the sensors
+    found = identify_payload(arm, replace(loaded, effort=effort), bare, friction=TERMS)
+    assert holds(found, load()).all()
+    assert found.shown
+    assert found.mass == pytest.approx(load()[0], abs=0.01)
+    assert found.com == pytest.approx(load()[1:4] / load()[0], abs=2e-3)
+    assert np.all(found.upper - found.lower < [0.02, *[4e-3] * 3, *[6e-3] * 6])
+    assert margin(found.theta, "pseudo_inertia") >= -1e-15
+    assert found.cost < found.cost_without
+    assert found.invisible == 0
+    assert found.notes == ()
+
+
+def test_exact_data_give_the_exact_payload(arm: RobotModel) -> None:
+    loaded, bare, _ = pair(arm, load(), noise=0.0)
+    found = identify_payload(arm, loaded, bare, friction=TERMS, weighting="gls")
+    assert found.theta == pytest.approx(load(), abs=1e-6)
+
+
+def test_a_point_is_found_at_the_edge_of_what_can_be(arm: RobotModel) -> None:
+    point = load(points=1)
+    loaded, bare, _ = pair(arm, point)
+    found = identify_payload(arm, loaded, bare)
+    assert found.mass == pytest.approx(point[0], abs=0.02)
+    assert found.margin is not None
+    assert found.margin < 1e-4
+    assert holds(found, point)[:4].all()
+
+
+def test_the_arm_is_eliminated_exactly(arm: RobotModel) -> None:
+    loaded, bare, _ = pair(arm, load())
+    options = {"friction": FRICTION, "weighting": "gls"}
+    found = identify_payload(arm, loaded, bare, **options)  # type: ignore[arg-type]
+    problem = build_problem(arm, bare, **options)  # type: ignore[arg-type]
+    W = np.vstack([b for s in (bare, loaded) for _, b, _, _ in
+                   replace(problem.rows, samples=s).chunks()])  # fmt: skip
+    Y = arm.regressor(loaded.position, loaded.velocity, loaded.acceleration)[:, :, 50:]
+    extra = np.concatenate([np.zeros((len(bare.effort), 6, 10)), Y])
+    W, extra = W.reshape(-1, W.shape[2]), extra.reshape(-1, 10)
+    effort = np.concatenate([bare.effort, loaded.effort]).ravel()
+
+    def cost(theta: Array) -> float:
+        left = effort - extra @ theta
+        return float(np.sum((left - W @ np.linalg.lstsq(W, left, rcond=None)[0]) ** 2))
+
+    assert found.cost == pytest.approx(cost(found.theta), rel=1e-9)
+    assert found.cost_without == pytest.approx(cost(np.zeros(10)), rel=1e-9)
+    best = np.linalg.lstsq(np.hstack([W, extra]), effort, rcond=None)[0][-10:]
+    if margin(best, "pseudo_inertia") > 0.0:  # then no constraint is active
+        assert found.theta == pytest.approx(best, abs=1e-6)
+
+
+def test_intervals_hold_the_truth_as_often_as_they_say(arm: RobotModel) -> None:
+    rng = np.random.default_rng(1)
+    theta = random_theta(arm, rng)
+    states = [random_states(rng, arm.n, 60) for _ in range(2)]
+    both = []
+    for values, (q, v, a) in zip((with_payload(theta, load()), theta), states, strict=True):
+        effort = arm.inverse_dynamics(values, q, v, a)
+        both.append(Samples(position=q, velocity=v, acceleration=a, effort=effort, block=2))
+    inside = []
+    for _ in range(30):
+        noisy = [
+            replace(s, effort=s.effort + 0.3 * rng.standard_normal(s.effort.shape)) for s in both
+        ]
+        found = identify_payload(arm, *noisy, friction=("viscous",), level=0.8)
+        inside.append(holds(found, load())[:4])
+    assert 0.65 <= np.mean(inside) <= 0.95
+
+
+def test_an_estimate_is_as_good_as_its_recording(arm: RobotModel) -> None:
+    loaded, bare, _ = pair(arm, load())
+    problem = build_problem(arm, bare, friction=FRICTION, weighting="residual")
+    direct = identify_payload(arm, loaded, bare, friction=FRICTION)
+    through = identify_payload(arm, loaded, solve_wls(problem))
+    assert through.theta == pytest.approx(direct.theta, abs=1e-7)
+    assert through.lower == pytest.approx(direct.lower, abs=1e-4)
+    believed = build_problem(
+        arm, bare, friction=FRICTION, weighting="residual", prior=Prior(strength=0.01)
+    )
+    estimate = Estimate.of_theta(believed, np.zeros(believed.n_theta), method="any", status="")
+    near = identify_payload(arm, loaded, estimate)
+    assert near.theta == pytest.approx(direct.theta, abs=0.02)
+
+
+def test_a_known_arm(arm: RobotModel) -> None:
+    loaded, _, theta = pair(arm, load())
+    known = replace(arm, prior=theta[:60].reshape(6, 10))
+    found = identify_payload(known, loaded, friction=TERMS)
+    assert holds(found, load()).all()
+    assert any("exactly as described" in note for note in found.notes)
+    believed = identify_payload(known, loaded, friction=TERMS, prior=Prior(strength=100.0))
+    assert holds(believed, load()).all()
+    # What is not known exactly leaves more room.
+    assert np.all((believed.upper - believed.lower)[:4] > (found.upper - found.lower)[:4])
+    # An arm that is not as described shows in wider intervals.
+    wrong = replace(arm, prior=1.1 * known.prior)
+    worse = identify_payload(wrong, loaded, friction=TERMS)
+    assert np.all((worse.upper - worse.lower)[:4] > 2.0 * (found.upper - found.lower)[:4])
+
+
+def test_no_payload_is_none(arm: RobotModel) -> None:
+    loaded, bare, _ = pair(arm, np.zeros(10))
+    found = identify_payload(arm, loaded, bare)
+    assert not found.shown
+    assert found.lower[0] == 0.0
+    assert found.upper[0] < 0.05
+    assert "no payload at all" in found.describe()
+
+
+def test_less_than_nothing_is_nothing(arm: RobotModel) -> None:
+    loaded, bare, _ = pair(arm, load())
+    found = identify_payload(arm, bare, loaded)  # the other way round
+    assert found.mass < 1e-3
+    assert not found.shown
+    assert found.lower[0] == 0.0
+    json.dumps(found.to_dict(), allow_nan=False)
+    assert "nan" not in found.describe()
+
+
+def test_the_frame_of_the_flange(arm: RobotModel) -> None:
+    loaded, bare, _ = pair(arm, load())
+    at_joint = identify_payload(arm, loaded, bare)
+    found = identify_payload(arm, loaded, bare, frame="ee_link", link="wrist_3_link")
+    frame = next(f for f in arm.pin_model.frames if f.name == "ee_link")
+    back = transform(found.theta, frame.placement.rotation, frame.placement.translation)
+    assert back == pytest.approx(at_joint.theta, abs=1e-6)
+    assert found.frame == "ee_link"
+    plain = found.to_dict()
+    assert plain["mass"] == found.mass
+    assert plain["intervals"]["com_x"] == [found.lower[1], found.upper[1]]
+    assert "wrist_3_link, in the frame ee_link" in found.describe()
+
+
+def test_directions_that_nothing_shows_are_bounded_by_matter(arm: RobotModel) -> None:
+    robot = planar_arm()
+    rng = np.random.default_rng(3)
+    theta = random_theta(robot, rng)
+    payload = load()
+    loaded = make_samples(
+        robot, with_payload(theta, payload, 1), rng, count=200, noise=NOISE, block=5
+    )
+    bare = make_samples(robot, theta, rng, count=200, noise=NOISE, block=5)
+    found = identify_payload(robot, loaded, bare)
+    # Mass, two first moments, and the moment about the joints' direction.
+    assert found.invisible == 6
+    assert "6 of ten directions are invisible" in found.describe()
+    assert holds(found, payload).all()
+    assert found.upper[3] - found.lower[3] > 0.5
+    assert np.all(np.isfinite(found.lower))
+    assert np.all(np.isfinite(found.upper))
+
+
+def gen3(folder: Path, run: int, effort: str = "tau") -> Recording:
+    z = np.load(folder / "kinova_gen3_dynamapp" / f"opti_traj_testing{run}.npz")
+    names = tuple(str(name) for name in z["joint_names"])
+    return Recording(
+        time=z["t"], position=z["q"], velocity=z["dq"], effort=z[effort], joint_names=names
+    )
+
+
+def test_the_load_of_the_gen3(data_folder: Path) -> None:
+    robot = load_robot(data_folder / "kinova_gen3_dynamapp" / "gen3.urdf")
+    found = [
+        identify_payload(robot, gen3(data_folder, 1, effort), frame="end_effector_link")
+        for effort in ("tau", "tau_current")
+    ]
+    for payload in found:
+        assert payload.shown
+        assert 1.1 < payload.mass < 1.45
+        # Behind the flange, within the wrist: it is rather the description's masses that are off.
+        assert payload.upper[3] < 0.0
+    # Published masses of the arm, which in this description stand one link too far up.
+    published = np.array([1.3773, 1.1636, 1.1636, 0.9302, 0.6781, 0.6781, 0.5])
+    corrected = replace(robot, prior=robot.prior / robot.prior[:, :1] * published[:, None])
+    ends = []
+    for run in (1, 2):
+        for effort in ("tau", "tau_current"):
+            payload = identify_payload(
+                corrected, gen3(data_folder, run, effort), frame="end_effector_link"
+            )
+            assert payload.shown
+            assert 0.5 < payload.mass < 0.8
+            ends.append((payload.lower[0], payload.upper[0]))
+    # All four agree.
+    assert max(low for low, _ in ends) < min(high for _, high in ends)
+
+
+def test_refusals(arm: RobotModel) -> None:
+    loaded, bare, _ = pair(arm, load(), count=100)
+
+    def refused(match: str, kind: type[Exception] = DataError, **options: object) -> None:
+        with pytest.raises(kind, match=match):
+            identify_payload(arm, loaded, bare, **options)  # type: ignore[arg-type]
+
+    refused("level is 1.5", level=1.5)
+    refused("extent is -1", extent=-1.0)
+    refused("no link 'hand'", ModelError, link="hand")
+    refused("no frame 'hand' is fixed to link 'wrist_3_link'", ModelError, frame="hand")
+    refused("'glue', which is no friction term", separate=("glue",))
+    refused("no likelihood", weighting="eq18")
+    with pytest.raises(DataError, match="give a strength"):
+        identify_payload(arm, loaded, prior=Prior(strength="evidence"))
+    with pytest.raises(ModelError, match="3 last links"):
+        identify_payload(load_robot(TREE), loaded, bare)
+    with pytest.raises(ModelError, match="gives links no mass"):
+        identify_payload(replace(arm, prior=np.zeros((6, 10))), loaded)
+    with pytest.raises(DataError, match="give a recording"):
+        identify_payload(arm, 3.0)  # type: ignore[arg-type]
+    entropic = build_problem(arm, bare, weighting="residual", prior=Prior(kind="entropic"))
+    estimate = Estimate.of_theta(entropic, np.zeros(entropic.n_theta), method="any", status="")
+    with pytest.raises(DataError, match="log-det prior"):
+        identify_payload(arm, loaded, estimate)
+    with pytest.raises(DataError, match=r"estimate\.problem\.robot"):
+        identify_payload("denso_vp6242", loaded, estimate)

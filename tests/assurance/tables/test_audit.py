@@ -1,0 +1,484 @@
+"""Audits of base parameters: bodies that exist pass, others are refuted, tampering shows."""
+
+from __future__ import annotations
+
+import copy
+import json
+import re
+from collections.abc import Callable
+from decimal import Decimal
+from fractions import Fraction
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from typer.testing import CliRunner
+
+import sdpid
+from sdpid import cli
+from sdpid._common.arrays import Array
+from sdpid.assurance.tables.csv_table import half_unit, read_base_table
+from sdpid.assurance.tables.facial_reduction import find_face
+from sdpid.assurance.tables.question import base_question
+from sdpid.assurance.tables.refutation import Refutation, rounded
+from sdpid.assurance.tables.witness import coefficient_matrices, consistency_matrix, exact
+from sdpid.errors import CertificateError, DataError
+from sdpid.output.tables.tables import base_table
+from sdpid.robot.description.catalog import bundled_folder
+from sdpid.robot.friction.model import Coupling, FrictionModel, SigmoidFriction
+from sdpid.robot.inertia import Consistency, margin, matrix_of, point_masses
+from sdpid.robot.model.base_parameters import BaseParameters, structural_base
+from sdpid.robot.model.load import load_robot
+from sdpid.robot.model.model import RobotModel
+from tests.helpers.data import make_samples, random_theta
+from tests.helpers.robots import TREE, small_arm
+from tests.helpers.strategies import SEEDS, bodies, links
+
+BOTH: tuple[Consistency, ...] = ("pseudo_inertia", "spatial_inertia")
+TERMS = ("coulomb", "viscous")
+TABLE_IV = bundled_folder("denso_vp6242") / "table_iv.csv"
+
+
+@cache
+def arm(name: str) -> tuple[RobotModel, BaseParameters]:
+    robots: dict[str, Callable[[], RobotModel]] = {
+        "arm": lambda: small_arm(3),
+        "tree": lambda: load_robot(TREE),
+        "denso": lambda: load_robot("denso_vp6242"),
+    }
+    robot = robots[name]()
+    model = FrictionModel.from_terms(TERMS, robot.joint_names, first=robot.n_base)
+    return robot, structural_base(robot, model)
+
+
+def audit(name: str, theta: Array, half: float, kind: Consistency, **more: Any) -> sdpid.BaseAudit:
+    robot, base = arm(name)
+    values = dict(zip(base.names, (base.matrix @ theta).tolist(), strict=True))
+    found = sdpid.audit_base_parameters(robot, values, half, consistency=kind, base=base, **more)
+    if found.verdict != "undecided":
+        assert found.holds()
+    assert (found.witness is not None) == (found.verdict == "realisable")
+    assert (found.certificate is not None) == (found.verdict == "not realisable")
+    if found.margin is not None and found.margin_bound is not None:
+        assert found.margin <= found.margin_bound + 1e-9 * max(1.0, abs(found.margin))
+    return found
+
+
+def whole_theta(name: str, of_links: Array, friction: float = 0.5) -> Array:
+    robot, _ = arm(name)
+    return np.concatenate([of_links.ravel(), np.full(2 * robot.n, friction)])
+
+
+# -------------------------------------------------------------------- bodies that exist
+
+
+@pytest.mark.parametrize("kind", BOTH)
+@settings(max_examples=10, deadline=None)
+@given(data=st.data())
+def test_point_masses_are_realisable(kind: Consistency, data: st.DataObject) -> None:
+    name = data.draw(st.sampled_from(["arm", "denso", "tree"]))
+    robot, base = arm(name)
+    theta = whole_theta(name, data.draw(links(robot.n_links)))
+    half = data.draw(st.sampled_from([0.0, 1e-4, 0.005, 0.1]))
+    found = audit(name, theta, half, kind)
+    assert found.verdict == "realisable"
+    assert found.witness is not None
+    # No less interior than the bodies that the table was made of.
+    least = margin(theta[: 10 * robot.n_links].reshape(-1, 10), kind).min()
+    assert found.margin is not None
+    assert found.margin >= least - 1e-6
+    assert np.abs(base.matrix @ found.witness - base.matrix @ theta).max() <= half + 1e-9
+
+
+def test_bodies_without_thickness_are_on_the_boundary() -> None:
+    # Exactly known numbers of point masses: no room at all, and nothing to refute.
+    robot, _ = arm("arm")
+    point = point_masses(np.ones(1), np.array([[0.1, 0.2, 0.3]]))
+    found = audit("arm", whole_theta("arm", np.tile(point, (robot.n_links, 1))), 0.0, BOTH[0])
+    assert found.verdict in ("realisable", "undecided")
+    assert found.margin is not None
+    assert abs(found.margin) < 1e-4
+
+
+def test_undecided_is_near_the_boundary() -> None:
+    """Along a line of tables the verdict changes once, and is open at most next to there."""
+    robot, base = arm("arm")
+    start = whole_theta("arm", np.tile(point_masses(np.ones(4), np.eye(4, 3)), (robot.n_links, 1)))
+    row = base.matrix[base.names.index("zz3")]
+    edge = 0.0
+    for k in range(30):
+        found = audit("arm", start - 2.0**-k * row, 1e-3, BOTH[0])
+        if found.verdict == "realisable":
+            edge = max(edge, 2.0**-k)
+        else:
+            assert found.margin is not None
+            assert found.verdict == "not realisable" or abs(found.margin) < 1e-6
+    assert edge > 0.0
+
+
+# -------------------------------------------------------------------- bodies that do not
+
+
+@pytest.mark.parametrize("kind", BOTH)
+@settings(max_examples=10, deadline=None)
+@given(data=st.data())
+def test_impossible_bodies_are_refuted(kind: Consistency, data: st.DataObject) -> None:
+    name = data.draw(st.sampled_from(["arm", "denso", "tree"]))
+    robot, _ = arm(name)
+    theta = whole_theta(name, data.draw(links(robot.n_links)))
+    # The last link with the sign turned, and more of it than all the others could hide.
+    theta[10 * (robot.n_links - 1) : 10 * robot.n_links] = -100.0 * data.draw(bodies())
+    found = audit(name, theta, 0.005, kind)
+    assert found.verdict == "not realisable"
+    proof = found.certificate
+    assert proof is not None
+    assert found.margin_bound is None or found.margin_bound < 0.0
+    assert found.blamed
+    # The inequality is true of bodies that exist, whatever they are.
+    weights = np.array([float(proof.weights.get(n, 0)) for n in proof.question.names])
+    good = whole_theta(name, data.draw(links(robot.n_links)))
+    value = float(weights @ arm(name)[1].matrix @ good)
+    assert value >= float(proof.least) - 1e-9 * float(np.abs(weights).max()) * 100
+    # As much change as was proven to be needed, and no more.
+    assert found.change is not None
+    assert found.change_bound is not None
+    assert 0.0 < found.change_bound <= found.change * (1.0 + 1e-9)
+    assert found.change <= 1.05 * found.change_bound + 0.05
+
+
+@settings(max_examples=20, deadline=None)
+@given(seed=SEEDS)
+def test_triangle_inequality_separates_the_two(seed: int) -> None:
+    """A plate heavier about its normal than physics has it: an I_g, but no mass distribution."""
+    rng = np.random.default_rng(seed)
+    robot, _ = arm("arm")
+    links_ = np.tile(
+        point_masses(np.ones(4), 0.01 * rng.uniform(-1, 1, (4, 3))), (robot.n_links, 1)
+    )
+    links_[-1] = [1.0, 0, 0, 0, 0.1, 0, 0.5, 0, 0, 0.1]
+    theta = whole_theta("arm", links_)
+    assert audit("arm", theta, 1e-3, "spatial_inertia").verdict == "realisable"
+    assert audit("arm", theta, 1e-3, "pseudo_inertia").verdict == "not realisable"
+
+
+def test_negative_friction_is_refuted_by_itself() -> None:
+    robot, _ = arm("arm")
+    theta = whole_theta("arm", np.tile(point_masses(np.ones(4), np.eye(4, 3)), (robot.n_links, 1)))
+    theta[-1] = -1.0
+    found = audit("arm", theta, 0.5, BOTH[0])
+    assert found.verdict == "not realisable"
+    assert found.certificate is not None
+    assert list(found.certificate.weights) == ["Fv3"]
+    assert audit("arm", theta, 0.5, BOTH[0], friction_nonnegative=False).verdict == "realisable"
+
+
+def test_a_mass_bound_is_used_only_where_it_must_be() -> None:
+    robot, base = arm("denso")
+    # A first moment that gravity shows can be had with any inertia if the link is heavy enough.
+    values: dict[str, float | str] = {"mxr2": "10", "my2": "0", "zzr2": "0.5", "zz6": "0.001"}
+    found = sdpid.audit_base_parameters(robot, values, 0.01, mass_max=20, base=base)
+    assert found.verdict == "not realisable"
+    assert found.needs_mass_bound
+    assert found.certificate is not None
+    assert found.certificate.holds
+    # The proof does not hold without the multipliers of the masses.
+    bare = Refutation(question=found.question, weights=found.certificate.weights)
+    assert not bare.holds
+    assert (
+        sdpid.audit_base_parameters(robot, values, 0.01, mass_max=1000, base=base).verdict
+        == "realisable"
+    )
+
+
+def test_unknown_parameters_are_free() -> None:
+    robot, base = arm("denso")
+    found = sdpid.audit_base_parameters(robot, {"zz6": -1.0}, 0.5, base=base)
+    assert found.verdict == "not realisable"
+    found = sdpid.audit_base_parameters(robot, {"zz6": 1.0}, 0.5, base=base)
+    assert found.verdict == "realisable"
+
+
+# -------------------------------------------------------------------- the paper
+
+
+@pytest.mark.parametrize(
+    ("column", "kind", "most"),
+    [
+        ("cwls", "pseudo_inertia", 4),
+        ("wls", "pseudo_inertia", 4),
+        ("wls", "spatial_inertia", 4),
+    ],
+)
+def test_the_paper_is_refuted_by_few_numbers(column: str, kind: Consistency, most: int) -> None:
+    robot, base = arm("denso")
+    table = read_base_table(TABLE_IV, value=column)
+    found = sdpid.audit_base_parameters(
+        robot, table.values, table.halfwidths, consistency=kind, base=base
+    )
+    assert found.verdict == "not realisable"
+    assert found.certificate is not None
+    assert found.certificate.holds
+    assert len(found.certificate.weights) <= most
+    assert found.needs_mass_bound is False
+
+
+def test_the_constrained_column_has_links_but_not_with_the_stated_margin() -> None:
+    robot, base = arm("denso")
+    table = read_base_table(TABLE_IV, value="cwls")
+    verdicts = [
+        sdpid.audit_base_parameters(
+            robot,
+            table.values,
+            table.halfwidths,
+            consistency="spatial_inertia",
+            margin=least,
+            base=base,
+        ).verdict
+        for least in ("0", "0.003", "0.005", "0.01")
+    ]
+    assert verdicts == ["realisable", "realisable", "not realisable", "not realisable"]
+
+
+def test_by_hand() -> None:
+    """The proofs of the paper's columns, in numbers: no package needed to follow them."""
+    table = read_base_table(TABLE_IV, value="wls")
+    assert table.values["zzr4"] + table.halfwidths["zzr4"] < 0  # zz_4 + yy_5
+    table = read_base_table(TABLE_IV, value="cwls")
+    # zz_6 + xx_6 - yy_6 is twice the second moment along y.
+    largest = sum(table.values[n] + table.halfwidths[n] for n in ("zz6", "xxr6"))
+    assert largest == Fraction("-0.06")
+
+
+# -------------------------------------------------------------------- proofs
+
+
+@pytest.fixture(scope="module")
+def proof() -> dict[str, Any]:
+    robot, base = arm("denso")
+    table = read_base_table(TABLE_IV, value="cwls")
+    found = sdpid.audit_base_parameters(
+        robot,
+        table.values,
+        table.halfwidths,
+        consistency="spatial_inertia",
+        margin="0.005",
+        base=base,
+    )
+    assert found.certificate is not None
+    stored = found.certificate.to_dict()
+    assert Refutation.from_dict(json.loads(json.dumps(stored))).holds
+    return stored
+
+
+def test_wrong_weights_prove_nothing(proof: dict[str, Any]) -> None:
+    for name in proof["weights"]:
+        for factor in (-1, 0, Fraction(1, 2)):
+            changed = copy.deepcopy(proof)
+            changed["weights"][name] = str(factor * Fraction(changed["weights"][name]))
+            assert not Refutation.from_dict(changed).holds, (name, factor)
+    changed = copy.deepcopy(proof)
+    changed["weights"] = {name: str(-Fraction(w)) for name, w in proof["weights"].items()}
+    assert not Refutation.from_dict(changed).holds
+
+
+def test_another_table_is_not_refuted(proof: dict[str, Any]) -> None:
+    used = [p for p in proof["parameters"] if p["name"] in proof["weights"]]
+    for parameter in used:
+        changed = copy.deepcopy(proof)
+        other = next(p for p in changed["parameters"] if p["name"] == parameter["name"])
+        sign = 1 if Fraction(proof["weights"][parameter["name"]]) > 0 else -1
+        other["value"] = str(Fraction(other["value"]) + sign)
+        assert not Refutation.from_dict(changed).holds
+        other["value"] = parameter["value"]
+        other["halfwidth"] = "1"
+        assert not Refutation.from_dict(changed).holds
+    changed = copy.deepcopy(proof)
+    changed["margin"] = "0"
+    assert not Refutation.from_dict(changed).holds
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        lambda p: p.update(schema="other"),
+        lambda p: p.update(version=2),
+        lambda p: p.update(consistency="none"),
+        lambda p: p.update(links=8),
+        lambda p: p.pop("weights"),
+        lambda p: p.update(margin="-1"),
+        lambda p: p.update(margin="1/0"),
+        lambda p: p.update(nonnegative=[0]),
+        lambda p: p.update(masses={"6": "1"}),
+        lambda p: p["parameters"][0].update(value="nan"),
+        lambda p: p["parameters"][0].update(halfwidth="-1"),
+        lambda p: p["parameters"][0]["row"].update({"-1": "1"}),
+        lambda p: p["parameters"].append(p["parameters"][0]),
+    ],
+)
+def test_what_is_no_proof_is_refused(
+    proof: dict[str, Any], change: Callable[[dict[str, Any]], Any]
+) -> None:
+    changed = copy.deepcopy(proof)
+    change(changed)
+    with pytest.raises(CertificateError, match="not a refutation"):
+        Refutation.from_dict(changed)
+
+
+def test_unknown_names_and_negative_multipliers_prove_nothing(proof: dict[str, Any]) -> None:
+    changed = copy.deepcopy(proof)
+    changed["masses"] = {"0": "-1"}
+    assert not Refutation.from_dict(changed).holds
+
+
+@settings(max_examples=50, deadline=None)
+@given(body=bodies(), seed=SEEDS)
+def test_what_a_link_adds(body: Array, seed: int) -> None:
+    """c·theta = <C, I_g> + m·q(r), and = <Q, J>; both matrices as the proofs have them."""
+    c = [Fraction(int(x)) for x in np.random.default_rng(seed).integers(-9, 10, 10)]
+    C, Q = (np.array(m, dtype=float) for m in coefficient_matrices(c))
+    expected = float(np.array(c, dtype=float) @ body)
+    assert np.isclose(np.sum(Q * matrix_of(body, "pseudo_inertia")), expected)
+    r = np.append(body[1:4] / body[0], 1.0)
+    about = sdpid_inertia(body)
+    assert np.isclose(np.sum(C * about) + body[0] * r @ Q @ r, expected)
+
+
+def sdpid_inertia(body: Array) -> Array:
+    from sdpid.robot.inertia import physical_parameters
+
+    return np.asarray(physical_parameters(body)[2])
+
+
+@pytest.mark.parametrize("kind", BOTH)
+def test_exact_matrices_are_those_of_the_library(kind: Consistency) -> None:
+    body = np.arange(1.0, 11.0)
+    shift = np.diag([0.5] * 3 + [0.0] * (1 if kind == "pseudo_inertia" else 3))
+    found = consistency_matrix([Fraction(x) for x in body], kind, Fraction(1, 2))
+    assert np.array_equal(np.array(found, dtype=float), matrix_of(body, kind) - shift)
+
+
+def test_face_of_masses_that_nothing_shows() -> None:
+    # Mass at the origin of link 2 adds nothing: first moments of it prove nothing without a bound.
+    robot, base = arm("denso")
+    question = base_question(robot, {"mxr2": 1, "my2": 1, "zzr2": 1}, 0, base=base)
+    assert find_face(question, range(3), mass_bound=False).free == (2,)
+    assert find_face(question, range(3), mass_bound=True).free == (0, 1, 2)
+
+
+# -------------------------------------------------------------------- numbers and tables
+
+
+def test_numbers_are_read_as_printed() -> None:
+    assert exact(7.1) == exact(np.float64(7.1)) == exact("7.10") == Fraction(71, 10)
+    assert exact(Decimal("0.013")) == Fraction(13, 1000)
+    for wrong in ("x", float("nan"), float("inf"), None):
+        with pytest.raises(DataError, match="finite number"):
+            exact(wrong)  # type: ignore[arg-type]
+    for text, half in (("7.10", "0.005"), ("-1", "0.5"), ("1.2e-3", "0.00005"), ("20", "0.5")):
+        assert half_unit(text) == Fraction(half)
+    with pytest.raises(DataError):
+        half_unit("1..2")
+
+
+@given(value=st.fractions(max_denominator=10**6), digits=st.integers(1, 12))
+def test_rounding_keeps_claims_true(value: Fraction, digits: int) -> None:
+    below, above = rounded(value, digits, up=False), rounded(value, digits, up=True)
+    assert below <= value <= above
+    assert above - below <= abs(value) * Fraction(10) ** (1 - digits)
+
+
+def test_tables(tmp_path: Path) -> None:
+    path = tmp_path / "table.csv"
+    path.write_text("\ufeffparameter, value, halfwidth\nzz6, 0.05,\nmx6, 0.1, 0.2\nmy6,,\n")
+    table = read_base_table(path)
+    assert table.values == {"zz6": Fraction("0.05"), "mx6": Fraction("0.1")}
+    assert table.halfwidths == {"zz6": Fraction("0.005"), "mx6": Fraction("0.2")}
+    assert set(read_base_table(path, halfwidth=0.5).halfwidths.values()) == {Fraction(1, 2)}
+    for text, word in (
+        ("a,b\n", "name"),
+        ("name,b\nzz6,1\n", "value"),
+        ("name,value\nzz6,x\n", "not a number"),
+        ("name,value\nzz6,1\nzz6,1\n", "twice"),
+        ("name,value\n", "no values"),
+    ):
+        path.write_text(text)
+        with pytest.raises(DataError, match=word):
+            read_base_table(path)
+    with pytest.raises(DataError, match="halfwidths"):
+        read_base_table(TABLE_IV, value="wls", halfwidth="other")
+
+
+@pytest.mark.parametrize(
+    ("values", "halfwidths", "more", "word"),
+    [
+        ({}, 0.1, {}, "no values"),
+        ({"zz9": 1.0}, 0.1, {}, "zz9"),
+        ({"zz6": 1.0}, {}, {}, "no halfwidth"),
+        ({"zz6": 1.0}, {"zz6": 0.1, "mx6": 0.1}, {}, "without a value"),
+        ({"zz6": 1.0}, -0.1, {}, "least is 0"),
+        ({"zz6": float("nan")}, 0.1, {}, "finite"),
+        ({"zz6": 1.0}, 0.1, {"consistency": "none"}, "consistency"),
+        ({"zz6": 1.0}, 0.1, {"margin": -1.0}, "margin"),
+        ({"zz6": 1.0}, 0.1, {"mass_min": 0.0}, "mass_min"),
+        ({"zz6": 1.0}, 0.1, {"mass_max": 1e9}, "theta_max"),
+    ],
+)
+def test_bad_input(values: Any, halfwidths: Any, more: Any, word: str) -> None:
+    robot, base = arm("denso")
+    with pytest.raises(DataError, match=word):
+        sdpid.audit_base_parameters(robot, values, halfwidths, base=base, **more)
+
+
+@pytest.mark.parametrize("kind", BOTH)
+def test_tables_of_ones_own_estimates_are_realisable(kind: Consistency, tmp_path: Path) -> None:
+    """The file that `identify` writes names its friction by itself, whatever the terms are."""
+    rng = np.random.default_rng(0)
+    robot, terms = small_arm(2), ("coulomb", "viscous", "offset", "rotor_inertia")
+    friction = (*terms, SigmoidFriction(0.1), Coupling(*robot.joint_names))
+    theta = random_theta(robot, rng, friction)
+    samples = make_samples(robot, theta, rng, friction=friction, noise=0.05)
+    problem = sdpid.build_problem(robot, samples, friction=friction, consistency=kind)
+    table = tmp_path / "base_parameters.csv"
+    base_table(sdpid.solve_sdp(problem)).write(table)
+    (tmp_path / "arm.urdf").write_text(robot.urdf or "", encoding="utf-8")
+    arguments = ["audit", str(table), "--robot", str(tmp_path / "arm.urdf"), "--consistency", kind]
+    done = CliRunner().invoke(cli.app, arguments)
+    assert done.exit_code == 0, done.output
+    assert ": realisable" in done.output
+
+
+def test_command(tmp_path: Path) -> None:
+    def run(*arguments: Any) -> Any:
+        return CliRunner().invoke(cli.app, ["audit", *map(str, arguments)])
+
+    how = ("--robot", "denso_vp6242", "--value", "cwls", "--consistency")
+    done = run(TABLE_IV, *how, "spatial_inertia", "--json")
+    assert done.exit_code == 0, done.output
+    assert json.loads(done.stdout)["verdict"] == "realisable"
+    path = tmp_path / "proof.json"
+    done = run(TABLE_IV, *how, "pseudo_inertia", "--proof", path)
+    assert done.exit_code == 3
+    assert "not realisable" in done.stdout
+    assert ">= 0 for links that can exist" in done.stdout
+    assert Refutation.from_dict(json.loads(path.read_text())).holds
+    for wrong in (
+        (TABLE_IV,),
+        (TABLE_IV, "--robot", "denso_vp6242"),
+        (tmp_path / "missing.csv", "--robot", "denso_vp6242"),
+        (TABLE_IV, *how, "none"),
+        (TABLE_IV, "--robot", "denso_vp6242", "--repair", tmp_path / "out.urdf"),
+    ):
+        done = run(*wrong)
+        assert done.exit_code == 2, done.output
+        assert done.stderr.startswith("sdpid: ")
+
+
+def test_the_page_in_the_documentation() -> None:
+    page = Path(__file__).resolve().parents[3] / "docs" / "audit.md"
+    blocks = re.findall(r"^```python\n(.*?)^```", page.read_text("utf-8"), flags=re.M | re.S)
+    assert blocks
+    exec(compile("\n".join(blocks), "docs/audit.md", "exec"), {})

@@ -1,0 +1,655 @@
+"""The command: what it prints, what it writes, and how it ends."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner, Result
+
+import sdpid
+from sdpid import cli
+from sdpid.cli import choices, errors, options
+from sdpid.experiment.plant.simulate import true_parameters
+from sdpid.robot.model.model import RobotModel
+from tests.helpers.arm_files import ARM_URDF, arm_log
+from tests.helpers.bags import write_bag
+
+ROBOT = "denso_vp6242"
+
+
+@pytest.fixture(scope="module")
+def log(tmp_path_factory: pytest.TempPathFactory, denso: RobotModel) -> Path:
+    """Return the file of a small simulated experiment."""
+    path = tmp_path_factory.mktemp("log") / "run.parquet"
+    trajectory = sdpid.paper_excitation(ROBOT, 5, periods=2, period=20.0)
+    sdpid.simulate(denso, trajectory, theta=true_parameters(ROBOT), seed=5).to_parquet(path)
+    return path
+
+
+@pytest.fixture(scope="module")
+def results(tmp_path_factory: pytest.TempPathFactory, log: Path) -> Path:
+    """Return the folder that `sdpid identify` filled."""
+    out = tmp_path_factory.mktemp("identified")
+    done = run("identify", log, "--robot", ROBOT, "--out", out, "--no-figures")
+    assert done.exit_code == 0, done.output
+    return out
+
+
+def run(*arguments: Any) -> Result:
+    return CliRunner().invoke(cli.app, [str(argument) for argument in arguments])
+
+
+def refused(done: Result, status: int, *words: str) -> None:
+    """Check an exit status and a message of one line, without a traceback."""
+    assert done.exit_code == status, done.output
+    assert done.stderr.startswith("sdpid: ")
+    assert len(done.stderr.splitlines()) == 1
+    assert "Traceback" not in done.output
+    for word in words:
+        assert word in done.stderr
+
+
+def shell(*arguments: str, **options: Any) -> subprocess.CompletedProcess[str]:
+    command = [sys.executable, "-m", "sdpid", *arguments]
+    return subprocess.run(command, capture_output=True, text=True, timeout=120, **options)
+
+
+def test_help_loads_nothing_heavy() -> None:
+    code = (
+        "import sys\nfrom sdpid.cli import app\n"
+        "try: app(['--help'])\nexcept SystemExit as end: assert end.code == 0\n"
+        "print(sorted({m.split('.')[0] for m in sys.modules} & {'numpy', 'scipy', 'pinocchio', "
+        "'mujoco', 'cvxpy', 'matplotlib', 'pyarrow', 'pandas'}))"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60)
+    assert done.stdout.splitlines()[-1] == "[]", done.stderr
+    for command in ("identify", "compare", "simulate", "verify", "validate", "info"):
+        assert command in done.stdout
+
+
+def test_it_runs_as_a_module() -> None:
+    assert shell("--version").stdout.strip() == sdpid.__version__
+    done = shell("verify", "nowhere.json")
+    assert done.returncode == 2
+    assert done.stdout == ""
+    assert done.stderr.startswith("sdpid: cannot read nowhere.json")
+
+
+def test_identify_prints_and_writes(results: Path, log: Path) -> None:
+    names = {path.name for path in results.iterdir()}
+    assert names == {
+        "base_parameters.csv",
+        "parameters.csv",
+        "result.json",
+        "certificate.json",
+        "identified.urdf",
+        "identified.xml",
+        "parameters.json",
+        "report.html",
+    }
+    page = (results / "report.html").read_text(encoding="utf-8")
+    assert f"sdpid identify {log} --robot {ROBOT} --out {results} --no-figures" in page
+    assert sdpid.load_robot(results / "identified.urdf").n == 6
+    out = results / "again"
+    done = run("identify", log, "--robot", ROBOT, "--out", out, "--validation", log)
+    assert done.exit_code == 0
+    assert done.stderr == ""
+    for text in ("relative residual", "joint_6", "NRMSE", "zero-phase", "validation", "files:"):
+        assert text in done.stdout
+    assert (out / "training.png").is_file()
+    assert (out / "validation.png").is_file()
+
+
+def test_identify_as_json(log: Path, tmp_path: Path) -> None:
+    done = shell(
+        *("identify", str(log), "--robot", ROBOT, "--json", "--no-figures"),
+        *("--margin", "0.001", "--mass-max", "60", "--cutoff", "12", "--order", "1"),
+        *("--consistency", "spatial_inertia", "--friction", "coulomb=0.01"),
+        *("--friction", "viscous", "--friction", "coupling=joint_5,joint_6"),
+        cwd=tmp_path,
+    )
+    assert done.returncode == 0, done.stderr
+    found = json.loads(done.stdout)
+    assert found["certified"] is True
+    assert found["problem"]["consistency"] == "spatial_inertia"
+    assert found["worst_margin"] >= 0.001 - 1e-9
+    assert "Fs5_6" in found["standard_parameters"]
+    assert any("order 1 at 12 Hz" in note for note in found["notes"])
+    assert any("no place in a URDF" in note for note in found["notes"])
+    # Without --out there is a folder of its own.
+    assert all((tmp_path / file).is_file() for file in found["files"])
+    assert [path.name for path in tmp_path.iterdir()] == ["sdpid-results"]
+
+
+def test_friction_options() -> None:
+    from sdpid.robot.friction.model import AsymmetricCoulomb, Coulomb, Coupling, Stribeck
+
+    texts = ["coulomb=fit", "stribeck=0.2", "stribeck=fit", "asymmetric_coulomb=0.1"]
+    assert choices.friction_terms([*texts, "sigmoid", "coupling=a,b"]) == [
+        *(Coulomb(width=None), Stribeck(0.2), Stribeck(), AsymmetricCoulomb(width=0.1)),
+        *("sigmoid", Coupling("a", "b")),
+    ]
+    with pytest.raises(sdpid.ModelError, match="viscous=1: takes no value"):
+        choices.friction_terms(["viscous=1"])
+
+
+def test_terms_with_chosen_speeds(log: Path, tmp_path: Path) -> None:
+    done = run(
+        *("identify", log, "--robot", ROBOT, "--json", "--no-figures", "--out", tmp_path / "x"),
+        *("--friction", "coulomb=fit", "--friction", "viscous", "--friction", "square_root"),
+        *("--friction", "stribeck"),
+    )
+    assert done.exit_code == 0, done.output
+    problem = json.loads(done.stdout)["problem"]
+    terms = [term["term"] for term in problem["friction_terms"]]
+    assert terms == ["Coulomb", "Viscous", "SquareRootFriction", "Stribeck"]
+    assert len(problem["profiled"]) == 12
+    assert "friction" in (tmp_path / "x" / "identified.urdf").read_text(encoding="utf-8")
+
+
+def test_without_consistency_there_is_no_urdf(log: Path, tmp_path: Path) -> None:
+    done = run(
+        *("identify", log, "--robot", ROBOT, "--consistency", "none"),
+        *("--out", tmp_path, "--no-figures"),
+    )
+    assert done.exit_code == 0, done.output
+    assert not (tmp_path / "identified.urdf").exists()
+    assert (tmp_path / "certificate.json").exists()
+
+
+def test_simulate_then_info(tmp_path: Path) -> None:
+    path = tmp_path / "run.parquet"
+    done = run("simulate", ROBOT, "--out", path, "--periods", 1, "--period", 10, "--seed", 2)
+    assert done.exit_code == 0, done.output
+    assert "peak velocity" in done.stdout
+    record = sdpid.Recording.from_parquet(path)
+    assert (record.period, record.periods) == (10.0, 1)
+    shown = run("info", path, "--robot", ROBOT)
+    assert shown.exit_code == 0, shown.output
+    assert "cutoff_hz=" in shown.stdout
+    assert "findings" not in shown.stdout
+    facts = json.loads(run("info", path, "--json").stdout)
+    assert facts["samples"] == record.n_samples
+    assert facts["rate_hz"] == pytest.approx(1000.0)
+    assert facts["periods"] == 1
+    assert facts["lost_samples"] == 0
+    assert facts["velocity"] is None
+    assert [joint["joint"] for joint in facts["joints"]] == list(record.names)
+
+
+def test_simulate_any_robot_with_a_trajectory_file(tmp_path: Path) -> None:
+    first, second, motion = (tmp_path / name for name in ("a.parquet", "b.parquet", "m.toml"))
+    options = ("--period", 8, "--periods", 1, "--seed", 4)
+    made = run("simulate", "ur5_robot", "--out", first, "--write-trajectory", motion, *options)
+    assert made.exit_code == 0, made.output
+    again = run("simulate", "ur5_robot", "--out", second, "--trajectory", motion, "--seed", 4)
+    assert again.exit_code == 0, again.output
+    one, other = sdpid.Recording.from_parquet(first), sdpid.Recording.from_parquet(second)
+    np.testing.assert_array_equal(one.position, other.position)
+    np.testing.assert_array_equal(one.effort, other.effort)
+    motion.write_text("period = 1.0")
+    refused(run("simulate", "ur5_robot", "--out", second, "--trajectory", motion), 2, "m.toml")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (("nowhere", "--out", "run.parquet"), "no robot 'nowhere'"),
+        ((ROBOT, "--out", "run.csv"), ".parquet"),
+        ((ROBOT, "--out", "nofolder/run.parquet"), "no folder"),
+    ],
+)
+def test_simulate_refuses(
+    arguments: tuple[str, ...], words: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    refused(run("simulate", *arguments), 2, words)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_compare(log: Path, tmp_path: Path) -> None:
+    arguments = (
+        "compare",
+        log,
+        "--robot",
+        ROBOT,
+        "--starts",
+        1,
+        "--jobs",
+        1,
+        "--max-iterations",
+        20,
+    )
+    done = run(*arguments, "--out", tmp_path / "c.csv")
+    assert done.exit_code == 0, done.output
+    assert "random 1" in done.stdout
+    assert (tmp_path / "c.csv").read_text().startswith("solver,")
+    found = json.loads(run(*arguments, "--starts", 0, "--json").stdout)
+    assert found["certified"] is True
+    assert [row["solver"] for row in found["rows"]] == ["wls", "sdp"]
+
+
+def test_verify(results: Path, tmp_path: Path) -> None:
+    certificate = results / "certificate.json"
+    done = run("verify", certificate)
+    assert done.exit_code == 0, done.output
+    assert done.stdout.splitlines()[-1] == "PROVEN."
+    assert "No feasible parameters cost less than" in done.stdout
+    assert json.loads(run("verify", certificate, "--json").stdout)["passed"] is True
+    forged = json.loads(certificate.read_text())
+    forged["claims"]["lower_bound"] = forged["claims"]["cost"]
+    forged["theta"][0] = -1.0
+    (tmp_path / "forged.json").write_text(json.dumps(forged))
+    done = run("verify", tmp_path / "forged.json")
+    refused(done, 2, "forged.json", "bound")
+    assert "NOT PROVEN." in done.stdout
+    done = run("verify", tmp_path / "forged.json", "--json")
+    assert done.exit_code == 2
+    assert json.loads(done.stdout)["passed"] is False
+    refused(run("verify", results / "result.json"), 2, "not a certificate")
+
+
+def test_validate(results: Path, log: Path, tmp_path: Path) -> None:
+    urdf, figure = results / "identified.urdf", tmp_path / "f.png"
+    done = run("validate", log, "--robot", urdf, "--figure", figure)
+    assert done.exit_code == 0, done.output
+    assert "relative residual" in done.stdout
+    assert figure.read_bytes().startswith(b"\x89PNG")
+    found = json.loads(run("validate", log, "--robot", urdf, "--json").stdout)
+    trained = json.loads((results / "result.json").read_text())["training"]
+    assert found["relative_residual"] == pytest.approx(trained["relative_residual"], rel=1e-6)
+    # The bundled description has no dynamics of its own: it predicts worse.
+    other = json.loads(run("validate", log, "--robot", ROBOT, "--json").stdout)
+    assert other["relative_residual"] > 2.0 * found["relative_residual"]
+
+
+def test_validate_says_what_to_trust(results: Path, log: Path) -> None:
+    done = run("validate", log, "--robot", results / "identified.urdf")
+    assert "verdict:\n  Trust it for the effort of " in done.stdout
+    assert "on this recording" in done.stdout
+    other = json.loads(run("validate", log, "--robot", ROBOT, "--json").stdout)
+    assert any(text.startswith("Do not trust it for the effort of") for text in other["verdict"])
+
+
+def csv_log(path: Path, position: np.ndarray, names: list[str] | None = None) -> Path:
+    """Write a log with columns q1, ... and i1, ..."""
+    K, n = position.shape
+    labels = [f"q{j + 1}" for j in range(n)] if names is None else names
+    header = ",".join(["stamp", *labels, *(f"i{j + 1}" for j in range(n))])
+    table = np.column_stack([1000.0 * np.arange(K) / 100.0, position, np.cos(position)])
+    np.savetxt(path, table, delimiter=",", header=header, comments="")
+    return path
+
+
+def wave(*, degrees: bool = False) -> np.ndarray:
+    """Return motions within the arm's limits."""
+    limits = sdpid.load_robot(ROBOT).position_limits
+    time = np.arange(2000)[:, None] / 100.0
+    rates = 0.3 + 0.1 * np.arange(len(limits))
+    reach = 0.4 * (limits[:, 1] - limits[:, 0])
+    position = limits.mean(axis=1) + reach * np.sin(2.0 * np.pi * time * rates)
+    return np.degrees(position) if degrees else position
+
+
+READ = ("--unit", "time=ms", "--column", "effort=i1,i2,i3,i4,i5,i6")
+
+
+def test_columns_and_units(tmp_path: Path) -> None:
+    motion = wave()
+    path = csv_log(tmp_path / "log.csv", np.degrees(motion))
+    facts = json.loads(
+        run("info", path, *READ, "--robot", ROBOT, "--unit", "position=deg", "--json").stdout
+    )
+    assert facts["rate_hz"] == pytest.approx(100.0)
+    assert facts["findings"] == []
+    assert facts["joints"][0]["position_max"] == pytest.approx(motion[:, 0].max())
+    done = run("info", path, *READ, "--robot", ROBOT)
+    assert "look like degrees" in done.stdout
+    scaled = json.loads(run("info", path, *READ, "--effort-scale", "2,2,2,2,2,2", "--json").stdout)
+    assert scaled["joints"][0]["effort_max"] == pytest.approx(2.0)
+
+
+def test_a_mapping_elsewhere(tmp_path: Path) -> None:
+    path = csv_log(tmp_path / "log.csv", np.degrees(wave()))
+    mapping = tmp_path / "elsewhere" / "map.toml"
+    mapping.parent.mkdir()
+    mapping.write_text('[columns]\neffort = "i"\n[units]\ntime = "ms"\nposition = "deg"\n')
+    facts = json.loads(run("info", path, "--mapping", mapping, "--json").stdout)
+    assert facts["mapping"] == str(mapping)
+    assert facts["rate_hz"] == pytest.approx(100.0)
+    # Options win over it; what it says of the other quantities stays.
+    said = ("--mapping", mapping, "--unit", "time=s")
+    assert json.loads(run("info", path, *said, "--json").stdout)["rate_hz"] == pytest.approx(0.1)
+    arguments = ("--robot", ROBOT, "--mapping", mapping, "--json")
+    validated = run("validate", path, *arguments)
+    assert validated.exit_code == 0, validated.output
+    # The one beside the log is followed without asking, and ignored when asked.
+    mapping.replace(tmp_path / "log.toml")
+    assert json.loads(run("info", path, "--json").stdout)["mapping"] == str(tmp_path / "log.toml")
+    refused(run("info", path, "--mapping", "none"), 2, "effort", "--column QUANTITY=NAME")
+    refused(run("info", path, "--mapping", tmp_path / "no.toml"), 2, "no.toml")
+    (tmp_path / "log.toml").write_text("title = 'not a mapping'\n")
+    refused(run("info", path), 2, "title", "--mapping FILE")
+
+
+def test_a_topic_of_a_bag(tmp_path: Path) -> None:
+    t = 0.01 * np.arange(50)
+    table = np.random.default_rng(1).standard_normal((50, 2))
+    bag = write_bag(tmp_path / "bag", "db3", t, table, table, table)
+    facts = json.loads(run("info", bag, "--topic", "/joint_states", "--json").stdout)
+    assert [joint["joint"] for joint in facts["joints"]] == ["up", "down"]
+    refused(run("info", bag, "--topic", "/other"), 2, "no topic /other", "/joint_states")
+    path = csv_log(tmp_path / "log.csv", wave())
+    for command in ("identify", "compare", "validate"):
+        arguments = (command, path, *READ, "--robot", ROBOT, "--topic", "/x")
+        refused(run(*arguments), 2, "topic is for ROS bags")
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        (("--robot", ROBOT), ("looks like degrees", "--unit QUANTITY=UNIT")),
+        (("--robot", "panda"), ("6 joints", "has 8")),
+        (("--robot", "nobody"), ("no robot 'nobody'",)),
+        (("--robot", ROBOT, "--unit", "position"), ("--unit position", "'='")),
+        (("--robot", ROBOT, "--unit", "time=s"), ("time is given twice",)),
+        (("--robot", ROBOT, "--unit", "position=grad"), ("grad", "deg")),
+        (("--robot", ROBOT, "--column", "efort=i"), ("efort",)),
+        (("--robot", ROBOT, "--column", "velocity=v"), ("'v'",)),
+        (("--robot", ROBOT, "--effort-scale", "1,x"), ("--effort-scale 1,x",)),
+        (("--robot", ROBOT, "--joint-names", "a,b"), ("joint",)),
+        (("--robot", ROBOT, "--velocity", "measured", "--unit", "position=deg"), ("velocity",)),
+        (("--robot", ROBOT, "--cutoff", "80", "--unit", "position=deg"), ("80",)),
+        (("--robot", ROBOT, "--friction", "glue", "--unit", "position=deg"), ("glue",)),
+        (("--robot", ROBOT, "--friction", "viscous=1"), ("viscous=1",)),
+        (("--robot", ROBOT, "--margin", "-1"), ("margin",)),
+        (("--robot", ROBOT, "--period", "0.77"), ("does not divide",)),
+    ],
+)
+def test_identify_refuses_bad_input(
+    options: tuple[str, ...], words: tuple[str, ...], tmp_path: Path
+) -> None:
+    path = csv_log(tmp_path / "log.csv", wave(degrees=True))
+    out = tmp_path / "out"
+    refused(run("identify", path, *READ, *options, "--out", out, "--no-figures"), 2, *words)
+    assert not out.exists()
+
+
+@pytest.mark.parametrize(
+    ("name", "words"),
+    [("missing.npz", "no such file"), ("log.xlsx", "format '.xlsx'"), ("bad.npz", "bad.npz")],
+)
+def test_files_that_cannot_be_read(name: str, words: str, tmp_path: Path) -> None:
+    if name != "missing.npz":
+        (tmp_path / name).write_text("nonsense")
+    refused(run("info", tmp_path / name), 2, words)
+
+
+def test_names_that_do_not_match(tmp_path: Path, denso: RobotModel) -> None:
+    names = [f"position_{name}" for name in (*denso.joint_names[:5], "wrist")]
+    path = csv_log(tmp_path / "log.csv", wave(), names)
+    arguments = ("identify", path, *READ, "--robot", ROBOT, "--out", tmp_path / "out")
+    refused(run(*arguments), 2, "joint_6")
+    shown = run("info", path, *READ, "--robot", ROBOT)
+    assert shown.exit_code == 0
+    assert "joint_6" in shown.stdout
+
+
+@pytest.mark.parametrize(
+    ("option", "value", "word"),
+    [("--margin", "1e6", "the margin of 1000000"), ("--mass-max", "1e-6", "mass_max 1e-06")],
+)
+def test_the_infeasible_ends_with_3(
+    option: str, value: str, word: str, log: Path, tmp_path: Path
+) -> None:
+    out = tmp_path / "out"
+    done = run("identify", log, "--robot", ROBOT, option, value, "--out", out, "--no-figures")
+    refused(done, 3, word)
+    assert not out.exists()
+
+
+def test_the_unidentifiable_ends_with_3(tmp_path: Path) -> None:
+    motion = wave()
+    motion[:, 0] = 0.0
+    path = csv_log(tmp_path / "log.csv", motion)
+    out = tmp_path / "out"
+    refused(run("identify", path, *READ, "--robot", ROBOT, "--out", out), 3, "do not excite")
+    assert not out.exists()
+
+
+@pytest.mark.parametrize(
+    ("error", "status"),
+    [
+        (sdpid.DataError("x"), 2),
+        (sdpid.ModelError("x"), 2),
+        (sdpid.ExportError("x"), 2),
+        (sdpid.CertificateError("x"), 2),
+        (sdpid.MissingExtraError("x"), 2),
+        (PermissionError(13, "Permission denied", "x"), 2),
+        (sdpid.InfeasibleError("x"), 3),
+        (sdpid.IdentifiabilityError("x"), 3),
+        (sdpid.SolverError("x"), 1),
+        (RuntimeError("x"), 1),
+    ],
+    ids=lambda value: type(value).__name__,
+)
+def test_every_error_has_its_status(error: Exception, status: int) -> None:
+    assert errors.exit_status(error) == status
+
+
+def raising(error: BaseException) -> Any:
+    def fail(*_: object, **__: object) -> None:
+        raise error
+
+    return fail
+
+
+def test_what_nobody_expected(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.delenv("SDPID_DEBUG", raising=False)
+    monkeypatch.setattr("sdpid.experiment.readers.read.read_described", raising(KeyError("q")))
+    refused(run("info", tmp_path), 1, "unexpected KeyError", "report", "--debug")
+    assert "Traceback" in run("--debug", "info", tmp_path).stderr
+    monkeypatch.setenv("SDPID_DEBUG", "1")
+    assert "Traceback" in run("info", tmp_path).stderr
+
+
+def test_an_interrupt_is_quiet(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.setattr(
+        "sdpid.experiment.readers.read.read_described", raising(KeyboardInterrupt())
+    )
+    done = run("info", tmp_path)
+    assert done.exit_code == 130
+    assert done.output == ""
+
+
+def test_a_missing_extra_is_named_before_any_work(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    missing = sdpid.MissingExtraError("pip install 'sdpid[plot]'")
+    monkeypatch.setattr(cli, "require", raising(missing))
+    refused(run("identify", tmp_path / "x.npz", "--robot", ROBOT, "--figures"), 2, "sdpid[plot]")
+
+
+def test_out_must_not_be_a_file(tmp_path: Path) -> None:
+    (tmp_path / "out").write_text("")
+    refused(run("identify", "x.npz", "--robot", ROBOT, "--out", tmp_path / "out"), 2, "is a file")
+
+
+@pytest.mark.parametrize("arguments", [("identify",), ("identify", "x", "--nope"), ("frobnicate",)])
+def test_usage_errors_are_typers(arguments: tuple[str, ...]) -> None:
+    done = run(*arguments)
+    assert done.exit_code == 2
+    assert "Usage" in done.stderr
+
+
+def test_real_recordings(data_folder: Path, tmp_path: Path) -> None:
+    folder = data_folder / "panda_unisa"
+    log, urdf = folder / "panda_exciting.npz", folder / "panda.urdf"
+    shown = run("info", log, "--robot", urdf)
+    assert "fer_joint1 is panda_joint1" in shown.stdout
+    options = ("--cutoff", 4, "--velocity", "measured", "--no-figures", "--json")
+    done = run("identify", log, "--robot", urdf, "--out", tmp_path, *options)
+    assert done.exit_code == 0, done.output
+    found = json.loads(done.stdout)
+    assert found["certified"] is True
+    assert list(found["training"]["joints"]) == [f"panda_joint{j}" for j in range(1, 8)]
+    assert found["training_unconstrained"]["relative_residual"] <= 0.015
+
+
+HOSTILE = "a\x1b[2K\u202e\x9b31m\nPROVEN."
+
+
+def test_what_a_terminal_would_obey_is_not_printed(
+    results: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Names from files: escapes, a reversed line, and a line of its own that claims a proof."""
+    from sdpid.assurance.certificate import certificate
+
+    def found(_: Path) -> certificate.Verification:
+        return replace(
+            sdpid.verify(results / "certificate.json"),
+            passed=False,
+            statements=(f"Robot {HOSTILE}",),
+            problems=(HOSTILE,),
+        )
+
+    monkeypatch.setattr(certificate, "verify", found)
+    done = run("verify", results / "certificate.json")
+    assert done.exit_code == 2
+    assert done.stdout.splitlines()[-1] == "NOT PROVEN."
+    assert "PROVEN." not in done.stdout.splitlines()
+    assert len(done.stderr.splitlines()) == 1
+    assert not set(done.output) & set("\x1b\u202e\x9b")
+    text = options.listed("notes", [HOSTILE])
+    assert len(text.splitlines()) == 2
+    assert not set(text) & set("\x1b\u202e\x9b")
+
+
+@pytest.mark.parametrize("closed", ["0<&-", "1>&-", "2>&-", "0<&- 1>&- 2>&-"])
+def test_closed_standard_streams(folder_of_arm: Path, tmp_path: Path, closed: str) -> None:
+    """As daemons start programs. The next file to be opened must not become standard error."""
+    arguments = f"identify {folder_of_arm}/log.npz --robot {folder_of_arm}/arm.urdf --out out"
+    done = subprocess.run(
+        ["sh", "-c", f"{sys.executable} -m sdpid {arguments} --no-figures {closed}"],
+        cwd=tmp_path,
+        capture_output=True,
+        text=True,
+        timeout=120,
+    )
+    assert done.returncode == 0, done.stderr
+    assert (tmp_path / "out" / "identified.urdf").read_text().endswith("</robot>\n")
+    assert ("relative residual" in done.stdout) == ("1>&-" not in closed)
+    refused = subprocess.run(
+        ["sh", "-c", f"{sys.executable} -m sdpid info nowhere.csv {closed}"], cwd=tmp_path
+    )
+    assert refused.returncode == 2
+
+
+@pytest.fixture(scope="module")
+def folder_of_arm(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return a folder with a small robot and a log."""
+    folder = tmp_path_factory.mktemp("arm")
+    (folder / "arm.urdf").write_text(ARM_URDF)
+    t, q, tau = arm_log(folder / "arm.urdf")
+    np.savez(folder / "log.npz", t=t, q=q, tau=tau)
+    return folder
+
+
+@pytest.mark.parametrize(
+    ("log", "robot", "more"),
+    [
+        ("log.npz", "out/identified.urdf", ()),
+        ("parameters.csv", "arm.urdf", ()),
+        ("log.npz", "arm.urdf", ("--validation", "out/base_parameters.csv")),
+        ("log.npz", "arm.urdf", ("--mapping", "hard_link.toml")),
+        ("sidecar.npz", "arm.urdf", ()),
+    ],
+)
+def test_a_run_does_not_overwrite_what_it_reads(
+    folder_of_arm: Path, tmp_path: Path, log: str, robot: str, more: tuple[str, ...]
+) -> None:
+    """Also where the input is the mapping beside the log, or has another name."""
+    for name in ("arm.urdf", "log.npz"):
+        (tmp_path / name).write_bytes((folder_of_arm / name).read_bytes())
+    out = tmp_path / "out"
+    out.mkdir()
+    (out / "identified.urdf").write_text(ARM_URDF)
+    for name in ("parameters.csv", "base_parameters.csv", "report.html"):
+        (out / name).write_text("mine")
+    (tmp_path / "hard_link.toml").hardlink_to(out / "report.html")
+    (tmp_path / "parameters.csv").symlink_to(out / "parameters.csv")
+    (tmp_path / "sidecar.toml").symlink_to(out / "parameters.csv")
+    before = {path.name: path.read_bytes() for path in out.iterdir()}
+    more = tuple(str(tmp_path / text) if "." in text else text for text in more)
+    done = run("identify", tmp_path / log, "--robot", tmp_path / robot, "--out", out, *more)
+    refused(done, 2, "which this run reads")
+    assert {path.name: path.read_bytes() for path in out.iterdir()} == before
+
+
+def test_other_commands_do_not_overwrite_what_they_read(folder_of_arm: Path) -> None:
+    log, urdf = folder_of_arm / "log.npz", folder_of_arm / "arm.urdf"
+    for arguments in (
+        ("compare", log, "--robot", urdf, "--out", urdf),
+        ("validate", log, "--robot", urdf, "--figure", log),
+        ("audit", urdf, "--repair", urdf),
+    ):
+        refused(run(*arguments), 2, "which this run reads")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (("--cutoff", "1e-308"), "cutoff_hz: is 1e-308"),
+        (("--order", "500"), "order: is 500"),
+        (("--order", "100000000000000000000"), "order"),
+        (("--folds", "99999999999999999999"), "too short for 99999999999999999999 blocks"),
+        (("--friction", "stribeck=1e308"), "between 1e-09 and 1e+09"),
+        (("--friction", "coulomb=1e-308"), "between 1e-09 and 1e+09"),
+        (("--friction", "stribeck=0.1,0.2"), "stribeck=0.1,0.2: has 2 speeds"),
+        (("--friction", "coupling=a,b,c"), "coupling=a,b,c"),
+    ],
+)
+def test_values_beyond_all_reason(
+    folder_of_arm: Path, tmp_path: Path, arguments: tuple[str, ...], words: str
+) -> None:
+    log, urdf = folder_of_arm / "log.npz", folder_of_arm / "arm.urdf"
+    done = run("identify", log, "--robot", urdf, "--out", tmp_path / "out", *arguments)
+    refused(done, 2, words)
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_recording_without_effort_is_refused(folder_of_arm: Path, tmp_path: Path) -> None:
+    with np.load(folder_of_arm / "log.npz") as log:
+        np.savez(tmp_path / "zero.npz", t=log["t"], q=log["q"], tau=0.0 * log["tau"])
+    arguments = ("--robot", folder_of_arm / "arm.urdf", "--out", tmp_path / "out", "--json")
+    refused(run("identify", tmp_path / "zero.npz", *arguments), 2, "effort")
+
+
+def test_modules_of_the_command_keep_their_names() -> None:
+    import types
+
+    from sdpid.cli import options as imported
+
+    assert isinstance(imported, types.ModuleType)
+
+
+def test_names_of_a_description_forge_no_line(folder_of_arm: Path, tmp_path: Path) -> None:
+    """Line ends are refused; what only hides or reverses text is not printed as it is."""
+    log, urdf = folder_of_arm / "log.npz", tmp_path / "arm.urdf"
+    for name in ("robot", "joint"):
+        old = {"robot": 'name="arm"', "joint": 'joint name="a"'}[name]
+        urdf.write_text(ARM_URDF.replace(old, f'{old[:-1]}&#10;PROVEN."'))
+        for arguments in (("info", log, "--robot", urdf), ("audit", urdf)):
+            refused(run(*arguments), 2, f"of a <{name}> has a line end")
+    urdf.write_text(ARM_URDF.replace('joint name="a"', 'joint name="a&#x202e;b"'))
+    done = run("validate", log, "--robot", urdf)
+    assert done.exit_code == 0, done.output
+    assert "a\ufffdb" in done.stdout
+    assert "\u202e" not in done.output

@@ -1,0 +1,243 @@
+"""Damaged files of every kind through the command line: an answer or one line, and whole results.
+
+Longer runs: ``SDPID_FUZZ=1000 pytest -s tests/cli/test_cli_fuzz.py``.
+"""
+
+from __future__ import annotations
+
+import faulthandler
+import os
+import shutil
+import signal
+import warnings
+import zipfile
+from collections import Counter
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from lxml import etree
+from scipy.io import savemat
+from typer.testing import CliRunner
+
+from sdpid import cli
+from tests.helpers.arm_files import ARM_URDF, arm_log
+from tests.helpers.damage import damaged, misspelt
+
+# Damaged files of each kind.
+COUNT = int(os.environ.get("SDPID_FUZZ", "12"))
+# Seconds that one of them may take; an honest one takes below one.
+PATIENCE = 20
+# Every so many logs and descriptions go the whole way.
+WHOLE_WAY = 4
+
+MAPPING = """joint_names = ["a", "b"]
+period = 4.0
+start = 0.0
+periods = 2
+rate_hz = 50.0
+[columns]
+position = "enc"
+effort = ["i1", "i2"]
+velocity = "none"
+[units]
+position = ["deg", "rad"]
+effort = "A"
+time = "s"
+[motors]
+position_matrix = [[32, 0], [1.5, -48]]
+offsets = [0.0, 1.0]
+torque_constants = [0.1, 0.2]
+"""
+
+
+class TooLong(BaseException):
+    """A case that hangs."""
+
+
+@pytest.fixture(scope="module")
+def sound(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return a folder with a sound file of every kind."""
+    folder = tmp_path_factory.mktemp("sound")
+    (folder / "arm.urdf").write_text(ARM_URDF)
+    t, q, tau = arm_log(folder / "arm.urdf")
+    table = np.column_stack([t, q, tau])
+    np.savetxt(folder / "log.csv", table, delimiter=",", header="t,q1,q2,tau1,tau2", comments="")
+    np.savez(folder / "log.npz", t=t, q=q, tau=tau, joint_names=["a", "b"])
+    savemat(folder / "log.mat", {"t": t, "log": {"q": q, "tau": tau}})
+    np.savez(folder / "raw.npz", t=t, enc=q, i1=tau[:, 0], i2=tau[:, 1])
+    (folder / "map.toml").write_text(MAPPING)
+    done = run(
+        *("identify", folder / "log.csv", "--robot", folder / "arm.urdf", "--no-figures"),
+        *("--friction", "coulomb", "--friction", "viscous", "--out", folder / "out"),
+    )
+    assert done.exit_code == 0, done.output
+    shutil.copy(folder / "out" / "certificate.json", folder)
+    shutil.copy(folder / "out" / "base_parameters.csv", folder / "table.csv")
+    return folder
+
+
+def run(*arguments: Any) -> Any:
+    return CliRunner().invoke(cli.app, [str(argument) for argument in arguments])
+
+
+@contextmanager
+def patience(seconds: int) -> Iterator[None]:
+    """Raise when the block takes longer; where a library does not listen, end the process."""
+
+    def stop(*_: object) -> None:
+        raise TooLong
+
+    before = signal.signal(signal.SIGALRM, stop)
+    signal.alarm(seconds)
+    faulthandler.dump_traceback_later(3 * seconds, exit=True)
+    try:
+        yield
+    finally:
+        signal.alarm(0)
+        faulthandler.cancel_dump_traceback_later()
+        signal.signal(signal.SIGALRM, before)
+
+
+def commands(kind: str, case: int, folder: Path) -> list[Any]:
+    """Return what is done with a damaged file."""
+    robot, out = ("--robot", folder / "arm.urdf"), folder / "out"
+    if kind in ("log.csv", "log.npz", "log.mat"):
+        if case % WHOLE_WAY:
+            return [("info", folder / kind, *robot)]
+        return [("identify", folder / kind, *robot, "--out", out, "--no-figures")]
+    if kind == "arm.urdf":
+        log = folder / "log.npz"
+        if case % WHOLE_WAY == 0:
+            return [("identify", log, *robot, "--out", out, "--no-figures")]
+        if case % WHOLE_WAY == 1:
+            return [("validate", log, *robot)]
+        return [("audit", folder / kind, "--repair", folder / "repaired.urdf")]
+    if kind == "map.toml":
+        return [("info", folder / "raw.npz", "--mapping", folder / kind)]
+    if kind == "certificate.json":
+        return [("verify", folder / kind)]
+    return [("audit", folder / kind, *robot)]
+
+
+KINDS = ("log.csv", "log.npz", "log.mat", "arm.urdf", "map.toml", "certificate.json", "table.csv")
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_damaged_files_end_well(kind: str, sound: Path, tmp_path: Path) -> None:
+    files = ("arm.urdf", "log.npz", "raw.npz", kind)
+    content = (sound / kind).read_bytes()
+    rng = np.random.default_rng([COUNT, *kind.encode()])
+    binary = kind.endswith((".npz", ".mat"))
+    ends: Counter[int] = Counter()
+    wrong: list[str] = []
+    for case in range(-1, COUNT):
+        folder = tmp_path / "case"
+        folder.mkdir()
+        for name in files:
+            shutil.copy(sound / name, folder)
+        if case >= 0:
+            own = damaged if binary or rng.random() < 0.4 else misspelt
+            broken = damaged(content, rng, not binary) if own is damaged else own(content, rng)
+            (folder / kind).write_bytes(broken)
+        for command in commands(kind, case, folder):
+            with warnings.catch_warnings():
+                # What libraries warn of in a damaged file is not ours.
+                warnings.simplefilter("ignore")
+                try:
+                    with patience(PATIENCE):
+                        done = run(*command)
+                except TooLong:
+                    problem = f"took more than {PATIENCE} s"
+                else:
+                    ends[done.exit_code] += 1
+                    problem = complaint(done, folder) if case >= 0 else undamaged(done, kind)
+            if problem:
+                wrong.append(f"case {case}, {command[0]}: {problem}")
+                if keep := os.environ.get("SDPID_FUZZ_KEEP"):
+                    shutil.copytree(folder, Path(keep) / f"{kind}-{case}", dirs_exist_ok=True)
+        shutil.rmtree(folder)
+    print(f"{kind}: exit statuses {dict(sorted(ends.items()))}, {len(wrong)} wrong")
+    assert not wrong, "\n".join(wrong)
+
+
+@pytest.mark.parametrize(
+    ("kind", "old", "new", "words"),
+    [
+        ("log.csv", "tau2\n", "tau2\n-1,0,0,0,1e300\n", "line 2: effort: 'tau2' is 1e+300"),
+        ("log.csv", "tau2\n", "tau2\n1e\x1c0,0,0,0,0\n", "no line of column names"),
+        ("map.toml", "4.0", "9" * 5000, "map.toml: not a TOML file"),
+        ("map.toml", "4.0", "[" * 5000, "map.toml: not a TOML file"),
+        ("map.toml", "4.0", "1e308", "period: is 1e+308"),
+        ("map.toml", "-48", "9" * 400, "motors.position_matrix"),
+        ("arm.urdf", 'iyz="0"', 'iyz="-1e308"', "link 'upper': iyz of <inertia> is '-1e308'"),
+        ("arm.urdf", '<mass value="3.0"', '<mass value="nan"', "link 'upper': value of <mass>"),
+        ("arm.urdf", 'ixx="0.02"', "", "link 'upper': ixx of <inertia> is missing"),
+        ("arm.urdf", '<mass value="3.0"/>', "", "link 'upper': its <inertial> has no <mass>"),
+        ("arm.urdf", 'xyz="0.1 0 0.02"', 'xyz="0.1 0"', "xyz of <origin> is '0.1 0'"),
+        ("arm.urdf", "two", "two -- ", "Double hyphen"),
+        ("arm.urdf", "two", "two \x00", "Invalid character"),
+        ("table.csv", "value\n", "value\nzz2,9e999999999\n", "more than 12 digits before"),
+        ("table.csv", "value\n", "value\nzz2,9e-999999999\n", "400 after it"),
+        ("table.csv", "value\n", "value\nzz2,0e-999999999\n", "400 after it"),
+        ("table.csv", "zz1", "z" * 200_000, "line 1: is no CSV (field larger"),
+        ("log.csv", "q1", "q" * 200_000, "has no header"),
+        ("log.csv", "q1", "q1" + "[" * 2_000_000, "no line of column names"),
+    ],
+)
+def test_what_longer_runs_found(
+    kind: str, old: str, new: str, words: str, sound: Path, tmp_path: Path
+) -> None:
+    for name in ("arm.urdf", "log.npz", "raw.npz", kind):
+        shutil.copy(sound / name, tmp_path)
+    text = "name,value\nzz1,0.4\n" if kind == "table.csv" else (sound / kind).read_text()
+    assert old in text
+    (tmp_path / kind).write_text(text.replace(old, new, 1))
+    with patience(PATIENCE):
+        (command,) = commands(kind, 0, tmp_path)
+        done = run(*command)
+    assert complaint(done, tmp_path) is None
+    assert done.exit_code == 2
+    assert words in done.stderr
+
+
+def test_a_damaged_header_of_an_array(sound: Path, tmp_path: Path) -> None:
+    (tmp_path / "x.npy").write_bytes(b"\x93NUMPY\x01\x00\x08\x00{'a': (\n")
+    with zipfile.ZipFile(tmp_path / "log.npz", "w") as archive:
+        for name in ("t", "q", "tau"):
+            archive.write(tmp_path / "x.npy", f"{name}.npy")
+    done = run("info", tmp_path / "log.npz")
+    assert done.exit_code == 2
+    assert "is damaged" in done.stderr
+
+
+def undamaged(done: Any, kind: str) -> str | None:
+    """Say what is wrong with how a sound file ended."""
+    allowed = (0, 3) if kind == "table.csv" else (0,)
+    return None if done.exit_code in allowed else done.output
+
+
+def complaint(done: Any, folder: Path) -> str | None:
+    """Say what is wrong with how a damaged file ended."""
+    said = done.stderr
+    if done.exit_code not in (0, 2, 3):
+        return f"exit status {done.exit_code}: {said[:600]} {done.exception!r}"
+    if "Traceback" in done.output or "unexpected" in said:
+        return said[-600:]
+    quiet = done.exit_code == 0 or (done.exit_code == 3 and done.stdout)
+    if not quiet and (not said.startswith("sdpid: ") or len(said.splitlines()) != 1):
+        return f"message is {said[:600]!r}"
+    out = folder / "out"
+    if out.exists() and (
+        done.exit_code != 0 or not {p.name for p in out.iterdir()} >= {"report.html", "result.json"}
+    ):
+        return f"exit status {done.exit_code}, with {sorted(p.name for p in out.iterdir())}"
+    repaired = folder / "repaired.urdf"
+    if repaired.exists():
+        etree.parse(repaired)
+    hidden = [p.name for p in (*folder.iterdir(), *(out.iterdir() if out.exists() else ()))]
+    left = [name for name in hidden if name.startswith(".")]
+    return f"left {left}" if left else None

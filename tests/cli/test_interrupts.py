@@ -1,0 +1,97 @@
+"""A run that a signal ends leaves earlier results whole."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tests.helpers.arm_files import ARM_URDF, arm_log
+
+pytestmark = pytest.mark.skipif(os.name != "posix", reason="signals of POSIX")
+
+
+def identify(folder: Path, *more: str) -> subprocess.Popen[str]:
+    command = [sys.executable, "-m", "sdpid", "identify", "log.npz", "--robot", "arm.urdf"]
+    return subprocess.Popen(
+        [*command, "--out", "out", *more],
+        cwd=folder,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+
+
+def contents(folder: Path) -> dict[str, bytes]:
+    return {path.name: path.read_bytes() for path in folder.iterdir()}
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return a folder with a robot, a log, and results of an earlier run."""
+    folder = tmp_path_factory.mktemp("interrupted")
+    (folder / "arm.urdf").write_text(ARM_URDF)
+    t, q, tau = arm_log(folder / "arm.urdf")
+    np.savez(folder / "log.npz", t=t, q=q, tau=tau)
+    run = identify(folder)
+    _, said = run.communicate(timeout=120)
+    assert run.returncode == 0, said
+    return folder
+
+
+@pytest.mark.parametrize("delay", [0.0, 0.1])
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
+def test_earlier_results_stay(folder: Path, number: signal.Signals, delay: float) -> None:
+    before = contents(folder / "out")
+    # Another margin, so that files of this run would differ.
+    run = identify(folder, "--margin", "1e-4")
+    ends = time.monotonic() + 60.0
+    while not any(path.name.startswith(".sdpid-") for path in (folder / "out").iterdir()):
+        assert run.poll() is None, run.communicate()
+        assert time.monotonic() < ends
+        time.sleep(0.002)
+    time.sleep(delay)
+    run.send_signal(number)
+    _, said = run.communicate(timeout=60)
+    assert run.returncode == 128 + number
+    assert "Traceback" not in said
+    assert contents(folder / "out") == before
+
+
+def test_a_first_run_leaves_nothing(folder: Path) -> None:
+    fresh = folder / "fresh"
+    run = identify(folder, "--out", "fresh")
+    ends = time.monotonic() + 60.0
+    while not fresh.exists():
+        assert run.poll() is None
+        assert time.monotonic() < ends
+        time.sleep(0.002)
+    run.terminate()
+    _, said = run.communicate(timeout=60)
+    assert run.returncode == 128 + signal.SIGTERM
+    assert said == ""
+    assert not fresh.exists()
+
+
+@pytest.mark.parametrize("mistake", [False, True])
+def test_an_end_that_comes_amid_a_callback_is_quiet(mistake: bool) -> None:
+    amid = "1 / 0" if mistake else "os.kill(os.getpid(), signal.SIGTERM)"
+    code = f"""
+import os, signal, weakref
+from sdpid._common.signals import clean_up_when_ended, end_if_signaled
+class Thing: pass
+clean_up_when_ended()
+thing = Thing()
+gone = weakref.ref(thing, lambda _: {amid})
+del thing
+end_if_signaled()
+"""
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60)
+    assert done.returncode == (0 if mistake else 128 + signal.SIGTERM)
+    assert ("ZeroDivisionError" in done.stderr) if mistake else (done.stderr == "")

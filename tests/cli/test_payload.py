@@ -1,0 +1,63 @@
+"""The command ``sdpid payload``."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from sdpid.cli import app
+from sdpid.experiment.recording.recording import Recording
+from sdpid.robot.inertia import theta_from_physical
+from sdpid.robot.model.load import load_robot
+
+MASS = 1.5
+
+
+@pytest.fixture(scope="module")
+def logs(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
+    """Return recordings with and without a payload, of an arm as described."""
+    folder = tmp_path_factory.mktemp("logs")
+    robot = load_robot("ur5_robot")
+    rng = np.random.default_rng(0)
+    time = np.arange(0.0, 20.0, 0.01)
+    paths = []
+    for name, load in (("loaded", MASS), ("bare", 0.0)):
+        rate = rng.uniform(1.0, 3.0, (4, robot.n))
+        phase = rng.uniform(0.0, 6.0, (4, robot.n))
+        size = rng.uniform(0.2, 0.5, (4, robot.n))
+        angle = rate * time[:, None, None] + phase
+        q = (size * np.sin(angle)).sum(axis=1)
+        v = (size * rate * np.cos(angle)).sum(axis=1)
+        a = -(size * rate**2 * np.sin(angle)).sum(axis=1)
+        theta = robot.prior.copy()
+        theta[5] += theta_from_physical(load, [0.0, 0.02, 0.1], 0.004 * load * np.eye(3))
+        effort = robot.inverse_dynamics(theta, q, v, a) + 0.5 * np.tanh(v / 0.02)
+        effort += 0.1 * rng.standard_normal(q.shape)
+        path = folder / f"{name}.parquet"
+        Recording(time=time, position=q, effort=effort).to_parquet(path)
+        paths.append(path)
+    return paths[0], paths[1]
+
+
+def run(*arguments: object) -> str:
+    found = CliRunner().invoke(app, ["payload", *map(str, arguments)], catch_exceptions=False)
+    assert found.exit_code == 0, found.output
+    return found.stdout
+
+
+def test_with_a_recording_without_load(logs: tuple[Path, Path]) -> None:
+    options = ("--robot", "ur5_robot", "--frame", "ee_link")
+    found = json.loads(run(logs[0], "--without", logs[1], *options, "--json"))
+    assert found["intervals"]["mass"][0] < MASS < found["intervals"]["mass"][1]
+    assert found["frame"] == "ee_link"
+    assert "ee_link" in run(logs[0], "--without", logs[1], *options)
+
+
+@pytest.mark.parametrize("strength", [(), ("--strength", 1000)])
+def test_against_the_description(logs: tuple[Path, Path], strength: tuple[object, ...]) -> None:
+    found = json.loads(run(logs[0], "--robot", "ur5_robot", *strength, "--json"))
+    assert found["mass"] == pytest.approx(MASS, abs=0.1)

@@ -1,0 +1,109 @@
+"""The command with several logs, folds, intervals and other filters."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from sdpid import cli
+from sdpid._common import progress as _progress
+from tests.helpers.arm_files import ARM_URDF
+from tests.helpers.runs import recorded
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return a folder with a URDF and three CSV files."""
+    folder = tmp_path_factory.mktemp("runs")
+    (folder / "arm.urdf").write_text(ARM_URDF)
+    for seed in (1, 2, 3):
+        log = recorded(seed)
+        table = np.column_stack([log.time, log.position, log.effort])
+        header = "time,position_a,position_b,effort_a,effort_b"
+        np.savetxt(folder / f"run{seed}.csv", table, delimiter=",", header=header, comments="")
+    return folder
+
+
+def run(*arguments: Any) -> Any:
+    return CliRunner().invoke(cli.app, [str(argument) for argument in arguments])
+
+
+def test_several_logs(folder: Path) -> None:
+    logs = [folder / f"run{i}.csv" for i in (1, 2, 3)]
+    out = folder / "out"
+    done = run(
+        *("identify", *logs[:2], "--robot", folder / "arm.urdf", "--out", out, "--no-figures"),
+        *("--validation", logs[2], "--folds", 3, "--filter", "bessel", "--json"),
+    )
+    assert done.exit_code == 0, done.output
+    found = json.loads(done.stdout)
+    assert found["certified"] is True
+    assert found["validation"]["relative_residual"] < 0.02
+    assert found["cross_validation"]["by"] == "time"
+    assert len(found["cross_validation"]["folds"]) == 3
+    assert found["intervals"]["method"] == "gauss_markov"
+    assert any("2 pieces joined" in note for note in found["notes"])
+    assert any("has the median of their cut-offs" in note for note in found["notes"])
+    assert any("Bessel filter" in note for note in found["notes"])
+    assert "3 blocks of time held out in turn" in " ".join(found["verdict"])
+    page = (out / "report.html").read_text(encoding="utf-8")
+    assert "Cross-validation" in page
+    assert "block 3 of 3" in page
+    assert json.loads((out / "result.json").read_text())["cross_validation"]
+
+
+def test_in_words_and_without_intervals(folder: Path) -> None:
+    done = run(
+        *("identify", folder / "run1.csv", "--robot", folder / "arm.urdf", "--out", folder / "b"),
+        *("--no-figures", "--no-intervals", "--folds", 2, "--derivative", "central6"),
+    )
+    assert done.exit_code == 0, done.output
+    assert "2 blocks of time held out in turn" in done.stdout
+    assert "block 2 of 2" in done.stdout
+    assert "intervals" not in done.stdout
+    assert "lower" not in (folder / "b" / "parameters.csv").read_text()
+
+
+def test_other_intervals(folder: Path) -> None:
+    done = run(
+        *("identify", folder / "run1.csv", "--robot", folder / "arm.urdf", "--out", folder / "c"),
+        *("--no-figures", "--interval-method", "profile", "--json"),
+    )
+    assert done.exit_code == 0, done.output
+    labels = {entry["label"] for entry in json.loads(done.stdout)["intervals"]["parameters"]}
+    assert "from data" in labels
+    assert len(labels) > 1
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        (("--filter", "brick"), "filter"),
+        (("--derivative", "none"), "derivative"),
+        (("--folds", "1"), "folds is 1"),
+        (("--period", "5"), "has a period"),
+    ],
+)
+def test_what_is_refused(folder: Path, options: tuple[str, ...], words: str) -> None:
+    logs = [folder / "run1.csv", folder / "run2.csv"]
+    done = run("identify", *logs, "--robot", folder / "arm.urdf", "--out", folder / "d", *options)
+    assert done.exit_code == 2
+    assert words in done.stderr
+    assert len(done.stderr.splitlines()) == 1
+    assert not (folder / "d").exists()
+
+
+def test_one_bar_at_a_time(monkeypatch: pytest.MonkeyPatch) -> None:
+    with _progress.progress(2, "outer", enabled=True) as outer:
+        outer(1)
+        with _progress.progress(2, "inner", enabled=True) as inner:
+            assert inner(1) is None
+            assert inner.__closure__ is None
+        outer(1)
+    with _progress.progress(1, "next", enabled=True) as bar:
+        assert bar.__closure__ is not None

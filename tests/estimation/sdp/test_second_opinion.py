@@ -1,0 +1,94 @@
+"""The optimum against another solver, and against the problem written down a second time."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import sdpid
+from sdpid._common.arrays import Array
+from sdpid.assurance.diagnostics.active_constraints import constraint_states
+from sdpid.estimation.conic.solve import solve_conic
+from sdpid.estimation.constraints.constraints import Constraints
+from sdpid.estimation.prior.prior import Prior, PriorKind
+from sdpid.estimation.problem import Problem
+from sdpid.estimation.scaling import Scaling
+from sdpid.estimation.sdp.program import Coordinates, SdpProgram, best_fit
+from sdpid.estimation.sdp.solve import solve_sdp
+from sdpid.robot.inertia import Consistency
+from sdpid.workflow import formulate
+from tests.helpers.arm import BODIES, BOTH, CONDITIONS, arm_problem
+from tests.helpers.independent import Second
+from tests.helpers.tolerances import SAME_OPTIMUM
+
+# SCS, a first-order method, gets there in a second where bounds are no wider than needed.
+SCS = {"eps_abs": 1e-9, "eps_rel": 1e-9, "max_iters": 50_000}
+
+
+def through_scs(problem: Problem) -> float:
+    """Return the cost of what SCS finds of the very program that Clarabel is given."""
+    scaling = Scaling.of(problem)
+    links = scaling.bodies.size
+    fit = best_fit(problem, scaling)
+    described: Array = np.concatenate([scaling.bodies.ravel(), fit[links:]])
+    coordinates = Coordinates.of(problem, scaling.basis(), described)
+    assert coordinates is not None
+    everything = np.ones(problem.n_theta, dtype=bool)
+    program = SdpProgram.build(problem, scaling, coordinates, everything)
+    found = solve_conic(program.conic, solver="scs")
+    assert found.status == "solved"
+    return problem.cost_of(program.theta(found))
+
+
+@pytest.mark.parametrize("consistency", BOTH)
+@pytest.mark.parametrize("name", ["none", *CONDITIONS])
+def test_small_arms(name: str, consistency: Consistency) -> None:
+    problem = arm_problem(*CONDITIONS.get(name, ()), consistency=consistency)
+    ours = solve_sdp(problem).cost
+    assert through_scs(problem) == pytest.approx(ours, rel=SAME_OPTIMUM)
+    second = Second(problem)
+    assert second.solve("CLARABEL") == pytest.approx(ours, rel=SAME_OPTIMUM)
+    assert second.solve("SCS", **SCS) == pytest.approx(ours, rel=SAME_OPTIMUM)
+    # The condition costs something, or this would compare nothing.
+    if name != "none":
+        free = solve_sdp(arm_problem(consistency=consistency)).cost
+        assert ours > free * (1.0 + 10.0 * SAME_OPTIMUM)
+
+
+@pytest.mark.parametrize("name", ["none", "all mass"])
+@pytest.mark.parametrize("kind", ["pullback", "entropic"])
+def test_priors(kind: PriorKind, name: str) -> None:
+    """The log-det divergence as CVXPY writes it, by exponential cones of its own."""
+    prior = Prior(kind=kind, bodies=BODIES, strength=0.5)
+    problem = arm_problem(*CONDITIONS.get(name, ()), prior=prior)
+    ours = solve_sdp(problem).cost
+    assert through_scs(problem) == pytest.approx(ours, rel=SAME_OPTIMUM)
+    second = Second(problem, prior)
+    assert second.solve("CLARABEL") == pytest.approx(ours, rel=SAME_OPTIMUM)
+    assert second.solve("SCS", **SCS) == pytest.approx(ours, rel=SAME_OPTIMUM)
+
+
+@pytest.mark.parametrize("kind", ["pullback", "entropic", None])
+def test_a_real_recording(data_folder: Path, kind: PriorKind | None) -> None:
+    folder = data_folder / "ur10_unisa"
+    robot = sdpid.load_robot(folder / "ur10.urdf")
+    prior = None if kind is None else Prior(kind=kind)
+    conditions = (
+        sdpid.TotalMass(20.0, tolerance=0.5),
+        sdpid.CenterOfMassInEllipsoid("forearm_link", (0, 0, 0.2), (0.1, 0.1, 0.2)),
+        sdpid.MassInEllipsoid("upper_arm_link", (0, 0, 0.3), (0.1, 0.1, 0.4)),
+    )
+    problem = formulate(
+        robot,
+        sdpid.read_recording(folder / "ur10_exciting.npz"),
+        constraints=Constraints(mass_max=30.0, theta_max=100.0, others=conditions),
+        prior=False if prior is None else prior,
+    )
+    ours = solve_sdp(problem)
+    assert any(state.active and state.name.startswith("total") for state in constraint_states(ours))
+    second = Second(problem, prior)
+    assert second.solve("CLARABEL") == pytest.approx(ours.cost, rel=SAME_OPTIMUM)
+    looser = {"eps_abs": 1e-8, "eps_rel": 1e-8, "max_iters": 50_000}
+    assert second.solve("SCS", **looser) == pytest.approx(ours.cost, rel=SAME_OPTIMUM)

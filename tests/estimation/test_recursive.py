@@ -1,0 +1,291 @@
+"""A stream against the problem of all its samples, and against a robot that changes."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import sdpid
+from sdpid._common.arrays import Array
+from sdpid.errors import DataError, IdentifiabilityError
+from sdpid.estimation import recursive as streaming
+from sdpid.estimation.problem import Problem, build_problem, describe
+from sdpid.estimation.recursive import StreamingProblem
+from sdpid.robot.inertia import theta_from_physical
+from tests.helpers.arm import ARM, LIGHT, arm_problem
+from tests.helpers.data import make_samples, random_covariance, random_theta
+from tests.helpers.robots import small_arm
+
+RNG = np.random.default_rng(11)
+THETA = random_theta(ARM, RNG)
+SIGMA = random_covariance(RNG, 2)
+
+STATE = RNG.bit_generator.state
+
+# Sums of products in another order.
+ROUNDING = 1e-9
+
+
+@pytest.fixture(autouse=True)
+def _same_numbers_in_every_test() -> None:
+    RNG.bit_generator.state = STATE
+
+
+def measured(theta: Array = THETA, count: int = 90, **fields: Any) -> sdpid.Samples:
+    return make_samples(ARM, theta, RNG, count=count, noise=0.05, **fields)
+
+
+def pieces(samples: sdpid.Samples, *cuts: int) -> list[sdpid.Samples]:
+    names = ("position", "velocity", "acceleration", "effort", "mask", "time")
+    out = []
+    for start, stop in zip((0, *cuts), (*cuts, samples.n_samples), strict=True):
+        own = {n: v[start:stop] for n in names if (v := getattr(samples, n)) is not None}
+        covariance = samples.covariance
+        if covariance is not None and covariance.ndim == 3:
+            covariance = covariance[start:stop]
+        out.append(sdpid.Samples(**own, covariance=covariance))
+    return out
+
+
+def same_cost(found: Problem, expected: Problem) -> None:
+    """Assert that two compressed costs are one function."""
+    scale = np.sqrt(np.diagonal(expected.A.T @ expected.A))
+    for mine, theirs in (
+        (found.A.T @ found.A / scale, expected.A.T @ expected.A / scale),
+        (found.A.T @ found.rhs / scale, expected.A.T @ expected.rhs / scale),
+    ):
+        np.testing.assert_allclose(mine, theirs, atol=ROUNDING * np.abs(theirs).max())
+    assert found.floor == pytest.approx(expected.floor, rel=ROUNDING)
+
+
+@pytest.mark.parametrize("weighting", ["gls", "gls_per_sample"])
+def test_pieces_give_the_problem_of_all_samples(weighting: Any) -> None:
+    mask = RNG.random((90, 2)) < 0.8
+    covariance = SIGMA if weighting == "gls" else random_covariance(RNG, 2, 90)
+    samples = measured(covariance=covariance, mask=mask)
+    whole = build_problem(ARM, samples, weighting=weighting)
+    first, *others = pieces(samples, 40, 43, 80)
+    stream = StreamingProblem(build_problem(ARM, first, weighting=weighting))
+    for piece in others:
+        stream.update(piece)
+    same_cost(stream.problem, whole)
+    assert stream.problem.n_rows == whole.n_rows
+    found, expected = stream.solve(), sdpid.solve_sdp(whole)
+    assert found.cost == pytest.approx(expected.cost, rel=1e-6)
+    scale = np.abs(expected.base).max()
+    np.testing.assert_allclose(found.base, expected.base, atol=1e-5 * scale)
+
+
+def test_a_stream_that_begins_with_a_robot() -> None:
+    samples = measured(covariance=SIGMA)
+    stream = StreamingProblem.of_robot(ARM, covariance=SIGMA)
+    with pytest.raises(IdentifiabilityError, match="do not excite"):
+        stream.solve()
+    for piece in pieces(samples, 1, 30):
+        stream.update(piece)
+    same_cost(stream.problem, build_problem(ARM, samples))
+    assert sdpid.certify(stream.solve()).passed
+
+
+def test_weights_are_powers_of_the_forgetting_factor() -> None:
+    samples = measured(covariance=SIGMA)
+    factor = 0.97
+    # A weight is a covariance divided by it.
+    aged = SIGMA / factor ** np.arange(89, -1, -1.0)[:, None, None]
+    whole = build_problem(ARM, replace(samples, covariance=aged), weighting="gls_per_sample")
+    stream = StreamingProblem.of_robot(ARM, covariance=SIGMA, forgetting=factor)
+    for piece in pieces(samples, 35, 36, 77):
+        stream.update(piece)
+    same_cost(stream.problem, whole)
+
+
+def test_memory_is_forgetting_in_time() -> None:
+    samples = measured(covariance=SIGMA, time=np.arange(90) * 0.02 + 5.0)
+    by_time = StreamingProblem.of_robot(ARM, covariance=SIGMA, memory=0.5)
+    by_number = StreamingProblem.of_robot(ARM, covariance=SIGMA, forgetting=np.exp(-0.02 / 0.5))
+    for piece in pieces(samples, 35, 36, 77):
+        by_time.update(piece)
+        by_number.update(piece)
+    same_cost(by_time.problem, by_number.problem)
+
+
+def test_a_payload_that_is_picked_up_is_followed() -> None:
+    payload = theta_from_physical(0.8, np.array([0.05, 0.0, 0.1]), 0.01 * np.eye(3))
+    loaded = THETA.copy()
+    loaded[10:20] += payload
+    start = build_problem(ARM, measured(covariance=SIGMA))
+    following = StreamingProblem(start, forgetting=0.97)
+    remembering = StreamingProblem(start)
+    for _ in range(6):
+        piece = measured(loaded, 20)
+        following.update(piece)
+        remembering.update(piece)
+    truth = start.base.matrix @ loaded
+    before = sdpid.solve_sdp(start).base
+    A = following.problem.A
+
+    def away(base: Array) -> float:
+        return float(np.linalg.norm(A @ (base - truth)))
+
+    found, mixed = following.solve(), remembering.solve()
+    assert sdpid.certify(found).passed
+    assert sdpid.certify(mixed).passed
+    # Of the time before 3 % are left in the one stream, and 90 samples of 210 in the other; all
+    # else is noise of some 30 samples.
+    assert away(found.base) < 0.2 * away(before)
+    assert away(mixed.base) > 2.0 * away(found.base)
+
+
+@pytest.mark.parametrize("consistency", ["pseudo_inertia", "spatial_inertia"])
+def test_every_solve_is_proven_and_quick_ones_are_not_full(
+    consistency: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    full: list[Problem] = []
+
+    def counted(problem: Problem) -> sdpid.Estimate:
+        full.append(problem)
+        return sdpid.solve_sdp(problem)
+
+    monkeypatch.setattr(streaming, "solve_sdp", counted)
+    # Constraints are active, so that the proof is no triviality.
+    stream = StreamingProblem(arm_problem(LIGHT, consistency=consistency), forgetting=0.99)
+    for _ in range(8):
+        stream.update(make_samples(ARM, THETA, RNG, count=15, noise=1.0))
+        found = stream.solve()
+        assert found.status == "optimal"
+        certificate = sdpid.certify(found)
+        assert certificate.passed
+        again = sdpid.solve_sdp(stream.problem)
+        assert found.cost == pytest.approx(again.cost, rel=1e-6)
+    assert len(full) == 1
+
+
+def test_what_is_not_proven_is_solved_in_full(monkeypatch: pytest.MonkeyPatch) -> None:
+    stream = StreamingProblem(arm_problem(LIGHT))
+    stream.solve()
+    monkeypatch.setattr(streaming, "PROVEN", -1.0)
+    found = stream.solve()
+    assert "any point" not in found.message
+    assert sdpid.certify(found).passed
+
+
+def test_theta_max_that_matters_is_kept() -> None:
+    # The first solves go without the bounds of moments, and later ones overstep them.
+    problem, rng = arm_problem(LIGHT), np.random.default_rng(11)
+    stream = StreamingProblem(problem, forgetting=0.99)
+    for number in range(8):
+        stream.update(make_samples(ARM, THETA, rng, count=15, noise=1.0))
+        found = stream.solve()
+        assert found.feasible
+        assert ("any point" in found.message) == (number > 0)
+        assert found.cost == pytest.approx(sdpid.solve_sdp(stream.problem).cost, rel=1e-6)
+    assert np.any(stream._boxed & ~problem.feasible.bounded)
+
+
+@pytest.mark.parametrize("prior", [sdpid.Prior(kind="euclidean"), sdpid.Prior()])
+def test_a_prior_stays(prior: sdpid.Prior) -> None:
+    samples = measured(count=40, covariance=SIGMA)
+    robot = replace(ARM, prior=THETA[:20].reshape(2, 10))
+    first, second, third = pieces(samples, 10, 25)
+    stream = StreamingProblem(build_problem(robot, first, prior=prior))
+    for piece in (second, third):
+        stream.update(piece)
+        assert sdpid.certify(stream.solve()).passed
+    assert stream.problem.prior is not None
+
+
+def test_the_rows_of_a_stream_are_gone(tmp_path: Path) -> None:
+    stream = StreamingProblem(build_problem(ARM, measured(covariance=SIGMA)))
+    stream.update(measured(count=30))
+    estimate = stream.solve()
+    with pytest.raises(DataError, match="not kept"):
+        _ = estimate.standard_errors
+    with pytest.raises(DataError, match="not kept"):
+        sdpid.intervals(estimate)
+    certificate = sdpid.certify(estimate)
+    origin = certificate.to_dict()["origin"]
+    assert origin["rows_sha256"] is origin["compression_error"] is None
+    certificate.to_json(tmp_path / "c.json")
+    assert sdpid.verify(tmp_path / "c.json").passed
+    # What is predicted for other samples is.
+    other = measured(count=20)
+    assert sdpid.validate(estimate, other).rows.sum() == 40
+    assert estimate.problem.predict(estimate.base, other).shape == (20, 2)
+    assert describe(estimate.problem)["samples"] == 120
+    assert describe(estimate.problem)["rows_used"] == 240
+
+
+@pytest.mark.parametrize("forgetting", [0.0, -0.5, 1.0001, float("nan")])
+def test_forgetting_is_a_factor(forgetting: float) -> None:
+    with pytest.raises(DataError, match="forgetting"):
+        StreamingProblem.of_robot(ARM, forgetting=forgetting)
+
+
+@pytest.mark.parametrize("memory", [0.0, -1.0, float("nan"), float("inf")])
+def test_memory_is_a_time(memory: float) -> None:
+    with pytest.raises(DataError, match="memory"):
+        StreamingProblem.of_robot(ARM, memory=memory)
+    with pytest.raises(DataError, match="one of them"):
+        StreamingProblem.of_robot(ARM, memory=1.0, forgetting=0.9)
+
+
+def test_what_does_not_fit_is_refused_and_changes_nothing() -> None:
+    samples = measured(covariance=SIGMA)
+    start = build_problem(ARM, samples)
+    stream = StreamingProblem(start, memory=1.0)
+    other = small_arm(3)
+    wrong = make_samples(other, random_theta(other, RNG), RNG)
+    with pytest.raises(DataError, match=r"have 3 joints, the robot .* has 2"):
+        stream.update(wrong)
+    names = tuple(reversed(ARM.joint_names))
+    with pytest.raises(DataError, match="rename or reorder"):
+        stream.update(measured(joint_names=names))
+    with pytest.raises(DataError, match="no time"):
+        stream.update(measured())
+    with pytest.raises(DataError, match=r"goes back by 0\.01"):
+        stream.update(measured(count=2, time=np.array([0.0, -0.01])))
+    same_cost(stream.problem, start)
+    stream.update(measured(count=2, time=np.array([3.0, 3.01])))
+    with pytest.raises(DataError, match="goes back"):
+        stream.update(measured(count=2, time=np.array([3.0, 3.02])))
+    with pytest.raises(DataError, match="no sum over samples"):
+        StreamingProblem(build_problem(ARM, samples, weighting="eq9"))
+    per_sample = build_problem(ARM, samples, weighting="gls_per_sample")
+    with pytest.raises(DataError, match="no covariance"):
+        StreamingProblem(per_sample).update(measured())
+    with pytest.raises(DataError, match="Coulomb leaves width"):
+        StreamingProblem.of_robot(ARM, friction=[sdpid.Coulomb(width=None)])
+    with pytest.raises(DataError, match="consistency"):
+        StreamingProblem.of_robot(ARM, consistency="no")  # type: ignore[arg-type]
+
+
+def test_a_covariance_that_fails_halfway_changes_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+    # A few samples a chunk.
+    monkeypatch.setattr("sdpid.estimation.compression.rows.CHUNK_BYTES", 1 << 12)
+    start = replace(build_problem(ARM, measured(covariance=SIGMA)), weighting="gls_per_sample")
+    stream, other = (StreamingProblem(start, memory=1.0) for _ in range(2))
+    piece = measured(covariance=random_covariance(RNG, 2, 90), time=0.01 * np.arange(90))
+    assert piece.covariance is not None
+    # The last sample's has no inverse.
+    singular = np.concatenate([piece.covariance[:-1], np.zeros((1, 2, 2))])
+    with pytest.raises(DataError, match="covariance"):
+        stream.update(replace(piece, covariance=singular))
+    for each in (stream, other):
+        each.update(piece)
+    same_cost(stream.problem, other.problem)
+    assert stream.problem.n_rows == other.problem.n_rows
+
+
+def test_the_page_of_the_docs_runs(capsys: pytest.CaptureFixture[str]) -> None:
+    page = Path(__file__).resolve().parents[2] / "docs" / "streaming.md"
+    (code,) = re.findall(r"^```python\n(.*?)^```", page.read_text(encoding="utf-8"), re.M | re.S)
+    samples = measured()
+    names: dict[str, Any] = {"robot": ARM, "samples": samples, "pieces": pieces(samples, 30, 60)}
+    exec(compile(code, str(page), "exec"), names)
+    assert capsys.readouterr().out.count("optimal") == 3
+    assert sdpid.certify(names["estimate"]).passed

@@ -1,0 +1,375 @@
+"""The simulated experiment obeys the equations that identification assumes."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import mujoco
+import numpy as np
+import pytest
+
+import sdpid.experiment.plant.simulate as plant_module
+from sdpid._common.arrays import Array
+from sdpid.assurance.diagnostics.validation import validate
+from sdpid.errors import DataError, ModelError
+from sdpid.estimation.problem import build_problem
+from sdpid.estimation.wls import solve_wls
+from sdpid.experiment.plant.default_motion import default_motion
+from sdpid.experiment.plant.default_plant import default_parameters
+from sdpid.experiment.plant.drives import Drives, load_drives
+from sdpid.experiment.plant.mujoco_model import build_mujoco
+from sdpid.experiment.plant.simulate import PlantLog, run_plant, simulate, true_parameters
+from sdpid.experiment.processing.process import Processing, process
+from sdpid.experiment.trajectory.paper import Trajectory, paper_excitation
+from sdpid.robot.description.catalog import bundled_folder
+from sdpid.robot.inertia import theta_from_physical
+from sdpid.robot.model.load import load_robot
+from sdpid.robot.model.model import RobotModel
+
+NAME = "denso_vp6242"
+# The agreed accuracy of the plant's torques, N·m.
+TORQUE = 1e-3
+# Below this speed (rad/s) dry friction may stick.
+MOVING = 0.02
+
+TREE = """<robot name="tree">
+<link name="base"/><link name="a"/><link name="b"/><link name="c"/><link name="d"/>
+<joint name="lift" type="prismatic"><parent link="base"/><child link="a"/>
+  <origin xyz="0.1 -0.2 0.3" rpy="0.3 0.2 -0.5"/><axis xyz="0 1 0"/>
+  <limit lower="-1" upper="1" effort="100" velocity="1"/></joint>
+<joint name="left" type="continuous"><parent link="a"/><child link="b"/>
+  <origin xyz="0 0.2 0.1" rpy="-1 0.4 2"/><axis xyz="0.6 0 0.8"/></joint>
+<joint name="right" type="revolute"><parent link="a"/><child link="c"/>
+  <origin xyz="0.3 0 0" rpy="0.1 1.2 0"/><axis xyz="1 0 0"/>
+  <limit lower="-2" upper="2" effort="100" velocity="1"/></joint>
+<joint name="slide" type="prismatic"><parent link="b"/><child link="d"/>
+  <origin xyz="0 0 0.4" rpy="2 0 0.3"/><axis xyz="0 -0.8 0.6"/>
+  <limit lower="-1" upper="1" effort="100" velocity="1"/></joint>
+</robot>"""
+
+
+def random_links(rng: np.random.Generator, links: int) -> Array:
+    """Bodies of random second moments, hence physically consistent."""
+    factors = rng.normal(scale=0.2, size=(links, 3, 3))
+    moments = factors @ factors.transpose(0, 2, 1) + 0.01 * np.eye(3)
+    inertia = np.trace(moments, axis1=1, axis2=2)[:, None, None] * np.eye(3) - moments
+    return theta_from_physical(rng.uniform(1, 5, links), rng.normal(size=(links, 3)) / 5, inertia)
+
+
+def mujoco_mass_matrix(model: Any, data: Any) -> Array:
+    M = np.empty((model.nv, model.nv))
+    for row, unit in zip(M, np.eye(model.nv), strict=True):
+        mujoco.mj_mulM(model, data, row, unit)
+    return M
+
+
+def drives_of(n: int) -> Drives:
+    ones = np.ones(n)
+    return Drives(
+        torque_constant=0.1 * ones,
+        gear_ratio=100 * ones,
+        proportional_gain=ones,
+        velocity_gain=10 * ones,
+        encoder_counts=4096 * ones,
+        current_noise=0.01 * ones,
+    )
+
+
+@pytest.fixture(scope="module")
+def robot() -> RobotModel:
+    return RobotModel.from_mdh(bundled_folder(NAME) / "kinematics.toml")
+
+
+@pytest.fixture(scope="module")
+def theta() -> Array:
+    return true_parameters(NAME)
+
+
+@pytest.fixture(scope="module")
+def short() -> Trajectory:
+    return paper_excitation(NAME, 5, period=16.0, periods=3)
+
+
+@pytest.fixture(scope="module")
+def log(robot: RobotModel, theta: Array, short: Trajectory) -> PlantLog:
+    return run_plant(robot, short, theta=theta, start=3_000, stop=30_000)
+
+
+def test_friction_is_coulomb_and_viscous(log: PlantLog, theta: Array) -> None:
+    dry, viscous = theta[60:].reshape(2, 6)
+    moving = np.abs(log.velocity) > MOVING
+    assert moving.mean() > 0.3
+    error = np.abs(log.coulomb_torque + dry * np.sign(log.velocity))
+    assert error[moving].max() < TORQUE
+    assert np.all(np.abs(log.coulomb_torque) <= dry + TORQUE)
+    np.testing.assert_allclose(log.viscous_torque, -viscous * log.velocity, atol=TORQUE)
+
+
+def test_mujoco_inverse_returns_the_torque(robot: RobotModel, theta: Array, log: PlantLog) -> None:
+    built = build_mujoco(robot, theta, load_drives(NAME), timestep=1e-3)
+    data = mujoco.MjData(built.model)
+    for k in range(0, len(log.time), 50):
+        data.qpos[:], data.qvel[:], data.qacc[:] = (
+            log.position[k],
+            log.velocity[k],
+            log.acceleration[k],
+        )
+        mujoco.mj_inverse(built.model, data)
+        np.testing.assert_allclose(data.qfrc_inverse, log.motor_torque[k], atol=TORQUE)
+
+
+def test_pinocchio_returns_the_torque(robot: RobotModel, theta: Array, log: PlantLog) -> None:
+    dry, viscous = theta[60:].reshape(2, 6)
+    rows = slice(None, None, 50)
+    v = log.velocity[rows]
+    torque = robot.inverse_dynamics(theta, log.position[rows], v, log.acceleration[rows])
+    torque += dry * np.sign(v) + viscous * v
+    moving = np.abs(v) > MOVING
+    assert np.abs(torque - log.motor_torque[rows])[moving].max() < TORQUE
+
+
+def test_motion_is_what_differentiation_finds(log: PlantLog) -> None:
+    """Positions at the sample rate must tell the same velocity and acceleration as the states.
+
+    With Euler's method they are half a step apart, with held set-points torque and acceleration
+    do not belong together.
+    """
+    q = log.position
+    v = (q[2:] - q[:-2]) * 500.0
+    a = (q[2:] - 2.0 * q[1:-1] + q[:-2]) * 1e6
+    # Reversals are steps of the acceleration; the median looks between them. The bounds stand
+    # for 1e-3 N·m of viscous friction of 200 N·m·s/rad, and 1 % of N·m of 10 kg·m².
+    assert np.median(np.abs(v - log.velocity[1:-1]), axis=0).max() < 5e-6
+    assert np.median(np.abs(a - log.acceleration[1:-1]), axis=0).max() < 1e-3
+
+
+def test_controller_law(log: PlantLog) -> None:
+    drives = load_drives(NAME)
+    command = drives.proportional_gain * (log.desired - log.position)
+    torque = drives.velocity_gain * (command - log.velocity)
+    np.testing.assert_allclose(log.motor_torque, torque, atol=1e-9)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_mass_matrix_and_dynamics_of_other_robots(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    robot = load_robot(TREE, gravity=(1.0, -2.0, -9.0))
+    n = robot.n
+    theta = np.concatenate([random_links(rng, n).ravel(), np.zeros(2 * n)])
+    built = build_mujoco(robot, theta, drives_of(n), timestep=1e-3)
+    data = mujoco.MjData(built.model)
+    order = np.ix_(built.dof, built.dof)
+    for _ in range(5):
+        q, v, a = rng.normal(size=(3, n))
+        data.qpos[built.qpos], data.qvel[built.dof], data.qacc[built.dof] = q, v, a
+        mujoco.mj_inverse(built.model, data)
+        np.testing.assert_allclose(
+            mujoco_mass_matrix(built.model, data)[order], robot.mass_matrix(theta, q), atol=1e-10
+        )
+        torque = robot.inverse_dynamics(theta, q[None], v[None], a[None])[0]
+        np.testing.assert_allclose(data.qfrc_inverse[built.dof], torque, atol=1e-9)
+
+
+def test_mass_matrix_of_the_bundled_robot(robot: RobotModel, theta: Array) -> None:
+    built = build_mujoco(robot, theta, load_drives(NAME), timestep=1e-3)
+    data = mujoco.MjData(built.model)
+    for q in np.random.default_rng(0).uniform(-3, 3, (10, 6)):
+        data.qpos[:] = q
+        mujoco.mj_forward(built.model, data)
+        M = mujoco_mass_matrix(built.model, data)
+        np.testing.assert_allclose(M, robot.mass_matrix(theta, q), atol=1e-10)
+
+
+def test_other_robots_run(tmp_path) -> None:  # type: ignore[no-untyped-def]
+    robot = load_robot(TREE)
+    rows = "".join(
+        f'[[axis]]\nname = "{name}"\nrange_deg = [-20, 20]\nvelocity_deg_s = 60\nlimit_hz = 0.5\n'
+        for name in robot.joint_names
+    )
+    (tmp_path / "excitation.toml").write_text(
+        "sinusoids = 2\nperiod_s = 10\nperiods = 1\nrest_s = 1\nconnection_s = 2\nrate_hz = 250\n"
+        + rows
+    )
+    trajectory = paper_excitation(tmp_path, 0)
+    rng = np.random.default_rng(4)
+    theta = np.concatenate([random_links(rng, 4).ravel(), np.full(4, 0.5), np.full(4, 2.0)])
+    log = run_plant(robot, trajectory, theta=theta, drives=drives_of(4))
+    torque = robot.inverse_dynamics(theta, log.position, log.velocity, log.acceleration)
+    torque -= log.coulomb_torque + log.viscous_torque
+    np.testing.assert_allclose(log.motor_torque, torque, atol=TORQUE)
+    # Four integrator steps a sample; the record still is one.
+    assert log.position.shape == (trajectory.n_samples, 4)
+
+
+def test_record_layout_and_sensors(robot: RobotModel, theta: Array, short: Trajectory) -> None:
+    drives = load_drives(NAME)
+    exact = simulate(robot, short, theta=theta, noise=False)
+    noisy = simulate(robot, short, theta=theta, seed=7)
+    assert exact.n_samples == noisy.n_samples == short.n_samples
+    assert (noisy.start, noisy.period, noisy.periods) == (9.0, 16.0, 3)
+    assert noisy.joint_names == robot.joint_names
+    assert noisy.effort_scale is not None
+    expected = np.array([45.6, 60.8, 26.4, 21.0, 21.0, 21.0])
+    np.testing.assert_allclose(noisy.effort_scale, expected)
+    counts = noisy.position / drives.resolution
+    np.testing.assert_allclose(counts, np.rint(counts), atol=1e-6)
+    assert np.all(np.abs(noisy.position - exact.position) <= drives.resolution / 2 * (1 + 1e-9))
+    noise = noisy.effort - exact.effort
+    np.testing.assert_allclose(noise.std(axis=0), 0.05, rtol=0.02)
+    assert np.abs(noise.mean(axis=0)).max() < 5 * 0.05 / np.sqrt(len(noise))
+    # The record is continuous, through the settling period and both ends of the periods.
+    assert np.abs(np.diff(exact.position, axis=0)).max() < 4.0 / short.rate_hz
+
+
+def test_seeds_decide(robot: RobotModel, theta: Array) -> None:
+    trajectory = paper_excitation(NAME, 1, period=10.0, periods=1)
+    first, again, other = (
+        simulate(robot, trajectory, theta=theta, seed=seed) for seed in (1, 1, 2)
+    )
+    np.testing.assert_array_equal(first.position, again.position)
+    np.testing.assert_array_equal(first.effort, again.effort)
+    np.testing.assert_array_equal(first.position, other.position)
+    assert np.abs(first.effort - other.effort).max() > 0.01
+
+
+def test_settled_periods_repeat(
+    robot: RobotModel, theta: Array, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Repeating a settled period gives what computing every one gives."""
+    trajectory = paper_excitation(NAME, 2, period=20.0, periods=4)
+    repeated = simulate(robot, trajectory, theta=theta, noise=False)
+    monkeypatch.setattr(plant_module, "SETTLED", -1.0)
+    computed = simulate(robot, trajectory, theta=theta, noise=False)
+    np.testing.assert_allclose(repeated.position, computed.position, atol=1e-8)
+    np.testing.assert_allclose(repeated.effort, computed.effort, atol=1e-6)
+    rows = computed.position[9_000:89_000].reshape(4, 20_000, 6)
+    assert np.abs(rows[3] - rows[2]).max() < 1e-8
+
+
+def test_unmodelled_effects_show_in_the_current_only(
+    robot: RobotModel, theta: Array, short: Trajectory, log: PlantLog
+) -> None:
+    other = run_plant(robot, short, theta=theta, unmodelled=True, start=3_000, stop=30_000)
+    np.testing.assert_array_equal(other.position, log.position)
+    extra = other.motor_torque - log.motor_torque
+    np.testing.assert_allclose(extra, other.unmodelled_torque, atol=1e-9)
+    assert not log.unmodelled_torque.any()
+    effects = load_drives(NAME).unmodelled
+    assert effects is not None
+    slow = effects.torque(np.zeros((1, 6)), np.full((1, 6), 1e-9))
+    np.testing.assert_allclose(slow[0], effects.stribeck_torque + effects.coulomb_asymmetry)
+    backwards = effects.torque(np.zeros((1, 6)), np.full((1, 6), -1e-9))
+    np.testing.assert_allclose(backwards[0], effects.coulomb_asymmetry - effects.stribeck_torque)
+
+
+def test_unstable_gains_are_refused(robot: RobotModel, theta: Array, short: Trajectory) -> None:
+    gains = load_drives(NAME)
+    fast = Drives(
+        torque_constant=gains.torque_constant,
+        gear_ratio=gains.gear_ratio,
+        proportional_gain=gains.proportional_gain,
+        velocity_gain=np.full(6, 3000.0),
+        encoder_counts=gains.encoder_counts,
+        current_noise=gains.current_noise,
+    )
+    with pytest.raises(DataError, match="fastest pole"):
+        simulate(robot, short, theta=theta, drives=fast)
+    with pytest.raises(DataError, match="no unmodelled effects"):
+        simulate(robot, short, theta=theta, drives=fast, unmodelled=True)
+
+
+def test_bad_parameters(robot: RobotModel, theta: Array, short: Trajectory) -> None:
+    with pytest.raises(DataError, match="72"):
+        simulate(robot, short, theta=theta[:60])
+    unreal = theta.copy()
+    unreal[59] = 0.0
+    massless = theta.copy()
+    massless[50] = 0.0
+    for wrong in (unreal, massless):
+        with pytest.raises(ModelError, match="link_6"):
+            simulate(robot, short, theta=wrong)
+    negative = theta.copy()
+    negative[60] = -1.0
+    with pytest.raises(ModelError, match="friction"):
+        simulate(robot, short, theta=negative)
+
+
+def test_robots_and_trajectories_must_match(theta: Array, short: Trajectory) -> None:
+    tree = load_robot(TREE)
+    with pytest.raises(DataError, match="lift"):
+        simulate(tree, short, theta=theta)
+    with pytest.raises(DataError, match="3 drives, robot 'tree' has 4 joints"):
+        simulate(tree, default_motion(tree, period=8.0), theta=np.ones(48), drives=drives_of(3))
+
+
+def test_drives_are_checked() -> None:
+    with pytest.raises(DataError, match="lengths differ"):
+        Drives(
+            torque_constant=np.ones(2),
+            gear_ratio=np.ones(3),
+            proportional_gain=np.ones(2),
+            velocity_gain=np.ones(2),
+            encoder_counts=np.ones(2),
+            current_noise=np.ones(2),
+        )
+    with pytest.raises(DataError, match="not understood"):
+        Drives.from_mapping({"torque_constant": [1.0]})
+
+
+@pytest.mark.parametrize(
+    "name", ["ur_description/ur5_robot", "panda_description/panda", "double_pendulum"]
+)
+def test_any_robot_is_simulated_and_found_again(name: str) -> None:
+    """Defaults for everything: the Panda has mimic fingers, the pendulum no limits."""
+    robot = load_robot(name)
+    trajectory = default_motion(robot, 1, period=10.0, periods=2)
+    log = simulate(robot, trajectory, noise=False, progress=False)
+    assert log.effort_scale is None
+    assert log.n_samples == trajectory.n_samples
+    theta = default_parameters(robot, trajectory)
+    settings = Processing(covariance=None, cutoff_hz=20.0, order=4)
+    problem = build_problem(robot, process(log, settings), friction=("coulomb", "viscous"))
+    fit = solve_wls(problem)
+    # The filter takes some of the fastest motion; 1e-4 of the effort is left.
+    assert validate(fit).relative < 3e-4
+    truth = problem.base.matrix @ theta
+    scale = np.linalg.norm(problem.A @ truth)
+    assert np.linalg.norm(problem.A @ (fit.base - truth)) < 1e-3 * scale
+
+
+def test_defaults_of_a_simulation() -> None:
+    robot = load_robot("ur_description/ur5_robot")
+    trajectory = default_motion(robot, 7)
+    low, high = robot.position_limits.T
+    assert (trajectory.position_period.min(axis=0) >= low).all()
+    assert (trajectory.position_period.max(axis=0) <= high).all()
+    assert (trajectory.velocity_peak <= trajectory.velocity_limit).all()
+    assert (trajectory.velocity_limit <= robot.velocity_limits).all()
+    short = default_motion(robot, 7, period=8.0, periods=1)
+    one, other = (simulate(robot, short, seed=s, progress=False) for s in (1, 2))
+    again = simulate(robot, short, seed=1, progress=False)
+    np.testing.assert_array_equal(one.effort, again.effort)
+    noise = (one.effort - other.effort).std(axis=0) / np.sqrt(2.0)
+    rms = np.sqrt(np.mean(one.effort**2, axis=0))
+    assert (noise < 0.05 * rms).all()
+    assert (noise > 1e-4 * rms).all()
+    with pytest.raises(DataError, match=r"at least 6\.25 s"):
+        default_motion(robot, period=5.0)
+    with pytest.raises(ModelError, match="floating base"):
+        default_motion(RobotModel.from_urdf(TREE, root="free_flyer"))
+
+
+def test_a_trajectory_survives_its_file(tmp_path: Path, short: Trajectory) -> None:
+    file = tmp_path / "motion.toml"
+    short.to_toml(file)
+    again = Trajectory.from_toml(file)
+    assert (again.joint_names, again.periods, again.notes) == (
+        short.joint_names,
+        short.periods,
+        short.notes,
+    )
+    np.testing.assert_array_equal(again.sample(0, 20_000), short.sample(0, 20_000))
+    file.write_text(file.read_text().replace("phases", "fases"))
+    with pytest.raises(DataError, match=r"motion.toml: .*phases"):
+        Trajectory.from_toml(file)

@@ -1,0 +1,244 @@
+"""What is chosen from a recording, why, and what stays as it was given."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+import sdpid
+import sdpid.experiment.processing.choose as choice_module
+from sdpid.errors import DataError
+from sdpid.experiment.preparation.overview import overview
+from sdpid.experiment.processing.choose import (
+    choose_processing,
+    default_processing,
+    motion_frequency,
+)
+from sdpid.experiment.processing.process import Processing, process
+from sdpid.experiment.processing.spectrum import least_error_filter
+
+# The default for five real robots, on which docs/real_robots.md rests: cut-off in Hz and velocity,
+# for the whole record. All have order 4 and "central4".
+DEFAULTS = {
+    "ur10_unisa/ur10_exciting": (3.814298169275479, "differentiated"),
+    "panda_unisa/panda_exciting": (3.713883518518318, "measured"),
+    "kuka_lwr4plus/measurements_1": (3.5807409346766548, "differentiated"),
+    "kuka_lwr4plus/measurements_2": (3.580670408785199, "differentiated"),
+    "staubli_tx40/tx40_rows_0_24750": (27.27272727272727, "differentiated"),
+    "kinova_gen3_dynamapp/opti_traj_testing1": (12.655557899177388, "differentiated"),
+    "kinova_gen3_dynamapp/opti_traj_testing2": (26.155187445510023, "differentiated"),
+}
+
+
+def sweep(
+    noise: float = 0.0, *, rate: float = 200.0, seconds: float = 40.0, seed: int = 0
+) -> tuple[sdpid.Recording, np.ndarray]:
+    """Return a record of five tones up to 2 Hz, and its exact accelerations."""
+    rng = np.random.default_rng(seed)
+    time = np.arange(round(rate * seconds)) / rate
+    omega = 2.0 * np.pi * np.array([0.3, 0.6, 1.0, 1.5, 2.0])
+    phase = rng.uniform(0.0, 2.0 * np.pi, (5, 2))
+    angle = time[:, None, None] * omega[:, None] + phase
+    position = (np.sin(angle) / omega[:, None] ** 2).sum(axis=1)
+    noisy = position + noise * rng.standard_normal(position.shape)
+    log = sdpid.Recording(time=time, position=noisy, effort=noisy)
+    return log, -np.sin(angle).sum(axis=1)
+
+
+@pytest.mark.parametrize("name", DEFAULTS)
+def test_the_default_of_five_real_robots(data_folder: Path, name: str) -> None:
+    cutoff, velocity = DEFAULTS[name]
+    log = sdpid.read_recording(data_folder / f"{name}.npz")
+    expected = Processing(
+        cutoff_hz=default_processing(log).cutoff_hz,
+        order=4,
+        decimation=None,
+        reversal_time=None,
+        derivative="central4",
+        velocity="measured" if velocity == "measured" else "differentiated",
+    )
+    assert default_processing(log) == expected
+    assert expected.cutoff_hz == pytest.approx(cutoff, rel=1e-12)
+
+
+def test_the_page_in_the_docs(data_folder: Path) -> None:
+    page = (Path(__file__).parents[3] / "docs" / "processing.md").read_text(encoding="utf-8")
+    log = sdpid.read_recording(data_folder / "ur10_unisa" / "ur10_exciting.npz")
+    robot = sdpid.load_robot(data_folder / "ur10_unisa" / "ur10.urdf")
+    assert "\n".join(choose_processing(log).reasons) in page
+    code = "\n".join(re.findall(r"^```python\n(.*?)^```", page, flags=re.M | re.S))
+    names = {"sdpid": sdpid, "log": log, "robot": robot, "train": log, "fresh": log}
+    exec(compile(code, "docs/processing.md", "exec"), names)
+    assert names["choice"].processing.filter == "bessel"  # type: ignore[attr-defined]
+    assert names["rule"] == "noise"
+
+
+def test_the_choice_says_why() -> None:
+    log, _ = sweep()
+    choice = choose_processing(log)
+    assert choice.motion_hz == motion_frequency(log)
+    assert choice.rate_hz == pytest.approx(200.0)
+    cutoff, velocity = choice.reasons
+    assert cutoff.startswith(f"cutoff_hz {choice.processing.cutoff_hz:.4g}: 30 × motion, below")
+    assert f"below {choice.motion_hz:.4g} Hz" in cutoff
+    assert velocity == "velocity differentiated: none was recorded"
+    # The bound by the rate, and that by the length.
+    slow = replace(log, time=10.0 * log.time)
+    fast = choose_processing(sweep(rate=20.0)[0])
+    assert fast.processing.cutoff_hz == pytest.approx(20.0 / 7.5)
+    assert fast.reasons[0].startswith(
+        "cutoff_hz 2.667: 2/15 of the rate of 20 Hz, below 30 × motion"
+    )
+    assert choose_processing(slow).motion_hz == pytest.approx(choice.motion_hz / 10.0)
+    # They end up in the notes of the samples.
+    assert process(log, choice.processing).notes[:2] == choice.reasons
+
+
+@pytest.mark.parametrize("rate", [80.0, 250.0, 1000.0])
+@pytest.mark.parametrize("stored", [False, True])
+def test_long_records_are_averaged_first(
+    rate: float, stored: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    log, _ = sweep(1e-3, rate=rate, seconds=40.3)
+    # A joint that stands still has no say, whatever its angle is rounded to.
+    still = np.full(log.n_samples, 0.1)
+    position = np.column_stack([log.position, still])
+    log = replace(log, position=position, effort=position)
+    expected = motion_frequency(replace(log, position=position[:, :2], effort=position[:, :2]))
+    monkeypatch.setattr(choice_module, "_LONG", 1000)
+    monkeypatch.setattr(choice_module, "_BLOCK", 777)
+    if stored:
+        log.to_parquet(tmp_path / "log.parquet")
+        log = sdpid.Recording.from_parquet(tmp_path / "log.parquet", stored=True)
+        assert log.stored
+    # The resolution of either is the inverse of the record's length.
+    assert motion_frequency(log) == pytest.approx(expected, abs=1.5 / 40.3)
+    quiet = replace(log, position=np.tile(still[:, None], 3))
+    with pytest.raises(DataError, match="no joint moves"):
+        motion_frequency(quiet)
+
+
+def test_what_an_average_takes_is_given_back(monkeypatch: pytest.MonkeyPatch) -> None:
+    """At 40 Hz an average over 10 ms leaves 0.76 of the amplitude: 0.57 of the power."""
+    time = np.arange(40000) / 1000.0
+    # 92.6 % of the power is slow, 7.4 % fast; left as it was averaged the fast part has 4.4 %.
+    slow, fast = np.sin(2.0 * np.pi * 2.0 * time), np.sin(2.0 * np.pi * 40.0 * time)
+    position = (slow + np.sqrt(0.08) * fast)[:, None]
+    log = sdpid.Recording(time=time, position=position, effort=position)
+    assert motion_frequency(log) == pytest.approx(40.0, abs=0.1)
+    monkeypatch.setattr(choice_module, "_LONG", 1000)
+    assert motion_frequency(log) == pytest.approx(40.0, abs=0.1)
+
+
+@pytest.mark.parametrize(
+    ("given_", "said"),
+    [
+        ({"cutoff_hz": 5.0}, "cutoff_hz 5: as given, for "),
+        ({"velocity": "measured"}, "velocity measured: as given, for differentiated"),
+        ({"order": 2, "filter": "bessel", "derivative": "savitzky_golay"}, None),
+    ],
+)
+def test_what_is_given_stays(given_: dict[str, Any], said: str | None) -> None:
+    log, _ = sweep()
+    log = replace(log, velocity=np.gradient(log.position, log.time, axis=0))
+    choice = choose_processing(log, **given_)
+    plain = choose_processing(log)
+    for name, value in given_.items():
+        assert getattr(choice.processing, name) == value
+    assert choice.processing == replace(plain.processing, **given_)
+    if said is None:
+        assert choice.reasons == plain.reasons
+    else:
+        assert any(reason.startswith(said) for reason in choice.reasons)
+    # Changed afterwards, it is said as well.
+    changed = replace(plain.processing, **given_)
+    assert process(log, changed).notes[:2] == choice.reasons
+
+
+def test_records_with_periods_say_their_covariance() -> None:
+    log, _ = sweep(noise=1e-5)
+    for periods, covariance in ((8, "period"), (2, "pooled"), (1, None)):
+        choice = choose_processing(replace(log, period=5.0, start=0.0, periods=periods))
+        assert choice.processing == Processing(covariance=covariance)  # type: ignore[arg-type]
+        assert choice.motion_hz is None
+        assert choice.reasons[0].startswith(f"covariance {covariance}: {periods} period")
+
+
+def test_what_cannot_be_chosen() -> None:
+    log, _ = sweep()
+    with pytest.raises(DataError, match="rule: 'best' is unknown; choose one of motion, noise"):
+        choose_processing(log, rule="best")  # type: ignore[arg-type]
+    with pytest.raises(DataError, match="cutoff_hz"):
+        choose_processing(log, cutoff_hz=-1.0)
+    still = replace(log, position=np.ones_like(log.position))
+    with pytest.raises(DataError, match="no joint moves"):
+        choose_processing(still, rule="noise")
+    rest = np.random.default_rng(0).standard_normal(log.position.shape)
+    with pytest.raises(DataError, match="stands out of its noise"):
+        choose_processing(replace(log, position=rest), rule="noise")
+
+
+@settings(max_examples=12, deadline=None)
+@given(noise=st.sampled_from([3e-6, 3e-5, 3e-4, 3e-3]), seed=st.integers(0, 20))
+def test_the_expected_error_is_the_error(noise: float, seed: int) -> None:
+    log, acceleration = sweep(noise, seed=seed)
+    found = least_error_filter(log, 1.0, 26.0)
+    setting = Processing(
+        cutoff_hz=found.cutoff_hz,
+        order=found.order,
+        filter=found.filter,
+        derivative="central6",
+        decimation=1,
+        reversal_time=None,
+    )
+    samples = process(log, setting)
+    assert samples.time is not None
+    rows = np.rint(samples.time * 200.0).astype(int)
+    error = np.sqrt(np.mean((samples.acceleration - acceleration[rows]) ** 2))
+    size = np.sqrt(np.mean(acceleration**2))
+    assert found.error == pytest.approx(np.hypot(found.taken, found.left), rel=1e-12)
+    # One record's noise within a narrow band is but a draw of what is expected.
+    assert 0.5 < error / size / found.error < 2.0
+
+
+def test_more_noise_asks_for_less_bandwidth() -> None:
+    cutoffs = []
+    for noise in (0.0, 1e-6, 1e-5, 1e-4, 1e-3):
+        choice = choose_processing(sweep(noise)[0], rule="noise")
+        assert choice.processing.derivative == "central4"
+        cutoffs.append(choice.processing.cutoff_hz)
+    assert cutoffs == sorted(cutoffs, reverse=True)
+    assert cutoffs[0] == pytest.approx(200.0 / 7.5)
+    # Not below the motion, whatever the noise.
+    assert 2.0 <= cutoffs[-1] < 6.0
+    reasons = choose_processing(sweep(0.0)[0], rule="noise").reasons
+    assert "best of all cut-offs and most allowed" in reasons[0]
+
+
+def test_the_best_filter_is_better_than_its_neighbours() -> None:
+    log, acceleration = sweep(1e-4)
+    chosen = choose_processing(log, rule="noise").processing
+
+    def error(factor: float) -> float:
+        setting = replace(chosen, cutoff_hz=factor * chosen.cutoff_hz, decimation=1, trim_s=3.0)
+        samples = process(log, setting)
+        assert samples.time is not None
+        rows = np.rint(samples.time * 200.0).astype(int)
+        return float(np.sqrt(np.mean((samples.acceleration - acceleration[rows]) ** 2)))
+
+    assert error(1.0) < min(error(0.6), error(1.8))
+
+
+def test_the_overview_shows_the_choice() -> None:
+    log, _ = sweep()
+    facts = overview(log)
+    assert facts["processing_chosen_for"] == "; ".join(choose_processing(log).reasons)
+    assert "reasons" not in facts["processing"]
+    assert facts["processing"]["filter"] == "butterworth"

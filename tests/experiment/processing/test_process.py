@@ -1,0 +1,668 @@
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import example, given, settings
+from hypothesis import strategies as st
+from scipy import signal
+
+from sdpid.errors import DataError
+from sdpid.experiment.preparation.several import chosen_processing
+from sdpid.experiment.processing import process as processing_module
+from sdpid.experiment.processing.choose import default_processing
+from sdpid.experiment.processing.derivatives import Weights, stencil
+from sdpid.experiment.processing.filters import low_pass
+from sdpid.experiment.processing.process import Processing, process
+from sdpid.experiment.readers.read import read_recording
+from sdpid.experiment.recording.recording import Recording
+from sdpid.experiment.recording.uniform_grid import make_grid
+
+RATE = 1000.0
+PERIOD = 2.0
+ALL_ROWS = Processing(reversal_time=None, covariance=None)
+
+
+class Tones:
+    """A sum of sinusoids a joint, with exact derivatives and exact response to a filter."""
+
+    def __init__(self, seed: int, joints: int = 2, period: float = PERIOD) -> None:
+        rng = np.random.default_rng(seed)
+        self.omega = 2 * np.pi / period * np.arange(1, 7)
+        self.amplitude = rng.uniform(0.1, 0.5, (self.omega.size, joints))
+        self.phase = rng.uniform(0, 2 * np.pi, (self.omega.size, joints))
+        self.offset = rng.uniform(-1, 1, joints)
+
+    def __call__(self, time: np.ndarray, gain: Any = 1.0, order: int = 0) -> np.ndarray:
+        amplitude = self.amplitude * np.broadcast_to(gain, self.omega.shape)[:, None]
+        amplitude = amplitude * self.omega[:, None] ** order
+        angle = time[:, None, None] * self.omega[:, None] + self.phase + order * np.pi / 2
+        return (amplitude * np.sin(angle)).sum(axis=1) + (self.offset if order == 0 else 0.0)
+
+
+def periodic(
+    periods: int = 3, *, lead: float = 0.0, seed: int = 0, noise: float = 0.0, joints: int = 2
+) -> Recording:
+    """Return a record of whole periods with a lead-in and a lead-out of the same motion."""
+    count = round((periods * PERIOD + 2 * lead) * RATE)
+    time = 7.0 + np.arange(count) / RATE
+    rng = np.random.default_rng(seed)
+    draw = lambda: noise * rng.standard_normal((count, joints))  # noqa: E731
+    return Recording(
+        time=time,
+        position=Tones(seed, joints)(time) + draw(),
+        effort=10.0 * Tones(seed + 100, joints)(time) + draw(),
+        period=PERIOD,
+        start=7.0 + lead,
+        periods=periods,
+    )
+
+
+def gains(tones: Tones, rate: float = RATE, **changes: Any) -> np.ndarray:
+    """Gains of one zero-phase pass of the default filter, or of a changed one."""
+    setting = Processing(**changes)
+    return setting.low_pass(rate).gain(tones.omega / (2 * np.pi), rate)
+
+
+def difference_gains(tones: Tones, weights: Weights) -> tuple[np.ndarray, np.ndarray]:
+    """Gains of the differences against the true derivatives at each frequency."""
+    places = np.arange(-weights.margin, weights.margin + 1)
+    angle = tones.omega[:, None] / RATE * places
+    first = (weights.first * np.sin(angle)).sum(axis=1) * RATE / tones.omega
+    second = (weights.second * np.cos(angle)).sum(axis=1) * RATE**2 / -(tones.omega**2)
+    return first, second
+
+
+@pytest.mark.parametrize("lead", [0.0, 0.1, 1.5])
+@pytest.mark.parametrize("alike", [True, False])
+@pytest.mark.parametrize(("order", "derivative"), [(1, "central"), (3, "central4")])
+def test_tones_come_out_filtered_and_exact_in_every_sample(
+    lead: float, alike: bool, order: int, derivative: Any
+):
+    log = periodic(lead=lead)
+    motion, torque = Tones(0), Tones(100)
+    setting = replace(ALL_ROWS, filter_alike=alike, order=order, derivative=derivative)
+    samples = process(log, setting)
+    assert samples.n_samples == 200
+    np.testing.assert_allclose(samples.time, 7.0 + lead + 0.01 * np.arange(200), rtol=1e-14)
+    once = gains(motion, order=order)
+    inner = once if alike else once**2
+    first, second = difference_gains(motion, stencil(derivative))
+    time = samples.time
+    np.testing.assert_allclose(samples.position, motion(time, once), atol=1e-12)
+    np.testing.assert_allclose(samples.effort, 10 * torque(time, once), atol=1e-11)
+    np.testing.assert_allclose(samples.velocity, motion(time, inner * first, 1), atol=1e-10)
+    # Rounding of positions near 1 rad, divided by the squared step: 2e-16 · 1e6.
+    np.testing.assert_allclose(samples.acceleration, motion(time, inner * second, 2), atol=1e-8)
+
+
+def test_derivatives_are_those_of_the_filtered_signal():
+    motion = Tones(0)
+    samples = process(periodic(), replace(ALL_ROWS, derivative="central6"))
+    gain = gains(motion)
+    np.testing.assert_allclose(samples.velocity, motion(samples.time, gain, 1), atol=1e-10)
+    np.testing.assert_allclose(samples.acceleration, motion(samples.time, gain, 2), atol=1e-8)
+    # The default's second-order differences lose (w h)²/6, here 6e-5 of the fastest tone.
+    samples = process(periodic(), ALL_ROWS)
+    np.testing.assert_allclose(samples.velocity, motion(samples.time, gain, 1), rtol=0, atol=2e-3)
+
+
+@pytest.mark.parametrize("alike", [True, False])
+@settings(max_examples=10, deadline=None)
+@given(seed=st.integers(0, 99), cutoff=st.sampled_from([10.0, 15.0, 40.0]))
+def test_spectral_derivatives_are_those_of_the_filtered_signal(
+    alike: bool, seed: int, cutoff: float
+):
+    motion = Tones(seed)
+    setting = replace(ALL_ROWS, derivative="spectral", cutoff_hz=cutoff, filter_alike=alike)
+    samples = process(periodic(seed=seed), setting)
+    once = gains(motion, cutoff_hz=cutoff)
+    gain = once if alike else once**2
+    np.testing.assert_allclose(samples.position, motion(samples.time, once), atol=1e-12)
+    # Rounding, 2e-16 of a radian times the highest angular frequency, 3e3 1/s, or its square.
+    np.testing.assert_allclose(samples.velocity, motion(samples.time, gain, 1), atol=1e-10)
+    np.testing.assert_allclose(samples.acceleration, motion(samples.time, gain, 2), atol=1e-7)
+    assert any("Fourier series" in note for note in samples.notes)
+
+
+def test_spectral_derivatives_of_a_measured_velocity():
+    motion = Tones(0)
+    log = periodic(2)
+    log = replace(log, velocity=motion(log.time, 1.0, 1))
+    setting = replace(ALL_ROWS, derivative="spectral", velocity="measured")
+    samples = process(log, setting)
+    gain = gains(motion)
+    np.testing.assert_allclose(samples.velocity, motion(samples.time, gain, 1), atol=1e-11)
+    np.testing.assert_allclose(samples.acceleration, motion(samples.time, gain, 2), atol=1e-8)
+
+
+def test_spectral_derivatives_need_a_period():
+    log = replace(periodic(2), period=None, start=None, periods=None)
+    with pytest.raises(DataError, match="the recording has no periods; give its period, or use"):
+        process(log, replace(ALL_ROWS, derivative="spectral"))
+
+
+def test_local_polynomials_and_bessel_by_their_gains():
+    motion, torque = Tones(0), Tones(100)
+    setting = replace(ALL_ROWS, derivative="savitzky_golay", filter="bessel", order=3)
+    samples = process(periodic(), setting)
+    once = gains(motion, filter="bessel", order=3)
+    assert np.all(once < gains(motion, order=3))
+    weights = setting.stencil(RATE)
+    assert weights.margin > 40
+    first, second = difference_gains(motion, weights)
+    time = samples.time
+    np.testing.assert_allclose(samples.effort, 10 * torque(time, once), atol=1e-11)
+    np.testing.assert_allclose(samples.velocity, motion(time, once * first, 1), atol=1e-10)
+    np.testing.assert_allclose(samples.acceleration, motion(time, once * second, 2), atol=1e-8)
+    width = 2 * weights.margin + 1
+    assert any(f"over {width} samples (Savitzky-Golay)" in note for note in samples.notes)
+    assert any("zero-phase Bessel filter of order 3 at 15 Hz" in note for note in samples.notes)
+
+
+@pytest.mark.parametrize(("kind", "overshoot"), [("butterworth", 0.068), ("bessel", 0.0031)])
+def test_a_step_through_either_filter(kind: Any, overshoot: float):
+    step = np.repeat([0.0, 1.0], 4000)
+    once = low_pass(kind, 10.0, 4, RATE)
+    found = once.apply(step)
+    assert found.max() - 1.0 == pytest.approx(overshoot, rel=0.02)
+    # What trimming five time constants and a pad of `reach` samples rely on.
+    assert np.abs(found[: 4000 - round(5 * once.time_constant)]).max() < 2e-3
+    assert np.abs(found[: 4000 - once.reach]).max() < 1e-19
+    assert once.gain(10.0, RATE) == pytest.approx(0.5, rel=1e-9)
+
+
+def test_local_polynomials_lose_less_noise_than_differences_let_pass():
+    time = np.arange(4000) / RATE
+    noise = np.random.default_rng(0).standard_normal((4000, 1))
+    log = Recording(time=time, position=noise, effort=noise)
+    rms = {}
+    for derivative in ("central4", "savitzky_golay"):
+        samples = process(log, replace(ALL_ROWS, derivative=derivative, decimation=1))
+        rms[derivative] = np.sqrt(np.mean(samples.acceleration**2))
+    assert rms["savitzky_golay"] < 0.8 * rms["central4"]
+
+
+@pytest.mark.parametrize(("trim", "tolerance"), [(None, 5e-2), (0.151, 1e-3), (0.75, 1e-9)])
+def test_without_periods_the_ends_are_trimmed(trim: float | None, tolerance: float):
+    time = np.arange(6000) / RATE
+    motion, torque = Tones(5), Tones(6)
+    log = Recording(time=time, position=motion(time), effort=torque(time))
+    samples = process(log, replace(ALL_ROWS, trim_s=trim, derivative="central6", decimation=1))
+    cut = 0.076 if trim is None else trim
+    assert samples.time[0] == pytest.approx(cut)
+    assert samples.time[-1] == pytest.approx(5.999 - cut)
+    gain = gains(motion)
+    scale = np.abs(motion(time, 1.0, 2)).max()
+    assert np.abs(samples.position - motion(samples.time, gain)).max() < 0.1 * tolerance
+    assert np.abs(samples.effort - torque(samples.time, gain)).max() < 0.1 * tolerance
+    error = samples.acceleration - motion(samples.time, gain, 2)
+    assert np.abs(error).max() < max(tolerance, 2e-9) * scale
+    assert (samples.covariance, samples.periods, samples.effort_periods) == (None, None, None)
+
+
+def test_pieces_do_not_show(monkeypatch: pytest.MonkeyPatch):
+    time = np.arange(6000) / RATE
+    rng = np.random.default_rng(0)
+    log = Recording(
+        time=time,
+        position=Tones(5)(time) + 1e-4 * rng.standard_normal((6000, 2)),
+        effort=rng.standard_normal((6000, 2)),
+    )
+    whole = process(log, Processing(decimation=7))
+    monkeypatch.setattr(processing_module, "_CHUNK", 500)
+    pieces = process(log, Processing(decimation=7))
+    for name in ("position", "velocity", "acceleration", "effort"):
+        np.testing.assert_allclose(getattr(pieces, name), getattr(whole, name), rtol=0, atol=1e-7)
+    np.testing.assert_array_equal(pieces.mask, whole.mask)
+
+
+def test_paper_is_the_literal_chain():
+    """III-C step by step on the whole record, in the paper's order, with SciPy's filtfilt."""
+    log = replace(periodic(4, lead=3.0, noise=0.01), effort_scale=np.array([45.6, -3.0]))
+    samples = process(log, Processing.paper())
+
+    b, a = signal.butter(1, 10.0, fs=RATE)
+
+    def low_pass(values: np.ndarray) -> np.ndarray:
+        return signal.filtfilt(b, a, values, axis=0)
+
+    torque = low_pass(log.effort * log.effort_scale)
+    position = low_pass(log.position)
+    velocity, acceleration = np.zeros_like(position), np.zeros_like(position)
+    velocity[1:-1] = (position[2:] - position[:-2]) * RATE / 2
+    acceleration[1:-1] = (position[2:] - 2 * position[1:-1] + position[:-2]) * RATE**2
+    chain = [position, low_pass(velocity), low_pass(acceleration), torque]
+    # Rest and connection phases go, periods are split off, averaged, and decimated.
+    split = [values[3000:-3000].reshape(4, 2000, 2)[:, ::10] for values in chain]
+    for name, values in zip(("position", "velocity", "acceleration", "effort"), split, strict=True):
+        scale = np.abs(values).max()
+        expected = values.mean(axis=0)
+        np.testing.assert_allclose(getattr(samples, name), expected, rtol=0, atol=1e-10 * scale)
+    spread = split[3] - split[3].mean(axis=0)
+    sigma = np.einsum("pki,pkj->kij", spread, spread) / 3
+    np.testing.assert_allclose(samples.covariance, sigma, rtol=1e-9, atol=1e-12)
+    np.testing.assert_allclose(samples.effort_periods, split[3], rtol=0, atol=1e-10)
+    assert samples.mask is None
+    assert samples.periods == 4
+
+
+def test_defaults():
+    settings_ = Processing()
+    assert (settings_.cutoff_hz, settings_.order, settings_.decimation) == (15.0, 2, 10)
+    assert settings_.filter_alike
+    samples = process(periodic(4, noise=0.01))
+    assert samples.mask is not None
+    assert 0 < samples.n_rows < samples.effort.size
+    assert samples.covariance.shape == (200, 2, 2)
+    assert samples.block == 100
+    assert any("mean of 4 periods of 2000 samples" in note for note in samples.notes)
+
+
+@settings(max_examples=15, deadline=None)
+@given(
+    factors=st.tuples(st.floats(-5, 5), st.floats(-5, 5)),
+    seed=st.integers(0, 99),
+    alike=st.booleans(),
+)
+def test_effort_is_processed_linearly(factors: tuple[float, float], seed: int, alike: bool):
+    log = periodic(3, seed=seed, noise=0.1, joints=1)
+    other = np.random.default_rng(seed + 1).standard_normal(log.effort.shape)
+    setting = replace(ALL_ROWS, filter_alike=alike)
+    run = lambda effort: process(replace(log, effort=effort), setting).effort  # noqa: E731
+    together = run(factors[0] * log.effort + factors[1] * other)
+    apart = factors[0] * run(log.effort) + factors[1] * run(other)
+    np.testing.assert_allclose(together, apart, atol=1e-11)
+
+
+@settings(max_examples=10, deadline=None)
+@given(periods=st.integers(1, 5), seed=st.integers(0, 99))
+def test_averaging_and_filtering_commute(periods: int, seed: int):
+    log = periodic(periods, seed=seed, noise=0.01)
+    fold = lambda values: values.reshape(periods, -1, 2).mean(axis=0)  # noqa: E731
+    mean = Recording(
+        time=log.time[:2000],
+        position=fold(log.position),
+        effort=fold(log.effort),
+        period=PERIOD,
+    )
+    setting = Processing(covariance=None, reversal_time=0.01)
+    samples, expected = process(log, setting), process(mean, setting)
+    for name, tolerance in (("position", 1e-12), ("velocity", 1e-9), ("acceleration", 1e-6)):
+        a, b = getattr(samples, name), getattr(expected, name)
+        np.testing.assert_allclose(a, b, rtol=0, atol=tolerance)
+    np.testing.assert_allclose(samples.effort, expected.effort, rtol=0, atol=1e-11)
+    np.testing.assert_array_equal(samples.mask, expected.mask)
+
+
+@settings(max_examples=10, deadline=None)
+@given(shift=st.integers(0, 199), alike=st.booleans())
+def test_a_periodic_record_may_begin_anywhere(shift: int, alike: bool):
+    log = periodic(2, noise=0.0)
+    rolled = replace(
+        log,
+        position=np.roll(log.position, -10 * shift, axis=0),
+        effort=np.roll(log.effort, -10 * shift, axis=0),
+    )
+    setting = Processing(covariance=None, filter_alike=alike)
+    samples, moved = process(log, setting), process(rolled, setting)
+    for name in ("position", "effort", "mask"):
+        expected = np.roll(getattr(samples, name), -shift, axis=0)
+        np.testing.assert_allclose(getattr(moved, name), expected, rtol=0, atol=1e-11)
+    expected = np.roll(samples.acceleration, -shift, axis=0)
+    np.testing.assert_allclose(moved.acceleration, expected, rtol=0, atol=1e-7)
+
+
+@pytest.mark.parametrize("periods", [None, 2])
+@settings(max_examples=20, deadline=None)
+@given(
+    seed=st.integers(0, 99),
+    speed=st.sampled_from([0.0, 0.02, 0.3]),
+    reach=st.sampled_from([0.0, 0.004, 0.05, 0.1]),
+)
+# Joint 1 reverses between the last row that is kept and the first that is trimmed.
+@example(seed=67, speed=0.0, reach=0.0)
+def test_mask_by_its_definition(periods: int | None, seed: int, speed: float, reach: float):
+    log = periodic(2, seed=seed)
+    if periods is None:
+        log = replace(log, period=None, start=None, periods=None)
+    setting = Processing(
+        covariance=None,
+        decimation=1,
+        reversal_speed=speed,
+        reversal_time=None,
+        trim_s=None if periods else 0.0,
+    )
+    full = process(log, setting).velocity
+    trim = 0 if periods else 400
+    setting = replace(setting, reversal_time=reach, trim_s=None if periods else 0.4)
+    count = full.shape[0]
+    within = round(reach * RATE)
+    expected = np.ones((count, log.n), dtype=bool)
+    for j in range(log.n):
+        sign = full[:, j] >= 0
+        for i in range(count):
+            after, before = (i + 1) % count, (i - 1) % count
+            turns = sign[i] != sign[after] and (periods or i + 1 < count)
+            turned = sign[i] != sign[before] and (periods or i > 0)
+            if abs(full[i, j]) < speed or turns or turned:
+                near = np.arange(i - within, i + within + 1)
+                near = near % count if periods else near[(near >= 0) & (near < count)]
+                expected[near, j] = False
+    expected = expected[trim : count - trim]
+    if not expected.any(axis=0).all():
+        with pytest.raises(DataError, match="leaves no row of joint"):
+            process(log, setting)
+        return
+    np.testing.assert_array_equal(process(log, setting).mask, expected)
+
+
+def test_a_joint_at_rest_is_named():
+    log = periodic(2)
+    position = log.position.copy()
+    position[:, 1] = 0.3
+    log = replace(log, position=position, joint_names=("waist", "wrist"))
+    with pytest.raises(
+        DataError,
+        match=r"no row of joint wrist: .* 0.1 s away .* below 0.02 rad/s.*reversal_time=None",
+    ):
+        process(log, Processing(covariance=None))
+    assert process(log, ALL_ROWS).mask is None
+
+
+def test_a_coulomb_step_is_forgotten_where_rows_are_used():
+    log = periodic(2)
+    sign = np.sign(Tones(0)(log.time, 1.0, 1))
+    samples = process(replace(log, effort=sign), Processing(covariance=None))
+    error = np.abs(samples.effort - np.sign(samples.velocity))
+    assert 0 < samples.n_rows < error.size
+    # The step is 2 and the mask spans 6.7 time constants of the filter: exp(-6.7) = 1.2e-3. A
+    # second pass would leave 4 times as much.
+    assert error[samples.mask].max() < 2e-3
+    assert error[~samples.mask].max() > 0.5
+
+
+@pytest.mark.parametrize(
+    ("changes", "expected"),
+    [
+        ({}, "order 2 at 15 Hz: all signals once"),
+        ({"filter_alike": False}, "position and torque once, velocity and acceleration twice"),
+        (
+            {"filter_alike": False, "velocity": "measured"},
+            "position, velocity and torque once, acceleration twice",
+        ),
+    ],
+)
+def test_notes_say_how_often_what_was_filtered(changes: dict[str, Any], expected: str):
+    log = periodic(2)
+    log = replace(log, velocity=Tones(0)(log.time, 1.0, 1))
+    assert any(expected in note for note in process(log, replace(ALL_ROWS, **changes)).notes)
+
+
+def test_covariance_of_the_periods():
+    log = periodic(5, noise=0.5)
+    samples = process(log)
+    for k in (0, 17, 199):
+        expected = np.cov(samples.effort_periods[:, k].T)
+        np.testing.assert_allclose(samples.covariance[k], expected, rtol=1e-9)
+    np.testing.assert_allclose(samples.effort_periods.mean(axis=0), samples.effort, rtol=1e-12)
+    pooled = process(log, Processing(covariance="pooled")).covariance
+    np.testing.assert_allclose(pooled, samples.covariance.mean(axis=0), rtol=1e-12)
+    shrunk = process(log, Processing(shrinkage=0.3)).covariance
+    np.testing.assert_allclose(shrunk, 0.7 * samples.covariance + 0.3 * pooled, rtol=1e-9)
+    assert process(log, Processing(covariance=None)).covariance is None
+
+
+def test_too_few_periods_for_a_covariance():
+    log = periodic(2, noise=0.5)
+    with pytest.raises(DataError, match=r"2 periods for 2 joints: .* at least 3 periods"):
+        process(log, Processing())
+    shrunk = process(log, Processing(shrinkage=0.1)).covariance
+    assert np.linalg.eigvalsh(shrunk).min() > 0
+    assert process(log, Processing(covariance="pooled")).covariance.shape == (2, 2)
+    single = periodic(1)
+    with pytest.raises(DataError, match="has 1, a covariance needs at least 2"):
+        process(single, Processing(covariance="pooled"))
+    assert process(single, ALL_ROWS).effort_periods is None
+
+
+def test_the_default_is_what_identify_chooses():
+    rng = np.random.default_rng(1)
+    time = np.arange(4000) / 200.0
+    position = np.sin(2.0 * np.pi * time[:, None] * np.array([0.3, 0.5])) + 1.0
+    log = Recording(time=time, position=position, effort=rng.normal(size=position.shape))
+    for each in (log, periodic(12, noise=0.5), periodic(2, noise=0.5), periodic(1)):
+        own, chosen = process(each), process(each, default_processing(each))
+        assert own.notes == chosen.notes
+        np.testing.assert_array_equal(own.acceleration, chosen.acceleration)
+        assert (own.mask is None) == (chosen.mask is None)
+    assert process(log).mask is None
+    assert process(log, Processing()).mask is not None
+
+
+def test_degrees_are_refused():
+    log = periodic(3)
+    far = replace(log, position=np.degrees(log.position) * 2.0)
+    with pytest.raises(DataError, match="looks like degrees"):
+        process(far)
+    # The limits of the robot say that its joints do turn that far.
+    assert process(far, ALL_ROWS, position_limits=[(-1e3, 1e3)] * 2).n == 2
+
+
+@pytest.mark.parametrize("size", [20.0, 1e4, 1e12])
+def test_an_outlier_is_named(size: float):
+    log = periodic(3)
+    position = log.position.copy()
+    position[77, 1] += size
+    with pytest.raises(DataError, match=r"joint 2 jumps by .* at sample 78 of .*: an outlier"):
+        process(replace(log, position=position))
+    # A step in the counter by whole turns is no outlier.
+    position[77:, 1] = log.position[77:, 1] + 6.0 * np.pi
+    assert process(replace(log, position=position, period=None, start=None, periods=None)).n == 2
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"cutoff_hz": "10"},
+        {"cutoff_hz": 1e-308},
+        {"order": 10**20},
+        {"order": 2.5},
+        {"order": None},
+        {"decimation": "2"},
+        {"reversal_time": 1e300},
+        {"reversal_speed": np.nan},
+        {"trim_s": True},
+        {"shrinkage": 1.1},
+    ],
+)
+def test_settings_out_of_range_are_refused(changes: dict):
+    (name,) = changes
+    with pytest.raises(DataError, match=rf"{name}: is .*, expected"):
+        Processing(**changes)
+    with pytest.raises(DataError, match=rf"{name}: is .*, expected"):
+        chosen_processing([periodic(3)], changes)
+
+
+@pytest.mark.parametrize("wrong", [{"cutof_hz": 10.0}, {"reasons": ()}, 10.0, "paper", {1: 2}])
+def test_what_is_no_setting_is_refused(wrong: object):
+    with pytest.raises(DataError, match=r"processing: (has no setting|is)"):
+        chosen_processing([periodic(3)], wrong)
+
+
+def test_noise_free_periods_are_noticed():
+    assert any("repeats exactly" in note for note in process(periodic(3)).notes)
+
+
+def test_periods_that_do_not_repeat():
+    log = periodic(3)
+    with pytest.raises(DataError, match="periods of joint 1 do not repeat"):
+        process(replace(log, period=1.5, periods=4), Processing(covariance=None))
+
+
+def test_effort_in_amperes():
+    log = periodic(3, noise=0.1)
+    scaled = process(replace(log, effort_scale=[2.0, -3.0]), ALL_ROWS)
+    direct = process(replace(log, effort=log.effort * [2.0, -3.0]), ALL_ROWS)
+    np.testing.assert_array_equal(scaled.effort, direct.effort)
+
+
+def test_joints_do_not_mix():
+    log = periodic(3, noise=0.1)
+    swapped = replace(log, position=log.position[:, ::-1], effort=log.effort[:, ::-1])
+    setting = Processing(covariance=None)
+    samples, other = process(log, setting), process(swapped, setting)
+    for name in ("position", "velocity", "acceleration", "effort", "mask"):
+        np.testing.assert_array_equal(getattr(samples, name)[:, ::-1], getattr(other, name))
+
+
+@pytest.mark.parametrize("alike", [True, False])
+def test_measured_velocity(alike: bool):
+    log = periodic(2)
+    motion = Tones(0)
+    log = replace(log, velocity=motion(log.time, 1.0, 1))
+    setting = replace(ALL_ROWS, velocity="measured", filter_alike=alike, derivative="central6")
+    samples = process(log, setting)
+    once = gains(motion)
+    np.testing.assert_allclose(samples.velocity, motion(samples.time, once, 1), atol=1e-11)
+    expected = motion(samples.time, once if alike else once**2, 2)
+    np.testing.assert_allclose(samples.acceleration, expected, atol=1e-8)
+    with pytest.raises(DataError, match="velocity: the recording has none"):
+        process(periodic(2), setting)
+
+
+def test_decimation_by_the_papers_rule():
+    for cutoff, kept in ((10.0, 200), (25.0, 500), (5.0, 100), (200.0, 2000)):
+        setting = replace(ALL_ROWS, decimation=None, cutoff_hz=cutoff)
+        assert process(periodic(2), setting).n_samples == kept
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"cutoff_hz": 0.0}, "cutoff_hz"),
+        ({"cutoff_hz": np.nan}, "cutoff_hz"),
+        ({"order": 0}, "order"),
+        ({"order": None}, "order"),
+        ({"decimation": 2.5}, "decimation"),
+        ({"shrinkage": 1.5}, "shrinkage"),
+        ({"reversal_time": -1.0}, "reversal_time"),
+        ({"reversal_speed": -1.0}, "reversal_speed"),
+        ({"trim_s": np.inf}, "trim_s"),
+        ({"covariance": "all"}, "covariance"),
+        ({"velocity": "x"}, "velocity"),
+        ({"timing": "x"}, "timing"),
+        ({"filter": "x"}, "filter"),
+        ({"derivative": "x"}, "derivative: is 'x', expected one of"),
+    ],
+)
+def test_bad_settings(changes: dict[str, Any], message: str):
+    with pytest.raises(DataError, match=message):
+        Processing(**changes)
+
+
+def test_cutoff_and_length_are_checked():
+    with pytest.raises(DataError, match="500 Hz is not below half the sample rate of 1000 Hz"):
+        process(periodic(2), replace(ALL_ROWS, cutoff_hz=500.0))
+    short = Recording(
+        time=np.arange(50) / RATE, position=np.zeros((50, 1)), effort=np.zeros((50, 1))
+    )
+    with pytest.raises(DataError, match=r"lasts 0.049 s, and 0.076 s are cut off at either end"):
+        process(short, ALL_ROWS)
+    assert process(short, replace(ALL_ROWS, trim_s=0.0)).n_samples == 5
+
+
+def jittered(kind: str, jitter: float, seed: int = 0) -> tuple[Recording, Tones]:
+    """Regular samples with jittered stamps, or jittered samples with true stamps."""
+    rng = np.random.default_rng(seed)
+    regular = np.arange(4000) / RATE
+    stamps = regular + rng.uniform(-jitter, jitter, regular.size) / RATE
+    if kind == "drift":
+        stamps = regular * (1.0 + 0.01 * regular)
+    taken = regular if kind == "stamps" else stamps
+    motion = Tones(seed)
+    return Recording(time=stamps, position=motion(taken), effort=motion(taken)), motion
+
+
+@pytest.mark.parametrize(("kind", "resampled"), [("stamps", 0), ("samples", 1), ("drift", 1)])
+def test_timing_is_decided_by_what_the_motion_says(kind: str, resampled: int):
+    log, motion = jittered(kind, 0.3)
+    samples = process(log, replace(ALL_ROWS, trim_s=0.8, derivative="central6"))
+    assert ("resampled" if resampled else "taken as regular") in samples.notes[0]
+    gain = gains(motion, log.rate_hz)
+    expected = motion(samples.time, gain, 1)
+    # The nominal clock begins with its first stamp, which may be late by 0.3 ms.
+    late = 0.0 if resampled else 3e-4
+    bounds = [np.abs(motion(samples.time, 1.0, order)).max() for order in (1, 2)]
+    error = samples.position - motion(samples.time, gain)
+    assert np.abs(error).max() < 1e-4 + late * bounds[0]
+    assert np.abs(samples.velocity - expected).max() < 5e-3 + late * bounds[1]
+
+
+def test_timing_as_asked():
+    log, motion = jittered("samples", 0.3)
+    resampled = process(log, replace(ALL_ROWS, timing="resample", trim_s=0.8))
+    nominal = process(log, replace(ALL_ROWS, timing="nominal", trim_s=0.8))
+    gain = gains(motion, log.rate_hz)
+    errors = [
+        np.abs(samples.acceleration - motion(samples.time, gain, 2)).max()
+        for samples in (resampled, nominal)
+    ]
+    assert 10 * errors[0] < errors[1]
+
+
+def test_lost_samples_are_bridged_and_gaps_are_not():
+    log = periodic(3)
+    keep = np.ones(log.n_samples, dtype=bool)
+    keep[[500, 1500, 1501, 4000]] = False
+    fields = {name: getattr(log, name)[keep] for name in ("time", "position", "effort")}
+    bridged = process(replace(log, **fields), ALL_ROWS)
+    assert "resampled" in bridged.notes[0]
+    whole = process(log, ALL_ROWS)
+    np.testing.assert_allclose(bridged.acceleration, whole.acceleration, rtol=0, atol=1e-5)
+    keep[1495:1510] = False
+    fields = {name: getattr(log, name)[keep] for name in ("time", "position", "effort")}
+    with pytest.raises(
+        DataError, match=r"gap of 0.016 s before row 1494 \(from 8.494 s to 8.51 s\)"
+    ):
+        process(replace(log, **fields), ALL_ROWS)
+    keep = np.ones(log.n_samples, dtype=bool)
+    keep[500] = False
+    fields = {name: getattr(log, name)[keep] for name in ("time", "position", "effort")}
+    with pytest.raises(DataError, match="samples were lost; use timing='resample'"):
+        process(replace(log, **fields), replace(ALL_ROWS, timing="nominal"))
+
+
+def test_stamps_since_1970_are_uniform():
+    log = periodic(3)
+    shifted = replace(log, time=log.time + 1.7e9, start=log.start + 1.7e9)
+    samples, expected = process(shifted, ALL_ROWS), process(log, ALL_ROWS)
+    assert not any("jitter" in note for note in samples.notes)
+    np.testing.assert_allclose(samples.acceleration, expected.acceleration, rtol=0, atol=1e-6)
+
+
+REAL = {
+    "kuka_lwr4plus/measurements_1.npz": ("taken as regular, 200", 200.0),
+    "kuka_lwr4plus/measurements_2.npz": ("taken as regular, 200", 200.0),
+    "panda_unisa/panda_exciting.npz": ("taken as regular, 29.99", 30.0),
+    "ur10_unisa/ur10_exciting.npz": (None, 125.0),
+}
+
+
+@pytest.mark.parametrize("name", REAL)
+def test_real_logs(data_folder: Path, name: str):
+    note, rate = REAL[name]
+    log = read_recording(data_folder / name)
+    grid = make_grid(log)
+    assert (grid.note is None) if note is None else (note in grid.note)
+    setting = Processing(cutoff_hz=4.0, order=4, decimation=1, covariance=None, trim_s=0.5)
+    samples = process(log, setting)
+    assert samples.periods is None
+    assert samples.mask.mean(axis=0).min() > 0.2
+    assert samples.block >= rate * 0.99
+    inner = slice(round(0.5 * rate), -round(0.5 * rate))
+    error = samples.velocity - log.velocity[inner][: samples.n_samples]
+    assert np.sqrt(np.mean(error**2)) < 0.1 * np.sqrt(np.mean(log.velocity**2))

@@ -1,0 +1,333 @@
+"""Logs as people have them: other names, units, decimal marks, stamps and gaps."""
+
+from __future__ import annotations
+
+import gzip
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from sdpid.errors import DataError
+from sdpid.experiment.readers.read import read_described, read_recording
+from sdpid.experiment.recording.timestamps import guess_time_unit
+
+N = 40
+RNG = np.random.default_rng(17)
+T = 0.01 * np.arange(N)
+Q, TAU, DQ = (RNG.standard_normal((N, 2)) for _ in range(3))
+
+
+def write(file: Path, header: str, *tables: Any, mark: str = ",", decimal: str = ".") -> Path:
+    rows = np.column_stack(tables)
+    lines = [header] if header else []
+    lines += [mark.join(repr(float(v)).replace(".", decimal) for v in row) for row in rows]
+    file.write_text("\n".join(lines) + "\n", encoding="utf-8")
+    return file
+
+
+def npz(folder: Path, **arrays: Any) -> Path:
+    np.savez(folder / "log.npz", **arrays)
+    return folder / "log.npz"
+
+
+def same(log: Any, *, velocity: bool = False) -> None:
+    np.testing.assert_allclose(log.time - log.time[0], T, atol=1e-12)
+    np.testing.assert_allclose(log.position, Q, rtol=1e-14)
+    np.testing.assert_allclose(log.effort, TAU, rtol=1e-14)
+    assert (log.velocity is not None) == velocity
+    if velocity:
+        np.testing.assert_allclose(log.velocity, DQ, rtol=1e-14)
+
+
+@pytest.mark.parametrize(
+    ("unit", "factor", "start"),
+    [
+        *(("ns", 1e9, s) for s in (0, 17, 1_700_000_000 * 10**9)),
+        *(("us", 1e6, s) for s in (0, 5_000_000, 1_700_000_000 * 10**6)),
+        *(("ms", 1e3, s) for s in (0, 12, 1_700_000_000 * 10**3)),
+    ],
+)
+@pytest.mark.parametrize("kind", ["integers", "floats", "csv"])
+def test_whole_stamps_tell_their_unit(
+    tmp_path: Path, unit: str, factor: float, start: int, kind: str
+):
+    stamps = start + np.rint(T * factor).astype(np.int64)
+    if kind == "csv":
+        frame = pd.DataFrame({"t": stamps, "q1": Q[:, 0], "tau1": TAU[:, 0]})
+        frame.to_csv(tmp_path / "log.csv", index=False)
+        file = tmp_path / "log.csv"
+    else:
+        file = npz(tmp_path, t=stamps if kind == "integers" else stamps * 1.0, q=Q, tau=TAU)
+    reading = read_described(file)
+    # A double holds nanoseconds since 1970 to 256 of them.
+    exact = kind != "floats" or start < 10**16
+    np.testing.assert_allclose(
+        reading.recording.time - reading.recording.time[0], T, atol=1e-12 if exact else 1e-6
+    )
+    assert reading.recording.rate_hz == pytest.approx(100.0, rel=1e-4)
+    assert f"taken for {unit}" in reading.sources["time"]
+    # What is said is believed.
+    seconds = npz(tmp_path, t=np.arange(N), q=Q, tau=TAU)
+    assert read_recording(seconds, units={"time": "s"}).rate_hz == pytest.approx(1.0)
+
+
+@pytest.mark.parametrize("rate", [21.0, 100.0, 125.0, 1000.0, 4000.0, 8000.0])
+def test_stamps_in_seconds_are_left_alone(rate: float):
+    for start in (0.0, 3.5, 1.7e9):
+        assert guess_time_unit(start + np.arange(100) / rate) == "s"
+    for unit, factor in (("ms", 1e3), ("us", 1e6), ("ns", 1e9)):
+        if factor >= 1e3 * max(1.0, rate / 1000.0):
+            assert guess_time_unit(np.rint(np.arange(100) * factor / rate)) == unit
+    assert guess_time_unit(1_700_000_000 + np.arange(5)) == "s"
+    assert guess_time_unit(np.array([5])) == "s"
+
+
+def test_columns_called_period_and_start_are_left_alone(tmp_path: Path):
+    header = "t,q1,q2,tau1,tau2,period,start,periods,rate"
+    file = write(tmp_path / "log.csv", header, T, Q, TAU, DQ, DQ)
+    log = read_recording(file)
+    same(log)
+    assert log.period is None
+    assert log.start is None
+    with pytest.raises(DataError, match="'period' for period has 40 values, expected one"):
+        read_recording(file, columns={"period": "period"})
+    assert read_recording(npz(tmp_path, t=T, q=Q, tau=TAU, period=0.2)).period == 0.2
+
+
+def test_arrays_that_only_begin_like_a_quantity(tmp_path: Path):
+    others = {
+        "dq_logged": DQ,
+        "tau_model": TAU,
+        "q_ref": Q,
+        "tau_hat": TAU,
+        "q_note": np.array("x"),
+    }
+    same(read_recording(npz(tmp_path, t=T, q=Q, tau=TAU, **others)))
+    # Of one joint.
+    single = {"t": T, "q": Q[:, 0], "tau": TAU[:, 0], "dq_logged": DQ[:, 0], "tau_model": T}
+    log = read_recording(npz(tmp_path, **single))
+    assert log.n == 1
+    assert log.velocity is None
+    header = "t,position_a,position_b,effort_a,effort_b,effort_model"
+    same(read_recording(write(tmp_path / "log.csv", header, T, Q, TAU, T)))
+
+
+def test_franka_columns(tmp_path: Path):
+    groups = {"q": Q, "q_d": 0 * Q, "dq": DQ, "dq_d": 0 * Q, "ddq_d": 0 * Q, "tau_J": TAU}
+    groups |= {"tau_J_d": 0 * Q, "dtau_J": 0 * Q, "tau_ext_hat_filtered": 0 * Q, "O_T_EE": Q}
+    header = ",".join(["time", *(f"{key}_{j}" for key in groups for j in range(2))])
+    same(read_recording(write(tmp_path / "log.csv", header, T, *groups.values())), velocity=True)
+
+
+@pytest.mark.parametrize("mark", [",", ";", "\t"])
+def test_units_in_brackets(tmp_path: Path, mark: str):
+    names = ["Time [ms]", "Joint 1 [deg]", "Joint 2 [deg]", "Joint 1 [deg/s]", "Joint 2 [deg/s]"]
+    names += ["Torque 1 (Nm)", "Torque 2 (mNm)"]
+    tables = (T * 1e3, np.degrees(Q), np.degrees(DQ), TAU * [1.0, 1e3])
+    file = write(tmp_path / "log.csv", mark.join(names), *tables, mark=mark)
+    reading = read_described(file)
+    same(reading.recording, velocity=True)
+    assert reading.sources["effort"] == "Torque 1 (Nm) ... Torque 2 (mNm) in Nm/mNm"
+    # A line of units under the names says the same.
+    bare = [name.partition(" [")[0].partition(" (")[0] for name in names]
+    units = ["ms", "°", "°", "deg/s", "deg/s", "Nm", "mNm"]
+    bare[3:5] = ["Speed 1", "Speed 2"]
+    file = write(file, mark.join(bare) + "\n" + mark.join(units), *tables, mark=mark)
+    same(read_recording(file), velocity=True)
+
+
+def test_currents_with_units(tmp_path: Path):
+    header = "t,q1,q2,current1 [A],current2 [mA]"
+    file = write(tmp_path / "log.csv", header, T, Q, TAU / [10.0, 0.012])
+    with pytest.raises(DataError, match=r"current1 \[A\].* look like currents: give effort_scale"):
+        read_recording(file)
+    log = read_recording(file, effort_scale=[10.0, 12.0])
+    np.testing.assert_allclose(log.effort * log.effort_scale, TAU, rtol=1e-13)
+
+
+def test_short_suffixes(tmp_path: Path):
+    names = [f"joint{j}_{key}" for key in ("pos", "vel", "eff") for j in (1, 2)]
+    log = read_recording(write(tmp_path / "log.csv", ",".join(["t", *names]), T, Q, DQ, TAU))
+    same(log, velocity=True)
+    assert log.joint_names == ("joint1", "joint2")
+
+
+@pytest.mark.parametrize("mark", [";", "\t", " "])
+def test_decimal_commas(tmp_path: Path, mark: str):
+    header = mark.join(["t", "q1", "q2", "tau1", "tau2"])
+    file = write(tmp_path / "log.csv", header, T, Q, TAU, mark=mark, decimal=",")
+    same(read_recording(file))
+    lines = file.read_text().splitlines()
+    lines[7] = lines[7].replace(",", ".", 1)
+    file.write_text("\n".join(lines))
+    with pytest.raises(DataError, match=r"line 8: 't' holds .* where other decimals have commas"):
+        read_recording(file)
+
+
+@pytest.mark.parametrize("zone", ["", "Z", "+02:00", " UTC"])
+@pytest.mark.parametrize("between", ["T", " "])
+def test_dates(tmp_path: Path, zone: str, between: str):
+    stamps = np.datetime64("2024-03-01T23:59:59.900000") + (T * 1e6).astype("timedelta64[us]")
+    frame = pd.DataFrame({"time": [str(s).replace("T", between) + zone for s in stamps]})
+    for name, values in (
+        ("q1", Q[:, 0]),
+        ("q2", Q[:, 1]),
+        ("tau1", TAU[:, 0]),
+        ("tau2", TAU[:, 1]),
+    ):
+        frame[name] = values
+    frame.to_csv(tmp_path / "log.csv", index=False)
+    same(read_recording(tmp_path / "log.csv"))
+
+
+def test_names_in_a_comment_and_comments_between(tmp_path: Path):
+    rows = np.column_stack([T, Q, TAU])
+    file = tmp_path / "log.txt"
+    for delimiter in (",", " "):
+        np.savetxt(file, rows, header="made by a logger\nt,q1,q2,tau1,tau2", delimiter=delimiter)
+        same(read_recording(file))
+    lines = file.read_text().splitlines()
+    lines[10:10] = ["", "# paused", ""]
+    lines[25] = lines[25].replace(" ", " nan ", 1).rpartition(" ")[0]
+    file.write_text("\n".join(lines) + "\n\n")
+    with pytest.raises(DataError, match="line 26: position: 'q1' has no value"):
+        read_recording(file)
+
+
+def test_columns_without_names(tmp_path: Path):
+    file = write(tmp_path / "log.csv", "", T, Q, TAU, DQ)
+    with pytest.raises(DataError, match="its 7 columns have no names"):
+        read_recording(file)
+    numbers = {"time": 1, "position": [2, 3], "effort": [4, 5], "velocity": [6, 7]}
+    same(read_recording(file, columns=numbers), velocity=True)
+    (tmp_path / "log.toml").write_text(
+        "[columns]\ntime = 1\nposition = [2, 3]\neffort = [4, 5]\nvelocity = [6, 7]\n"
+    )
+    same(read_recording(file), velocity=True)
+
+
+def test_compressed_text_and_other_encodings(tmp_path: Path):
+    plain = write(tmp_path / "log.csv", "t [s],q1 [°],q2 [°],tau1,tau2", T, np.degrees(Q), TAU)
+    same(read_recording(plain))
+    text = plain.read_text(encoding="utf-8")
+    (tmp_path / "run.csv.gz").write_bytes(gzip.compress(text.encode()))
+    same(read_recording(tmp_path / "run.csv.gz"))
+    for encoding in ("latin-1", "utf-16", "utf-8-sig"):
+        plain.write_text(text, encoding=encoding)
+        same(read_recording(plain))
+    (tmp_path / "run.csv.gz").write_bytes(gzip.compress(text.encode())[:-50])
+    with pytest.raises(DataError, match=r"run\.csv\.gz"):
+        read_recording(tmp_path / "run.csv.gz")
+
+
+def test_data_frames():
+    frame = pd.DataFrame({"t": T, "q1": Q[:, 0], "q2": Q[:, 1], "tau1": TAU[:, 0]})
+    frame["tau2"] = TAU[:, 1].astype(object)
+    same(read_recording(frame))
+    indexed = frame.drop(columns="t").set_index(
+        pd.Timestamp("2024-03-01") + pd.to_timedelta(np.rint(T * 1e3), unit="ms")
+    )
+    same(read_recording(indexed))
+    same(
+        read_recording(frame.rename(columns={"t": "stamp"}), mapping={"columns": {"time": "stamp"}})
+    )
+    with pytest.raises(DataError, match="data frame: effort is missing"):
+        read_recording(frame[["t", "q1", "q2"]])
+    frame.loc[3, "q2"] = np.nan
+    with pytest.raises(DataError, match="data frame: row 4: position: 'q2' has no value"):
+        read_recording(frame)
+    with pytest.raises(DataError, match="is given NoneType, expected the path of a log"):
+        read_recording(None)
+
+
+@pytest.mark.parametrize("word", ["", "nan", "NaN", "null", "--", "N/A"])
+def test_values_that_begin_late(tmp_path: Path, word: str):
+    file = write(tmp_path / "log.csv", "t,q1,q2,tau1,tau2", T, Q, TAU)
+    lines = file.read_text().splitlines()
+    for k in (1, 2):
+        lines[k] = ",".join([*lines[k].split(",")[:3], word, lines[k].split(",")[4]])
+    file.write_text("\n".join(lines))
+    with pytest.raises(DataError, match=r"log\.csv: line 2: effort: 'tau1' has no value .*2 of 40"):
+        read_recording(file)
+    reading = read_described(file, missing="drop")
+    np.testing.assert_array_equal(reading.recording.position, Q[2:])
+    assert reading.sources["missing values"] == "2 of 40 samples dropped"
+    with pytest.raises(DataError, match="has no value in 2 samples from line 2 on"):
+        read_recording(file, missing="interpolate")
+
+
+def test_short_gaps_are_interpolated(tmp_path: Path):
+    ramp = np.column_stack([T, 2.0 * T])
+    holed = ramp.copy()
+    holed[[5, 6, 7, 20], [0, 0, 0, 1]] = np.nan
+    file = npz(tmp_path, t=T, q=holed, tau=TAU)
+    with pytest.raises(DataError, match=r"row 6: position: 'q of joint 1' .* in 3 of 40 rows"):
+        read_recording(file)
+    reading = read_described(file, missing="interpolate")
+    np.testing.assert_allclose(reading.recording.position, ramp, atol=1e-12)
+    np.testing.assert_array_equal(reading.recording.effort, TAU)
+    assert reading.sources["missing values"] == "interpolated in 4 of 40 samples"
+    assert read_recording(file, mapping={"missing": "drop"}).n_samples == N - 4
+    holed[5:20, 0] = np.nan
+    with pytest.raises(DataError, match="no value in 15 samples from row 6 on; at most 10"):
+        read_recording(npz(tmp_path, t=T, q=holed, tau=TAU), missing="interpolate")
+    with pytest.raises(DataError, match="missing: is 'guess', expected one of refuse, drop"):
+        read_recording(file, missing="guess")
+    with pytest.raises(DataError, match="misssing is no argument"):
+        read_recording(file, misssing="drop")
+    stamps = T.copy()
+    stamps[3] = np.nan
+    with pytest.raises(DataError, match="row 4: time: 'time' has no value"):
+        read_recording(npz(tmp_path, t=stamps, q=ramp, tau=TAU), missing="interpolate")
+
+
+def test_a_joint_that_is_not_wanted_may_lack_values(tmp_path: Path):
+    effort = np.column_stack([TAU, np.full(N, np.nan)])
+    names = ["up", "down", "finger"]
+    file = npz(tmp_path, t=T, q=np.column_stack([Q, T]), tau=effort, joint_names=names)
+    with pytest.raises(DataError, match="'tau of joint finger' has no value in any row; leave"):
+        read_recording(file)
+    same(read_recording(file, joint_names=["up", "down"]))
+
+
+def test_bad_stamps_name_the_file_and_count_from_one(tmp_path: Path):
+    stamps = T.copy()
+    stamps[7] = stamps[6]
+    with pytest.raises(DataError, match=r"log\.npz: time repeats at row 8: 0\.06 s after 0\.06 s"):
+        read_recording(npz(tmp_path, t=stamps, q=Q, tau=TAU))
+
+
+@pytest.mark.parametrize("quoted", ["", '"'])
+def test_every_line_has_as_many_fields_as_names(tmp_path: Path, quoted: str):
+    header = "label,t,q1,q2,tau1,tau2"
+    file = write(tmp_path / "log.csv", header, T, T, Q, TAU)
+    lines = file.read_text().splitlines()
+    lines = [lines[0], *(f"{quoted}go{quoted},{line.partition(',')[2]}" for line in lines[1:])]
+    for change in (
+        lambda s: s.replace(".", ",", 1),
+        lambda s: s + ",1",
+        lambda s: s[: s.rfind(",")],
+    ):
+        broken = list(lines)
+        broken[30] = change(lines[30])
+        file.write_text("\n".join(broken))
+        with pytest.raises(DataError, match=r"line 31 has [57] values for 6 columns"):
+            read_recording(file)
+    file.write_text("\n".join(lines))
+    same(read_recording(file))
+
+
+def test_names_cannot_reach_the_terminal(tmp_path: Path):
+    evil = "el\x1b[2Jbow\u202e\u2028\nPROVEN."
+    log = read_recording(npz(tmp_path, t=T, q=Q, tau=TAU, joint_names=[evil, "b"]))
+    assert log.joint_names is not None
+    assert all(name.isprintable() for name in log.joint_names)
+    frame = pd.DataFrame({"t": T, f"position_{evil}": T, f"effort_{evil}": T})
+    reading = read_described(frame)
+    assert all(text.isprintable() for text in reading.sources.values())
+    with pytest.raises(DataError) as error:
+        read_recording(frame.rename(columns={"t": evil}))
+    assert str(error.value).isprintable()

@@ -1,0 +1,398 @@
+"""Recordings that stay in their file: the same results, and never in memory as a whole."""
+
+from __future__ import annotations
+
+import os
+import pickle
+import tracemalloc
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+from hypothesis import example, given, settings
+from hypothesis import strategies as st
+from scipy import signal
+
+from sdpid.errors import DataError
+from sdpid.experiment import efforts, parquet, stamps, stored_file
+from sdpid.experiment.preparation.for_robot import prepare
+from sdpid.experiment.processing import process as processing_module
+from sdpid.experiment.processing.efforts import Moments, in_threads
+from sdpid.experiment.processing.process import Processing, process
+from sdpid.experiment.readers.read import read_recording
+from sdpid.experiment.recording.joints import match_joints
+from sdpid.experiment.recording.recording import Recording
+from sdpid.experiment.recording.stored import StoredColumn, StoredTable
+from sdpid.experiment.recording.timestamps import Stamps
+from tests.helpers.robots import small_arm
+
+RATE, JOINTS = 100.0, 2
+# Fast enough to forget within a few samples, so that records can be short.
+QUICK = Processing(cutoff_hz=10.0, decimation=2, reversal_time=0.02, derivative="central4")
+ARM = small_arm(JOINTS)
+
+
+def make(seconds: float = 12.0, lead: float = 0.0, jitter: float = 0.0, **fields: Any) -> Recording:
+    rng = np.random.default_rng(0)
+    time = np.arange(round((seconds + 2 * lead) * RATE)) / RATE
+    angle = 2 * np.pi * time[:, None] / 2.0 + [0.0, 1.0]
+    noise = lambda: 1e-3 * rng.standard_normal(angle.shape)  # noqa: E731
+    return Recording(
+        time=time + jitter / RATE * rng.uniform(-0.5, 0.5, time.size),
+        position=np.sin(angle) + noise(),
+        velocity=np.pi * np.cos(angle) + noise(),
+        effort=3.0 * np.cos(2 * angle) + 100 * noise(),
+        **fields,
+    )
+
+
+PERIODIC = {"period": 2.0, "periods": 6, "effort_scale": [2.0, -1.0]}
+RECORDS: dict[str, tuple[Recording, Processing]] = {
+    "periodic": (make(**PERIODIC), QUICK),
+    "with a lead": (make(lead=1.5, start=1.5, **PERIODIC), QUICK),
+    "filtered twice": (make(**PERIODIC), replace(QUICK, filter_alike=False)),
+    "pooled, measured": (
+        make(**PERIODIC),
+        replace(QUICK, covariance="pooled", shrinkage=0.5, velocity="measured"),
+    ),
+    "no covariance": (make(**PERIODIC), replace(QUICK, covariance=None)),
+    "without periods": (make(effort_scale=[1.0, 3.0]), QUICK),
+    "by stamp": (make(jitter=0.4), replace(QUICK, timing="resample")),
+    "jitter": (make(jitter=0.2, **PERIODIC), QUICK),
+}
+
+
+@pytest.fixture(params=["small", "one group"])
+def file_of(request: pytest.FixtureRequest, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Any:
+    """Write a recording with small or large row groups, which are then decoded in small pieces."""
+    rows = {"small": 101, "one group": 1 << 20}[request.param]
+
+    def write(log: Recording) -> Path:
+        file = tmp_path / "log.parquet"
+        log.to_parquet(file)
+        schema = pq.read_schema(file)
+        table = pq.read_table(file)
+        pq.write_table(table.replace_schema_metadata(schema.metadata), file, row_group_size=rows)
+        return file
+
+    monkeypatch.setattr(stored_file, "ROWS", 37)
+    monkeypatch.setattr(stored_file, "_BUFFER", 1000)
+    monkeypatch.setattr(processing_module, "_CHUNK", 250)
+    return write
+
+
+@pytest.mark.parametrize("case", RECORDS)
+def test_samples_are_the_same_to_the_last_bit(case: str, file_of: Any):
+    log, processing = RECORDS[case]
+    again = Recording.from_parquet(file_of(log), stored=True)
+    assert again.stored
+    assert not log.stored
+    expected, samples = process(log, processing), process(again, processing)
+    for name in ("position", "velocity", "acceleration", "effort", "covariance", "time", "mask"):
+        a, b = getattr(samples, name), getattr(expected, name)
+        assert (a is None) == (b is None)
+        if a is not None:
+            np.testing.assert_array_equal(a, b, err_msg=name)
+    assert samples.notes == expected.notes
+    assert (samples.effort_periods is None) == (expected.effort_periods is None)
+
+
+def test_every_value_is_decoded_once(file_of: Any, monkeypatch: pytest.MonkeyPatch):
+    log = replace(make(lead=2.0, start=2.0, **PERIODIC), velocity=None)
+    file = file_of(log)
+    count: dict[str, int] = {}
+    real = stored_file._checked
+
+    def counted(column: Any, name: str, begin: int, path: Path) -> Any:
+        count[name] = count.get(name, 0) + len(column)
+        return real(column, name, begin, path)
+
+    monkeypatch.setattr(stored_file, "_checked", counted)
+    # More than what two periods have in common, which else is decoded again once.
+    monkeypatch.setattr(stored_file, "ROWS", 300)
+    for kind in (StoredColumn, StoredTable):
+        monkeypatch.setattr(kind, "__array__", None)
+    prepare(ARM, read_recording(file, stored=True), QUICK)
+    assert set(count) == {"time", *(f"{q}_{j}" for q in ("position", "effort") for j in "12")}
+    # Not even all of it: what follows the last period is not needed.
+    assert count.pop("time") == log.n_samples
+    assert all(log.n_samples - 400 < each <= log.n_samples for each in count.values())
+
+
+def test_memory_does_not_grow_with_the_record(tmp_path: Path):
+    peaks = []
+    # The first is for what is imported and compiled on the way.
+    for periods in (3, 4, 24):
+        file = tmp_path / f"{periods}.parquet"
+        make(40.0 * periods, period=40.0).to_parquet(file)
+        processing = replace(QUICK, covariance=None)
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr(efforts, "_MOST_KEPT", 0)
+            patch.setattr(efforts, "_cores", lambda: 1)
+            patch.setattr(stored_file, "ROWS", 1000)
+            tracemalloc.start()
+            samples = process(Recording.from_parquet(file, stored=True), processing)
+            peaks.append(tracemalloc.get_traced_memory()[1])
+            tracemalloc.stop()
+        assert samples.effort_periods is None
+        assert any("efforts of the single periods not kept" in note for note in samples.notes)
+    decoded = 8 * 24 * 4000 * (1 + 3 * JOINTS)
+    # Small objects come and go; the record itself grew sixfold.
+    assert peaks[2] < 1.3 * peaks[1] < 0.1 * decoded
+
+
+@settings(max_examples=60, deadline=None)
+@given(data=st.data())
+def test_columns_are_read_like_arrays(
+    data: st.DataObject, tmp_path_factory: pytest.TempPathFactory
+):
+    size = data.draw(st.integers(1, 40))
+    values = np.random.default_rng(0).standard_normal((size, 3))
+    file = tmp_path_factory.mktemp("columns") / "log.parquet"
+    groups = data.draw(st.integers(1, 45))
+    names = ["a", "b", "c"]
+    pq.write_table(pa.table(dict(zip(names, values.T, strict=True))), file, row_group_size=groups)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(stored_file, "ROWS", data.draw(st.integers(1, 10)))
+        source = stored_file.StoredFile.of(file, pq.read_metadata(file), names)
+        table = StoredTable(source, [0, 1, 2])
+        column = table[:, 1]
+        assert (len(column), column.shape, column.size) == (size, (size,), size)
+        assert (table.shape, len(table), table.size) == ((size, 3), size, 3 * size)
+        for _ in range(6):
+            bounds = st.none() | st.integers(-50, 50)
+            step = st.none() | st.sampled_from([1, 2, 3, -1])
+            part = slice(data.draw(bounds), data.draw(bounds), data.draw(step))
+            np.testing.assert_array_equal(column[part], values[part, 1])
+            np.testing.assert_array_equal(table[part], values[part])
+            np.testing.assert_array_equal(table[part, -1], values[part, -1])
+            rows = data.draw(st.lists(st.integers(0, size - 1), max_size=5))
+            picked = np.array(rows, dtype=np.intp)
+            np.testing.assert_array_equal(column[picked], values[picked, 1])
+            row = data.draw(st.integers(-size, size - 1))
+            assert column[row] == values[row, 1]
+            np.testing.assert_array_equal(table[row], values[row])
+        np.testing.assert_array_equal(np.asarray(column), values[:, 1])
+        np.testing.assert_array_equal(np.asarray(table[:, [2, 0]]), values[:, [2, 0]])
+        np.testing.assert_array_equal(column[values[:, 0] > 0], values[values[:, 0] > 0, 1])
+        for axis in (0, None):
+            np.testing.assert_array_equal(table.min(axis=axis), values.min(axis=axis))
+            np.testing.assert_array_equal(table.max(axis=axis), values.max(axis=axis))
+            np.testing.assert_allclose(table.mean(axis=axis), values.mean(axis=axis), atol=1e-15)
+        for function in (np.min, np.max, np.mean, np.ptp, np.std):
+            assert function(column) == pytest.approx(function(values[:, 1]), abs=1e-14)
+        np.testing.assert_array_equal(np.abs(column - 1.0), np.abs(values[:, 1] - 1.0))
+        np.testing.assert_array_equal(table * np.arange(3.0), values * np.arange(3.0))
+        sent = pickle.loads(pickle.dumps(column))
+        np.testing.assert_array_equal(2.0 * np.asarray(sent), 2 * values[:, 1])
+        with pytest.raises(IndexError):
+            column[size]
+        with pytest.raises(ValueError, match="axis"):
+            table.min(axis=1)
+
+
+def write_columns(file: Path, **changes: Any) -> None:
+    log = make()
+    columns = {
+        "time": log.time,
+        **{f"position_{j + 1}": log.position[:, j] for j in range(JOINTS)},
+        **{f"effort_{j + 1}": log.effort[:, j] for j in range(JOINTS)},
+    }
+    pq.write_table(pa.table(columns | changes), file, row_group_size=100)
+
+
+def spoilt(row: int, value: Any) -> list[Any]:
+    values: list[Any] = make().position[:, 0].tolist()
+    values[row] = value
+    return values
+
+
+BAD = {
+    "nan": ({"position_2": spoilt(703, np.nan)}, r"'position_2' is nan at row 703, not finite"),
+    "inf": ({"effort_1": spoilt(5, -np.inf)}, r"'effort_1' is -inf at row 5, not finite"),
+    "huge": ({"effort_2": spoilt(99, 3e13)}, r"'effort_2' is 3e\+13 at row 99, more than 1e\+12"),
+    "missing": ({"position_1": spoilt(7, None)}, "'position_1' has missing values"),
+    "text": ({"effort_1": ["a"] * 1200}, "'effort_1' is not numeric"),
+    "time": ({"time": spoilt(100, np.nan)}, "'time' is nan at row 100"),
+    "time back": ({"time": np.r_[0:100, 98:1198] * 0.01}, "runs backwards at row 101: 0.98 s "),
+    "time again": ({"time": np.r_[0:100, 99:1199] * 0.01}, "time repeats at row 101: 0.99 s "),
+}
+
+
+@pytest.mark.parametrize("case", BAD)
+def test_bad_values_are_refused_as_they_are_read(case: str, tmp_path: Path):
+    changes, message = BAD[case]
+    file = tmp_path / "log.parquet"
+    write_columns(file, **changes)
+    with pytest.raises(DataError, match=message):
+        process(Recording.from_parquet(file, stored=True), QUICK)
+    write_columns(file)
+    process(Recording.from_parquet(file, stored=True), QUICK)
+
+
+def test_a_file_that_changes_is_noticed(tmp_path: Path):
+    file = tmp_path / "log.parquet"
+    make().to_parquet(file)
+    log = Recording.from_parquet(file, stored=True)
+    os.utime(file, (1, 1))
+    with pytest.raises(DataError, match="has changed since it was opened"):
+        process(log, QUICK)
+    log = Recording.from_parquet(file, stored=True)
+    file.unlink()
+    with pytest.raises(DataError, match="cannot be read"):
+        process(log, QUICK)
+
+
+def test_damage_is_a_data_error(tmp_path: Path):
+    file = tmp_path / "log.parquet"
+    make().to_parquet(file)
+    content = bytearray(file.read_bytes())
+    # Pages, not the metadata at the end.
+    content[2000:60000] = bytes(58000)
+    file.write_bytes(content)
+    with pytest.raises(DataError, match="not a readable Parquet file"):
+        process(Recording.from_parquet(file, stored=True), QUICK)
+
+
+def test_large_files_stay_on_disk_by_default(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    file = tmp_path / "log.parquet"
+    log = make(**PERIODIC)
+    log.to_parquet(file)
+    assert not read_recording(file).stored
+    monkeypatch.setattr(parquet, "LARGE", 8 * 1200 * 7 - 1)
+    assert read_recording(file).stored
+    assert not read_recording(file, stored=False).stored
+    assert read_recording(file, periods=4).period_layout == (0, 200, 4)
+    monkeypatch.setattr(parquet, "LARGE", 8 * 1200 * 7)
+    assert not read_recording(file).stored
+    with pytest.raises(DataError, match="stored=True leaves the values"):
+        read_recording(file, stored=True, units={"position": "deg"})
+
+
+def test_it_can_be_written_matched_and_sent(tmp_path: Path):
+    file, copy = tmp_path / "log.parquet", tmp_path / "copy.parquet"
+    names = ARM.joint_names[::-1]
+    log = make(joint_names=names, **PERIODIC)
+    log.to_parquet(file)
+    again = pickle.loads(pickle.dumps(Recording.from_parquet(file, stored=True)))
+    again.to_parquet(copy)
+    assert copy.read_bytes() == file.read_bytes()
+    matched = match_joints(ARM, again)
+    assert matched.stored
+    assert matched.joint_names == ARM.joint_names
+    for name in ("position", "velocity", "effort"):
+        np.testing.assert_array_equal(
+            np.asarray(getattr(matched, name)), getattr(log, name)[:, ::-1]
+        )
+    assert repr(matched) == repr(log)
+
+
+@settings(max_examples=60, deadline=None)
+@given(
+    steps=st.lists(st.sampled_from([0.5, 1.0, 2.0, 3.0]), min_size=1, max_size=30),
+    block=st.integers(1, 9),
+)
+@example(steps=[1.0] * 9, block=3)
+def test_stamps_are_counted_block_by_block(steps: list[float], block: int):
+    time = np.cumsum([10.0, *steps])
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(stamps, "_BLOCK", block)
+        found = Stamps.of(time)
+        assert (found.first, found.last, found.count) == (10.0, time[-1], time.size)
+        assert (found.least, found.most) == (min(steps), max(steps))
+        assert found.row == 1 + steps.index(max(steps))
+        for row in range(1, time.size):
+            wrong = time.copy()
+            wrong[row:] -= steps[row - 1]
+            with pytest.raises(
+                DataError, match=rf"time repeats at row {row + 1}: .*\(1 such rows\)"
+            ):
+                Stamps.of(wrong)
+
+
+@pytest.mark.parametrize("count", [2, 3, 12])
+def test_moments_are_those_of_all_periods(count: int):
+    rng = np.random.default_rng(0)
+    # A large mean: sums of squares would lose what is asked for.
+    values = 1e3 + rng.standard_normal((count, 3, 20))
+    moments = Moments(20, 3, covariance=True)
+    for each in values:
+        moments.add(each)
+    np.testing.assert_allclose(moments.mean, values.mean(axis=0).T, rtol=1e-14)
+    for k in range(20):
+        np.testing.assert_allclose(moments.covariance[k], np.cov(values[:, :, k].T), rtol=1e-11)
+
+
+def test_threads_keep_the_order_and_pass_errors_on(monkeypatch: pytest.MonkeyPatch):
+    for cores in (1, 3):
+        monkeypatch.setattr(efforts, "_cores", lambda cores=cores: cores)
+        assert in_threads(lambda i: i * i, range(7)) == [i * i for i in range(7)]
+        with pytest.raises(ZeroDivisionError):
+            in_threads(lambda i: 1 // (i - 3), range(7))
+
+
+def test_averaging_first_changes_nothing_but_rounding(tmp_path: Path):
+    """Against every period filtered by SciPy on its own, differentiated, and then averaged."""
+    rate, length, periods, lead = 1000.0, 3000, 5, 1000
+    rng = np.random.default_rng(0)
+    time = np.arange(2 * lead + periods * length) / rate
+    angle = 2 * np.pi * time[:, None] / 3.0 + [0.0, 1.0]
+    log = Recording(
+        time=time,
+        position=np.sin(angle) + 1e-4 * rng.standard_normal(angle.shape),
+        effort=30.0 * np.cos(angle) + rng.standard_normal(angle.shape),
+        period=length / rate,
+        start=lead / rate,
+        periods=periods,
+    )
+    file = tmp_path / "log.parquet"
+    log.to_parquet(file)
+    sections = signal.butter(2, 15.0, fs=rate, output="sos")
+    whole = slice(lead, -lead)
+
+    def folded(values: np.ndarray) -> np.ndarray:
+        return values[whole].reshape(periods, length, JOINTS)[:, ::10]
+
+    smooth = [signal.sosfiltfilt(sections, each, axis=0) for each in (log.position, log.effort)]
+    velocity, acceleration = np.zeros_like(smooth[0]), np.zeros_like(smooth[0])
+    velocity[1:-1] = (smooth[0][2:] - smooth[0][:-2]) * rate / 2
+    acceleration[1:-1] = (smooth[0][2:] - 2 * smooth[0][1:-1] + smooth[0][:-2]) * rate**2
+    torque = folded(smooth[1])
+    change = torque - torque.mean(axis=0)
+    covariance = np.einsum("pki,pkj->kij", change, change) / (periods - 1)
+    # A filter of this cut-off rounds to about 1e-14 of the signal; a difference over a step of
+    # h divides that by h, the second by h². Products of deviations lose what the signal is larger.
+    expected = {
+        "position": (folded(smooth[0]).mean(axis=0), 1e-12),
+        "velocity": (folded(velocity).mean(axis=0), 1e-14 * rate),
+        "acceleration": (folded(acceleration).mean(axis=0), 1e-14 * rate**2),
+        "effort": (torque.mean(axis=0), 1e-12),
+        "covariance": (covariance, 1e-11),
+        "effort_periods": (torque, 1e-12),
+    }
+    for stored_ in (False, True):
+        samples = process(
+            Recording.from_parquet(file, stored=stored_), Processing(reversal_time=None)
+        )
+        for name, (values, tolerance) in expected.items():
+            error = np.abs(getattr(samples, name) - values).max() / np.abs(values).max()
+            assert error < tolerance, name
+
+
+@pytest.mark.parametrize(("noise", "repeats"), [(0.03, True), (0.3, False)])
+def test_noise_that_the_filter_removes_is_no_wrong_period(noise: float, repeats: bool):
+    log = make(40.0, period=2.0)
+    angle = 2 * np.pi * log.time[:, None] / 2.0 + [0.0, 1.0]
+    draw = np.random.default_rng(0).standard_normal(angle.shape)
+    # Two periods of noise, apart by far more than the limit of a hundredth before the filter.
+    position = 0.01 * np.sin(angle) + noise * draw
+    slow = Processing(cutoff_hz=0.8, decimation=2, reversal_time=None, covariance=None)
+    if repeats:
+        process(replace(log, position=position), slow)
+        return
+    with pytest.raises(DataError, match=r"do not repeat: their positions spread by 0\.0"):
+        process(replace(log, position=position), slow)

@@ -1,0 +1,428 @@
+"""Plots are drawn from arrays, without global state, and written whole."""
+
+from __future__ import annotations
+
+import base64
+import re
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from lxml import etree
+
+pytest.importorskip("matplotlib")
+
+import sdpid
+from sdpid.assurance.diagnostics.residuals import JointErrors
+from sdpid.assurance.diagnostics.validation import Validation
+from sdpid.errors import DataError, ExportError
+from sdpid.estimation.estimate import Step
+from sdpid.experiment.processing.samples import Samples
+from sdpid.output.plots.figures import BLUE, POINTS, decimate, runs, spans, stretch
+from sdpid.output.plots.inline_svg import image_source, svg_text
+from sdpid.output.plots.joints import COLUMNS, detail, plot_joint, plot_joint_errors
+from sdpid.output.plots.plots import (
+    plot_convergence,
+    plot_filtering,
+    plot_fit,
+    plot_parameters,
+    plot_reconstruction,
+    plot_signals,
+    save_figure,
+)
+
+SIGNALS = ("position", "torque", "velocity", "acceleration")
+
+
+def filtering(count: int = 400, **options: object) -> object:
+    time = np.linspace(0.0, 4.0, count)
+    rng = np.random.default_rng(0)
+    after = {name: np.sin(time * (k + 1)) for k, name in enumerate(SIGNALS)}
+    before = {name: y + 0.1 * rng.standard_normal(count) for name, y in after.items()}
+    return plot_signals(time, before, after, units={"position": "rad"}, **options)  # type: ignore[arg-type]
+
+
+def reconstruction(count: int = 300, **options: object) -> object:
+    time = np.linspace(0.0, 3.0, count)
+    y = np.sin(np.outer(time, [1.0, 2.0]))
+    return plot_reconstruction(time, y, y + 0.5, ["a", "b"], **options)  # type: ignore[arg-type]
+
+
+def convergence(**options: object) -> object:
+    good = [Step(0.0, 90.0, 0.0), Step(0.1, 20.0, 0.0), Step(0.5, 10.001, 0.0)]
+    bad = [Step(0.0, 50.0, 1.0), Step(0.2, 8.0, 0.1)]
+    return plot_convergence([good, bad, []], 10.0, {"SDP": (0.05, 10.0)}, **options)  # type: ignore[arg-type]
+
+
+def parameters() -> object:
+    return plot_parameters(
+        ["xx1", "Fs1", "Fv1"], ["kg.m2", "N.m", "N.m.s/rad"],
+        {"WLS": [1.0, 2.0, 3.0], "SDP": [1.1, 2.0, 2.9]},
+        true=[1.0, 2.0, 3.0], errors={"WLS": [0.1, 0.1, 0.1]}, title="base",
+    )  # fmt: skip
+
+
+def iterations() -> object:
+    return convergence(against="iterations", failed=1)
+
+
+def long_reconstruction() -> object:
+    time = np.linspace(0.0, 3.0, 9000)
+    y = np.stack([-123456.0 * np.sin(time), 2e-4 * np.cos(time)], axis=1)
+    mask = np.abs(y) > 1e-5
+    return plot_reconstruction(time, y, 1.1 * y, ["a", "b"], mask=mask, title="heading")
+
+
+FIGURES = [
+    filtering,
+    reconstruction,
+    long_reconstruction,
+    convergence,
+    iterations,
+    parameters,
+]
+
+
+@pytest.mark.parametrize("make", FIGURES)
+@pytest.mark.parametrize("suffix", [".png", ".svg", ".pdf"])
+def test_saved_whole_and_the_same_each_time(make: object, suffix: str, tmp_path: Path) -> None:
+    first, second = tmp_path / f"a{suffix}", tmp_path / f"b{suffix}"
+    assert save_figure(make(), first, dpi=50.0) == first  # type: ignore[operator]
+    save_figure(make(), second, dpi=50.0)  # type: ignore[operator]
+    assert first.read_bytes() == second.read_bytes()
+    assert first.stat().st_size > 1000
+    assert sorted(p.name for p in tmp_path.iterdir()) == [first.name, second.name]
+
+
+@pytest.mark.parametrize("make", FIGURES)
+def test_no_text_runs_into_other_text(make: object) -> None:
+    figure = make()  # type: ignore[operator]
+    figure.draw_without_rendering()
+    renderer = figure._get_renderer()
+    boxes = []
+    for axis in figure.axes:
+        texts = [axis.title, axis._left_title, axis._right_title, axis.xaxis.label]
+        texts.append(axis.yaxis.label)
+        boxes += [t.get_window_extent(renderer) for t in texts if t.get_text()]
+    boxes += [legend.get_window_extent(renderer) for legend in figure.legends]
+    for i, box in enumerate(boxes):
+        assert not any(box.overlaps(other) for other in boxes[:i])
+        assert box.x0 >= 0.0
+        assert box.y0 >= 0.0
+
+
+def test_pyplot_is_not_touched() -> None:
+    filtering()
+    pyplot = sys.modules.get("matplotlib.pyplot")
+    assert pyplot is None or pyplot.get_fignums() == []
+
+
+def test_unknown_format_and_missing_folder(tmp_path: Path) -> None:
+    figure = convergence()
+    with pytest.raises(ExportError, match=r"'\.bmp'"):
+        save_figure(figure, tmp_path / "a.bmp")
+    with pytest.raises(ExportError, match="cannot write"):
+        save_figure(figure, tmp_path / "no" / "a.png")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_decimation_keeps_the_extremes_and_the_ends() -> None:
+    rng = np.random.default_rng(3)
+    x = np.arange(380_003.0)
+    y = rng.standard_normal(len(x))
+    y[123_456], y[380_001] = 50.0, -50.0
+    u, w = decimate(x, y)
+    assert len(u) <= POINTS + 4
+    assert np.all(np.diff(u) > 0.0)
+    assert (u[0], u[-1]) == (x[0], x[-1])
+    assert {50.0, -50.0} <= set(w)
+    assert np.array_equal(y[u.astype(int)], w)
+    assert decimate(x[:9], y[:9])[1] is not None
+    assert len(decimate(x[:POINTS], y[:POINTS])[0]) == POINTS
+
+
+def test_long_records_are_drawn_with_few_points() -> None:
+    figure = filtering(200_000, window=(1.0, 2.0))
+    lines = [line for axis in figure.axes for line in axis.get_lines()]  # type: ignore[attr-defined]
+    assert max(len(line.get_xdata()) for line in lines) <= POINTS + 4
+    assert figure.axes[0].get_xlim() == pytest.approx((1.0, 2.0), abs=1e-4)  # type: ignore[attr-defined]
+
+
+def test_runs() -> None:
+    assert runs([True, True, False, True]) == [(0, 2), (3, 4)]
+    assert runs([False]) == []
+
+
+def test_a_recording_and_a_fit_are_drawn() -> None:
+    rng = np.random.default_rng(0)
+    time = 0.01 * np.arange(4000)
+    q = np.sin(np.outer(time, [1.0, 2.0]))
+    log = sdpid.Recording(
+        time=time, position=q, effort=q + 0.1 * rng.standard_normal(q.shape), joint_names=("a", "b")
+    )
+    figure = plot_filtering(log, 1, window=(15.0, 25.0))
+    assert [axis.get_ylabel() for axis in figure.axes[::2]] == [
+        "Position [rad]", "Torque [N·m]", "Velocity [rad/s]", "Acceleration [rad/s²]",
+    ]  # fmt: skip
+    assert figure.axes[0].get_xlim() == pytest.approx((15.0, 25.0), abs=0.02)
+    with pytest.raises(DataError, match="joint 2 does not exist"):
+        plot_filtering(log, 2, window=(15.0, 25.0))
+    samples = Samples(
+        position=q, velocity=q, acceleration=q, effort=q, time=time, starts=(0, 1000, 3000)
+    )
+    fit = Validation(
+        joint_names=("a", "b"), effort_predicted=q + 0.5, rmse=np.full(2, 0.5),
+        nrmse=np.ones(2), r2=np.zeros(2), relative=0.5, rows=np.full(2, 4000),
+    )  # fmt: skip
+    axis = plot_fit(samples, fit, count=2000, title="two pieces").axes[0]
+    drawn = axis.get_lines()[0].get_ydata()
+    assert np.isnan(drawn).sum() == 1
+    assert np.nanmax(np.abs(drawn - 0.0)) <= 1.0
+
+
+def test_reconstruction_names_errors_and_shades() -> None:
+    mask = np.ones((300, 2), dtype=bool)
+    mask[50:80, 1] = False
+    figure = reconstruction(mask=mask)
+    titles = [axis.get_title(loc="left") for axis in figure.axes]  # type: ignore[attr-defined]
+    assert titles[0] == "a"
+    assert titles[1].startswith("RMSE 0.500 N·m")
+    assert [len(axis.collections) for axis in figure.axes] == [0, 0, 1, 1]  # type: ignore[attr-defined]
+    labels = [text.get_text() for text in figure.legends[0].get_texts()]  # type: ignore[attr-defined]
+    assert labels == ["measured", "predicted", "rows not used"]
+
+
+def test_names_are_not_read_as_formulas(tmp_path: Path) -> None:
+    """A joint may be called anything; broken formulas end matplotlib's parser."""
+    bad = "$\\undefined{$"
+    y = np.ones((5, 2))
+    time = np.arange(5.0)
+    figures = [
+        plot_reconstruction(time, y, y, [bad, "$x^2$"], units=bad, title=bad),
+        plot_signals(time, {bad: time}, {bad: time}, units={bad: bad}, title=bad),
+        plot_parameters([bad], [bad], {bad: [1.0]}, title=bad),
+        convergence(label=bad, title=bad),
+    ]
+    for k, figure in enumerate(figures):
+        for suffix in (".png", ".svg"):
+            save_figure(figure, tmp_path / f"{k}{suffix}", dpi=40.0)
+
+
+def test_reconstruction_without_time_and_with_units() -> None:
+    y = np.ones((5, 2))
+    figure = plot_reconstruction(None, y, 0.0 * y, ["a", "b"], [1.0, 2.0], units=["N", "N·m"])
+    assert figure.axes[-1].get_xlabel() == "sample"
+    assert figure.axes[0].get_ylabel() == "effort [N]"
+
+
+def test_convergence_counts_ends() -> None:
+    figure = convergence(label="local")
+    labels = [text.get_text() for text in figure.axes[0].get_legend().get_texts()]  # type: ignore[attr-defined]
+    assert "end of a start (1)" in labels
+    assert "end, infeasible (1)" in labels
+    assert any(label.startswith("SDP (gap 0.0e+00") for label in labels)
+
+
+def test_convergence_over_iterations_with_failures() -> None:
+    figure = convergence(against="iterations", failed=3)
+    axis = figure.axes[0]  # type: ignore[attr-defined]
+    assert axis.get_xlabel() == "iteration"
+    assert axis.get_xscale() == "linear"
+    assert max(line.get_xdata()[-1] for line in axis.get_lines() if len(line.get_xdata()) > 2) == 2
+    labels = [text.get_text() for text in axis.get_legend().get_texts()]
+    assert "failed, nothing to draw (3)" in labels
+    assert any(label.startswith("proven lower bound") for label in labels)
+    with pytest.raises(DataError, match="against is 'hours'"):
+        convergence(against="hours")
+
+
+def test_steps_far_outside_leave_the_picture() -> None:
+    wild = [Step(0.0, 90.0, 0.0), Step(0.1, 1e15, 7.0), Step(0.5, 10.1, 0.0)]
+    axis = plot_convergence([wild], 10.0).axes[0]
+    assert axis.get_ylim()[1] < 100.0
+
+
+def test_convergence_of_exact_data() -> None:
+    figure = plot_convergence([[Step(0.0, 1.0, 0.0), Step(1.0, 1e-20, 0.0)]], 0.0)
+    assert figure.axes[0].get_ylabel() == "cost − bound"
+
+
+def test_bad_input_is_named() -> None:
+    time = np.arange(5.0)
+    with pytest.raises(DataError, match="the same names"):
+        plot_signals(time, {"position": time}, {"torque": time})
+    with pytest.raises(DataError, match="position has 3 rows"):
+        plot_signals(time, {"position": time}, {"position": time[:3]})
+    with pytest.raises(DataError, match="window 9 to 10 s"):
+        plot_signals(time, {"position": time}, {"position": time}, window=(9.0, 10.0))
+    y = np.ones((5, 2))
+    with pytest.raises(DataError, match="predicted has 4 rows"):
+        plot_reconstruction(time, y, y[:4], ["a", "b"])
+    with pytest.raises(DataError, match="joint_names has 1"):
+        plot_reconstruction(time, y, y, ["a"])
+    with pytest.raises(DataError, match="must agree"):
+        plot_reconstruction(time, y, y, ["a", "b"], mask=np.ones((5, 1), dtype=bool))
+    with pytest.raises(DataError, match="rmse has 1"):
+        plot_reconstruction(time, y, y, ["a", "b"], [1.0])
+    with pytest.raises(DataError, match="nothing to draw"):
+        plot_convergence([], 1.0)
+    with pytest.raises(DataError, match="nothing to draw"):
+        plot_parameters([], [], {})
+    with pytest.raises(DataError, match="SDP has 2 entries"):
+        plot_parameters(["a"], ["kg"], {"SDP": [1.0, 2.0]})
+
+
+@pytest.mark.parametrize("make", [reconstruction, long_reconstruction])
+def test_numbers_do_not_run_into_labels(make: object) -> None:
+    figure = make()  # type: ignore[operator]
+    figure.draw_without_rendering()
+    renderer = figure._get_renderer()
+    texts = list(figure.texts)
+    for axis in figure.axes:
+        label = axis.yaxis.label.get_window_extent(renderer)
+        for number in axis.get_yticklabels():
+            assert not number.get_window_extent(renderer).overlaps(label)
+        below = axis.xaxis.label
+        if below.get_text():
+            texts.append(below)
+            for number in axis.get_xticklabels():
+                extent = number.get_window_extent(renderer)
+                assert not extent.overlaps(below.get_window_extent(renderer))
+    boxes = [text.get_window_extent(renderer) for text in (*texts, *figure.legends)]
+    for i, box in enumerate(boxes):
+        assert not any(box.overlaps(other) for other in boxes[:i])
+        assert box.y0 >= 0.0
+
+
+def test_thinning_is_said_in_the_figure() -> None:
+    said = [t.get_text() for t in reconstruction(15_000).texts]  # type: ignore[attr-defined]
+    assert said == [f"drawn: least and greatest value of each {stretch(15_000)} samples"]
+    assert not reconstruction(POINTS).texts  # type: ignore[attr-defined]
+    assert stretch(15_000) == 20
+
+
+def test_a_png_is_drawn_once(tmp_path: Path) -> None:
+    figure: Any = reconstruction()
+    own, drawn = figure.draw, []
+    figure.draw = lambda renderer: (drawn.append(1), own(renderer))
+    save_figure(figure, tmp_path / "a.png")
+    assert len(drawn) == 1
+    assert figure.dpi == 100.0
+
+
+def test_spans_are_cut_half_way_between_samples() -> None:
+    x = np.arange(6.0)
+    low, high = spans(x, [True, False, False, True, True, False])
+    assert low.tolist() == [0.0, 2.5]
+    assert high.tolist() == [0.5, 4.5]
+    assert spans(x, np.zeros(6, dtype=bool))[0].shape == (0,)
+
+
+@pytest.mark.parametrize("count", [2, 40, 4000])
+@pytest.mark.parametrize("size", [0.0, 3e-9, 0.04, 123456.0])
+def test_a_picture_is_a_part_of_a_page(count: int, size: float) -> None:
+    y = size * np.sin(np.arange(float(count)))
+    used = np.arange(count) % 7 > 1
+    figures = [plot_joint(np.linspace(0.0, 9.0, count), y, 1.1 * y, used) for _ in range(2)]
+    text, again = map(svg_text, figures)
+    assert text == again
+    assert figures[0].dpi == 100.0
+    assert "nan" not in text
+    picture = etree.fromstring(text.encode())
+    assert "measured" in "".join(picture.itertext())
+    data = base64.b64decode(image_source(figures[1]).removeprefix("data:image/svg+xml;base64,"))
+    assert data.decode() == text
+
+
+@pytest.mark.parametrize("pieces", [1, 3])
+def test_panels_do_not_run_into_each_other(pieces: int) -> None:
+    """The longest numbers and labels that there are."""
+    y = -123456.0 * np.sin(np.arange(4000.0))
+    time = 1e-3 * np.arange(4000.0)
+    starts = tuple(range(0, 4000, 4000 // pieces))[:pieces]
+    figure = plot_joint(time, y, 1.1 * y, np.abs(y) > 1e3, starts=starts)
+    figure.draw_without_rendering()
+    renderer = figure._get_renderer()
+    texts = []
+    for axis in figure.axes:
+        texts += [axis.xaxis.label, axis.yaxis.label, axis.yaxis.offsetText]
+        texts += [axis.legend_] if axis.legend_ else []
+        for part in (axis.xaxis, axis.yaxis):
+            # Those in view.
+            ticks = part._update_ticks()
+            texts += [tick.label1 for tick in ticks if tick.label1.get_visible()]
+    shown = [t for t in texts if not hasattr(t, "get_text") or t.get_text()]
+    boxes = [text.get_window_extent(renderer) for text in shown]
+    wide, high = 100.0 * figure.get_size_inches()
+    for i, box in enumerate(boxes):
+        assert box.x0 >= 0.0
+        assert box.x1 <= wide
+        assert box.y0 >= 0.0
+        assert box.y1 <= high
+        assert not any(box.overlaps(other) for other in boxes[:i]), shown[i]
+
+
+def drawn_points(figure: Any, color: str) -> np.ndarray:
+    """Return the points of the first line of a colour, in points from the upper left corner."""
+    path = re.search(rf'd="([^"]*)" [^>]*stroke: {color}', svg_text(figure).lower())
+    assert path
+    return np.array(re.findall(r"(-?[\d.]+) (-?[\d.]+)", path[1]), dtype=float)
+
+
+def test_a_line_is_where_it_should_be_and_peaks_stay() -> None:
+    x = np.linspace(0.0, 10.0, 50_001)
+    y = np.sin(x)
+    y[31_234] = 7.0
+    figure = plot_joint(x, y, np.zeros(len(x)), np.ones(len(x), dtype=bool))
+    points = drawn_points(figure, BLUE.lower())
+    assert len(points) <= 2 * COLUMNS + 4
+    axis = figure.axes[0]
+    axis.figure.dpi = 72.0
+    high = 72.0 * figure.get_size_inches()[1]
+
+    def place(x: Any, y: Any) -> np.ndarray:
+        return np.abs(axis.transData.transform(np.c_[x, y]) - [0.0, high])
+
+    assert points[0] == pytest.approx(place(0.0, 0.0)[0], abs=0.02)
+    assert np.abs(points - place(x[31_234], 7.0)).max(axis=1).min() < 0.02
+    values = axis.transData.inverted().transform(np.c_[points[:, 0], high - points[:, 1]])
+    wave = values[values[:, 1] < 2.0]
+    assert np.abs(wave[:, 1] - np.sin(wave[:, 0])).max() < 0.02
+
+
+def test_gaps_break_a_line() -> None:
+    y = np.zeros(9)
+    figure = plot_joint(None, y, y, y == 0.0, starts=(0, 4))
+    path = re.search(rf'd="([^"]*)" [^>]*stroke: {BLUE.lower()}', svg_text(figure))
+    assert path
+    assert path[1].count("M") == 2
+
+
+@pytest.mark.parametrize("timed", [True, False])
+@pytest.mark.parametrize("bins", [0, 5])
+def test_errors_without_anything_in_them_are_drawn(timed: bool, bins: int) -> None:
+    some = np.zeros(bins)
+    for length in (1, 2, 50):
+        errors = JointErrors(
+            joint="a", frequency=np.arange(float(length)), effort_density=np.zeros(length),
+            error_density=np.zeros(length), lag=np.zeros(1), autocorrelation=np.ones(1),
+            independent=1.0, velocity=np.arange(float(bins)), mean=some, low=some, high=some,
+            share=0.0, with_sign=0.0, with_velocity=0.0,
+        )  # fmt: skip
+        assert "nan" not in svg_text(plot_joint_errors(errors, timed=timed))
+
+
+def test_the_stretch_about_the_largest_error_is_shown() -> None:
+    error = np.zeros(4000)
+    error[2000] = -1.0
+    assert detail(error) == slice(2000 - COLUMNS // 2, 2000 + COLUMNS // 2)
+    error[3999] = 2.0
+    assert detail(error) == slice(4000 - COLUMNS, 4000)
+    error[:] = np.nan
+    assert detail(error) == slice(0, COLUMNS)
+    y = np.zeros(4000)
+    assert len(plot_joint(None, y, y, np.zeros(4000, dtype=bool)).axes) == 3
+    few = np.zeros(2 * COLUMNS)
+    assert len(plot_joint(None, few, few, few == 0.0).axes) == 2

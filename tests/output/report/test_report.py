@@ -1,0 +1,442 @@
+"""The report is one valid page that needs nothing else and runs nothing."""
+
+from __future__ import annotations
+
+import base64
+import importlib.util
+import json
+import os
+import re
+import shutil
+import subprocess
+import sys
+import warnings
+from collections.abc import Callable
+from dataclasses import dataclass, fields, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from lxml import etree
+
+import sdpid
+from sdpid.assurance.diagnostics.active_constraints import constraint_states
+from sdpid.estimation.compression.rows import RowSource
+from sdpid.estimation.problem import Problem
+from sdpid.output.report import report
+from sdpid.output.report.report import report_html, write_report
+from tests.helpers.identified import arm_theta, identified, moved
+from tests.helpers.runs import arm as recorded_arm
+from tests.helpers.runs import recorded
+
+# A browser of this family, wherever it is called what.
+BROWSERS = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable", "chrome")
+
+EVIL = "<script>alert(1)</script>"
+EVIL_LINK = "\"'><img src=http://example.org/x onerror=alert(1)>"
+FETCHING = ("src", "href", "srcset", "data", "action", "poster", "background")
+COMMAND = "sdpid identify 'a <b>.csv' --robot arm.urdf"
+
+
+@dataclass(frozen=True)
+class Given:
+    """Intervals as anybody may make them."""
+
+    names: tuple[str, ...]
+    lower: np.ndarray
+    upper: np.ndarray
+    label: tuple[str, ...]
+
+
+@pytest.fixture(scope="module")
+def result() -> sdpid.Identification:
+    theta = arm_theta()
+    notes = ("low-pass filter at 10 Hz", EVIL)
+    return identified(moved(theta, 1, notes=notes), moved(theta, 2))
+
+
+@pytest.fixture(scope="module")
+def page(result: sdpid.Identification) -> str:
+    return report_html(result, command=COMMAND)
+
+
+@pytest.fixture(scope="module")
+def evil_page() -> str:
+    """Return the report of a robot with names that want to run."""
+    text = (
+        '<robot name="&lt;b&gt;arm$"><link name="base"/>'
+        f'<link name="{quoted(EVIL_LINK)}">{body(1.0)}</link>'
+        f'<link name="tip">{body(0.5)}</link>'
+        f'<joint name="{quoted(EVIL)}" type="continuous"><parent link="base"/>'
+        f'<child link="{quoted(EVIL_LINK)}"/><axis xyz="0 1 0"/></joint>'
+        f'<joint name="$\\undefined$" type="continuous"><parent link="{quoted(EVIL_LINK)}"/>'
+        '<child link="tip"/><origin xyz="0.3 0 0"/><axis xyz="0 1 0"/></joint></robot>'
+    )
+    robot = sdpid.load_robot(text)
+    return report_html(identified(moved(arm_theta(), 1, robot=robot), robot=robot), command=EVIL)
+
+
+def quoted(text: str) -> str:
+    for character, entity in (("&", "amp"), ("<", "lt"), (">", "gt"), ('"', "quot")):
+        text = text.replace(character, f"&{entity};")
+    return text
+
+
+def body(mass: float) -> str:
+    return (
+        f'<inertial><origin xyz="0.1 0 0"/><mass value="{mass}"/>'
+        '<inertia ixx="0.01" iyy="0.01" izz="0.01" ixy="0" ixz="0" iyz="0"/></inertial>'
+    )
+
+
+def tree(page: str) -> Any:
+    """Parse as the standard says, without forgiving anything."""
+    with warnings.catch_warnings():
+        # The parser speaks of its own dependencies.
+        warnings.simplefilter("ignore", DeprecationWarning)
+        html5lib = pytest.importorskip("html5lib")
+        builder = html5lib.getTreeBuilder("lxml")
+        return html5lib.HTMLParser(tree=builder, strict=True).parse(page)
+
+
+def elements(page: str, name: str) -> list[Any]:
+    return list(tree(page).iter(f"{{http://www.w3.org/1999/xhtml}}{name}"))
+
+
+def pictures(page: str) -> list[Any]:
+    """Return the pictures of a page as SVG."""
+    found = []
+    for image in elements(page, "img"):
+        kind, _, data = image.get("src").partition(",")
+        assert kind == "data:image/svg+xml;base64"
+        found.append(etree.fromstring(base64.b64decode(data, validate=True)))
+    return found
+
+
+def words(page: str) -> str:
+    found = tree(page)
+    for style in list(found.iter("{*}style")):
+        style.getparent().remove(style)
+    return re.sub(r"\s+", " ", "".join(found.getroot().itertext()))
+
+
+def self_contained(page: str) -> None:
+    """Check that nothing is fetched and nothing runs."""
+    allowed = {"a": r"#", "img": r"data:image/svg\+xml;base64,", "use": r"#"}
+    for element in (part for root in (tree(page), *pictures(page)) for part in root.iter("{*}*")):
+        name = etree.QName(element).localname
+        assert name not in (
+            "script",
+            "link",
+            "iframe",
+            "object",
+            "embed",
+            "base",
+            "form",
+            "svg",
+        ) or (name == "svg" and element.getparent() is None)
+        assert name not in ("image", "foreignObject", "animate", "set")
+        for key, value in element.attrib.items():
+            assert not key.startswith("on")
+            if etree.QName(key).localname in FETCHING:
+                assert re.match(allowed[name], value), (name, key, value[:60])
+            assert "url(" not in value.replace("url(#", "")
+    style = "".join(element.text or "" for element in elements(page, "style"))
+    assert style
+    assert "url(" not in style
+    assert "@import" not in style
+    assert all(image.get("alt") for image in elements(page, "img"))
+    policies = [
+        meta.get("content")
+        for meta in elements(page, "meta")
+        if meta.get("http-equiv") == "Content-Security-Policy"
+    ]
+    assert len(policies) == 1
+    assert {"default-src 'none'", "img-src data:"} <= set(policies[0].split("; "))
+    ids = [e.get("id") for e in tree(page).iter("{*}*") if e.get("id")]
+    assert len(ids) == len(set(ids))
+
+
+def test_it_is_valid_and_self_contained(page: str, evil_page: str) -> None:
+    for text in (page, evil_page):
+        assert text.startswith("<!DOCTYPE html>")
+        assert len(pictures(text)) == 4
+        self_contained(text)
+        ids = [e.get("id") for e in tree(text).iter("{*}*") if e.get("id")]
+        assert all(a.get("href")[1:] in ids for a in elements(text, "a"))
+
+
+def test_names_are_escaped(evil_page: str) -> None:
+    shown = words(evil_page)
+    assert EVIL in shown
+    assert EVIL_LINK in shown
+    assert "<b>arm$" in shown
+    assert "$\\undefined$" in shown
+    assert "<script" not in evil_page
+    assert not elements(evil_page, "b")[0].get("onerror")
+    # Two pictures a joint, and none that a name brought.
+    assert len(pictures(evil_page)) == 4
+
+
+def test_it_tells_the_whole_story(result: sdpid.Identification, page: str) -> None:
+    shown = words(page)
+    certificate = result.certificate
+    for text in (
+        result.problem.robot.name,
+        "low-pass filter at 10 Hz",
+        EVIL,
+        "50 Hz",
+        "20 s",
+        "Condition number",
+        "validation (held out)",
+        f"{result.validation.r2[0]:.4f}",
+        f"{result.training.r2[1]:.4f}",
+        "standard error",
+        "Coulomb",
+        certificate.to_dict()["sha256"],
+        f"{certificate.lower_bound:#.10g}",
+        COMMAND,
+        *sdpid.verdict(result),
+        *result.problem.base.names,
+        *result.problem.base.theta_names,
+        *(s.name for s in constraint_states(result.estimate) if s.active),
+        *result.problem.robot.joint_names,
+    ):
+        assert text in shown, text
+    # A bar for every standard parameter, each of them full.
+    bars = [e for e in elements(page, "span") if e.get("class") == "bar"]
+    assert len(bars) == result.problem.n_theta
+    for bar in bars:
+        widths = [float(re.search(r"width:([\d.]+)%", part.get("style"))[1]) for part in bar]
+        assert sum(widths) == pytest.approx(100.0, abs=0.2)
+
+
+def test_the_same_result_gives_the_same_page(result: sdpid.Identification, page: str) -> None:
+    assert report_html(result, command=COMMAND) == page
+
+
+def test_without_validation_figures_or_command(result: sdpid.Identification) -> None:
+    alone = replace(result, validation=None, validation_samples=None)
+    text = report_html(alone, figures=False)
+    self_contained(text)
+    shown = words(text)
+    assert "held out)" not in shown
+    assert "Nothing was held out" in shown
+    assert "No plots were drawn" in shown
+    assert "From Python" in shown
+    assert not pictures(text)
+
+
+def test_without_matplotlib_the_page_has_no_plots_and_says_so(
+    result: sdpid.Identification, page: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    assert len(pictures(page)) == 4
+    monkeypatch.setitem(sys.modules, "matplotlib", None)
+    without = report_html(result, command=COMMAND)
+    self_contained(without)
+    assert not pictures(without)
+    said = "No plots were drawn: matplotlib is not installed (pip install 'sdpid[plot]')."
+    assert said in words(without)
+    assert "matplotlib" not in words(page)
+    # Only when they are asked for.
+    with pytest.raises(sdpid.MissingExtraError, match=r"sdpid\[plot\]"):
+        report_html(result, figures=True)
+
+
+def test_a_long_record_is_drawn_with_few_points_and_says_so() -> None:
+    theta = arm_theta()
+    short, long = (report_html(identified(moved(theta, 1, seconds=s))) for s in (16.0, 400.0))
+    assert "least and the greatest value" not in words(short)
+    assert "least and the greatest value of each 50 samples" in words(long)
+    assert "about the largest error" in "".join(pictures(long)[0].itertext())
+    # Twenty-five times as many samples.
+    assert len(long) < 2 * len(short)
+
+
+def test_rows_on_a_cluster_are_counted_and_a_selection_is_drawn(
+    result: sdpid.Identification,
+) -> None:
+    """As of a problem whose rows are elsewhere: `samples` is one in so many."""
+    problem = result.problem
+
+    @dataclass(frozen=True)
+    class Elsewhere(Problem):
+        @property
+        def rows(self) -> Any:
+            return Many(self.robot, self.friction, self.base, self.samples, problem.rows)
+
+    own = {field.name: getattr(problem, field.name) for field in fields(Problem)}
+    own["samples"] = problem.samples.every(10)
+    there = Elsewhere(**own)
+    thin = sdpid.validate(replace(result.estimate, problem=there), there.samples)
+    seen = replace(
+        result, problem=there, training=thin, validation=None, validation_samples=None
+    )  # fmt: skip
+    text = report_html(seen, sha256="0")
+    self_contained(text)
+    shown = words(text)
+    for part in (
+        f"{problem.samples.n_samples:,} samples of 2 joints",
+        f"{problem.n_rows:,} of {problem.samples.effort.size:,}",
+        "50 Hz",
+        "one in 10 samples",
+        "higher frequencies are folded",
+    ):
+        assert part in shown, part
+    assert "one in" not in words(report_html(result, sha256="0", figures=False))
+
+
+@dataclass(frozen=True)
+class Many(RowSource):
+    """Rows that are elsewhere."""
+
+    elsewhere: RowSource
+
+    @property
+    def n_samples(self) -> int:
+        return self.elsewhere.n_samples
+
+    def map(self, *arguments: Any, **options: Any) -> Any:
+        return self.elsewhere.map(*arguments, **options)
+
+
+def test_samples_without_time_and_with_masked_rows(result: sdpid.Identification) -> None:
+    samples = moved(arm_theta(), 1, seconds=8.0)
+    mask = np.ones(samples.effort.shape, dtype=bool)
+    mask[100:200, 0] = False
+    text = report_html(identified(replace(samples, time=None, mask=mask)))
+    self_contained(text)
+    assert "700 of 800" in words(text)
+
+
+def test_intervals_are_shown(result: sdpid.Identification) -> None:
+    base, theta = result.problem.base.names[0], result.problem.base.theta_names[0]
+    names, label = (base, theta), ("from data", "from physics")
+    given = Given(names, np.array([-1.25, 0.0]), np.array([2.5, np.inf]), label)
+    shown = words(report_html(result, intervals=given, figures=False))
+    assert "−1.250 … 2.500" in shown
+    assert "0 … –" in shown
+    assert "from physics" in shown
+    gauss = sdpid.intervals(result.estimate, method="gauss_markov")
+    assert "from data" in words(report_html(result, intervals=gauss, figures=False))
+
+
+def test_cross_validation_and_pieces_are_shown() -> None:
+    logs = [recorded(1), recorded(2)]
+    found = sdpid.identify(recorded_arm(), logs, folds=2)
+    text = report_html(found)
+    self_contained(text)
+    shown = words(text)
+    assert found.cross_validation is not None
+    for part in (
+        "2 blocks of time held out in turn",
+        "relative residual of blocks held out in turn",
+        "block 2 of 2",
+        "pieces, recorded apart",
+        f"{found.cross_validation.rmse[0]:#.3g}",
+        *found.notes,
+    ):
+        assert part in shown, part
+
+
+def test_values_at_a_bound_are_zero(result: sdpid.Identification) -> None:
+    rows = list(report._base(replace(result, wls=result.wls), {}))
+    tiny = replace(result.estimate, base=np.array([1e-12, *result.estimate.base[1:]]))
+    again = list(report._base(replace(result, estimate=tiny), {}))
+    assert again[0]["value"] == 0.0
+    assert [row["value"] for row in again[1:]] == [row["value"] for row in rows[1:]]
+
+
+def test_it_is_written_whole_or_not_at_all(
+    result: sdpid.Identification, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = write_report(result, tmp_path / "report.html", figures=False, sha256="0")
+    before = path.read_text(encoding="utf-8")
+    with pytest.raises(sdpid.ExportError):
+        write_report(result, tmp_path / "nowhere" / "report.html", figures=False, sha256="0")
+
+    def fail(*_: object, **__: object) -> None:
+        raise sdpid.ExportError("no")
+
+    monkeypatch.setattr(report, "atomic_write_text", fail)
+    with pytest.raises(sdpid.ExportError):
+        result.save(tmp_path, figures=False)
+    assert [p.name for p in tmp_path.iterdir()] == ["report.html"]
+    assert path.read_text(encoding="utf-8") == before
+
+
+def test_save_writes_it_with_the_digest_of_the_certificate(
+    result: sdpid.Identification, tmp_path: Path
+) -> None:
+    files = result.save(tmp_path, figures=False, command=COMMAND)
+    assert files[-1] == tmp_path / "report.html"
+    text = files[-1].read_text(encoding="utf-8")
+    digest = json.loads((tmp_path / "certificate.json").read_text(encoding="utf-8"))["sha256"]
+    assert digest in text
+    assert COMMAND in words(text)
+
+
+def test_save_goes_on_without_the_extra(
+    result: sdpid.Identification, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    found: Callable[..., Any] = importlib.util.find_spec
+    monkeypatch.setattr(
+        importlib.util, "find_spec", lambda name, *a: None if name == "jinja2" else found(name, *a)
+    )
+    said: list[str] = []
+    files = result.save(tmp_path, figures=False, report=said.append)
+    assert "report.html" not in {file.name for file in files}
+    assert any("sdpid[report]" in text for text in said)
+
+
+@pytest.mark.parametrize("width", [390, 1280])
+def test_a_browser_shows_it(page: str, tmp_path: Path, width: int) -> None:
+    """At the width of a phone and of a desk: no sideways scrolling, every picture drawn."""
+    browser = os.environ.get("SDPID_BROWSER") or next(filter(None, map(shutil.which, BROWSERS)), "")
+    if not browser:
+        pytest.skip(f"no browser: none of {', '.join(BROWSERS)} is installed")
+    # A narrow frame, since windows have a least width of their own. Of the pictures, also whether
+    # the browser's own letters fit in; of the policy, that a script in the page does not run.
+    (tmp_path / "report.html").write_text(page, encoding="utf-8")
+    frame = (
+        "<!DOCTYPE html><style>body { margin: 0 } iframe { border: 0; height: 3000px; "
+        f"width: {width}px }}</style><iframe src='report.html'></iframe><div id=copies></div>"
+        "<script>addEventListener('load', () => { const w = frames[0], d = w.document;"
+        "const images = [...d.querySelectorAll('figure > img')], cut = [];"
+        "for (const image of images) { const copy = document.createElement('div');"
+        "copy.innerHTML = new TextDecoder().decode(Uint8Array.from("
+        "atob(image.src.split(',')[1]), c => c.charCodeAt(0))); copies.append(copy);"
+        "const s = copy.querySelector('svg').getBoundingClientRect();"
+        "for (const t of copy.querySelectorAll('text')) { const r = t.getBoundingClientRect();"
+        "if (r.left < s.left - 1 || r.right > s.right + 1 || r.top < s.top - 1 ||"
+        "r.bottom > s.bottom + 1) cut.push(t.textContent) } }"
+        "const evil = d.createElement('script'); evil.textContent = 'window.ran = 1';"
+        "d.body.append(evil);"
+        "document.title = JSON.stringify({inner: w.innerWidth, wide: d.documentElement.scrollWidth,"
+        "high: d.documentElement.scrollHeight, cut: cut, ran: w.ran === 1,"
+        "drawn: images.filter(i => i.naturalWidth > 100 && i.width > 250 && i.height > 150).length"
+        "}) })</script>"
+    )
+    (tmp_path / "frame.html").write_text(frame, encoding="utf-8")
+    command = [browser, "--headless", "--disable-gpu", "--hide-scrollbars", "--no-first-run"]
+    command += [f"--user-data-dir={tmp_path / 'profile'}", "--allow-file-access-from-files"]
+    # As root there is no sandbox to be had; the page is our own.
+    command += ["--no-sandbox"] if os.name == "posix" and os.geteuid() == 0 else []
+    picture = tmp_path / f"report-{width}.png"
+    address = (tmp_path / "frame.html").as_uri()
+    run = {"capture_output": True, "text": True, "timeout": 120, "check": True}
+    shown = subprocess.run([*command, "--dump-dom", address], **run).stdout
+    title = re.search(r"<title>(.*?)</title>", shown)
+    assert title, shown[:300]
+    seen = json.loads(title[1])
+    assert seen["inner"] == width
+    assert seen["wide"] <= width
+    assert seen["high"] > 2000
+    assert seen["drawn"] == 4
+    assert seen["cut"] == []
+    assert not seen["ran"]
+    size = f"--window-size={max(width, 500)},3000"
+    subprocess.run([*command, size, f"--screenshot={picture}", address], **run)
+    assert picture.read_bytes().startswith(b"\x89PNG")
+    assert picture.stat().st_size > 50_000

@@ -1,0 +1,286 @@
+"""What is said of a model follows from what was put wrong."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import sdpid
+from sdpid.assurance.diagnostics.residuals import joint_errors
+from sdpid.assurance.diagnostics.validation import Validation
+from sdpid.experiment.processing.samples import Samples
+from sdpid.output.report.prediction_verdict import SMALL, grade, prediction_findings
+from sdpid.output.report.verdict import _one_way, errors_of, findings
+from sdpid.robot.friction.model import FrictionModel
+from tests.helpers.identified import ARM, RATE, arm_theta, identified, moved
+
+FIRST, LAST = ARM.joint_names
+
+
+@pytest.fixture(scope="module")
+def good() -> sdpid.Identification:
+    theta = arm_theta()
+    return identified(moved(theta, 1), moved(theta, 2))
+
+
+def said(result: sdpid.Identification, *words: str) -> str:
+    """Return the one statement that has these words."""
+    found = [text for text in sdpid.verdict(result) if all(word in text for word in words)]
+    assert len(found) == 1, (words, sdpid.verdict(result))
+    return found[0]
+
+
+def unsaid(result: sdpid.Identification, *words: str) -> None:
+    for text in sdpid.verdict(result):
+        assert not all(word in text for word in words), text
+
+
+def with_validation(result: sdpid.Identification, samples: Samples) -> sdpid.Identification:
+    fit = sdpid.validate(result.estimate, samples)
+    return replace(result, validation=fit, validation_samples=samples)
+
+
+def test_a_good_model_is_trusted(good: sdpid.Identification) -> None:
+    text = said(good, "Trust it for the effort of every joint")
+    assert "not used for the fit" in text
+    said(good, "carries over")
+    said(good, "proven in exact arithmetic")
+    for words in ("Friction", "weakly excited", "numerical limit", "Nothing was held out"):
+        unsaid(good, words)
+    assert {f.level for f in findings(good)} <= {"good", "caution"}
+
+
+def test_nothing_held_out_is_said(good: sdpid.Identification) -> None:
+    alone = replace(good, validation=None, validation_samples=None)
+    said(alone, "Nothing was held out")
+    said(alone, "its own training data")
+
+
+def test_a_noisy_joint_is_not_trusted(good: sdpid.Identification) -> None:
+    fresh = moved(arm_theta(), 2)
+    effort = np.array(fresh.effort)
+    rng = np.random.default_rng(0)
+    effort[:, 1] += 2.0 * effort[:, 1].std() * rng.standard_normal(len(effort))
+    result = with_validation(good, replace(fresh, effort=effort))
+    assert LAST in said(result, "Do not trust")
+    assert LAST not in said(result, "Trust it for")
+    said(result, "does not carry over", "times as much")
+
+
+def test_a_joint_worse_than_its_mean(good: sdpid.Identification) -> None:
+    fresh = moved(arm_theta(), 2)
+    effort = np.array(fresh.effort)
+    effort[:, 1] += 10.0 * effort[:, 1].std()
+    result = with_validation(good, replace(fresh, effort=effort))
+    said(result, f"{LAST} (worse than a constant)")
+
+
+def biased(effort: float, error: float, *, moving: bool = True) -> tuple[Samples, Validation]:
+    """Return samples of a joint with a nearly constant effort, and a prediction that is off."""
+    t = np.arange(400) / RATE
+    v = np.sin(t)[:, None] if moving else np.full((400, 1), 0.01)
+    efforts = effort + 0.01 * np.cos(3.0 * t)[:, None]
+    samples = Samples(position=v, velocity=v, acceleration=v, effort=efforts, time=t)
+    fit = Validation(
+        joint_names=("joint",),
+        effort_predicted=efforts - error,
+        rmse=np.array([error]),
+        nrmse=np.array([error / effort]),
+        r2=np.array([1.0 - error**2 / efforts.var()]),
+        relative=error / effort,
+        rows=np.array([400]),
+    )
+    return samples, fit
+
+
+def test_worse_than_a_constant_is_never_trusted() -> None:
+    samples, fit = biased(10.0, 0.2)
+    assert fit.r2[0] < 0.0
+    assert fit.nrmse[0] < SMALL
+    assert grade(samples, fit, 0) == "caution"
+    (only,) = prediction_findings(samples, fit)
+    assert only.level == "caution"
+    assert "joint (worse than a constant, error 2 % of the effort)" in only.text
+    # An error that is large beside the effort as well is worse still.
+    assert grade(*biased(10.0, 2.0), 0) == "bad"
+
+
+@pytest.mark.parametrize("error", [0.0, 0.2])
+def test_what_never_moved_is_not_trusted(error: float) -> None:
+    samples, fit = biased(10.0, error, moving=False)
+    assert grade(samples, fit, 0) == "caution"
+    (only,) = prediction_findings(samples, fit)
+    assert only.level == "bad"
+    assert "did not move" in only.text
+    assert "joint" in only.text
+    moving, fit = biased(10.0, error)
+    assert "did not move" not in prediction_findings(moving, fit)[0].text
+
+
+@pytest.mark.parametrize(
+    ("shape", "words"),
+    [
+        (np.sign, "direction of motion"),
+        (lambda v: v, "in proportion to velocity"),
+        (lambda v: np.cos(2.0 * v), "along a curve"),
+    ],
+)
+def test_friction_that_changed_is_named(good: sdpid.Identification, shape, words: str) -> None:
+    fresh = moved(arm_theta(), 2)
+    effort = np.array(fresh.effort)
+    effort[:, 0] += 0.3 * effort[:, 0].std() * shape(fresh.velocity[:, 0])
+    result = with_validation(good, replace(fresh, effort=effort))
+    text = said(result, "Friction is not fully modelled", words)
+    assert FIRST in text
+    assert LAST not in text
+
+
+def test_motion_beyond_the_training_is_named(good: sdpid.Identification) -> None:
+    result = with_validation(good, moved(arm_theta(), 2, speed=2.0))
+    assert f"{FIRST} (velocity)" in said(result, "goes beyond the training motion")
+
+
+def test_weak_directions_are_named() -> None:
+    # So small a motion that gravity looks like an offset.
+    result = identified(moved(arm_theta(), 1, amplitude=1e-3, noise=1e-4))
+    assert "as good as arbitrary" in said(result, "weakly excited")
+
+
+def test_constraints_that_cost_are_named(good: sdpid.Identification) -> None:
+    # Twice the friction that there is.
+    friction = 2.0 * good.estimate.named()["Fv1"]
+    constraints = sdpid.Constraints(others=(sdpid.Fixed({"Fv1": friction}),))
+    result = identified(good.problem.samples, constraints=constraints)
+    assert "Fv1" in said(result, "The constraints contradict the data")
+    unsaid(good, "contradict")
+
+
+def test_masses_at_their_limit_are_named() -> None:
+    light = sdpid.Constraints(mass_max=0.3)
+    result = identified(moved(arm_theta(), 1), constraints=light)
+    assert "at most 0.3 kg" in said(result, "Masses are as large as is allowed")
+
+
+def test_a_prior_that_holds_back_is_judged_on_other_motion() -> None:
+    theta = arm_theta()
+    robot = replace(ARM, prior=3.0 * theta[:20].reshape(2, 10))
+    samples = moved(theta, 1, seconds=4.0, noise=0.05)
+    strong = sdpid.Prior(strength=1e3)
+    alone = identified(samples, robot=robot, prior=strong)
+    said(alone, "hold the fit back", "Only held-out data tell")
+    fresh = identified(samples, moved(theta, 2), robot=robot, prior=strong)
+    said(fresh, "hold the fit back", "On the validation data it does not pay")
+    said(fresh, "standard parameters are the description's")
+
+
+def test_errors_of_white_noise(good: sdpid.Identification) -> None:
+    K = 20_000
+    rng = np.random.default_rng(4)
+    t = np.arange(K) / 100.0
+    v = np.stack([np.sin(3.0 * t), np.cos(2.0 * t)], axis=1)
+    mask = np.ones((K, 2), dtype=bool)
+    mask[: K // 2, 0] = False
+    error = rng.standard_normal((K, 2))
+    error[~mask] = 1e6
+    samples = Samples(position=v, velocity=v, acceleration=v, effort=error, time=t, mask=mask)
+    fit = replace(good.training, effort_predicted=np.zeros((K, 2)))
+    for each in joint_errors(samples, fit):
+        assert each.autocorrelation[0] == pytest.approx(1.0)
+        assert np.abs(each.autocorrelation[1:]).max() < 0.05
+        assert each.share < 0.01
+        assert each.independent > 0.8 * K / 2
+        # The density holds the variance: one, over the frequencies up to half the rate.
+        step = each.frequency[1]
+        assert np.sum(each.error_density**2) * step == pytest.approx(1.0, rel=0.05)
+        assert np.all(each.low < each.mean)
+        assert np.all(each.mean < each.high)
+
+
+def test_a_joint_that_stands_still_has_no_friction_curve(good: sdpid.Identification) -> None:
+    v = np.zeros((100, 2))
+    effort = np.random.default_rng(0).standard_normal((100, 2))
+    samples = Samples(position=v, velocity=v, acceleration=v, effort=effort)
+    fit = replace(good.training, effort_predicted=np.zeros((100, 2)))
+    for each in joint_errors(samples, fit):
+        assert len(each.velocity) == 0
+        assert each.share == 0.0
+
+
+def test_a_prediction_alone_is_judged(good: sdpid.Identification) -> None:
+    fresh = moved(arm_theta(), 3)
+    (only,) = prediction_findings(fresh, sdpid.validate(good.estimate, fresh))
+    assert only.level == "good"
+    assert "every joint" in only.text
+    assert "on this recording" in only.text
+    effort = fresh.effort + [0.0, 1.0] * np.sign(fresh.velocity) * np.abs(fresh.effort).max()
+    changed = replace(fresh, effort=effort)
+    levels = [f.level for f in prediction_findings(changed, sdpid.validate(good.estimate, changed))]
+    assert levels == ["good", "bad", "caution"]
+
+
+def one_way(samples: Samples, joint: int, sign: float) -> Samples:
+    """Return samples in which a joint moves on in one direction only."""
+    v = np.array(samples.velocity)
+    v[:, joint] = sign * (np.abs(v[:, joint]) + 0.05)
+    return replace(samples, velocity=v)
+
+
+@pytest.mark.parametrize(("sign", "word"), [(1.0, "forwards"), (-1.0, "backwards")])
+def test_a_joint_that_moves_one_way_only_is_named(
+    good: sdpid.Identification, sign: float, word: str
+) -> None:
+    unsaid(good, "one direction only")
+    samples = one_way(good.problem.samples, 0, sign)
+    result = replace(good, problem=replace(good.problem, samples=samples))
+    text = said(result, "one direction only", "extrapolation", "Coulomb friction and an offset")
+    assert f"{FIRST} ({word})" in text
+    assert LAST not in text
+    # As held-out motion it says nothing about what was trained.
+    unsaid(with_validation(good, one_way(moved(arm_theta(), 2), 0, sign)), "one direction only")
+
+
+def test_velocity_noise_is_no_motion_and_hidden_rows_do_not_count(
+    good: sdpid.Identification,
+) -> None:
+    samples = one_way(good.problem.samples, 1, 1.0)
+    v = np.array(samples.velocity)
+    v[:5, 1] = -0.019
+    noisy = replace(samples, velocity=v)
+    result = replace(good, problem=replace(good.problem, samples=noisy))
+    assert f"{LAST} (forwards)" in said(result, "one direction only")
+    v[:5, 1] = -0.021
+    samples = replace(samples, velocity=v)
+    unsaid(replace(good, problem=replace(good.problem, samples=samples)), "one direction only")
+    mask = np.ones(v.shape, dtype=bool)
+    mask[:5, 1] = False
+    samples = replace(samples, mask=mask)
+    result = replace(good, problem=replace(good.problem, samples=samples))
+    assert f"{LAST} (forwards)" in said(result, "one direction only")
+
+
+def test_without_friction_directions_do_not_matter(good: sdpid.Identification) -> None:
+    problem = good.problem
+    bare = FrictionModel.from_terms((), problem.robot.joint_names)
+    samples = one_way(problem.samples, 0, 1.0)
+    result = replace(good, problem=replace(problem, samples=samples, friction=bare))
+    assert not list(_one_way(result))
+
+
+def test_all_pieces_count_for_directions(good: sdpid.Identification) -> None:
+    forwards, backwards = (one_way(moved(arm_theta(), 1), 0, s) for s in (1.0, -1.0))
+    for pieces, named in (((forwards, backwards), False), ((forwards, forwards), True)):
+        joined = Samples.join(pieces)
+        result = replace(good, problem=replace(good.problem, samples=joined))
+        assert bool(list(_one_way(result))) is named
+
+
+def test_errors_are_looked_at_once(
+    good: sdpid.Identification, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    fresh = replace(good)
+    first = errors_of(fresh)
+    monkeypatch.setattr("sdpid.output.report.verdict.joint_errors", None)
+    assert errors_of(fresh) is first
+    assert sdpid.verdict(fresh) == sdpid.verdict(good)

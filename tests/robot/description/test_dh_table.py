@@ -1,0 +1,226 @@
+"""Kinematic tables against the product of their transforms, and tables that are refused."""
+
+from __future__ import annotations
+
+import importlib.util
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from sdpid._common.arrays import Array
+from sdpid.errors import DataError, ModelError
+from sdpid.robot.description.catalog import bundled_folder
+from sdpid.robot.description.dh_table import DhJoint, DhTable, matrix_rpy, rpy_matrix
+from sdpid.robot.model.load import load_robot
+from sdpid.robot.model.model import RobotModel
+from tests.helpers.strategies import SEEDS, bodies, dh_tables, rotations
+from tests.helpers.tolerances import KINEMATICS
+
+DENSO = bundled_folder("denso_vp6242")
+
+
+def rotation(axis: int, angle: float) -> Array:
+    vector = np.zeros(3)
+    vector[axis] = angle
+    transform = np.eye(4)
+    transform[:3, :3] = pin.exp3(vector)
+    return transform
+
+
+def translation(axis: int, length: float) -> Array:
+    transform = np.eye(4)
+    transform[axis, 3] = length
+    return transform
+
+
+def product(table: DhTable, q: Array) -> list[Array]:
+    """Return the frames of a table, written down again from its definition."""
+    transform = np.eye(4)
+    transform[:3, :3] = pin.rpy.rpyToMatrix(*table.base_rpy)
+    transform[:3, 3] = table.base_translation
+    frames = []
+    for joint, x in zip(table.joints, q, strict=True):
+        theta = joint.theta + (x if joint.kind == "revolute" else 0.0)
+        r = joint.r + (x if joint.kind == "prismatic" else 0.0)
+        about_x = rotation(0, joint.alpha) @ translation(0, joint.d)
+        about_z = rotation(2, theta) @ translation(2, r)
+        step = about_x @ about_z if table.convention == "modified" else about_z @ about_x
+        transform = transform @ step
+        frames.append(transform)
+    return frames
+
+
+def pinocchio_frames(robot: RobotModel, table: DhTable, q: Array) -> list[Array]:
+    """Return the table's frames from Pinocchio's forward kinematics."""
+    model, data = robot.pin_model, robot.pin_model.createData()
+    pin.forwardKinematics(model, data, robot.configuration(q[None])[0])
+    frames = [np.asarray(data.oMi[i].homogeneous) for i in range(1, model.njoints)]
+    if table.convention == "standard":
+        # The joint frame stands before the fixed end of its row.
+        frames = [
+            frame @ translation(0, joint.d) @ rotation(0, joint.alpha)
+            for frame, joint in zip(frames, table.joints, strict=True)
+        ]
+    return frames
+
+
+@given(dh_tables(), SEEDS)
+def test_pinocchio_agrees_with_the_product(table: DhTable, seed: int) -> None:
+    robot = RobotModel.from_mdh(table)
+    q = np.random.default_rng(seed).uniform(-np.pi, np.pi, robot.n)
+    expected = product(table, q)
+    np.testing.assert_allclose(table.forward_kinematics(q), expected, rtol=0, atol=KINEMATICS)
+    frames = pinocchio_frames(robot, table, q)
+    np.testing.assert_allclose(frames, expected, rtol=0, atol=KINEMATICS)
+    np.testing.assert_allclose(robot.gravity, table.gravity)
+
+
+@given(dh_tables(conventions=("standard",)), SEEDS)
+def test_the_tip_of_a_standard_table(table: DhTable, seed: int) -> None:
+    robot = RobotModel.from_mdh(table)
+    q = np.random.default_rng(seed).uniform(-np.pi, np.pi, robot.n)
+    model, data = robot.pin_model, robot.pin_model.createData()
+    pin.framesForwardKinematics(model, data, robot.configuration(q[None])[0])
+    tip = data.oMf[model.getFrameId("tip")].homogeneous
+    np.testing.assert_allclose(tip, product(table, q)[-1], rtol=0, atol=KINEMATICS)
+
+
+@given(dh_tables(), st.data())
+def test_link_inertias_survive_the_urdf(table: DhTable, data: st.DataObject) -> None:
+    given_links = np.stack([data.draw(bodies()) for _ in table.joints])
+    robot = RobotModel.from_mdh(table, inertias=given_links)
+    np.testing.assert_allclose(robot.prior, given_links, rtol=0, atol=1e-13)
+
+
+def test_denso_frames(denso: RobotModel) -> None:
+    table = DhTable.from_toml(DENSO / "kinematics.toml")
+    rng = np.random.default_rng(0)
+    for q in rng.uniform(-np.pi, np.pi, (50, 6)):
+        frames = pinocchio_frames(denso, table, q)
+        np.testing.assert_allclose(frames, product(table, q), rtol=0, atol=KINEMATICS)
+
+
+def test_denso_urdf_is_what_its_script_writes(monkeypatch: pytest.MonkeyPatch) -> None:
+    text = (DENSO / "denso_vp6242.urdf").read_text(encoding="utf-8")
+    assert DhTable.from_toml(DENSO / "kinematics.toml").to_urdf() == text
+    spec = importlib.util.spec_from_file_location("make_urdf", DENSO / "make_urdf.py")
+    assert spec is not None
+    assert spec.loader is not None
+    script = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(script)
+    written: dict[Path, str] = {}
+    monkeypatch.setattr(script, "atomic_write_text", written.__setitem__)
+    script.main()
+    assert written == {DENSO / "denso_vp6242.urdf": text}
+
+
+def test_denso_limits_are_those_of_the_table(denso: RobotModel) -> None:
+    table = DhTable.from_toml(DENSO / "kinematics.toml")
+    assert denso.joint_names == tuple(f"joint_{i}" for i in range(1, 7))
+    np.testing.assert_array_equal(denso.position_limits, [(j.lower, j.upper) for j in table.joints])
+    np.testing.assert_array_equal(denso.velocity_limits, [j.velocity for j in table.joints])
+    assert np.all(np.isinf(denso.effort_limits))
+
+
+def test_unlimited_joints_have_infinite_limits() -> None:
+    robot = RobotModel.from_mdh([DhJoint(), DhJoint(kind="prismatic")])
+    np.testing.assert_array_equal(robot.position_limits, [[-np.inf, np.inf]] * 2)
+    assert np.all(np.isinf(robot.velocity_limits))
+
+
+@given(rotations())
+def test_rpy_round_trip(R: Array) -> None:
+    rpy = matrix_rpy(R)
+    np.testing.assert_allclose(rpy_matrix(rpy), R, rtol=0, atol=KINEMATICS)
+    np.testing.assert_allclose(rpy_matrix(rpy), pin.rpy.rpyToMatrix(*rpy), rtol=0, atol=1e-14)
+
+
+@pytest.mark.parametrize("pitch", [math.pi / 2, -math.pi / 2])
+@pytest.mark.parametrize(("roll", "yaw"), [(0.3, 0.0), (0.0, -2.0), (1.0, 2.5)])
+def test_rpy_at_gimbal_lock(roll: float, pitch: float, yaw: float) -> None:
+    R = rpy_matrix((roll, pitch, yaw))
+    np.testing.assert_allclose(rpy_matrix(matrix_rpy(R)), R, rtol=0, atol=KINEMATICS)
+
+
+ROW = {"alpha": 0.0, "d": 0.1, "theta": 0.0, "r": 0.2}
+
+
+def test_sources_of_a_table_agree() -> None:
+    table = DhTable.from_toml(DENSO / "kinematics.toml")
+    rows = [{"alpha": j.alpha, "d": j.d, "theta": j.theta, "r": j.r} for j in table.joints]
+    options: dict[str, Any] = {"base_translation": (0.0, 0.0, 0.28), "gravity": (0.0, 0.0, -9.81)}
+    q = np.linspace(-1.0, 1.0, 6)[None]
+    v, a = 2.0 * q, -3.0 * q
+    expected = RobotModel.from_mdh(table).regressor(q, v, a)
+    for robot in (
+        RobotModel.from_mdh(DENSO / "kinematics.toml"),
+        RobotModel.from_mdh(rows, **options),
+        RobotModel.from_mdh([DhJoint(**row) for row in rows], **options),
+        RobotModel.from_mdh({"joint": rows, "base": {"translation": [0, 0, 0.28]}}),
+        load_robot("denso_vp6242"),
+    ):
+        np.testing.assert_allclose(robot.regressor(q, v, a), expected, rtol=0, atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("table", "says"),
+    [
+        ([], "no joints"),
+        ({}, "no \\[\\[joint\\]\\]"),
+        ({"joint": "revolute"}, "no \\[\\[joint\\]\\]"),
+        ([{**ROW, "kind": "helical"}], "helical"),
+        ([{**ROW, "beta": 1.0}], "beta"),
+        ([{**ROW, "d": math.nan}], "row 1: d is nan"),
+        ([ROW, {**ROW, "alpha": math.inf}], "row 2: alpha"),
+        ([{**ROW, "r": "0.2"}], "r is '0.2'"),
+        ([{**ROW, "lower": -1.0}], "both limits"),
+        ([{**ROW, "lower": 1.0, "upper": -1.0}], "above the upper"),
+        ([{**ROW, "lower": math.nan, "upper": 1.0}], "lower"),
+        ([{**ROW, "lower": "-1", "upper": 1.0}], "lower"),
+        ([{**ROW, "velocity": math.nan}], "velocity"),
+        ([{**ROW, "name": "a"}, {**ROW, "name": "a"}], "repeat"),
+        ([3.0], "a row is 3.0"),
+        ({"joint": [ROW], "convention": "denavit"}, "denavit"),
+        ({"joint": [3.0]}, "not understood|a row is"),
+        ({"joint": [ROW], "gravity": [0.0, -9.81]}, "gravity"),
+        ({"joint": [ROW], "gravity": [0.0, 0.0, math.nan]}, "gravity"),
+        ({"joint": [ROW], "base": {"translation": [0.0, 1.0]}}, "base_translation"),
+        ({"joint": [ROW], "base": {"rpy": [0.0, 1.0, math.inf]}}, "base_rpy"),
+        ({"joint": [ROW], "base": {"rpy": "none"}}, "base_rpy"),
+        ({"joint": [ROW], "base": 3.0}, "base is 3.0"),
+        ({"joint": [ROW], "gravity": 9.81}, "gravity"),
+        ({"joint": [ROW], "name": 3}, "name 3"),
+        ([{**ROW, "name": 3}], "name 3"),
+        (5, "got int"),
+    ],
+)
+def test_bad_tables_are_model_errors(table: Any, says: str) -> None:
+    with pytest.raises(ModelError, match=says):
+        RobotModel.from_mdh(table)
+
+
+def test_bad_options_are_model_errors() -> None:
+    rows = [DhJoint(r=0.2)]
+    with pytest.raises(ModelError, match="gravity"):
+        RobotModel.from_mdh(rows, gravity=(0.0, -9.81))
+    with pytest.raises(ModelError, match="gravity"):
+        RobotModel.from_mdh(rows, gravity=(0.0, math.nan, 0.0))
+    with pytest.raises(ModelError, match="inertias"):
+        RobotModel.from_mdh(rows, inertias=np.ones((2, 10)))
+    with pytest.raises(ModelError, match="mass"):
+        RobotModel.from_mdh(rows, inertias=np.zeros((1, 10)))
+
+
+def test_a_missing_or_broken_file(tmp_path: Path) -> None:
+    with pytest.raises((ModelError, DataError), match=r"nothing\.toml"):
+        RobotModel.from_mdh(tmp_path / "nothing.toml")
+    broken = tmp_path / "broken.toml"
+    broken.write_text("joint = [[")
+    with pytest.raises((ModelError, DataError), match="not a TOML file"):
+        RobotModel.from_mdh(broken)

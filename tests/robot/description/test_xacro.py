@@ -1,0 +1,90 @@
+"""Robots from xacro files, and from names of robot_descriptions."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from types import ModuleType
+
+import pytest
+
+from sdpid.errors import ModelError
+from sdpid.robot.model.load import load_robot
+from tests.helpers.robots import TREE
+
+pytest.importorskip("xacrodoc")
+
+MACRO = """<robot xmlns:xacro="http://www.ros.org/wiki/xacro">
+<xacro:macro name="link" params="name"><link name="${name}"/></xacro:macro></robot>"""
+ARM = """<robot name="made" xmlns:xacro="http://www.ros.org/wiki/xacro">
+<xacro:arg name="tool" default="hand"/>
+<xacro:include filename="macro.xacro"/>
+<xacro:include filename="$(find our_robot)/urdf/macro.xacro"/>
+<xacro:link name="base"/><xacro:link name="$(arg tool)"/>
+<joint name="j" type="revolute"><origin xyz="0 0 ${2*pi}"/><parent link="base"/>
+<child link="$(arg tool)"/><axis xyz="0 0 1"/>
+<limit lower="-1" upper="1" effort="1" velocity="1"/></joint></robot>"""
+
+
+@pytest.fixture
+def package(tmp_path: Path) -> Path:
+    """The folder of a ROS package with a xacro file that includes another in two ways."""
+    folder = tmp_path / "ours" / "urdf"
+    folder.mkdir(parents=True)
+    (tmp_path / "ours" / "package.xml").write_text("<package><name>our_robot</name></package>")
+    (folder / "macro.xacro").write_text(MACRO)
+    (folder / "arm.urdf.xacro").write_text(ARM)
+    return folder
+
+
+def test_a_xacro_file_is_expanded(package: Path) -> None:
+    robot = load_robot(package / "arm.urdf.xacro")
+    assert (robot.name, robot.joint_names, robot.link_names) == ("made", ("j",), ("hand",))
+    other = load_robot(package / "arm.urdf.xacro", xacro_args={"tool": "drill"})
+    assert other.link_names == ("drill",)
+    assert "xacro:" not in str(other.urdf)
+
+
+def test_text_is_expanded_without_a_file() -> None:
+    text = ARM.replace('<xacro:include filename="macro.xacro"/>', MACRO.partition("\n")[2][:-8])
+    text = text.replace('<xacro:include filename="$(find our_robot)/urdf/macro.xacro"/>', "")
+    assert load_robot(text).link_names == ("hand",)
+
+
+def test_what_cannot_be_expanded_is_refused(package: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (package / "bad.xacro").write_text(ARM.replace("${2*pi}", "${nonsense}"))
+    with pytest.raises(ModelError, match=r"bad\.xacro: xacro cannot expand it \(.*nonsense"):
+        load_robot(package / "bad.xacro")
+    monkeypatch.setattr("sdpid.robot.description.xacro.TIMEOUT", 2.0)
+    (package / "loop.xacro").write_text(ARM.replace("${2*pi}", "${[0 for i in range(10**12)]}"))
+    with pytest.raises(ModelError, match=r"loop\.xacro"):
+        load_robot(package / "loop.xacro")
+    with pytest.raises(ModelError, match="no xacro file"):
+        load_robot(TREE, xacro_args={"tool": "drill"})
+
+
+def test_names_of_robot_descriptions(
+    tmp_path: Path, package: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "tree.urdf").write_text(TREE)
+    catalog, plain, macro = (ModuleType(f"robot_descriptions{end}") for end in ("", ".a", ".b"))
+    names = ("plain_description", "macro_description", "gone_description")
+    catalog.DESCRIPTIONS = dict.fromkeys(names)  # type: ignore[attr-defined]
+    catalog.__path__ = []
+    plain.URDF_PATH = str(tmp_path / "tree.urdf")  # type: ignore[attr-defined]
+    macro.XACRO_PATH = str(package / "arm.urdf.xacro")  # type: ignore[attr-defined]
+    monkeypatch.setitem(sys.modules, "robot_descriptions", catalog)
+    monkeypatch.setitem(sys.modules, "robot_descriptions.plain_description", plain)
+    monkeypatch.setitem(sys.modules, "robot_descriptions.macro_description", macro)
+    assert load_robot("plain_description").name == "tree"
+    assert load_robot("macro_description").link_names == ("hand",)
+    with pytest.raises(ModelError, match=r"'gone_description' cannot be fetched"):
+        load_robot("gone_description")
+    with pytest.raises(ModelError, match=r"near it are .*plain_description"):
+        load_robot("plain_descriptoin")
+
+
+def test_without_robot_descriptions_the_extra_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "robot_descriptions", None)
+    with pytest.raises(ModelError, match=r"pip install 'sdpid\[descriptions\]'"):
+        load_robot("no_such_description")

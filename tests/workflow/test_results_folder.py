@@ -1,0 +1,390 @@
+"""The folder that results are written into: every file of a run, or none."""
+
+from __future__ import annotations
+
+import errno
+import json
+import os
+import resource
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import sdpid
+from sdpid._common import files as _files
+from sdpid._common import signals as _signals
+from sdpid.workflow import results_folder
+from sdpid.workflow.results_folder import NAMES, _exchange
+from tests.helpers.runs import arm, recorded
+
+# Events of Python's audit that change a disk. "open" counts where it is for writing.
+CHANGES = ("open", "os.rename", "os.mkdir", "os.remove", "os.chmod", "os.link")
+
+
+class Injector:
+    """Make the n-th change below a folder fail, whatever function makes it."""
+
+    def __init__(self) -> None:
+        self.folder: str | None = None
+        self.left = 0
+        self.events: list[str] = []
+        sys.addaudithook(self._hook)
+
+    def _hook(self, event: str, arguments: tuple[Any, ...]) -> None:
+        if self.folder is None or event not in CHANGES:
+            return
+        if event == "open":
+            _, mode, flags = arguments
+            writes = (flags or 0) & (os.O_WRONLY | os.O_RDWR)
+            if not writes and not (isinstance(mode, str) and set(mode) & set("wax+")):
+                return
+        paths = [os.fspath(a) for a in arguments if isinstance(a, (str, os.PathLike))]
+        if not any(str(path).startswith(self.folder) for path in paths):
+            return
+        self.events.append(event)
+        self.left -= 1
+        if self.left == 0:
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    def arm(self, folder: Path | None, number: int = 0) -> None:
+        self.folder, self.left, self.events = (None if folder is None else str(folder)), number, []
+
+
+@pytest.fixture(scope="module")
+def injector() -> Injector:
+    return Injector()
+
+
+@pytest.fixture(scope="module")
+def result() -> sdpid.Identification:
+    return sdpid.identify(arm(), recorded(1))
+
+
+@pytest.fixture(scope="module")
+def other() -> sdpid.Identification:
+    """Return the result of another run, of which no robot can be written."""
+    return sdpid.identify(arm(), recorded(2), consistency="none")
+
+
+@pytest.fixture(autouse=True)
+def _disarmed(injector: Injector) -> Iterator[None]:
+    yield
+    injector.arm(None)
+
+
+def contents(folder: Path) -> dict[str, bytes]:
+    return {path.name: path.read_bytes() for path in folder.iterdir()}
+
+
+def test_a_run_replaces_what_an_earlier_one_wrote(
+    result: sdpid.Identification, other: sdpid.Identification, tmp_path: Path
+) -> None:
+    first = {path.name for path in result.save(tmp_path)}
+    assert {"identified.urdf", "identified.xml", "training.png"} <= first <= set(NAMES)
+    (tmp_path / "notes.txt").write_text("mine")
+    second = {path.name for path in other.save(tmp_path, figures=False)}
+    assert {path.name for path in tmp_path.iterdir()} == second | {"notes.txt"}
+    assert not second & {"identified.urdf", "identified.xml", "training.png"}
+    assert (tmp_path / "notes.txt").read_text() == "mine"
+
+
+def test_files_of_others_stay(
+    result: sdpid.Identification, other: sdpid.Identification, tmp_path: Path
+) -> None:
+    """Also under the name of a result: where no run wrote it, or it was changed since."""
+    (tmp_path / "validation.png").write_text("drawn by hand")
+    result.save(tmp_path, figures=False)
+    urdf = tmp_path / "identified.urdf"
+    urdf.write_text(urdf.read_text() + "<!-- tuned -->\n")
+    notes: list[str] = []
+    other.save(tmp_path, figures=False, report=notes.append)
+    assert (tmp_path / "validation.png").read_text() == "drawn by hand"
+    assert urdf.read_text().endswith("<!-- tuned -->\n")
+    assert any("identified.urdf of an earlier run was changed" in note for note in notes)
+    assert not (tmp_path / "identified.xml").exists()
+
+
+@pytest.mark.parametrize(
+    "text", ["", "[]", '{"files": 1}', '{"files": {"../x": "0"}}', "[" * 10_000]
+)
+def test_a_list_of_files_that_is_none(
+    other: sdpid.Identification, tmp_path: Path, text: str
+) -> None:
+    (tmp_path / "x").write_text("kept")
+    out = tmp_path / "out"
+    out.mkdir()
+    (out / "result.json").write_text(text)
+    other.save(out, figures=False)
+    assert (tmp_path / "x").exists()
+
+
+def test_the_list_names_every_file_with_its_digest(
+    result: sdpid.Identification, tmp_path: Path
+) -> None:
+    files = result.save(tmp_path)
+    listed = json.loads((tmp_path / "result.json").read_text())["files"]
+    assert set(listed) | {"result.json"} == {path.name for path in files}
+    assert all(results_folder._digest(tmp_path / name) == listed[name] for name in listed)
+
+
+@pytest.mark.parametrize("earlier", [False, True])
+def test_whatever_fails_all_or_none(
+    result: sdpid.Identification,
+    other: sdpid.Identification,
+    injector: Injector,
+    tmp_path: Path,
+    earlier: bool,
+) -> None:
+    """Every change of the disk fails once: opening for writing, making, moving and removing."""
+    out = tmp_path / "out"
+    if earlier:
+        result.save(out, figures=False)
+    before = contents(out) if earlier else {}
+    injector.arm(tmp_path)
+    other.save(tmp_path / "counted", figures=False)
+    count = len(injector.events)
+    assert {"open", "os.rename", "os.mkdir"} <= set(injector.events)
+    failures = 0
+    # With earlier files there are more changes than counted: twice as many is beyond the last.
+    for number in range(1, 2 * count + 20):
+        injector.arm(tmp_path, number)
+        try:
+            other.save(out, figures=False)
+            saved = True
+        except sdpid.ExportError:
+            saved = False
+            failures += 1
+        reached = injector.left <= 0
+        injector.arm(None)
+        if saved:
+            # What failed was the removal of what is not needed, or nothing did.
+            assert json.loads((out / "result.json").read_text())["files"].keys() == {
+                path.name for path in out.iterdir() if path.name != "result.json"
+            } - {path.name for path in out.glob(".sdpid-*")}
+            if not reached:
+                break
+            if earlier:
+                result.save(out, figures=False)
+                before = contents(out)
+            else:
+                for path in out.iterdir():
+                    path.unlink()
+                out.rmdir()
+        elif earlier:
+            assert contents(out) == before, number
+        else:
+            assert not out.exists(), number
+    else:
+        pytest.fail("there was always another change")
+    assert failures > 20
+
+
+@pytest.mark.parametrize("limit", [0, 100, 3000, 20_000])
+def test_a_disk_that_is_full_in_the_midst_of_a_file(
+    result: sdpid.Identification, tmp_path: Path, limit: int
+) -> None:
+    result.save(tmp_path / "out", figures=False)
+    sizes = {path.stat().st_size for path in (tmp_path / "out").iterdir()}
+    assert max(sizes) > limit
+    before = contents(tmp_path / "out")
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (limit, hard))
+    try:
+        with pytest.raises(sdpid.ExportError, match="too large"):
+            result.save(tmp_path / "out")
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+    assert contents(tmp_path / "out") == before
+
+
+@pytest.mark.parametrize("name", ["report.html", "training.png", "result.json"])
+def test_a_folder_in_the_place_of_a_file(
+    result: sdpid.Identification, tmp_path: Path, name: str
+) -> None:
+    (tmp_path / name).mkdir()
+    with pytest.raises(sdpid.ExportError, match=f"{name}: it is a folder"):
+        result.save(tmp_path)
+    assert [path.name for path in tmp_path.iterdir()] == [name]
+
+
+def test_what_a_killed_run_left_is_removed(result: sdpid.Identification, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    left = out / ".sdpid-0123456789ab" / "replaced"
+    left.mkdir(parents=True)
+    (left / "report.html").write_text("half")
+    result.save(out, figures=False)
+    assert not any(path.name.startswith(".") for path in out.iterdir())
+
+
+WRITER = """
+import sys, time
+from pathlib import Path
+from sdpid.workflow.results_folder import _stage
+with _stage(Path(sys.argv[1])) as stage:
+    (stage / "half").write_text("")
+    print("ready", flush=True)
+    time.sleep(float(sys.argv[2]))
+"""
+
+
+def test_what_a_living_run_prepares_stays(result: sdpid.Identification, tmp_path: Path) -> None:
+    """The next run waits for it; when it is killed, its folder is removed at once."""
+    run = [sys.executable, "-c", WRITER, str(tmp_path)]
+    with subprocess.Popen([*run, "1"], stdout=subprocess.PIPE, text=True) as living:
+        assert living.stdout is not None
+        assert living.stdout.readline() == "ready\n"
+        result.save(tmp_path, figures=False)
+        assert living.wait(timeout=30) == 0
+    with subprocess.Popen([*run, "60"], stdout=subprocess.PIPE, text=True) as killed:
+        assert killed.stdout is not None
+        assert killed.stdout.readline() == "ready\n"
+        killed.kill()
+    assert any(path.name.startswith(".sdpid-") for path in tmp_path.iterdir())
+    result.save(tmp_path, figures=False)
+    assert not any(path.name.startswith(".") for path in tmp_path.iterdir())
+
+
+def test_two_runs_do_not_wait_for_ever(
+    result: sdpid.Identification, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(results_folder, "_PATIENCE", 0.2)
+    with results_folder._stage(tmp_path), pytest.raises(sdpid.ExportError, match="another run"):
+        result.save(tmp_path, figures=False)
+
+
+@pytest.mark.skipif(os.name != "posix", reason="signals of POSIX")
+@pytest.mark.parametrize("number", range(5))
+def test_a_signal_amid_the_moves_undoes_them(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, number: int
+) -> None:
+    stage, out = tmp_path / "stage", tmp_path / "out"
+    stage.mkdir()
+    out.mkdir()
+    for name in "abc":
+        (stage / name).write_text("new")
+    for name in "ad":
+        (out / name).write_text("old")
+    before = contents(out)
+    move, moved = results_folder._move, []
+
+    def interrupted(source: Path, target: Path) -> None:
+        move(source, target)
+        moved.append(target)
+        if len(moved) == number + 1:
+            os.kill(os.getpid(), signal.SIGINT)
+            time.sleep(1.0)
+
+    monkeypatch.setattr(results_folder, "_move", interrupted)
+    if number < 3:
+        with pytest.raises(KeyboardInterrupt):
+            _exchange(stage, out, ["a", "b", "c"], ["d"])
+        assert contents(out) == before
+    else:
+        _exchange(stage, out, ["a", "b", "c"], ["d"])
+        assert contents(out) == dict.fromkeys("abc", b"new")
+
+
+def test_nothing_is_moved_once_a_signal_was_to_end_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Even where what the handler raised was swallowed, as some imports do."""
+    monkeypatch.setattr(_signals, "_ending", [])
+    with pytest.raises(SystemExit) as ended:
+        _signals.end_by(signal.SIGTERM)
+    assert ended.value.code == 128 + signal.SIGTERM
+    stage = tmp_path / "stage"
+    stage.mkdir()
+    (stage / "a").write_text("a")
+    with pytest.raises(SystemExit):
+        _exchange(stage, tmp_path, ["a"], [])
+    assert not (tmp_path / "a").exists()
+
+
+def test_links_stay_and_their_files_are_replaced(
+    result: sdpid.Identification, tmp_path: Path
+) -> None:
+    (tmp_path / "elsewhere").mkdir()
+    linked = tmp_path / "elsewhere" / "robot.urdf"
+    linked.write_text("old")
+    (tmp_path / "out").mkdir()
+    (tmp_path / "out" / "identified.urdf").symlink_to(linked)
+    result.save(tmp_path / "out", figures=False)
+    assert (tmp_path / "out" / "identified.urdf").is_symlink()
+    assert linked.read_text().startswith("<?xml")
+    _files.atomic_write_text(tmp_path / "out" / "identified.urdf", "<robot/>")
+    assert (tmp_path / "out" / "identified.urdf").is_symlink()
+    assert linked.read_text() == "<robot/>"
+
+
+def test_files_get_the_permissions_of_any_new_file(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """And the umask, which belongs to all threads, is not touched for that."""
+
+    def touched(_: int) -> int:
+        raise AssertionError("the umask is set")
+
+    before = os.umask(0o027)
+    try:
+        with monkeypatch.context() as patch:
+            patch.setattr(os, "umask", touched)
+            _files.atomic_write_text(tmp_path / "a", "")
+        with (tmp_path / "b").open("w"):
+            pass
+    finally:
+        os.umask(before)
+    assert (tmp_path / "a").stat().st_mode == (tmp_path / "b").stat().st_mode
+    assert (tmp_path / "a").stat().st_mode & 0o777 == 0o640
+
+
+def test_what_no_file_can_replace(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "pipe")
+    for path, words in ((tmp_path, "a folder"), (tmp_path / "pipe", "no regular file")):
+        with pytest.raises(sdpid.ExportError, match=words):
+            _files.atomic_write_text(path, "")
+    with pytest.raises(sdpid.ExportError, match="No such file"):
+        _files.atomic_write_text(tmp_path / "no" / "file", "")
+    assert [path.name for path in tmp_path.iterdir()] == ["pipe"]
+
+
+@pytest.mark.parametrize("error", [AttributeError("no mj_saveLastXML"), RuntimeError("boom")])
+def test_a_failing_mujoco_costs_the_run_nothing_but_its_file(
+    result: sdpid.Identification,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    error: Exception,
+) -> None:
+    def fail(*_: object, **__: object) -> None:
+        raise error
+
+    monkeypatch.setattr("sdpid.output.robots.mjcf.write_mjcf", fail)
+    notes: list[str] = []
+    files = {path.name for path in result.save(tmp_path, figures=False, report=notes.append)}
+    assert "identified.urdf" in files
+    assert "identified.xml" not in files
+    assert any(f"{type(error).__name__}: {error}" in note for note in notes)
+
+
+def test_numbers_that_json_cannot_hold_are_null(tmp_path: Path) -> None:
+    """A constant effort has no R², and nothing of the run is lost for that."""
+    log = recorded(1)
+    effort = np.array(log.effort)
+    effort[:, 1] = 100.0
+    found = sdpid.identify(arm(), replace(log, effort=effort))
+    assert np.isneginf(found.training.r2[1])
+    found.save(tmp_path, figures=False)
+
+    def refuse(constant: str) -> None:
+        raise AssertionError(constant)
+
+    content = json.loads((tmp_path / "result.json").read_text(), parse_constant=refuse)
+    assert content["training"]["joints"]["b"]["r2"] is None
+    assert content == found.to_dict() | {"files": content["files"]}

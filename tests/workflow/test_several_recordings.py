@@ -1,0 +1,211 @@
+"""Several recordings in one fit, intervals by default, and what is said of them."""
+
+from __future__ import annotations
+
+import csv
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import sdpid
+from sdpid.assurance.diagnostics.residuals import joint_errors
+from sdpid.experiment.preparation.for_robot import default_processing, prepare
+from sdpid.experiment.preparation.several import chosen_processing, common_processing
+from sdpid.output.plots.figures import TimeLine
+from sdpid.output.plots.plots import plot_fit
+from sdpid.output.report.report import report_html
+from tests.helpers.runs import arm, recorded
+
+
+@pytest.fixture(scope="module")
+def logs() -> list[sdpid.Recording]:
+    return [recorded(1, speed=0.7), recorded(2), recorded(3, speed=1.5, seconds=15.0)]
+
+
+@pytest.fixture(scope="module")
+def result(logs: list[sdpid.Recording]) -> sdpid.Identification:
+    return sdpid.identify(arm(), logs[:2], validation=logs[2])
+
+
+def test_recordings_are_processed_alike_and_alone(
+    logs: list[sdpid.Recording], result: sdpid.Identification
+) -> None:
+    cutoffs = [default_processing(log).cutoff_hz for log in logs]
+    assert cutoffs == sorted(cutoffs)
+    # The median; of two the lower one.
+    assert common_processing(logs)[0] == default_processing(logs[1])
+    assert common_processing(logs[:2])[0] == default_processing(logs[0])
+    assert common_processing(logs[:1]) == (default_processing(logs[0]), None)
+    chosen = default_processing(logs[0])
+    pieces = [prepare(arm(), log, chosen) for log in logs[:2]]
+    samples = result.problem.samples
+    assert samples.starts == (0, pieces[0].n_samples)
+    np.testing.assert_array_equal(samples.effort, np.concatenate([p.effort for p in pieces]))
+    assert result.validation_samples is not None
+    alone = prepare(arm(), logs[2], replace(chosen, covariance=None))
+    np.testing.assert_array_equal(result.validation_samples.effort, alone.effort)
+    assert "as suits recording 1" in result.notes[0]
+    assert result.certificate.passed
+    assert result.validation is not None
+    assert result.validation.relative < 0.02
+
+
+def test_settings_may_be_changed_one_by_one(logs: list[sdpid.Recording]) -> None:
+    processing, why = chosen_processing(logs, {"order": 2})
+    assert processing.order == 2
+    assert processing.cutoff_hz == default_processing(logs[1]).cutoff_hz
+    assert why is not None
+    with pytest.raises(sdpid.DataError, match="no setting colour"):
+        sdpid.identify(arm(), logs[0], processing={"colour": "red"})
+    with pytest.raises(sdpid.DataError, match="order"):
+        sdpid.identify(arm(), logs[0], processing={"order": 0})
+
+
+def test_what_cannot_be_joined_is_refused(logs: list[sdpid.Recording]) -> None:
+    with pytest.raises(sdpid.DataError, match="at least one"):
+        sdpid.identify(arm(), [])
+    periodic = recorded(4, seconds=20.0, period=10.0)
+    with pytest.raises(sdpid.DataError, match=r"recording 2 of 2 has a period.*period=None"):
+        sdpid.identify(arm(), [logs[0], periodic])
+    other = recorded(5)
+    other = sdpid.Recording(
+        time=other.time, position=other.position[:, :1], effort=other.effort[:, :1]
+    )
+    with pytest.raises(sdpid.DataError, match="1 joints"):
+        sdpid.identify(arm(), [logs[0], other])
+
+
+def test_intervals_come_by_default_and_are_written(
+    result: sdpid.Identification, tmp_path: Path
+) -> None:
+    found = result.intervals
+    assert found is not None
+    assert found.method == "gauss_markov"
+    result.save(tmp_path, figures=False)
+    for file, names in (
+        ("base_parameters.csv", result.problem.base.names),
+        ("parameters.csv", result.problem.base.theta_names),
+    ):
+        with (tmp_path / file).open(newline="") as lines:
+            rows = {row["parameter"]: row for row in csv.DictReader(lines)}
+        assert tuple(rows) == tuple(names)
+        given = [name for name in names if name in found.names]
+        assert given
+        for name in given:
+            i = found.names.index(name)
+            assert float(rows[name]["lower"]) == found.lower[i]
+            assert float(rows[name]["upper"]) == found.upper[i]
+            assert rows[name]["label"] == found.label[i]
+        assert all(rows[name]["lower"] == "" for name in set(names) - set(given))
+    told = json.loads((tmp_path / "result.json").read_text())
+    assert told["intervals"]["method"] == "gauss_markov"
+    assert len(told["intervals"]["parameters"]) == len(found)
+    kept = json.loads((tmp_path / "parameters.json").read_text())
+    assert kept["base"]["Fv1"]["interval"] == [
+        found.lower[found.names.index("Fv1")],
+        found.upper[found.names.index("Fv1")],
+    ]
+    assert kept["standard"]["m_1"]["shares"]
+    assert "gauss_markov" in (tmp_path / "report.html").read_text(encoding="utf-8")
+    assert "95 % intervals" in result.summary()
+
+
+def test_profile_intervals_hold_the_estimate(logs: list[sdpid.Recording]) -> None:
+    result = sdpid.identify(arm(), logs[0], intervals="profile")
+    assert result.intervals is not None
+    assert result.intervals.contains(result.intervals.estimate).all()
+    assert result.intervals_note is None
+
+
+def test_intervals_that_do_not_hold_the_estimate_are_counted(logs: list[sdpid.Recording]) -> None:
+    """A firm belief in other inertias moves the estimate away from the unconstrained fit."""
+    result = sdpid.identify(arm(), logs[0], prior=sdpid.Prior(strength=1e9))
+    found = result.intervals
+    assert found is not None
+    assert result.intervals_note is not None
+    count = int(result.intervals_note.split()[0])
+    values = {**result.estimate.named_theta(), **result.estimate.named()}
+    outside = [
+        name
+        for name, low, high in zip(found.names, found.lower, found.upper, strict=True)
+        if not low <= values[name] <= high
+    ]
+    assert count == len(outside) > 0
+
+
+def test_why_there_are_none_is_said(tmp_path: Path) -> None:
+    short = recorded(1, seconds=6.0)
+    result = sdpid.identify(arm(), short)
+    assert result.intervals is None
+    assert result.intervals_note is not None
+    assert "blocks" in result.intervals_note
+    assert result.intervals_note in result.to_dict()["notes"]
+    result.save(tmp_path, figures=False)
+    page = (tmp_path / "report.html").read_text(encoding="utf-8")
+    assert "No intervals of the parameters" in page
+    header = (tmp_path / "base_parameters.csv").read_text().splitlines()[0]
+    assert "lower" not in header
+    assert sdpid.identify(arm(), short, intervals=False).intervals_note is None
+    with pytest.raises(sdpid.DataError, match="'guess'"):
+        sdpid.identify(arm(), short, intervals="guess")  # type: ignore[arg-type]
+
+
+def test_why_there_is_no_mjcf_is_said(
+    result: sdpid.Identification, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from sdpid.output.robots import mjcf
+
+    def fail(*_: object, **__: object) -> None:
+        raise sdpid.ExportError("MuJoCo cannot hold it.")
+
+    monkeypatch.setattr(mjcf, "write_mjcf", fail)
+    said: list[str] = []
+    files = {file.name for file in result.save(tmp_path, figures=False, report=said.append)}
+    assert "identified.urdf" in files
+    assert "identified.xml" not in files
+    assert any("no identified.xml" in text and "cannot hold it" in text for text in said)
+
+
+def test_no_line_is_drawn_across_a_join(result: sdpid.Identification) -> None:
+    samples = result.problem.samples
+    figure = plot_fit(samples, result.training)
+    seconds = sum(float(samples.time[p][-1] - samples.time[p][0]) for p in samples.parts)
+    for axis in figure.axes:
+        for line in axis.get_lines():
+            x, y = line.get_data()
+            gaps = np.flatnonzero(np.isnan(y))
+            assert len(gaps) == 1
+            assert np.all(np.diff(x) > 0.0)
+            assert x[-1] - x[0] == pytest.approx(1.02 * seconds)
+    assert "pieces, recorded apart" in report_html(result, figures=False)
+
+
+def test_time_lines() -> None:
+    line = TimeLine.of(np.array([5.0, 6.0, 7.0, 1.0, 3.0]), 5, (0, 3))
+    assert line.label == "time [s], recordings behind each other"
+    np.testing.assert_allclose(line.time, [0.0, 1.0, 2.0, 2.04, 2.08, 4.08])
+    np.testing.assert_array_equal(line.broken(np.arange(5.0)), [0, 1, 2, np.nan, 3, 4])
+    assert line.kept(np.zeros(5, dtype=bool)).tolist() == [False] * 3 + [True] + [False] * 2
+    whole = TimeLine.of(None, 3, (0,))
+    assert whole.label == "sample"
+    np.testing.assert_array_equal(whole.broken(whole.time), [0.0, 1.0, 2.0])
+
+
+def test_spectra_and_correlations_stay_within_pieces(logs: list[sdpid.Recording]) -> None:
+    """Of a recording joined with itself they are those of the recording."""
+    result = sdpid.identify(arm(), logs[0], intervals=False)
+    one = result.problem.samples
+    two = sdpid.Samples.join([one, one])
+    for first, second in zip(
+        joint_errors(one, sdpid.validate(result.estimate, one)),
+        joint_errors(two, sdpid.validate(result.estimate, two)),
+        strict=True,
+    ):
+        size = 1e-9 * first.error_density.max()
+        np.testing.assert_allclose(second.error_density, first.error_density, atol=size)
+        np.testing.assert_array_equal(second.frequency, first.frequency)
+        count = len(first.autocorrelation)
+        np.testing.assert_allclose(second.autocorrelation[:count], first.autocorrelation, atol=1e-9)
