@@ -1,13 +1,13 @@
-"""Refutations found by cone programs, made exact, and made short.
+"""Refutations found by cone programs, made short, and made exact.
 
-A proof with few numbers can be checked by hand. Weights are pushed towards few by a reweighted
-sum of their sizes, then left out one at a time as long as the rest still contradict the table.
-Then they are rounded to as few digits as still prove it.
+A proof with few numbers can be checked by hand. A reweighted sum of sizes makes most weights zero;
+of the others, one after the other is left out as long as the rest still contradict the table. What
+is left is rounded to as few digits as still prove it.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable
 from fractions import Fraction
 
 import numpy as np
@@ -16,7 +16,7 @@ from sdpid._common.arrays import Array
 from sdpid.assurance.certificate.verify import positive_semidefinite
 from sdpid.assurance.tables.facial_reduction import Face, find_face
 from sdpid.assurance.tables.refutation import Refutation
-from sdpid.assurance.tables.weight_program import Weights, weigh
+from sdpid.assurance.tables.weight_program import WeightProgram, Weights
 from sdpid.assurance.tables.witness import Question, coefficient_matrices
 from sdpid.assurance.tables.witness_search import Search
 
@@ -34,10 +34,8 @@ _ROUNDS = 8
 _NOTHING = 1e-4
 _SOFT = 1e-2
 
-# Random orders in which to leave parameters out, for supports up to this size.
-_ORDERS = 12
+# Up to this many free weights each of them is tried as the one that is made 1.
 _SMALL_SUPPORT = 14
-_SEED = 20210621
 
 # Rounding of weights that are written with all digits, and of the matrices that follow.
 _TINY = 1e-14
@@ -45,6 +43,9 @@ _TINY = 1e-14
 # A bound on the margin gives way by one of these shares of its scale, for the weights to be
 # rounded.
 _MARGIN_ROOM = (1e-6, 1e-4, 1e-2)
+
+# Shares of the largest contradiction that the strongest refutation may keep.
+_STRONG_SHARES = (0.9999, 0.99, 0.9)
 
 # Digits of weights that nobody is to read.
 _MANY_DIGITS = (6, 9, 12, _DIGITS)
@@ -60,13 +61,10 @@ def refute(search: Search) -> Refutation | None:
         found = _contradiction(search, support, mass_bound)
         if found is None:
             continue
-        for candidate in sorted(_supports(search, found, mass_bound), key=len):
+        for candidate in (_few(search, found, mass_bound), tuple(support)):
             proof = _exact_proof(search, candidate, mass_bound)
             if proof is not None:
                 return proof
-        proof = _exact_proof(search, support, mass_bound)
-        if proof is not None:
-            return proof
     return _with_slack(search)
 
 
@@ -75,21 +73,24 @@ def strongest(search: Search) -> Refutation | None:
 
     It may use any of the bounds.
     """
-    norm = search.give
     face = find_face(search.question, range(len(search.question.rows)), mass_bound=True)
-    best = weigh(search, face, mass_bound=True, norm=norm) if face.free else None
-    proofs = []
-    if best is not None:
-        levels = [share * best.violation for share in (0.9999, 0.99, 0.9)]
-        proof = _inside(search, face, levels, lambda proof: proof.holds, norm=norm)
-        if proof is not None:
-            proofs.append(proof)
-    whole = weigh(search, _whole(search), mass_bound=True, norm=norm)
-    if whole is not None:
-        proof = _mended(search.question, whole)
-        if proof.holds:
-            proofs.append(proof)
-    return max(proofs, key=lambda proof: proof.change_bound or 0, default=None)
+    proofs = [
+        _inside(
+            WeightProgram(search, face, mass_bound=True, norm=search.give),
+            search.question,
+            lambda best: [share * best for share in _STRONG_SHARES],
+            lambda proof: proof.holds,
+        )
+        if face.free
+        else None
+    ]
+    whole = WeightProgram(search, _whole(search), mass_bound=True, norm=search.give)
+    weights = whole.most_contradicting()
+    if weights is not None:
+        mended = _mended(search.question, weights)
+        proofs.append(mended if mended.holds else None)
+    found = [proof for proof in proofs if proof is not None]
+    return max(found, key=lambda proof: proof.change_bound or 0, default=None)
 
 
 def bound_margin(search: Search) -> Refutation | None:
@@ -99,14 +100,16 @@ def bound_margin(search: Search) -> Refutation | None:
         return proof.valid and proof.margin_bound is not None
 
     face = find_face(search.question, range(len(search.question.rows)), mass_bound=True)
-    best = weigh(search, face, mass_bound=True, of_margin=True) if face.free else None
-    if best is not None:
-        size = max(1.0, abs(best.violation))
-        levels = [best.violation - room * size for room in _MARGIN_ROOM]
-        proof = _inside(search, face, levels, bounds, of_margin=True)
+    if face.free:
+        proof = _inside(
+            WeightProgram(search, face, mass_bound=True),
+            search.question,
+            lambda best: [best - room * max(1.0, abs(best)) for room in _MARGIN_ROOM],
+            bounds,
+        )
         if proof is not None:
             return proof
-    whole = weigh(search, _whole(search), mass_bound=True, of_margin=True)
+    whole = WeightProgram(search, _whole(search), mass_bound=True).most_contradicting()
     if whole is None:
         return None
     proof = _mended(search.question, whole)
@@ -114,29 +117,21 @@ def bound_margin(search: Search) -> Refutation | None:
 
 
 def _inside(
-    search: Search,
-    face: Face,
-    levels: Iterable[float],
+    program: WeightProgram,
+    question: Question,
+    levels: Callable[[float], list[float]],
     accepted: Callable[[Refutation], bool],
-    *,
-    norm: Array | None = None,
-    of_margin: bool = False,
 ) -> Refutation | None:
-    """Return an accepted proof from weights that contradict so much and lie well inside."""
-    for least in levels:
-        inner = weigh(
-            search,
-            face,
-            mass_bound=True,
-            norm=norm,
-            of_margin=of_margin,
-            least=least,
-            interior=True,
-        )
+    """Return an accepted proof from weights well inside, at levels of the largest contradiction."""
+    best = program.most_contradicting()
+    if best is None:
+        return None
+    for least in levels(best.violation):
+        inner = program.most_interior(least)
         if inner is None:
             continue
         for digits in _MANY_DIGITS:
-            proof = _rounded(search.question, inner, digits, None)
+            proof = _rounded(question, inner, digits, None)
             if proof is not None and accepted(proof):
                 return proof
     return None
@@ -147,91 +142,55 @@ def _contradiction(search: Search, support: Iterable[int], mass_bound: bool) -> 
     face = find_face(search.question, support, mass_bound=mass_bound)
     if not face.free:
         return None
-    found = weigh(search, face, mass_bound=mass_bound, norm=_sizes(search, face))
+    program = WeightProgram(search, face, mass_bound=mass_bound, norm=_sizes(search, face))
+    found = program.most_contradicting()
     return None if found is None or found.violation <= _CONTRADICTS else found
 
 
-def _size_in_changes(search: Search, k: int) -> float:
-    """Return the size of a parameter in units in which its changes count."""
-    return float(search.scaling.mass * search.unit[k] / search.give[k])
-
-
 def _sizes(search: Search, face: Face) -> Array:
+    """Return the size of each parameter of a face's support, in its unit."""
     return np.asarray(search.scaling.mass * search.unit[list(face.support)])
 
 
-def _supports(search: Search, dense: Weights, mass_bound: bool) -> Iterator[tuple[int, ...]]:
-    """Yield small sets of parameters that contradict each other."""
+def _few(search: Search, dense: Weights, mass_bound: bool) -> tuple[int, ...]:
+    """Return a small set of parameters that contradict each other."""
     alone = []
     for k in range(len(search.question.rows)):
         found = _contradiction(search, (k,), mass_bound)
         if found is not None:
-            alone.append((found.violation * _size_in_changes(search, k), k))
+            alone.append(
+                (found.violation * float(_sizes(search, found.face)[0] / search.give[k]), k)
+            )
     if alone:
-        yield (max(alone)[1],)
-        return
-    face, sizes = dense.face, _sizes(search, dense.face)
-    size_of = dict(zip(face.support, sizes, strict=True))
-    rng = np.random.default_rng(_SEED)
-    seen: set[tuple[int, ...]] = set()
-    give = search.give[list(face.support)]
-    for start in (sizes, give * np.median(sizes / give), sizes * give / np.median(give)):
-        support = _reweighted(search, dense, start, mass_bound)
-        if support is None:
-            continue
-        orders: list[Sequence[int]] = [support]
-        if len(support) <= _SMALL_SUPPORT:
-            orders += [tuple(rng.permutation(support).tolist()) for _ in range(_ORDERS)]
-        for order in orders:
-            small = _pruned(search, order, mass_bound, size_of)
-            if small not in seen:
-                seen.add(small)
-                yield small
+        return (max(alone)[1],)
+    # Greedy: the parameters of least weight are left out first.
+    kept = _reweighted(search, dense, mass_bound)
+    for k in tuple(kept):
+        rest = [j for j in kept if j != k]
+        if k in kept and rest and _contradiction(search, rest, mass_bound) is not None:
+            kept = rest
+    return tuple(sorted(kept))
 
 
-def _reweighted(
-    search: Search, dense: Weights, start: Array, mass_bound: bool
-) -> tuple[int, ...] | None:
-    """Return few parameters, those of least weight first."""
+def _reweighted(search: Search, dense: Weights, mass_bound: bool) -> list[int]:
+    """Return few parameters that contradict each other, those of least weight first."""
     face, sizes = dense.face, _sizes(search, dense.face)
+    program = WeightProgram(search, face, mass_bound=mass_bound, norm=sizes)
+    start = search.give[list(face.support)]
     cost = start
-    weights = None
+    weights = np.abs(dense.support()) * sizes
     for _ in range(_ROUNDS):
-        found = weigh(search, face, mass_bound=mass_bound, cost=cost, least=dense.violation)
+        found = program.cheapest(cost, dense.violation)
         if found is None:
             break
         weights = np.abs(found.support()) * sizes
-        cost = start / (weights + _SOFT * weights.max()) * weights.max()
-    if weights is None:
-        return None
+        cost = start / (weights / weights.max() + _SOFT)
     order = np.argsort(weights)
-    kept = [face.support[i] for i in order if weights[i] > _NOTHING * weights.max()]
-    if _contradiction(search, kept, mass_bound) is None:
-        kept = [face.support[i] for i in order if weights[i] > _NOTHING**2 * weights.max()]
-        if _contradiction(search, kept, mass_bound) is None:
-            return None
-    return tuple(kept)
-
-
-def _pruned(
-    search: Search, order: Sequence[int], mass_bound: bool, sizes: dict[int, float]
-) -> tuple[int, ...]:
-    """Leave out one parameter after the other as long as the rest contradict each other."""
-    kept = list(order)
-    for k in order:
-        rest = [j for j in kept if j != k]
-        if k not in kept or not rest:
-            continue
-        found = _contradiction(search, rest, mass_bound)
-        if found is not None:
-            weights = np.abs(found.support()) * np.array([sizes[j] for j in rest])
-            used = [j for j, w in zip(rest, weights, strict=True) if w > _NOTHING * weights.max()]
-            fewer = used if len(used) < len(rest) else rest
-            if fewer is rest or _contradiction(search, fewer, mass_bound) is not None:
-                kept = fewer
-            else:
-                kept = rest
-    return tuple(sorted(kept))
+    for share in (_NOTHING, _NOTHING**2):
+        kept = [face.support[i] for i in order if weights[i] > share * weights.max()]
+        if _contradiction(search, kept, mass_bound) is not None:
+            return kept
+    return [face.support[i] for i in order]
 
 
 def _exact_proof(search: Search, support: Iterable[int], mass_bound: bool) -> Refutation | None:
@@ -239,22 +198,12 @@ def _exact_proof(search: Search, support: Iterable[int], mass_bound: bool) -> Re
     face = find_face(search.question, support, mass_bound=mass_bound)
     if not face.free:
         return None
-    sizes = _sizes(search, face)
-    best = weigh(search, face, mass_bound=mass_bound, norm=sizes)
+    program = WeightProgram(search, face, mass_bound=mass_bound, norm=_sizes(search, face))
+    best = program.most_contradicting()
     if best is None or best.violation <= 0.0:
         return None
-    inside = [best]
-    for share in _SHARES:
-        found = weigh(
-            search,
-            face,
-            mass_bound=mass_bound,
-            norm=sizes,
-            least=share * best.violation,
-            interior=True,
-        )
-        if found is not None:
-            inside.append(found)
+    inner = [program.most_interior(share * best.violation) for share in _SHARES]
+    inside = [best, *(weights for weights in inner if weights is not None)]
     few = len(face.free) <= _SMALL_SUPPORT
     for digits in range(1, _DIGITS + 1):
         for weights in inside:
@@ -315,7 +264,8 @@ def _round(value: float, digits: int, *, up: bool = False) -> Fraction:
 def _with_slack(search: Search) -> Refutation | None:
     """Return a refutation whose matrices are mended by what theta_max pays for."""
     face = _whole(search)
-    found = weigh(search, face, mass_bound=True, norm=_sizes(search, face))
+    program = WeightProgram(search, face, mass_bound=True, norm=_sizes(search, face))
+    found = program.most_contradicting()
     if found is None or found.violation <= _CONTRADICTS:
         return None
     proof = _mended(search.question, found)

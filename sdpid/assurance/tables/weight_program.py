@@ -1,19 +1,25 @@
 """Cone programs that look for weights of base parameters which contradict a table.
 
-Everything here is in floating point and only proposes; `sdpid.assurance.tables.refutation` decides.
+Everything here is in floating point and only proposes; `Refutation` decides in exact arithmetic.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
 from sdpid._common.arrays import Array
 from sdpid.assurance.tables.facial_reduction import Face
-from sdpid.assurance.tables.witness_search import Search
-from sdpid.estimation.conic.solve import ConicProgram, Matrix, solve_conic
-from sdpid.robot.inertia import TENSOR_INDEX
+from sdpid.assurance.tables.witness import coefficient_matrices
+from sdpid.assurance.tables.witness_search import Search, solved
+
+# C and Q of each of a link's ten coefficients, (10, 3, 3) and (10, 4, 4).
+_UNIT_MATRICES = tuple(
+    np.array([coefficient_matrices(row)[i] for row in np.eye(10, dtype=int).tolist()], dtype=float)
+    for i in (0, 1)
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -25,38 +31,25 @@ class Weights:
     face : Face
         Where they lie.
     free : ndarray
-        The free ones.
+        The free weights.
     masses : ndarray, shape (links,) or (0,)
         Multipliers of the bound on masses.
     violation : float
-        By how much the table contradicts what they say.
-    interior : float
-        How far inside the cone they are, in scaled units.
+        By how much the table contradicts the inequality that they make.
     """
 
     face: Face
     free: Array
     masses: Array
     violation: float
-    interior: float
 
     def support(self) -> Array:
         """Return the weights over the support."""
         return np.asarray(self.face.matrix() @ self.free)
 
 
-def weigh(
-    search: Search,
-    face: Face,
-    *,
-    mass_bound: bool,
-    norm: Array | None = None,
-    cost: Array | None = None,
-    least: float | None = None,
-    interior: bool = False,
-    of_margin: bool = False,
-) -> Weights | None:
-    """Look for weights of the base parameters that contradict the table.
+class WeightProgram:
+    """The weights of a face whose inequality all links obey that can exist, as a cone.
 
     Parameters
     ----------
@@ -67,141 +60,86 @@ def weigh(
     mass_bound : bool
         Whether the bound on masses may be used.
     norm : ndarray, optional
-        Bounds ``Σ norm·|weight| ≤ 1``, over the support.
-    cost : ndarray, optional
-        Minimises ``Σ cost·|weight|``.
-    least : float, optional
-        By how much to contradict at least.
-    interior : bool, optional
-        Go as far inside the cone as possible; without it and without `cost`, contradict as
-        much as possible.
-    of_margin : bool, optional
-        Scale the weights such that what they say is a bound on the margin, instead of `norm`.
+        Scale of the weights over the support, ``Σ norm·|weight| ≤ 1``. Without it they are scaled
+        such that their inequality bounds the margin.
     """
-    q, M, L = search.question, search.scaling.mass, search.scaling.length
-    support = list(face.support)
-    R, unit = search.R[support], M * search.unit[support]
-    # Free weights in units of their own row's size.
-    own = np.array([M * search.unit[k] for k in face.free])
-    N = face.matrix() / own[None, :]
-    free, links = len(face.free), q.n_links if mass_bound else 0
-    width = free + len(support) + links + 1
-    at_a, at_n, at_s = free, free + len(support), width - 1
-    coefficients = R.T @ N
-    violation = np.zeros(width)
-    violation[:free] = -search.value[support] @ N
-    violation[at_a:at_n] = -search.half[support] / unit
-    # Multipliers of masses in units of one over the mass of a scale.
-    violation[at_n:at_s] = -float(q.mass_max) / M
-    traces = coefficients[: 10 * q.n_links].reshape(-1, 10, free)[:, [4, 6, 9]].sum(axis=(0, 1))
-    spread = np.zeros(width)
-    spread[:free] = (2.0 if q.consistency == "pseudo_inertia" else 1.0) * traces
-    violation = violation + float(q.margin) * spread
-    C, low, high = [], [], []
 
-    def add(rows: Array, below: float = -np.inf, above: float = np.inf) -> None:
-        rows = np.atleast_2d(rows)
-        C.append(rows)
-        low.append(np.full(len(rows), below))
-        high.append(np.full(len(rows), above))
+    def __init__(
+        self, search: Search, face: Face, *, mass_bound: bool, norm: Array | None = None
+    ) -> None:
+        import cvxpy as cp
 
-    for sign in (1.0, -1.0):
-        rows = np.zeros((len(support), width))
-        rows[:, :free] = sign * unit[:, None] * N
-        rows[:, at_a:at_n] = np.eye(len(support))
-        add(rows, below=0.0)
-    if links:
-        rows = np.zeros((links, width))
-        rows[:, at_n:at_s] = np.eye(links)
-        add(rows, below=0.0)
-    signed = [j for j in sorted(q.nonnegative) if np.any(coefficients[j] != 0.0)]
-    if signed:
-        rows = np.zeros((len(signed), width))
-        size = search.scaling.theta[signed]
-        rows[:, :free] = size[:, None] * coefficients[signed]
-        rows[:, at_s] = -1.0
-        add(rows, below=0.0)
-    if norm is not None:
-        row = np.zeros(width)
-        row[at_a:at_n] = norm / unit
-        add(row, above=1.0)
-    if least is not None:
-        add(violation, below=least)
-    body = M * L**2
-    if of_margin:
-        add(spread * body, below=1.0, above=1.0)
-    row = np.zeros(width)
-    row[at_s] = 1.0
-    add(row, below=0.0, above=1.0 if interior else 0.0)
-    blocks = _weight_blocks(search, face, coefficients, at_n if links else None, at_s)
-    objective = np.zeros(width)
-    if cost is not None:
-        objective[at_a:at_n] = cost / unit
-    elif interior:
-        objective[at_s] = -1.0
-    else:
-        objective = -violation
-    solution = solve_conic(
-        ConicProgram(
-            M=np.zeros((0, width)),
-            m=np.zeros(0),
-            cost=objective,
-            C=np.vstack(C),
-            lower=np.concatenate(low),
-            upper=np.concatenate(high),
-            blocks=tuple(blocks),
+        q, M, L = search.question, search.scaling.mass, search.scaling.length
+        support, links = list(face.support), q.n_links
+        self.face, self._cp = face, cp
+        # Free weights in units of their own row's size, multipliers of masses in those of one over
+        # the mass of a scale.
+        self._unit = M * search.unit[list(face.free)]
+        self._mass, self._free = M, cp.Variable(len(face.free))
+        self._masses = cp.Variable(links, nonneg=True) if mass_bound else None
+        self._interior = cp.Variable(nonneg=True)
+        N = face.matrix() / self._unit
+        coefficients = search.R[support].T @ N
+        self._weights = N @ self._free
+        traces = coefficients[: 10 * links].reshape(links, 10, -1)[:, [4, 6, 9]].sum(axis=(0, 1))
+        spread = (2.0 if q.consistency == "pseudo_inertia" else 1.0) * (traces @ self._free)
+        self._violation = (
+            float(q.margin) * spread
+            - search.value[support] @ self._weights
+            - search.half[support] @ cp.abs(self._weights)
         )
-    )
-    if solution.x is None or "Infeasible" in solution.status:
-        return None
-    x = solution.x
-    return Weights(
-        face,
-        x[:free] / own,
-        x[at_n:at_s] / M if links else np.zeros(0),
-        float(violation @ x),
-        float(x[at_s]),
-    )
-
-
-def _weight_blocks(
-    search: Search, face: Face, coefficients: Array, masses: int | None, at_s: int
-) -> list[Matrix]:
-    """Return Q, and C where it counts, of every link on its face, in scaled units."""
-    M, L = search.scaling.mass, search.scaling.length
-    free = coefficients.shape[1]
-    out = []
-    tensor = np.eye(3)
-    for link, (rows_C, rows_Q) in enumerate(face.alive):
-        c = coefficients[10 * link : 10 * link + 10]
-        # Of the symmetric map: C from coefficients, off-diagonal ones are counted twice.
-        C = np.zeros((free, 3, 3))
-        for k, (i, j) in enumerate(TENSOR_INDEX):
-            C[:, i, j] = C[:, j, i] = c[4 + k] * (1.0 if i == j else 0.5)
-        Q = np.zeros((free, 4, 4))
-        Q[:, :3, :3] = np.trace(C, axis1=1, axis2=2)[:, None, None] * tensor - C
-        Q[:, :3, 3] = Q[:, 3, :3] = 0.5 * c[1:4].T
-        Q[:, 3, 3] = c[0]
+        if self._masses is not None:
+            self._violation -= float(q.mass_max) / M * cp.sum(self._masses)
+        signed = [j for j in sorted(q.nonnegative) if np.any(coefficients[j] != 0.0)]
+        self._cone = [self._interior <= 1.0]
+        if signed:
+            scaled = search.scaling.theta[signed][:, None] * coefficients[signed]
+            self._cone.append(scaled @ self._free >= self._interior)
         scale = np.sqrt(M) * np.array([L, L, L, 1.0])
-        for matrix, rows, bounded in ((C, rows_C, False), (Q, rows_Q, masses is not None)):
-            if not rows:
-                continue
-            part = np.ix_(range(free), rows, rows)
-            d = scale[rows]
-            linear = [*(matrix[part] * d[:, None] * d[None, :])]
-            index = list(range(free))
-            if bounded and masses is not None:
-                corner = np.zeros((len(rows), len(rows)))
-                corner[-1, -1] = 1.0
-                linear.append(corner)
-                index.append(masses + link)
-            linear.append(-np.eye(len(rows)))
-            index.append(at_s)
-            out.append(
-                Matrix(
-                    np.array(index, dtype=np.intp),
-                    np.array(linear),
-                    np.zeros((len(rows), len(rows))),
-                )
-            )
-    return out
+        for link, both in enumerate(face.alive):
+            for unit, rows in zip(_UNIT_MATRICES, both, strict=True):
+                if rows:
+                    own = coefficients[10 * link : 10 * link + 10]
+                    part = unit[:, rows][:, :, rows] * np.outer(scale[rows], scale[rows])
+                    self._cone.append(self._definite(part, own, link if len(unit[0]) == 4 else -1))
+        if norm is None:
+            self._scale = M * L**2 * spread == 1.0
+        else:
+            self._scale = norm @ cp.abs(self._weights) <= 1.0
+
+    def _definite(self, part: Array, coefficients: Array, link: int) -> Any:
+        """Return the constraint on a matrix of a link, with its mass's multiplier if one is due."""
+        cp, size = self._cp, part.shape[1]
+        flat = part.reshape(10, -1).T @ coefficients
+        matrix = cp.reshape(flat @ self._free, (size, size), order="C")
+        if self._masses is not None and link >= 0:
+            corner = np.zeros((size, size))
+            corner[-1, -1] = 1.0
+            matrix = matrix + self._masses[link] * corner
+        return matrix - self._interior * np.eye(size) >> 0
+
+    def most_contradicting(self) -> Weights | None:
+        """Return the weights that the table contradicts most."""
+        cp = self._cp
+        return self._solved(cp.Maximize(self._violation), self._scale, self._interior == 0.0)
+
+    def most_interior(self, least: float) -> Weights | None:
+        """Return the weights farthest inside the cone that the table contradicts by `least`."""
+        cp = self._cp
+        return self._solved(cp.Maximize(self._interior), self._scale, self._violation >= least)
+
+    def cheapest(self, cost: Array, least: float) -> Weights | None:
+        """Return the weights of least ``Σ cost·|weight|`` that the table contradicts by `least`."""
+        objective = self._cp.Minimize(cost @ self._cp.abs(self._weights))
+        return self._solved(objective, self._violation >= least, self._interior == 0.0)
+
+    def _solved(self, objective: Any, *constraints: Any) -> Weights | None:
+        if not solved(objective, [*self._cone, *constraints]):
+            return None
+        masses = np.zeros(0) if self._masses is None else self._masses.value / self._mass
+        return Weights(
+            self.face,
+            np.asarray(self._free.value / self._unit),
+            np.maximum(masses, 0.0),
+            float(self._violation.value),
+        )

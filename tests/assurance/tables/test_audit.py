@@ -124,7 +124,7 @@ def test_undecided_is_near_the_boundary() -> None:
 
 
 @pytest.mark.parametrize("kind", BOTH)
-@settings(max_examples=10, deadline=None)
+@settings(max_examples=6, deadline=None)
 @given(data=st.data())
 def test_impossible_bodies_are_refuted(kind: Consistency, data: st.DataObject) -> None:
     name = data.draw(st.sampled_from(["arm", "denso", "tree"]))
@@ -150,7 +150,7 @@ def test_impossible_bodies_are_refuted(kind: Consistency, data: st.DataObject) -
     assert found.change <= 1.05 * found.change_bound + 0.05
 
 
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=8, deadline=None)
 @given(seed=SEEDS)
 def test_triangle_inequality_separates_the_two(seed: int) -> None:
     """A plate heavier about its normal than physics has it: an I_g, but no mass distribution."""
