@@ -1,4 +1,4 @@
-"""The Huber loss of whitened residuals: its value, its majoriser, and a lower bound that proves.
+"""The Huber loss of whitened residuals: its value, its majorizer, and a lower bound that proves.
 
 The loss of a whitened residual r with the threshold t is rho(r) = r² up to t and 2·t·|r| − t²
 beyond [huber1964]_. Two facts carry everything here. With w = min(1, t/|r0|),
@@ -170,7 +170,7 @@ class HuberLoss:
         size = np.abs(self.rows.residuals(base))
         return np.asarray(self.thresholds / np.maximum(size, self.thresholds))
 
-    def majorised(self, base: Array) -> Problem:
+    def majorized(self, base: Array) -> Problem:
         """Return the weighted problem whose cost is nowhere below and touches at `base`."""
         size = np.abs(self.rows.residuals(base))
         t = self.thresholds
@@ -198,7 +198,7 @@ class HuberLoss:
         Parameters
         ----------
         estimate : Estimate
-            Of a problem that `majorised` made. What proves its optimum, with the multiplier y of
+            Of a problem that `majorized` made. What proves its optimum, with the multiplier y of
             the compressed residual, proves this: u with W^T u = A^T y takes the place of y.
         """
         problem = estimate.problem
@@ -263,7 +263,7 @@ def _deviations(rows: WhitenedRows, threshold: float) -> Array:
     found = np.maximum(grow * median(rows.residuals(base)), least)
     for _ in range(_DEVIATION_ROUNDS):
         loss = HuberLoss(rows, threshold * found)
-        base = solve_wls(loss.majorised(base)).base
+        base = solve_wls(loss.majorized(base)).base
         updated = np.maximum(grow * median(rows.residuals(base)), least)
         settled = np.allclose(updated, found, rtol=_DEVIATION_SETTLED)
         found = updated
