@@ -100,5 +100,7 @@ def errors_table(fits: dict[str, Validation]) -> str:
     columns: list[list[Any]] = [list(names)]
     for label, fit in fits.items():
         header += [f"{label} RMSE [N.m]", "NRMSE [%]"]
-        columns += [fit.rmse.tolist(), (100.0 * fit.nrmse).tolist()]
+        for values in (fit.rmse, 100.0 * fit.nrmse):
+            pairs = zip(values.tolist(), fit.rows.tolist(), strict=True)
+            columns.append([value if rows else None for value, rows in pairs])
     return Table(tuple(header), tuple(zip(*columns, strict=True))).text(4)

@@ -153,6 +153,15 @@ VelocityFrom = Annotated[
         "--velocity", help="Recorded, or differences of the position.", rich_help_panel=_PROCESSING
     ),
 ]
+WithoutEffort = Annotated[
+    str | None,
+    typer.Option(
+        "--without-effort",
+        metavar="A,B,...",
+        help="Joints whose efforts nobody measured, or that are wrong; their motion is used.",
+        rich_help_panel=_ESTIMATION,
+    ),
+]
 ConsistencyOf = Annotated[
     Consistency,
     typer.Option("--consistency", help="What every link must obey.", rich_help_panel=_ESTIMATION),

@@ -15,7 +15,7 @@ from sdpid._common.arrays import Array, frozen
 from sdpid._common.threads import one_thread
 from sdpid.errors import DataError
 from sdpid.estimation.compression.covariance import WEIGHTINGS, Weighting
-from sdpid.estimation.compression.distributed_rows import Cluster, Piece, RemoteRows, all_samples
+from sdpid.estimation.compression.distributed_rows import Cluster, RemoteRows
 from sdpid.estimation.compression.factor import Factor, covariance
 from sdpid.estimation.compression.rows import LostRows, RowSource
 from sdpid.estimation.constraints.condition import Layout
@@ -26,6 +26,7 @@ from sdpid.estimation.information import Excitation, require_excitation
 from sdpid.estimation.prior.cost_terms import SquaredTerm
 from sdpid.estimation.prior.log_det import LogDetTerm
 from sdpid.estimation.prior.prior import Prior, PriorTerms, prior_terms
+from sdpid.experiment.preparation.several import Piece, all_samples
 from sdpid.experiment.processing.process import Processing
 from sdpid.experiment.processing.samples import Samples
 from sdpid.experiment.recording.recording import Recording

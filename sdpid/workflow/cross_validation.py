@@ -23,9 +23,7 @@ from sdpid.experiment.preparation.several import (
     Logs,
     ProcessingOf,
     all_recordings,
-    chosen_processing,
-    joined,
-    recordings,
+    prepare_recordings,
 )
 from sdpid.experiment.processing.process import Processing
 from sdpid.experiment.processing.samples import Samples
@@ -178,6 +176,7 @@ def cross_validate(
     folds: int = 5,
     by: By = "time",
     processing: ProcessingOf = None,
+    without_effort: Iterable[str] = (),
     scored: Processing | None = None,
     friction: Iterable[str | FrictionTerm] | None = None,
     weighting: Weighting | None = None,
@@ -208,6 +207,8 @@ def cross_validate(
     processing : Processing or mapping, optional
         By default, but for the settings in a mapping, it is chosen from the training part of each
         fold as `identify` does.
+    without_effort : iterable of str, optional
+        As of `identify`.
     scored : Processing, optional
         For what is held out; by default as the training part.
     friction, weighting, consistency, constraints, prior : optional
@@ -227,19 +228,20 @@ def cross_validate(
     model = robot if isinstance(robot, RobotModel) else load_robot(robot)
     logs = all_recordings(log)
     friction = None if friction is None else tuple(friction)
+    without_effort = tuple(without_effort)
     parts = list(_parts(logs, folds, by))
     done: list[Fold] = []
     squares = []
     with progress(len(parts), "cross-validation") as advance:
         for name, kept, out in parts:
             try:
-                kept = list(recordings(kept))
-                chosen, _ = chosen_processing(kept, processing)
-                fresh = joined(model, out, replace(scored or chosen, covariance=None))
+                prepared = prepare_recordings(
+                    model, kept, processing, without_effort=without_effort
+                )
+                fresh = prepared.others(out, scored).samples
                 problem = formulate(
                     model,
-                    kept,
-                    processing=chosen,
+                    prepared,
                     friction=friction,
                     weighting=weighting,
                     consistency=consistency,
@@ -253,7 +255,7 @@ def cross_validate(
             free = solve_wls(replace(problem, prior=None))
             fold = Fold(
                 name=name,
-                processing=chosen,
+                processing=prepared.processing,
                 training=validate(estimate).relative,
                 held_out=validate(estimate, fresh),
                 unconstrained=validate(free, fresh),

@@ -26,14 +26,12 @@ from sdpid.estimation.prior.prior import Prior
 from sdpid.estimation.problem import Problem, build_problem
 from sdpid.estimation.sdp.solve import solve_sdp
 from sdpid.estimation.wls import solve_wls
-from sdpid.experiment.inspection.inspect import inspect_recordings
 from sdpid.experiment.preparation.for_robot import default_friction
 from sdpid.experiment.preparation.several import (
     Logs,
+    Prepared,
     ProcessingOf,
-    chosen_processing,
-    joined,
-    recordings,
+    prepare_recordings,
 )
 from sdpid.robot.friction.model import FrictionTerm
 from sdpid.robot.inertia import Consistency
@@ -75,29 +73,36 @@ def _tuple_of_terms(
 
 def formulate(
     robot: RobotModel | str | os.PathLike[str],
-    log: Logs,
+    log: Logs | Prepared,
     *,
     processing: ProcessingOf = None,
+    without_effort: Iterable[str] = (),
     friction: Iterable[str | FrictionTerm] | None = None,
     weighting: Weighting | None = None,
     consistency: Consistency = "pseudo_inertia",
     constraints: Constraints | None = None,
     prior: Prior | bool | None = None,
 ) -> Problem:
-    """Build the problem that `identify` solves; arguments and errors are those of `identify`."""
+    """Build the problem that `identify` solves; arguments and errors are those of `identify`.
+
+    `log` may also be recordings that are prepared already (see `prepare_recordings`).
+    """
     robot = robot if isinstance(robot, RobotModel) else load_robot(robot)
     friction = _tuple_of_terms(friction)
-    logs = recordings(log)
-    samples = joined(robot, logs, chosen_processing(logs, processing)[0])
+    if not isinstance(log, Prepared):
+        log = prepare_recordings(robot, log, processing, without_effort=without_effort)
+    samples = log.samples
     chosen: Weighting = weighting or ("residual" if samples.covariance is None else "gls")
     if prior is None:
-        prior = chosen == "residual" and bool(np.any(robot.prior[:, 0] > 0.0))
+        # Friction of a joint without effort is known from a prior or not at all.
+        wanted = chosen == "residual" or (chosen == "gls" and bool(log.without_effort))
+        prior = wanted and bool(np.any(robot.prior[:, 0] > 0.0))
     if isinstance(prior, bool):
         prior = Prior() if prior else None
     return build_problem(
         robot,
         samples,
-        friction=default_friction(logs[0]) if friction is None else friction,
+        friction=default_friction(log.logs[0]) if friction is None else friction,
         weighting=chosen,
         consistency=consistency,
         constraints=Constraints.of_size(robot) if constraints is None else constraints,
@@ -112,6 +117,7 @@ def identify(
     *,
     validation: Logs | None = None,
     processing: ProcessingOf = None,
+    without_effort: Iterable[str] = (),
     friction: Iterable[str | FrictionTerm] | None = None,
     weighting: Weighting | None = None,
     consistency: Consistency = "pseudo_inertia",
@@ -134,6 +140,9 @@ def identify(
     processing : Processing or mapping, optional
         By default `default_processing`; of several recordings that of the one with the median
         cut-off. A mapping changes some settings of the default, such as ``{"cutoff_hz": 10.0}``.
+    without_effort : iterable of str, optional
+        Joints whose efforts nobody measured, or that are wrong. Their motion counts, their
+        efforts do not; their friction is then the prior's.
     friction : iterable, optional
         By default `default_friction`.
     weighting : str, optional
@@ -170,22 +179,16 @@ def identify(
         )
     friction = _tuple_of_terms(friction)
     model = robot if isinstance(robot, RobotModel) else load_robot(robot)
-    logs = recordings(log)
-    chosen, why = chosen_processing(logs, processing)
-    findings = inspect_recordings(logs, model)
-    fresh = None
-    if validation is not None:
-        held_out = recordings(validation)
-        findings += inspect_recordings(held_out, model, name="validation recording")
-        # Prediction needs no covariance, so any number of periods will do.
-        fresh = joined(model, held_out, replace(chosen, covariance=None))
+    prepared = prepare_recordings(model, log, processing, without_effort=without_effort)
+    fresh = None if validation is None else prepared.others(validation)
+    findings = prepared.findings
+    findings += () if fresh is None else fresh.findings
     # Gaps and wrapped angles stand in the notes of the samples.
     notes = [str(finding) for finding in findings if finding.kind != "continued"]
-    notes += [why] if why else []
+    notes += prepared.notes
     problem = formulate(
         model,
-        logs,
-        processing=chosen,
+        prepared,
         friction=friction,
         weighting=weighting,
         consistency=consistency,
@@ -207,9 +210,10 @@ def identify(
 
         crossed = cross_validate(
             model,
-            logs,
+            prepared.logs,
             folds=folds,
             processing=processing,
+            without_effort=prepared.without_effort,
             friction=friction,
             weighting=weighting,
             consistency=consistency,
@@ -223,8 +227,8 @@ def identify(
         certificate=certificate,
         training=validate(estimate),
         training_wls=validate(wls),
-        validation=None if fresh is None else validate(estimate, fresh),
-        validation_samples=fresh,
+        validation=None if fresh is None else validate(estimate, fresh.samples),
+        validation_samples=None if fresh is None else fresh.samples,
         intervals=found,
         cross_validation=crossed,
         intervals_note=beware,

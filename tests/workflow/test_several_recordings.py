@@ -12,11 +12,17 @@ import pytest
 
 import sdpid
 from sdpid.assurance.diagnostics.residuals import joint_errors
+from sdpid.experiment.plant.default_motion import default_motion
 from sdpid.experiment.preparation.for_robot import default_processing, prepare
-from sdpid.experiment.preparation.several import chosen_processing, common_processing
+from sdpid.experiment.preparation.several import (
+    chosen_processing,
+    common_processing,
+    prepare_recordings,
+)
 from sdpid.output.plots.figures import TimeLine
 from sdpid.output.plots.plots import plot_fit
 from sdpid.output.report.report import report_html
+from sdpid.workflow import formulate
 from tests.helpers.runs import arm, recorded
 
 
@@ -209,3 +215,39 @@ def test_spectra_and_correlations_stay_within_pieces(logs: list[sdpid.Recording]
         np.testing.assert_array_equal(second.frequency, first.frequency)
         count = len(first.autocorrelation)
         np.testing.assert_allclose(second.autocorrelation[:count], first.autocorrelation, atol=1e-9)
+
+
+def test_joints_without_effort_are_left_out() -> None:
+    """Their motion counts; the others' parameters are found as without them."""
+    robot = sdpid.load_robot("ur_description/ur5_robot")
+    motion = default_motion(robot, 1, period=10.0, periods=2)
+    log = sdpid.simulate(robot, motion, seed=1, progress=False)
+    effort = np.array(log.effort)
+    effort[:, 4] = 0.7
+    broken = replace(log, effort=effort, period=None, start=None, periods=None)
+    name = robot.joint_names[4]
+    result = sdpid.identify(robot, broken, without_effort=[name], validation=broken)
+    assert result.certificate.passed
+    # The noise is 1 % of the effort; filtered Coulomb steps at reversals add as much.
+    assert result.training.relative < 0.02
+    assert result.training.rows[4] == 0
+    saved = result.to_dict()["training"]["joints"]
+    assert saved[name] == {"rmse": None, "nrmse": None, "r2": None, "rows": 0}
+    assert not any(name in each for each in result.notes if "never changes" in each)
+    assert f"efforts of joint {name} are not used" in result.problem.samples.notes
+    assert "every joint" not in result.to_dict()["verdict"][0]
+    # With its effort the log is not explained.
+    assert sdpid.identify(robot, broken, intervals=False).training.nrmse[4] > 0.1
+    with pytest.raises(sdpid.DataError, match="has no joint wrist"):
+        sdpid.identify(robot, broken, without_effort=["wrist"])
+    with pytest.raises(sdpid.DataError, match="names every joint"):
+        sdpid.identify(robot, broken, without_effort=robot.joint_names)
+
+
+def test_a_problem_takes_recordings_that_are_prepared(logs: list[sdpid.Recording]) -> None:
+    prepared = prepare_recordings(arm(), logs)
+    one, other = formulate(arm(), prepared), formulate(arm(), logs)
+    np.testing.assert_array_equal(one.A, other.A)
+    fresh = prepared.others(logs[0])
+    assert fresh.processing == replace(prepared.processing, covariance=None)
+    assert repr(prepared).startswith("Prepared(")

@@ -8,17 +8,16 @@ result: what was lost is read again.
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import chain
-from typing import TYPE_CHECKING, Any, TypeAlias, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 from sdpid._common.arrays import Array
 from sdpid.errors import DataError, SolverError
 from sdpid.estimation.compression.rows import RowSource
-from sdpid.experiment.preparation.for_robot import default_processing, prepare
-from sdpid.experiment.preparation.several import agreed, common_processing
+from sdpid.experiment.preparation.for_robot import default_processing
+from sdpid.experiment.preparation.several import Piece, agreed, samples_of
 from sdpid.experiment.processing.process import Processing
 from sdpid.experiment.processing.samples import Samples
 from sdpid.experiment.readers.read import read_recording
@@ -30,49 +29,11 @@ if TYPE_CHECKING:
 
 T = TypeVar("T")
 
-# What one piece of a problem may be given as.
-Piece: TypeAlias = "Samples | Recording | str | os.PathLike[str]"
-
 # A cluster without a worker is looked at again after so many seconds, and then given up.
 _LONELY = 60.0
 
 # Samples that are brought here for plots, and for the speeds at which friction bends.
 _BROUGHT = 4096
-
-
-def samples_of(robot: RobotModel, piece: Piece, processing: Processing | None) -> Samples:
-    """Return the samples of a piece: read, matched to the robot and processed where need be."""
-    if isinstance(piece, Samples):
-        return piece
-    log = piece if isinstance(piece, Recording) else read_recording(piece)
-    return prepare(robot, log, processing)
-
-
-def all_samples(
-    robot: RobotModel, pieces: Iterable[Piece], processing: Processing | None
-) -> Samples:
-    """Return the samples of all pieces, joined.
-
-    Parameters
-    ----------
-    robot : RobotModel
-        Whose joints they have.
-    pieces : iterable of Samples, Recording or path
-        The pieces.
-    processing : Processing, optional
-        Of recordings and files; by default that of the recording with the median cut-off (see
-        `sdpid.experiment.preparation.several.common_processing`).
-    """
-    read = [
-        piece if isinstance(piece, (Samples, Recording)) else read_recording(piece)
-        for piece in pieces
-    ]
-    logs = [piece for piece in read if isinstance(piece, Recording)]
-    why = None
-    if processing is None and logs:
-        processing, why = common_processing(logs)
-    joined = Samples.join([samples_of(robot, piece, processing) for piece in read])
-    return joined if why is None else replace(joined, notes=(*joined.notes, why))
 
 
 @dataclass(frozen=True, eq=False)

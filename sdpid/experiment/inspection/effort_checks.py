@@ -34,7 +34,7 @@ def signals(subject: Subject) -> Iterator[Finding]:
                 kind="effort_constant",
                 joint=name,
                 message=f"effort of {name} never changes: it is {low[j]:.4g} in every row",
-                remedy="where nobody measured it, leave it out",
+                remedy="where nobody measured it, leave it out (without_effort)",
                 numbers={"value": low[j]},
             )
             continue

@@ -3,11 +3,16 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping, Sequence
-from dataclasses import fields, replace
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, fields, replace
+from functools import cached_property
 from typing import Any, TypeAlias
 
+import numpy as np
+
 from sdpid.errors import DataError
+from sdpid.experiment.inspection.finding import Finding
+from sdpid.experiment.inspection.inspect import inspect_recordings
 from sdpid.experiment.preparation.for_robot import default_processing, prepare
 from sdpid.experiment.processing.process import Processing
 from sdpid.experiment.processing.samples import Samples
@@ -17,7 +22,9 @@ from sdpid.robot.model.model import RobotModel
 
 Log: TypeAlias = "Recording | str | os.PathLike[str]"
 Logs: TypeAlias = "Log | Sequence[Log]"
-# All of it, or what is to be other than by default.
+# One piece of a problem, processed or not.
+Piece: TypeAlias = "Samples | Recording | str | os.PathLike[str]"
+# All settings, or those that differ from the default.
 ProcessingOf: TypeAlias = "Processing | Mapping[str, Any] | None"
 
 
@@ -113,6 +120,159 @@ def chosen_processing(
     return replace(common, **changes), why
 
 
-def joined(robot: RobotModel, logs: Sequence[Recording], processing: Processing) -> Samples:
-    """Return the samples of recordings that are each processed alone, in one."""
-    return Samples.join([prepare(robot, log, processing) for log in logs])
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Prepared:
+    """Recordings made ready for one fit: joints matched, processed alike, joined.
+
+    Attributes
+    ----------
+    robot : RobotModel
+        Whose joints they have.
+    logs : tuple of Recording
+        As they were measured.
+    samples : Samples
+        Of all of them.
+    processing : Processing
+        How each was processed.
+    notes : tuple of str
+        How the processing was chosen, where there were several.
+    without_effort : tuple of str
+        Joints whose efforts are not used.
+    name : str
+        What messages call the recordings.
+    """
+
+    robot: RobotModel
+    logs: tuple[Recording, ...]
+    samples: Samples
+    processing: Processing
+    notes: tuple[str, ...] = ()
+    without_effort: tuple[str, ...] = ()
+    name: str = ""
+
+    def __repr__(self) -> str:
+        return f"Prepared({len(self.logs)} recordings of '{self.robot.name}', {self.samples!r})"
+
+    @cached_property
+    def findings(self) -> tuple[Finding, ...]:
+        """What is wrong with the recordings (see `inspect_recording`)."""
+        return tuple(
+            finding
+            for finding in inspect_recordings(self.logs, self.robot, name=self.name)
+            if not (finding.kind.startswith("effort") and finding.joint in self.without_effort)
+        )
+
+    def others(self, logs: Logs, processing: Processing | None = None) -> Prepared:
+        """Prepare other recordings in the same way, to be predicted.
+
+        They have no covariance, which prediction does not need: any number of periods will do.
+
+        Parameters
+        ----------
+        logs : Recording or path, or a sequence of these
+            The others.
+        processing : Processing, optional
+            By default as these.
+        """
+        chosen = replace(processing or self.processing, covariance=None)
+        others = prepare_recordings(self.robot, logs, chosen, without_effort=self.without_effort)
+        return replace(others, name="validation recording")
+
+
+def prepare_recordings(
+    robot: RobotModel,
+    logs: Logs,
+    processing: ProcessingOf = None,
+    *,
+    without_effort: Iterable[str] = (),
+) -> Prepared:
+    """Read, match, process and join recordings of a robot.
+
+    Parameters
+    ----------
+    robot : RobotModel
+        The robot.
+    logs : Recording or path, or a sequence of these
+        What was measured.
+    processing : Processing or mapping, optional
+        By default `common_processing`, with the changes in a mapping.
+    without_effort : iterable of str, optional
+        Joints of the robot whose efforts nobody measured, or that are wrong: their rows are
+        masked, their motion counts.
+
+    Raises
+    ------
+    DataError
+        When a recording cannot be read, matched or processed, they cannot be fitted together, a
+        joint does not exist, or no joint is left.
+    """
+    read = recordings(logs)
+    chosen, why = chosen_processing(read, processing)
+    samples = Samples.join([prepare(robot, log, chosen) for log in read])
+    without = (without_effort,) if isinstance(without_effort, str) else tuple(without_effort)
+    if without:
+        samples = without_efforts(samples, robot, without)
+    return Prepared(
+        robot=robot,
+        logs=read,
+        samples=samples,
+        processing=chosen,
+        notes=() if why is None else (why,),
+        without_effort=without,
+    )
+
+
+def without_efforts(samples: Samples, robot: RobotModel, joints: Sequence[str]) -> Samples:
+    """Return samples in which no row of some joints is used.
+
+    Raises
+    ------
+    DataError
+        When the robot has no such joint, or none is left.
+    """
+    unknown = [name for name in joints if name not in robot.joint_names]
+    if unknown:
+        raise DataError(
+            f"without_effort: the robot '{robot.name}' has no joint {', '.join(unknown)}; it has "
+            f"{', '.join(robot.joint_names)}."
+        )
+    if set(joints) == set(robot.joint_names):
+        raise DataError("without_effort: names every joint; no effort is left to identify from.")
+    mask = np.ones(samples.effort.shape, np.bool_) if samples.mask is None else samples.mask.copy()
+    mask[:, [robot.joint_names.index(name) for name in joints]] = False
+    note = f"efforts of joint {', '.join(joints)} are not used"
+    return replace(samples, mask=mask, notes=(*samples.notes, note))
+
+
+def samples_of(robot: RobotModel, piece: Piece, processing: Processing | None) -> Samples:
+    """Return the samples of a piece: read, matched to the robot and processed where need be."""
+    if isinstance(piece, Samples):
+        return piece
+    log = piece if isinstance(piece, Recording) else read_recording(piece)
+    return prepare(robot, log, processing)
+
+
+def all_samples(
+    robot: RobotModel, pieces: Iterable[Piece], processing: Processing | None
+) -> Samples:
+    """Return the samples of all pieces, joined.
+
+    Parameters
+    ----------
+    robot : RobotModel
+        Whose joints they have.
+    pieces : iterable of Samples, Recording or path
+        The pieces.
+    processing : Processing, optional
+        Of recordings and files; by default `common_processing`.
+    """
+    read = [
+        piece if isinstance(piece, (Samples, Recording)) else read_recording(piece)
+        for piece in pieces
+    ]
+    logs = [piece for piece in read if isinstance(piece, Recording)]
+    why = None
+    if processing is None and logs:
+        processing, why = common_processing(logs)
+    samples = Samples.join([samples_of(robot, piece, processing) for piece in read])
+    return samples if why is None else replace(samples, notes=(*samples.notes, why))

@@ -107,15 +107,17 @@ def effort_findings(samples: Samples, fit: Validation, where: str) -> Iterator[F
     """Say which joints' effort is predicted, and on what that was seen."""
     joints: dict[Level, list[str]] = {"good": [], "caution": [], "bad": []}
     still: list[str] = []
+    unmeasured = False
     for j, name in enumerate(fit.joint_names):
         if not np.any(used_rows(samples, j)):
+            unmeasured = True
             continue
         if not _moved(samples, j):
             still.append(name)
         else:
             joints[grade(samples, fit, j)].append(f"{name} ({_explained(fit, j)})")
     if joints["good"]:
-        every = not (joints["caution"] or joints["bad"] or still)
+        every = not (joints["caution"] or joints["bad"] or still or unmeasured)
         which = "every joint" if every else "the joints"
         yield Finding(
             "good",
