@@ -33,7 +33,7 @@ _LEAST_GAP = 1e-12
 
 
 class CostStep(Protocol):
-    """A step of a local solver: `sdpid.estimation.estimate.Step` or alike."""
+    """A step of a local solver."""
 
     @property
     def seconds(self) -> float:
@@ -59,7 +59,7 @@ def plot_convergence(
     feasible: float = _FEASIBLE,
     title: str | None = None,
 ) -> Any:
-    """Show how far above the proven bound the costs of many local solves are, as they go on.
+    """Show the costs of many local solves above the proven lower bound, step by step.
 
     Parameters
     ----------

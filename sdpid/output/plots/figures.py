@@ -1,4 +1,4 @@
-"""What all plots share: figures without global state, colours, long lines, files."""
+"""What all figures share: colors, axes, long lines, shading, and writing to a file."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ _FORMATS = (".png", ".svg", ".pdf")
 def new_figure(
     width: float, height: float, title: str | None = None, *, layout: str | None = "constrained"
 ) -> Any:
-    """Return an empty figure of that size in inches, which no window ever shows.
+    """Return an empty figure of `width` × `height` inches that belongs to no window.
 
     Parameters
     ----------
@@ -75,7 +75,7 @@ def new_figure(
 
 
 def dress(axis: Any, *, title: str | None = None, xlabel: str = "", ylabel: str = "") -> None:
-    """Give an axis its frame, grid, labels and letter sizes."""
+    """Set frame, grid, labels and font sizes of an axis."""
     for side in ("top", "right"):
         axis.spines[side].set_visible(False)
     for side in ("left", "bottom"):
@@ -120,19 +120,19 @@ def bottom_legend(
 
 
 def _plain(made: Any) -> None:
-    """Have a legend's words shown as they are."""
+    """Show the texts of a legend as they are, without typesetting."""
     for text in made.get_texts():
         text.set_parse_math(False)
 
 
 def long_line(axis: Any, x: Array, y: Array, **style: Any) -> Any:
-    """Draw a line of any number of points; of many, the extremes of each stretch."""
+    """Draw a line; of many points the least and the greatest of each stretch."""
     options = {"linewidth": 0.9, "solid_joinstyle": "round", **style}
     return axis.plot(*decimate(x, y), **options)[0]
 
 
 def stretch(count: int, *, points: int = POINTS) -> int:
-    """Return of how many samples `decimate` keeps the least and the greatest; 1: of each."""
+    """Return the length of the stretches of which `decimate` keeps two samples; 1 keeps all."""
     return 1 if count <= points else -(-count // max(points // 2, 1))
 
 
@@ -172,7 +172,7 @@ def decimate(x: ArrayLike, y: ArrayLike, *, points: int = POINTS) -> tuple[Array
 
 @dataclass(frozen=True, eq=False)
 class TimeLine:
-    """Instants of samples for a plot: pieces recorded apart are drawn behind each other.
+    """The time axis of a plot, with recordings one after the other.
 
     No line is drawn from one piece to the next, and a gap is left between them.
 

@@ -1,4 +1,4 @@
-"""Figures as addresses that stand within a page: SVG in a data URI.
+"""Figures as SVG in a data URI, the ``src`` of an image within a page.
 
 An image cannot run anything, fetches nothing, and shares no names or styles with its page.
 """
@@ -57,11 +57,11 @@ def svg_text(figure: Any) -> str:
 
 
 def _shortened(path: re.Match[str]) -> str:
-    """Return a path with fewer decimals; what follows a point without a letter is a line to it."""
+    """Shorten a path: two decimals, and no letter before a line, which is the default."""
     return _DECIMALS.sub(r"\1", path[0]).replace("\nL ", " ")
 
 
 def image_source(figure: Any) -> str:
-    """Return what `svg_text` makes as a data URI, the ``src`` of an ``<img>``."""
+    """Return a figure as a data URI with the SVG of `svg_text`."""
     encoded = base64.b64encode(svg_text(figure).encode()).decode("ascii")
     return f"data:image/svg+xml;base64,{encoded}"

@@ -1,4 +1,4 @@
-"""Small plots of one joint, for a page that is read on a phone as well: one column of panels.
+"""Figures of one joint for the report: efforts and errors over time, and what the errors look like.
 
 No names stand in them, so nothing that a robot's description says is drawn.
 """
@@ -88,7 +88,7 @@ def _efforts(axis: Any, t: Array, measured: Array, predicted: Array, used: Mask)
 
 
 def detail(error: Array) -> slice:
-    """Return which of many samples are shown in full: those about the largest error."""
+    """Return the samples around the largest error, which are drawn in full."""
     size = np.abs(error)
     at = 0 if np.isnan(size).all() else int(np.nanargmax(size))
     first = min(max(at - COLUMNS // 2, 0), max(len(error) - COLUMNS, 0))
@@ -148,5 +148,5 @@ def _spectrum(axis: Any, errors: JointErrors) -> None:
 
 
 def _line(axis: Any, x: Array, y: Array, **style: Any) -> None:
-    """Draw a line; of a long one the extremes of each of `COLUMNS` stretches."""
+    """Draw a line; of a long one the least and the greatest of each of `COLUMNS` stretches."""
     axis.plot(*decimate(x, y, points=2 * COLUMNS), solid_joinstyle="round", **style)

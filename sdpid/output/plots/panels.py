@@ -1,4 +1,4 @@
-"""Panels under each other, for pictures that are as wide as a phone.
+"""Figures of panels under each other, as wide as a phone's screen.
 
 Their places are fixed, so that nothing needs to be drawn to find them.
 """
@@ -52,7 +52,7 @@ class Panel:
 
 
 def stacked(panels: Sequence[Panel]) -> tuple[Any, list[Any]]:
-    """Return a figure with panels under each other, and their axes from the top.
+    """Return a figure with panels under each other, and their axes, top first.
 
     Parameters
     ----------
@@ -100,7 +100,7 @@ def stacked(panels: Sequence[Panel]) -> tuple[Any, list[Any]]:
 
 
 def logarithmic(axis: Any, x: tuple[float, float], y: tuple[float, float]) -> None:
-    """Give both axes of a panel logarithmic scales between these ends, with few ticks."""
+    """Set both axes of a panel to logarithmic scales between the given ends, with few ticks."""
     ticker = require("matplotlib.ticker", extra="plot")
     axis.set(xscale="log", yscale="log", xlim=x, ylim=y)
     for part, (low, high), count in ((axis.xaxis, x, _TICKS_X), (axis.yaxis, y, _TICKS_Y)):

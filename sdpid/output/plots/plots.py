@@ -1,4 +1,4 @@
-"""Plots that tell whether to trust an estimate.
+"""Figures of filtering and of measured against predicted effort.
 
 Every function returns a `matplotlib.figure.Figure`; nothing is shown and
 no global state of matplotlib is touched. `save_figure` writes it.
@@ -292,8 +292,8 @@ def plot_reconstruction(
         share = f"  ({100.0 * errors[j] / size:.2g} % of RMS)" if size > 0.0 else ""
         dress(left, ylabel=f"effort [{unit[j]}]", xlabel=last)
         dress(right, ylabel=f"error [{unit[j]}]", xlabel=last)
-        said = f"RMSE {errors[j]:#.3g} {unit[j]}{share}"
-        for axis, words in ((left, joint_names[j]), (right, said)):
+        heading = f"RMSE {errors[j]:#.3g} {unit[j]}{share}"
+        for axis, words in ((left, joint_names[j]), (right, heading)):
             # With a height, so that nothing is measured to find one.
             axis.set_title(words, fontsize=NORMAL, color=INK, loc="left", y=1.0, **PLAIN)
             axis.yaxis.set_major_locator(ticker.MaxNLocator(5, steps=(1, 2, 5, 10)))
@@ -307,13 +307,13 @@ def plot_reconstruction(
         labels.append("rows not used")
     bottom_legend(figure, handles, labels, loc="lower center")
     if (each := stretch(len(t))) > 1:
-        said = f"drawn: least and greatest value of each {each} samples"
-        figure.text(1.0 - _RIGHT / _WIDTH, 0.08 / height, said, ha="right", fontsize=SMALL, c=GREY)
+        note = f"drawn: least and greatest value of each {each} samples"
+        figure.text(1.0 - _RIGHT / _WIDTH, 0.08 / height, note, ha="right", fontsize=SMALL, c=GREY)
     return figure
 
 
 def _placed(figure: Any, n: int, height: float, heading: float) -> Any:
-    """Return n rows of a wide and a narrow panel, with fixed room for their words."""
+    """Return axes (n, 2) of a wide and a narrow panel a row, at fixed places."""
     across = _WIDTH - _LEFT - _RIGHT - _BETWEEN
     widths = np.array([_SHARE, 1.0 - _SHARE]) * across
     tall = (height - _TOP - _BOTTOM - heading - (n - 1) * _ABOVE) / n

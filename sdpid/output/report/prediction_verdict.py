@@ -1,6 +1,6 @@
-"""What the errors of a prediction say about a model, in words, whatever made the model.
+"""Findings about a prediction: how well efforts are explained, and whether friction is missing.
 
-Every statement follows from a number against a limit that is named here, with its reason.
+Every limit is a constant here, with its reason.
 """
 
 from __future__ import annotations
@@ -42,18 +42,18 @@ _SHAPE = 0.5
 # torque constants are hardly known to 2 %.
 _NEGLIGIBLE = 0.02
 
-# Names listed before "and so many more".
+# Names listed before "and 3 more".
 _LISTED = 4
 
 
 @dataclass(frozen=True)
 class Finding:
-    """One statement.
+    """A finding of the verdict.
 
     Attributes
     ----------
     level : {"good", "caution", "bad"}
-        Whether it speaks for the model.
+        What it means for the model.
     text : str
         A sentence or two.
     """
@@ -63,7 +63,7 @@ class Finding:
 
 
 def prediction_findings(samples: Samples, fit: Validation) -> tuple[Finding, ...]:
-    """Return what one recording says about a model that was made elsewhere.
+    """Return the findings about a prediction of one recording.
 
     Parameters
     ----------
@@ -84,7 +84,7 @@ def prediction_findings(samples: Samples, fit: Validation) -> tuple[Finding, ...
 
 
 def grade(samples: Samples, fit: Validation, joint: int) -> Level:
-    """Return how well a joint's effort is explained (see `EXPLAINED`, `HARDLY`, `SMALL`, `MOVES`).
+    """Grade how well a joint's effort is explained, by `EXPLAINED`, `HARDLY`, `SMALL` and `MOVES`.
 
     Of a joint that stood still at most "caution": a constant would have predicted its effort too.
     """
@@ -98,13 +98,13 @@ def grade(samples: Samples, fit: Validation, joint: int) -> Level:
 
 
 def _moved(samples: Samples, joint: int) -> bool:
-    """Return whether a joint moved on the rows that count."""
+    """Return whether a joint moved on the rows in use."""
     speeds = np.abs(samples.velocity[used_rows(samples, joint), joint])
     return bool(np.any(speeds > MOVES))
 
 
 def effort_findings(samples: Samples, fit: Validation, where: str) -> Iterator[Finding]:
-    """Say which joints' effort is predicted, and on what that was seen."""
+    """Yield which joints' efforts are predicted well, roughly or badly; `where` names the data."""
     joints: dict[Level, list[str]] = {"good": [], "caution": [], "bad": []}
     still: list[str] = []
     unmeasured = False
@@ -148,7 +148,7 @@ def effort_findings(samples: Samples, fit: Validation, where: str) -> Iterator[F
 
 
 def friction_findings(fit: Validation, errors: tuple[JointErrors, ...]) -> Iterator[Finding]:
-    """Name joints whose errors go with velocity."""
+    """Yield the joints whose errors depend on velocity, by the shape of the dependence."""
     nrmse = dict(zip(fit.joint_names, fit.nrmse.tolist(), strict=True))
     kinds: dict[str, list[str]] = {}
     for each in errors:
@@ -179,7 +179,7 @@ def friction_findings(fit: Validation, errors: tuple[JointErrors, ...]) -> Itera
 
 
 def listed(names: Iterable[str], most: int = _LISTED) -> str:
-    """Join names, at most so many of them."""
+    """Join up to `most` names with commas, and count the rest."""
     every = list(names)
     more = f" and {len(every) - most} more" if len(every) > most else ""
     return ", ".join(every[:most]) + more

@@ -1,7 +1,7 @@
-"""The report: one HTML file that tells what was identified, and how far to trust it.
+"""The report: one HTML file with the verdict, data, fit, parameters and certificate.
 
-It needs no network and no other file: style and pictures are in it. Everything that names
-something (robots, joints, links, notes) is escaped.
+It loads no other file: style and pictures are in it, and a Content-Security-Policy forbids the
+rest. Names of robots, joints and links, and notes, are escaped.
 """
 
 from __future__ import annotations
@@ -55,7 +55,7 @@ def write_report(
     figures: bool | None = None,
     sha256: str | None = None,
 ) -> Path:
-    """Write a self-contained HTML page about an identification, whole or not at all.
+    """Write a self-contained HTML report on an identification, whole or not at all.
 
     Parameters
     ----------
@@ -101,7 +101,7 @@ def report_html(
     figures: bool | None = None,
     sha256: str | None = None,
 ) -> str:
-    """Return the page that `write_report` writes; arguments and errors are its."""
+    """Return the page that `write_report` writes, with the same arguments and errors."""
     jinja2 = require("jinja2", extra="report")
     drawable = importlib.util.find_spec("matplotlib") is not None
     if figures:
@@ -110,7 +110,7 @@ def report_html(
         autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True, lstrip_blocks=True
     )
     environment.filters.update(number=_number, percent=_percent, fixed=_fixed)
-    environment.filters["capitalised"] = _capitalised
+    environment.filters["capitalized"] = _capitalized
     template = files("sdpid.output.report").joinpath(_TEMPLATE).read_text(encoding="utf-8")
     if sha256 is None:
         sha256 = str(identification.certificate.to_dict()["sha256"])
@@ -122,12 +122,12 @@ def report_html(
 
 
 def certificate_digest(path: str | os.PathLike[str]) -> str:
-    """Return the digest that a certificate's file states."""
+    """Return the SHA-256 digest that a certificate file contains."""
     return str(json.loads(Path(path).read_text(encoding="utf-8"))["sha256"])
 
 
 def _context(result: Judged, draw: bool, intervals: GivenIntervals | None) -> dict[str, Any]:
-    """Return what the template shows."""
+    """Return the variables of the template."""
     problem, certificate = result.problem, result.certificate
     samples, _ = judged(result)
     errors = errors_of(result)
@@ -169,7 +169,7 @@ def _context(result: Judged, draw: bool, intervals: GivenIntervals | None) -> di
 
 
 def _data(result: Judged) -> Iterator[tuple[str, list[str]]]:
-    """Yield facts about the recordings: label, and one value each."""
+    """Yield facts about the recordings: a label, and a value for each recording."""
     problem = result.problem
     parts = [problem.samples]
     counts = [(problem.rows.n_samples, problem.n_rows)]
@@ -189,13 +189,13 @@ def _data(result: Judged) -> Iterator[tuple[str, list[str]]]:
 
 
 def _thinned(result: Judged) -> int:
-    """Return of how many training samples one is here: more than 1 where they are on a cluster."""
+    """Return how many samples each one here stands for: over 1 if rows are on a cluster."""
     problem = result.problem
     return max(round(problem.rows.n_samples / max(problem.samples.n_samples, 1)), 1)
 
 
 def _rate(samples: Samples, count: int) -> str:
-    """Return the rate of so many samples, of which these are all or evenly spread."""
+    """Return the sample rate in words; of `count` samples these are all, or evenly spread."""
     if samples.time is None:
         return "–"
     if count == samples.n_samples:
@@ -216,18 +216,18 @@ def _seconds(samples: Samples) -> float:
 
 def _term(described: dict[str, Any]) -> str:
     """Return a friction term and its numbers in words."""
-    said = []
+    numbers = []
     for key, value in described.items():
         if key in ("term", "parameters") or value is None or value == 0.0:
             continue
         many = value if isinstance(value, (list, tuple)) else [value]
         shown = (f"{v:.3g}" if isinstance(v, float) else str(v) for v in many)
-        said.append(f"{key.replace('_', ' ')} {', '.join(shown)}")
-    return f"{described['term']} ({'; '.join(said)})" if said else str(described["term"])
+        numbers.append(f"{key.replace('_', ' ')} {', '.join(shown)}")
+    return f"{described['term']} ({'; '.join(numbers)})" if numbers else str(described["term"])
 
 
 def _joints(result: Judged) -> Iterator[dict[str, Any]]:
-    """Yield what every joint did."""
+    """Yield range, peak speed, peak acceleration and RMS effort of every joint."""
     samples, robot = result.problem.samples, result.problem.robot
     shift = samples.position.shape[1] - robot.n
     for j in range(robot.n):
@@ -245,7 +245,7 @@ def _joints(result: Judged) -> Iterator[dict[str, Any]]:
 
 
 def _excitation(result: Judged) -> dict[str, Any]:
-    """Return how well the data show the base parameters."""
+    """Return condition number and weakly excited directions."""
     excitation = result.problem.excitation
     weak = excitation.weak()
     return {
@@ -258,7 +258,7 @@ def _excitation(result: Judged) -> dict[str, Any]:
 
 
 def _fits(result: Judged) -> Iterator[dict[str, Any]]:
-    """Yield errors of every joint, on training and validation data."""
+    """Yield the errors of every joint, on training and validation data."""
     training, free, held = result.training, result.training_wls, result.validation
     samples, counted = judged(result)
     for j, name in enumerate(training.joint_names):
@@ -278,7 +278,7 @@ def _errors(fit: Validation, j: int) -> dict[str, float]:
 
 
 def _plots(result: Judged, errors: tuple[JointErrors, ...]) -> Iterator[dict[str, Any]]:
-    """Yield the pictures of every joint."""
+    """Yield the figures of every joint."""
     samples, fit = judged(result)
     shown = {each.joint: each for each in errors}
     for j, name in enumerate(fit.joint_names):
@@ -299,7 +299,7 @@ def _plots(result: Judged, errors: tuple[JointErrors, ...]) -> Iterator[dict[str
 
 
 def _base(result: Judged, ends: dict[str, Ends]) -> Iterator[dict[str, Any]]:
-    """Yield the base parameters."""
+    """Yield the rows of the table of base parameters."""
     for row in base_table(result.estimate, result.wls).rows:
         name, unit, value, free, error, regrouping = row
         if isinstance(error, float) and isinstance(value, float) and abs(value) < _NOTHING * error:
@@ -316,7 +316,7 @@ def _base(result: Judged, ends: dict[str, Ends]) -> Iterator[dict[str, Any]]:
 
 
 def _theta(result: Judged, ends: dict[str, Ends]) -> Iterator[dict[str, Any]]:
-    """Yield the standard parameters, with shares of what they come from."""
+    """Yield the rows of the table of standard parameters, with shares of their sources."""
     estimate, base = result.estimate, result.problem.base
     if estimate.theta is None:
         return
@@ -333,7 +333,7 @@ def _theta(result: Judged, ends: dict[str, Ends]) -> Iterator[dict[str, Any]]:
 
 
 def _number(value: float | None, digits: int = 4) -> str:
-    """Return a number for people: a real minus sign, a dash where there is none."""
+    """Return a number with `digits` significant digits; a dash where it is missing."""
     if value is None or not np.isfinite(value):
         return "–"
     if value == 0.0:
@@ -342,8 +342,8 @@ def _number(value: float | None, digits: int = 4) -> str:
     return text.rstrip(".").replace("-", "−")
 
 
-def _capitalised(text: str) -> str:
-    """Return a note as a sentence without its full stop; names in it stay as they are."""
+def _capitalized(text: str) -> str:
+    """Return a note with a capital first letter and without its full stop."""
     return (text[:1].upper() + text[1:]).removesuffix(".")
 
 
@@ -353,5 +353,5 @@ def _percent(share: float | None, digits: int = 3) -> str:
 
 
 def _fixed(value: float) -> str:
-    """Return a number with four decimals, as R² is compared in."""
+    """Return a number with four decimals, as R² is given."""
     return f"{value:.4f}".replace("-", "−")

@@ -1,6 +1,6 @@
-"""What a model can be trusted for, and what not, in words.
+"""The verdict on an identification: findings in words, each from a number against a limit.
 
-Every statement follows from a number against a limit that is named here, with its reason.
+Every limit is a constant here or in `prediction_verdict`, with its reason.
 """
 
 from __future__ import annotations
@@ -51,7 +51,7 @@ SLOW = 0.5
 
 
 class Crossed(Protocol):
-    """A cross-validation: `sdpid.CrossValidation`, or anything with these."""
+    """What the verdict needs of a `CrossValidation`."""
 
     @property
     def by(self) -> str:
@@ -59,15 +59,15 @@ class Crossed(Protocol):
 
     @property
     def relative(self) -> float:
-        """Relative residual of all that was held out."""
+        """Relative residual of all held-out rows."""
 
     @property
     def relative_unconstrained(self) -> float:
-        """That of the unconstrained fits."""
+        """Relative residual of the unconstrained fits on all held-out rows."""
 
     @property
     def relatives(self) -> Array:
-        """Of each fold."""
+        """Relative residual of each fold on its held-out rows, shape (folds,)."""
 
     @property
     def training(self) -> float:
@@ -75,11 +75,11 @@ class Crossed(Protocol):
 
 
 class Judged(Protocol):
-    """What is judged: `sdpid.Identification`, or anything with these."""
+    """What the verdict needs of an `Identification`."""
 
     @property
     def problem(self) -> Problem:
-        """What was solved."""
+        """The problem."""
 
     @property
     def wls(self) -> Estimate:
@@ -87,31 +87,31 @@ class Judged(Protocol):
 
     @property
     def estimate(self) -> Estimate:
-        """The estimate."""
+        """The constrained estimate."""
 
     @property
     def certificate(self) -> Certificate:
-        """Its certificate."""
+        """The certificate of `estimate`."""
 
     @property
     def training(self) -> Validation:
-        """The estimate on the rows it was made from."""
+        """Errors of `estimate` on the training rows."""
 
     @property
     def training_wls(self) -> Validation:
-        """The unconstrained fit there."""
+        """Errors of `wls` on the training rows."""
 
     @property
     def validation(self) -> Validation | None:
-        """The estimate on other rows."""
+        """Errors of `estimate` on the validation recording."""
 
     @property
     def validation_samples(self) -> Samples | None:
-        """Those rows."""
+        """The processed validation recording."""
 
     @property
     def cross_validation(self) -> Crossed | None:
-        """Blocks of the training recordings held out in turn."""
+        """Cross-validation on the training recordings."""
 
     @property
     def findings(self) -> tuple[inspection.Finding, ...]:
@@ -119,12 +119,12 @@ class Judged(Protocol):
 
 
 def verdict(identification: Judged) -> tuple[str, ...]:
-    """Return in plain words what a model can be trusted for, and what not.
+    """Return the verdict on an identification as sentences.
 
     Parameters
     ----------
     identification : Identification
-        What `identify` found.
+        The result of `sdpid.identify`.
 
     Returns
     -------
@@ -137,7 +137,7 @@ def verdict(identification: Judged) -> tuple[str, ...]:
 def findings(
     identification: Judged, errors: tuple[JointErrors, ...] | None = None
 ) -> tuple[Finding, ...]:
-    """Return the statements of `verdict` with what each means for the model.
+    """Return the findings of the verdict, each with its level.
 
     Parameters
     ----------
@@ -168,7 +168,7 @@ def findings(
 
 
 def _recordings(identification: Judged) -> Iterator[Finding]:
-    """Name what makes the recordings something else than what they are taken for."""
+    """Yield what the inspection of the recordings found."""
     for each in identification.findings:
         if each.severity == "error":
             yield Finding("bad", f"The recording is not what it says: {each}.")
@@ -179,7 +179,7 @@ _ERRORS: WeakKeyDictionary[Judged, tuple[JointErrors, ...]] = WeakKeyDictionary(
 
 
 def errors_of(identification: Judged) -> tuple[JointErrors, ...]:
-    """Return what the errors of the prediction that counts look like; computed once."""
+    """Return the error analysis of the judged prediction; computed once per identification."""
     found = _ERRORS.get(identification)
     if found is None:
         found = _ERRORS[identification] = joint_errors(*judged(identification))
@@ -187,19 +187,19 @@ def errors_of(identification: Judged) -> tuple[JointErrors, ...]:
 
 
 def judged(identification: Judged) -> tuple[Samples, Validation]:
-    """Return the rows and the prediction that count: held-out ones where there are some."""
+    """Return the samples and the prediction to judge: validation where given, else training."""
     if identification.validation is not None and identification.validation_samples is not None:
         return identification.validation_samples, identification.validation
     return identification.problem.samples, identification.training
 
 
 def _seen_on(result: Judged) -> str:
-    """Return what the prediction that counts was made on, in words."""
+    """Return in words which data the judged prediction is on."""
     return "motion that was not used for the fit" if result.validation else "its own training data"
 
 
 def _held_out(result: Judged) -> Iterator[Finding]:
-    """Compare held-out with training error."""
+    """Compare the error on the validation recording with the training error."""
     if result.validation is None:
         if result.cross_validation is not None:
             return
@@ -227,7 +227,7 @@ def _held_out(result: Judged) -> Iterator[Finding]:
 
 
 def _crossed(result: Judged) -> Iterator[Finding]:
-    """Compare what was held out in turn with training error."""
+    """Compare the cross-validation error with the training error."""
     crossed = result.cross_validation
     if crossed is None:
         return
@@ -252,7 +252,7 @@ def _crossed(result: Judged) -> Iterator[Finding]:
 
 
 def _reach(result: Judged) -> Iterator[Finding]:
-    """Say where prediction is extrapolation."""
+    """Name joints whose speed or acceleration goes beyond the training data."""
     problem, samples = result.problem, result.problem.samples
     robot = problem.robot
     joints = range(robot.n_base, robot.n)
@@ -308,7 +308,7 @@ def _one_way(result: Judged) -> Iterator[Finding]:
 
 
 def _speeds(problem: Problem) -> Array:
-    """Return the lowest and the highest velocity (2, n) of each joint on the rows that count."""
+    """Return the lowest and the highest velocity (2, n) of each joint on the rows in use."""
     rows = problem.rows
     pieces = rows.map(_speeds_of) if rows.kept else [_speeds_of(rows)]
     found = np.array(pieces)
@@ -316,7 +316,7 @@ def _speeds(problem: Problem) -> Array:
 
 
 def _speeds_of(rows: RowSource) -> Array:
-    """Return those of one piece; a joint without rows stands still."""
+    """Return lowest and highest velocities (2, n) of one recording; 0 for a joint without rows."""
     samples = rows.samples
     found = np.zeros((2, samples.n))
     for j in range(samples.n):
@@ -327,7 +327,7 @@ def _speeds_of(rows: RowSource) -> Array:
 
 
 def _weak(result: Judged) -> Iterator[Finding]:
-    """Name weakly excited directions."""
+    """Name the weakly excited directions of the base parameters."""
     weak = result.problem.excitation.weak()
     if not weak:
         return
@@ -346,7 +346,7 @@ def _weak(result: Judged) -> Iterator[Finding]:
 
 
 def _sources(result: Judged) -> Iterator[Finding]:
-    """Count parameters that the prior gave."""
+    """Count the standard parameters that come mostly from the prior."""
     if result.estimate.theta is None:
         return
     sources = provenance(result.estimate)
@@ -355,17 +355,17 @@ def _sources(result: Judged) -> Iterator[Finding]:
         return
     links = result.problem.robot.link_names
     masses = [name for i, name in enumerate(links) if sources.prior[10 * i] > PRIOR]
-    told = f" The mass is the description's for {listed(masses)}." if masses else ""
+    which = f" The mass is the description's for {listed(masses)}." if masses else ""
     yield Finding(
         "caution",
         f"{from_prior} of {len(sources.names)} standard parameters are the description's or the "
         "choice nearest to it, not measured: many do not act on the effort at all. The effort is "
-        f"predicted all the same; do not quote them as masses or inertias of the robot.{told}",
+        f"predicted all the same; do not quote them as masses or inertias of the robot.{which}",
     )
 
 
 def _constraints(result: Judged) -> Iterator[Finding]:
-    """Say what physics costs, and name parameters at the end of what is allowed."""
+    """Report what the constraints cost in residual, and parameters at a numerical limit."""
     own, free = result.training.relative, result.training_wls.relative
     states = [s for s in constraint_states(result.estimate) if s.active]
     pressing = sorted((s for s in states if s.multiplier), key=lambda s: -abs(s.multiplier or 0.0))
@@ -401,7 +401,7 @@ def _constraints(result: Judged) -> Iterator[Finding]:
 
 
 def _whether_it_pays(result: Judged) -> str:
-    """Compare with the unconstrained fit on other motion."""
+    """Return whether the constraints lower the error on held-out data, in words."""
     if result.validation is not None and result.validation_samples is not None:
         held, where = result.validation.relative, "the validation data"
         free = validate(result.wls, result.validation_samples).relative
@@ -415,7 +415,7 @@ def _whether_it_pays(result: Judged) -> str:
 
 
 def _proof(result: Judged) -> Iterator[Finding]:
-    """Say whether the optimum is proven."""
+    """Report whether the optimum is proven."""
     if result.certificate.passed:
         if result.problem.consistency != "none":
             yield Finding(

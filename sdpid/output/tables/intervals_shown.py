@@ -1,4 +1,4 @@
-"""Intervals as tables, files and pages show them, whoever made them."""
+"""Intervals in the form that tables, files and the report need."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ _ABOUT = {
 
 
 class GivenIntervals(Protocol):
-    """Intervals of some parameters: `sdpid.Intervals`, or anything with these."""
+    """What output needs of `Intervals`."""
 
     @property
     def names(self) -> Sequence[str]:
@@ -32,11 +32,11 @@ class GivenIntervals(Protocol):
 
     @property
     def label(self) -> Sequence[str]:
-        """What bounds each."""
+        """What bounds each parameter: data, physics or the prior."""
 
 
 class Ends(NamedTuple):
-    """An interval and what bounds it; an end that is not finite is None."""
+    """An interval and its label; an end that is not finite is None."""
 
     lower: float | None
     upper: float | None
@@ -55,7 +55,7 @@ def ends_of(intervals: GivenIntervals | None) -> dict[str, Ends]:
 
 
 def in_words(intervals: GivenIntervals | None) -> str | None:
-    """Return level and meaning of intervals in words, None where they do not say their method."""
+    """Return level and meaning of intervals in words; None for an unknown method."""
     method = getattr(intervals, "method", None)
     level = getattr(intervals, "level", None)
     if method not in _ABOUT or level is None:

@@ -1,4 +1,4 @@
-"""Parameters as a file for other programs: JSON or YAML, with units, errors and where from."""
+"""Parameters as JSON or YAML for other programs: values, units, errors, intervals, sources."""
 
 from __future__ import annotations
 
@@ -6,16 +6,17 @@ import json
 import os
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 
-from sdpid._common.arrays import Array
 from sdpid._common.extras import require
 from sdpid._common.files import atomic_write_text
+from sdpid._common.tables import plain
 from sdpid.assurance.diagnostics.provenance import provenance
 from sdpid.errors import DataError, ExportError, IdentifiabilityError
 from sdpid.estimation.estimate import Estimate
+from sdpid.output.tables.intervals_shown import GivenIntervals
 
 FORMAT = "sdpid parameters"
 VERSION = 1
@@ -24,27 +25,11 @@ VERSION = 1
 _MAX_BYTES = 16 * 2**20
 
 
-class NamedIntervals(Protocol):
-    """Intervals by name, such as `sdpid.assurance.intervals.intervals.Intervals`."""
-
-    @property
-    def names(self) -> Sequence[str]:
-        """The parameters."""
-
-    @property
-    def lower(self) -> Any:
-        """Lower ends."""
-
-    @property
-    def upper(self) -> Any:
-        """Upper ends."""
-
-
 def write_parameters(
     estimate: Estimate,
     path: str | os.PathLike[str],
     *,
-    intervals: NamedIntervals | None = None,
+    intervals: GivenIntervals | None = None,
 ) -> Path:
     """Write all parameters of an estimate as JSON or YAML, by the file's suffix.
 
@@ -92,9 +77,9 @@ def write_parameters(
 
 
 def parameters_dict(
-    estimate: Estimate, *, intervals: NamedIntervals | None = None
+    estimate: Estimate, *, intervals: GivenIntervals | None = None
 ) -> dict[str, Any]:
-    """Return what `write_parameters` writes, as plain values."""
+    """Return the content that `write_parameters` writes, as plain values."""
     from sdpid import __version__
 
     problem, base = estimate.problem, estimate.problem.base
@@ -110,12 +95,12 @@ def parameters_dict(
                 "shares": parts[name],
             }
             for name, value, unit in zip(
-                base.theta_names, _plain(estimate.theta), base.theta_units, strict=True
+                base.theta_names, plain(estimate.theta), base.theta_units, strict=True
             )
         }
     errors: Sequence[float | None]
     try:
-        errors = _plain(estimate.standard_errors)
+        errors = plain(estimate.standard_errors)
     except (DataError, IdentifiabilityError):
         # Too short a record for blocks, or data that leave something open.
         errors = [None] * base.count
@@ -148,24 +133,19 @@ def parameters_dict(
                 "expression": base.expression(name),
             }
             for name, value, unit, error in zip(
-                base.names, _plain(estimate.base), base.units, errors, strict=True
+                base.names, plain(estimate.base), base.units, errors, strict=True
             )
         },
     }
 
 
-def _plain(values: Array) -> list[float | None]:
-    """Return numbers; None where one is not finite, which JSON cannot say."""
-    return [float(x) if np.isfinite(x) else None for x in values]
-
-
-def _ends(intervals: NamedIntervals | None) -> dict[tuple[str, str | None], list[float | None]]:
-    """Return the two ends by name and kind; kind None holds for both."""
+def _ends(intervals: GivenIntervals | None) -> dict[tuple[str, str | None], list[float | None]]:
+    """Return both ends of each interval by name and kind; kind None stands for both kinds."""
     if intervals is None:
         return {}
     kinds: Sequence[str | None] = getattr(intervals, "kind", (None,) * len(intervals.names))
     out: dict[tuple[str, str | None], list[float | None]] = {}
-    both = zip(_plain(intervals.lower), _plain(intervals.upper), strict=True)
+    both = zip(plain(intervals.lower), plain(intervals.upper), strict=True)
     for name, kind, (lower, upper) in zip(intervals.names, kinds, both, strict=True):
         out[name, kind] = [lower, upper]
     for (name, kind), value in list(out.items()):

@@ -1,4 +1,4 @@
-"""Tables of parameters, as CSV."""
+"""Tables of base and standard parameters."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ _ENDS = ("lower", "upper", "label")
 def base_table(
     estimate: Estimate, wls: Estimate | None = None, intervals: GivenIntervals | None = None
 ) -> Table:
-    """Return base parameters with the unconstrained fit, its standard errors, and intervals."""
+    """Return the table of base parameters, with the unconstrained fit, errors and intervals."""
     base = estimate.problem.base
     header = ["parameter", "unit", "value"]
     columns: list[Sequence[object]] = [base.names, base.units, estimate.base.tolist()]
@@ -40,7 +40,7 @@ def base_table(
 
 
 def theta_table(estimate: Estimate, intervals: GivenIntervals | None = None) -> Table:
-    """Return standard parameters, their intervals, and what they come from (shares of one)."""
+    """Return the table of standard parameters, with intervals and shares of their sources."""
     base = estimate.problem.base
     none: list[None] = [None] * len(base.theta_names)
     sources = None if estimate.theta is None else provenance(estimate)
@@ -57,7 +57,7 @@ def theta_table(estimate: Estimate, intervals: GivenIntervals | None = None) -> 
 
 
 def _end_columns(names: Sequence[str], intervals: GivenIntervals) -> list[Sequence[object]]:
-    """Return lower ends, upper ends and labels of the named parameters."""
+    """Return lower ends, upper ends and labels of the intervals of the named parameters."""
     ends, none = ends_of(intervals), Ends(None, None, "")
     rows = [ends.get(name, none) for name in names]
     return [[row.lower for row in rows], [row.upper for row in rows], [row.label for row in rows]]
