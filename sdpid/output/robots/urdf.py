@@ -16,7 +16,7 @@ from sdpid._common.files import atomic_path
 from sdpid.errors import ExportError, ModelError
 from sdpid.estimation.estimate import Estimate
 from sdpid.estimation.problem import Problem
-from sdpid.output.robots.urdf_tree import FixedChild, UrdfTree, inertial_values
+from sdpid.output.robots.urdf_tree import FixedChild, UrdfTree
 from sdpid.output.robots.written_bodies import (
     add_shapes,
     joint_numbers,
@@ -25,6 +25,7 @@ from sdpid.output.robots.written_bodies import (
     rest_of,
     standard_parameters,
 )
+from sdpid.robot.description.urdf import inertial_values
 from sdpid.robot.description.xml import encode_xml, read_description
 from sdpid.robot.description.xml_edits import Document, Element
 from sdpid.robot.friction.model import Coulomb, Viscous

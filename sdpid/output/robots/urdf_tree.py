@@ -2,27 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass
-
-import numpy as np
-from numpy.typing import ArrayLike
 
 from sdpid._common.arrays import Array
 from sdpid.errors import ExportError, ModelError
+from sdpid.robot.description.bodies import read_urdf_bodies
 from sdpid.robot.description.urdf import check_urdf
 from sdpid.robot.description.xml_edits import Document, Element
-from sdpid.robot.inertia import physical_parameters, theta_from_physical
 from sdpid.robot.model.model import RobotModel
-
-_TENSOR = {
-    "ixx": (0, 0),
-    "ixy": (0, 1),
-    "ixz": (0, 2),
-    "iyy": (1, 1),
-    "iyz": (1, 2),
-    "izz": (2, 2),
-}
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,10 +54,7 @@ class UrdfTree:
         self.links = {e.attributes.get("name", ""): e for e in root.find_all("link")}
         self.joints = {e.attributes.get("name", ""): e for e in root.find_all("joint")}
         self._child = {name: _end(joint, "child") for name, joint in self.joints.items()}
-        self._fixed: dict[str, list[str]] = {}
-        for name, joint in self.joints.items():
-            if joint.attributes.get("type") == "fixed":
-                self._fixed.setdefault(_end(joint, "parent"), []).append(name)
+        _, self._bodies = read_urdf_bodies(text, "URDF")
         sources = {mimic.joint: mimic.source for mimic in mimics}
         self.mimics = {name: _last(sources, name) for name in sources}
 
@@ -108,18 +92,23 @@ class UrdfTree:
         return names
 
     def fixed_children(self, link: str) -> list[FixedChild]:
-        """Return the links fixed to a link, near ones first."""
-        return list(self._walk(link, np.eye(3), np.zeros(3)))
+        """Return the links fixed to a link, directly or through others, in document order.
 
-    def _walk(self, link: str, rotation: Array, translation: Array) -> Iterator[FixedChild]:
-        for name in self._fixed.get(link, ()):
-            child = self._child[name]
-            if child not in self.links:
-                raise ModelError(f"URDF: joint '{name}' has the child '{child}', which is no link.")
-            R, t = _origin(self.joints[name], f"joint '{name}'")
-            R, t = rotation @ R, rotation @ t + translation
-            yield FixedChild(child, read_inertial(self.links[child], child), R, t)
-            yield from self._walk(child, R, t)
+        Raises
+        ------
+        ModelError
+            When a number of theirs cannot be read.
+        """
+        children = []
+        for body in self._bodies:
+            if body.carrier != link or body.name == link:
+                continue
+            if body.problems:
+                raise ModelError(f"URDF: link '{body.name}': {body.problems[0]}.")
+            theta = body.theta if body.described else None
+            placement = body.placement
+            children.append(FixedChild(body.name, theta, placement[:3, :3], placement[:3, 3]))
+        return children
 
 
 def _end(joint: Element, which: str) -> str:
@@ -134,76 +123,3 @@ def _last(sources: dict[str, str], name: str) -> str:
         name = sources[name]
         seen.add(name)
     return name
-
-
-def _numbers(text: str, count: int, what: str) -> Array:
-    try:
-        values = np.array([float(x) for x in text.split()])
-    except ValueError:
-        values = np.array([])
-    if values.shape != (count,) or not np.isfinite(values).all():
-        raise ModelError(f"URDF: {what} is '{text}'; expected {count} finite numbers.")
-    return values
-
-
-def _origin(element: Element, what: str) -> tuple[Array, Array]:
-    """Return rotation and translation of an element's <origin>."""
-    origin = element.find("origin")
-    attributes = origin.attributes if origin is not None else {}
-    xyz = _numbers(attributes.get("xyz", "0 0 0"), 3, f"xyz of {what}")
-    rpy = _numbers(attributes.get("rpy", "0 0 0"), 3, f"rpy of {what}")
-    (cr, cp, cy), (sr, sp, sy) = np.cos(rpy), np.sin(rpy)
-    rotation = np.array(
-        [
-            [cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr],
-            [sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr],
-            [-sp, cp * sr, cp * cr],
-        ]
-    )
-    return rotation, xyz
-
-
-def read_inertial(link: Element, name: str) -> Array | None:
-    """Return the ten parameters of a link's <inertial> in the link's frame, None without one.
-
-    Raises
-    ------
-    ModelError
-        When mass or inertia are missing or are not numbers.
-    """
-    inertial = link.find("inertial")
-    if inertial is None:
-        return None
-    mass, tensor = inertial.find("mass"), inertial.find("inertia")
-    if mass is None or tensor is None:
-        raise ModelError(f"URDF: the inertial of link '{name}' lacks its mass or its inertia.")
-    value = _numbers(mass.attributes.get("value", ""), 1, f"the mass of link '{name}'")[0]
-    inertia = np.empty((3, 3))
-    for key, (i, j) in _TENSOR.items():
-        entry = _numbers(tensor.attributes.get(key, ""), 1, f"{key} of link '{name}'")[0]
-        inertia[i, j] = inertia[j, i] = entry
-    R, t = _origin(inertial, f"the inertial of link '{name}'")
-    return theta_from_physical(value, t, R @ inertia @ R.T)
-
-
-def inertial_values(body: ArrayLike) -> dict[str, dict[str, str]]:
-    """Return the attributes of origin, mass and inertia, as shortest round-trip numbers.
-
-    The inertia is about the centre of mass, along the axes of the link; a body of zeros stands
-    for a link without mass.
-    """
-    body = np.asarray(body, dtype=np.float64)
-    if np.any(body):
-        mass, com, inertia = physical_parameters(body)
-    else:
-        mass, com, inertia = np.zeros(()), np.zeros(3), np.zeros((3, 3))
-    return {
-        "origin": {"xyz": " ".join(_number(x) for x in com), "rpy": "0 0 0"},
-        "mass": {"value": _number(mass)},
-        "inertia": {key: _number(inertia[ij]) for key, ij in _TENSOR.items()},
-    }
-
-
-def _number(value: ArrayLike) -> str:
-    # Adding zero turns -0.0 into 0.0.
-    return repr(float(np.asarray(value)) + 0.0)

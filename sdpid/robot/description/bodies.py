@@ -9,6 +9,7 @@ said in `DescribedBody.problems`.
 from __future__ import annotations
 
 import math
+from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from fractions import Fraction
@@ -18,8 +19,8 @@ import numpy as np
 
 from sdpid._common.arrays import Array, frozen
 from sdpid.errors import ModelError
-from sdpid.robot.description.urdf import LARGEST
-from sdpid.robot.description.xml import parse_xml
+from sdpid.robot.description.origin import LARGEST, read_origin
+from sdpid.robot.description.urdf import parse_urdf
 from sdpid.robot.inertia import TENSOR_INDEX, theta_from_physical
 
 # In the order of `TENSOR_INDEX`.
@@ -142,15 +143,13 @@ def read_urdf_bodies(text: str | bytes, what: str) -> tuple[Any, tuple[Described
     ModelError
         When it is not a URDF, or its joints make no tree.
     """
-    root = parse_xml(text, what)
-    if root.tag != "robot":
-        raise ModelError(f"{what}: the root element is <{root.tag}>, a URDF has <robot>.")
+    root = parse_urdf(text, what)
     links = root.findall("link")
-    names = [link.get("name", "") for link in links]
+    names = Counter(link.get("name", "") for link in links)
     if not links:
         raise ModelError(f"{what}: has no <link>; give the URDF itself, not a xacro file.")
-    if len(set(names)) < len(names):
-        twice = sorted({name for name in names if names.count(name) > 1})
+    twice = sorted(name for name, count in names.items() if count > 1)
+    if twice:
         raise ModelError(f"{what}: link names must differ; given twice: {', '.join(twice)}.")
     parents: dict[str, Any] = {}
     for joint in root.findall("joint"):
@@ -164,7 +163,41 @@ def read_urdf_bodies(text: str | bytes, what: str) -> tuple[Any, tuple[Described
         if ends[1] in parents:
             raise ModelError(f"{what}: link '{ends[1]}' is the child of two joints.")
         parents[ends[1]] = joint
-    return root, tuple(_body(link, parents, what) for link in links)
+    places: dict[str, _Place] = {}
+    for name in names:
+        _find_place(name, parents, places, what)
+    return root, tuple(_body(link, parents, places) for link in links)
+
+
+@dataclass(frozen=True)
+class _Place:
+    """What a link is fixed to, where it is in that link's frame, and what cannot be read."""
+
+    carrier: str
+    placement: Array
+    problems: tuple[str, ...] = ()
+
+
+def _find_place(
+    name: str, parents: Mapping[str, Any], places: dict[str, _Place], what: str
+) -> None:
+    """Find the place of a link and of those between it and its carrier, each once."""
+    chain: list[str] = []
+    while name not in places:
+        joint = parents.get(name)
+        if joint is None or joint.get("type") != "fixed":
+            places[name] = _Place(name, np.eye(4))
+            break
+        if name in chain:
+            raise ModelError(f"{what}: the joints above link '{name}' go in a circle.")
+        chain.append(name)
+        name = _end(joint, "parent")
+    for link in reversed(chain):
+        joint = parents[link]
+        problems: list[str] = []
+        own = _placement(joint, f"joint '{joint.get('name')}'", problems)
+        above = places[_end(joint, "parent")]
+        places[link] = _Place(above.carrier, above.placement @ own, (*above.problems, *problems))
 
 
 def _end(joint: Any, which: str) -> str:
@@ -172,17 +205,10 @@ def _end(joint: Any, which: str) -> str:
     return "" if element is None else str(element.get("link", ""))
 
 
-def _body(link: Any, parents: Mapping[str, Any], what: str) -> DescribedBody:
+def _body(link: Any, parents: Mapping[str, Any], places: Mapping[str, _Place]) -> DescribedBody:
     name = link.get("name", "")
-    problems: list[str] = []
-    placement, carrier, seen = np.eye(4), name, {name}
-    while carrier in parents and parents[carrier].get("type") == "fixed":
-        joint = parents[carrier]
-        placement = _placement(joint, f"joint '{joint.get('name')}'", problems) @ placement
-        carrier = _end(joint, "parent")
-        if carrier in seen:
-            raise ModelError(f"{what}: the joints above link '{name}' go in a circle.")
-        seen.add(carrier)
+    found = places[name]
+    problems, carrier = list(found.problems), found.carrier
     mover = parents.get(carrier)
     place: dict[str, Any] = {
         "name": name,
@@ -190,7 +216,7 @@ def _body(link: Any, parents: Mapping[str, Any], what: str) -> DescribedBody:
         "carrier": carrier,
         "joint": None if mover is None else mover.get("name", "?"),
         "parent": None if mover is None else _end(mover, "parent"),
-        "placement": frozen(placement),
+        "placement": frozen(found.placement),
     }
     inertial = link.find("inertial")
     if inertial is None:
@@ -198,11 +224,11 @@ def _body(link: Any, parents: Mapping[str, Any], what: str) -> DescribedBody:
     mass = _number(inertial.find("mass"), "value", "mass", problems)
     frame = _placement(inertial, "the inertial", problems)
     element = inertial.find("inertia")
-    found = [_number(element, key, key, problems) for key in TENSOR_NAMES]
+    tensor = [_number(element, key, key, problems) for key in TENSOR_NAMES]
     entries = None
     half_digit = 0.0
-    numbers = [value for value in found if value is not None]
-    if len(numbers) == len(found):
+    numbers = [value for value in tensor if value is not None]
+    if len(numbers) == len(tensor):
         entries = tuple(numbers)
         half_digit = max(_half_digit(element.get(key)) for key in TENSOR_NAMES)
         _check_symmetry(element, dict(zip(TENSOR_NAMES, numbers, strict=True)), problems)
@@ -261,23 +287,8 @@ def _check_symmetry(element: Any, values: Mapping[str, Fraction], problems: list
 
 def _placement(element: Any, what: str, problems: list[str]) -> Array:
     """Return the frame of an element's ``<origin>``; not finite where it cannot be read."""
-    from scipy.spatial.transform import Rotation
-
-    placement = np.eye(4)
-    origin = element.find("origin")
-    if origin is None:
-        return placement
-    values = []
-    for key in ("xyz", "rpy"):
-        text = origin.get(key, "0 0 0")
-        try:
-            numbers = np.array([float(word) for word in text.split()])
-        except ValueError:
-            numbers = np.array([])
-        if numbers.shape != (3,) or not (np.abs(numbers) <= LARGEST).all():
-            problems.append(f"{key} of {what} is '{text}', expected 3 finite numbers")
-            return np.full((4, 4), np.nan)
-        values.append(numbers)
-    placement[:3, 3] = values[0]
-    placement[:3, :3] = Rotation.from_euler("xyz", values[1]).as_matrix()
-    return placement
+    try:
+        return read_origin(element)
+    except ValueError as cause:
+        problems.append(f"the origin of {what}: {cause}")
+        return np.full((4, 4), np.nan)

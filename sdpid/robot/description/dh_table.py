@@ -15,10 +15,8 @@ from numpy.typing import ArrayLike
 from sdpid._common.arrays import Array, real_array
 from sdpid._common.toml import load_toml
 from sdpid.errors import ModelError
-
-# Rotations by multiples of a right angle are written as exact zeros and ones: sin and cos of
-# a rounded pi/2 differ from them by less than this.
-_SNAP = 1e-15
+from sdpid.robot.description.origin import axis_rotation, matrix_rpy, numbers, rpy_matrix
+from sdpid.robot.description.urdf import inertial_element
 
 _OPTIONAL = ("lower", "upper", "velocity", "effort")
 
@@ -55,36 +53,10 @@ class DhJoint:
     effort: float | None = None
 
 
-def _rotation(axis: int, angle: float) -> Array:
-    c, s = math.cos(angle), math.sin(angle)
-    i, j = (axis + 1) % 3, (axis + 2) % 3
-    transform = np.eye(4)
-    transform[i, i], transform[i, j], transform[j, i], transform[j, j] = c, -s, s, c
-    transform[np.abs(transform) < _SNAP] = 0.0
-    return transform
-
-
 def _translation(axis: int, length: float) -> Array:
     transform = np.eye(4)
     transform[axis, 3] = length
     return transform
-
-
-def rpy_matrix(rpy: Sequence[float]) -> Array:
-    """Return the rotation of fixed-axis roll, pitch and yaw, as URDF means them."""
-    roll, pitch, yaw = rpy
-    return (_rotation(2, yaw) @ _rotation(1, pitch) @ _rotation(0, roll))[:3, :3]
-
-
-def matrix_rpy(rotation: ArrayLike) -> tuple[float, float, float]:
-    """Return roll, pitch and yaw of a rotation matrix; at gimbal lock roll is zero."""
-    R = np.asarray(rotation, dtype=np.float64)
-    horizontal = math.hypot(R[0, 0], R[1, 0])
-    pitch = math.atan2(-R[2, 0], horizontal)
-    # Below this the two remaining angles are one: only their sum or difference exists.
-    if horizontal < 1e-12:
-        return 0.0, pitch, math.atan2(-R[0, 1], R[1, 1])
-    return math.atan2(R[2, 1], R[2, 2]), pitch, math.atan2(R[1, 0], R[0, 0])
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -206,10 +178,10 @@ class DhTable:
         """Return the transform from frame `index` to the next at a joint variable."""
         joint = self.joints[index]
         revolute = joint.kind == "revolute"
-        about_z = _rotation(2, joint.theta + (variable if revolute else 0.0)) @ _translation(
+        about_z = axis_rotation(2, joint.theta + (variable if revolute else 0.0)) @ _translation(
             2, joint.r + (0.0 if revolute else variable)
         )
-        about_x = _rotation(0, joint.alpha) @ _translation(0, joint.d)
+        about_x = axis_rotation(0, joint.alpha) @ _translation(0, joint.d)
         return about_x @ about_z if self.convention == "modified" else about_z @ about_x
 
     def forward_kinematics(self, q: ArrayLike) -> Array:
@@ -235,8 +207,8 @@ class DhTable:
                 placements.append(before @ self.link_transform(i, 0.0))
                 before = np.eye(4)
             else:
-                placements.append(before @ _rotation(2, joint.theta) @ _translation(2, joint.r))
-                before = _rotation(0, joint.alpha) @ _translation(0, joint.d)
+                placements.append(before @ axis_rotation(2, joint.theta) @ _translation(2, joint.r))
+                before = axis_rotation(0, joint.alpha) @ _translation(0, joint.d)
         return placements, before
 
     def to_urdf(self, inertias: ArrayLike | None = None) -> str:
@@ -254,8 +226,6 @@ class DhTable:
             The URDF. A standard table gets a fixed frame ``tip`` at its last frame.
         """
         from lxml import etree
-
-        from sdpid.robot.description.urdf import inertial_element
 
         robot = etree.Element("robot", name=self.name)
         robot.append(etree.Comment(" Generated from the kinematic table; edit the table. "))
@@ -308,8 +278,3 @@ def _limits(joint: DhJoint) -> dict[str, str]:
     elif joint.kind == "prismatic":
         limits |= {"lower": -1e9, "upper": 1e9}
     return {key: repr(float(value)) for key, value in limits.items()}
-
-
-def numbers(values: ArrayLike) -> str:
-    """Return numbers as XML text, shortest form that reads back to the same float64."""
-    return " ".join(repr(float(value) + 0.0) for value in np.ravel(np.asarray(values)))

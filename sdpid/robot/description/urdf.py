@@ -10,12 +10,13 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from sdpid.errors import ModelError
+from sdpid.robot.description.origin import LARGEST, numbers
 from sdpid.robot.description.quiet import Caught, caught_stderr
 from sdpid.robot.description.xml import parse_xml, undeclared
 from sdpid.robot.inertia import physical_parameters
 
-# No length, mass or inertia of a robot is larger; squares of these are far from overflow.
-LARGEST = 1e12
+# Parsers go down a tree of links by recursion: some ten thousand end the process.
+MOST_LINKS = 2000
 
 # Where the numbers are that make a model: elements within links and joints, their attributes, how
 # many numbers each has, and whether it may be left out.
@@ -32,6 +33,16 @@ _NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?", re.ASCII)
 # Places in the parser's own source, which help nobody.
 _LINES = re.compile(r"\s*at line \d+ in \S+")
 
+# Entries of the tensor, in the order in which a URDF lists them.
+TENSOR_PLACES = {
+    "ixx": (0, 0),
+    "ixy": (0, 1),
+    "ixz": (0, 2),
+    "iyy": (1, 1),
+    "iyz": (1, 2),
+    "izz": (2, 2),
+}
+
 _ONE_VARIABLE = ("revolute", "continuous", "prismatic")
 
 
@@ -45,6 +56,23 @@ class Mimic:
     offset: float
 
 
+def parse_urdf(text: str | bytes, what: str) -> Any:
+    """Return the root element of a URDF.
+
+    Raises
+    ------
+    ModelError
+        When it is not one, or has more than 2000 links.
+    """
+    root = parse_xml(text, what)
+    if root.tag != "robot":
+        raise ModelError(f"{what}: the root element is <{root.tag}>, a URDF has <robot>.")
+    count = len(root.findall("link"))
+    if count > MOST_LINKS:
+        raise ModelError(f"{what}: {count} links, at most {MOST_LINKS} are read.")
+    return root
+
+
 def check_urdf(text: str, what: str, *, floating: bool = False) -> tuple[str, tuple[Mimic, ...]]:
     """Check the joints of a URDF and return the robot's name and its mimic joints.
 
@@ -56,9 +84,7 @@ def check_urdf(text: str, what: str, *, floating: bool = False) -> tuple[str, tu
         When it is not a URDF, has no moving joint, or has a joint of a kind that has more than
         one variable.
     """
-    root = parse_xml(text, what)
-    if root.tag != "robot":
-        raise ModelError(f"{what}: the root element is <{root.tag}>, a URDF has <robot>.")
+    root = parse_urdf(text, what)
     _check_numbers(root, what)
     moving = 0
     mimics = []
@@ -77,11 +103,12 @@ def check_urdf(text: str, what: str, *, floating: bool = False) -> tuple[str, tu
             try:
                 multiplier = float(mimic.get("multiplier", "1"))
                 offset = float(mimic.get("offset", "0"))
-                if not np.isfinite([multiplier, offset]).all():
+                if not (np.abs([multiplier, offset]) <= LARGEST).all():
                     raise ValueError
             except ValueError:
                 raise ModelError(
-                    f"{what}: joint '{name}': the mimic's multiplier or offset is not a number."
+                    f"{what}: joint '{name}': the mimic's multiplier or offset is not a "
+                    f"number of at most {LARGEST:g}."
                 ) from None
             mimics.append(Mimic(name, mimic.get("joint", ""), multiplier, offset))
     if moving == 0 and not floating:
@@ -182,29 +209,38 @@ def joint_dynamics(text: str, what: str) -> dict[str, tuple[float, float]]:
     return found
 
 
-def inertial_element(body: ArrayLike) -> Any:
-    """Return the <inertial> element of a body given by its ten parameters.
+def inertial_values(body: ArrayLike) -> dict[str, dict[str, str]]:
+    """Return the attributes of origin, mass and inertia of an ``<inertial>``, in full precision.
 
-    The inertia is written about the centre of mass along the axes of the frame. A body without
-    mass has no centre of mass: it is refused.
+    The inertia is about the center of mass, along the axes of the link; ten zeros stand for a
+    link without mass.
+    """
+    body = np.asarray(body, dtype=np.float64)
+    if np.any(body):
+        mass, com, inertia = physical_parameters(body)
+    else:
+        mass, com, inertia = np.zeros(()), np.zeros(3), np.zeros((3, 3))
+    return {
+        "origin": {"xyz": numbers(com), "rpy": "0 0 0"},
+        "mass": {"value": numbers(mass)},
+        "inertia": {key: numbers(inertia[ij]) for key, ij in TENSOR_PLACES.items()},
+    }
+
+
+def inertial_element(body: ArrayLike) -> Any:
+    """Return the ``<inertial>`` element of a body given by its ten parameters.
 
     Raises
     ------
     ModelError
-        When the mass is not positive.
+        When the mass is not positive: there is no center of mass then.
     """
     from lxml import etree
 
     body = np.asarray(body, dtype=np.float64)
     if not body[0] > 0.0:
         raise ModelError(f"inertial: the mass is {body[0]} kg, a URDF needs a positive one.")
-    mass, com, inertia = physical_parameters(body)
     element = etree.Element("inertial")
-    xyz = " ".join(repr(float(x) + 0.0) for x in com)
-    etree.SubElement(element, "origin", xyz=xyz, rpy="0 0 0")
-    etree.SubElement(element, "mass", value=repr(float(mass)))
-    names = {"ixx": (0, 0), "ixy": (0, 1), "ixz": (0, 2), "iyy": (1, 1), "iyz": (1, 2)}
-    names["izz"] = (2, 2)
-    entries = {key: repr(float(inertia[ij]) + 0.0) for key, ij in names.items()}
-    etree.SubElement(element, "inertia", entries)
+    for tag, attributes in inertial_values(body).items():
+        etree.SubElement(element, tag, attributes)
     return element

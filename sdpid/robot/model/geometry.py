@@ -17,6 +17,7 @@ from numpy.typing import ArrayLike
 from sdpid._common.arrays import Array, real_array
 from sdpid.errors import ModelError
 from sdpid.robot.description.catalog import example_robots
+from sdpid.robot.description.origin import read_origin, read_triple
 from sdpid.robot.description.xml import parse_xml
 from sdpid.robot.model.model import RobotModel
 
@@ -118,7 +119,10 @@ def link_points(element: Any, kind: str, robot: str, folders: Sequence[Path]) ->
     points = [np.empty((0, 3))]
     for shape in element.findall(kind):
         what = f"'{robot}', link '{element.get('name')}', {kind} geometry"
-        placement = _origin(shape.find("origin"), what)
+        try:
+            placement = read_origin(shape)
+        except ValueError as cause:
+            raise ModelError(f"{what}: <origin>: {cause}.") from None
         corners = _corners(shape.find("geometry"), what, folders)
         points.append(corners @ placement[:3, :3].T + placement[:3, 3])
     return np.concatenate(points)
@@ -172,21 +176,11 @@ def _sizes(element: Any, keys: Sequence[str], what: str) -> list[float]:
     return sizes
 
 
-def _triple(element: Any, key: str, what: str, default: str | None = None) -> Array:
-    values = _numbers(element, key, what, default)
-    if len(values) != 3:
-        raise ModelError(f"{what}: <{element.tag}> has {len(values)} numbers in {key}, not 3.")
-    return np.array(values)
-
-
-def _origin(element: Any, what: str) -> Array:
-    placement = np.eye(4)
-    if element is not None:
-        import pinocchio as pin
-
-        placement[:3, 3] = _triple(element, "xyz", what, "0 0 0")
-        placement[:3, :3] = pin.rpy.rpyToMatrix(_triple(element, "rpy", what, "0 0 0"))
-    return placement
+def _triple(element: Any, key: str, what: str, default: str = "") -> Array:
+    try:
+        return read_triple(element, key, default)
+    except ValueError as cause:
+        raise ModelError(f"{what}: <{element.tag}>: {cause}.") from None
 
 
 def _corners(geometry: Any, what: str, folders: Sequence[Path]) -> Array:

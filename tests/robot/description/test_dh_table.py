@@ -16,7 +16,8 @@ from hypothesis import strategies as st
 from sdpid._common.arrays import Array
 from sdpid.errors import DataError, ModelError
 from sdpid.robot.description.catalog import bundled_folder
-from sdpid.robot.description.dh_table import DhJoint, DhTable, matrix_rpy, rpy_matrix
+from sdpid.robot.description.dh_table import DhJoint, DhTable
+from sdpid.robot.description.origin import matrix_rpy, rpy_matrix
 from sdpid.robot.model.load import load_robot
 from sdpid.robot.model.model import RobotModel
 from tests.helpers.strategies import SEEDS, bodies, dh_tables, rotations

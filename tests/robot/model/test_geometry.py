@@ -124,7 +124,7 @@ def test_a_mesh_is_found_by_package_by_folder_and_by_path(tmp_path: Path) -> Non
     [
         ('<mesh filename="package://nowhere/a.stl"/>', "nowhere/a.stl' is not found.*package_dirs"),
         ('<mesh filename="http://x/a.stl"/>', "package://"),
-        ('<box size="1 2"/>', "2 numbers in size"),
+        ('<box size="1 2"/>', "size is '1 2', expected 3"),
         ('<sphere radius="wide"/>', "radius='wide'"),
         ('<sphere radius="-1"/>', r"-1\.0 m"),
         ("<cylinder/>", "radius=None"),

@@ -11,6 +11,7 @@ import pinocchio as pin
 import pytest
 
 from sdpid.errors import ModelError
+from sdpid.output.robots.urdf_tree import UrdfTree
 from sdpid.robot.description.catalog import (
     bundled_folder,
     bundled_robots,
@@ -147,6 +148,27 @@ def test_unknown_encodings_are_refused(tmp_path: Path, declared: str) -> None:
         load_robot(path)
 
 
+def test_long_chains_of_fixed_links_are_read_and_endless_ones_refused() -> None:
+    def chain(count: int) -> str:
+        links = "".join(f'<link name="l{i}"/>' for i in range(count))
+        fixed = "".join(
+            f'<joint name="f{i}" type="fixed"><origin xyz="1 0 0"/><parent link="l{i}"/>'
+            f'<child link="l{i + 1}"/></joint>'
+            for i in range(count - 1)
+        )
+        joint = JOINT.format(kind="revolute", inside="").replace('"b"', '"l0"')
+        return f'<robot name="r"><link name="a"/>{links}{joint}{fixed}</robot>'
+
+    # Deeper than Python's own recursion goes.
+    assert load_robot(chain(1500)).n == 1
+    begin = time.perf_counter()
+    assert UrdfTree(chain(1500)).fixed_children("l0")[-1].translation[0] == 1499
+    # 0.3 s; placements found anew for each link took 36 s.
+    assert time.perf_counter() - begin < 10.0
+    with pytest.raises(ModelError, match="30001 links, at most 2000"):
+        load_robot(chain(30_000))
+
+
 def test_a_comment_makes_no_mjcf() -> None:
     assert not is_mjcf("<!-- <mujoco> --><robot/>", "it")
     assert is_mjcf("<?xml version='1.0'?><!-- <robot> --><mujoco model='x'/>", "it")
@@ -172,6 +194,7 @@ BAD: list[tuple[Any, str]] = [
     (urdf(JOINT.format(kind="revolute", inside='<mimic joint="x"/>')), "mimics 'x'"),
     (urdf(JOINT.format(kind="revolute", inside='<mimic joint="x" offset="a"/>')), "not a number"),
     (urdf(JOINT.format(kind="revolute", inside='<mimic joint="x" offset="nan"/>')), "not a n"),
+    (urdf(JOINT.format(kind="revolute", inside='<mimic joint="x" offset="1e300"/>')), "at most"),
     (urdf(JOINT.format(kind="revolute", inside="").replace('"b"', '"c"')), "cannot read it"),
     (TREE_MIMIC.replace('joint="finger"', 'joint="weld"'), "mimics 'weld'"),
     ("", "no robot ''"),
