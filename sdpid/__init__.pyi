@@ -1,13 +1,11 @@
-from .assurance.certificate.certificate import Certificate, certify, verify
-from .assurance.descriptions.audit import UrdfAudit, audit_urdf
-from .assurance.diagnostics.active_constraints import ConstraintState
+from .assurance.certificate.certificate import certify, verify
+from .assurance.descriptions.audit import audit_urdf
 from .assurance.diagnostics.cost_of_constraints import cost_of_constraints
-from .assurance.diagnostics.mass_matrix import worst_mass_matrix
-from .assurance.diagnostics.provenance import Provenance
-from .assurance.diagnostics.validation import Validation, validate
-from .assurance.intervals.intervals import Intervals, intervals
-from .assurance.payload.identify import Payload, identify_payload
-from .assurance.tables.audit import BaseAudit, audit_base_parameters
+from .assurance.diagnostics.mass_matrix import smallest_mass_eigenvalue
+from .assurance.diagnostics.validation import validate
+from .assurance.intervals.intervals import confidence_intervals
+from .assurance.payload.identify import identify_payload
+from .assurance.tables.audit import audit_base_parameters
 from .errors import (
     CertificateError,
     DataError,
@@ -86,16 +84,13 @@ __version__: str
 
 __all__ = [
     "AsymmetricCoulomb",
-    "BaseAudit",
     "BaseParameters",
     "CenterOfMassInBox",
     "CenterOfMassInEllipsoid",
     "CenterOfMassInHull",
-    "Certificate",
     "CertificateError",
     "Choice",
     "Comparison",
-    "ConstraintState",
     "Constraints",
     "Coulomb",
     "Coupling",
@@ -113,7 +108,6 @@ __all__ = [
     "Identification",
     "InfeasibleError",
     "Inspection",
-    "Intervals",
     "JointwiseTerm",
     "MassInEllipsoid",
     "MirrorPair",
@@ -123,11 +117,9 @@ __all__ = [
     "MotorSide",
     "Offset",
     "OpenParameter",
-    "Payload",
     "Prior",
     "Problem",
     "Processing",
-    "Provenance",
     "Recording",
     "RobotModel",
     "RobustEstimate",
@@ -142,8 +134,6 @@ __all__ = [
     "TermParameter",
     "TotalMass",
     "Trajectory",
-    "UrdfAudit",
-    "Validation",
     "Viscous",
     "__version__",
     "as_cvxpy",
@@ -153,12 +143,12 @@ __all__ = [
     "certify",
     "choose_processing",
     "compare",
+    "confidence_intervals",
     "cost_of_constraints",
     "cross_validate",
     "identify",
     "identify_payload",
     "inspect_recording",
-    "intervals",
     "load_robot",
     "mass_matrix",
     "paper_excitation",
@@ -166,6 +156,7 @@ __all__ = [
     "read_parameters",
     "read_recording",
     "simulate",
+    "smallest_mass_eigenvalue",
     "solve_log_cholesky",
     "solve_robust",
     "solve_sdp",
@@ -174,7 +165,6 @@ __all__ = [
     "validate",
     "verdict",
     "verify",
-    "worst_mass_matrix",
     "write_mjcf",
     "write_parameters",
     "write_report",

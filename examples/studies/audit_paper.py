@@ -19,6 +19,7 @@ from pathlib import Path
 
 import sdpid
 from sdpid._common.tables import Table
+from sdpid.assurance.tables.audit import BaseAudit
 from sdpid.assurance.tables.csv_table import BaseTable, half_unit, read_base_table
 from sdpid.assurance.tables.question import base_question
 from sdpid.assurance.tables.refutation import Refutation
@@ -90,7 +91,7 @@ def other_lengths(quick: bool) -> Iterator[tuple[str, sdpid.RobotModel]]:
 
 def audited(
     robot: sdpid.RobotModel, table: BaseTable, consistency: Consistency, **options: object
-) -> sdpid.BaseAudit:
+) -> BaseAudit:
     """Audit, and check what is proven once more from what would be written."""
     found = sdpid.audit_base_parameters(
         robot, table.values, table.halfwidths, consistency=consistency, **options

@@ -23,6 +23,7 @@ import pinocchio as pin
 import sdpid
 from sdpid._common.files import atomic_write_text
 from sdpid._common.tables import Table
+from sdpid.assurance.descriptions.audit import UrdfAudit
 from sdpid.assurance.descriptions.model_checks import carried, carried_theta
 from sdpid.output.robots.repair import RepairReport, repair_urdf
 from sdpid.robot.description.bodies import read_urdf_bodies
@@ -100,7 +101,7 @@ def pinocchio_difference(text: str) -> float:
     return worst
 
 
-def row(name: str, path: Path) -> tuple[tuple[object, ...], sdpid.UrdfAudit | None]:
+def row(name: str, path: Path) -> tuple[tuple[object, ...], UrdfAudit | None]:
     """Return a row of the table, and the audit."""
     try:
         audit = sdpid.audit_urdf(path)

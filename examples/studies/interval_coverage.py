@@ -1,8 +1,8 @@
 """Do the stated 95 % intervals hold the truth 95 % of the time? Counted over simulated seeds.
 
 Each seed draws its own excitation and noise for the Denso plant. Counted are the intervals of
-Gauss and Markov, the profile bounds and the block bootstrap of `sdpid.intervals`, for a robot well
-inside of all constraints and for one whose links lie exactly on them.
+Gauss and Markov, the profile likelihood and the block bootstrap of `sdpid.confidence_intervals`,
+for a robot well inside all constraints and for one whose links lie exactly on them.
 
     python examples/studies/interval_coverage.py --out results --seeds 40
 """
@@ -111,7 +111,7 @@ def run(case: str, options: argparse.Namespace) -> list[tuple[object, ...]]:
             half = NORMAL * fit.standard_errors
             ends: dict[str, tuple[Any, Any]] = {METHODS[0]: (fit.base - half, fit.base + half)}
             for method in METHODS[1:]:
-                found = sdpid.intervals(
+                found = sdpid.confidence_intervals(
                     estimate,
                     method=method,  # type: ignore[arg-type]
                     parameters=base.names,
@@ -124,7 +124,7 @@ def run(case: str, options: argparse.Namespace) -> list[tuple[object, ...]]:
                 inside.setdefault(key, []).append(np.mean((lower <= truth) & (truth <= upper)))
                 widths.setdefault(key, []).append(np.median((upper - lower) / (2.0 * half)))
             if options.standard:
-                found = sdpid.intervals(estimate, parameters=base.theta_names[:60])
+                found = sdpid.confidence_intervals(estimate, parameters=base.theta_names[:60])
                 held = found.contains(theta[:60])
                 labels = np.array(found.label)
                 for label in np.unique(labels):

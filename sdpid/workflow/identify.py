@@ -15,8 +15,7 @@ from sdpid._common.progress import progress
 from sdpid._common.threads import one_thread
 from sdpid.assurance.certificate.certificate import certify
 from sdpid.assurance.diagnostics.validation import validate
-from sdpid.assurance.intervals.intervals import Intervals, Method
-from sdpid.assurance.intervals.intervals import intervals as find_intervals
+from sdpid.assurance.intervals.intervals import Intervals, Method, confidence_intervals
 from sdpid.assurance.intervals.parameters import ParameterFunctions
 from sdpid.errors import DataError, IdentifiabilityError, SolverError
 from sdpid.estimation.compression.covariance import Weighting
@@ -157,9 +156,9 @@ def identify(
         strength of one nat, for records without periods of a robot whose description has masses;
         none otherwise.
     intervals : bool or str, optional
-        Find intervals of the parameters (see `sdpid.intervals`): True by Gauss-Markov, which
-        takes a moment; ``"profile"`` says more and takes some seconds; or ``"bootstrap"``. Where
-        the data do not allow them, `Identification.intervals_note` says why.
+        Find intervals of the parameters (see `sdpid.confidence_intervals`): True by Gauss-Markov,
+        which takes a moment; ``"profile"`` says more and takes some seconds; or ``"bootstrap"``.
+        Where the data do not allow them, `Identification.intervals_note` says why.
     folds : int, optional
         Also hold out so many blocks of the recordings in turn (see `sdpid.cross_validate`).
 
@@ -243,7 +242,7 @@ def _intervals(estimate: Estimate, wanted: bool | Method) -> tuple[Intervals | N
         return None, None
     method: Method = DEFAULT_INTERVALS if wanted is True else wanted
     try:
-        found = find_intervals(estimate, method=method)
+        found = confidence_intervals(estimate, method=method)
     except (DataError, IdentifiabilityError, SolverError) as reason:
         return None, f"no intervals of the parameters ({method}): {reason}"
     outside = _outside(estimate, found)

@@ -23,7 +23,7 @@ import numpy as np
 from sdpid._common.arrays import Array
 from sdpid.assurance.certificate.certificate import certify
 from sdpid.assurance.intervals.bootstrap import resampled
-from sdpid.assurance.intervals.intervals import intervals
+from sdpid.assurance.intervals.intervals import confidence_intervals
 from sdpid.estimation.constraints.constraints import Constraints
 from sdpid.estimation.estimate import Estimate
 from sdpid.estimation.problem import Problem, build_problem
@@ -84,11 +84,11 @@ def _bootstrap(
 
 def _profile(label: str, estimate: Estimate, repeats: int, jobs: int) -> Row:
     whole, own = (np.empty(repeats) for _ in range(2))
-    intervals(estimate, parameters=estimate.problem.base.names[:1], n_jobs=jobs)
+    confidence_intervals(estimate, parameters=estimate.problem.base.names[:1], n_jobs=jobs)
     count = solves = 0
     for repeat in range(repeats):
         begin = time.perf_counter()
-        found = intervals(estimate, n_jobs=jobs)
+        found = confidence_intervals(estimate, n_jobs=jobs)
         whole[repeat] = time.perf_counter() - begin
         own[repeat], count, solves = found.seconds, len(found), found.solves
     what, against = f"{count} profile intervals {label}", f"Clarabel's own sum / {jobs}"

@@ -85,6 +85,6 @@ def test_a_task_a_robot_and_joblib(page: dict[str, Any], files: list[Path]) -> N
         assert each["certificate"]["sha256"] == alone["certificate"]["sha256"]
     again = sdpid.compare(problem, starts=2, seed=0)
     assert [row.cost for row in compared.rows] == [row.cost for row in again.rows]
-    expected = sdpid.intervals(sdpid.solve_sdp(problem), method="bootstrap")
+    expected = sdpid.confidence_intervals(sdpid.solve_sdp(problem), method="bootstrap")
     np.testing.assert_array_equal(bands.lower, expected.lower)
     np.testing.assert_array_equal(bands.upper, expected.upper)

@@ -10,7 +10,7 @@ import pytest
 from scipy.stats import t
 
 from sdpid._common.arrays import Array
-from sdpid.assurance.intervals.intervals import intervals
+from sdpid.assurance.intervals.intervals import confidence_intervals
 from sdpid.errors import DataError
 from sdpid.estimation.cluster_robust import ScoreBlocks
 from sdpid.estimation.compression.covariance import WEIGHTINGS, Weighting
@@ -172,7 +172,7 @@ def test_there_is_one_covariance(weighting: Weighting) -> None:
         ARM, random_theta(ARM, rng), rng, count=200, noise=1.0, covariance=sigma, block=10
     )
     estimate = solve_wls(build_problem(ARM, samples, weighting=weighting, base=BASE))
-    found = intervals(estimate, method="gauss_markov", parameters=BASE.names)
+    found = confidence_intervals(estimate, method="gauss_markov", parameters=BASE.names)
     blocks = ScoreBlocks.of(estimate.problem)
     quantiles = t.ppf(0.975, blocks.freedom(np.eye(BASE.count)))
     half = 0.5 * (found.upper - found.lower)

@@ -206,7 +206,7 @@ def test_the_rows_of_a_stream_are_gone(tmp_path: Path) -> None:
     with pytest.raises(DataError, match="not kept"):
         _ = estimate.standard_errors
     with pytest.raises(DataError, match="not kept"):
-        sdpid.intervals(estimate)
+        sdpid.confidence_intervals(estimate)
     certificate = sdpid.certify(estimate)
     origin = certificate.to_dict()["origin"]
     assert origin["rows_sha256"] is origin["compression_error"] is None

@@ -12,6 +12,7 @@ import pinocchio
 import pytest
 
 import sdpid
+from sdpid.assurance.certificate.certificate import Certificate
 from sdpid.assurance.diagnostics.validation import validate_robot
 from sdpid.experiment.plant.simulate import true_parameters
 from sdpid.experiment.preparation.for_robot import default_processing, prepare
@@ -101,7 +102,7 @@ def test_nothing_is_left_behind_when_saving_fails(
     def fail(*_: object) -> None:
         raise sdpid.ExportError("no")
 
-    monkeypatch.setattr(sdpid.Certificate, "to_json", fail)
+    monkeypatch.setattr(Certificate, "to_json", fail)
     with pytest.raises(sdpid.ExportError):
         result.save(tmp_path / "new", figures=False)
     assert not (tmp_path / "new").exists()

@@ -54,7 +54,7 @@ _NULL = 1e-9
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class WorstMassMatrix:
+class SmallestMassEigenvalue:
     """The smallest eigenvalue of the mass matrix over a box of joint positions.
 
     Attributes
@@ -98,9 +98,9 @@ class WorstMassMatrix:
         }
 
 
-def worst_mass_matrix(
+def smallest_mass_eigenvalue(
     estimate: Estimate, *, bounds: ArrayLike | None = None, seed: int | np.random.Generator = 0
-) -> WorstMassMatrix:
+) -> SmallestMassEigenvalue:
     """Find the smallest eigenvalue of the links' mass matrix over a box.
 
     Inertia of rotors that friction terms add to the diagonal is left out.
@@ -118,7 +118,7 @@ def worst_mass_matrix(
 
     Returns
     -------
-    WorstMassMatrix
+    SmallestMassEigenvalue
 
     Raises
     ------
@@ -136,7 +136,7 @@ def worst_mass_matrix(
     inertias = spatial_inertia(np.array(theta[:links]).reshape(-1, 10))
     value, q, positions = _search(robot, inertias, box, rng)
     lower, reason = _proof(problem, np.array(theta))
-    return WorstMassMatrix(
+    return SmallestMassEigenvalue(
         value=value,
         q=frozen(q),
         lower_bound=lower,
@@ -154,8 +154,8 @@ def _box(robot: RobotModel, bounds: ArrayLike | None) -> Array:
     box = np.array(bounds, dtype=np.float64)
     if box.shape != limits.shape or not np.all(np.isfinite(box)) or np.any(box[:, 0] > box[:, 1]):
         raise DataError(
-            f"worst_mass_matrix: bounds have shape {box.shape}, expected {limits.shape} finite "
-            "numbers, lower before upper."
+            f"smallest_mass_eigenvalue: bounds have shape {box.shape}, expected {limits.shape} "
+            "finite numbers, lower before upper."
         )
     return box
 

@@ -23,7 +23,7 @@ from sdpid._common.arrays import Array, Mask, frozen
 from sdpid._common.threads import one_thread
 from sdpid.assurance.intervals.bootstrap import Kind, resampled
 from sdpid.assurance.intervals.parameters import ParameterFunctions
-from sdpid.assurance.intervals.profile_likelihood import End, ProfileBounds
+from sdpid.assurance.intervals.profile_likelihood import End, ProfileLikelihood
 from sdpid.errors import DataError
 from sdpid.estimation.cluster_robust import Groups, ScoreBlocks
 from sdpid.estimation.estimate import Estimate
@@ -150,7 +150,7 @@ class Intervals:
 
 
 @one_thread
-def intervals(
+def confidence_intervals(
     estimate: Estimate,
     *,
     level: float = 0.95,
@@ -288,7 +288,7 @@ def _profile(
             "method='gauss_markov', or an estimate of a constrained solver."
         )
     problem, theta = estimate.problem, np.array(estimate.theta)
-    bounds = ProfileBounds(problem, theta, ScoreBlocks.of(problem, groups), level)
+    bounds = ProfileLikelihood(problem, theta, ScoreBlocks.of(problem, groups), level)
     asked: list[tuple[Array, Array | None]] = []
     for function, functional, determined in zip(
         wanted.functions, wanted.functionals, wanted.determined, strict=True
@@ -341,7 +341,7 @@ def _label(ends: tuple[End, End]) -> str:
 
 
 def _box(
-    bounds: ProfileBounds, wanted: ParameterFunctions, ends: list[tuple[End, End]]
+    bounds: ProfileLikelihood, wanted: ParameterFunctions, ends: list[tuple[End, End]]
 ) -> tuple[Array, Array]:
     """Return bounds of theta that hold at every level used, from the multipliers found."""
     feasible = bounds.problem.feasible

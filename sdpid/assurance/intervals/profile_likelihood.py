@@ -102,7 +102,7 @@ _NONE = np.zeros(0)
 _NOTHING = End(0.0, _NONE, _NONE, _NONE, 0.0, 0.0, (False, False), 0.0)
 
 
-class ProfileBounds:
+class ProfileLikelihood:
     """The programs of one estimate.
 
     Parameters

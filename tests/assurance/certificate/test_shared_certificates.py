@@ -14,6 +14,7 @@ import pytest
 
 import sdpid
 from sdpid.assurance.certificate import verify as exact
+from sdpid.assurance.certificate.certificate import Certificate
 from sdpid.robot.inertia import Consistency
 from sdpid.workflow import formulate
 from tests.helpers.data import make_samples, random_links, random_theta
@@ -37,7 +38,7 @@ SETS: dict[str, tuple[str, str, tuple[Any, ...]]] = {
 SECONDS = 2.0
 
 
-def proven_alone(certificate: sdpid.Certificate, path: Path) -> None:
+def proven_alone(certificate: Certificate, path: Path) -> None:
     """Write a certificate and have a bare Python check it."""
     assert certificate.passed, certificate.summary()
     certificate.to_json(path)

@@ -99,26 +99,26 @@ def test_constrained_estimates_stay_positive_definite(consistency: str, q: list[
 @pytest.mark.parametrize("consistency", BOTH)
 def test_the_search_finds_the_worst_and_the_bound_is_below(consistency: str) -> None:
     estimate = estimate_of(consistency, 1e-3)
-    worst = sdpid.worst_mass_matrix(estimate)
+    worst = sdpid.smallest_mass_eigenvalue(estimate)
     grid = np.stack(np.meshgrid(*[np.linspace(-np.pi, np.pi, 181)] * 2), axis=-1).reshape(-1, 2)
     assert worst.value <= smallest_eigenvalues(estimate, grid).min() + ROUNDING
     assert smallest_eigenvalues(estimate, worst.q[None])[0] == pytest.approx(worst.value)
     assert worst.lower_bound is not None
     assert 0.0 < worst.lower_bound <= worst.value
     assert worst.positive_definite
-    assert sdpid.worst_mass_matrix(estimate).value == worst.value
+    assert sdpid.smallest_mass_eigenvalue(estimate).value == worst.value
     assert worst.to_dict()["lower_bound"] == worst.lower_bound
 
 
 def test_a_box_limits_the_search() -> None:
     estimate = estimate_of("pseudo_inertia", 1e-3)
-    anywhere = sdpid.worst_mass_matrix(estimate)
+    anywhere = sdpid.smallest_mass_eigenvalue(estimate)
     box = np.column_stack([anywhere.q + 1.0, anywhere.q + 1.2])
-    inside = sdpid.worst_mass_matrix(estimate, bounds=box)
+    inside = sdpid.smallest_mass_eigenvalue(estimate, bounds=box)
     assert np.all((box[:, 0] <= inside.q) & (inside.q <= box[:, 1]))
     assert inside.value >= anywhere.value
     with pytest.raises(DataError, match="bounds"):
-        sdpid.worst_mass_matrix(estimate, bounds=[[0.0, 1.0]])
+        sdpid.smallest_mass_eigenvalue(estimate, bounds=[[0.0, 1.0]])
 
 
 # Three joints whose far limits, or whose slide, a search within half a turn would miss.
@@ -146,21 +146,21 @@ def estimate_from_description(source: str) -> Estimate:
 def test_the_box_is_the_description_s_limits() -> None:
     slide = '<limit lower="-5" upper="-4" velocity="1" effort="1"/>'
     estimate = estimate_from_description(LIMITED.format(upper=6.2, limit=slide))
-    worst = sdpid.worst_mass_matrix(estimate)
+    worst = sdpid.smallest_mass_eigenvalue(estimate)
     np.testing.assert_array_equal(worst.bounds, [[0.5, 6.2], [0.5, 6.2], [-5.0, -4.0]])
     grid = np.stack(
         np.meshgrid(*[np.linspace(low, high, 41) for low, high in worst.bounds]), axis=-1
     ).reshape(-1, 3)
     assert worst.value <= smallest_eigenvalues(estimate, grid).min() + ROUNDING
     # Where it is least is beyond half a turn.
-    half = sdpid.worst_mass_matrix(estimate, bounds=np.clip(worst.bounds, -5.0, np.pi))
+    half = sdpid.smallest_mass_eigenvalue(estimate, bounds=np.clip(worst.bounds, -5.0, np.pi))
     assert worst.value < half.value
 
 
 def test_without_limits_a_joint_turns_once_or_slides_a_metre() -> None:
     slide = '<limit lower="-1e9" upper="1e9" velocity="1" effort="1"/>'
     estimate = estimate_from_description(LIMITED.format(upper=60.0, limit=slide))
-    worst = sdpid.worst_mass_matrix(estimate)
+    worst = sdpid.smallest_mass_eigenvalue(estimate)
     turn = [0.5, 0.5 + 2.0 * np.pi]
     np.testing.assert_allclose(worst.bounds, [turn, turn, [-1.0, 1.0]])
 
@@ -181,7 +181,7 @@ def test_published_parameters_can_fail(denso: RobotModel, column: str) -> None:
         values = {row["parameter"]: float(row[column]) for row in csv.DictReader(file)}
     base = np.array([values[name] for name in problem.base.names])
     published = replace(sdpid.solve_wls(problem), base=base)
-    worst = sdpid.worst_mass_matrix(published)
+    worst = sdpid.smallest_mass_eigenvalue(published)
     # Without constraints far from it, with constraints after rounding to two digits.
     assert worst.value < (-0.5 if column == "wls" else 0.0)
     assert worst.lower_bound is None

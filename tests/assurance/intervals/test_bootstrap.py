@@ -84,12 +84,12 @@ def test_periods_scatter_as_their_mean() -> None:
 def test_same_seed_same_intervals_and_basic_mirrors_percentile() -> None:
     estimate = sdpid.solve_sdp(arm_problem(LIGHT))
     choices = {"method": "bootstrap", "resamples": 80}
-    first = sdpid.intervals(estimate, **choices)  # type: ignore[arg-type]
-    second = sdpid.intervals(estimate, **choices)  # type: ignore[arg-type]
+    first = sdpid.confidence_intervals(estimate, **choices)  # type: ignore[arg-type]
+    second = sdpid.confidence_intervals(estimate, **choices)  # type: ignore[arg-type]
     np.testing.assert_array_equal(first.lower, second.lower)
-    other = sdpid.intervals(estimate, seed=1, **choices)  # type: ignore[arg-type]
+    other = sdpid.confidence_intervals(estimate, seed=1, **choices)  # type: ignore[arg-type]
     assert not np.array_equal(first.lower, other.lower)
-    basic = sdpid.intervals(estimate, kind="basic", **choices)  # type: ignore[arg-type]
+    basic = sdpid.confidence_intervals(estimate, kind="basic", **choices)  # type: ignore[arg-type]
     np.testing.assert_allclose(basic.upper, 2.0 * first.estimate - first.lower, atol=1e-12)
 
 
@@ -97,9 +97,9 @@ def test_same_seed_same_intervals_and_basic_mirrors_percentile() -> None:
 def test_seeds_that_are_none_are_refused(seed: Any) -> None:
     estimate = sdpid.solve_wls(arm_problem())
     with pytest.raises(DataError, match="seed"):
-        sdpid.intervals(estimate, method="bootstrap", seed=seed)
+        sdpid.confidence_intervals(estimate, method="bootstrap", seed=seed)
     with pytest.raises(DataError, match="seed"):
-        sdpid.worst_mass_matrix(estimate, seed=seed)
+        sdpid.smallest_mass_eigenvalue(estimate, seed=seed)
     with pytest.raises(DataError, match="seed"):
         sdpid.compare(estimate.problem, starts=1, seed=seed)
 
@@ -116,11 +116,11 @@ def test_a_generator_is_a_seed() -> None:
 def test_too_few_draws_and_unknown_kinds_are_refused() -> None:
     estimate = sdpid.solve_wls(arm_problem())
     with pytest.raises(DataError, match="at least 80"):
-        sdpid.intervals(estimate, method="bootstrap", resamples=79)
+        sdpid.confidence_intervals(estimate, method="bootstrap", resamples=79)
     with pytest.raises(DataError, match="resamples"):
         resampled(estimate, resamples=0)
     with pytest.raises(DataError, match="kind"):
-        sdpid.intervals(
+        sdpid.confidence_intervals(
             estimate,
             method="bootstrap",
             resamples=80,

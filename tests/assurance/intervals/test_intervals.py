@@ -11,7 +11,7 @@ from scipy.stats import t
 import sdpid
 from sdpid._common.arrays import Array
 from sdpid.assurance.intervals.intervals import FROM_DATA, FROM_PHYSICS, FROM_PRIOR
-from sdpid.assurance.intervals.profile_likelihood import ProfileBounds
+from sdpid.assurance.intervals.profile_likelihood import ProfileLikelihood
 from sdpid.errors import DataError
 from sdpid.estimation.cluster_robust import ScoreBlocks
 from sdpid.estimation.conic.solve import ConicFamily, ConicProgram, Solver, solve_conic
@@ -127,8 +127,8 @@ def test_degrees_of_freedom_are_satterthwaites() -> None:
 def test_without_active_constraints_profile_bounds_are_gauss_markovs() -> None:
     estimate = relaxed()
     names = estimate.problem.base.names
-    profile = sdpid.intervals(estimate, parameters=names)
-    closed = sdpid.intervals(estimate, parameters=names, method="gauss_markov")
+    profile = sdpid.confidence_intervals(estimate, parameters=names)
+    closed = sdpid.confidence_intervals(estimate, parameters=names, method="gauss_markov")
     width = closed.width
     assert set(profile.label) == {FROM_DATA}
     np.testing.assert_allclose(profile.lower, closed.lower, atol=1e-3 * width.max())
@@ -140,7 +140,7 @@ def test_no_feasible_parameters_within_the_level_are_outside_of_a_proven_end(see
     estimate = pressed()
     problem, theta = estimate.problem, np.array(estimate.theta)
     rng = np.random.default_rng(seed)
-    bounds = ProfileBounds(problem, theta, ScoreBlocks.of(problem), 0.95)
+    bounds = ProfileLikelihood(problem, theta, ScoreBlocks.of(problem), 0.95)
     c = rng.standard_normal(problem.n_theta)
     end = bounds.minimum(c)
     feasible = problem.feasible
@@ -164,20 +164,20 @@ def test_no_feasible_parameters_within_the_level_are_outside_of_a_proven_end(see
 
 def test_intervals_hold_the_estimate_and_are_narrower_with_physics() -> None:
     estimate = pressed()
-    found = sdpid.intervals(estimate)
+    found = sdpid.confidence_intervals(estimate)
     size = np.maximum(found.width, 1e-9)
     assert np.all(found.lower <= found.estimate + 1e-6 * size)
     assert np.all(found.upper >= found.estimate - 1e-6 * size)
     assert found.slack is not None
     assert np.all(found.slack <= 0.01 * size[:, None])
-    closed = sdpid.intervals(estimate, method="gauss_markov")
+    closed = sdpid.confidence_intervals(estimate, method="gauss_markov")
     ratio = found.width[: len(estimate.base)] / closed.width[: len(estimate.base)]
     assert ratio.min() < 0.9
 
 
 def test_labels_say_what_bounds_a_parameter() -> None:
     def labels(estimate: Estimate) -> dict[str, str]:
-        found = sdpid.intervals(estimate, parameters=("m_2", "my_2", "Fv1", "mz_1"))
+        found = sdpid.confidence_intervals(estimate, parameters=("m_2", "my_2", "Fv1", "mz_1"))
         return dict(zip(found.names, found.label, strict=True))
 
     bounded = labels(pressed())
@@ -192,7 +192,7 @@ def test_labels_say_what_bounds_a_parameter() -> None:
 @pytest.mark.parametrize("consistency", BOTH)
 def test_further_conditions_are_obeyed(name: str, consistency: Consistency) -> None:
     estimate = sdpid.solve_sdp(arm_problem(*CONDITIONS[name], consistency=consistency))
-    found = sdpid.intervals(estimate, parameters=("m_2", "my_2", "Fv1"))
+    found = sdpid.confidence_intervals(estimate, parameters=("m_2", "my_2", "Fv1"))
     room = 1e-6
     assert np.all(found.lower <= found.estimate + room)
     assert np.all(found.upper >= found.estimate - room)
@@ -206,13 +206,13 @@ def test_a_prior_is_a_part_of_the_cost(denso: RobotModel) -> None:
     bodies = random_links(rng, 6)
     names = ("m_1", "my_6")
     problem = build_problem(denso, samples, prior=sdpid.Prior(bodies=bodies))
-    found = sdpid.intervals(sdpid.solve_sdp(problem), parameters=names)
+    found = sdpid.confidence_intervals(sdpid.solve_sdp(problem), parameters=names)
     assert found.label[0] != FROM_DATA
     assert found.label[1] == FROM_DATA
     assert np.all(np.abs([found.lower, found.upper]) < 50.0)
     entropic = build_problem(denso, samples, prior=sdpid.Prior(bodies=bodies, kind="entropic"))
     with pytest.raises(DataError, match="log-det"):
-        sdpid.intervals(sdpid.solve_sdp(entropic), parameters=names)
+        sdpid.confidence_intervals(sdpid.solve_sdp(entropic), parameters=names)
 
 
 def test_coverage_of_autocorrelated_noise() -> None:
@@ -234,7 +234,9 @@ def test_coverage_of_autocorrelated_noise() -> None:
             block=4,
         )
         fit = sdpid.solve_wls(build_problem(ARM, again, base=problem.base))
-        found = sdpid.intervals(fit, method="gauss_markov", parameters=problem.base.names)
+        found = sdpid.confidence_intervals(
+            fit, method="gauss_markov", parameters=problem.base.names
+        )
         held.append(found.contains(truth).mean())
     # Neighbouring blocks share some noise, so it is a little less than the nominal 95 %.
     error = np.std(held) / np.sqrt(len(held))
@@ -243,7 +245,9 @@ def test_coverage_of_autocorrelated_noise() -> None:
 
 def test_gauss_markov_is_students_t_about_the_unconstrained_fit() -> None:
     estimate = pressed()
-    found = sdpid.intervals(estimate, method="gauss_markov", level=0.8, parameters=("Fv1",))
+    found = sdpid.confidence_intervals(
+        estimate, method="gauss_markov", level=0.8, parameters=("Fv1",)
+    )
     fit = sdpid.solve_wls(estimate.problem)
     blocks = ScoreBlocks.of(estimate.problem)
     at = estimate.problem.base.names.index("Fv1")
@@ -254,7 +258,7 @@ def test_gauss_markov_is_students_t_about_the_unconstrained_fit() -> None:
 
 
 def test_text_and_plain_values() -> None:
-    found = sdpid.intervals(pressed(), parameters=["m_1", "Fv1"])
+    found = sdpid.confidence_intervals(pressed(), parameters=["m_1", "Fv1"])
     assert [line.split()[0] for line in found.table().splitlines()] == ["parameter", "m_1", "Fv1"]
     plain = found.to_dict()
     assert plain["method"] == "profile"
@@ -273,7 +277,7 @@ def test_text_and_plain_values() -> None:
 )
 def test_arguments_that_make_no_sense_are_named(arguments: dict[str, object], said: str) -> None:
     with pytest.raises(DataError, match=said):
-        sdpid.intervals(pressed(), **arguments)  # type: ignore[arg-type]
+        sdpid.confidence_intervals(pressed(), **arguments)  # type: ignore[arg-type]
 
 
 def test_counts_of_rows_cannot_be_written_to() -> None:
@@ -284,7 +288,7 @@ def test_counts_of_rows_cannot_be_written_to() -> None:
 
 def test_profile_needs_standard_parameters_and_squares() -> None:
     with pytest.raises(DataError, match="gauss_markov"):
-        sdpid.intervals(sdpid.solve_wls(pressed().problem))
+        sdpid.confidence_intervals(sdpid.solve_wls(pressed().problem))
 
 
 def test_cost_of_constraints_adds_up() -> None:

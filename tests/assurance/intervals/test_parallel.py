@@ -10,6 +10,7 @@ import pytest
 
 import sdpid
 from sdpid.assurance.intervals.bootstrap import resampled
+from sdpid.assurance.intervals.intervals import Intervals
 from sdpid.errors import DataError
 from sdpid.estimation.estimate import Estimate
 from tests.helpers.arm import LIGHT, arm_problem
@@ -31,8 +32,10 @@ def cluster() -> Iterator[Any]:
         yield client
 
 
-def profile(estimate: Estimate, n_jobs: int | None = None) -> sdpid.Intervals:
-    return sdpid.intervals(estimate, parameters=estimate.problem.base.names, n_jobs=n_jobs)
+def profile(estimate: Estimate, n_jobs: int | None = None) -> Intervals:
+    return sdpid.confidence_intervals(
+        estimate, parameters=estimate.problem.base.names, n_jobs=n_jobs
+    )
 
 
 def test_draws_do_not_depend_on_the_jobs(estimate: Estimate) -> None:

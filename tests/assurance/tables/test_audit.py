@@ -21,6 +21,7 @@ from typer.testing import CliRunner
 import sdpid
 from sdpid import cli
 from sdpid._common.arrays import Array
+from sdpid.assurance.tables.audit import BaseAudit
 from sdpid.assurance.tables.csv_table import half_unit, read_base_table
 from sdpid.assurance.tables.facial_reduction import find_face
 from sdpid.assurance.tables.question import base_question
@@ -55,7 +56,7 @@ def arm(name: str) -> tuple[RobotModel, BaseParameters]:
     return robot, structural_base(robot, model)
 
 
-def audit(name: str, theta: Array, half: float, kind: Consistency, **more: Any) -> sdpid.BaseAudit:
+def audit(name: str, theta: Array, half: float, kind: Consistency, **more: Any) -> BaseAudit:
     robot, base = arm(name)
     values = dict(zip(base.names, (base.matrix @ theta).tolist(), strict=True))
     found = sdpid.audit_base_parameters(robot, values, half, consistency=kind, base=base, **more)

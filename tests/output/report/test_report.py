@@ -318,7 +318,7 @@ def test_intervals_are_shown(result: sdpid.Identification) -> None:
     assert "−1.250 … 2.500" in shown
     assert "0 … –" in shown
     assert "from physics" in shown
-    gauss = sdpid.intervals(result.estimate, method="gauss_markov")
+    gauss = sdpid.confidence_intervals(result.estimate, method="gauss_markov")
     assert "from data" in words(report_html(result, intervals=gauss, figures=False))
 
 
