@@ -512,15 +512,13 @@ def test_what_a_terminal_would_obey_is_not_printed(
     """Names from files: escapes, a reversed line, and a line of its own that claims a proof."""
     from sdpid.assurance.certificate import certificate
 
-    def found(_: Path) -> certificate.Verification:
-        return replace(
-            sdpid.verify(results / "certificate.json"),
-            passed=False,
-            statements=(f"Robot {HOSTILE}",),
-            problems=(HOSTILE,),
-        )
-
-    monkeypatch.setattr(certificate, "verify", found)
+    forged = replace(
+        certificate.verify(results / "certificate.json"),
+        passed=False,
+        statements=(f"Robot {HOSTILE}",),
+        problems=(HOSTILE,),
+    )
+    monkeypatch.setattr(certificate, "verify", lambda _: forged)
     done = run("verify", results / "certificate.json")
     assert done.exit_code == 2
     assert done.stdout.splitlines()[-1] == "NOT PROVEN."
