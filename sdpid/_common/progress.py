@@ -7,15 +7,25 @@ import sys
 from collections.abc import Callable, Iterator
 from contextvars import ContextVar
 
-# Whether a bar is shown.
+# Whether a bar is shown, or must not be.
 _shown: ContextVar[bool] = ContextVar("_shown", default=False)
+
+
+@contextlib.contextmanager
+def hidden_progress(hidden: bool = True) -> Iterator[None]:
+    """Show no bar within the block, as long as `hidden` is true."""
+    token = _shown.set(hidden or _shown.get())
+    try:
+        yield
+    finally:
+        _shown.reset(token)
 
 
 @contextlib.contextmanager
 def progress(
     total: float, description: str, *, enabled: bool | None = None
 ) -> Iterator[Callable[[float], None]]:
-    """Yield a function that advances the bar by a number of units.
+    """Yield a function that advances a bar by a number of units of work.
 
     One bar is shown at a time: while there is one, those of the work within it are not.
 

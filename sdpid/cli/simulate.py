@@ -18,6 +18,7 @@ def simulate(
         typer.Argument(help="URDF file, name of a robot, or a folder like that of a bundled one."),
     ],
     out: Annotated[Path, typer.Option(help="Parquet file for the recording.")],
+    printing: opt.Printing,
     trajectory: Annotated[
         Path | None,
         typer.Option(
@@ -39,9 +40,10 @@ def simulate(
     """Record a motion of a simulated robot."""
     if out.suffix.lower() != ".parquet":
         raise ExportError(f"--out {out}: recordings are written as .parquet; change the suffix.")
-    opt.require_folder("--out", out, [robot])
+    inputs = [robot, trajectory, printing.config]
+    opt.require_folder("--out", out, inputs)
     if write_trajectory is not None:
-        opt.require_folder("--write-trajectory", write_trajectory, [robot])
+        opt.require_folder("--write-trajectory", write_trajectory, inputs)
     if trajectory is not None and period is not None:
         raise DataError("--period: the trajectory's file has its own; leave one of them out.")
     require("pyarrow", extra="io")
@@ -66,7 +68,6 @@ def simulate(
         motion = default_motion(model, seed, periods=periods, period=period)
     if write_trajectory is not None:
         motion.to_toml(write_trajectory)
-    opt.echo("\n".join((*motion.velocity_report(), *motion.notes)))
     recording = run(
         model,
         motion,
@@ -78,4 +79,13 @@ def simulate(
     )
     recording.to_parquet(out)
     files = [str(file) for file in (out, write_trajectory) if file is not None]
-    opt.echo(f"{recording!r}\n{opt.listed('files', files)}")
+    notes = [*motion.velocity_report(), *motion.notes]
+    content = {
+        "samples": recording.n_samples,
+        "duration_s": recording.duration,
+        "rate_hz": recording.rate_hz,
+        "joints": recording.names,
+        "notes": notes,
+        "files": files,
+    }
+    printing.show(content, "\n".join((*notes, repr(recording), opt.listed("files", files))))

@@ -138,6 +138,7 @@ class Identification:
         figures: bool = True,
         report: Callable[[str], None] | None = None,
         command: str | None = None,
+        config: str | None = None,
         intervals: GivenIntervals | None = None,
     ) -> tuple[Path, ...]:
         """Write tables, robots, certificate, plots and a report into a folder: all, or none.
@@ -156,6 +157,8 @@ class Identification:
             files there are not, and why.
         command : str, optional
             The command line, for report.html.
+        config : str, optional
+            The options of the command in TOML, for run.toml.
         intervals : Intervals, optional
             To be shown in place of `self.intervals`.
 
@@ -175,6 +178,7 @@ class Identification:
             figures=figures,
             report=report,
             command=command,
+            config=config,
             intervals=self.intervals if intervals is None else intervals,
         )
 

@@ -38,6 +38,9 @@ _DPI = 110.0
 # Written last: it lists the other files.
 _RESULT = "result.json"
 
+# The options of the run.
+_CONFIG = "run.toml"
+
 # Every file that a run may write.
 NAMES = (
     "base_parameters.csv",
@@ -49,6 +52,7 @@ NAMES = (
     "training.png",
     "validation.png",
     "report.html",
+    _CONFIG,
     _RESULT,
 )
 
@@ -61,7 +65,9 @@ _PATIENCE = 60.0
 Tell = Callable[[str], None]
 
 
-def require_writable(folder: Path, inputs: Iterable[PathLike | None] = ()) -> None:
+def require_writable(
+    folder: Path, inputs: Iterable[PathLike | None] = (), *, config: Path | None = None
+) -> None:
     """Refuse a folder that results cannot be written into, before the work is done.
 
     Parameters
@@ -70,6 +76,8 @@ def require_writable(folder: Path, inputs: Iterable[PathLike | None] = ()) -> No
         Need not exist yet.
     inputs : iterable of path
         Files that the run reads: results must not replace them.
+    config : Path, optional
+        The options of the run. Results replace it only where an earlier run wrote it.
 
     Raises
     ------
@@ -85,6 +93,10 @@ def require_writable(folder: Path, inputs: Iterable[PathLike | None] = ()) -> No
                 f"cannot write {folder / name}: it is a folder or a device; move it away, or "
                 "choose another folder."
             )
+    if config is not None and config.is_file():
+        listed = _listed(folder)
+        if listed.get(_CONFIG) != _digest(config):
+            inputs = (*inputs, config)
     require_other_files("--out", (folder / name for name in NAMES), inputs)
 
 
@@ -95,6 +107,7 @@ def save(
     figures: bool = True,
     report: Tell | None = None,
     command: str | None = None,
+    config: str | None = None,
     intervals: GivenIntervals | None = None,
 ) -> tuple[Path, ...]:
     """Write an identification into a folder; arguments and errors are those of its `save`."""
@@ -104,6 +117,9 @@ def save(
     try:
         with _stage(target) as stage, progress(_STEPS, "writing results") as advance:
             files = list(_written(result, stage, figures, tell, command, intervals, advance))
+            if config is not None:
+                (stage / _CONFIG).write_text(config, encoding="utf-8")
+                files.append(stage / _CONFIG)
             digests = {file.name: _digest(file) for file in files}
             content = {**result.to_dict(), "files": digests}
             (stage / _RESULT).write_text(json_text(content) + "\n", encoding="utf-8")
@@ -190,20 +206,24 @@ def _digest(file: Path) -> str:
     return hashlib.sha256(file.read_bytes()).hexdigest()
 
 
+def _listed(folder: Path) -> dict[str, object]:
+    """Return the digests of the files that an earlier run wrote, by name; empty without one."""
+    try:
+        listed = json.loads((folder / _RESULT).read_text(encoding="utf-8"))["files"]
+        return {name: listed[name] for name in NAMES if name in listed}
+    except (OSError, ValueError, LookupError, TypeError, RecursionError):
+        return {}  # no earlier run, or a file of somebody else
+
+
 def _left_by_earlier_run(folder: Path, new: Sequence[str], tell: Tell) -> list[str]:
     """Return the files of an earlier run that this one does not replace.
 
     They are those that its result.json lists, with the content that it wrote: a file that was
     changed since is somebody's work and stays, which `tell` is called with.
     """
-    try:
-        listed = json.loads((folder / _RESULT).read_text(encoding="utf-8"))["files"]
-        digests = {name: listed[name] for name in NAMES if name in listed and name not in new}
-    except (OSError, ValueError, LookupError, TypeError, RecursionError):
-        return []  # no earlier run, or a file of somebody else
     stale = []
-    for name, digest in digests.items():
-        if not (folder / name).is_file():
+    for name, digest in _listed(folder).items():
+        if name in new or not (folder / name).is_file():
             continue
         if _digest(folder / name) == digest:
             stale.append(name)

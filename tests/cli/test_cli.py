@@ -15,7 +15,7 @@ from typer.testing import CliRunner, Result
 
 import sdpid
 from sdpid import cli
-from sdpid.cli import choices, errors, options
+from sdpid.cli import endings, options
 from sdpid.experiment.plant.simulate import true_parameters
 from sdpid.robot.model.model import RobotModel
 from tests.helpers.arm_files import ARM_URDF, arm_log
@@ -88,6 +88,7 @@ def test_identify_prints_and_writes(results: Path, log: Path) -> None:
         "base_parameters.csv",
         "parameters.csv",
         "result.json",
+        "run.toml",
         "certificate.json",
         "identified.urdf",
         "identified.xml",
@@ -132,12 +133,12 @@ def test_friction_options() -> None:
     from sdpid.robot.friction.model import AsymmetricCoulomb, Coulomb, Coupling, Stribeck
 
     texts = ["coulomb=fit", "stribeck=0.2", "stribeck=fit", "asymmetric_coulomb=0.1"]
-    assert choices.friction_terms([*texts, "sigmoid", "coupling=a,b"]) == [
+    assert options.friction_terms([*texts, "sigmoid", "coupling=a,b"]) == [
         *(Coulomb(width=None), Stribeck(0.2), Stribeck(), AsymmetricCoulomb(width=0.1)),
         *("sigmoid", Coupling("a", "b")),
     ]
     with pytest.raises(sdpid.ModelError, match="viscous=1: takes no value"):
-        choices.friction_terms(["viscous=1"])
+        options.friction_terms(["viscous=1"])
 
 
 def test_terms_with_chosen_speeds(log: Path, tmp_path: Path) -> None:
@@ -248,10 +249,10 @@ def test_verify(results: Path, tmp_path: Path) -> None:
     forged["theta"][0] = -1.0
     (tmp_path / "forged.json").write_text(json.dumps(forged))
     done = run("verify", tmp_path / "forged.json")
-    refused(done, 2, "forged.json", "bound")
+    refused(done, 1, "forged.json", "bound")
     assert "NOT PROVEN." in done.stdout
     done = run("verify", tmp_path / "forged.json", "--json")
-    assert done.exit_code == 2
+    assert done.exit_code == 1
     assert json.loads(done.stdout)["passed"] is False
     refused(run("verify", results / "result.json"), 2, "not a certificate")
 
@@ -441,7 +442,7 @@ def test_the_unidentifiable_ends_with_3(tmp_path: Path) -> None:
     ids=lambda value: type(value).__name__,
 )
 def test_every_error_has_its_status(error: Exception, status: int) -> None:
-    assert errors.exit_status(error) == status
+    assert endings.exit_status(error) == status
 
 
 def raising(error: BaseException) -> Any:
@@ -473,7 +474,7 @@ def test_a_missing_extra_is_named_before_any_work(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     missing = sdpid.MissingExtraError("pip install 'sdpid[plot]'")
-    monkeypatch.setattr(cli, "require", raising(missing))
+    monkeypatch.setattr(sys.modules["sdpid.cli.identify"], "require", raising(missing))
     refused(run("identify", tmp_path / "x.npz", "--robot", ROBOT, "--figures"), 2, "sdpid[plot]")
 
 
@@ -520,7 +521,7 @@ def test_what_a_terminal_would_obey_is_not_printed(
     )
     monkeypatch.setattr(certificate, "verify", lambda _: forged)
     done = run("verify", results / "certificate.json")
-    assert done.exit_code == 2
+    assert done.exit_code == 1
     assert done.stdout.splitlines()[-1] == "NOT PROVEN."
     assert "PROVEN." not in done.stdout.splitlines()
     assert len(done.stderr.splitlines()) == 1

@@ -9,12 +9,13 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from typer.testing import CliRunner, Result
 
 import sdpid
 from sdpid.assurance.descriptions.audit import audit_urdf
 from sdpid.assurance.descriptions.link_shape import Shape
 from sdpid.assurance.descriptions.model_checks import carried, carried_theta
-from sdpid.cli.audit_urdf import run_audit_urdf
+from sdpid.cli import app
 from sdpid.errors import ModelError
 from sdpid.robot.description.bodies import read_urdf_bodies
 from sdpid.robot.inertia import complement, margin, point_masses
@@ -228,16 +229,20 @@ def test_what_cannot_be_read(text: str) -> None:
         audit_urdf(text)
 
 
-def test_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_command(tmp_path: Path) -> None:
     good, bad, none = tmp_path / "good.urdf", tmp_path / "bad.urdf", tmp_path / "none.urdf"
     good.write_text(chain(GOOD))
     bad.write_text(chain(diagonal(1.0, 0.01, 0.01, 0.03)))
-    assert run_audit_urdf(good) == 0
-    with pytest.raises(ModelError, match=r"none\.urdf"):
-        run_audit_urdf(none)
+
+    def run(*arguments: object) -> Result:
+        return CliRunner().invoke(app, ["audit", *map(str, arguments)])
+
+    assert run(good).exit_code == 0
+    missing = run(none)
+    assert missing.exit_code == 2
+    assert "none.urdf" in missing.stderr
     out = tmp_path / "out.urdf"
-    capsys.readouterr()
-    assert run_audit_urdf(bad, repair=out, as_json=True) == 3
-    content = json.loads(capsys.readouterr().out)
-    assert content["repair"]["bodies"][0]["link"] == "link1"
-    assert run_audit_urdf(out) == 0
+    done = run(bad, "--repair", out, "--json")
+    assert done.exit_code == 3
+    assert json.loads(done.stdout)["repair"]["bodies"][0]["link"] == "link1"
+    assert run(out).exit_code == 0

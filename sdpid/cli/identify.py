@@ -1,0 +1,100 @@
+"""The command ``sdpid identify``: consistent parameters with a proof, from logs."""
+
+from __future__ import annotations
+
+import importlib.util
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from sdpid._common.extras import require
+from sdpid._common.text import printable
+from sdpid.cli import options as opt
+from sdpid.cli.config import config_text
+from sdpid.cli.endings import OURS, command_line
+
+
+def identify(
+    ctx: typer.Context,
+    logs: opt.Logs,
+    robot: opt.Robot,
+    reading: opt.Reading,
+    periods: opt.Periods,
+    processing: opt.ProcessingOptions,
+    estimation: opt.Estimation,
+    printing: opt.Printing,
+    out: Annotated[Path, typer.Option(help="Folder for the results.")] = Path("sdpid-results"),
+    validation: Annotated[
+        list[Path] | None,
+        typer.Option(
+            metavar="LOG", help="Another recording, which is predicted only. May be repeated."
+        ),
+    ] = None,
+    folds: Annotated[
+        int | None,
+        typer.Option(metavar="N", help="Cross-validate: hold out N blocks of the logs in turn."),
+    ] = None,
+    intervals: Annotated[
+        bool, typer.Option(help="Compute confidence intervals of the parameters.")
+    ] = True,
+    interval_method: Annotated[
+        opt.IntervalMethod,
+        typer.Option(
+            help="Method for the intervals; profile respects the constraints and takes some "
+            "seconds."
+        ),
+    ] = opt.IntervalMethod.gauss_markov,
+    figures: Annotated[
+        bool | None, typer.Option(help="Draw plots. Default: where matplotlib is installed.")
+    ] = None,
+) -> None:
+    """Identify a robot: URDF and logs in; consistent URDF, tables, report, certificate out."""
+    from sdpid.workflow.results_folder import require_writable
+
+    config = printing.config
+    inputs = reading.files((*logs, *(validation or ())), robot)
+    require_writable(out, inputs, config=config)
+    draw = importlib.util.find_spec("matplotlib") is not None if figures is None else figures
+    if draw:
+        require("matplotlib", extra="plot")
+    records = [reading.read(log, **periods.arguments()) for log in logs]
+    checks = [reading.read(log) for log in validation or ()]
+    from sdpid import workflow
+    from sdpid.robot.model.load import load_robot
+
+    model = load_robot(robot)
+    result = workflow.identify(
+        model,
+        records,
+        validation=checks or None,
+        processing=processing.changes(),
+        intervals=interval_method.value if intervals else False,
+        folds=folds,
+        **estimation.arguments(model),
+    )
+    notes = [*result.problem.samples.notes, *result.notes]
+    if result.intervals_note:
+        notes.append(result.intervals_note)
+    saved = result.save(
+        out,
+        figures=draw,
+        report=notes.append,
+        command=command_line(ctx),
+        config=config_text(ctx, out),
+    )
+    files = [str(path) for path in saved]
+    if figures is None and not draw:
+        notes.append("no figures: matplotlib is not installed (pip install 'sdpid[plot]')")
+    fits = {"constrained": result.training, "unconstrained": result.training_wls}
+    if result.validation is not None:
+        fits["validation"] = result.validation
+    parts = [result.summary(), opt.listed("notes", notes), opt.errors_table(fits)]
+    if result.cross_validation is not None:
+        parts.append(result.cross_validation.table())
+    parts.append(opt.listed("files", files))
+    printing.show({**result.to_dict(), "notes": notes, "files": files}, "\n\n".join(parts))
+    certificate = result.certificate
+    if result.problem.consistency != "none" and not certificate.passed:
+        typer.echo(printable(f"sdpid: not certified: {certificate.summary()}"), err=True)
+        raise typer.Exit(OURS)

@@ -1,0 +1,46 @@
+"""The command ``sdpid info``: what a log holds, and what is wrong with it."""
+
+from __future__ import annotations
+
+from sdpid.cli import options as opt
+
+
+def info(
+    log: opt.Log,
+    reading: opt.Reading,
+    periods: opt.Periods,
+    printing: opt.Printing,
+    robot: opt.OptionalRobot = None,
+) -> None:
+    """Show what was understood of a log, and what is wrong with it."""
+    from sdpid._common.tables import Table
+    from sdpid.experiment.preparation.overview import overview
+    from sdpid.experiment.readers.read import read_described
+    from sdpid.robot.model.load import load_robot
+
+    log_read = read_described(log, **reading.arguments(), **periods.arguments())
+    facts = overview(log_read.recording, None if robot is None else load_robot(robot))
+    source = {"file": log_read.file, "mapping": log_read.mapping, "read_from": log_read.sources}
+    content = {**source, **facts}
+    joints, findings = facts.pop("joints"), facts.pop("findings")
+    settings = ", ".join(f"{key}={value}" for key, value in (facts["processing"] or {}).items())
+    shown = {**source, **facts, "processing": settings}
+    del shown["read_from"]
+    width = max(map(len, shown))
+    parts = [
+        "\n".join(f"{key.replace('_', ' '):{width}}  {_text(each)}" for key, each in shown.items()),
+        opt.listed("read from", (f"{key}: {each}" for key, each in log_read.sources.items())),
+        Table(tuple(joints[0]), tuple(tuple(joint.values()) for joint in joints)).text(),
+    ]
+    if findings:
+        parts.append(
+            opt.listed("findings", (f"{each['severity']}: {each['text']}" for each in findings))
+        )
+    printing.show(content, "\n\n".join(parts))
+
+
+def _text(value: object) -> str:
+    """Return a fact as text, a dash where it is missing."""
+    if value is None:
+        return "-"
+    return f"{value:.6g}" if isinstance(value, float) else str(value)

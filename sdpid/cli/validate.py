@@ -1,0 +1,59 @@
+"""The command ``sdpid validate``: efforts of a log, predicted with a robot description."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from sdpid._common.extras import require
+from sdpid.cli import options as opt
+
+
+def validate(
+    log: opt.Log,
+    robot: opt.Robot,
+    reading: opt.Reading,
+    periods: opt.Periods,
+    processing: opt.ProcessingOptions,
+    printing: opt.Printing,
+    figure: Annotated[Path | None, typer.Option(help="Image file for the plot.")] = None,
+) -> None:
+    """Predict a log's efforts with a URDF: its inertias, its damping and its friction.
+
+    Offsets and rotor inertias have no place in a URDF and are not predicted.
+    """
+    if figure is not None:
+        require("matplotlib", extra="plot")
+        opt.require_folder("--figure", figure, reading.files((log,), robot, printing.config))
+    record = reading.read(log, **periods.arguments())
+    from sdpid.assurance.diagnostics.validation import validate_robot
+    from sdpid.experiment.preparation.for_robot import SMOOTH, prepare
+    from sdpid.experiment.preparation.several import chosen_processing
+    from sdpid.output.report.prediction_verdict import prediction_findings
+    from sdpid.robot.model.load import load_robot
+
+    model = load_robot(robot)
+    chosen, _ = chosen_processing([record], processing.changes())
+    samples = prepare(model, record, replace(chosen, covariance=None))
+    fit = validate_robot(model, samples, width=0.0 if record.period is not None else SMOOTH)
+    files = []
+    if figure is not None:
+        from sdpid.output.plots.plots import plot_fit, save_figure
+
+        save_figure(plot_fit(samples, fit), figure)
+        files.append(str(figure))
+    verdict = [finding.text for finding in prediction_findings(samples, fit)]
+    notes = list(samples.notes)
+    parts = [
+        f"{model.name}: relative residual {100 * fit.relative:.2f} %\n"
+        + opt.listed("verdict", verdict),
+        opt.listed("notes", notes),
+        opt.errors_table({"prediction": fit}),
+    ]
+    if files:
+        parts.append(opt.listed("files", files))
+    content = {**fit.to_dict(), "verdict": verdict, "notes": notes, "files": files}
+    printing.show(content, "\n\n".join(parts))

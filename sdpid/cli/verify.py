@@ -1,0 +1,35 @@
+"""The command ``sdpid verify``: a proof, checked from its file alone."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from sdpid._common.text import printable
+from sdpid.cli import options as opt
+from sdpid.cli.endings import OURS
+
+
+def verify(
+    certificate: Annotated[
+        Path, typer.Argument(metavar="FILE", help="Certificate that `sdpid identify` wrote.")
+    ],
+    printing: opt.Printing,
+) -> None:
+    """Check a certificate in exact arithmetic, from its own numbers.
+
+    Ends with status 1 when the proof does not hold.
+    """
+    from sdpid.assurance.certificate.certificate import verify as run
+
+    verification = run(certificate)
+    statements = map(printable, verification.statements)
+    verdict = "PROVEN." if verification.passed else "NOT PROVEN."
+    printing.show(verification, "\n".join((*statements, verdict)))
+    if not verification.passed:
+        reasons = "; ".join(verification.problems)
+        text = f"sdpid: {certificate}: the certificate does not hold: {reasons}."
+        typer.echo(printable(text), err=True)
+        raise typer.Exit(OURS)

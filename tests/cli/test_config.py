@@ -1,0 +1,212 @@
+"""Options in a file: what is given there counts, what a run writes repeats it."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from sdpid import cli
+from sdpid._common.toml import load_toml
+from tests.helpers.arm_files import ARM_URDF, arm_log
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    """Return a folder with a robot and two logs; one has other names, in degrees."""
+    (tmp_path / "arm.urdf").write_text(ARM_URDF)
+    t, q, tau = arm_log(tmp_path / "arm.urdf")
+    np.savez(tmp_path / "log.npz", t=t, q=q, tau=tau)
+    np.savez(tmp_path / "raw.npz", t=t, enc=np.degrees(q), i1=tau[:, 0], i2=tau[:, 1])
+    return tmp_path
+
+
+def run(*arguments: Any) -> Any:
+    return CliRunner().invoke(cli.app, [str(argument) for argument in arguments])
+
+
+CONFIG = """
+log = ["logs/raw.npz"]
+robot = "arm.urdf"
+out = "results"
+cutoff = 6
+prior = false
+intervals = false
+friction = ["coulomb=0.05", "viscous"]
+effort-scale = [1.0, 1]
+unit = { position = "deg" }
+[column]
+position = "enc"
+effort = ["i1", "i2"]
+"""
+
+
+def test_a_run_from_a_file_is_that_of_the_options(folder: Path) -> None:
+    """From another folder: files are named relative to that of the configuration."""
+    (folder / "logs").mkdir()
+    (folder / "raw.npz").rename(folder / "logs" / "raw.npz")
+    (folder / "my.toml").write_text(CONFIG)
+    done = run("identify", "--config", folder / "my.toml", "--no-figures", "--json")
+    assert done.exit_code == 0, done.output
+    options = ("--cutoff", 6, "--no-prior", "--friction", "coulomb=0.05", "--friction", "viscous")
+    reading = ("--unit", "position=deg", "--column", "position=enc", "--column", "effort=i1,i2")
+    typed = run(
+        *("identify", folder / "logs" / "raw.npz", "--robot", folder / "arm.urdf", *options),
+        *(*reading, "--effort-scale", "1,1", "--out", folder / "typed", "--no-intervals"),
+        *("--no-figures", "--json"),
+    )
+    assert typed.exit_code == 0, typed.output
+    assert same(folder / "results", folder / "typed")
+    assert json.loads(done.stdout)["intervals"] is None
+
+
+def same(one: Path, other: Path) -> bool:
+    """Return whether two runs found the same."""
+    found = [json.loads((path / "result.json").read_text()) for path in (one, other)]
+    for content in found:
+        del content["files"], content["solve_time"]
+    return found[0] == found[1]
+
+
+def test_the_written_file_repeats_the_run(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(folder)
+    done = run(
+        *("identify", "log.npz", "--robot", "arm.urdf", "--out", "deep/out", "--no-figures"),
+        *("--validation", "log.npz", "--order", 3, "--friction", "viscous", "--no-prior"),
+        *("--friction", "coulomb", "--margin", 1e-4, "--folds", 2, "-q"),
+    )
+    assert done.exit_code == 0, done.output
+    assert done.output == ""
+    written = load_toml("deep/out/run.toml")
+    assert written["log"] == ["../../log.npz"]
+    assert written["out"] == "."
+    assert written["friction"] == ["viscous", "coulomb"]
+    assert written["margin"] == 1e-4
+    assert written["prior"] is False
+    assert "cutoff" not in written
+    assert not {"json", "quiet", "config", "help"} & set(written)
+    before = (folder / "deep/out/run.toml").read_bytes()
+    (folder / "deep/out/result.json").rename(folder / "first.json")
+    monkeypatch.chdir("/")
+    # Without the list of files it is not known who wrote the configuration: it is not replaced.
+    again = run("identify", "--config", folder / "deep/out/run.toml")
+    assert again.exit_code == 2
+    assert "run.toml, which this run reads" in again.stderr
+    (folder / "first.json").rename(folder / "deep/out/result.json")
+    repeated = run("identify", "--config", folder / "deep/out/run.toml", "--out", folder / "second")
+    assert repeated.exit_code == 0, repeated.output
+    assert same(folder / "deep/out", folder / "second")
+    # The configuration of an earlier run may be replaced, and is the same after that.
+    again = run("identify", "--config", folder / "deep/out/run.toml")
+    assert again.exit_code == 0, again.output
+    assert (folder / "deep/out/run.toml").read_bytes() == before
+
+
+def test_the_command_line_wins(folder: Path) -> None:
+    (folder / "run.toml").write_text('log = "nowhere.npz"\nrobot = "arm.urdf"\n')
+    done = run("info", folder / "log.npz", "--config", folder / "run.toml", "--json")
+    assert done.exit_code == 0, done.output
+    assert json.loads(done.stdout)["samples"] == 400
+    refused = run("info", "--config", folder / "run.toml")
+    assert refused.exit_code == 2
+    assert f"{folder / 'nowhere.npz'}" in refused.stderr
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("cutof = 3", "'cutof' is no option of 'sdpid identify'; there is cutoff"),
+        ("zzz = 3", "there is column, consistency"),
+        ("config = 'x'", "'config' is no option"),
+        ("prior = 'yes'", "prior: is 'yes'; give true or false"),
+        ("cutoff = true", "cutoff: is True; give text or a number"),
+        ("friction = [['a'], 2026-01-01]", "is datetime.date(2026, 1, 1)"),
+        ("cutoff = 'ten'", "--cutoff"),
+        ("order = 2.5", "--order"),
+        ("weighting = 'best'", "--weighting"),
+        ("cutoff = ", "not a TOML file"),
+        ("[reading]\nlog = 1", "'reading' is no option"),
+    ],
+)
+def test_files_that_are_refused(folder: Path, text: str, words: str) -> None:
+    (folder / "my.toml").write_text(text)
+    arguments = (folder / "log.npz", "--robot", folder / "arm.urdf", "--out", folder / "out")
+    done = run("identify", *arguments, "--config", folder / "my.toml")
+    assert done.exit_code == 2
+    assert words in done.stderr
+    assert "Traceback" not in done.output
+    assert not (folder / "out").exists()
+
+
+def test_a_missing_file(folder: Path) -> None:
+    done = run("info", folder / "log.npz", "--config", folder / "no.toml")
+    assert done.exit_code == 2
+    assert done.stderr.startswith(f"sdpid: cannot read {folder / 'no.toml'}")
+
+
+@pytest.mark.parametrize(
+    "command",
+    ["identify", "info", "validate", "compare", "simulate", "payload", "audit", "verify"],
+)
+def test_every_command_has_the_shared_options(command: str) -> None:
+    done = run(command, "--help")
+    assert done.exit_code == 0
+    for option in ("--config", "--json", "--quiet", "-q"):
+        assert option in done.stdout
+
+
+def test_every_option_may_stand_in_a_file() -> None:
+    """The key is the option's name, so each is found in the help."""
+    from sdpid.cli.config import _entries
+
+    for command in ("identify", "simulate", "audit"):
+        shown = run(command, "--help").stdout
+        keys = set(_entries(command)) - {"log", "source"} - ({"robot"} & {command})
+        assert {"json", "quiet"} < keys
+        missing = [key for key in keys if f"--{key.replace('_', '-')[:11]}" not in shown]
+        assert missing == (["robot"] if command == "simulate" else [])
+
+
+def test_quiet_prints_errors_only(folder: Path) -> None:
+    arguments = ("validate", folder / "log.npz", "--robot", folder / "arm.urdf", "-q")
+    done = run(*arguments)
+    assert (done.exit_code, done.output) == (0, "")
+    done = run(*arguments, "--order", "99")
+    assert done.exit_code == 2
+    assert done.stderr.startswith("sdpid: order: is 99")
+    assert done.stdout == ""
+
+
+def completed(words: str) -> list[str]:
+    """Return what the shell offers for the last word."""
+    environment = {
+        **os.environ,
+        "_SDPID_COMPLETE": "complete_bash",
+        "COMP_WORDS": words,
+        "COMP_CWORD": str(len(words.split(" ")) - 1),
+    }
+    done = subprocess.run(
+        [sys.executable, "-m", "sdpid"],
+        env=environment,
+        capture_output=True,
+        text=True,
+        timeout=60,
+    )
+    return done.stdout.split()
+
+
+def test_the_shell_completes() -> None:
+    assert "identify" in completed("sdpid id")
+    assert "denso_vp6242" in completed("sdpid identify --robot den")
+    assert any("ur5" in name for name in completed("sdpid identify --robot ur"))
+    assert completed("sdpid identify --weighting eq") == ["eq9", "eq18"]
+    assert completed("sdpid identify --friction str") == ["stribeck"]
+    # No robot begins so: the shell offers files.
+    assert completed("sdpid identify --robot ./") == []
