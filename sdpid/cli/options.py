@@ -92,7 +92,12 @@ Log = Annotated[
 Logs = Annotated[
     list[Path],
     typer.Argument(
-        metavar="LOG...", help="One or several: CSV, Parquet, NPZ, MAT, HDF5 file or ROS bag."
+        metavar="LOG...",
+        help="One or several: CSV, Parquet, NPZ, MAT, HDF5 file or ROS bag.",
+        # Without a variable of the environment, older versions of typer do not look up --config for
+        # an argument of any number of values.
+        envvar="SDPID_LOGS",
+        show_envvar=False,
     ),
 ]
 Robot = Annotated[
