@@ -42,9 +42,8 @@ from .estimation.robust.solve import RobustEstimate, solve_robust
 from .estimation.sdp.cvxpy_form import as_cvxpy
 from .estimation.sdp.solve import solve_sdp
 from .estimation.wls import solve_wls
-from .experiment.inspection.inspect import Inspection, inspect_recording
+from .experiment.inspection.inspect import inspect_recording
 from .experiment.plant.simulate import simulate
-from .experiment.processing.choose import Choice, choose_processing
 from .experiment.processing.process import Processing, process
 from .experiment.processing.samples import Samples
 from .experiment.readers.read import read_recording
@@ -89,7 +88,6 @@ __all__ = [
     "CenterOfMassInEllipsoid",
     "CenterOfMassInHull",
     "CertificateError",
-    "Choice",
     "Comparison",
     "Constraints",
     "Coulomb",
@@ -107,7 +105,6 @@ __all__ = [
     "IdentifiabilityError",
     "Identification",
     "InfeasibleError",
-    "Inspection",
     "JointwiseTerm",
     "MassInEllipsoid",
     "MirrorPair",
@@ -141,7 +138,6 @@ __all__ = [
     "audit_urdf",
     "build_problem",
     "certify",
-    "choose_processing",
     "compare",
     "confidence_intervals",
     "cost_of_constraints",

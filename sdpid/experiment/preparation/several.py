@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, TypeAlias
 
@@ -14,6 +14,7 @@ from sdpid.errors import DataError
 from sdpid.experiment.inspection.finding import Finding
 from sdpid.experiment.inspection.inspect import inspect_recordings
 from sdpid.experiment.preparation.for_robot import default_processing, prepare
+from sdpid.experiment.processing.choose import with_changes
 from sdpid.experiment.processing.process import Processing
 from sdpid.experiment.processing.samples import Samples
 from sdpid.experiment.readers.read import read_recording
@@ -105,19 +106,8 @@ def chosen_processing(
     """
     if isinstance(given, Processing):
         return given, None
-    changes = {} if given is None else given
-    if not isinstance(changes, Mapping):
-        raise DataError(
-            f"processing: is {changes!r}, expected a Processing or a mapping of its settings."
-        )
-    settings = [field.name for field in fields(Processing) if field.name != "reasons"]
-    unknown = [str(name) for name in changes if name not in settings]
-    if unknown:
-        raise DataError(
-            f"processing: has no setting {', '.join(unknown)}; choose from {', '.join(settings)}."
-        )
     common, why = common_processing(logs)
-    return replace(common, **changes), why
+    return with_changes(common, {} if given is None else given), why
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -2,23 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
-from typing import Any, Literal, get_args
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, fields, replace
+from typing import Any, Literal
 
 import numpy as np
 
 from sdpid._common.arrays import Array
 from sdpid.errors import DataError
 from sdpid.experiment.processing.settings import Processing, Reason
-from sdpid.experiment.processing.spectrum import least_error_filter
 from sdpid.experiment.recording.gaps import continuous
 from sdpid.experiment.recording.recording import Recording
 from sdpid.experiment.recording.velocities import disagreement
 
-__all__ = ["Choice", "Rule", "choose_processing", "default_processing"]
-
-Rule = Literal["motion", "noise"]
+__all__ = ["Choice", "choose_processing", "default_processing", "motion_frequency", "with_changes"]
 
 # The cut-off for records without periods: this many times the frequency below which 95 % of the
 # motion lies (the paper's decade above the fastest motion, which reaches some three times as far),
@@ -27,9 +24,6 @@ Rule = Literal["motion", "noise"]
 _CUTOFF_OVER_MOTION = 30.0
 _CUTOFF_OVER_RATE = 1.0 / 7.5
 _MOTION_SHARE = 0.95
-# By the rule "noise" the cut-off has at least so many periods in the record: at fewer the default
-# filter's memory takes more than a tenth of the record at either end.
-_LEAST_PERIODS = 20.0
 # Records with more samples than this (four minutes at 1 kHz) are averaged over neighbours down to
 # a rate of at least so many Hz before their motion's spectrum is taken: arms do not move at half
 # of that.
@@ -49,8 +43,6 @@ class Choice:
     ----------
     processing : Processing
         Its `reasons` end up in the notes of the samples.
-    rule : {"motion", "noise"}
-        How the cut-off was chosen.
     motion_hz : float or None
         Frequency below which 95 % of the motion lies, in Hz; None for records with periods, whose
         filter does not depend on it.
@@ -59,7 +51,6 @@ class Choice:
     """
 
     processing: Processing
-    rule: Rule
     motion_hz: float | None
     rate_hz: float
 
@@ -69,29 +60,23 @@ class Choice:
         return tuple(reason.said(self.processing) for reason in self.processing.reasons)
 
 
-def choose_processing(log: Recording, *, rule: Rule = "motion", **given: Any) -> Choice:
+def choose_processing(log: Recording, **given: Any) -> Choice:
     """Choose how a recording is processed, from this recording alone.
 
     A record with periods is averaged over them, filtered as by ``Processing()``; where they are
     too few for a covariance of each sample, one is pooled over the samples, and one period alone
     has none.
 
-    A record without periods passes, by the rule ``"motion"``, a Butterworth filter of order 4
-    whose cut-off is 30 times the frequency below which 95 % of its motion lies (the median over
-    the joints), at most 2/15 of the sampling rate: 20 to 60 times predict alike on five real
-    robots (docs/real_robots.md). By the rule ``"noise"`` it passes the filter, of two types,
-    orders 1 to 4 and all cut-offs between the motion's frequency (and 20 periods in the record)
-    and 2/15 of the rate, that is expected to leave the least error of the acceleration: what it
-    takes from the motion, and what it leaves of the positions' noise; see
-    `sdpid.experiment.processing.spectrum`. Either way a recorded velocity is used below 100 Hz,
-    where differences of the position lose too much, as long as it is the rate of the position.
+    A record without periods passes a Butterworth filter of order 4 whose cut-off is 30 times the
+    frequency below which 95 % of its motion lies (the median over the joints), at most 2/15 of the
+    sampling rate: 20 to 60 times predict alike on five real robots (docs/real_robots.md). A
+    recorded velocity is used below 100 Hz, where differences of the position lose too much, as
+    long as it is the rate of the position.
 
     Parameters
     ----------
     log : Recording
         What is to be trained on. Where it has gaps, its longest piece decides.
-    rule : {"motion", "noise"}
-        How filter and cut-off are chosen.
     **given
         Fields of `Processing` that are known and stand as they are.
 
@@ -102,10 +87,8 @@ def choose_processing(log: Recording, *, rule: Rule = "motion", **given: Any) ->
     Raises
     ------
     DataError
-        When the rule is unknown, no joint moves, or a given value is out of its range.
+        When no joint moves, or a given value is out of its range.
     """
-    if rule not in get_args(Rule):
-        raise DataError(f"rule: {rule!r} is unknown; choose one of {', '.join(get_args(Rule))}.")
     layout = log.period_layout
     if layout is not None:
         found, reasons = _with_periods(layout[2], log.n)
@@ -113,14 +96,35 @@ def choose_processing(log: Recording, *, rule: Rule = "motion", **given: Any) ->
     else:
         log = max(continuous(log)[0], key=lambda piece: piece.n_samples)
         motion = motion_frequency(log)
-        found, reasons = _without_periods(log, motion, rule)
+        found, reasons = _without_periods(log, motion)
     processing = replace(found, **{**given, "reasons": tuple(reasons)})
-    return Choice(processing=processing, rule=rule, motion_hz=motion, rate_hz=log.rate_hz)
+    return Choice(processing=processing, motion_hz=motion, rate_hz=log.rate_hz)
 
 
-def default_processing(log: Recording, *, rule: Rule = "motion") -> Processing:
-    """Return how a recording is processed when nothing else is said; see `choose_processing`."""
-    return choose_processing(log, rule=rule).processing
+def default_processing(log: Recording) -> Processing:
+    """Return the processing that is chosen for a recording (see `choose_processing`)."""
+    return choose_processing(log).processing
+
+
+def with_changes(processing: Processing, changes: Mapping[str, Any]) -> Processing:
+    """Return a processing with some settings changed.
+
+    Raises
+    ------
+    DataError
+        When a change names no setting, or its value is out of range.
+    """
+    if not isinstance(changes, Mapping):
+        raise DataError(
+            f"processing: is {changes!r}, expected a Processing or a mapping of its settings."
+        )
+    settings = [field.name for field in fields(Processing) if field.name != "reasons"]
+    unknown = [str(name) for name in changes if name not in settings]
+    if unknown:
+        raise DataError(
+            f"processing: has no setting {', '.join(unknown)}; choose from {', '.join(settings)}."
+        )
+    return replace(processing, **changes)
 
 
 def motion_frequency(log: Recording) -> float:
@@ -212,9 +216,7 @@ def _with_periods(periods: int, joints: int) -> tuple[Processing, Sequence[Reaso
     return Processing(covariance=covariance), [reason]
 
 
-def _without_periods(
-    log: Recording, motion: float, rule: Rule
-) -> tuple[Processing, Sequence[Reason]]:
+def _without_periods(log: Recording, motion: float) -> tuple[Processing, Sequence[Reason]]:
     """Choose filter, velocity and derivative from a record without gaps."""
     rate = log.rate_hz
     slowest = rate / log.n_samples
@@ -228,37 +230,13 @@ def _without_periods(
     )
     lies = f"{100 * _MOTION_SHARE:g} % of the motion lies below {motion:.4g} Hz"
     cap = f"2/15 of the rate of {rate:.6g} Hz"
-    if rule == "noise":
-        lowest = min(max(motion, _LEAST_PERIODS * slowest), highest)
-        found = least_error_filter(log, lowest, highest)
-        processing = replace(
-            processing, cutoff_hz=found.cutoff_hz, order=found.order, filter=found.filter
-        )
-        bound = ""
-        if found.cutoff_hz == highest:
-            bound = f" and most allowed, {cap}"
-        elif found.cutoff_hz == lowest:
-            least = "that of the motion" if lowest == motion else f"{_LEAST_PERIODS:g} periods"
-            bound = f" and least allowed, {least}"
-        why = (
-            f"best of all cut-offs{bound}; {lies}; expected error of the acceleration "
-            f"{100 * found.error:.3g} % (rms), {100 * found.taken:.3g} % taken from the motion, "
-            f"{100 * found.left:.3g} % left of the noise"
-        )
-        order = f"least within {100 * found.slack:g} % of the least error"
-        reasons = [
-            Reason(field="filter", value=processing.filter, text="by the same error"),
-            Reason(field="order", value=processing.order, text=order),
-        ]
+    if processing.cutoff_hz == highest:
+        why = f"{cap}, below {_CUTOFF_OVER_MOTION:g} × motion; {lies}"
+    elif motion < slowest:
+        why = f"{_CUTOFF_OVER_MOTION:g} × {slowest:.4g} Hz, the slowest that the record shows"
     else:
-        if processing.cutoff_hz == highest:
-            why = f"{cap}, below {_CUTOFF_OVER_MOTION:g} × motion; {lies}"
-        elif motion < slowest:
-            why = f"{_CUTOFF_OVER_MOTION:g} × {slowest:.4g} Hz, the slowest that the record shows"
-        else:
-            why = f"{_CUTOFF_OVER_MOTION:g} × motion, below {cap}; {lies}"
-        reasons = []
-    reasons.insert(0, Reason(field="cutoff_hz", value=processing.cutoff_hz, text=why))
+        why = f"{_CUTOFF_OVER_MOTION:g} × motion, below {cap}; {lies}"
+    reasons = [Reason(field="cutoff_hz", value=processing.cutoff_hz, text=why)]
     velocity, why = _velocity(log, max(motion, slowest))
     reasons.append(Reason(field="velocity", value=velocity, text=why))
     return replace(processing, velocity=velocity), reasons

@@ -9,8 +9,9 @@ rounding, that equals filtering the whole record first, and it needs the memory 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -19,7 +20,7 @@ from sdpid._common import progress as _progress
 from sdpid._common.arrays import Array
 from sdpid._common.threads import one_thread
 from sdpid.errors import DataError
-from sdpid.experiment.processing.choose import default_processing
+from sdpid.experiment.processing.choose import default_processing, with_changes
 from sdpid.experiment.processing.efforts import Efforts, in_threads
 from sdpid.experiment.processing.filters import ZeroPhaseFilter
 from sdpid.experiment.processing.period_mean import Chain, near_standstill
@@ -63,7 +64,7 @@ class _TooShortError(DataError):
 @one_thread
 def process(
     log: Recording,
-    processing: Processing | None = None,
+    processing: Processing | Mapping[str, Any] | None = None,
     *,
     position_limits: ArrayLike | None = None,
     progress: bool | None = None,
@@ -90,9 +91,10 @@ def process(
     ----------
     log : Recording
         What was measured.
-    processing : Processing, optional
-        How to process it; by default what `identify` chooses for this recording (see
-        `choose_processing`). ``Processing.paper()`` is section III-C of the paper to the letter.
+    processing : Processing or mapping, optional
+        How to process it; by default what `identify` chooses for this recording. A mapping
+        changes some of these settings, such as ``{"cutoff_hz": 10.0}``. ``Processing.paper()``
+        is section III-C of the paper to the letter.
     position_limits : (n, 2) array_like, optional
         The robot's limits in rad, infinite where there are none. They tell degrees from radians
         more surely than the positions alone.
@@ -114,7 +116,8 @@ def process(
     """
     require_no_outliers(log)
     require_plausible_units(log, position_limits)
-    processing = default_processing(log) if processing is None else processing
+    if not isinstance(processing, Processing):
+        processing = with_changes(default_processing(log), processing or {})
     if processing.velocity == "measured" and log.velocity is None:
         raise DataError(
             "velocity: the recording has none, but velocity='measured' was asked for; use "

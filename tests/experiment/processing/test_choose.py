@@ -9,8 +9,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
 import sdpid
 import sdpid.experiment.processing.choose as choice_module
@@ -22,7 +20,6 @@ from sdpid.experiment.processing.choose import (
     motion_frequency,
 )
 from sdpid.experiment.processing.process import Processing, process
-from sdpid.experiment.processing.spectrum import least_error_filter
 
 # The default for five real robots, on which docs/real_robots.md rests: cut-off in Hz and velocity,
 # for the whole record. All have order 4 and "central4".
@@ -71,13 +68,11 @@ def test_the_default_of_five_real_robots(data_folder: Path, name: str) -> None:
 def test_the_page_in_the_docs(data_folder: Path) -> None:
     page = (Path(__file__).parents[3] / "docs" / "processing.md").read_text(encoding="utf-8")
     log = sdpid.read_recording(data_folder / "ur10_unisa" / "ur10_exciting.npz")
-    robot = sdpid.load_robot(data_folder / "ur10_unisa" / "ur10.urdf")
     assert "\n".join(choose_processing(log).reasons) in page
     code = "\n".join(re.findall(r"^```python\n(.*?)^```", page, flags=re.M | re.S))
-    names = {"sdpid": sdpid, "log": log, "robot": robot, "train": log, "fresh": log}
+    names = {"sdpid": sdpid, "log": log}
     exec(compile(code, "docs/processing.md", "exec"), names)
-    assert names["choice"].processing.filter == "bessel"  # type: ignore[attr-defined]
-    assert names["rule"] == "noise"
+    assert any("Bessel filter" in note for note in names["samples"].notes)  # type: ignore[attr-defined]
 
 
 def test_the_choice_says_why() -> None:
@@ -173,67 +168,11 @@ def test_records_with_periods_say_their_covariance() -> None:
 
 def test_what_cannot_be_chosen() -> None:
     log, _ = sweep()
-    with pytest.raises(DataError, match="rule: 'best' is unknown; choose one of motion, noise"):
-        choose_processing(log, rule="best")  # type: ignore[arg-type]
     with pytest.raises(DataError, match="cutoff_hz"):
         choose_processing(log, cutoff_hz=-1.0)
     still = replace(log, position=np.ones_like(log.position))
     with pytest.raises(DataError, match="no joint moves"):
-        choose_processing(still, rule="noise")
-    rest = np.random.default_rng(0).standard_normal(log.position.shape)
-    with pytest.raises(DataError, match="stands out of its noise"):
-        choose_processing(replace(log, position=rest), rule="noise")
-
-
-@settings(max_examples=12, deadline=None)
-@given(noise=st.sampled_from([3e-6, 3e-5, 3e-4, 3e-3]), seed=st.integers(0, 20))
-def test_the_expected_error_is_the_error(noise: float, seed: int) -> None:
-    log, acceleration = sweep(noise, seed=seed)
-    found = least_error_filter(log, 1.0, 26.0)
-    setting = Processing(
-        cutoff_hz=found.cutoff_hz,
-        order=found.order,
-        filter=found.filter,
-        derivative="central6",
-        decimation=1,
-        reversal_time=None,
-    )
-    samples = process(log, setting)
-    assert samples.time is not None
-    rows = np.rint(samples.time * 200.0).astype(int)
-    error = np.sqrt(np.mean((samples.acceleration - acceleration[rows]) ** 2))
-    size = np.sqrt(np.mean(acceleration**2))
-    assert found.error == pytest.approx(np.hypot(found.taken, found.left), rel=1e-12)
-    # One record's noise within a narrow band is but a draw of what is expected.
-    assert 0.5 < error / size / found.error < 2.0
-
-
-def test_more_noise_asks_for_less_bandwidth() -> None:
-    cutoffs = []
-    for noise in (0.0, 1e-6, 1e-5, 1e-4, 1e-3):
-        choice = choose_processing(sweep(noise)[0], rule="noise")
-        assert choice.processing.derivative == "central4"
-        cutoffs.append(choice.processing.cutoff_hz)
-    assert cutoffs == sorted(cutoffs, reverse=True)
-    assert cutoffs[0] == pytest.approx(200.0 / 7.5)
-    # Not below the motion, whatever the noise.
-    assert 2.0 <= cutoffs[-1] < 6.0
-    reasons = choose_processing(sweep(0.0)[0], rule="noise").reasons
-    assert "best of all cut-offs and most allowed" in reasons[0]
-
-
-def test_the_best_filter_is_better_than_its_neighbours() -> None:
-    log, acceleration = sweep(1e-4)
-    chosen = choose_processing(log, rule="noise").processing
-
-    def error(factor: float) -> float:
-        setting = replace(chosen, cutoff_hz=factor * chosen.cutoff_hz, decimation=1, trim_s=3.0)
-        samples = process(log, setting)
-        assert samples.time is not None
-        rows = np.rint(samples.time * 200.0).astype(int)
-        return float(np.sqrt(np.mean((samples.acceleration - acceleration[rows]) ** 2)))
-
-    assert error(1.0) < min(error(0.6), error(1.8))
+        choose_processing(still)
 
 
 def test_the_overview_shows_the_choice() -> None:

@@ -491,6 +491,8 @@ def test_settings_out_of_range_are_refused(changes: dict):
 def test_what_is_no_setting_is_refused(wrong: object):
     with pytest.raises(DataError, match=r"processing: (has no setting|is)"):
         chosen_processing([periodic(3)], wrong)
+    with pytest.raises(DataError, match=r"processing: (has no setting|is)"):
+        process(periodic(3), wrong)
 
 
 def test_noise_free_periods_are_noticed():
