@@ -85,7 +85,8 @@ class ScoreBlocks:
         if groups == "periods":
             return cls._of_periods(problem)
         exponent = 0.5 * problem.score_exponent
-        found = problem.rows.map(_block_products, exponent, size, sigma=problem.sigma)
+        rows = problem.require_rows("standard errors")
+        found = rows.map(_block_products, exponent, size, sigma=problem.sigma)
         products = np.concatenate(found)
         information, target = products[:, :, :-1], products[:, :, -1]
         if len(information) < FEWEST_BLOCKS:
@@ -97,7 +98,8 @@ class ScoreBlocks:
 
     @classmethod
     def _of_periods(cls, problem: Problem) -> ScoreBlocks:
-        efforts = problem.samples.effort_periods
+        rows = problem.require_rows_here("standard errors")
+        efforts = rows.samples.effort_periods
         if efforts is None or len(efforts) < 2:
             raise DataError(
                 "standard errors: groups='periods' needs samples with efforts of single periods "
@@ -105,7 +107,7 @@ class ScoreBlocks:
             )
         count = problem.base.count
         H, target = np.zeros((count, count)), np.zeros((len(efforts), count))
-        for part, W, _, mask in problem.rows.chunks():
+        for part, W, _, mask in rows.chunks():
             sigma = problem.sigma if problem.sigma.ndim == 2 else problem.sigma[part]
             weight = whitener(sigma, mask, 0.5 * problem.score_exponent)
             X = weight @ W

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Iterable, Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -14,10 +13,9 @@ from numpy.typing import ArrayLike
 from sdpid._common.arrays import Array, frozen
 from sdpid._common.threads import one_thread
 from sdpid.errors import DataError
-from sdpid.estimation.compression.covariance import WEIGHTINGS, Weighting
-from sdpid.estimation.compression.distributed_rows import Cluster, RemoteRows
+from sdpid.estimation.compression.covariance import WEIGHTINGS, Weighting, pooled
 from sdpid.estimation.compression.factor import Factor, covariance
-from sdpid.estimation.compression.rows import LostRows, RowSource
+from sdpid.estimation.compression.rows import Rows, RowSource, SamplesElsewhere
 from sdpid.estimation.constraints.condition import Layout
 from sdpid.estimation.constraints.constraints import Constraints
 from sdpid.estimation.constraints.feasible_set import FeasibleSet
@@ -29,14 +27,10 @@ from sdpid.estimation.prior.prior import Prior, PriorTerms, prior_terms
 from sdpid.experiment.preparation.several import Piece, all_samples
 from sdpid.experiment.processing.process import Processing
 from sdpid.experiment.processing.samples import Samples
-from sdpid.experiment.recording.recording import Recording
 from sdpid.robot.friction.model import FrictionModel, FrictionTerm
 from sdpid.robot.inertia import CONSISTENCIES, Consistency
 from sdpid.robot.model.base_parameters import BaseParameters, structural_base
 from sdpid.robot.model.model import RobotModel
-
-if TYPE_CHECKING:
-    from distributed import Client
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -51,8 +45,6 @@ class Problem:
     ----------
     robot : RobotModel
         The robot.
-    samples : Samples
-        The measurements.
     friction : FrictionModel
         Friction and drive terms.
     base : BaseParameters
@@ -60,30 +52,27 @@ class Problem:
     weighting : str
         How residuals are weighted (see `build_problem`).
     sigma : ndarray, shape (n, n) or (K, n, n)
-        The covariance that was used.
+        The covariance that was used; without rows its mean over the samples.
     A : ndarray, shape (b, b)
         Compressed regressor of the base parameters.
     rhs : ndarray, shape (b,)
         Compressed efforts.
     floor : float
         Cost that no parameters can take away.
-    n_rows : int
-        Rows that are not masked.
+    n_samples, n_rows : int
+        Samples, and their rows that are not masked.
     feasible : FeasibleSet
         The constraints.
     prior : PriorTerms or None
         What is believed beside the data, as further terms of the cost.
     profiled : tuple of Profiled
-        Numbers of friction terms that were chosen by the data (see
-        `sdpid.estimation.effects.choose`).
-    cluster : Cluster or None
-        Where the rows are, when not here; `samples` is a thinned selection of theirs then.
-    seen : int or None
-        Number of samples whose rows were not kept; `samples` are only some of them then.
+        Numbers of friction terms that were chosen by the data (see `sdpid.estimation.effects.choose`).
+    rows : Rows or None
+        The rows that the cost is made of, here or on a cluster; None where they were not kept.
+        Solvers do not need them, standard errors and residuals do.
     """
 
     robot: RobotModel
-    samples: Samples
     friction: FrictionModel
     base: BaseParameters
     weighting: Weighting
@@ -91,12 +80,20 @@ class Problem:
     A: Array
     rhs: Array
     floor: float
+    n_samples: int
     n_rows: int
     feasible: FeasibleSet
     prior: PriorTerms | None = None
     profiled: tuple[Profiled, ...] = ()
-    cluster: Cluster | None = None
-    seen: int | None = None
+    rows: Rows | None = None
+
+    def __repr__(self) -> str:
+        prior = "" if self.prior is None else ", with a prior"
+        return (
+            f"Problem('{self.robot.name}': {self.n_samples} samples, {self.n_rows} rows, "
+            f"{self.base.count} base of {self.n_theta} standard parameters, "
+            f"weighting={self.weighting!r}, consistency={self.consistency!r}{prior})"
+        )
 
     @property
     def consistency(self) -> Consistency:
@@ -158,21 +155,55 @@ class Problem:
         return self.squared.gradient(theta) + self.log_det.gradient(theta)
 
     @property
-    def rows(self) -> RowSource:
-        """The rows that the cost is made of."""
-        if self.seen is not None:
-            return LostRows(self.robot, self.friction, self.base, self.samples, self.seen)
-        return _rows(self.robot, self.friction, self.base, self.samples, self.cluster)
+    def samples(self) -> Samples:
+        """The samples that are here: all, or of rows on a cluster a thinned selection.
+
+        Raises
+        ------
+        DataError
+            When the problem has no rows.
+        """
+        return self.require_rows("samples").samples
+
+    def require_rows(self, purpose: str) -> Rows:
+        """Return the rows, or raise.
+
+        Parameters
+        ----------
+        purpose : str
+            What they are needed for, for the message.
+
+        Raises
+        ------
+        DataError
+            When the problem has none.
+        """
+        if self.rows is None:
+            raise DataError(
+                f"{purpose}: the rows of the {self.n_samples} samples of '{self.robot.name}' were "
+                "not kept with this problem; build a problem of a recording (sdpid.build_problem)."
+            )
+        return self.rows
+
+    def require_rows_here(self, purpose: str) -> RowSource:
+        """Return the rows, or raise where they are elsewhere; as `require_rows`."""
+        rows = self.require_rows(purpose)
+        if not isinstance(rows, RowSource):
+            raise DataError(
+                f"{purpose}: needs every row here, and they are on the workers of a cluster; build "
+                "the problem of samples or files."
+            )
+        return rows
 
     def without_rows(self) -> Problem:
-        """Return the same cost and constraints with one sample: what solvers need, to send."""
-        first, seen = self.samples.pieces[0], self.rows.n_samples
-        return replace(self, cluster=None, samples=first.every(first.n_samples), seen=seen)
+        """Return the same cost and constraints without the rows: what solvers need, to send."""
+        return replace(self, rows=None, sigma=frozen(pooled(self.sigma)))
 
     def predict(self, base: ArrayLike, samples: Samples | None = None) -> Array:
-        """Return the efforts (K, n) that base parameters give on samples."""
+        """Return the efforts (K, n) that base parameters give on samples, by default its own."""
         values = np.asarray(base, dtype=np.float64)
-        rows = self.rows.on(self.samples if samples is None else samples)
+        chosen = self.samples if samples is None else samples
+        rows = RowSource(self.robot, self.friction, self.base, chosen)
         return np.concatenate([W @ values for _, W, _, _ in rows.chunks()])
 
     @property
@@ -200,7 +231,7 @@ class Problem:
 @one_thread
 def build_problem(
     robot: RobotModel,
-    samples: Piece | Sequence[Piece],
+    samples: Piece | Sequence[Piece] | SamplesElsewhere,
     *,
     friction: Iterable[str | FrictionTerm] = ("coulomb", "viscous"),
     weighting: Weighting = "gls",
@@ -209,7 +240,6 @@ def build_problem(
     prior: Prior | None = None,
     base: BaseParameters | None = None,
     processing: Processing | None = None,
-    client: Client | None = None,
     check_excitation: bool = True,
 ) -> Problem:
     """Build the problem of estimating a robot's parameters from samples.
@@ -220,10 +250,11 @@ def build_problem(
         The robot.
     samples : Samples, Recording or path, or a sequence of these
         The measurements, n as the robot's; those of several recordings are joined. Recordings and
-        files are processed first (see `processing`).
+        files are processed first (see `processing`). Or samples on the workers of a cluster
+        (`sdpid.estimation.compression.distributed_rows.DistributedSamples`), with the same result.
     friction : iterable of str or FrictionTerm
-        Terms beside the links' inertia (see `sdpid.robot.friction.model`). Numbers of theirs that
-        are None are chosen by the data (see `sdpid.estimation.effects.choose`).
+        Terms beside the links' inertia (see `sdpid.robot.friction.model`). Numbers of theirs that are
+        None are chosen by the data (see `sdpid.estimation.effects.choose`).
     weighting : {"gls", "gls_per_sample", "eq9", "eq18", "residual"}
         ``gls`` whitens with one covariance pooled over the samples; ``gls_per_sample`` with the
         covariance of each; ``eq9`` and ``eq18`` minimise the norm of the normal equations'
@@ -234,17 +265,13 @@ def build_problem(
     constraints : Constraints, optional
         Margins and bounds.
     prior : Prior, optional
-        What is believed beside the data (see `sdpid.estimation.prior.prior`); none by default. With
-        one the data may leave base parameters undetermined.
+        What is believed beside the data (see `sdpid.estimation.prior.prior`); none by default. With one
+        the data may leave base parameters undetermined.
     base : BaseParameters, optional
         Found before for the same robot and terms.
     processing : Processing, optional
         Of recordings and files among `samples`; by default one for all, that of the recording
         with the median cut-off.
-    client : dask.distributed.Client, optional
-        Of a cluster (extra ``dask``) whose workers read, process and keep the pieces; the result is
-        the same. Files must be where the workers see them.
-
     check_excitation : bool, optional
         Whether data that leave a base parameter undetermined are refused where there is no prior.
 
@@ -273,21 +300,19 @@ def build_problem(
             f"build_problem: robot is {type(robot).__name__} {robot!r:.80}; give a RobotModel, "
             "such as sdpid.load_robot(name)."
         )
-    pieces = _pieces(samples)
-    cluster = None
-    if client is not None:
-        cluster, samples = Cluster.of(client, robot, pieces, processing)
-    elif not isinstance(samples, Samples):
-        samples = all_samples(robot, pieces, processing)
-    _check_samples(robot, samples)
+    elsewhere = samples if isinstance(samples, SamplesElsewhere) else None
+    here = elsewhere.samples if elsewhere else all_samples(robot, samples, processing)
+    _check_samples(robot, here)
     model = FrictionModel.from_terms(friction, robot.joint_names, first=robot.n_base)
-    model, profiled = close_terms(model, robot, samples, lambda rows: covariance(rows, weighting))
+    model, profiled = close_terms(model, robot, here, lambda rows: covariance(rows, weighting))
     if base is None:
         base = structural_base(robot, model)
-    rows = _rows(robot, model, base, samples, cluster)
+    rows: Rows = RowSource(robot, model, base, here)
+    if elsewhere is not None:
+        rows = elsewhere.rows(robot, model, base)
     found = Factor.of(rows, weighting)
     A, rhs = found.A, found.rhs
-    known = weighting in ("gls", "gls_per_sample") and samples.covariance is not None
+    known = weighting in ("gls", "gls_per_sample") and here.covariance is not None
     likelihood = (A, rhs) if weighting == "residual" or known else None
     believed = None
     if prior is not None:
@@ -297,7 +322,6 @@ def build_problem(
             believed = replace(believed, notes=(*believed.notes, note))
     problem = Problem(
         robot=robot,
-        samples=samples,
         friction=model,
         base=base,
         weighting=weighting,
@@ -305,48 +329,16 @@ def build_problem(
         A=frozen(A),
         rhs=frozen(rhs),
         floor=found.floor,
+        n_samples=rows.n_samples,
         n_rows=found.used,
         feasible=FeasibleSet.build(constraints or Constraints(), consistency, Layout(robot, model)),
         prior=believed,
         profiled=profiled,
-        cluster=cluster,
+        rows=rows,
     )
     if prior is None and check_excitation:
         require_excitation(problem.excitation)
     return problem
-
-
-def _rows(
-    robot: RobotModel,
-    friction: FrictionModel,
-    base: BaseParameters,
-    samples: Samples,
-    cluster: Cluster | None,
-) -> RowSource:
-    if cluster is None:
-        return RowSource(robot, friction, base, samples)
-    return RemoteRows(robot, friction, base, samples, cluster)
-
-
-def _pieces(samples: object) -> tuple[Piece, ...]:
-    """Return one or several samples, recordings and files as a tuple.
-
-    Raises
-    ------
-    DataError
-        When it is, or holds, something else.
-    """
-    kinds = (Samples, Recording, str, os.PathLike)
-    if isinstance(samples, kinds):
-        return (samples,)
-    pieces = tuple(samples) if isinstance(samples, Iterable) else (samples,)
-    for piece in pieces:
-        if not isinstance(piece, kinds):
-            raise DataError(
-                f"build_problem: samples hold {type(piece).__name__} {piece!r:.80}; give Samples "
-                "(see sdpid.process), recordings or paths of logs."
-            )
-    return pieces
 
 
 def _check_samples(robot: RobotModel, samples: Samples) -> None:
@@ -368,7 +360,7 @@ def describe(problem: Problem) -> dict[str, Any]:
     return {
         "robot": problem.robot.name,
         "joints": list(problem.robot.joint_names),
-        "samples": problem.rows.n_samples,
+        "samples": problem.n_samples,
         "rows_used": problem.n_rows,
         "standard_parameters": problem.n_theta,
         "base_parameters": problem.base.count,

@@ -92,9 +92,7 @@ class StreamingProblem:
         factor[:b, :b], factor[:b, b], factor[b, b] = start.A, start.rhs, np.sqrt(start.floor)
         self._triangle = Triangle(b + 1)
         self._triangle.add(factor)
-        seen = start.rows.n_samples if start.n_rows else 0
-        self._problem = replace(start, cluster=None, seen=seen)
-        self._seen = seen
+        self._problem = start.without_rows()
         self._folded = True
         self._time: float | None = None
         # The program of the solves to come, and what it is about.
@@ -139,14 +137,6 @@ class StreamingProblem:
             raise DataError(f"consistency is {consistency!r}: use one of {CONSISTENCIES}.")
         n = robot.n
         sigma = np.eye(n) if covariance is None else real_array(covariance, "covariance", ndim=2)
-        rest = np.zeros((1, n))
-        nobody = Samples(
-            position=np.zeros((1, int(robot.pin_model.nq))),
-            velocity=rest,
-            acceleration=rest,
-            effort=rest,
-            covariance=sigma,
-        )
         model = FrictionModel.from_terms(friction, robot.joint_names, first=robot.n_base)
         speeds = [np.ones(1)] * (n - robot.n_base)
         for term in model.terms:
@@ -159,7 +149,6 @@ class StreamingProblem:
         b = base.count
         start = Problem(
             robot=robot,
-            samples=nobody,
             friction=model,
             base=base,
             weighting="gls",
@@ -167,6 +156,7 @@ class StreamingProblem:
             A=frozen(np.zeros((b, b))),
             rhs=frozen(np.zeros(b)),
             floor=0.0,
+            n_samples=0,
             n_rows=0,
             feasible=FeasibleSet.build(
                 constraints or Constraints(), consistency, Layout(robot, model)
@@ -209,9 +199,11 @@ class StreamingProblem:
             faded = weighted * roots[part, None, None]
             triangle.add(faded.reshape(-1, weighted.shape[2]))
         self._triangle, self._time, self._folded = triangle, time, False
-        self._seen += samples.n_samples
-        used = problem.n_rows + samples.n_rows
-        self._problem = replace(problem, samples=samples, n_rows=used, seen=self._seen)
+        self._problem = replace(
+            problem,
+            n_samples=problem.n_samples + samples.n_samples,
+            n_rows=problem.n_rows + samples.n_rows,
+        )
 
     def _check(self, samples: Samples) -> None:
         robot = self._problem.robot

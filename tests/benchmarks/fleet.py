@@ -30,6 +30,7 @@ import numpy as np
 
 import sdpid
 from sdpid._common.tables import Table
+from sdpid.estimation.compression import distributed_rows as remote
 from sdpid.experiment.preparation.for_robot import default_friction, default_processing, prepare
 from tests.benchmarks.timing import Row, peak
 from tests.benchmarks.timing import table as ratios
@@ -223,8 +224,6 @@ class Sent:
     @contextmanager
     def counted(self) -> Iterator[None]:
         """Count what a problem gathers."""
-        from sdpid.estimation.compression import distributed_rows as remote
-
         gathered = remote._gathered
 
         def counting(client: Any, futures: Any) -> list[Any]:
@@ -246,12 +245,13 @@ def together(
     robot = sdpid.load_robot(ROBOT)
     return sdpid.build_problem(
         robot,
-        files,
+        files
+        if client is None
+        else remote.DistributedSamples.read(client, robot, files, processing=processing),
         processing=processing,
         friction=default_friction(sdpid.read_recording(files[0])),
         weighting="residual",
         constraints=sdpid.Constraints.of_size(robot),
-        client=client,
     )
 
 

@@ -273,8 +273,8 @@ def test_residual_sigma_is_what_its_estimator_says() -> None:
     ("arguments", "says"),
     [
         (("denso_vp6242", "samples"), "robot is str 'denso_vp6242'; give a RobotModel"),
-        ((ARM, 3), "samples hold int 3; give Samples"),
-        ((ARM, [np.zeros((5, 3))]), "samples hold ndarray"),
+        ((ARM, 3), "samples: hold int 3; give Samples"),
+        ((ARM, [np.zeros((5, 3))]), "samples: hold ndarray"),
         ((ARM, "no such log.parquet"), "no such log.parquet"),
     ],
 )

@@ -185,7 +185,7 @@ class Certificate:
                 "weighting": problem.weighting,
                 "theta_names": list(problem.base.theta_names),
                 "base_names": list(problem.base.names),
-                "samples": problem.rows.n_samples,
+                "samples": problem.n_samples,
                 "rows": problem.n_rows,
                 "rows_sha256": rows_digest(problem),
                 "compression_error": compression_error(problem, base),

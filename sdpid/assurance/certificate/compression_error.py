@@ -22,7 +22,8 @@ def summed_cost(problem: Problem, base: ArrayLike) -> float:
     printed = problem.weighting in ("eq9", "eq18")
     values = np.append(np.asarray(base, dtype=np.float64), -1.0)
     exponent = -0.25 if problem.weighting == "eq9" else -0.5
-    sums = problem.rows.map(_sums, exponent, values, sigma=problem.sigma)
+    rows = problem.require_rows("summed cost")
+    sums = rows.map(_sums, exponent, values, sigma=problem.sigma)
     normal = np.sum([normal for normal, _ in sums], axis=0)
     return float(normal @ normal) if printed else float(sum(square for _, square in sums))
 
@@ -42,7 +43,7 @@ def compression_error(problem: Problem, base: ArrayLike) -> float | None:
 
     None where the rows were not kept.
     """
-    if not problem.rows.kept:
+    if problem.rows is None:
         return None
     summed = summed_cost(problem, base)
     # Exact data cost nothing but rounding; that is measured against the weighted efforts.
@@ -57,7 +58,7 @@ def rows_digest(problem: Problem) -> str | None:
     Of several pieces it is that of their digests, one behind the other. None where the rows were
     not kept.
     """
-    if not problem.rows.kept:
+    if problem.rows is None:
         return None
     digests = problem.rows.map(_digest)
     if len(digests) == 1:

@@ -142,7 +142,7 @@ def cost_of_constraints(estimate: Estimate) -> CostOfConstraints:
             f"cost of constraints: method '{estimate.method}' has none; give an estimate of a "
             "constrained solver."
         )
-    rows = JointRows.of(problem.rows)
+    rows = JointRows.merged(problem.require_rows("cost of constraints").map(JointRows.of))
     used = np.maximum(rows.used, 1.0)
 
     def rmse(base: Array) -> Array:

@@ -8,6 +8,7 @@ import numpy as np
 
 from sdpid._common.arrays import Array, Indices, frozen, frozen_view
 from sdpid.errors import DataError
+from sdpid.estimation.compression.rows import RowSource
 from sdpid.estimation.estimate import Estimate
 from sdpid.experiment.processing.samples import Samples
 from sdpid.robot.friction.model import smooth_sign
@@ -180,7 +181,8 @@ def implied_error(estimate: Estimate, samples: Samples) -> Array:
     factor = np.linalg.cholesky(
         estimate.covariance + np.eye(len(estimate.base)) * np.finfo(float).tiny
     )
-    for _, W, _, mask in problem.rows.on(samples).chunks():
+    source = RowSource(problem.robot, problem.friction, problem.base, samples)
+    for _, W, _, mask in source.chunks():
         variance = np.sum((W @ factor) ** 2, axis=2)
         total += np.where(mask, variance, 0.0).sum(axis=0)
         rows += mask.sum(axis=0)

@@ -15,7 +15,7 @@ import numpy as np
 
 from sdpid._common.arrays import Array, Mask
 from sdpid.errors import DataError
-from sdpid.estimation.compression.rows import RowSource
+from sdpid.estimation.compression.rows import Rows, RowSource
 from sdpid.estimation.compression.triangle import Triangle
 
 Weighting = Literal["gls", "gls_per_sample", "eq9", "eq18", "residual"]
@@ -199,7 +199,7 @@ class JointRows:
         return np.where(silent, overall, np.minimum(overall, own))
 
 
-def residual_covariance(rows: RowSource, joints: JointRows | None = None) -> Array:
+def residual_covariance(rows: Rows, joints: JointRows | None = None) -> Array:
     """Estimate a diagonal covariance (n, n) from the residuals of the unconstrained fit.
 
     Each joint has one variance, found by iteration: fit, take the residuals' variance with the
@@ -240,7 +240,7 @@ def residual_covariance(rows: RowSource, joints: JointRows | None = None) -> Arr
     return np.diag(variance * correlation_time(rows, base, joints))
 
 
-def correlation_time(rows: RowSource, base: Array, joints: JointRows) -> float:
+def correlation_time(rows: Rows, base: Array, joints: JointRows) -> float:
     """Return how many samples make one independent one, averaged over the joints, at least 1."""
     mean = joints.mean_residual(base)
     sums = LaggedSums.merged(rows.map(LaggedSums.of_residuals, base, mean))

@@ -1,14 +1,14 @@
-"""Rows that stay where they were read: on the workers of a Dask cluster.
+"""Samples that stay where they were read: on the workers of a Dask cluster.
 
-Every piece is one recording, read and processed by the worker that keeps it. What a problem needs
-of the rows are sums over pieces: they are computed where the piece is, sent here, and added in the
-order of the pieces. So neither the number of workers nor the loss of one changes a bit of the
+Each recording is read and processed by the worker that keeps it. What a problem needs of the rows
+are sums over recordings: they are computed where the recording is, sent here, and added in the
+order of the recordings. So neither the number of workers nor the loss of one changes a bit of the
 result: what was lost is read again.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from itertools import chain
 from typing import TYPE_CHECKING, Any, TypeVar
@@ -17,11 +17,13 @@ from sdpid._common.arrays import Array
 from sdpid.errors import DataError, SolverError
 from sdpid.estimation.compression.rows import RowSource
 from sdpid.experiment.preparation.for_robot import default_processing
-from sdpid.experiment.preparation.several import Piece, agreed, samples_of
+from sdpid.experiment.preparation.several import Piece, agreed, as_pieces, samples_of
 from sdpid.experiment.processing.process import Processing
 from sdpid.experiment.processing.samples import Samples
 from sdpid.experiment.readers.read import read_recording
 from sdpid.experiment.recording.recording import Recording
+from sdpid.robot.friction.model import FrictionModel
+from sdpid.robot.model.base_parameters import BaseParameters
 from sdpid.robot.model.model import RobotModel
 
 if TYPE_CHECKING:
@@ -37,8 +39,8 @@ _BROUGHT = 4096
 
 
 @dataclass(frozen=True, eq=False)
-class Cluster:
-    """Samples on the workers of a cluster, one future a recording.
+class DistributedSamples:
+    """The samples of recordings on the workers of a cluster, for `sdpid.build_problem`.
 
     Attributes
     ----------
@@ -49,23 +51,27 @@ class Cluster:
     pieces : tuple of Future
         The samples of every recording.
     counts : tuple of int
-        How many there are of each.
+        Number of samples of each.
+    samples : Samples
+        An evenly thinned selection; its notes say of how many.
     """
 
     client: Client
     robot: Future[RobotModel]
     pieces: tuple[Future[Samples], ...]
     counts: tuple[int, ...]
+    samples: Samples
 
     @classmethod
-    def of(
+    def read(
         cls,
         client: Client,
         robot: RobotModel,
-        pieces: Iterable[Piece],
-        processing: Processing | None,
-    ) -> tuple[Cluster, Samples]:
-        """Have pieces read and processed, and return them with a thinned selection.
+        recordings: Piece | Sequence[Piece],
+        *,
+        processing: Processing | None = None,
+    ) -> DistributedSamples:
+        """Have recordings read and processed by the workers.
 
         Parameters
         ----------
@@ -73,23 +79,21 @@ class Cluster:
             Of the cluster.
         robot : RobotModel
             Whose joints they have.
-        pieces : iterable of Samples, Recording or path
+        recordings : Samples, Recording or path, or a sequence of these
             Files are read by the workers, which must see them.
         processing : Processing, optional
-            Of recordings and files; by default one for all, see `all_samples`.
-
-        Returns
-        -------
-        Cluster
-        Samples
-            Evenly thinned; its notes say of how many.
+            Of recordings and files; by default one for all, that of the recording with the median
+            cut-off.
 
         Raises
         ------
         DataError
-            When there are no pieces, they cannot be joined, or each has a covariance of its own.
+            When there are no recordings, they cannot be joined, or each has a covariance of its
+            own.
+        SolverError
+            When the cluster has no workers left.
         """
-        given = tuple(pieces)
+        given = as_pieces(recordings)
         if not given:
             raise DataError("samples: there are none to join.")
         there = client.submit(_same, robot, pure=False)
@@ -113,64 +117,59 @@ class Cluster:
         if step > 1:
             note += f"; here is one in {step}"
         notes = (*thin.notes, note) if why is None else (*thin.notes, why, note)
-        return cls(client, there, futures, counts), replace(thin, notes=notes)
+        return cls(client, there, futures, counts, replace(thin, notes=notes))
+
+    def rows(
+        self, robot: RobotModel, friction: FrictionModel, base: BaseParameters
+    ) -> DistributedRows:
+        """Return their rows for friction terms and base parameters of the same robot."""
+        return DistributedRows(self, robot, friction, base)
 
 
-@dataclass(frozen=True)
-class RemoteRows(RowSource):
-    """The rows of all recordings of a cluster; `samples` is a thinned selection of theirs.
+@dataclass(frozen=True, eq=False)
+class DistributedRows:
+    """The rows of all recordings on a cluster.
 
     Attributes
     ----------
-    cluster : Cluster
-        Where the rows are.
+    source : DistributedSamples
+        Where the samples are.
+    robot, friction, base
+        What the rows are made of, as in `RowSource`.
     """
 
-    cluster: Cluster
+    source: DistributedSamples
+    robot: RobotModel
+    friction: FrictionModel
+    base: BaseParameters
+
+    @property
+    def samples(self) -> Samples:
+        """A thinned selection of the samples."""
+        return self.source.samples
 
     @property
     def n_samples(self) -> int:
         """Number of samples that the rows are made of."""
-        return sum(self.cluster.counts)
+        return sum(self.source.counts)
 
     def map(
         self, function: Callable[..., T], *arguments: object, sigma: Array | None = None
     ) -> list[T]:
-        """Return what a function says of the rows of every piece, in order; see `RowSource`."""
+        """Apply a function to the rows of each piece and return the results in their order."""
         if sigma is not None and sigma.ndim == 3:
             raise DataError(
                 "samples: a covariance a sample cannot be used with rows on a cluster; use the "
                 "weighting 'gls' or 'residual'."
             )
-        client = self.cluster.client
+        client, model = self.source.client, (self.friction, self.base)
         tasks = [
             client.submit(
-                _mapped,
-                self.cluster.robot,
-                piece,
-                (self.friction, self.base),
-                function,
-                arguments,
-                sigma,
-                pure=False,
+                _mapped, self.source.robot, piece, model, function, arguments, sigma, pure=False
             )
-            for piece in self.cluster.pieces
+            for piece in self.source.pieces
         ]
         return list(chain.from_iterable(_gathered(client, tasks)))
-
-    def parts(self, size: int = 0) -> Iterator[slice]:
-        """Not to be had here."""
-        raise _elsewhere()
-
-    def _fill(self, part: slice, out: Array) -> Array:
-        raise _elsewhere()
-
-
-def _elsewhere() -> DataError:
-    return DataError(
-        "samples: the rows are on the workers of a cluster, and this needs them here; build the "
-        "problem without a client."
-    )
 
 
 def _same(robot: RobotModel) -> RobotModel:
@@ -199,9 +198,8 @@ def _mapped(
     arguments: tuple[object, ...],
     sigma: Array | None,
 ) -> list[T]:
-    """Return what a function says of one recording, on its worker."""
-    rows = RowSource(robot, *model, samples)
-    return rows.map(function, *arguments, sigma=sigma)
+    """Apply a function to the rows of one recording, on its worker."""
+    return RowSource(robot, *model, samples).map(function, *arguments, sigma=sigma)
 
 
 def _gathered(client: Client, futures: Sequence[Future[Any]]) -> list[Any]:

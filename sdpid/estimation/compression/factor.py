@@ -13,7 +13,7 @@ from sdpid.estimation.compression.covariance import (
     pooled,
     residual_covariance,
 )
-from sdpid.estimation.compression.rows import RowSource
+from sdpid.estimation.compression.rows import Rows, RowSource
 from sdpid.estimation.compression.triangle import Triangle
 from sdpid.estimation.compression.whitening import compress, whitened_chunks
 
@@ -40,7 +40,7 @@ class Factor:
     used: int
 
     @classmethod
-    def of(cls, rows: RowSource, weighting: Weighting) -> Factor:
+    def of(cls, rows: Rows, weighting: Weighting) -> Factor:
         """Weight and compress rows, piece by piece; the order of the pieces decides rounding."""
         if weighting == "residual":
             joints = JointRows.merged(rows.map(JointRows.of))
@@ -62,7 +62,7 @@ class Factor:
         return cls(sigma, *triangle.split(), used)
 
 
-def covariance(rows: RowSource, weighting: Weighting) -> Array:
+def covariance(rows: Rows, weighting: Weighting) -> Array:
     """Return the covariance that a weighting uses, (n, n) or (K, n, n)."""
     if weighting == "residual":
         return residual_covariance(rows)

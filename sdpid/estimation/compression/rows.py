@@ -1,7 +1,7 @@
 """The stacked rows of a problem, in chunks.
 
-Rows are never held all at once: chunks are whitened (`sdpid.estimation.compression.whitening`) and
-folded into a small triangular factor (`sdpid.estimation.compression.triangle`).
+Rows are never held all at once: chunks are whitened (`sdpid.estimation.compression.whitening`) and folded
+into a small triangular factor (`sdpid.estimation.compression.triangle`).
 """
 
 from __future__ import annotations
@@ -9,12 +9,11 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import cached_property
-from typing import NoReturn, TypeVar
+from typing import Protocol, TypeVar, runtime_checkable
 
 import numpy as np
 
 from sdpid._common.arrays import Array, Indices, Mask
-from sdpid.errors import DataError
 from sdpid.experiment.processing.samples import Samples
 from sdpid.robot.friction.model import FrictionModel, JointwiseTerm
 from sdpid.robot.model import regressor_kernel as kernels
@@ -30,6 +29,60 @@ CHUNK_BYTES = 1 << 22
 
 # Samples handled at a time by what does not look at the rows.
 CHUNK = 4096
+
+
+class Rows(Protocol):
+    """The rows of a problem, piece by piece, wherever the pieces are."""
+
+    @property
+    def robot(self) -> RobotModel:
+        """The robot."""
+
+    @property
+    def friction(self) -> FrictionModel:
+        """Its friction terms."""
+
+    @property
+    def base(self) -> BaseParameters:
+        """The base parameters, one a column."""
+
+    @property
+    def samples(self) -> Samples:
+        """The samples that are here: all, or an evenly thinned selection."""
+
+    @property
+    def n_samples(self) -> int:
+        """Number of samples that the rows are made of."""
+
+    def map(
+        self, function: Callable[..., T], *arguments: object, sigma: Array | None = None
+    ) -> list[T]:
+        """Apply a function to the rows of each piece and return the results in their order.
+
+        What is added up over the pieces is the same wherever they are, to the last bit.
+
+        Parameters
+        ----------
+        function : callable
+            Of the `RowSource` of a piece, of its part of `sigma` if there is one, and of the
+            arguments.
+        *arguments
+            The same for all pieces.
+        sigma : ndarray, shape (n, n) or (K, n, n), optional
+            A covariance, for all samples or one a sample.
+        """
+
+
+@runtime_checkable
+class SamplesElsewhere(Protocol):
+    """Samples that stay where they are, and hand out their rows."""
+
+    @property
+    def samples(self) -> Samples:
+        """An evenly thinned selection."""
+
+    def rows(self, robot: RobotModel, friction: FrictionModel, base: BaseParameters) -> Rows:
+        """Return their rows for friction terms and base parameters."""
 
 
 @dataclass(frozen=True)
@@ -52,17 +105,10 @@ class RowSource:
         """Number of samples that the rows are made of."""
         return self.samples.n_samples
 
-    @property
-    def kept(self) -> bool:
-        """Whether sums over the rows can be had."""
-        return True
-
     def map(
         self, function: Callable[..., T], *arguments: object, sigma: Array | None = None
     ) -> list[T]:
-        """Return what a function says of the rows of every piece, in order.
-
-        What is added up over the pieces is the same wherever they are, to the last bit.
+        """Apply a function to the rows of each piece and return the results in their order.
 
         Parameters
         ----------
@@ -81,7 +127,7 @@ class RowSource:
         return found
 
     def on(self, samples: Samples) -> RowSource:
-        """Return the rows of other samples, which are here."""
+        """Return the rows of other samples."""
         return RowSource(self.robot, self.friction, self.base, samples)
 
     @cached_property
@@ -171,41 +217,3 @@ class RowSource:
             else:
                 kept = np.flatnonzero(to >= 0)
                 out[:, first:, to[kept]] = term.columns(v, a, names)[:, :, kept]
-
-
-@dataclass(frozen=True)
-class LostRows(RowSource):
-    """Rows that were not kept; those of other samples can be had (`on`).
-
-    Attributes
-    ----------
-    seen : int
-        Samples that there were.
-    """
-
-    seen: int
-
-    @property
-    def n_samples(self) -> int:
-        """Number of samples that there were."""
-        return self.seen
-
-    @property
-    def kept(self) -> bool:
-        """They were not."""
-        return False
-
-    def map(self, *_: object, **__: object) -> NoReturn:
-        """Raise: nothing can be summed over them."""
-        raise DataError(
-            f"'{self.robot.name}': the rows of the {self.seen} samples of this problem are not "
-            "kept, so what is summed over them (standard errors, intervals, residuals) is not to "
-            "be had; build a problem of a recording for that."
-        )
-
-    def parts(self, *_: object) -> NoReturn:
-        """Raise, as `map` does."""
-        self.map()
-
-    def _fill(self, *_: object) -> NoReturn:
-        self.map()

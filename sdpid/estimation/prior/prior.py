@@ -10,7 +10,7 @@ import numpy as np
 
 from sdpid._common.arrays import Array, Indices, frozen, real_array
 from sdpid.errors import DataError
-from sdpid.estimation.compression.rows import CHUNK, RowSource
+from sdpid.estimation.compression.rows import CHUNK, Rows, RowSource
 from sdpid.estimation.prior.cost_terms import CostTerm, SquaredTerm
 from sdpid.estimation.prior.evidence import STRONGEST, WEAKEST, strength_by_evidence
 from sdpid.estimation.prior.log_det import LogDetTerm
@@ -170,9 +170,7 @@ def repaired(bodies: Array) -> tuple[Array, tuple[int, ...], tuple[int, ...]]:
     return raised, tuple(int(i) for i in wrong), tuple(int(i) for i in thin)
 
 
-def prior_terms(
-    prior: Prior, rows: RowSource, *, data: tuple[Array, Array] | None = None
-) -> PriorTerms:
+def prior_terms(prior: Prior, rows: Rows, *, data: tuple[Array, Array] | None = None) -> PriorTerms:
     """Turn a prior into terms of a problem's cost.
 
     Parameters
@@ -221,7 +219,7 @@ def prior_terms(
     return PriorTerms((squared, *terms), tuple(notes), strength)
 
 
-def _believed(prior: Prior, rows: RowSource) -> tuple[Array, Indices, list[str]]:
+def _believed(prior: Prior, rows: Rows) -> tuple[Array, Indices, list[str]]:
     """Return bodies that can exist, the links that are described, and what was done to them."""
     robot = rows.robot
     given = robot.prior if prior.bodies is None else prior.bodies
@@ -276,7 +274,7 @@ def _at_end(strength: float) -> str:
     return ""
 
 
-def _friction_weights(rows: RowSource) -> Array:
+def _friction_weights(rows: Rows) -> Array:
     """Return 1/standard deviation of every friction term."""
     sums = rows.map(_squares)
     count, efforts, terms = (np.sum(each, axis=0) for each in zip(*sums, strict=True))

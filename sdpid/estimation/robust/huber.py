@@ -74,6 +74,7 @@ class WhitenedRows:
             )
         self.problem = problem
         self._kept: list[tuple[slice, Array, Mask]] = []
+        self.rows = problem.require_rows_here("solve_robust")
         samples, n = problem.samples.effort.shape
         self._keeps = 8.0 * samples * n * (problem.base.count + 1) <= _KEPT
 
@@ -83,7 +84,7 @@ class WhitenedRows:
             yield from self._kept
             return
         made = []
-        chunks = whitened_chunks(self.problem.rows, self.problem.sigma, keep=self._keeps)
+        chunks = whitened_chunks(self.rows, self.problem.sigma, keep=self._keeps)
         for part, rows, mask in chunks:
             if self._keeps:
                 made.append((part, rows, mask))
@@ -243,7 +244,7 @@ class HuberLoss:
 def _deviations(rows: WhitenedRows, threshold: float) -> Array:
     """Return the standard deviation of every joint's whitened residuals, from a robust fit."""
     problem = rows.problem
-    mask = problem.rows.mask(slice(None))
+    mask = rows.rows.mask(slice(None))
     used = int(mask.sum())
     # Residuals of a fit are smaller than the errors.
     grow = np.sqrt(used / max(used - problem.base.count, 1))
@@ -274,11 +275,12 @@ def _deviations(rows: WhitenedRows, threshold: float) -> Array:
 
 def _weighted_sigma(problem: Problem, weights: Array) -> Array:
     """Return covariances (K, n, n) under which plain weighting is weighting of whitened rows."""
-    samples, n = problem.samples.effort.shape
+    rows = problem.require_rows_here("solve_robust")
+    samples, n = rows.samples.effort.shape
     out = np.empty((samples, n, n))
     for start in range(0, samples, CHUNK):
         part = slice(start, start + CHUNK)
-        used = problem.rows.mask(part)
+        used = rows.mask(part)
         sigma = problem.sigma if problem.sigma.ndim == 2 else problem.sigma[part]
         root = whitener(sigma, used, 0.5)
         out[part] = (root / weights[part][:, None, :]) @ root

@@ -234,6 +234,27 @@ def without_efforts(samples: Samples, robot: RobotModel, joints: Sequence[str]) 
     return replace(samples, mask=mask, notes=(*samples.notes, note))
 
 
+def as_pieces(given: object) -> tuple[Piece, ...]:
+    """Return one or several samples, recordings and files as a tuple.
+
+    Raises
+    ------
+    DataError
+        When it is, or holds, something else.
+    """
+    kinds = (Samples, Recording, str, os.PathLike)
+    if isinstance(given, kinds):
+        return (given,)
+    pieces = tuple(given) if isinstance(given, Iterable) else (given,)
+    for piece in pieces:
+        if not isinstance(piece, kinds):
+            raise DataError(
+                f"samples: hold {type(piece).__name__} {piece!r:.80}; give Samples (see "
+                "sdpid.process), recordings or paths of logs."
+            )
+    return pieces
+
+
 def samples_of(robot: RobotModel, piece: Piece, processing: Processing | None) -> Samples:
     """Return the samples of a piece: read, matched to the robot and processed where need be."""
     if isinstance(piece, Samples):
@@ -242,23 +263,28 @@ def samples_of(robot: RobotModel, piece: Piece, processing: Processing | None) -
     return prepare(robot, log, processing)
 
 
-def all_samples(
-    robot: RobotModel, pieces: Iterable[Piece], processing: Processing | None
-) -> Samples:
-    """Return the samples of all pieces, joined.
+def all_samples(robot: RobotModel, given: object, processing: Processing | None) -> Samples:
+    """Return the samples of one or several pieces, joined.
 
     Parameters
     ----------
     robot : RobotModel
         Whose joints they have.
-    pieces : iterable of Samples, Recording or path
+    given : Samples, Recording or path, or a sequence of these
         The pieces.
     processing : Processing, optional
         Of recordings and files; by default `common_processing`.
+
+    Raises
+    ------
+    DataError
+        When a piece is something else, cannot be read, or the pieces cannot be joined.
     """
+    if isinstance(given, Samples):
+        return given
     read = [
         piece if isinstance(piece, (Samples, Recording)) else read_recording(piece)
-        for piece in pieces
+        for piece in as_pieces(given)
     ]
     logs = [piece for piece in read if isinstance(piece, Recording)]
     why = None

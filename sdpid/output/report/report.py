@@ -138,7 +138,7 @@ def _context(result: Judged, draw: bool, intervals: GivenIntervals | None) -> di
         "robot": problem.robot,
         "result": result,
         "problem": problem,
-        "sample_count": problem.rows.n_samples,
+        "sample_count": problem.n_samples,
         "thinned": _thinned(result),
         "held_out": result.validation is not None,
         "findings": findings(result, errors),
@@ -172,8 +172,8 @@ def _data(result: Judged) -> Iterator[tuple[str, list[str]]]:
     """Yield facts about the recordings: a label, and a value for each recording."""
     problem = result.problem
     parts = [problem.samples]
-    counts = [(problem.rows.n_samples, problem.n_rows)]
-    rates = [_rate(problem.samples, problem.rows.n_samples)]
+    counts = [(problem.n_samples, problem.n_rows)]
+    rates = [_rate(problem.samples, problem.n_samples)]
     if (fresh := result.validation_samples) is not None:
         parts.append(fresh)
         counts.append((fresh.n_samples, fresh.n_rows))
@@ -191,7 +191,7 @@ def _data(result: Judged) -> Iterator[tuple[str, list[str]]]:
 def _thinned(result: Judged) -> int:
     """Return how many samples each one here stands for: over 1 if rows are on a cluster."""
     problem = result.problem
-    return max(round(problem.rows.n_samples / max(problem.samples.n_samples, 1)), 1)
+    return max(round(problem.n_samples / max(problem.samples.n_samples, 1)), 1)
 
 
 def _rate(samples: Samples, count: int) -> str:

@@ -16,6 +16,7 @@ import sdpid
 from sdpid.errors import DataError, SolverError
 from sdpid.estimation import problem as problem_module
 from sdpid.estimation.compression import distributed_rows as remote
+from sdpid.estimation.compression.distributed_rows import DistributedSamples
 from sdpid.estimation.compression.factor import Factor
 from sdpid.estimation.problem import Problem, build_problem
 from sdpid.experiment.processing.process import Processing
@@ -71,6 +72,10 @@ def files(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
 
 def built(pieces: Any, **options: Any) -> Problem:
     options = {"processing": PROCESSING, **options}
+    client = options.pop("client", None)
+    if client is not None:
+        processing = options.pop("processing")
+        pieces = DistributedSamples.read(client, ARM, pieces, processing=processing)
     return build_problem(
         ARM,
         pieces,
@@ -104,7 +109,9 @@ def kill_one(client: Any) -> None:
 def test_the_answer_is_the_same_as_on_one_machine(client: Any, files: list[Path]) -> None:
     here = built(files)
     there = built(files, client=client)
-    assert there.samples.n_samples < 6000 < there.rows.n_samples == here.samples.n_samples
+    assert (
+        there.samples.n_samples < 6000 < there.n_samples == here.n_samples == here.samples.n_samples
+    )
     assert there.n_rows == here.n_rows
     np.testing.assert_array_equal(there.A, here.A)
     same(here, there)
@@ -145,7 +152,8 @@ def test_a_killed_worker_loses_nothing(
 def test_samples_in_memory_may_be_pieces_too(client: Any) -> None:
     rng = np.random.default_rng(5)
     pieces = [make_samples(ARM, THETA, rng, count=k, noise=0.1) for k in (80, 120)]
-    here, there = build_problem(ARM, pieces), build_problem(ARM, pieces, client=client)
+    there = build_problem(ARM, DistributedSamples.read(client, ARM, pieces))
+    here = build_problem(ARM, pieces)
     np.testing.assert_array_equal(there.A, here.A)
 
 
@@ -159,7 +167,7 @@ def test_solvers_are_compared_on_the_cluster(client: Any, files: list[Path]) -> 
 
 def test_what_needs_the_rows_here_says_so(client: Any, files: list[Path]) -> None:
     there = built(files[:2], client=client)
-    with pytest.raises(DataError, match="without a client"):
+    with pytest.raises(DataError, match="on the workers of a cluster"):
         sdpid.solve_robust(there)
     with pytest.raises(DataError, match="none to join"):
         built([], client=client)

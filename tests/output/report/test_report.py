@@ -12,7 +12,7 @@ import subprocess
 import sys
 import warnings
 from collections.abc import Callable
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -22,8 +22,7 @@ from lxml import etree
 
 import sdpid
 from sdpid.assurance.diagnostics.active_constraints import constraint_states
-from sdpid.estimation.compression.rows import RowSource
-from sdpid.estimation.problem import Problem
+from sdpid.estimation.compression.rows import Rows
 from sdpid.output.report import report
 from sdpid.output.report.report import report_html, write_report
 from tests.helpers.identified import arm_theta, identified, moved
@@ -260,15 +259,8 @@ def test_rows_on_a_cluster_are_counted_and_a_selection_is_drawn(
     """As of a problem whose rows are elsewhere: `samples` is one in so many."""
     problem = result.problem
 
-    @dataclass(frozen=True)
-    class Elsewhere(Problem):
-        @property
-        def rows(self) -> Any:
-            return Many(self.robot, self.friction, self.base, self.samples, problem.rows)
-
-    own = {field.name: getattr(problem, field.name) for field in fields(Problem)}
-    own["samples"] = problem.samples.every(10)
-    there = Elsewhere(**own)
+    assert problem.rows is not None
+    there = replace(problem, rows=Many(problem.rows, problem.samples.every(10)))
     thin = sdpid.validate(replace(result.estimate, problem=there), there.samples)
     seen = replace(
         result, problem=there, training=thin, validation=None, validation_samples=None
@@ -287,18 +279,13 @@ def test_rows_on_a_cluster_are_counted_and_a_selection_is_drawn(
     assert "one in" not in words(report_html(result, sha256="0", figures=False))
 
 
-@dataclass(frozen=True)
-class Many(RowSource):
+class Many:
     """Rows that are elsewhere."""
 
-    elsewhere: RowSource
-
-    @property
-    def n_samples(self) -> int:
-        return self.elsewhere.n_samples
-
-    def map(self, *arguments: Any, **options: Any) -> Any:
-        return self.elsewhere.map(*arguments, **options)
+    def __init__(self, elsewhere: Rows, samples: sdpid.Samples) -> None:
+        self.robot, self.friction, self.base = elsewhere.robot, elsewhere.friction, elsewhere.base
+        self.samples, self.n_samples = samples, elsewhere.n_samples
+        self.map = elsewhere.map
 
 
 def test_samples_without_time_and_with_masked_rows(result: sdpid.Identification) -> None:
