@@ -233,7 +233,9 @@ def test_a_joint_that_moves_one_way_only_is_named(
 ) -> None:
     unsaid(good, "one direction only")
     samples = one_way(good.problem.samples, 0, sign)
-    result = replace(good, problem=replace(good.problem, samples=samples))
+    result = replace(
+        good, problem=replace(good.problem, rows=replace(good.problem.rows, samples=samples))
+    )
     text = said(result, "one direction only", "extrapolation", "Coulomb friction and an offset")
     assert f"{FIRST} ({word})" in text
     assert LAST not in text
@@ -248,15 +250,24 @@ def test_velocity_noise_is_no_motion_and_hidden_rows_do_not_count(
     v = np.array(samples.velocity)
     v[:5, 1] = -0.019
     noisy = replace(samples, velocity=v)
-    result = replace(good, problem=replace(good.problem, samples=noisy))
+    result = replace(
+        good, problem=replace(good.problem, rows=replace(good.problem.rows, samples=noisy))
+    )
     assert f"{LAST} (forwards)" in said(result, "one direction only")
     v[:5, 1] = -0.021
     samples = replace(samples, velocity=v)
-    unsaid(replace(good, problem=replace(good.problem, samples=samples)), "one direction only")
+    unsaid(
+        replace(
+            good, problem=replace(good.problem, rows=replace(good.problem.rows, samples=samples))
+        ),
+        "one direction only",
+    )
     mask = np.ones(v.shape, dtype=bool)
     mask[:5, 1] = False
     samples = replace(samples, mask=mask)
-    result = replace(good, problem=replace(good.problem, samples=samples))
+    result = replace(
+        good, problem=replace(good.problem, rows=replace(good.problem.rows, samples=samples))
+    )
     assert f"{LAST} (forwards)" in said(result, "one direction only")
 
 
@@ -264,7 +275,9 @@ def test_without_friction_directions_do_not_matter(good: sdpid.Identification) -
     problem = good.problem
     bare = FrictionModel.from_terms((), problem.robot.joint_names)
     samples = one_way(problem.samples, 0, 1.0)
-    result = replace(good, problem=replace(problem, samples=samples, friction=bare))
+    result = replace(
+        good, problem=replace(problem, rows=replace(problem.rows, samples=samples), friction=bare)
+    )
     assert not list(_one_way(result))
 
 
@@ -272,7 +285,9 @@ def test_all_pieces_count_for_directions(good: sdpid.Identification) -> None:
     forwards, backwards = (one_way(moved(arm_theta(), 1), 0, s) for s in (1.0, -1.0))
     for pieces, named in (((forwards, backwards), False), ((forwards, forwards), True)):
         joined = Samples.join(pieces)
-        result = replace(good, problem=replace(good.problem, samples=joined))
+        result = replace(
+            good, problem=replace(good.problem, rows=replace(good.problem.rows, samples=joined))
+        )
         assert bool(list(_one_way(result))) is named
 
 
