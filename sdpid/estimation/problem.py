@@ -66,7 +66,8 @@ class Problem:
     prior : PriorTerms or None
         What is believed beside the data, as further terms of the cost.
     profiled : tuple of Profiled
-        Numbers of friction terms that were chosen by the data (see `sdpid.estimation.effects.choose`).
+        Numbers of friction terms that were chosen by the data (see
+        `sdpid.estimation.effects.choose`).
     rows : Rows or None
         The rows that the cost is made of, here or on a cluster; None where they were not kept.
         Solvers do not need them, standard errors and residuals do.
@@ -253,7 +254,7 @@ def build_problem(
         files are processed first (see `processing`). Or samples on the workers of a cluster
         (`sdpid.estimation.compression.distributed_rows.DistributedSamples`), with the same result.
     friction : iterable of str or FrictionTerm
-        Terms beside the links' inertia (see `sdpid.robot.friction.model`). Numbers of theirs that are
+        Terms beside the links' inertia (see `sdpid.friction`). Numbers of theirs that are
         None are chosen by the data (see `sdpid.estimation.effects.choose`).
     weighting : {"gls", "gls_per_sample", "eq9", "eq18", "residual"}
         ``gls`` whitens with one covariance pooled over the samples; ``gls_per_sample`` with the
@@ -265,7 +266,7 @@ def build_problem(
     constraints : Constraints, optional
         Margins and bounds.
     prior : Prior, optional
-        What is believed beside the data (see `sdpid.estimation.prior.prior`); none by default. With one
+        What is believed beside the data (see `Prior`); none by default. With one
         the data may leave base parameters undetermined.
     base : BaseParameters, optional
         Found before for the same robot and terms.

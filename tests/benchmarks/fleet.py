@@ -30,7 +30,7 @@ import numpy as np
 
 import sdpid
 from sdpid._common.tables import Table
-from sdpid.estimation.compression import distributed_rows as remote
+from sdpid.estimation.compression import distributed_rows
 from sdpid.experiment.preparation.for_robot import default_friction, default_processing, prepare
 from tests.benchmarks.timing import Row, peak
 from tests.benchmarks.timing import table as ratios
@@ -224,18 +224,18 @@ class Sent:
     @contextmanager
     def counted(self) -> Iterator[None]:
         """Count what a problem gathers."""
-        gathered = remote._gathered
+        gathered = distributed_rows._gathered
 
         def counting(client: Any, futures: Any) -> list[Any]:
             found = gathered(client, futures)
             self.bytes += sum(len(pickle.dumps(each, protocol=5)) for each in found)
             return found
 
-        remote._gathered = counting
+        distributed_rows._gathered = counting
         try:
             yield
         finally:
-            remote._gathered = gathered
+            distributed_rows._gathered = gathered
 
 
 def together(
@@ -247,7 +247,7 @@ def together(
         robot,
         files
         if client is None
-        else remote.DistributedSamples.read(client, robot, files, processing=processing),
+        else distributed_rows.DistributedSamples.read(client, robot, files, processing=processing),
         processing=processing,
         friction=default_friction(sdpid.read_recording(files[0])),
         weighting="residual",

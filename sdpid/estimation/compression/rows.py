@@ -1,7 +1,7 @@
 """The stacked rows of a problem, in chunks.
 
-Rows are never held all at once: chunks are whitened (`sdpid.estimation.compression.whitening`) and folded
-into a small triangular factor (`sdpid.estimation.compression.triangle`).
+Rows are never held all at once: chunks are whitened (`sdpid.estimation.compression.whitening`) and
+folded into a small triangular factor (`sdpid.estimation.compression.triangle`).
 """
 
 from __future__ import annotations

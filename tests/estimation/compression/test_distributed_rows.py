@@ -15,7 +15,7 @@ import pytest
 import sdpid
 from sdpid.errors import DataError, SolverError
 from sdpid.estimation import problem as problem_module
-from sdpid.estimation.compression import distributed_rows as remote
+from sdpid.estimation.compression import distributed_rows
 from sdpid.estimation.compression.distributed_rows import DistributedSamples
 from sdpid.estimation.compression.factor import Factor
 from sdpid.estimation.problem import Problem, build_problem
@@ -179,7 +179,7 @@ def test_a_cluster_without_workers_is_given_up(
     files: list[Path], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     distributed = pytest.importorskip("distributed", reason="the extra dask is not installed")
-    monkeypatch.setattr(remote, "_LONELY", 0.5)
+    monkeypatch.setattr(distributed_rows, "_LONELY", 0.5)
     with (
         distributed.LocalCluster(n_workers=0, dashboard_address=":0") as cluster,
         distributed.Client(cluster) as alone,
