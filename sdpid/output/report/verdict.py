@@ -308,14 +308,8 @@ def _one_way(result: Judged) -> Iterator[Finding]:
 
 
 def _speeds(problem: Problem) -> Array:
-<<<<<<< HEAD
     """Return the lowest and the highest velocity (2, n) of each joint on the rows in use."""
-    rows = problem.rows
-    pieces = rows.map(_speeds_of) if rows.kept else [_speeds_of(rows)]
-=======
-    """Return the lowest and the highest velocity (2, n) of each joint on the rows that count."""
     pieces = problem.require_rows("verdict").map(_speeds_of)
->>>>>>> 3f6cd43 (Keep a problem's rows apart from its cost; no data is None, and Dask a source of rows)
     found = np.array(pieces)
     return np.stack([found[:, 0].min(axis=0), found[:, 1].max(axis=0)])
 
