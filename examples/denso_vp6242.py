@@ -10,37 +10,24 @@ the semidefinite program (SDP) that is equivalent to it; tables, figures, URDF a
 from __future__ import annotations
 
 import argparse
-import csv
 import json
-import sys
 import time
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pandas as pd
 
 import sdpid
-from sdpid._common.files import atomic_write_text
-from sdpid._common.tables import Table
-from sdpid.assurance.diagnostics.validation import implied_error
-from sdpid.estimation.local.stationarity import FEASIBLE_LOCAL
-from sdpid.experiment.plant.simulate import true_parameters
-from sdpid.experiment.processing.stages import filter_stages
-from sdpid.output.plots.plots import (
-    plot_convergence,
-    plot_reconstruction,
-    plot_signals,
-    save_figure,
-)
-from sdpid.robot.description.catalog import bundled_folder
-from sdpid.robot.inertia import margin
+from sdpid import plots
 
 ROBOT = "denso_vp6242"
+FOLDER = Path(__file__).resolve().parents[1] / "models" / ROBOT
 
-# The paper ran with 0.01 kg·m² on the inertias about the centres of mass (Table V). A margin of
+# The paper ran with 0.01 kg·m² on the inertias about the centers of mass (Table V). A margin of
 # 0.005 on the second moments implies that, and is what the plant's true parameters have.
-MARGIN_SPATIAL, MARGIN_PSEUDO = 0.01, 0.005
+MARGINS = {"spatial_inertia": 0.01, "pseudo_inertia": 0.005}
 
 
 def arguments() -> argparse.Namespace:
@@ -49,7 +36,7 @@ def arguments() -> argparse.Namespace:
     parser.add_argument("--out", type=Path, default=Path("results"), help="folder for the results")
     parser.add_argument("--periods", type=int, help="recorded periods (paper: 12)")
     parser.add_argument("--period", type=float, help="length of a period in s (paper: 380)")
-    parser.add_argument("--seed", type=int, default=0, help="of the excitation and the noise")
+    parser.add_argument("--seed", type=int, default=0, help="random seed of motion and noise")
     parser.add_argument("--starts", type=int, help="starts of the local solvers (default 20)")
     parser.add_argument(
         "--unmodelled", action="store_true", help="add effects that no linear model has"
@@ -64,109 +51,95 @@ def arguments() -> argparse.Namespace:
     return options
 
 
-class Clock:
-    """Says what is being done and how long the step before took."""
-
-    def __init__(self) -> None:
-        self.start = self.last = time.perf_counter()
-
-    def __call__(self, what: str) -> None:
-        """Print the time so far and what comes next."""
-        now = time.perf_counter()
-        print(f"[{now - self.start:6.1f} s] {what}", flush=True)
-        self.last = now
-
-
-def published(folder: Path) -> dict[str, dict[str, float]]:
-    """Return the columns of the paper's Table IV by parameter."""
-    with (folder / "table_iv.csv").open(encoding="utf-8", newline="") as file:
-        return {
-            row["parameter"]: {key: float(row[key]) for key in ("cwls", "wls", "sigma")}
-            for row in csv.DictReader(file)
-        }
+def center_margins(theta: np.ndarray, links: int) -> tuple[list[float], list[float]]:
+    """Return the least eigenvalues of each link's I_g and of its second moments about there."""
+    inertias, moments = [], []
+    for m, x, y, z, xx, xy, yy, xz, yz, zz in theta[: 10 * links].reshape(links, 10):
+        h = np.array([x, y, z])
+        about_joint = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+        about_center = about_joint - (h @ h * np.eye(3) - np.outer(h, h)) / m
+        second = 0.5 * np.trace(about_center) * np.eye(3) - about_center
+        inertias.append(float(np.linalg.eigvalsh(about_center)[0]))
+        moments.append(float(np.linalg.eigvalsh(second)[0]))
+    return inertias, moments
 
 
-def write_table_iv(out: Path, columns: dict[str, Any], problem: sdpid.Problem) -> Table:
-    """Write our estimates beside the paper's."""
-    base = problem.base
-    paper = published(bundled_folder(ROBOT))
-    header = ("parameter", "unit", *columns, "paper_cwls", "paper_wls", "paper_sigma")
-    rows = []
-    for i, name in enumerate(base.names):
-        own = [float(values[i]) for values in columns.values()]
-        other = [paper[name][key] for key in ("cwls", "wls", "sigma")]
-        rows.append((name, base.units[i], *own, *other))
-    table = Table(header, tuple(rows))
-    table.write(out / "table_iv.csv")
-    return table
+def table_iv(columns: dict[str, Any], problem: sdpid.Problem) -> pd.DataFrame:
+    """Return our base parameters beside the paper's."""
+    ours = pd.DataFrame({"unit": problem.base.units, **columns}, index=problem.base.names)
+    paper = pd.read_csv(FOLDER / "table_iv.csv", index_col="parameter")[["cwls", "wls", "sigma"]]
+    return ours.join(paper.add_prefix("paper_")).rename_axis("parameter")
 
 
-def write_table_v(out: Path, thetas: dict[str, np.ndarray], links: int) -> Table:
-    """Write both margins and the mass of every link beside the paper's."""
-    with (bundled_folder(ROBOT) / "table_v.csv").open(encoding="utf-8", newline="") as file:
-        paper = list(csv.DictReader(file))
-    header = ["link"]
-    columns: list[list[Any]] = [list(range(1, links + 1))]
+def table_v(thetas: dict[str, np.ndarray], links: int) -> pd.DataFrame:
+    """Return both margins and the mass of every link beside the paper's."""
+    paper = pd.read_csv(FOLDER / "table_v.csv", index_col="link")
+    paper.columns = pd.Index(["lambda_min_Ig", "mass"])
+    columns: dict[str, Any] = {}
     for name, theta in thetas.items():
-        bodies = theta[: 10 * links].reshape(links, 10)
-        header += [f"{name}_lambda_min_Ig", f"{name}_second_moment", f"{name}_mass"]
-        columns += [
-            margin(bodies, "spatial_inertia").tolist(),
-            margin(bodies, "pseudo_inertia").tolist(),
-            bodies[:, 0].tolist(),
-        ]
-    keys = list(paper[0])
-    header += ["paper_lambda_min_Ig", "paper_mass"]
-    columns += [[float(row[keys[1]]) for row in paper], [float(row[keys[2]]) for row in paper]]
-    table = Table(tuple(header), tuple(zip(*columns, strict=True)))
-    table.write(out / "table_v.csv")
-    return table
+        inertias, moments = center_margins(theta, links)
+        columns[f"{name}_lambda_min_Ig"] = inertias
+        columns[f"{name}_second_moment"] = moments
+        columns[f"{name}_mass"] = theta[0 : 10 * links : 10]
+    return pd.DataFrame(columns, index=paper.index).join(paper.add_prefix("paper_"))
 
 
-def main() -> int:
+def best_local(comparison: sdpid.Comparison) -> sdpid.Estimate:
+    """Return the cheapest feasible local result: what the paper's procedure would report."""
+    local = [
+        (row.status, estimate)
+        for row, estimate in zip(comparison.rows, comparison.estimates, strict=True)
+        if row.solver == "slsqp" and estimate is not None
+    ]
+    feasible = [estimate for status, estimate in local if status != "infeasible"]
+    if not feasible:
+        print("no start of SLSQP ended feasible; the cheapest infeasible one is shown")
+    return min(feasible or [estimate for _, estimate in local], key=lambda each: each.cost)
+
+
+def main() -> None:
     """Run the case study."""
     options = arguments()
     out: Path = options.out
     out.mkdir(parents=True, exist_ok=True)
-    say = Clock()
+    begin = time.perf_counter()
+
+    def say(what: str) -> None:
+        print(f"[{time.perf_counter() - begin:6.1f} s] {what}", flush=True)
+
+    def show(title: str, table: pd.DataFrame, file: str) -> None:
+        print(f"\n{title}\n{table.to_string(float_format='{:.4g}'.format)}")
+        table.to_csv(out / file)
 
     robot = sdpid.load_robot(ROBOT)
-    theta_true = true_parameters(ROBOT)
+    theta_true = np.loadtxt(FOLDER / "true_parameters.csv", delimiter=",", skiprows=1, usecols=2)
     size = {"periods": options.periods, "period": options.period}
-    trajectory = sdpid.paper_excitation(ROBOT, options.seed, **size)
-    fresh = sdpid.paper_excitation(ROBOT, options.seed + 1000, **size)
+    seed = options.seed
+    trajectory = sdpid.paper_excitation(ROBOT, seed, **size)
+    fresh = sdpid.paper_excitation(ROBOT, seed + 1000, **size)
     print(f"{trajectory.duration:g} s of excitation, {trajectory.n_samples} samples per joint")
     print("\n".join(trajectory.velocity_report()))
 
     def experiment(path: sdpid.Trajectory, **changes: Any) -> sdpid.Recording:
-        settings = {"theta": theta_true, "seed": options.seed, "unmodelled": options.unmodelled}
+        settings = {"theta": theta_true, "seed": seed, "unmodelled": options.unmodelled}
         return sdpid.simulate(robot, path, **(settings | changes))
 
     say("simulating the experiment")
     log = experiment(trajectory)
     say("processing")
     # Sigma_k needs more periods than joints; with fewer its pooled form is used throughout.
-    few = options.periods <= robot.n + 1
-    default = sdpid.Processing(covariance="pooled" if few else "period")
-    literal = replace(sdpid.Processing.paper(), covariance="pooled" if few else "period")
-    samples = sdpid.process(log, default)
-    samples_literal = sdpid.process(log, literal)
+    kind = "pooled" if options.periods <= robot.n + 1 else "period"
+    default = sdpid.Processing(covariance=kind)
+    literal = replace(sdpid.Processing.paper(), covariance=kind)
+    samples, samples_literal = sdpid.process(log, default), sdpid.process(log, literal)
     first = log.start or 0.0
-    window = (1200.0, 1400.0) if not options.quick else (first + 40.0, first + 80.0)
-    stages = filter_stages(log, 0, window)
-    figure = plot_signals(
-        stages.time,
-        stages.before,
-        stages.after,
-        units={"position": "rad", "torque": "N·m", "velocity": "rad/s", "acceleration": "rad/s²"},
-        title="Axis 1 before and after filtering",
-    )
-    save_figure(figure, out / "figure_3.png")
+    window = (first + 40.0, first + 80.0) if options.quick else (1200.0, 1400.0)
+    figure = plots.plot_filtering(log, 0, window=window, title="Axis 1 before and after filtering")
+    plots.save_figure(figure, out / "figure_3.png")
     del log
     say("simulating the validation experiment, another seed")
-    check_log = experiment(fresh, seed=options.seed + 1000)
-    check = sdpid.process(check_log, default)
-    check_literal = sdpid.process(check_log, literal)
+    check_log = experiment(fresh, seed=seed + 1000)
+    check, check_literal = sdpid.process(check_log, default), sdpid.process(check_log, literal)
     del check_log
     say("the same without noise, to know the noise floor")
     exact = sdpid.process(experiment(fresh, noise=False), replace(default, covariance=None))
@@ -174,40 +147,34 @@ def main() -> int:
     floor = np.sqrt((noise**2).sum(axis=0) / check.mask.sum(axis=0))
 
     say("estimating")
-    spatial = sdpid.build_problem(
-        robot,
-        samples,
-        consistency="spatial_inertia",
-        constraints=sdpid.Constraints(margin=MARGIN_SPATIAL),
-    )
-    pseudo = spatial.constrained(
-        consistency="pseudo_inertia", constraints=sdpid.Constraints(margin=MARGIN_PSEUDO)
+    spatial, pseudo = (
+        sdpid.build_problem(
+            robot, samples, consistency=kind, constraints=sdpid.Constraints(margin=margin)
+        )
+        for kind, margin in MARGINS.items()
     )
     print(spatial.base.explain())
     wls = sdpid.solve_wls(spatial)
-    wls_literal = sdpid.solve_wls(
-        sdpid.build_problem(robot, samples_literal, base=spatial.base, weighting="gls")
-    )
+    wls_literal = sdpid.solve_wls(sdpid.build_problem(robot, samples_literal, base=spatial.base))
     eigenvalue = np.linalg.eigvalsh(sdpid.mass_matrix(wls, samples.position[::97])).min()
     print(f"smallest eigenvalue of the mass matrix with WLS on the motion: {eigenvalue:.4g}")
     say(f"comparing solvers, local ones from {options.starts} starts under either consistency")
     comparisons = {
-        "6x6": sdpid.compare(spatial, starts=options.starts, seed=options.seed),
-        "4x4": sdpid.compare(pseudo, starts=options.starts, seed=options.seed),
+        "6x6": sdpid.compare(spatial, starts=options.starts, seed=seed),
+        "4x4": sdpid.compare(pseudo, starts=options.starts, seed=seed),
     }
     say("writing")
-    header: tuple[str, ...] = ()
-    rows: list[tuple[Any, ...]] = []
-    for kind, comparison in comparisons.items():
-        print(f"\n{kind}:\n{comparison.table()}")
-        header = ("consistency", *vars(comparison.rows[0]))
-        rows += [(kind, *vars(row).values()) for row in comparison.rows]
-    Table(header, tuple(rows)).write(out / "comparison.csv")
+    for name, comparison in comparisons.items():
+        print(f"\n{name}:\n{comparison.table()}")
+        plots.save_figure(comparison.plot(against="seconds"), out / f"convergence_{name}.png")
+    rows = {name: comparison.to_frame() for name, comparison in comparisons.items()}
+    pd.concat(rows, names=["consistency"]).droplevel(1).to_csv(out / "comparison.csv")
 
     cwls = best_local(comparisons["6x6"])
     sdp_6, sdp_4 = (comparisons[k].certificate.estimate for k in ("6x6", "4x4"))
+    base_true = spatial.base.matrix @ theta_true
     columns = {
-        "true": spatial.base_of(theta_true),
+        "true": base_true,
         "wls": wls.base,
         "sigma": wls.standard_errors,
         "cwls": cwls.base,
@@ -216,84 +183,47 @@ def main() -> int:
         "wls_iii_c": wls_literal.base,
         "sigma_iii_c": wls_literal.standard_errors,
     }
-    table_iv = write_table_iv(out, columns, spatial)
-    print(f"\nTable IV\n{table_iv.text()}")
-    thetas = {"true": theta_true, "cwls": cwls.theta, "sdp_6x6": sdp_6.theta}
-    table_v = write_table_v(out, {**thetas, "sdp_4x4": sdp_4.theta}, robot.n_links)
-    print(f"\nTable V\n{table_v.text(3)}")
-
-    fits = {name: sdpid.validate(e, check) for name, e in (("wls", wls), ("sdp_4x4", sdp_4))}
-    fit_literal = sdpid.validate(wls_literal, check_literal)
-    implied = implied_error(wls, check)
-    limit = 1.2 * np.hypot(floor, implied)
-    report = {
-        "joint": list(robot.joint_names),
-        "noise_floor": floor.tolist(),
-        "implied_prediction_error": implied.tolist(),
-        "limit": limit.tolist(),
-        **{f"rmse_{name}": fit.rmse.tolist() for name, fit in fits.items()},
-        "rmse_wls_iii_c": fit_literal.rmse.tolist(),
+    show("Table IV", table_iv(columns, spatial), "table_iv.csv")
+    thetas = {
+        "true": theta_true,
+        "cwls": cwls.theta,
+        "sdp_6x6": sdp_6.theta,
+        "sdp_4x4": sdp_4.theta,
     }
-    rows_report = tuple(zip(*report.values(), strict=True))
-    print(f"\nTorque reconstruction, N·m\n{Table(tuple(report), rows_report).text()}")
-    Table(tuple(report), rows_report).write(out / "reconstruction.csv")
-    inside = np.abs(wls.base - columns["true"]) <= 1.96 * wls.standard_errors
-    print(f"\ntrue base parameters inside the 95 % intervals: {inside.sum()} of {inside.size}")
-
+    show("Table V", table_v(thetas, robot.n_links).T, "table_v.csv")
+    fit = sdpid.validate(sdp_4, check)
+    errors = {
+        "noise_floor": floor,
+        "rmse_wls": sdpid.validate(wls, check).rmse,
+        "rmse_sdp_4x4": fit.rmse,
+        "rmse_wls_iii_c": sdpid.validate(wls_literal, check_literal).rmse,
+    }
+    index = pd.Index(robot.joint_names, name="joint")
+    show("Torque reconstruction, N·m", pd.DataFrame(errors, index=index), "reconstruction.csv")
+    inside = int(np.sum(np.abs(wls.base - base_true) <= 1.96 * wls.standard_errors))
+    print(f"\ntrue base parameters inside the 95 % intervals: {inside} of {wls.base.size}")
     # A minute of it, so that the curves can be told apart; the errors are those of all rows.
-    shown = slice(0, round(60.0 / (check.time[1] - check.time[0])))
-    figure = plot_reconstruction(
-        check.time[shown],
-        check.effort[shown],
-        fits["sdp_4x4"].effort_predicted[shown],
-        robot.joint_names,
-        fits["sdp_4x4"].rmse,
-        mask=check.mask[shown],
-        title="Second experiment: measured torque and its reconstruction",
-    )
-    save_figure(figure, out / "figure_4.png")
-    for kind, comparison in comparisons.items():
-        best = comparison.certificate.estimate
-        runs = [e for e in comparison.estimates if e is not None and e.method == "slsqp"]
-        histories = [e.history for e in runs if e.history]
-        figure = plot_convergence(
-            histories,
-            comparison.certificate.lower_bound,
-            {"SDP": (best.solve_time, best.cost)},
-            feasible=FEASIBLE_LOCAL,
-            title=f"{kind} consistency: cost over time against the proven bound",
-        )
-        save_figure(figure, out / f"convergence_{kind}.png")
+    title = "Second experiment: measured torque and its reconstruction"
+    minute = round(60.0 / (check.time[1] - check.time[0]))
+    plots.save_figure(plots.plot_fit(check, fit, count=minute, title=title), out / "figure_4.png")
     certificate = comparisons["4x4"].certificate
     certificate.to_json(out / "certificate.json")
     print(f"\n{certificate.summary()}")
-    exported = sdpid.write_urdf(sdp_4, target=out / "identified.urdf")
-    print(exported.describe())
+    print(sdpid.write_urdf(sdp_4, target=out / "identified.urdf").describe())
     summary = {
-        "seed": options.seed,
+        "seed": seed,
         "unmodelled": options.unmodelled,
         **size,
         "gap_6x6": comparisons["6x6"].certificate.gap,
         "gap_4x4": certificate.gap,
         "certified": certificate.passed,
-        "inside_95": int(inside.sum()),
+        "inside_95": inside,
         "mass_matrix_eigenvalue_wls": float(eigenvalue),
-        "seconds": time.perf_counter() - say.start,
+        "seconds": time.perf_counter() - begin,
     }
-    atomic_write_text(out / "summary.json", json.dumps(summary, indent=1) + "\n")
+    (out / "summary.json").write_text(json.dumps(summary, indent=1) + "\n", encoding="utf-8")
     say(f"done: {out}")
-    return 0
-
-
-def best_local(comparison: sdpid.Comparison) -> sdpid.Estimate:
-    """Return the cheapest feasible local result: what the paper's procedure would report."""
-    local = [e for e in comparison.estimates if e is not None and e.method == "slsqp"]
-    feasible = [e for e in local if e.violation is not None and e.violation <= FEASIBLE_LOCAL]
-    if not feasible:
-        print("no start of SLSQP ended feasible; the least infeasible one is shown")
-        return min(local, key=lambda e: e.violation or 0.0)
-    return min(feasible, key=lambda e: e.cost)
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    main()

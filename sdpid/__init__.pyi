@@ -1,3 +1,4 @@
+from . import plots
 from .assurance.certificate.certificate import certify, verify
 from .assurance.descriptions.audit import audit_urdf
 from .assurance.diagnostics.cost_of_constraints import cost_of_constraints
@@ -148,6 +149,7 @@ __all__ = [
     "load_robot",
     "mass_matrix",
     "paper_excitation",
+    "plots",
     "process",
     "read_parameters",
     "read_recording",

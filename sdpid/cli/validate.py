@@ -41,7 +41,8 @@ def validate(
     fit = validate_robot(model, samples, width=0.0 if record.period is not None else SMOOTH)
     files = []
     if figure is not None:
-        from sdpid.output.plots.plots import plot_fit, save_figure
+        from sdpid.output.plots.figures import save_figure
+        from sdpid.output.plots.reconstruction import plot_fit
 
         save_figure(plot_fit(samples, fit), figure)
         files.append(str(figure))

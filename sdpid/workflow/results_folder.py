@@ -282,8 +282,8 @@ def _written(
     advance: Callable[[float], None],
 ) -> Iterator[Path]:
     """Write the files into an empty folder, and yield each."""
+    from sdpid.output.tables.parameter_tables import base_table, theta_table
     from sdpid.output.tables.parameters_file import write_parameters
-    from sdpid.output.tables.tables import base_table, theta_table
 
     for name, table in (
         ("base_parameters.csv", base_table(result.estimate, result.wls, intervals)),
@@ -364,7 +364,8 @@ def _statements(exports: Sequence[ExportReport]) -> Iterator[str]:
 
 def _figures(result: Identification, out: Path) -> Iterator[Path]:
     """Draw measured and predicted efforts."""
-    from sdpid.output.plots.plots import plot_fit, save_figure
+    from sdpid.output.plots.figures import save_figure
+    from sdpid.output.plots.reconstruction import plot_fit
 
     pairs = [("training", result.problem.samples, result.training)]
     if result.validation is not None and result.validation_samples is not None:

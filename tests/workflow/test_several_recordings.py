@@ -20,7 +20,7 @@ from sdpid.experiment.preparation.several import (
     prepare_recordings,
 )
 from sdpid.output.plots.figures import TimeLine
-from sdpid.output.plots.plots import plot_fit
+from sdpid.output.plots.reconstruction import plot_fit
 from sdpid.output.report.report import report_html
 from sdpid.workflow import formulate
 from tests.helpers.runs import arm, recorded

@@ -31,7 +31,7 @@ from sdpid.output.plots.joints import COLUMNS, plot_joint, plot_joint_errors
 from sdpid.output.report.prediction_verdict import grade
 from sdpid.output.report.verdict import Judged, errors_of, findings, judged
 from sdpid.output.tables.intervals_shown import Ends, GivenIntervals, ends_of, in_words
-from sdpid.output.tables.tables import base_table
+from sdpid.output.tables.parameter_tables import base_table
 
 _TEMPLATE = "report.html.j2"
 

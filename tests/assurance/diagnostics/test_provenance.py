@@ -20,7 +20,7 @@ from sdpid.estimation.problem import Problem, build_problem
 from sdpid.estimation.scaling import Scaling
 from sdpid.estimation.sdp.solve import solve_sdp
 from sdpid.estimation.wls import solve_wls
-from sdpid.output.tables.tables import theta_table
+from sdpid.output.tables.parameter_tables import theta_table
 from sdpid.robot.description.dh_table import DhTable
 from sdpid.robot.inertia import from_pseudo_inertia, point_masses
 from sdpid.robot.model.load import load_robot

@@ -28,7 +28,7 @@ from sdpid.assurance.tables.question import base_question
 from sdpid.assurance.tables.refutation import Refutation, rounded
 from sdpid.assurance.tables.witness import coefficient_matrices, consistency_matrix, exact
 from sdpid.errors import CertificateError, DataError
-from sdpid.output.tables.tables import base_table
+from sdpid.output.tables.parameter_tables import base_table
 from sdpid.robot.description.catalog import bundled_folder
 from sdpid.robot.friction.model import Coupling, FrictionModel, SigmoidFriction
 from sdpid.robot.inertia import Consistency, margin, matrix_of, point_masses

@@ -23,7 +23,7 @@ from sdpid.experiment.processing.samples import Samples
 from sdpid.output.plots.figures import BLUE, POINTS, decimate, runs, spans, stretch
 from sdpid.output.plots.inline_svg import image_source, svg_text
 from sdpid.output.plots.joints import COLUMNS, detail, plot_joint, plot_joint_errors
-from sdpid.output.plots.plots import (
+from sdpid.plots import (
     plot_convergence,
     plot_filtering,
     plot_fit,
