@@ -64,7 +64,7 @@ def center_margins(theta: np.ndarray, links: int) -> tuple[list[float], list[flo
     return inertias, moments
 
 
-def table_iv(columns: dict[str, Any], problem: sdpid.Problem) -> pd.DataFrame:
+def table_iv(columns: dict[str, Any], problem: Any) -> pd.DataFrame:
     """Return our base parameters beside the paper's."""
     ours = pd.DataFrame({"unit": problem.base.units, **columns}, index=problem.base.names)
     paper = pd.read_csv(FOLDER / "table_iv.csv", index_col="parameter")[["cwls", "wls", "sigma"]]
@@ -84,7 +84,7 @@ def table_v(thetas: dict[str, np.ndarray], links: int) -> pd.DataFrame:
     return pd.DataFrame(columns, index=paper.index).join(paper.add_prefix("paper_"))
 
 
-def best_local(comparison: sdpid.Comparison) -> sdpid.Estimate:
+def best_local(comparison: Any) -> Any:
     """Return the cheapest feasible local result: what the paper's procedure would report."""
     local = [
         (row.status, estimate)
