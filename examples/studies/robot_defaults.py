@@ -27,8 +27,8 @@ import sdpid
 from sdpid._common.arrays import Array, Mask
 from sdpid._common.files import atomic_write_text
 from sdpid.experiment.preparation.for_robot import SMOOTH, default_processing
-from sdpid.experiment.processing.choose import motion_frequency
 from sdpid.experiment.processing.filters import FilterType, low_pass
+from sdpid.experiment.processing.motion import motion_frequency
 from sdpid.experiment.recording.gaps import continuous
 
 Change = Callable[[sdpid.Recording, sdpid.Processing], sdpid.Processing]

@@ -8,7 +8,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from sdpid.experiment.processing.filters import butterworth
+from sdpid.experiment.processing.filters import low_pass
 from sdpid.experiment.processing.process import Processing, process
 from sdpid.experiment.recording.recording import Recording
 from tests.benchmarks.timing import Row, side_by_side
@@ -19,9 +19,9 @@ def processing(log: Recording, repeats: int) -> Iterator[Row]:
     from scipy.signal import sosfiltfilt
 
     settings = Processing()
-    low_pass = butterworth(settings.cutoff_hz, settings.order, log.rate_hz)
+    filter_ = low_pass("butterworth", settings.cutoff_hz, settings.order, log.rate_hz)
     # SciPy asks for writable arrays.
-    sections = np.array(low_pass.sections)
+    sections = np.array(filter_.sections)
     # Channel by channel in memory, as it is fastest.
     channels = np.ascontiguousarray(np.hstack([log.position, log.effort]).T)
     seconds, once = side_by_side(

@@ -2,21 +2,29 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import asdict
 from typing import Any
 
 import numpy as np
 
+from sdpid._common.arrays import Array
 from sdpid.errors import DataError
 from sdpid.experiment.inspection.finding import Finding
 from sdpid.experiment.inspection.inspect import inspect_recording
-from sdpid.experiment.inspection.signals import bandwidth, gaps, noise
 from sdpid.experiment.processing.choose import choose_processing
+from sdpid.experiment.processing.motion import joint_frequencies
 from sdpid.experiment.recording.joints import match_joints
 from sdpid.experiment.recording.recording import Recording
 from sdpid.robot.model.model import RobotModel
 
 __all__ = ["overview"]
+
+# A difference of order k multiplies the variance of white noise by binomial(2 k, k), and the
+# fourth all but removes a motion that is ten times slower than the samples.
+_ORDER = 4
+# A step longer than this many nominal ones is a gap; less is jitter.
+_GAP = 1.5
 
 
 def overview(recording: Recording, robot: RobotModel | None = None) -> dict[str, Any]:
@@ -75,7 +83,7 @@ def _joints(recording: Recording) -> list[dict[str, Any]]:
     effort = recording.effort
     if recording.effort_scale is not None:
         effort = effort * recording.effort_scale
-    motion = [bandwidth(position[:, j], recording.rate_hz) for j in range(recording.n)]
+    motion = joint_frequencies(recording)
     return [
         {
             "joint": name,
@@ -91,3 +99,33 @@ def _joints(recording: Recording) -> list[dict[str, Any]]:
         }
         for j, (name, moves) in enumerate(zip(recording.names, motion, strict=True))
     ]
+
+
+def noise(column: Array) -> float:
+    """Return the standard deviation of the white noise of a channel.
+
+    From its differences of fourth order, in which a motion well below the sampling rate does not
+    show; for a motion that is not, it is an upper bound.
+    """
+    if column.size <= _ORDER:
+        return 0.0
+    differences = np.diff(column, n=_ORDER)
+    scale = math.comb(2 * _ORDER, _ORDER)
+    return float(np.sqrt(np.mean(differences * differences) / scale))
+
+
+def gaps(recording: Recording) -> dict[str, Any]:
+    """Return how many steps are longer than 1.5 nominal ones, and the longest of all.
+
+    Returns
+    -------
+    dict
+        ``gaps``, ``longest_step_s`` and ``longest_step_row``: the row that ends it.
+    """
+    steps = np.diff(recording.time)
+    row = int(np.argmax(steps))
+    return {
+        "gaps": int(np.count_nonzero(steps > _GAP * recording.step)),
+        "longest_step_s": float(steps[row]),
+        "longest_step_row": row + 1,
+    }

@@ -6,16 +6,14 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from typing import Any, Literal
 
-import numpy as np
-
-from sdpid._common.arrays import Array
 from sdpid.errors import DataError
+from sdpid.experiment.processing.motion import MOTION_SHARE, motion_frequency
 from sdpid.experiment.processing.settings import Processing, Reason
 from sdpid.experiment.recording.gaps import continuous
 from sdpid.experiment.recording.recording import Recording
 from sdpid.experiment.recording.velocities import disagreement
 
-__all__ = ["Choice", "choose_processing", "default_processing", "motion_frequency", "with_changes"]
+__all__ = ["Choice", "choose_processing", "default_processing", "with_changes"]
 
 # The cut-off for records without periods: this many times the frequency below which 95 % of the
 # motion lies (the paper's decade above the fastest motion, which reaches some three times as far),
@@ -23,14 +21,6 @@ __all__ = ["Choice", "choose_processing", "default_processing", "motion_frequenc
 # lose no more than 2 % of a velocity.
 _CUTOFF_OVER_MOTION = 30.0
 _CUTOFF_OVER_RATE = 1.0 / 7.5
-_MOTION_SHARE = 0.95
-# Records with more samples than this (four minutes at 1 kHz) are averaged over neighbours down to
-# a rate of at least so many Hz before their motion's spectrum is taken: arms do not move at half
-# of that.
-_LONG = 1 << 18
-_RATE_OF_MOTION = 100.0
-# Samples averaged at a time: the rows of all joints stay in a core's cache.
-_BLOCK = 1 << 14
 # Below this rate differences of the position lose too much, and a recorded velocity is used.
 _RATE_OF_DIFFERENCES = 100.0
 
@@ -127,81 +117,6 @@ def with_changes(processing: Processing, changes: Mapping[str, Any]) -> Processi
     return replace(processing, **changes)
 
 
-def motion_frequency(log: Recording) -> float:
-    """Return the frequency in Hz below which 95 % of the motion lies, the median over joints.
-
-    Of records of more than 2^18 samples positions are averaged over neighbours first, to a rate
-    of at least 100 Hz, piece by piece, and what the average takes is given back.
-
-    Raises
-    ------
-    DataError
-        When no joint moves.
-    """
-    if log.n_samples > _LONG:
-        found = _of_long(log)
-    else:
-        frequency, power = _spectrum(np.asarray(log.position), log.rate_hz)
-        found = _most_below(frequency, power)
-    if not found.size:
-        raise DataError("position: no joint moves; nothing can be identified.")
-    return float(np.median(found))
-
-
-def _spectrum(position: Array, rate_hz: float, length: int | None = None) -> tuple[Array, Array]:
-    """Return frequencies, and the power of positions (N, n) at them, zeros appended to `length`."""
-    length = length or len(position)
-    # A window, so that a record that does not end where it began does not look fast.
-    window = np.hanning(len(position))[:, None]
-    spectrum = np.fft.rfft(window * (position - position.mean(axis=0)), length, axis=0)
-    power: Array = np.abs(spectrum) ** 2
-    return np.asarray(np.fft.rfftfreq(length, 1.0 / rate_hz), dtype=np.float64), power
-
-
-def _most_below(frequency: Array, power: Array) -> Array:
-    """Return the frequency below which most power lies, of each joint that moves."""
-    total = power.sum(axis=0)
-    moving = total > 0.0
-    share = np.cumsum(power[:, moving] / total[moving], axis=0)
-    return np.asarray(frequency[(share < _MOTION_SHARE).sum(axis=0)])
-
-
-def _of_long(log: Recording) -> Array:
-    """Return the frequency below which most motion lies, of each joint that moves."""
-    averaged, few = _averaged(log)
-    rate = log.rate_hz / few
-    # A product of small factors is transformed several times faster than any other length.
-    step = 1 << max(averaged.shape[1].bit_length() - 5, 0)
-    length = -(-averaged.shape[1] // step) * step
-    found = []
-    for position in averaged:
-        # Of a joint that does not move nothing is left, not even rounding.
-        moved = (position - position[0])[:, None]
-        frequency, power = _spectrum(moved, rate, length)
-        # The share of an oscillation's amplitude that the average over `few` samples leaves.
-        angle = np.pi * frequency / log.rate_hz
-        left = np.ones_like(angle)
-        left[1:] = np.sin(few * angle[1:]) / (few * np.sin(angle[1:]))
-        found.append(_most_below(frequency, power / left[:, None] ** 2))
-    return np.concatenate(found)
-
-
-def _averaged(log: Recording) -> tuple[Array, int]:
-    """Return means of successive positions, (n, means), and of how many each is."""
-    few = max(int(log.rate_hz / _RATE_OF_MOTION), 1)
-    count = log.n_samples // few
-    out = np.empty((log.n, count))
-    # Stored columns are read on from where each was left.
-    columns = [log.position[:, j] for j in range(log.n)]
-    size = max(_BLOCK // few, 1)
-    for start in range(0, count, size):
-        stop = min(start + size, count)
-        for mean, column in zip(out, columns, strict=True):
-            part = column[few * start : few * stop]
-            np.mean(part.reshape(-1, few), axis=1, out=mean[start:stop])
-    return out, few
-
-
 def _with_periods(periods: int, joints: int) -> tuple[Processing, Sequence[Reason]]:
     """Choose the covariance that the periods allow."""
     covariance: Literal["period", "pooled"] | None
@@ -228,7 +143,7 @@ def _without_periods(log: Recording, motion: float) -> tuple[Processing, Sequenc
         reversal_time=None,
         derivative="central4",
     )
-    lies = f"{100 * _MOTION_SHARE:g} % of the motion lies below {motion:.4g} Hz"
+    lies = f"{100 * MOTION_SHARE:g} % of the motion lies below {motion:.4g} Hz"
     cap = f"2/15 of the rate of {rate:.6g} Hz"
     if processing.cutoff_hz == highest:
         why = f"{cap}, below {_CUTOFF_OVER_MOTION:g} × motion; {lies}"

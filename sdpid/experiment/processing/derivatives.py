@@ -158,21 +158,9 @@ def _passed_noise(half: int) -> float:
 
     It is the middle weight of the smoothing, since smoothing is a projection.
     """
-    # Moments of x² and x⁴ over the window; odd ones vanish. Integers keep long windows exact.
-    count = 2 * half + 1
-    s2 = half * (half + 1) * count // 3
-    s4 = s2 * (3 * half**2 + 3 * half - 1) // 5
-    s6 = s2 * (3 * half**4 + 6 * half**3 - 3 * half + 1) // 7
-    s8 = (
-        half
-        * (half + 1)
-        * count
-        * (5 * half**6 + 15 * half**5 + 5 * half**4 - 15 * half**3 - half**2 + 9 * half - 3)
-        // 45
-    )
-    minor = s4 * s8 - s6 * s6
-    determinant = count * minor - s2 * (s2 * s8 - s4 * s6) + s4 * (s2 * s6 - s4 * s4)
-    return minor / determinant
+    place = np.arange(-half, half + 1) / half
+    even = np.stack([place**0, place**2, place**4])
+    return float(np.linalg.lstsq(even, np.array([1.0, 0.0, 0.0]))[0][half])
 
 
 def _half_window(share: float) -> int:

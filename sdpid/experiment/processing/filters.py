@@ -11,7 +11,7 @@ import numpy as np
 from sdpid._common.arrays import Array, frozen
 from sdpid.errors import DataError
 
-__all__ = ["FILTERS", "FilterType", "ZeroPhaseFilter", "butterworth", "low_pass"]
+__all__ = ["FILTERS", "FilterType", "ZeroPhaseFilter", "low_pass"]
 
 FilterType = Literal["butterworth", "bessel"]
 
@@ -120,8 +120,3 @@ def low_pass(kind: FilterType, cutoff_hz: float, order: int, rate_hz: float) -> 
     # A cut-off close to half the rate puts the poles near the origin: at least one sample.
     time_constant = max(1.0, -1.0 / math.log(slowest)) if slowest > 0.0 else 1.0
     return ZeroPhaseFilter(sections=frozen(sections), time_constant=time_constant)
-
-
-def butterworth(cutoff_hz: float, order: int, rate_hz: float) -> ZeroPhaseFilter:
-    """Design a zero-phase Butterworth filter; see `low_pass`."""
-    return low_pass("butterworth", cutoff_hz, order, rate_hz)

@@ -11,14 +11,14 @@ import numpy as np
 import pytest
 
 import sdpid
-import sdpid.experiment.processing.choose as choice_module
+import sdpid.experiment.processing.motion as motion_module
 from sdpid.errors import DataError
 from sdpid.experiment.preparation.overview import overview
 from sdpid.experiment.processing.choose import (
     choose_processing,
     default_processing,
-    motion_frequency,
 )
+from sdpid.experiment.processing.motion import motion_frequency
 from sdpid.experiment.processing.process import Processing, process
 
 # The default for five real robots, on which docs/real_robots.md rests: cut-off in Hz and velocity,
@@ -107,8 +107,8 @@ def test_long_records_are_averaged_first(
     position = np.column_stack([log.position, still])
     log = replace(log, position=position, effort=position)
     expected = motion_frequency(replace(log, position=position[:, :2], effort=position[:, :2]))
-    monkeypatch.setattr(choice_module, "_LONG", 1000)
-    monkeypatch.setattr(choice_module, "_BLOCK", 777)
+    monkeypatch.setattr(motion_module, "_LONG", 1000)
+    monkeypatch.setattr(motion_module, "_BLOCK", 777)
     if stored:
         log.to_parquet(tmp_path / "log.parquet")
         log = sdpid.Recording.from_parquet(tmp_path / "log.parquet", stored=True)
@@ -128,7 +128,7 @@ def test_what_an_average_takes_is_given_back(monkeypatch: pytest.MonkeyPatch) ->
     position = (slow + np.sqrt(0.08) * fast)[:, None]
     log = sdpid.Recording(time=time, position=position, effort=position)
     assert motion_frequency(log) == pytest.approx(40.0, abs=0.1)
-    monkeypatch.setattr(choice_module, "_LONG", 1000)
+    monkeypatch.setattr(motion_module, "_LONG", 1000)
     assert motion_frequency(log) == pytest.approx(40.0, abs=0.1)
 
 

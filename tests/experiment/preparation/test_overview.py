@@ -5,7 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from sdpid.experiment.inspection.signals import bandwidth, gaps, noise
+from sdpid.experiment.preparation.overview import gaps, noise
+from sdpid.experiment.processing.motion import joint_frequencies
 from sdpid.experiment.recording.recording import Recording
 
 RATE = 200.0
@@ -23,10 +24,13 @@ def test_noise_is_told_from_motion():
 
 def test_spectrum_of_two_tones():
     column = 3.0 + np.sin(2.0 * np.pi * 2.0 * T) + 0.5 * np.sin(2.0 * np.pi * 8.0 * T)
-    dominant, below = bandwidth(column, RATE)
+    position = np.column_stack([column, np.ones_like(column)])
+    (dominant, below), still = joint_frequencies(
+        Recording(time=T, position=position, effort=position)
+    )
     assert dominant == pytest.approx(2.0, abs=0.11)
     assert below == pytest.approx(8.0, abs=0.2)
-    assert bandwidth(np.ones(9), RATE) is None
+    assert still is None
 
 
 def test_gaps_are_counted():

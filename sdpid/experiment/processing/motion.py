@@ -1,0 +1,99 @@
+"""Frequencies of a recorded motion: where most of its power is, and below which 95 % of it lies."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from sdpid._common.arrays import Array
+from sdpid.errors import DataError
+from sdpid.experiment.recording.recording import Recording
+
+__all__ = ["MOTION_SHARE", "joint_frequencies", "motion_frequency"]
+
+# This share of a motion's power lies below its highest frequency.
+MOTION_SHARE = 0.95
+# Records with more samples than this (four minutes at 1 kHz) are averaged over neighbors down to
+# a rate of at least this many Hz before their spectrum is taken: arms do not move at half of that.
+_LONG = 1 << 18
+_RATE_OF_MOTION = 100.0
+# Samples averaged at a time: the rows of all joints stay in a core's cache.
+_BLOCK = 1 << 14
+
+
+def motion_frequency(log: Recording) -> float:
+    """Return the frequency in Hz below which 95 % of the motion lies, the median over joints.
+
+    Raises
+    ------
+    DataError
+        When no joint moves.
+    """
+    highest = [each[1] for each in joint_frequencies(log) if each is not None]
+    if not highest:
+        raise DataError("position: no joint moves; nothing can be identified.")
+    return float(np.median(highest))
+
+
+def joint_frequencies(log: Recording) -> list[tuple[float, float] | None]:
+    """Return each joint's dominant frequency and the one below which 95 % of its power lies, Hz.
+
+    The mean is removed and a Hann window applied. Of records of more than 2^18 samples positions
+    are averaged over neighbors first, to a rate of at least 100 Hz, and the amplitudes that the
+    average takes are given back. None for a joint that does not move.
+    """
+    found: list[tuple[float, float] | None] = []
+    for frequency, power in _spectra(log):
+        total = power.sum()
+        if not 0.0 < total < np.inf:
+            found.append(None)
+            continue
+        below = int(np.count_nonzero(np.cumsum(power / total) < MOTION_SHARE))
+        dominant = 1 + int(np.argmax(power[1:])) if power.size > 1 else 0
+        found.append((float(frequency[dominant]), float(frequency[below])))
+    return found
+
+
+def _spectra(log: Recording) -> Iterator[tuple[Array, Array]]:
+    """Yield frequencies in Hz, and the power of the motion at them, for each joint."""
+    if log.n_samples <= _LONG:
+        for j in range(log.n):
+            yield _spectrum(np.asarray(log.position[:, j]), log.rate_hz, log.n_samples)
+        return
+    means, count = _averaged(log)
+    # A product of small factors is transformed several times faster than any other length.
+    step = 1 << max(means.shape[1].bit_length() - 5, 0)
+    length = -(-means.shape[1] // step) * step
+    for position in means:
+        # Of a joint that does not move nothing is left, not even rounding.
+        frequency, power = _spectrum(position - position[0], log.rate_hz / count, length)
+        # The share of an oscillation's amplitude that the average over `count` samples leaves.
+        angle = np.pi * frequency / log.rate_hz
+        kept = np.ones_like(angle)
+        kept[1:] = np.sin(count * angle[1:]) / (count * np.sin(angle[1:]))
+        yield frequency, power / kept**2
+
+
+def _spectrum(position: Array, rate_hz: float, length: int) -> tuple[Array, Array]:
+    """Return frequencies, and the power of positions (N,) at them, zeros appended to `length`."""
+    # A window, so that a record that does not end where it began does not look fast.
+    centered = np.hanning(position.size) * (position - position.mean())
+    power: Array = np.abs(np.fft.rfft(centered, length)) ** 2
+    return np.asarray(np.fft.rfftfreq(length, 1.0 / rate_hz), dtype=np.float64), power
+
+
+def _averaged(log: Recording) -> tuple[Array, int]:
+    """Return means of successive positions, (n, means), and the number of samples in each."""
+    each = max(int(log.rate_hz / _RATE_OF_MOTION), 1)
+    count = log.n_samples // each
+    out = np.empty((log.n, count))
+    # Stored columns are read on from where each was left.
+    columns = [log.position[:, j] for j in range(log.n)]
+    size = max(_BLOCK // each, 1)
+    for start in range(0, count, size):
+        stop = min(start + size, count)
+        for mean, column in zip(out, columns, strict=True):
+            part = column[each * start : each * stop]
+            np.mean(part.reshape(-1, each), axis=1, out=mean[start:stop])
+    return out, each
