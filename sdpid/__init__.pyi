@@ -1,4 +1,4 @@
-from . import plots
+from . import friction, plots
 from .assurance.certificate.certificate import certify, verify
 from .assurance.descriptions.audit import audit_urdf
 from .assurance.diagnostics.cost_of_constraints import cost_of_constraints
@@ -56,23 +56,7 @@ from .output.report.verdict import verdict
 from .output.robots.mjcf import write_mjcf
 from .output.robots.urdf import write_urdf
 from .output.tables.parameters_file import read_parameters, write_parameters
-from .robot.description.dh_table import DhJoint, DhTable
-from .robot.friction.model import (
-    AsymmetricCoulomb,
-    Coulomb,
-    Coupling,
-    FrictionTerm,
-    JointwiseTerm,
-    Offset,
-    OpenParameter,
-    RotorInertia,
-    SigmoidFriction,
-    SquareRootFriction,
-    Stribeck,
-    TermParameter,
-    Viscous,
-)
-from .robot.model.base_parameters import BaseParameters
+from .robot.description.dh_table import DhTable
 from .robot.model.load import load_robot
 from .robot.model.model import RobotModel
 from .workflow.comparison import Comparison, compare
@@ -83,56 +67,41 @@ from .workflow.result import Identification
 __version__: str
 
 __all__ = [
-    "AsymmetricCoulomb",
-    "BaseParameters",
     "CenterOfMassInBox",
     "CenterOfMassInEllipsoid",
     "CenterOfMassInHull",
     "CertificateError",
     "Comparison",
     "Constraints",
-    "Coulomb",
-    "Coupling",
     "CrossValidation",
     "DataError",
-    "DhJoint",
     "DhTable",
     "EqualLinks",
     "Estimate",
     "ExportError",
     "Fixed",
     "FixedLink",
-    "FrictionTerm",
     "IdentifiabilityError",
     "Identification",
     "InfeasibleError",
-    "JointwiseTerm",
     "MassInEllipsoid",
     "MirrorPair",
     "MirrorSymmetry",
     "MissingExtraError",
     "ModelError",
     "MotorSide",
-    "Offset",
-    "OpenParameter",
     "Prior",
     "Problem",
     "Processing",
     "Recording",
     "RobotModel",
     "RobustEstimate",
-    "RotorInertia",
     "Samples",
     "SdpidError",
-    "SigmoidFriction",
     "SolverError",
-    "SquareRootFriction",
     "StreamingProblem",
-    "Stribeck",
-    "TermParameter",
     "TotalMass",
     "Trajectory",
-    "Viscous",
     "__version__",
     "as_cvxpy",
     "audit_base_parameters",
@@ -143,6 +112,7 @@ __all__ = [
     "confidence_intervals",
     "cost_of_constraints",
     "cross_validate",
+    "friction",
     "identify",
     "identify_payload",
     "inspect_recording",

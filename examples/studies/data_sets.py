@@ -31,7 +31,7 @@ from sdpid.experiment.preparation.for_robot import default_processing, prepare
 from sdpid.robot.inertia import Consistency
 from sdpid.workflow import formulate
 
-Terms = tuple[str | sdpid.FrictionTerm, ...]
+Terms = tuple[str | sdpid.friction.FrictionTerm, ...]
 
 TRAINED = 0.6  # of a record whose rest is predicted
 
@@ -63,7 +63,7 @@ class DataSet:
 
 def wrist(width: float) -> Terms:
     """Return the terms of motors that drive joints 5 and 6 together."""
-    return "rotor_inertia", sdpid.Coupling("joint_5", "joint_6", width=width)
+    return "rotor_inertia", sdpid.friction.Coupling("joint_5", "joint_6", width=width)
 
 
 SETS = {
@@ -72,9 +72,9 @@ SETS = {
         ("ur10_exciting",),
         {
             "sign": ("coulomb",),
-            "tanh 0.02": (sdpid.Coulomb(width=0.02),),
-            "tanh 0.02, rotor": (sdpid.Coulomb(width=0.02), "rotor_inertia"),
-            "asymmetric 0.02": (sdpid.AsymmetricCoulomb(width=0.02),),
+            "tanh 0.02": (sdpid.friction.Coulomb(width=0.02),),
+            "tanh 0.02, rotor": (sdpid.friction.Coulomb(width=0.02), "rotor_inertia"),
+            "asymmetric 0.02": (sdpid.friction.AsymmetricCoulomb(width=0.02),),
             "sigmoid": ("sigmoid",),
         },
         "tanh 0.02",
@@ -82,13 +82,13 @@ SETS = {
     "panda_unisa": DataSet(
         "panda.urdf",
         ("panda_exciting",),
-        {"sign": ("coulomb",), "tanh 0.02": (sdpid.Coulomb(width=0.02),)},
+        {"sign": ("coulomb",), "tanh 0.02": (sdpid.friction.Coulomb(width=0.02),)},
         "tanh 0.02",
     ),
     "kuka_lwr4plus": DataSet(
         "kuka_lwr4.urdf",
         ("measurements_1", "measurements_2"),
-        {"sign": ("coulomb",), "tanh 0.02": (sdpid.Coulomb(width=0.02),)},
+        {"sign": ("coulomb",), "tanh 0.02": (sdpid.friction.Coulomb(width=0.02),)},
         "tanh 0.02",
     ),
     "staubli_tx40": DataSet(
@@ -96,9 +96,12 @@ SETS = {
         ("tx40_rows_0_24750",),
         {
             "sign, rotor, coupling": ("coulomb", *wrist(0.0)),
-            "dead zone 0.01, rotor, coupling": (sdpid.Coulomb(dead_zone=0.01), *wrist(0.0)),
-            "tanh 0.05, rotor, coupling": (sdpid.Coulomb(width=0.05), *wrist(0.05)),
-            "tanh 0.05": (sdpid.Coulomb(width=0.05),),
+            "dead zone 0.01, rotor, coupling": (
+                sdpid.friction.Coulomb(dead_zone=0.01),
+                *wrist(0.0),
+            ),
+            "tanh 0.05, rotor, coupling": (sdpid.friction.Coulomb(width=0.05), *wrist(0.05)),
+            "tanh 0.05": (sdpid.friction.Coulomb(width=0.05),),
         },
         "tanh 0.05, rotor, coupling",
     ),
@@ -106,8 +109,8 @@ SETS = {
         "gen3.urdf",
         ("opti_traj_testing1", "opti_traj_testing2"),
         {
-            "tanh 0.02": (sdpid.Coulomb(width=0.02),),
-            "tanh 0.02, rotor": (sdpid.Coulomb(width=0.02), "rotor_inertia"),
+            "tanh 0.02": (sdpid.friction.Coulomb(width=0.02),),
+            "tanh 0.02, rotor": (sdpid.friction.Coulomb(width=0.02), "rotor_inertia"),
         },
         "tanh 0.02",
         ("tau", "tau_current"),

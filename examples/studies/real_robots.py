@@ -38,12 +38,12 @@ from sdpid.experiment.preparation.for_robot import (
 )
 from sdpid.robot.inertia import Consistency, margin
 
-Terms = tuple[str | sdpid.FrictionTerm, ...]
+Terms = tuple[str | sdpid.friction.FrictionTerm, ...]
 Solver = Callable[[sdpid.Problem], sdpid.Estimate]
 
 # What is known of a drive and stands in no log: the wrist's motors of the TX40 turn two joints.
 DRIVES: dict[str, Terms] = {
-    "staubli_tx40": ("rotor_inertia", sdpid.Coupling("joint_5", "joint_6", width=0.05)),
+    "staubli_tx40": ("rotor_inertia", sdpid.friction.Coupling("joint_5", "joint_6", width=0.05)),
 }
 
 QUICK = ("panda_unisa", "ur10_unisa")
@@ -146,7 +146,10 @@ class Case:
         return samples if self.second_run else since(samples, float(self.log.time[-1]))
 
     def problem(
-        self, samples: sdpid.Samples, method: Method, terms: Iterable[str | sdpid.FrictionTerm]
+        self,
+        samples: sdpid.Samples,
+        method: Method,
+        terms: Iterable[str | sdpid.friction.FrictionTerm],
     ) -> sdpid.Problem:
         """Return the problem of a method, with the default bounds."""
         return sdpid.build_problem(
@@ -377,7 +380,7 @@ def comparison(folder: Path, names: Sequence[str]) -> str:
             words = "default, trained on run 1" if case.second_run else "default, whole record"
             lines.append(f"| {ROBOTS[name]} | {words} | {joined(sdpid.validate(whole).rmse)} |")
             if name in ASYMMETRIC:
-                terms = (sdpid.AsymmetricCoulomb(width=SMOOTH), *terms[1:])
+                terms = (sdpid.friction.AsymmetricCoulomb(width=SMOOTH), *terms[1:])
                 for words, rows in (("held out", case.trained(processing)), ("whole", samples)):
                     shown = case.held_out(processing) if words == "held out" else rows
                     own = sdpid.solve_sdp(case.problem(rows, METHODS[DEFAULT], terms))

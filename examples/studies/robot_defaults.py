@@ -34,9 +34,9 @@ from sdpid.experiment.recording.gaps import continuous
 Change = Callable[[sdpid.Recording, sdpid.Processing], sdpid.Processing]
 
 
-def smooth(*others: str | sdpid.FrictionTerm, width: float | None = SMOOTH) -> Terms:
+def smooth(*others: str | sdpid.friction.FrictionTerm, width: float | None = SMOOTH) -> Terms:
     """Return a smooth sign, other terms, viscous friction and an offset."""
-    return (sdpid.Coulomb(width=width), *others, "viscous", "offset")
+    return (sdpid.friction.Coulomb(width=width), *others, "viscous", "offset")
 
 
 FRICTION: dict[str, Terms] = {
@@ -46,16 +46,16 @@ FRICTION: dict[str, Terms] = {
     "tanh 0.05": smooth(width=0.05),
     "tanh 0.1": smooth(width=0.1),
     "tanh, chosen widths": smooth(width=None),
-    "tanh 0.02, Stribeck": smooth(sdpid.Stribeck(width=SMOOTH)),
+    "tanh 0.02, Stribeck": smooth(sdpid.friction.Stribeck(width=SMOOTH)),
     "tanh 0.02, square root": smooth("square_root"),
-    "tanh 0.02, sigmoid 0.2": smooth(sdpid.SigmoidFriction(velocity=0.2)),
+    "tanh 0.02, sigmoid 0.2": smooth(sdpid.friction.SigmoidFriction(velocity=0.2)),
     "tanh 0.02, sigmoid": smooth("sigmoid"),
     "tanh 0.01, sigmoid": smooth("sigmoid", width=0.01),
     "tanh 0.05, sigmoid": smooth("sigmoid", width=0.05),
     "tanh 0.02, square root, sigmoid": smooth("square_root", "sigmoid"),
     "tanh 0.02, sigmoid, rotor inertia": smooth("sigmoid", "rotor_inertia"),
     "asymmetric tanh 0.02, sigmoid": (
-        sdpid.AsymmetricCoulomb(width=SMOOTH),
+        sdpid.friction.AsymmetricCoulomb(width=SMOOTH),
         *smooth("sigmoid")[1:],
     ),
 }

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from sdpid.assurance.diagnostics.validation import Validation
     from sdpid.estimation.constraints.constraints import Constraints
     from sdpid.experiment.recording.recording import Recording
-    from sdpid.robot.friction.model import FrictionTerm
+    from sdpid.robot.friction.term import FrictionTerm
     from sdpid.robot.model.model import RobotModel
 
 
@@ -488,7 +488,7 @@ def friction_terms(texts: list[str] | None) -> list[str | FrictionTerm] | None:
     ModelError
         When a term takes no value, or another number of them.
     """
-    from sdpid.robot.friction.model import (
+    from sdpid.robot.friction.terms import (
         AsymmetricCoulomb,
         Coulomb,
         Coupling,

@@ -27,7 +27,8 @@ from sdpid.estimation.prior.prior import Prior, PriorTerms, prior_terms
 from sdpid.experiment.preparation.several import Piece, all_samples
 from sdpid.experiment.processing.process import Processing
 from sdpid.experiment.processing.samples import Samples
-from sdpid.robot.friction.model import FrictionModel, FrictionTerm
+from sdpid.robot.friction.model import FrictionModel
+from sdpid.robot.friction.term import FrictionTerm
 from sdpid.robot.inertia import CONSISTENCIES, Consistency
 from sdpid.robot.model.base_parameters import BaseParameters, structural_base
 from sdpid.robot.model.model import RobotModel

@@ -34,7 +34,8 @@ from sdpid.estimation.sdp.program import SdpProgram
 from sdpid.estimation.sdp.reusable import Prepared, program_about
 from sdpid.estimation.sdp.solve import repair, solve_sdp
 from sdpid.experiment.processing.samples import Samples
-from sdpid.robot.friction.model import FrictionModel, FrictionTerm
+from sdpid.robot.friction.model import FrictionModel
+from sdpid.robot.friction.term import FrictionTerm
 from sdpid.robot.inertia import CONSISTENCIES, Consistency
 from sdpid.robot.model.base_parameters import structural_base
 from sdpid.robot.model.model import RobotModel

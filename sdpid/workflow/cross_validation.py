@@ -28,7 +28,7 @@ from sdpid.experiment.preparation.several import (
 from sdpid.experiment.processing.process import Processing
 from sdpid.experiment.processing.samples import Samples
 from sdpid.experiment.recording.recording import Recording
-from sdpid.robot.friction.model import FrictionTerm
+from sdpid.robot.friction.term import FrictionTerm
 from sdpid.robot.inertia import Consistency
 from sdpid.robot.model.load import load_robot
 from sdpid.robot.model.model import RobotModel

@@ -32,7 +32,7 @@ from sdpid.experiment.preparation.several import (
     ProcessingOf,
     prepare_recordings,
 )
-from sdpid.robot.friction.model import FrictionTerm
+from sdpid.robot.friction.term import FrictionTerm
 from sdpid.robot.inertia import Consistency
 from sdpid.robot.model.load import load_robot
 from sdpid.robot.model.model import RobotModel

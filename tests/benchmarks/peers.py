@@ -103,7 +103,7 @@ def sdpid_job(everything: bool) -> Callable[[str, str], dict[str, Any]]:
 
         log = sdpid.read_recording(log_file)
         robot = sdpid.load_robot(robot_file)
-        wrist = sdpid.Coupling(*_WRIST, width=_WIDTH)
+        wrist = sdpid.friction.Coupling(*_WRIST, width=_WIDTH)
         friction = (*default_friction(log), "rotor_inertia", wrist)
         if everything:
             found = identify(robot, log, friction=friction)

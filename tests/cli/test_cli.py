@@ -130,7 +130,7 @@ def test_identify_as_json(log: Path, tmp_path: Path) -> None:
 
 
 def test_friction_options() -> None:
-    from sdpid.robot.friction.model import AsymmetricCoulomb, Coulomb, Coupling, Stribeck
+    from sdpid.robot.friction.terms import AsymmetricCoulomb, Coulomb, Coupling, Stribeck
 
     texts = ["coulomb=fit", "stribeck=0.2", "stribeck=fit", "asymmetric_coulomb=0.1"]
     assert options.friction_terms([*texts, "sigmoid", "coupling=a,b"]) == [

@@ -259,7 +259,7 @@ def test_what_does_not_fit_is_refused_and_changes_nothing() -> None:
     with pytest.raises(DataError, match="no covariance"):
         StreamingProblem(per_sample).update(measured())
     with pytest.raises(DataError, match="Coulomb leaves width"):
-        StreamingProblem.of_robot(ARM, friction=[sdpid.Coulomb(width=None)])
+        StreamingProblem.of_robot(ARM, friction=[sdpid.friction.Coulomb(width=None)])
     with pytest.raises(DataError, match="consistency"):
         StreamingProblem.of_robot(ARM, consistency="no")  # type: ignore[arg-type]
 

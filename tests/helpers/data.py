@@ -10,7 +10,8 @@ import numpy as np
 from sdpid._common.arrays import Array
 from sdpid.estimation.problem import Problem
 from sdpid.experiment.processing.samples import Samples
-from sdpid.robot.friction.model import FrictionModel, FrictionTerm
+from sdpid.robot.friction.model import FrictionModel
+from sdpid.robot.friction.term import FrictionTerm
 from sdpid.robot.inertia import point_masses
 from sdpid.robot.model.model import RobotModel
 from tests.helpers.strategies import random_states

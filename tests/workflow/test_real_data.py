@@ -14,8 +14,8 @@ from sdpid.workflow import formulate
 from tests.helpers.tolerances import SAME_OPTIMUM
 
 BOTH: tuple[Consistency, ...] = ("pseudo_inertia", "spatial_inertia")
-WRIST = sdpid.Coupling("joint_5", "joint_6", width=0.05)
-TERMS = (sdpid.Coulomb(width=0.05), "viscous", "offset", "rotor_inertia", WRIST)
+WRIST = sdpid.friction.Coupling("joint_5", "joint_6", width=0.05)
+TERMS = (sdpid.friction.Coulomb(width=0.05), "viscous", "offset", "rotor_inertia", WRIST)
 
 # No link of an arm of 23 kg is heavier.
 HEAVIEST = 100.0

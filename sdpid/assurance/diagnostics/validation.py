@@ -11,7 +11,7 @@ from sdpid.errors import DataError
 from sdpid.estimation.compression.rows import RowSource
 from sdpid.estimation.estimate import Estimate
 from sdpid.experiment.processing.samples import Samples
-from sdpid.robot.friction.model import smooth_sign
+from sdpid.robot.friction.terms import smooth_sign
 from sdpid.robot.model.model import RobotModel
 
 # Samples a piece: the regressor of a piece stays below some 100 MB for an arm.

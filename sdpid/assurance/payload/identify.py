@@ -35,7 +35,8 @@ from sdpid.experiment.processing.samples import Samples
 from sdpid.experiment.readers.read import read_recording
 from sdpid.experiment.recording.recording import Recording
 from sdpid.robot.consistent import raise_second_moments
-from sdpid.robot.friction.model import FrictionModel, FrictionTerm
+from sdpid.robot.friction.model import FrictionModel
+from sdpid.robot.friction.term import FrictionTerm
 from sdpid.robot.friction.terms import BY_NAME
 from sdpid.robot.inertia import (
     margin,

@@ -17,7 +17,7 @@ from sdpid.assurance.tables.question import base_question
 from sdpid.assurance.tables.refutation import Refutation, decimal_text
 from sdpid.assurance.tables.witness import Number, Question, exact
 from sdpid.assurance.tables.witness_search import Search
-from sdpid.robot.friction.model import FrictionTerm
+from sdpid.robot.friction.term import FrictionTerm
 from sdpid.robot.inertia import Consistency
 from sdpid.robot.model.base_parameters import BaseParameters, characteristic_length
 from sdpid.robot.model.model import RobotModel

@@ -12,8 +12,9 @@ import numpy as np
 
 from sdpid.assurance.tables.witness import Number, Question, exact
 from sdpid.errors import DataError
-from sdpid.robot.friction.model import Coupling, FrictionModel, FrictionTerm
-from sdpid.robot.friction.terms import BY_NAME
+from sdpid.robot.friction.model import FrictionModel
+from sdpid.robot.friction.term import FrictionTerm
+from sdpid.robot.friction.terms import BY_NAME, Coupling
 from sdpid.robot.inertia import Consistency
 from sdpid.robot.model.base_parameters import BaseParameters, structural_base
 from sdpid.robot.model.model import RobotModel

@@ -15,7 +15,8 @@ import numpy as np
 
 from sdpid._common.arrays import Array, Indices, Mask
 from sdpid.experiment.processing.samples import Samples
-from sdpid.robot.friction.model import FrictionModel, JointwiseTerm
+from sdpid.robot.friction.model import FrictionModel
+from sdpid.robot.friction.term import JointwiseTerm
 from sdpid.robot.model import regressor_kernel as kernels
 from sdpid.robot.model.base_parameters import BaseParameters
 from sdpid.robot.model.model import RobotModel

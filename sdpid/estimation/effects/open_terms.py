@@ -8,14 +8,8 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from sdpid._common.arrays import Array, Indices
-from sdpid.robot.friction.model import (
-    Coulomb,
-    FrictionTerm,
-    JointwiseTerm,
-    OpenParameter,
-    SigmoidFriction,
-    Stribeck,
-)
+from sdpid.robot.friction.term import FrictionTerm, JointwiseTerm, OpenParameter
+from sdpid.robot.friction.terms import Coulomb, SigmoidFriction, Stribeck
 
 # Terms whose shape at a joint depends on that joint's motion and speeds alone, and on none of its
 # neighbours: one joint at many speeds is then computed as many joints are. A subclass may know

@@ -19,7 +19,7 @@ from sdpid.estimation.compression.triangle import Triangle
 from sdpid.estimation.compression.whitening import weights
 from sdpid.estimation.effects.nonnegative_least_squares import least_squares_gain
 from sdpid.estimation.effects.open_terms import MovedColumns, OpenTerm
-from sdpid.robot.friction.model import OpenParameter
+from sdpid.robot.friction.term import OpenParameter
 
 # Values tried between the limits, evenly spaced by their logarithm: with limits a factor of 500
 # apart each is twice the one before, and a profile bends no faster than the shape does.

@@ -7,7 +7,8 @@ from sdpid.experiment.processing.process import Processing, process
 from sdpid.experiment.processing.samples import Samples
 from sdpid.experiment.recording.joints import match_joints
 from sdpid.experiment.recording.recording import Recording
-from sdpid.robot.friction.model import Coulomb, FrictionTerm, SigmoidFriction
+from sdpid.robot.friction.term import FrictionTerm
+from sdpid.robot.friction.terms import Coulomb, SigmoidFriction
 from sdpid.robot.model.model import RobotModel
 
 __all__ = ["default_friction", "default_processing", "prepare"]

@@ -27,7 +27,8 @@ from sdpid.output.robots.written_bodies import (
 from sdpid.robot.description.mjcf import check_compiles
 from sdpid.robot.description.xml import encode_xml, is_mjcf, is_xml, parse_xml
 from sdpid.robot.description.xml_edits import Document, Element
-from sdpid.robot.friction.model import Coulomb, FrictionTerm, RotorInertia, Viscous
+from sdpid.robot.friction.term import FrictionTerm
+from sdpid.robot.friction.terms import Coulomb, RotorInertia, Viscous
 from sdpid.robot.inertia import transform
 from sdpid.robot.model.base_parameters import generic_states
 from sdpid.robot.model.geometry import link_placements

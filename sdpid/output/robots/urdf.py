@@ -28,7 +28,7 @@ from sdpid.output.robots.written_bodies import (
 from sdpid.robot.description.urdf import inertial_values
 from sdpid.robot.description.xml import encode_xml, read_description
 from sdpid.robot.description.xml_edits import Document, Element
-from sdpid.robot.friction.model import Coulomb, Viscous
+from sdpid.robot.friction.terms import Coulomb, Viscous
 from sdpid.robot.inertia import margin
 from sdpid.robot.model.base_parameters import generic_states
 from sdpid.robot.model.model import RobotModel, Root

@@ -12,13 +12,9 @@ from sdpid.estimation.estimate import Estimate
 from sdpid.estimation.problem import Problem
 from sdpid.output.robots.urdf_tree import FixedChild
 from sdpid.robot.consistent import raise_second_moments
-from sdpid.robot.friction.model import (
-    FrictionModel,
-    FrictionTerm,
-    SigmoidFriction,
-    SquareRootFriction,
-    Stribeck,
-)
+from sdpid.robot.friction.model import FrictionModel
+from sdpid.robot.friction.term import FrictionTerm
+from sdpid.robot.friction.terms import SigmoidFriction, SquareRootFriction, Stribeck
 from sdpid.robot.inertia import (
     Consistency,
     margin,

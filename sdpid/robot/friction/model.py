@@ -13,38 +13,8 @@ import numpy as np
 
 from sdpid._common.arrays import Array
 from sdpid.errors import ModelError
-from sdpid.robot.friction.term import FrictionTerm, JointwiseTerm, OpenParameter, TermParameter
-from sdpid.robot.friction.terms import (
-    BY_NAME,
-    AsymmetricCoulomb,
-    Coulomb,
-    Coupling,
-    Offset,
-    RotorInertia,
-    SigmoidFriction,
-    SquareRootFriction,
-    Stribeck,
-    Viscous,
-    smooth_sign,
-)
-
-__all__ = [
-    "AsymmetricCoulomb",
-    "Coulomb",
-    "Coupling",
-    "FrictionModel",
-    "FrictionTerm",
-    "JointwiseTerm",
-    "Offset",
-    "OpenParameter",
-    "RotorInertia",
-    "SigmoidFriction",
-    "SquareRootFriction",
-    "Stribeck",
-    "TermParameter",
-    "Viscous",
-    "smooth_sign",
-]
+from sdpid.robot.friction.term import FrictionTerm, TermParameter
+from sdpid.robot.friction.terms import BY_NAME
 
 
 @dataclass(frozen=True)

@@ -29,9 +29,17 @@ SETS: dict[str, tuple[str, str, tuple[Any, ...]]] = {
     "staubli_tx40": (
         "tx40.urdf",
         "tx40_rows_0_24750",
-        (sdpid.Coulomb(width=0.05), "rotor_inertia", sdpid.Coupling("joint_5", "joint_6")),
+        (
+            sdpid.friction.Coulomb(width=0.05),
+            "rotor_inertia",
+            sdpid.friction.Coupling("joint_5", "joint_6"),
+        ),
     ),
-    "kinova_gen3_dynamapp": ("gen3.urdf", "opti_traj_testing1", (sdpid.Coulomb(width=0.02),)),
+    "kinova_gen3_dynamapp": (
+        "gen3.urdf",
+        "opti_traj_testing1",
+        (sdpid.friction.Coulomb(width=0.02),),
+    ),
 }
 
 # Measured 0.06 to 0.12 s on arms of six or seven joints, and promised to be below 2.

@@ -30,7 +30,8 @@ from sdpid.assurance.tables.witness import coefficient_matrices, consistency_mat
 from sdpid.errors import CertificateError, DataError
 from sdpid.output.tables.parameter_tables import base_table
 from sdpid.robot.description.catalog import bundled_folder
-from sdpid.robot.friction.model import Coupling, FrictionModel, SigmoidFriction
+from sdpid.robot.friction.model import FrictionModel
+from sdpid.robot.friction.terms import Coupling, SigmoidFriction
 from sdpid.robot.inertia import Consistency, margin, matrix_of, point_masses
 from sdpid.robot.model.base_parameters import BaseParameters, structural_base
 from sdpid.robot.model.load import load_robot

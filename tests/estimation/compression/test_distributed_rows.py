@@ -30,7 +30,7 @@ BODIES = THETA[:20].reshape(2, 10)
 PROCESSING = Processing(
     cutoff_hz=10.0, order=4, decimation=1, reversal_time=None, derivative="central4"
 )
-FRICTION = (sdpid.Coulomb(width=0.02), sdpid.SigmoidFriction(), "viscous")
+FRICTION = (sdpid.friction.Coulomb(width=0.02), sdpid.friction.SigmoidFriction(), "viscous")
 
 # What the answers of one machine and of many may differ by, relative.
 SAME = 1e-12

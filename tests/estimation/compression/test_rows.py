@@ -15,7 +15,8 @@ from sdpid.estimation.compression import rows as module
 from sdpid.estimation.compression.covariance import whitener
 from sdpid.estimation.compression.rows import CHUNK, RowSource
 from sdpid.estimation.compression.whitening import compress, weights, whiten, whitened_chunks
-from sdpid.robot.friction.model import Coupling, FrictionModel
+from sdpid.robot.friction.model import FrictionModel
+from sdpid.robot.friction.terms import Coupling
 from sdpid.robot.model import regressor_kernel as kernels
 from sdpid.robot.model.base_parameters import structural_base
 from tests.helpers.data import make_samples, random_covariance, random_theta

@@ -20,13 +20,11 @@ from sdpid.estimation.effects.variable_projection import ProfileSearch
 from sdpid.estimation.problem import build_problem, describe
 from sdpid.estimation.wls import solve_wls
 from sdpid.experiment.processing.samples import Samples
-from sdpid.robot.friction.model import (
+from sdpid.robot.friction.term import FrictionTerm, JointwiseTerm, OpenParameter
+from sdpid.robot.friction.terms import (
     AsymmetricCoulomb,
     Coulomb,
     Coupling,
-    FrictionTerm,
-    JointwiseTerm,
-    OpenParameter,
     SigmoidFriction,
     Stribeck,
 )

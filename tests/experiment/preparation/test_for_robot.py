@@ -21,7 +21,7 @@ TARGETS = {
 }
 
 # The user's own knowledge: the TX40's efforts are those of motors, two of which share joints.
-WRIST = ("rotor_inertia", sdpid.Coupling("joint_5", "joint_6", width=0.05))
+WRIST = ("rotor_inertia", sdpid.friction.Coupling("joint_5", "joint_6", width=0.05))
 
 
 def sine(rate: float, seconds: float, hertz: float, joints: int = 2) -> sdpid.Recording:
@@ -67,8 +67,8 @@ def test_friction_of_records_with_and_without_periods() -> None:
     log = sine(100.0, 10.0, 0.5)
     assert default_friction(replace(log, period=2.0)) == ("coulomb", "viscous")
     sign, sigmoid, *others = default_friction(log)
-    assert sign == sdpid.Coulomb(width=0.02)
-    assert sigmoid == sdpid.SigmoidFriction(velocity=None)
+    assert sign == sdpid.friction.Coulomb(width=0.02)
+    assert sigmoid == sdpid.friction.SigmoidFriction(velocity=None)
     assert others == ["viscous", "offset"]
 
 

@@ -14,7 +14,7 @@ from sdpid.errors import ExportError, ModelError
 from sdpid.estimation.problem import Problem
 from sdpid.output.robots.mjcf import write_mjcf
 from sdpid.output.robots.urdf import write_urdf
-from sdpid.robot.friction.model import RotorInertia
+from sdpid.robot.friction.terms import RotorInertia
 from sdpid.robot.model.base_parameters import generic_states
 from sdpid.robot.model.load import load_robot
 from sdpid.robot.model.model import RobotModel

@@ -18,7 +18,8 @@ from sdpid.experiment.processing.samples import Samples
 from sdpid.output.robots.urdf import write_urdf
 from sdpid.robot.description.bodies import read_urdf_bodies
 from sdpid.robot.description.xml import undeclared
-from sdpid.robot.friction.model import FrictionModel, SigmoidFriction
+from sdpid.robot.friction.model import FrictionModel
+from sdpid.robot.friction.terms import SigmoidFriction
 from sdpid.robot.inertia import margin, point_masses
 from sdpid.robot.model.base_parameters import generic_states
 from sdpid.robot.model.load import load_robot

@@ -11,12 +11,12 @@ from hypothesis import strategies as st
 
 from sdpid._common.arrays import Array
 from sdpid.robot.description.dh_table import DhJoint, DhTable
-from sdpid.robot.friction.model import (
+from sdpid.robot.friction.model import FrictionModel
+from sdpid.robot.friction.term import FrictionTerm
+from sdpid.robot.friction.terms import (
     AsymmetricCoulomb,
     Coulomb,
     Coupling,
-    FrictionModel,
-    FrictionTerm,
     SigmoidFriction,
     Stribeck,
 )

@@ -11,14 +11,13 @@ from hypothesis import given
 
 from sdpid._common.arrays import Array
 from sdpid.errors import ModelError
-from sdpid.robot.friction.model import (
+from sdpid.robot.friction.model import FrictionModel
+from sdpid.robot.friction.term import FrictionTerm, OpenParameter
+from sdpid.robot.friction.terms import (
     AsymmetricCoulomb,
     Coulomb,
     Coupling,
-    FrictionModel,
-    FrictionTerm,
     Offset,
-    OpenParameter,
     RotorInertia,
     SigmoidFriction,
     SquareRootFriction,
@@ -248,3 +247,11 @@ def test_terms_are_described_in_plain_values() -> None:
     assert found[1]["width"] == [0.1, 0.2, 0.3]
     assert found[2]["parameters"] == ["Ia1_2", "Fv1_2", "Fs1_2"]
     assert json.loads(json.dumps(found)) == found
+
+
+def test_terms_are_a_namespace_of_the_package() -> None:
+    import sdpid
+
+    assert sdpid.friction.Coulomb is Coulomb
+    assert not hasattr(sdpid, "Coulomb")
+    assert set(vars(sdpid.friction)) >= set(sdpid.friction.__all__)

@@ -13,7 +13,7 @@ from hypothesis import given, settings
 from sdpid._common.arrays import Array
 from sdpid.robot.description.catalog import bundled_folder
 from sdpid.robot.description.dh_table import DhJoint, DhTable
-from sdpid.robot.friction.model import Coupling
+from sdpid.robot.friction.terms import Coupling
 from sdpid.robot.model.base_parameters import BaseParameters, generic_states, structural_base
 from sdpid.robot.model.load import load_robot
 from sdpid.robot.model.model import RobotModel

@@ -1,0 +1,34 @@
+"""Friction and drive terms: what a joint's effort holds beside the inertia of the links.
+
+``build_problem(..., friction=("coulomb", "viscous", sdpid.friction.Stribeck()))`` takes names and
+term objects. A term of your own is a `JointwiseTerm` with its own ``shape``, or a `FrictionTerm`.
+"""
+
+from sdpid.robot.friction.term import FrictionTerm, JointwiseTerm, OpenParameter, TermParameter
+from sdpid.robot.friction.terms import (
+    AsymmetricCoulomb,
+    Coulomb,
+    Coupling,
+    Offset,
+    RotorInertia,
+    SigmoidFriction,
+    SquareRootFriction,
+    Stribeck,
+    Viscous,
+)
+
+__all__ = [
+    "AsymmetricCoulomb",
+    "Coulomb",
+    "Coupling",
+    "FrictionTerm",
+    "JointwiseTerm",
+    "Offset",
+    "OpenParameter",
+    "RotorInertia",
+    "SigmoidFriction",
+    "SquareRootFriction",
+    "Stribeck",
+    "TermParameter",
+    "Viscous",
+]
