@@ -1,4 +1,4 @@
-from . import friction, plots
+from . import constraints, friction, plots
 from .assurance.certificate.certificate import certify, verify
 from .assurance.descriptions.audit import audit_urdf
 from .assurance.diagnostics.cost_of_constraints import cost_of_constraints
@@ -19,20 +19,6 @@ from .errors import (
     SolverError,
 )
 from .estimation.constraints.constraints import Constraints
-from .estimation.constraints.equalities import (
-    EqualLinks,
-    Fixed,
-    FixedLink,
-    MirrorPair,
-    MirrorSymmetry,
-)
-from .estimation.constraints.mass import (
-    CenterOfMassInBox,
-    CenterOfMassInEllipsoid,
-    CenterOfMassInHull,
-    MassInEllipsoid,
-    TotalMass,
-)
 from .estimation.estimate import Estimate
 from .estimation.local.log_cholesky import solve_log_cholesky
 from .estimation.local.slsqp import solve_slsqp
@@ -67,26 +53,17 @@ from .workflow.result import Identification
 __version__: str
 
 __all__ = [
-    "CenterOfMassInBox",
-    "CenterOfMassInEllipsoid",
-    "CenterOfMassInHull",
     "CertificateError",
     "Comparison",
     "Constraints",
     "CrossValidation",
     "DataError",
     "DhTable",
-    "EqualLinks",
     "Estimate",
     "ExportError",
-    "Fixed",
-    "FixedLink",
     "IdentifiabilityError",
     "Identification",
     "InfeasibleError",
-    "MassInEllipsoid",
-    "MirrorPair",
-    "MirrorSymmetry",
     "MissingExtraError",
     "ModelError",
     "MotorSide",
@@ -100,7 +77,6 @@ __all__ = [
     "SdpidError",
     "SolverError",
     "StreamingProblem",
-    "TotalMass",
     "Trajectory",
     "__version__",
     "as_cvxpy",
@@ -110,6 +86,7 @@ __all__ = [
     "certify",
     "compare",
     "confidence_intervals",
+    "constraints",
     "cost_of_constraints",
     "cross_validate",
     "friction",

@@ -6,8 +6,19 @@ from typing import Any
 
 import numpy as np
 
-import sdpid
 from sdpid._common.arrays import Array
+from sdpid.constraints import (
+    CenterOfMassInBox,
+    CenterOfMassInEllipsoid,
+    CenterOfMassInHull,
+    EqualLinks,
+    Fixed,
+    FixedLink,
+    MassInEllipsoid,
+    MirrorPair,
+    MirrorSymmetry,
+    TotalMass,
+)
 from sdpid.estimation.constraints.condition import Condition
 from sdpid.estimation.constraints.constraints import Constraints
 from sdpid.estimation.estimate import Estimate
@@ -28,25 +39,28 @@ TURNED = np.linalg.qr(np.random.default_rng(2).standard_normal((3, 3)))[0]
 REFLECTION = np.diag([1.0, -1.0, 1.0, 1.0])
 
 # Without it, mass that nobody sees would make room for most conditions.
-LIGHT = sdpid.TotalMass(MASS, tolerance=0.1)
+LIGHT = TotalMass(MASS, tolerance=0.1)
 CONDITIONS: dict[str, tuple[Condition, ...]] = {
     "total": (LIGHT,),
-    "group": (sdpid.TotalMass(0.2, links=(LAST,)),),
-    "box": (LIGHT, sdpid.CenterOfMassInBox(LAST, (-0.02, 0.0, -np.inf), (0.02, 0.0, 0.01))),
+    "group": (TotalMass(0.2, links=(LAST,)),),
+    "box": (
+        LIGHT,
+        CenterOfMassInBox(LAST, (-0.02, 0.0, -np.inf), (0.02, 0.0, 0.01)),
+    ),
     "ellipsoid": (
         LIGHT,
-        sdpid.CenterOfMassInEllipsoid(LAST, (0, 0.01, 0), (0.02, 0.05, 0.03), rotation=TURNED),
+        CenterOfMassInEllipsoid(LAST, (0, 0.01, 0), (0.02, 0.05, 0.03), rotation=TURNED),
     ),
     "all mass": (
         LIGHT,
-        sdpid.MassInEllipsoid(LAST, (0, 0.1, 0), (0.1, 0.2, 0.3), rotation=TURNED),
+        MassInEllipsoid(LAST, (0, 0.1, 0), (0.1, 0.2, 0.3), rotation=TURNED),
     ),
-    "hull": (LIGHT, sdpid.CenterOfMassInHull(LAST, CUBE)),
-    "fixed": (sdpid.Fixed({"m_2": 0.4, "Fv1": 0.5}),),
-    "fixed link": (sdpid.FixedLink(LAST, body=BODIES[0]),),
-    "equal": (LIGHT, sdpid.EqualLinks(FIRST, LAST)),
-    "symmetric": (LIGHT, sdpid.MirrorSymmetry(LAST, (0, 1, 1), (0, 0.02, 0))),
-    "pair": (LIGHT, sdpid.MirrorPair(FIRST, LAST, reflection=REFLECTION)),
+    "hull": (LIGHT, CenterOfMassInHull(LAST, CUBE)),
+    "fixed": (Fixed({"m_2": 0.4, "Fv1": 0.5}),),
+    "fixed link": (FixedLink(LAST, body=BODIES[0]),),
+    "equal": (LIGHT, EqualLinks(FIRST, LAST)),
+    "symmetric": (LIGHT, MirrorSymmetry(LAST, (0, 1, 1), (0, 0.02, 0))),
+    "pair": (LIGHT, MirrorPair(FIRST, LAST, reflection=REFLECTION)),
 }
 
 

@@ -21,6 +21,7 @@ from sdpid.assurance.certificate import verify as exact
 from sdpid.assurance.certificate.certificate import GAP, Verification, certify, verify
 from sdpid.assurance.certificate.compression_error import compression_error, rows_digest
 from sdpid.assurance.certificate.rounding import downward, feasible_theta, semidefinite, upward
+from sdpid.constraints import CenterOfMassInBox, CenterOfMassInEllipsoid, Fixed
 from sdpid.errors import CertificateError, DataError
 from sdpid.estimation.compression.covariance import WEIGHTINGS
 from sdpid.estimation.estimate import Estimate
@@ -41,9 +42,9 @@ def certificate(kind: str) -> Data:
     """Return a certificate with rows of every sort and a cone, or with a log-det prior."""
     others = (
         LIGHT,
-        sdpid.CenterOfMassInBox(FIRST, (-0.3, -0.3, -np.inf), (0.3, np.inf, 0.3)),
-        sdpid.CenterOfMassInEllipsoid(LAST, (0, 0.01, 0), (0.02, 0.05, 0.03)),
-        sdpid.Fixed({"Fv1": 0.5}),
+        CenterOfMassInBox(FIRST, (-0.3, -0.3, -np.inf), (0.3, np.inf, 0.3)),
+        CenterOfMassInEllipsoid(LAST, (0, 0.01, 0), (0.02, 0.05, 0.03)),
+        Fixed({"Fv1": 0.5}),
     )
     priors = {"entropic": Prior(kind="entropic", bodies=BODIES), "prior": Prior(bodies=BODIES)}
     problem = arm_problem(
@@ -403,7 +404,7 @@ def test_a_bound_cannot_be_forged_by_half_a_matrix(tmp_path: Path) -> None:
     problem = arm_problem()
     names = problem.base.theta_names
     hidden = [10 * link + k for link in range(2) for k in (1, 2, 3, 5, 7, 8)]
-    fixed = sdpid.Fixed({names[k]: 0.0 for k in hidden})
+    fixed = Fixed({names[k]: 0.0 for k in hidden})
     among = solve_sdp(arm_problem(fixed))
     assert among.cost > solve_sdp(problem).cost * 1.01
     proof = certify(among)

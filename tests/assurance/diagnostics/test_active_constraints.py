@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-import sdpid
 from sdpid.assurance.diagnostics.active_constraints import ConstraintState, constraint_states
+from sdpid.constraints import CenterOfMassInBox, CenterOfMassInEllipsoid, MassInEllipsoid
 from sdpid.estimation.constraints.condition import Condition, Cone, Layout, Row
 from sdpid.estimation.estimate import FEASIBLE, Estimate
 from sdpid.estimation.local.slsqp import solve_slsqp
@@ -84,12 +84,12 @@ def test_multipliers_of_the_numbers(
     numbers: dict[str, Any],
     consistency: Consistency,
 ) -> None:
-    others = (sdpid.CenterOfMassInBox(LAST, (-0.01,) * 3, (0.01,) * 3),)
+    others = (CenterOfMassInBox(LAST, (-0.01,) * 3, (0.01,) * 3),)
     problem = arm_problem(consistency=consistency, **{**numbers, field: value})
     if field == "mass_min":
         # Heavy links cost something only where their centre of mass may not follow.
         problem = arm_problem(
-            sdpid.CenterOfMassInBox(FIRST, (0.1, 0.1, 0.1), (0.2, 0.2, 0.2)),
+            CenterOfMassInBox(FIRST, (0.1, 0.1, 0.1), (0.2, 0.2, 0.2)),
             *others,
             consistency=consistency,
             **{**numbers, field: value},
@@ -156,7 +156,7 @@ def test_the_multiplier_of_a_cone(consistency: Consistency) -> None:
 
     def problem(size: float) -> Problem:
         semi_axes = size * np.array([0.02, 0.05, 0.03])
-        condition = sdpid.CenterOfMassInEllipsoid(LAST, (0, 0.01, 0), semi_axes, rotation=TURNED)
+        condition = CenterOfMassInEllipsoid(LAST, (0, 0.01, 0), semi_axes, rotation=TURNED)
         return arm_problem(LIGHT, condition, consistency=consistency)
 
     estimate = solve_sdp(problem(1.0))
@@ -172,7 +172,7 @@ def test_the_multiplier_of_an_ellipsoid_of_all_mass() -> None:
     """Larger by a share s it has ``∫ (1 − ‖y‖²/(1 + s)²) dm ≥ 0``, twice the mass per unit of s."""
 
     def problem(size: float) -> Problem:
-        condition = sdpid.MassInEllipsoid(
+        condition = MassInEllipsoid(
             LAST, (0, 0.1, 0), size * np.array([0.1, 0.2, 0.3]), rotation=TURNED
         )
         return arm_problem(LIGHT, condition)

@@ -14,6 +14,18 @@ from scipy.spatial import ConvexHull
 
 import sdpid
 from sdpid._common.arrays import Array
+from sdpid.constraints import (
+    CenterOfMassInBox,
+    CenterOfMassInEllipsoid,
+    CenterOfMassInHull,
+    EqualLinks,
+    Fixed,
+    FixedLink,
+    MassInEllipsoid,
+    MirrorPair,
+    MirrorSymmetry,
+    TotalMass,
+)
 from sdpid.errors import DataError, ModelError
 from sdpid.estimation.constraints.condition import Condition, Cone, Layout, Row
 from sdpid.estimation.constraints.hull import hull_facets
@@ -117,16 +129,16 @@ class TestTotalMass:
         masses = theta[: 10 * ROBOT.n_links : 10]
         total = masses.sum() + off
         assume(total > 0.0)
-        condition = sdpid.TotalMass(total, tolerance=tolerance)
+        condition = TotalMass(total, tolerance=tolerance)
         assert satisfied(condition, theta) == (abs(off) < tolerance)
 
     def test_of_a_group(self) -> None:
         theta = theta_with({})
         group = ("thumb", "column")
         masses = [theta[10 * ROBOT.link_names.index(name)] for name in group]
-        condition = sdpid.TotalMass(sum(masses), links=group)
+        condition = TotalMass(sum(masses), links=group)
         assert satisfied(condition, theta)
-        assert not satisfied(sdpid.TotalMass(sum(masses) + 0.1, links=group), theta)
+        assert not satisfied(TotalMass(sum(masses) + 0.1, links=group), theta)
         (row,) = rows_of(condition)
         assert row.name == "total mass of thumb, column"
         assert row.lower == row.upper
@@ -138,32 +150,32 @@ class TestCenterOfMass:
         rng = np.random.default_rng(seed)
         lower, upper = np.sort(rng.uniform(-0.6, 0.6, (2, 3)), axis=0)
         inside = bool(((lower < center(body)) & (center(body) < upper)).all())
-        condition = sdpid.CenterOfMassInBox(LINK, lower, upper)
+        condition = CenterOfMassInBox(LINK, lower, upper)
         assert len(rows_of(condition)) == 6
         assert satisfied(condition, theta_with({LINK: body})) == inside
-        around = sdpid.CenterOfMassInBox(LINK, center(body) - 0.01, center(body) + 0.01)
+        around = CenterOfMassInBox(LINK, center(body) - 0.01, center(body) + 0.01)
         assert excess(around, theta_with({LINK: body})) < 0.0
 
     def test_box_open_and_closed(self) -> None:
         body = point_masses([1.0, 1.0], [[0.2, 0.1, 0.0], [0.2, 0.3, 1.0]])
         theta = theta_with({LINK: body})
-        condition = sdpid.CenterOfMassInBox(LINK, (0.2, 0.1, -np.inf), (0.2, np.inf, 0.6))
+        condition = CenterOfMassInBox(LINK, (0.2, 0.1, -np.inf), (0.2, np.inf, 0.6))
         assert [row.name for row in rows_of(condition)] == [
             "centre of mass of left_arm, x known",
             "centre of mass of left_arm, y at least",
             "centre of mass of left_arm, z at most",
         ]
         assert satisfied(condition, theta)
-        assert not satisfied(sdpid.CenterOfMassInBox(LINK, (0.3,) * 3, (0.3, 1, 1)), theta)
+        assert not satisfied(CenterOfMassInBox(LINK, (0.3,) * 3, (0.3, 1, 1)), theta)
 
     @given(bodies(), ellipsoids())
     def test_ellipsoid(self, body: Array, ellipsoid: dict[str, Array]) -> None:
         y = (center(body) - ellipsoid["center"]) @ ellipsoid["rotation"] / ellipsoid["semi_axes"]
         assume(abs(np.linalg.norm(y) - 1.0) > 1e-9)
-        condition = sdpid.CenterOfMassInEllipsoid(LINK, **ellipsoid)
+        condition = CenterOfMassInEllipsoid(LINK, **ellipsoid)
         theta = theta_with({LINK: body})
         assert satisfied(condition, theta) == (np.linalg.norm(y) < 1.0)
-        around = sdpid.CenterOfMassInEllipsoid(LINK, center(body) + 0.01, (0.02, 0.03, 0.04))
+        around = CenterOfMassInEllipsoid(LINK, center(body) + 0.01, (0.02, 0.03, 0.04))
         assert excess(around, theta) < 0.0
         (cone,) = compiled(condition)
         assert isinstance(cone, Cone)
@@ -173,7 +185,7 @@ class TestCenterOfMass:
     def test_hull_of_points(self, seed: int, count: int) -> None:
         rng = np.random.default_rng(seed)
         corners = rng.uniform(-0.4, 0.4, (count, 3))
-        condition = sdpid.CenterOfMassInHull(LINK, corners)
+        condition = CenterOfMassInHull(LINK, corners)
         inside = weighed(corners[rng.integers(0, count, 8)], seed)
         assert satisfied(condition, theta_with({LINK: inside}))
         # One corner moved out along a direction in which it is the farthest.
@@ -200,7 +212,7 @@ class TestCenterOfMass:
         corners = np.stack(np.meshgrid(*[[1.0, 3.0]] * 3), axis=-1).reshape(-1, 3)
         rng = np.random.default_rng(0)
         points = np.concatenate([corners, corners, rng.uniform(1.0, 3.0, (50, 3))])
-        assert len(rows_of(sdpid.CenterOfMassInHull(LINK, points))) == 6
+        assert len(rows_of(CenterOfMassInHull(LINK, points))) == 6
 
     @pytest.mark.parametrize("name", ["ur5_robot", "panda"])
     def test_hull_of_a_real_link(self, name: str) -> None:
@@ -208,7 +220,7 @@ class TestCenterOfMass:
         link = robot.link_names[2]
         points = collision_points(robot, link)
         for tolerance in (0.0, 1e-3):
-            condition = sdpid.CenterOfMassInHull(link, tolerance=tolerance)
+            condition = CenterOfMassInHull(link, tolerance=tolerance)
             inside = theta_with({link: weighed(points, 1)}, robot=robot)
             assert excess(condition, inside, robot) < 0.0
             for axis in np.concatenate([np.eye(3), -np.eye(3)]):
@@ -218,7 +230,7 @@ class TestCenterOfMass:
                 assert satisfied(condition, corner, robot=robot)
                 out = theta_with({link: beyond}, robot=robot)
                 assert not satisfied(condition, out, robot=robot)
-        exact = len(rows_of(sdpid.CenterOfMassInHull(link), robot))
+        exact = len(rows_of(CenterOfMassInHull(link), robot))
         assert exact <= len(ConvexHull(points).equations)
         assert len(rows_of(condition, robot)) < exact
 
@@ -229,20 +241,20 @@ class TestCenterOfMass:
             "</collision>",
         )
         robot = load_robot(text)
-        condition = sdpid.CenterOfMassInHull("right_arm")
+        condition = CenterOfMassInHull("right_arm")
         at = {"right_arm": point_masses([1.0], [[0.2, 0.0, 0.1]])}
         assert satisfied(condition, theta_with(at, robot=robot), robot=robot)
         off = {"right_arm": point_masses([1.0], [[0.2, 0.0, 0.21]])}
         assert not satisfied(condition, theta_with(off, robot=robot), robot=robot)
         with pytest.raises(ModelError, match="no collision geometry"):
-            compiled(sdpid.CenterOfMassInHull("column"), robot)
+            compiled(CenterOfMassInHull("column"), robot)
 
 
 class TestMassInEllipsoid:
     @given(ellipsoids(), SEEDS, st.integers(1, 12))
     def test_sign(self, ellipsoid: dict[str, Array], seed: int, count: int) -> None:
         rng = np.random.default_rng(seed)
-        condition = sdpid.MassInEllipsoid(LINK, **ellipsoid)
+        condition = MassInEllipsoid(LINK, **ellipsoid)
         inside = weighed(in_frame(ball_points(rng, count, 0.0, 0.999), ellipsoid), seed)
         outside = weighed(in_frame(ball_points(rng, count, 1.001, 3.0), ellipsoid), seed)
         assert excess(condition, theta_with({LINK: inside})) < 0.0
@@ -252,7 +264,7 @@ class TestMassInEllipsoid:
 
     def test_unit_is_kilograms(self) -> None:
         center = np.array([0.1, 0.2, 0.3])
-        (row,) = rows_of(sdpid.MassInEllipsoid(LINK, center, (0.1, 0.2, 0.3)))
+        (row,) = rows_of(MassInEllipsoid(LINK, center, (0.1, 0.2, 0.3)))
         theta = theta_with({LINK: point_masses([2.5], [center])})
         assert row.coefficients @ theta == pytest.approx(2.5)
         theta = theta_with({LINK: point_masses([2.5], [center + 0.2 * np.eye(3)[0]])})
@@ -264,11 +276,11 @@ class TestMassInEllipsoid:
     ) -> None:
         """Four point masses with the body's moments, found by turning a square root of J."""
         T = np.eye(4)
-        T[:3] = sdpid.MassInEllipsoid(LINK, **ellipsoid).to_ball()
+        T[:3] = MassInEllipsoid(LINK, **ellipsoid).to_ball()
         # Grown until the condition just holds; some of the body's own masses may be outside.
         y2 = np.trace((T @ pseudo_inertia(body) @ T.T)[:3, :3]) / body[0]
         ellipsoid = {**ellipsoid, "semi_axes": ellipsoid["semi_axes"] * np.sqrt(1.01 * y2)}
-        condition = sdpid.MassInEllipsoid(LINK, **ellipsoid)
+        condition = MassInEllipsoid(LINK, **ellipsoid)
         assert satisfied(condition, theta_with({LINK: body}))
         T[:3] = condition.to_ball()
         J = T @ pseudo_inertia(body) @ T.T
@@ -297,10 +309,10 @@ class TestEquations:
         theta = theta_with({})
         names = layout_of(ROBOT).names
         values = {name: theta[names.index(name)] for name in ("m_3", "xy_2", "Fv2")}
-        assert satisfied(sdpid.Fixed(values), theta)
+        assert satisfied(Fixed(values), theta)
         for name in values:
-            assert not satisfied(sdpid.Fixed({**values, name: values[name] + 1e-6}), theta)
-        assert [row.name for row in rows_of(sdpid.Fixed(values))] == [
+            assert not satisfied(Fixed({**values, name: values[name] + 1e-6}), theta)
+        assert [row.name for row in rows_of(Fixed(values))] == [
             "m_3 fixed",
             "xy_2 fixed",
             "Fv2 fixed",
@@ -308,16 +320,16 @@ class TestEquations:
 
     @given(bodies(), st.integers(0, 9))
     def test_fixed_link(self, body: Array, entry: int) -> None:
-        condition = sdpid.FixedLink(LINK, body)
+        condition = FixedLink(LINK, body)
         assert satisfied(condition, theta_with({LINK: body}))
         assert not satisfied(condition, theta_with({LINK: body + 1e-6 * np.eye(10)[entry]}))
         prior = ROBOT.prior[ROBOT.link_names.index(LINK)]
-        assert satisfied(sdpid.FixedLink(LINK), theta_with({LINK: prior}))
-        assert not satisfied(sdpid.FixedLink(LINK), theta_with({LINK: 1.1 * prior}))
+        assert satisfied(FixedLink(LINK), theta_with({LINK: prior}))
+        assert not satisfied(FixedLink(LINK), theta_with({LINK: 1.1 * prior}))
 
     @given(bodies(), st.integers(0, 9))
     def test_equal_links(self, body: Array, entry: int) -> None:
-        condition = sdpid.EqualLinks("finger", "thumb")
+        condition = EqualLinks("finger", "thumb")
         assert satisfied(condition, theta_with({"finger": body, "thumb": body}))
         other = body + 1e-6 * np.eye(10)[entry]
         assert not satisfied(condition, theta_with({"finger": body, "thumb": other}))
@@ -328,7 +340,7 @@ class TestEquations:
         normal, point = rng.normal(size=3), rng.uniform(-0.3, 0.3, 3)
         half = rng.uniform(-0.4, 0.4, (count, 3))
         whole = weighed(half, seed) + weighed(mirrored(half, normal, point), seed)
-        condition = sdpid.MirrorSymmetry(LINK, normal, point)
+        condition = MirrorSymmetry(LINK, normal, point)
         assert satisfied(condition, theta_with({LINK: whole}))
         n = normal / np.linalg.norm(normal)
         lopsided = whole + point_masses([0.5], [point + 0.1 * n])
@@ -342,7 +354,7 @@ class TestEquations:
         M = np.eye(4)
         M[:3, :3] -= 2.0 * np.outer(n, n)
         M[:3, 3] = 2.0 * (n @ point) * n
-        rows = rows_of(sdpid.MirrorSymmetry(LINK, 3.0 * normal, point))
+        rows = rows_of(MirrorSymmetry(LINK, 3.0 * normal, point))
         start = 10 * ROBOT.link_names.index(LINK)
         A = np.stack([row.coefficients for row in rows])[:, start : start + 10]
         assert np.linalg.matrix_rank(A) == len(A) == 3
@@ -358,7 +370,7 @@ class TestEquations:
         reflection = np.eye(4)
         reflection[:3, :3], reflection[:3, 3] = -R, rng.uniform(-0.3, 0.3, 3)
         image = weighed(points @ reflection[:3, :3].T + reflection[:3, 3], seed)
-        condition = sdpid.MirrorPair("finger", "thumb", reflection=reflection)
+        condition = MirrorPair("finger", "thumb", reflection=reflection)
         body = weighed(points, seed)
         assert satisfied(condition, theta_with({"finger": body, "thumb": image}))
         wrong = image + point_masses([1e-3], [[0.1, 0.2, 0.3]])
@@ -385,7 +397,7 @@ class TestEquations:
             return weighed((points - P[:3, 3]) @ P[:3, :3], seed)
 
         other = mirrored(world, normal, point)
-        condition = sdpid.MirrorPair(first, second, normal, point, position=position)
+        condition = MirrorPair(first, second, normal, point, position=position)
         right = {first: body(world, first), second: body(other, second)}
         assert satisfied(condition, theta_with(right, robot=robot), robot=robot)
         wrong = {first: body(world, first), second: body(world, second)}
@@ -400,17 +412,17 @@ class TestEquations:
         assert len(legs) == 3
         for link in legs:
             other = link.replace("FL", "FR")
-            assert satisfied(sdpid.MirrorPair(link, other, (0, 1, 0)), theta, robot=robot)
-            assert not satisfied(sdpid.MirrorPair(link, other, (1, 0, 0)), theta, robot=robot)
+            assert satisfied(MirrorPair(link, other, (0, 1, 0)), theta, robot=robot)
+            assert not satisfied(MirrorPair(link, other, (1, 0, 0)), theta, robot=robot)
 
     @pytest.mark.parametrize(
         ("condition", "count"),
         [
-            (sdpid.Fixed({"m_1": 1.0, "Fs1": 0.1}), 2),
-            (sdpid.FixedLink(LINK), 10),
-            (sdpid.EqualLinks("finger", "thumb"), 10),
-            (sdpid.MirrorSymmetry(LINK, (0, 1, 0)), 3),
-            (sdpid.MirrorPair("finger", "thumb", (0, 1, 0)), 10),
+            (Fixed({"m_1": 1.0, "Fs1": 0.1}), 2),
+            (FixedLink(LINK), 10),
+            (EqualLinks("finger", "thumb"), 10),
+            (MirrorSymmetry(LINK, (0, 1, 0)), 3),
+            (MirrorPair("finger", "thumb", (0, 1, 0)), 10),
         ],
     )
     def test_equations_are_independent(self, condition: Condition, count: int) -> None:
@@ -423,16 +435,16 @@ class TestEquations:
 
 BOX = np.stack(np.meshgrid(*[[0.0, 1.0]] * 3), axis=-1).reshape(-1, 3)
 ALL: tuple[Condition, ...] = (
-    sdpid.TotalMass(3.0, tolerance=0.1, links=["finger"]),
-    sdpid.CenterOfMassInBox(LINK, (-0.1,) * 3, (0.1,) * 3),
-    sdpid.CenterOfMassInEllipsoid(LINK, (0, 0, 0), (0.1, 0.1, 0.1)),
-    sdpid.CenterOfMassInHull(LINK, BOX),
-    sdpid.MassInEllipsoid(LINK, (0, 0, 0), (0.1, 0.1, 0.1)),
-    sdpid.Fixed({"m_1": 2.0}),
-    sdpid.FixedLink(LINK),
-    sdpid.EqualLinks(LINK, "finger"),
-    sdpid.MirrorSymmetry(LINK, (0, 1, 0)),
-    sdpid.MirrorPair(LINK, "right_arm", (0, 1, 0)),
+    TotalMass(3.0, tolerance=0.1, links=["finger"]),
+    CenterOfMassInBox(LINK, (-0.1,) * 3, (0.1,) * 3),
+    CenterOfMassInEllipsoid(LINK, (0, 0, 0), (0.1, 0.1, 0.1)),
+    CenterOfMassInHull(LINK, BOX),
+    MassInEllipsoid(LINK, (0, 0, 0), (0.1, 0.1, 0.1)),
+    Fixed({"m_1": 2.0}),
+    FixedLink(LINK),
+    EqualLinks(LINK, "finger"),
+    MirrorSymmetry(LINK, (0, 1, 0)),
+    MirrorPair(LINK, "right_arm", (0, 1, 0)),
 )
 
 
@@ -454,16 +466,16 @@ def test_each_is_named_read_only_and_travels(condition: Condition) -> None:
 @pytest.mark.parametrize(
     ("condition", "message"),
     [
-        (sdpid.TotalMass(1.0, links=("nose",)), "no link 'nose'"),
-        (sdpid.CenterOfMassInBox("nose", (0, 0, 0), (1, 1, 1)), "no link 'nose'"),
-        (sdpid.CenterOfMassInEllipsoid("nose", (0, 0, 0), (1, 1, 1)), "no link 'nose'"),
-        (sdpid.CenterOfMassInHull("nose"), "no link 'nose'"),
-        (sdpid.MassInEllipsoid("nose", (0, 0, 0), (1, 1, 1)), "no link 'nose'"),
-        (sdpid.Fixed({"m_99": 1.0}), "m_99"),
-        (sdpid.FixedLink("nose"), "no link 'nose'"),
-        (sdpid.EqualLinks("finger", "nose"), "no link 'nose'"),
-        (sdpid.MirrorSymmetry("nose", (0, 1, 0)), "no link 'nose'"),
-        (sdpid.MirrorPair("nose", "finger", (0, 1, 0)), "no link 'nose'"),
+        (TotalMass(1.0, links=("nose",)), "no link 'nose'"),
+        (CenterOfMassInBox("nose", (0, 0, 0), (1, 1, 1)), "no link 'nose'"),
+        (CenterOfMassInEllipsoid("nose", (0, 0, 0), (1, 1, 1)), "no link 'nose'"),
+        (CenterOfMassInHull("nose"), "no link 'nose'"),
+        (MassInEllipsoid("nose", (0, 0, 0), (1, 1, 1)), "no link 'nose'"),
+        (Fixed({"m_99": 1.0}), "m_99"),
+        (FixedLink("nose"), "no link 'nose'"),
+        (EqualLinks("finger", "nose"), "no link 'nose'"),
+        (MirrorSymmetry("nose", (0, 1, 0)), "no link 'nose'"),
+        (MirrorPair("nose", "finger", (0, 1, 0)), "no link 'nose'"),
     ],
 )
 def test_links_and_parameters_that_the_robot_does_not_have(
@@ -475,7 +487,7 @@ def test_links_and_parameters_that_the_robot_does_not_have(
 
 def test_a_description_without_inertias_fixes_nothing(denso: RobotModel) -> None:
     with pytest.raises(ModelError, match=r"mass of 0\.0 kg; give the body"):
-        compiled(sdpid.FixedLink(denso.link_names[0]), denso)
+        compiled(FixedLink(denso.link_names[0]), denso)
 
 
 @pytest.mark.parametrize(
@@ -521,7 +533,7 @@ def test_a_description_without_inertias_fixes_nothing(denso: RobotModel) -> None
 def test_numbers_that_make_no_sense(kind: str, arguments: dict[str, Any], message: str) -> None:
     named = {} if kind == "TotalMass" else {"link": LINK}
     with pytest.raises(DataError, match=message):
-        getattr(sdpid, kind)(**named, **arguments)
+        getattr(sdpid.constraints, kind)(**named, **arguments)
 
 
 @pytest.mark.parametrize(
@@ -537,7 +549,7 @@ def test_numbers_that_make_no_sense(kind: str, arguments: dict[str, Any], messag
 )
 def test_pairs_that_make_no_sense(kind: str, arguments: tuple[Any, ...], message: str) -> None:
     with pytest.raises(DataError, match=message):
-        getattr(sdpid, kind)(*arguments)
+        getattr(sdpid.constraints, kind)(*arguments)
 
 
 @pytest.mark.parametrize(
@@ -552,14 +564,14 @@ def test_pairs_that_make_no_sense(kind: str, arguments: tuple[Any, ...], message
 )
 def test_reflections_that_are_none(arguments: dict[str, Any], message: str) -> None:
     with pytest.raises(DataError, match=message):
-        sdpid.MirrorPair("a", "b", **arguments)
+        MirrorPair("a", "b", **arguments)
 
 
 def test_flat_collision_geometry_says_so() -> None:
     plate = '<link name="column"><collision><geometry><box size="1 1 0"/></geometry></collision>'
     robot = load_robot(TREE.replace('<link name="column">', plate))
     with pytest.raises(DataError, match="hull has no volume"):
-        compiled(sdpid.CenterOfMassInHull("column"), robot)
+        compiled(CenterOfMassInHull("column"), robot)
 
 
 def test_the_bodies_of_these_tests_exist() -> None:

@@ -11,10 +11,16 @@ import pytest
 from hypothesis import given
 from scipy.optimize import nnls
 
-import sdpid
 from sdpid._common.arrays import Array
 from sdpid.assurance.certificate.certificate import certify, verify
 from sdpid.assurance.diagnostics.active_constraints import constraint_states
+from sdpid.constraints import (
+    CenterOfMassInBox,
+    CenterOfMassInEllipsoid,
+    CenterOfMassInHull,
+    MassInEllipsoid,
+    TotalMass,
+)
 from sdpid.estimation.constraints.condition import Condition
 from sdpid.estimation.estimate import FEASIBLE, Estimate
 from sdpid.estimation.sdp.solve import solve_sdp
@@ -43,12 +49,12 @@ PLACE = 1e-7
 
 # Much weaker than what the optimum does anyway.
 LOOSE: dict[str, Condition] = {
-    "total": sdpid.TotalMass(20.0, tolerance=19.9),
-    "group": sdpid.TotalMass(10.0, tolerance=9.99, links=(LAST,)),
-    "box": sdpid.CenterOfMassInBox(LAST, (-9.0, -9.0, -np.inf), (9.0, 9.0, 9.0)),
-    "ellipsoid": sdpid.CenterOfMassInEllipsoid(LAST, (0, 0.1, 0), (9.0, 8.0, 7.0)),
-    "all mass": sdpid.MassInEllipsoid(LAST, (0, 0.1, 0), (9.0, 9.0, 9.0)),
-    "hull": sdpid.CenterOfMassInHull(LAST, 300.0 * CUBE),
+    "total": TotalMass(20.0, tolerance=19.9),
+    "group": TotalMass(10.0, tolerance=9.99, links=(LAST,)),
+    "box": CenterOfMassInBox(LAST, (-9.0, -9.0, -np.inf), (9.0, 9.0, 9.0)),
+    "ellipsoid": CenterOfMassInEllipsoid(LAST, (0, 0.1, 0), (9.0, 8.0, 7.0)),
+    "all mass": MassInEllipsoid(LAST, (0, 0.1, 0), (9.0, 9.0, 9.0)),
+    "hull": CenterOfMassInHull(LAST, 300.0 * CUBE),
 }
 
 

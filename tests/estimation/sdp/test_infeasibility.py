@@ -13,8 +13,19 @@ import numpy as np
 import pytest
 from hypothesis import assume, given, settings
 
-import sdpid
 from sdpid.assurance.certificate.certificate import certify
+from sdpid.constraints import (
+    CenterOfMassInBox,
+    CenterOfMassInEllipsoid,
+    CenterOfMassInHull,
+    EqualLinks,
+    Fixed,
+    FixedLink,
+    MassInEllipsoid,
+    MirrorPair,
+    MirrorSymmetry,
+    TotalMass,
+)
 from sdpid.errors import InfeasibleError
 from sdpid.estimation.conic.solve import ConicSolution
 from sdpid.estimation.constraints.condition import Condition
@@ -99,18 +110,18 @@ def random_conditions(rng: np.random.Generator) -> list[Condition]:
         size = rng.uniform(0.02, 0.2, 3)
         # Numbers of friction are about no link.
         return [
-            lambda: sdpid.TotalMass(rng.uniform(0.5, 8.0), tolerance=rng.uniform(0.0, 0.3)),
-            lambda: sdpid.TotalMass(rng.uniform(0.5, 8.0), links=(link,)),
-            lambda: sdpid.CenterOfMassInBox(link, place - size, place + size),
-            lambda: sdpid.CenterOfMassInEllipsoid(link, place, size),
-            lambda: sdpid.MassInEllipsoid(link, place, size),
-            lambda: sdpid.CenterOfMassInHull(link, place + 4.0 * CUBE),
-            lambda: sdpid.Fixed({f"m_{1 + (link == LAST)}": rng.uniform(0.1, 5.0)}),
-            lambda: sdpid.Fixed({"Fs1": rng.uniform(-0.5, 1.0)}),
-            lambda: sdpid.FixedLink(link, random_links(rng, 1)[0]),
-            lambda: sdpid.EqualLinks(FIRST, LAST),
-            lambda: sdpid.MirrorSymmetry(link, rng.normal(size=3), place),
-            lambda: sdpid.MirrorPair(FIRST, LAST, reflection=REFLECTION),
+            lambda: TotalMass(rng.uniform(0.5, 8.0), tolerance=rng.uniform(0.0, 0.3)),
+            lambda: TotalMass(rng.uniform(0.5, 8.0), links=(link,)),
+            lambda: CenterOfMassInBox(link, place - size, place + size),
+            lambda: CenterOfMassInEllipsoid(link, place, size),
+            lambda: MassInEllipsoid(link, place, size),
+            lambda: CenterOfMassInHull(link, place + 4.0 * CUBE),
+            lambda: Fixed({f"m_{1 + (link == LAST)}": rng.uniform(0.1, 5.0)}),
+            lambda: Fixed({"Fs1": rng.uniform(-0.5, 1.0)}),
+            lambda: FixedLink(link, random_links(rng, 1)[0]),
+            lambda: EqualLinks(FIRST, LAST),
+            lambda: MirrorSymmetry(link, rng.normal(size=3), place),
+            lambda: MirrorPair(FIRST, LAST, reflection=REFLECTION),
         ][rng.integers(12)]()
 
     return [one() for _ in range(rng.integers(2, 5))]
@@ -142,7 +153,11 @@ def test_contradictions_are_found_and_named(seed: int) -> None:
 @pytest.mark.parametrize("off", [5e-9, 3e-8, 1e-6])
 def test_equations_that_hardly_contradict_each_other_are_named_alone(off: float) -> None:
     """Also where a solver, content with 1e-7, sees no contradiction."""
-    others = sdpid.TotalMass(2.0), sdpid.Fixed({"Fv1": 0.1}), sdpid.TotalMass(2.0 + off)
+    others = (
+        TotalMass(2.0),
+        Fixed({"Fv1": 0.1}),
+        TotalMass(2.0 + off),
+    )
     with pytest.raises(InfeasibleError, match="total mass") as info:
         solve_sdp(arm_problem(*others))
     assert info.value.conflict == ("total mass (1)", "total mass (2)")
@@ -159,7 +174,7 @@ def test_equations_are_named_where_the_solver_has_no_answer(
 
     monkeypatch.setattr("sdpid.estimation.sdp.infeasibility.solve_conic", unanswered)
     with pytest.raises(InfeasibleError, match="total mass") as info:
-        solve_sdp(arm_problem(sdpid.TotalMass(2.0), sdpid.TotalMass(2.1)))
+        solve_sdp(arm_problem(TotalMass(2.0), TotalMass(2.1)))
     assert info.value.conflict == ("total mass (1)", "total mass (2)")
     assert "nan" not in str(info.value)
 
@@ -172,13 +187,13 @@ def test_what_some_bodies_satisfy_is_never_refused(seed: int) -> None:
     bodies = theta[:20].reshape(2, 10)
     mass, place, _ = physical_parameters(bodies)
     others = [
-        sdpid.TotalMass(float(mass.sum()), tolerance=float(rng.choice([0.0, 0.1]))),
-        sdpid.CenterOfMassInBox(FIRST, place[0] - 0.01, place[0] + 0.01),
-        sdpid.CenterOfMassInEllipsoid(LAST, place[1] + 0.01, (0.05, 0.05, 0.05)),
-        sdpid.MassInEllipsoid(LAST, (0, 0, 0), (0.7, 0.7, 0.7)),
-        sdpid.CenterOfMassInHull(LAST, place[1] + 2.0 * CUBE),
-        sdpid.Fixed({"m_1": float(mass[0]), "Fv2": float(theta[-1])}),
-        sdpid.FixedLink(FIRST, bodies[0]),
+        TotalMass(float(mass.sum()), tolerance=float(rng.choice([0.0, 0.1]))),
+        CenterOfMassInBox(FIRST, place[0] - 0.01, place[0] + 0.01),
+        CenterOfMassInEllipsoid(LAST, place[1] + 0.01, (0.05, 0.05, 0.05)),
+        MassInEllipsoid(LAST, (0, 0, 0), (0.7, 0.7, 0.7)),
+        CenterOfMassInHull(LAST, place[1] + 2.0 * CUBE),
+        Fixed({"m_1": float(mass[0]), "Fv2": float(theta[-1])}),
+        FixedLink(FIRST, bodies[0]),
     ]
     chosen = [other for other in others if rng.uniform() < 0.5]
     problem = arm_problem(*chosen, margin=0.0)
@@ -191,17 +206,20 @@ def test_what_some_bodies_satisfy_is_never_refused(seed: int) -> None:
 @pytest.mark.parametrize(
     ("others", "words"),
     [
-        ((sdpid.TotalMass(11.0),), ("total mass", "masses at most 5 kg")),
-        (
-            (sdpid.Fixed({"m_2": 1.0}), sdpid.TotalMass(2.0, links=(LAST,))),
-            ("m_2 fixed", f"total mass of {LAST}"),
-        ),
-        ((sdpid.Fixed({"Fs1": -0.1}),), ("Fs1 fixed", "Fs1 at least 0")),
+        ((TotalMass(11.0),), ("total mass", "masses at most 5 kg")),
         (
             (
-                sdpid.CenterOfMassInBox(LAST, (0.2, -1, -1), (0.3, 1, 1)),
-                sdpid.CenterOfMassInEllipsoid(LAST, (0, 0, 0), (0.1, 0.1, 0.1)),
-                sdpid.TotalMass(3.0),
+                Fixed({"m_2": 1.0}),
+                TotalMass(2.0, links=(LAST,)),
+            ),
+            ("m_2 fixed", f"total mass of {LAST}"),
+        ),
+        ((Fixed({"Fs1": -0.1}),), ("Fs1 fixed", "Fs1 at least 0")),
+        (
+            (
+                CenterOfMassInBox(LAST, (0.2, -1, -1), (0.3, 1, 1)),
+                CenterOfMassInEllipsoid(LAST, (0, 0, 0), (0.1, 0.1, 0.1)),
+                TotalMass(3.0),
             ),
             (
                 f"centre of mass of {LAST}, x at least",
@@ -210,7 +228,7 @@ def test_what_some_bodies_satisfy_is_never_refused(seed: int) -> None:
             ),
         ),
         (
-            (sdpid.Fixed({"xx_2": 5.0, "yy_2": 1.0, "zz_2": 1.0}),),
+            (Fixed({"xx_2": 5.0, "yy_2": 1.0, "zz_2": 1.0}),),
             ("xx_2 fixed", "yy_2 fixed", "zz_2 fixed", f"consistency of {LAST}"),
         ),
     ],
@@ -225,9 +243,12 @@ def test_names_of_contradictions(others: tuple[Condition, ...], words: tuple[str
 @pytest.mark.parametrize(
     "others",
     [
-        (sdpid.TotalMass(7.5, links=(FIRST,)),),
-        (sdpid.TotalMass(5.6, links=(LAST,)), sdpid.Fixed({"m_1": 2.8, "Fs1": 0.7})),
-        (sdpid.Fixed({"m_2": 3.8}), sdpid.EqualLinks(FIRST, LAST)),
+        (TotalMass(7.5, links=(FIRST,)),),
+        (
+            TotalMass(5.6, links=(LAST,)),
+            Fixed({"m_1": 2.8, "Fs1": 0.7}),
+        ),
+        (Fixed({"m_2": 3.8}), EqualLinks(FIRST, LAST)),
     ],
 )
 def test_contradictions_beside_a_log_det_prior(
@@ -249,7 +270,7 @@ def test_a_link_that_cannot_exist() -> None:
     body = BODIES[0].copy()
     body[[4, 6, 9]] = 5.0, 1.0, 1.0
     for consistency in BOTH:
-        problem = arm_problem(sdpid.FixedLink(LAST, body), consistency=consistency)
+        problem = arm_problem(FixedLink(LAST, body), consistency=consistency)
         if consistency == "spatial_inertia":
             # Which only the pseudo-inertia knows.
             assert solve_sdp(problem).feasible

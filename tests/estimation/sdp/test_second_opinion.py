@@ -10,6 +10,7 @@ import pytest
 import sdpid
 from sdpid._common.arrays import Array
 from sdpid.assurance.diagnostics.active_constraints import constraint_states
+from sdpid.constraints import CenterOfMassInEllipsoid, MassInEllipsoid, TotalMass
 from sdpid.estimation.conic.solve import solve_conic
 from sdpid.estimation.constraints.constraints import Constraints
 from sdpid.estimation.prior.prior import Prior, PriorKind
@@ -76,9 +77,9 @@ def test_a_real_recording(data_folder: Path, kind: PriorKind | None) -> None:
     robot = sdpid.load_robot(folder / "ur10.urdf")
     prior = None if kind is None else Prior(kind=kind)
     conditions = (
-        sdpid.TotalMass(20.0, tolerance=0.5),
-        sdpid.CenterOfMassInEllipsoid("forearm_link", (0, 0, 0.2), (0.1, 0.1, 0.2)),
-        sdpid.MassInEllipsoid("upper_arm_link", (0, 0, 0.3), (0.1, 0.1, 0.4)),
+        TotalMass(20.0, tolerance=0.5),
+        CenterOfMassInEllipsoid("forearm_link", (0, 0, 0.2), (0.1, 0.1, 0.2)),
+        MassInEllipsoid("upper_arm_link", (0, 0, 0.3), (0.1, 0.1, 0.4)),
     )
     problem = formulate(
         robot,

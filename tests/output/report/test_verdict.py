@@ -10,6 +10,7 @@ import pytest
 import sdpid
 from sdpid.assurance.diagnostics.residuals import joint_errors
 from sdpid.assurance.diagnostics.validation import Validation
+from sdpid.constraints import Fixed
 from sdpid.experiment.processing.samples import Samples
 from sdpid.output.report.prediction_verdict import SMALL, grade, prediction_findings
 from sdpid.output.report.verdict import _one_way, errors_of, findings
@@ -151,7 +152,7 @@ def test_weak_directions_are_named() -> None:
 def test_constraints_that_cost_are_named(good: sdpid.Identification) -> None:
     # Twice the friction that there is.
     friction = 2.0 * good.estimate.named()["Fv1"]
-    constraints = sdpid.Constraints(others=(sdpid.Fixed({"Fv1": friction}),))
+    constraints = sdpid.Constraints(others=(Fixed({"Fv1": friction}),))
     result = identified(good.problem.samples, constraints=constraints)
     assert "Fv1" in said(result, "The constraints contradict the data")
     unsaid(good, "contradict")

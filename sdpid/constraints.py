@@ -1,0 +1,38 @@
+"""Constraints beside margins and bounds: masses, places of mass, symmetries, known parameters.
+
+``sdpid.Constraints(others=(sdpid.constraints.TotalMass(12.5),))`` takes objects of these. One
+of your own is a `Condition` whose `compile` returns rows and cones.
+"""
+
+from sdpid.estimation.constraints.condition import Condition, Cone, Layout, Row
+from sdpid.estimation.constraints.equalities import (
+    EqualLinks,
+    Fixed,
+    FixedLink,
+    MirrorPair,
+    MirrorSymmetry,
+)
+from sdpid.estimation.constraints.mass import (
+    CenterOfMassInBox,
+    CenterOfMassInEllipsoid,
+    CenterOfMassInHull,
+    MassInEllipsoid,
+    TotalMass,
+)
+
+__all__ = [
+    "CenterOfMassInBox",
+    "CenterOfMassInEllipsoid",
+    "CenterOfMassInHull",
+    "Condition",
+    "Cone",
+    "EqualLinks",
+    "Fixed",
+    "FixedLink",
+    "Layout",
+    "MassInEllipsoid",
+    "MirrorPair",
+    "MirrorSymmetry",
+    "Row",
+    "TotalMass",
+]
