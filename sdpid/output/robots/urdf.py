@@ -31,7 +31,8 @@ from sdpid.robot.description.xml_edits import Document, Element
 from sdpid.robot.friction.terms import Coulomb, Viscous
 from sdpid.robot.inertia import margin
 from sdpid.robot.model.base_parameters import generic_states
-from sdpid.robot.model.model import RobotModel, Root
+from sdpid.robot.model.load import Root, load_robot
+from sdpid.robot.model.model import RobotModel
 
 # How a body is split among a moving link and those fixed to it.
 Fixed: TypeAlias = Literal["keep", "merge"] | Mapping[str, ArrayLike]
@@ -307,7 +308,7 @@ def _read_back(robot: RobotModel, bodies: Array, text: str) -> None:
     what = f"URDF of '{robot.name}'"
     root: Root | None = "free_flyer" if robot.free_flyer else None
     try:
-        written = RobotModel.from_urdf(text, root=root, gravity=robot.gravity.tolist())
+        written = load_robot(text, root=root, gravity=robot.gravity.tolist())
     except ModelError as cause:
         raise ExportError(f"{what}: the changed file cannot be read back ({cause}).") from None
     if written.joint_names != robot.joint_names:

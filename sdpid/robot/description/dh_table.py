@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import math
 import os
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
 
@@ -135,6 +135,36 @@ class DhTable:
         return tuple(joint.name or f"joint_{i + 1}" for i, joint in enumerate(self.joints))
 
     @classmethod
+    def of(
+        cls,
+        table: DhTable | str | os.PathLike[str] | Mapping[str, Any] | Iterable[Any],
+        **changes: Any,
+    ) -> DhTable:
+        """Return a table from a table, a TOML file, its content, or rows.
+
+        Parameters
+        ----------
+        table : DhTable, path of a TOML file, mapping, or iterable of DhJoint or mappings
+            The table.
+        **changes
+            Attributes that replace the table's own; None keeps one.
+
+        Raises
+        ------
+        ModelError
+            When it is not understood.
+        """
+        if isinstance(table, (str, os.PathLike)):
+            table = cls.from_toml(table)
+        elif isinstance(table, Mapping):
+            table = cls.from_mapping(table)
+        elif not isinstance(table, DhTable):
+            if not isinstance(table, Iterable):
+                raise ModelError(f"kinematic table: got {type(table).__name__}; give rows.")
+            table = cls(joints=tuple(_row(row) for row in table))
+        return replace(table, **{key: value for key, value in changes.items() if value is not None})
+
+    @classmethod
     def from_mapping(cls, data: Mapping[str, Any], *, what: str = "kinematic table") -> DhTable:
         """Build from the content of a TOML file (see ``models/denso_vp6242/kinematics.toml``).
 
@@ -261,6 +291,20 @@ class DhTable:
             etree.SubElement(element, "child", link="tip")
         etree.indent(robot)
         return str(etree.tostring(robot, xml_declaration=True, encoding="UTF-8"), "utf-8") + "\n"
+
+
+def _row(row: Any) -> DhJoint:
+    """Return a row of a table from itself or a mapping."""
+    if isinstance(row, DhJoint):
+        return row
+    if not isinstance(row, Mapping):
+        raise ModelError(
+            f"kinematic table: a row is {row!r}; give a mapping with alpha, d, theta, r."
+        )
+    try:
+        return DhJoint(**row)
+    except TypeError as cause:
+        raise ModelError(f"kinematic table: a row is not understood ({cause}).") from None
 
 
 def _origin(element: Any, transform: Array) -> None:

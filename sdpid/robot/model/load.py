@@ -6,14 +6,18 @@ import os
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 from sdpid.errors import ModelError
 from sdpid.robot.description.catalog import bundled_folder, bundled_robots, find_robot
 from sdpid.robot.description.dh_table import DhTable
+from sdpid.robot.description.mjcf import pinocchio_from_mjcf
+from sdpid.robot.description.urdf import pinocchio_from_urdf
 from sdpid.robot.description.xacro import expand_xacro, is_xacro
 from sdpid.robot.description.xml import Description, is_mjcf, is_xml, read_description
-from sdpid.robot.model.model import RobotModel, Root
+from sdpid.robot.model.model import RobotModel
+
+Root = Literal["free_flyer"]
 
 
 def load_robot(
@@ -68,13 +72,16 @@ def load_robot(
     elif xacro_args is not None:
         raise ModelError(f"{found.what}: xacro_args are given, and it is no xacro file.")
     if not is_mjcf(found.text, found.what):
-        return RobotModel.from_urdf(found.text, what=found.what, root=root, gravity=gravity)
+        floating = root is not None
+        model, mimics = pinocchio_from_urdf(found.text, found.what, floating=floating)
+        return RobotModel.from_pinocchio(model, gravity=gravity, mimics=mimics, urdf=found.text)
     if root is not None:
         raise ModelError(
             f"{found.what}: an MJCF says itself whether its base floats; leave root out, and give "
             "its first body a <freejoint/>."
         )
-    return RobotModel.from_mjcf(found.text, path=found.path, what=found.what, gravity=gravity)
+    model, mimics = pinocchio_from_mjcf(found.text, found.path, found.what)
+    return RobotModel.from_pinocchio(model, gravity=gravity, mimics=mimics)
 
 
 def _find(source: str | os.PathLike[str]) -> tuple[Description, Sequence[float] | None]:

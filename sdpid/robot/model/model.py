@@ -6,7 +6,6 @@ import functools
 import os
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
@@ -14,14 +13,11 @@ from numpy.typing import ArrayLike
 
 from sdpid._common.arrays import Array, Indices, frozen, real_array
 from sdpid.errors import DataError, ModelError
-from sdpid.robot.description.dh_table import DhJoint, DhTable
-from sdpid.robot.description.mjcf import pinocchio_from_mjcf
+from sdpid.robot.description.dh_table import DhTable
 from sdpid.robot.description.urdf import Mimic, joint_dynamics, pinocchio_from_urdf
 from sdpid.robot.inertia import PARAMETER_NAMES, PARAMETER_UNITS
 from sdpid.robot.model import regressor_kernel as kernels
 from sdpid.robot.model.coordinates import coordinate_names, expand_mimics, link_names
-
-Root = Literal["free_flyer"]
 
 # Descriptions and our own URDFs write 'no limit' as a number at least this large.
 _UNLIMITED = 1e9
@@ -95,91 +91,27 @@ class RobotModel:
         ModelError
             When the table is not understood.
         """
-        if isinstance(table, (str, os.PathLike)):
-            table = DhTable.from_toml(table)
-        elif isinstance(table, Mapping):
-            table = DhTable.from_mapping(table)
-        elif not isinstance(table, DhTable):
-            if not isinstance(table, Iterable):
-                raise ModelError(f"kinematic table: got {type(table).__name__}; give rows.")
-            rows = tuple(table)
-            table = DhTable(joints=tuple(r if isinstance(r, DhJoint) else _row(r) for r in rows))
-        changes: dict[str, Any] = {
-            "gravity": gravity,
-            "convention": convention,
-            "base_translation": base_translation,
-            "base_rpy": base_rpy,
-            "name": name,
-        }
-        fields = {key: getattr(table, key) for key in changes}
-        fields |= {key: value for key, value in changes.items() if value is not None}
-        table = DhTable(joints=table.joints, **fields)
-        return cls.from_urdf(table.to_urdf(inertias), gravity=table.gravity)
+        whole = DhTable.of(
+            table,
+            gravity=gravity,
+            convention=convention,
+            base_translation=base_translation,
+            base_rpy=base_rpy,
+            name=name,
+        )
+        text = whole.to_urdf(inertias)
+        model, _ = pinocchio_from_urdf(text, "kinematic table")
+        return cls.from_pinocchio(model, gravity=whole.gravity, urdf=text)
 
     @classmethod
-    def from_urdf(
+    def from_pinocchio(
         cls,
-        text: str,
+        model: Any,
         *,
-        what: str = "description",
-        root: Root | None = None,
         gravity: Sequence[float] | None = None,
+        mimics: Sequence[Mimic] = (),
+        urdf: str | None = None,
     ) -> RobotModel:
-        """Build from the text of a URDF.
-
-        Parameters
-        ----------
-        text : str
-            The URDF.
-        what : str, optional
-            What it is called in messages.
-        root : {"free_flyer"}, optional
-            Let the base float; its link is then identified too.
-        gravity : sequence of 3 floats, optional
-            Gravity in the base link, m/s²; by default (0, 0, -9.81).
-
-        Raises
-        ------
-        ModelError
-            When it is not a URDF, a joint kind is not supported, or nothing moves.
-        """
-        model, mimics = pinocchio_from_urdf(text, what, floating=root is not None)
-        return cls._build(model, mimics, gravity, text)
-
-    @classmethod
-    def from_mjcf(
-        cls,
-        text: str,
-        *,
-        path: Path | None = None,
-        what: str = "description",
-        gravity: Sequence[float] | None = None,
-    ) -> RobotModel:
-        """Build from an MJCF (extra ``sim``).
-
-        Parameters
-        ----------
-        text : str
-            The MJCF.
-        path : Path, optional
-            Its file, for what it includes.
-        what : str, optional
-            What it is called in messages.
-        gravity : sequence of 3 floats, optional
-            Gravity in the world, m/s²; by default the file's.
-
-        Raises
-        ------
-        ModelError
-            When MuJoCo cannot compile it, nothing moves, or it has ball joints or closed loops.
-        MissingExtraError
-            When MuJoCo is not installed.
-        """
-        model, mimics = pinocchio_from_mjcf(text, path, what)
-        return cls._build(model, mimics, gravity, None)
-
-    @classmethod
-    def from_pinocchio(cls, model: Any, *, gravity: Sequence[float] | None = None) -> RobotModel:
         """Build from a Pinocchio model, which is copied.
 
         Parameters
@@ -188,6 +120,10 @@ class RobotModel:
             Revolute, continuous and prismatic joints, on a fixed or floating base.
         gravity : sequence of 3 floats, optional
             Gravity in the base link, m/s²; by default the model's.
+        mimics : sequence of Mimic, optional
+            Joints that repeat others, which are then no coordinates.
+        urdf : str, optional
+            Text of the description.
 
         Raises
         ------
@@ -202,17 +138,7 @@ class RobotModel:
                 f"robot: got {type(model).__name__}; give a name, a path, URDF text or a "
                 "pinocchio.Model."
             )
-        return cls._build(model.copy(), (), gravity, None)
-
-    @classmethod
-    def _build(
-        cls,
-        model: Any,
-        mimics: Sequence[Mimic],
-        gravity: Sequence[float] | None,
-        urdf: str | None,
-    ) -> RobotModel:
-        """Build from a Pinocchio model that is changed and kept."""
+        model = model.copy()
         if model.njoints < 2:
             raise ModelError(f"robot '{model.name}': no moving joint; nothing can be identified.")
         if gravity is not None:
@@ -548,14 +474,3 @@ def _check_out(out: Array, shape: tuple[int, ...]) -> None:
         raise DataError(
             f"out: shape {out.shape} of {out.dtype}, expected {shape} of float64, C-contiguous."
         )
-
-
-def _row(row: Any) -> DhJoint:
-    if not isinstance(row, Mapping):
-        raise ModelError(
-            f"kinematic table: a row is {row!r}; give a mapping with alpha, d, theta, r."
-        )
-    try:
-        return DhJoint(**row)
-    except TypeError as cause:
-        raise ModelError(f"kinematic table: a row is not understood ({cause}).") from None

@@ -357,7 +357,7 @@ def test_defaults_of_a_simulation() -> None:
     with pytest.raises(DataError, match=r"at least 6\.25 s"):
         default_motion(robot, period=5.0)
     with pytest.raises(ModelError, match="floating base"):
-        default_motion(RobotModel.from_urdf(TREE, root="free_flyer"))
+        default_motion(load_robot(TREE, root="free_flyer"))
 
 
 def test_a_trajectory_survives_its_file(tmp_path: Path, short: Trajectory) -> None:
