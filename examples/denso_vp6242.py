@@ -39,7 +39,7 @@ def arguments() -> argparse.Namespace:
     parser.add_argument("--seed", type=int, default=0, help="random seed of motion and noise")
     parser.add_argument("--starts", type=int, help="starts of the local solvers (default 20)")
     parser.add_argument(
-        "--unmodelled", action="store_true", help="add effects that no linear model has"
+        "--unmodeled", action="store_true", help="add effects that no linear model has"
     )
     parser.add_argument("--quick", action="store_true", help="a small experiment, few starts")
     options = parser.parse_args()
@@ -121,7 +121,7 @@ def main() -> None:
     print("\n".join(trajectory.velocity_report()))
 
     def experiment(path: sdpid.Trajectory, **changes: Any) -> sdpid.Recording:
-        settings = {"theta": theta_true, "seed": seed, "unmodelled": options.unmodelled}
+        settings = {"theta": theta_true, "seed": seed, "unmodeled": options.unmodeled}
         return sdpid.simulate(robot, path, **(settings | changes))
 
     say("simulating the experiment")
@@ -212,7 +212,7 @@ def main() -> None:
     print(sdpid.write_urdf(sdp_4, target=out / "identified.urdf").describe())
     summary = {
         "seed": seed,
-        "unmodelled": options.unmodelled,
+        "unmodeled": options.unmodeled,
         **size,
         "gap_6x6": comparisons["6x6"].certificate.gap,
         "gap_4x4": certificate.gap,

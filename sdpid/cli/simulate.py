@@ -32,8 +32,8 @@ def simulate(
     seed: Annotated[int, typer.Option(min=0, help="Random seed of motion and noise.")] = 0,
     periods: Annotated[int | None, typer.Option(min=1, help="Number of periods.")] = None,
     period: Annotated[float | None, typer.Option(help="Length of a period, s.")] = None,
-    unmodelled: Annotated[
-        bool, typer.Option("--unmodelled", help="Add effects that no linear model has.")
+    unmodeled: Annotated[
+        bool, typer.Option("--unmodeled", help="Add effects that no linear model has.")
     ] = False,
     noise: Annotated[bool, typer.Option(help="Add sensor noise and quantization.")] = True,
 ) -> None:
@@ -74,7 +74,7 @@ def simulate(
         theta=true_parameters(robot) if bundled else None,
         seed=seed,
         drives=load_drives(robot) if bundled else None,
-        unmodelled=unmodelled,
+        unmodeled=unmodeled,
         noise=noise,
     )
     recording.to_parquet(out)

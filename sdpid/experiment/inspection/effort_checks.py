@@ -13,8 +13,8 @@ from sdpid.experiment.recording.timestamps import blocks
 
 # Gravity below this (N.m, rms about its mean) says nothing about the efforts.
 _LEAST_GRAVITY = 1.0
-# Effort and gravity belong together when they correlate like this. They differ in their units
-# when one is so many times the other: payloads and drives explain less.
+# Effort and gravity belong together when they correlate like this. Beyond this ratio either way
+# they differ in their units: payloads and drives explain less.
 _CORRELATED = 0.9
 _GRAVITY_SCALE = 5.0
 # A value this many times the 99th percentile of all deviations from the median stands alone.
@@ -34,7 +34,7 @@ def signals(subject: Subject) -> Iterator[Finding]:
                 kind="effort_constant",
                 joint=name,
                 message=f"effort of {name} never changes: it is {low[j]:.4g} in every row",
-                remedy="where nobody measured it, leave it out (without_effort)",
+                remedy="if it was not measured, leave it out (without_effort)",
                 numbers={"value": low[j]},
             )
             continue

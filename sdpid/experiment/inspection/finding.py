@@ -1,4 +1,4 @@
-"""`Finding`: one thing that is wrong, or was noticed, about a recording."""
+"""`Finding`: one defect of a recording, as data, and the list of checks that find them."""
 
 from __future__ import annotations
 
@@ -26,17 +26,16 @@ _ROWS = 400
 
 @dataclass(frozen=True, kw_only=True)
 class Finding:
-    """One thing that is wrong, or was noticed, about a recording.
+    """One defect of a recording, or a remark about it.
 
     Attributes
     ----------
     severity : {"error", "warning", "note"}
-        An error means that the recording is not what it says it is: parameters from it are wrong.
-        A warning is doubtful, a note says what was understood.
+        An error makes parameters from this recording wrong, a warning may, a note does not.
     kind : str
-        The same word for the same thing, such as ``"effort_sign"``.
+        Name of the kind of defect, such as ``"effort_sign"``.
     message : str
-        What, where, and the number against its limit.
+        The defect, its place, and its number against a limit.
     remedy : str
         What to do next; may be empty.
     joint : str or None
@@ -66,7 +65,7 @@ class Finding:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Subject:
-    """What a check looks at.
+    """A recording and a robot, with what several checks need of them.
 
     Attributes
     ----------

@@ -21,7 +21,7 @@ _FILES = (time_checks, motion_checks, effort_checks)
 
 @dataclass(frozen=True, kw_only=True)
 class Inspection:
-    """What is wrong with a recording.
+    """The findings of all checks on a recording.
 
     Attributes
     ----------
@@ -46,7 +46,7 @@ class Inspection:
 
 
 def inspect_recording(log: Recording, robot: RobotModel | None = None) -> Inspection:
-    """Check a recording for what makes parameters from it wrong.
+    """Check a recording for defects that make parameters from it wrong.
 
     Parameters
     ----------
@@ -91,7 +91,7 @@ def inspect_recordings(
 def _matched(
     log: Recording, robot: RobotModel
 ) -> tuple[Recording, RobotModel | None, list[Finding]]:
-    """Return the recording in the robot's order, the robot, and what is to be said of names."""
+    """Return the recording in the robot's order, the robot, and findings about joint names."""
     try:
         matched = match_joints(robot, log)
     except DataError as cause:

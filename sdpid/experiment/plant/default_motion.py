@@ -1,4 +1,4 @@
-"""A motion that any robot can make within its limits, to try things out."""
+"""Draw a periodic motion within the limits of any robot, for simulation."""
 
 from __future__ import annotations
 
@@ -72,20 +72,20 @@ def default_motion(
     # Descriptions without limits write infinity, or zero for both.
     limited = np.isfinite(low) & np.isfinite(high) & (high > low)
     low, high = np.where(limited, low, -_UNLIMITED), np.where(limited, high, _UNLIMITED)
-    centre = (low + high) / 2.0
-    half = np.minimum(np.where(limited, _PART, 1.0) * (high - centre), _WIDEST)
+    center = (low + high) / 2.0
+    half = np.minimum(np.where(limited, _PART, 1.0) * (high - center), _WIDEST)
     speeds = robot.velocity_limits
     speeds = np.minimum(np.where(speeds > 0.0, speeds, _FASTEST), _FASTEST)
     draws = [rng.choice(available, _SINUSOIDS, replace=False) + 1 for _ in range(robot.n)]
     harmonics = np.sort(draws, axis=1)
     phases = rng.uniform(0.0, 2.0 * np.pi, harmonics.shape)
-    ranges = np.column_stack([centre - half, centre + half])
+    ranges = np.column_stack([center - half, center + half])
     series = filled(period, ranges, harmonics, phases, _RATE)
     fastest = np.abs(series.one_period(round(period * _RATE), derivative=1)).max(axis=0)
     slower = np.minimum(1.0, _SPEED_PART * speeds / fastest)
     series = FourierSeries(
         period=period,
-        centre=series.centre,
+        center=series.center,
         harmonics=harmonics,
         amplitudes=series.amplitudes * slower[:, None],
         phases=phases,

@@ -1,4 +1,4 @@
-"""Parameters and drives of a simulated robot that nobody has given any."""
+"""Default parameters and drives of a simulated robot."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ _STATES = 200
 
 
 def default_parameters(robot: RobotModel, trajectory: Trajectory) -> Array:
-    """Return theta of a robot as described, with friction made up where it describes none.
+    """Return theta from a robot's description, with assumed friction where it has none.
 
     Returns
     -------

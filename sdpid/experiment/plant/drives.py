@@ -1,4 +1,4 @@
-"""Drives and sensors of a simulated robot, and the effects that no linear model has."""
+"""Drives and sensors of a simulated robot, and effects that no linear model has."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ def _freeze(instance: Any, what: str, *, signed: tuple[str, ...] = ()) -> None:
     sizes = {}
     for field in fields(instance):
         values = getattr(instance, field.name)
-        if values is None or isinstance(values, Unmodelled):
+        if values is None or isinstance(values, Unmodeled):
             continue
         array = real_array(values, f"{what}.{field.name}", ndim=1)
         least = 0.0 if field.name in ("current_noise", "stribeck_torque") else None
@@ -36,12 +36,12 @@ def _freeze(instance: Any, what: str, *, signed: tuple[str, ...] = ()) -> None:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Unmodelled:
+class Unmodeled:
     """Losses and ripple that a model linear in its parameters cannot hold.
 
     They are losses between motor and joint that the drive's inner loop makes up for: the motion
     is that of the robot without them, and the current shows them. To identification this is a
-    robot whose effort has these terms beside the modelled ones.
+    robot whose effort has these terms beside the modeled ones.
 
     Attributes
     ----------
@@ -69,7 +69,7 @@ class Unmodelled:
     def __post_init__(self) -> None:
         _freeze(
             self,
-            "unmodelled effects",
+            "unmodeled effects",
             signed=(
                 "ripple_amplitude",
                 "eccentricity_amplitude",
@@ -110,7 +110,7 @@ class Drives:
         Counts a turn of the motor.
     current_noise : ndarray, shape (n,)
         Root mean square of the white noise on measured currents, A.
-    unmodelled : Unmodelled, optional
+    unmodeled : Unmodeled, optional
         Effects added on request.
 
     Raises
@@ -125,14 +125,14 @@ class Drives:
     velocity_gain: Array
     encoder_counts: Array
     current_noise: Array
-    unmodelled: Unmodelled | None = None
+    unmodeled: Unmodeled | None = None
 
     def __post_init__(self) -> None:
         _freeze(self, "drives")
-        if self.unmodelled is not None and len(self.unmodelled.ripple_cycles) != self.n:
+        if self.unmodeled is not None and len(self.unmodeled.ripple_cycles) != self.n:
             raise DataError(
-                f"drives: {self.n} joints, but unmodelled effects of "
-                f"{len(self.unmodelled.ripple_cycles)}."
+                f"drives: {self.n} joints, but unmodeled effects of "
+                f"{len(self.unmodeled.ripple_cycles)}."
             )
 
     @property
@@ -160,10 +160,10 @@ class Drives:
             When an entry is missing or unknown.
         """
         values = dict(data)
-        extra = values.pop("unmodelled", None)
+        extra = values.pop("unmodeled", None)
         try:
-            effects = None if extra is None else Unmodelled(**extra)
-            return cls(**values, unmodelled=effects)
+            effects = None if extra is None else Unmodeled(**extra)
+            return cls(**values, unmodeled=effects)
         except TypeError as cause:
             raise DataError(f"{what}: not understood ({cause}).") from None
 

@@ -141,7 +141,7 @@ def _check_bodies(robot: RobotModel, bodies: Array) -> None:
         if not value >= 0.0:
             raise ModelError(
                 f"plant of '{robot.name}': no body has the parameters given for {name}: mass "
-                f"{body[0]:.3g} kg, smallest second moment about the centre of mass {value:.3g} "
+                f"{body[0]:.3g} kg, smallest second moment about the center of mass {value:.3g} "
                 "kg·m² (limits 0); a plant needs physically consistent links."
             )
 
@@ -161,7 +161,7 @@ def _set_options(mujoco: Any, spec: Any, robot: RobotModel, timestep: float) -> 
 
 def _add_bodies(mujoco: Any, spec: Any, robot: RobotModel, bodies: Array) -> None:
     model = robot.pin_model
-    masses, centres, inertias = physical_parameters(bodies)
+    masses, centers, inertias = physical_parameters(bodies)
     nodes = {0: spec.worldbody}
     for i, name in enumerate(robot.joint_names, start=1):
         placement = model.jointPlacements[i]
@@ -174,7 +174,7 @@ def _add_bodies(mujoco: Any, spec: Any, robot: RobotModel, bodies: Array) -> Non
         moments, axes = np.linalg.eigh(inertias[i - 1])
         axes[:, 0] *= np.sign(np.linalg.det(axes))
         body.mass = float(masses[i - 1])
-        body.ipos = centres[i - 1]
+        body.ipos = centers[i - 1]
         body.inertia = moments
         body.iquat = _quaternion(mujoco, axes)
         body.explicitinertial = True

@@ -1,4 +1,4 @@
-"""The closed-loop experiment, simulated: controller, drives, friction and sensors on MuJoCo."""
+"""Simulate a closed-loop experiment in MuJoCo: controller, drives, friction and sensors."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ _RUNAWAY = 1e4
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class PlantLog:
-    """True states and torques of a plant: what sensors would show without error.
+    """True states and torques of a plant, as sensors without error would show them.
 
     Attributes
     ----------
@@ -50,9 +50,9 @@ class PlantLog:
     desired, position, velocity, acceleration : ndarray, shape (N, n)
         Set-points and states in rad, rad/s and rad/s².
     motor_torque : ndarray, shape (N, n)
-        What the currents show, in N·m at the joint.
-    unmodelled_torque : ndarray, shape (N, n)
-        The part of it that supplies the unmodelled effects; zero without them.
+        Torque that the currents show, in N·m at the joint.
+    unmodeled_torque : ndarray, shape (N, n)
+        The part of it that supplies the unmodeled effects; zero without them.
     coulomb_torque, viscous_torque : ndarray, shape (N, n)
         Friction acting on the joints: it opposes the motion.
     """
@@ -63,7 +63,7 @@ class PlantLog:
     velocity: Array
     acceleration: Array
     motor_torque: Array
-    unmodelled_torque: Array
+    unmodeled_torque: Array
     coulomb_torque: Array
     viscous_torque: Array
 
@@ -98,7 +98,7 @@ def simulate(
     theta: ArrayLike | None = None,
     seed: int | np.random.Generator = 0,
     drives: Drives | None = None,
-    unmodelled: bool = False,
+    unmodeled: bool = False,
     noise: bool = True,
     progress: bool | None = None,
 ) -> Recording:
@@ -125,7 +125,7 @@ def simulate(
     robot : RobotModel
         The robot, on a fixed base.
     trajectory : Trajectory, optional
-        What it is asked to do; its joints are the robot's. By default `default_motion`.
+        The desired motion; its joints are the robot's. By default `default_motion`.
     theta : array_like, shape (10·links + 2n,), optional
         True parameters: the links' standard parameters, then Coulomb and viscous friction of
         all joints. By default those of the bundled robot of this name, or `default_parameters`.
@@ -134,10 +134,10 @@ def simulate(
     drives : Drives, optional
         Motors, gains and sensors; by default those of the bundled robot of this name, or
         `default_drives`.
-    unmodelled : bool
-        Add `drives.unmodelled`.
+    unmodeled : bool
+        Add `drives.unmodeled`.
     noise : bool
-        Without it the same motion and torques are recorded without quantisation and noise.
+        Without it the same motion and torques are recorded without quantization and noise.
     progress : bool, optional
         Show a progress bar; by default on a terminal.
 
@@ -161,9 +161,9 @@ def simulate(
         trajectory = default_motion(robot, rng)
     theta, drives = _parts(robot, trajectory, theta, drives)
     if robot.expansion.shape != (robot.n, robot.n):
-        plant: _Plant | _Exact = _Exact(robot, trajectory, theta, drives, unmodelled)
+        plant: _Plant | _Exact = _Exact(robot, trajectory, theta, drives, unmodeled)
     else:
-        plant = _Plant(robot, trajectory, theta, drives, unmodelled)
+        plant = _Plant(robot, trajectory, theta, drives, unmodeled)
     lead, per_period = trajectory.lead_samples, trajectory.samples_per_period
     total = (trajectory.periods + 1) * per_period + 2 * lead
     position = np.empty((trajectory.n_samples, robot.n))
@@ -216,7 +216,7 @@ def run_plant(
     *,
     theta: ArrayLike | None = None,
     drives: Drives | None = None,
-    unmodelled: bool = False,
+    unmodeled: bool = False,
     start: int = 0,
     stop: int | None = None,
 ) -> PlantLog:
@@ -227,7 +227,7 @@ def run_plant(
 
     Parameters
     ----------
-    robot, trajectory, theta, drives, unmodelled
+    robot, trajectory, theta, drives, unmodeled
         See `simulate`.
     start, stop : int
         Samples to return; `stop` is excluded and by default the end.
@@ -237,7 +237,7 @@ def run_plant(
     PlantLog
     """
     theta, drives = _parts(robot, trajectory, theta, drives)
-    plant = _Plant(robot, trajectory, theta, drives, unmodelled)
+    plant = _Plant(robot, trajectory, theta, drives, unmodeled)
     stop = trajectory.n_samples if stop is None else stop
     desired = trajectory.sample(start, stop)[0]
     plant.run(0, start, lambda _: None)
@@ -251,7 +251,7 @@ def run_plant(
         velocity=v,
         acceleration=acceleration,
         motor_torque=torque + extra,
-        unmodelled_torque=extra,
+        unmodeled_torque=extra,
         coulomb_torque=coulomb,
         viscous_torque=viscous,
     )
@@ -288,11 +288,11 @@ class _Exact:
         trajectory: Trajectory,
         theta: Array,
         drives: Drives,
-        unmodelled: bool,
+        unmodeled: bool,
     ) -> None:
-        if unmodelled:
+        if unmodeled:
             raise DataError(
-                f"simulate: '{robot.name}' has mimic joints; unmodelled effects are not simulated."
+                f"simulate: '{robot.name}' has mimic joints; unmodeled effects are not simulated."
             )
         self.drives = drives
         self._robot, self._trajectory = robot, trajectory
@@ -306,7 +306,7 @@ class _Exact:
         return self._state
 
     def extra_torque(self, position: Array, velocity: Array) -> Array:
-        """Return zeros: there are no unmodelled effects."""
+        """Return zeros: there are no unmodeled effects."""
         return np.zeros_like(position)
 
     def run(self, start: int, stop: int, advance: Callable[[float], None]) -> Array:
@@ -318,7 +318,7 @@ class _Exact:
 
 
 class _Plant:
-    """A robot in closed loop on its way along a trajectory: it keeps MuJoCo's state."""
+    """A robot in closed loop along a trajectory, with MuJoCo's state."""
 
     def __init__(
         self,
@@ -326,20 +326,20 @@ class _Plant:
         trajectory: Trajectory,
         parameters: Array,
         drives: Drives,
-        unmodelled: bool,
+        unmodeled: bool,
     ) -> None:
         mujoco = require("mujoco", extra="sim")
-        if unmodelled and drives.unmodelled is None:
-            raise DataError("simulate: these drives have no unmodelled effects; set them.")
+        if unmodeled and drives.unmodeled is None:
+            raise DataError("simulate: these drives have no unmodeled effects; set them.")
         self.drives = drives
-        self._effects = drives.unmodelled if unmodelled else None
+        self._effects = drives.unmodeled if unmodeled else None
         self._trajectory = trajectory
         self._substeps = int(np.ceil(1.0 / (trajectory.rate_hz * _LONGEST_STEP) - 1e-9))
         step = 1.0 / (trajectory.rate_hz * self._substeps)
         self._mujoco: Any = mujoco
         self._robot: MujocoModel = build_mujoco(robot, parameters, drives, timestep=step)
         self._data: Any = mujoco.MjData(self._robot.model)
-        self._data.qpos[self._robot.qpos] = trajectory.centre
+        self._data.qpos[self._robot.qpos] = trajectory.center
         self._check_stability(robot, parameters, step)
 
     def _check_stability(self, robot: RobotModel, theta: Array, step: float) -> None:
@@ -364,13 +364,13 @@ class _Plant:
         return np.concatenate([data.qpos[where.qpos], data.qvel[where.dof]])
 
     def extra_torque(self, position: Array, velocity: Array) -> Array:
-        """Return what the motors supply beside the torque on the joints, (K, n)."""
+        """Return the torque of the unmodeled effects, (K, n)."""
         if self._effects is None:
             return np.zeros_like(position)
         return self._effects.torque(position, velocity)
 
     def run(self, start: int, stop: int, advance: Callable[[float], None]) -> Array:
-        """Go on along samples start … stop − 1 of the trajectory.
+        """Simulate samples start … stop − 1 of the trajectory, from the present state on.
 
         Returns
         -------

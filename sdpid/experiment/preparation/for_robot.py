@@ -1,4 +1,4 @@
-"""A recording made ready for a robot: joints matched, units checked, defaults chosen."""
+"""Prepare a recording for a robot: match joints, check units, choose defaults."""
 
 from __future__ import annotations
 
@@ -19,11 +19,11 @@ SMOOTH = 0.02
 
 
 def default_friction(log: Recording) -> tuple[str | FrictionTerm, ...]:
-    """Return the friction terms used when nothing else is said.
+    """Return the friction terms that are used by default.
 
     Records with periods are masked around reversals, where the exact sign is right. Others get
-    a smooth sign, beside it a sigmoid whose speeds the data choose, joint by joint, and an offset
-    for the sensors' zero errors. The same terms serve torque sensors and motor currents: on five
+    a smooth sign, a sigmoid whose speeds are fitted joint by joint, and an offset for the
+    sensors' zero errors. The same terms serve torque sensors and motor currents: on five
     real robots none predicted worse for the sigmoid, and the others choose it whichever is left
     out (docs/real_robots.md). Rotor inertia and couplings are knowledge of the drives that
     a log does not hold; on torque sensors, which do not feel it, rotor inertia did harm.
@@ -34,7 +34,7 @@ def default_friction(log: Recording) -> tuple[str | FrictionTerm, ...]:
 
 
 def prepare(robot: RobotModel, log: Recording, processing: Processing | None = None) -> Samples:
-    """Process a recording for a robot: joints matched, units checked.
+    """Match a recording's joints with a robot's, check its units, and process it.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""What was understood of a recording, and what looks wrong with it."""
+"""Describe a recording: sizes, times, ranges, noise, and findings."""
 
 from __future__ import annotations
 

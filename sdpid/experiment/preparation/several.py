@@ -1,4 +1,4 @@
-"""One recording or several, made ready for one fit."""
+"""Prepare one recording or several for one fit."""
 
 from __future__ import annotations
 
@@ -64,7 +64,7 @@ def recordings(logs: Logs) -> tuple[Recording, ...]:
 
 
 def common_processing(logs: Sequence[Recording]) -> tuple[Processing, str | None]:
-    """Return one way to process recordings that are fitted together, and where it comes from.
+    """Return one processing for recordings that are fitted together, and where it comes from.
 
     Each recording has its own default, chosen from its rate and its motion
     (`default_processing`). All are processed by that of the recording with the median cut-off, of
@@ -82,7 +82,7 @@ def common_processing(logs: Sequence[Recording]) -> tuple[Processing, str | None
 
 
 def agreed(choices: Sequence[Processing]) -> tuple[Processing, str | None]:
-    """Return what `common_processing` makes of the recordings' own choices."""
+    """Return the one of the recordings' processings that `common_processing` takes for all."""
     if len(choices) == 1:
         return choices[0], None
     ranked = sorted(range(len(choices)), key=lambda i: (choices[i].cutoff_hz, i))
@@ -97,7 +97,7 @@ def agreed(choices: Sequence[Processing]) -> tuple[Processing, str | None]:
 def chosen_processing(
     logs: Sequence[Recording], given: ProcessingOf
 ) -> tuple[Processing, str | None]:
-    """Return what is given, or `common_processing` with the changes that are given, and why.
+    """Return the given processing, or the common one with the given changes, and why.
 
     Raises
     ------
@@ -187,8 +187,8 @@ def prepare_recordings(
     processing : Processing or mapping, optional
         By default `common_processing`, with the changes in a mapping.
     without_effort : iterable of str, optional
-        Joints of the robot whose efforts nobody measured, or that are wrong: their rows are
-        masked, their motion counts.
+        Joints of the robot whose efforts were not measured, or are wrong: their rows are masked,
+        their motion is used.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""The processing chosen from a recording by a stated rule, and why."""
+"""Choose the processing of a recording, with reasons."""
 
 from __future__ import annotations
 
@@ -27,12 +27,12 @@ _RATE_OF_DIFFERENCES = 100.0
 
 @dataclass(frozen=True, kw_only=True)
 class Choice:
-    """A processing with what it was chosen from.
+    """A chosen processing, with the numbers that it was chosen by.
 
     Attributes
     ----------
     processing : Processing
-        Its `reasons` end up in the notes of the samples.
+        Its `reasons` become notes of the samples.
     motion_hz : float or None
         Frequency below which 95 % of the motion lies, in Hz; None for records with periods, whose
         filter does not depend on it.
@@ -47,7 +47,7 @@ class Choice:
     @property
     def reasons(self) -> tuple[str, ...]:
         """Why each setting has its value, in words."""
-        return tuple(reason.said(self.processing) for reason in self.processing.reasons)
+        return tuple(reason.in_words(self.processing) for reason in self.processing.reasons)
 
 
 def choose_processing(log: Recording, **given: Any) -> Choice:
@@ -81,13 +81,13 @@ def choose_processing(log: Recording, **given: Any) -> Choice:
     """
     layout = log.period_layout
     if layout is not None:
-        found, reasons = _with_periods(layout[2], log.n)
+        chosen, reasons = _with_periods(layout[2], log.n)
         motion = None
     else:
         log = max(continuous(log)[0], key=lambda piece: piece.n_samples)
         motion = motion_frequency(log)
-        found, reasons = _without_periods(log, motion)
-    processing = replace(found, **{**given, "reasons": tuple(reasons)})
+        chosen, reasons = _without_periods(log, motion)
+    processing = replace(chosen, **{**given, "reasons": tuple(reasons)})
     return Choice(processing=processing, motion_hz=motion, rate_hz=log.rate_hz)
 
 

@@ -47,7 +47,7 @@ class Stencil(ABC):
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Weights(Stencil):
-    """Weights of neighbouring samples, for a unit step.
+    """Weights of neighboring samples, for a unit step.
 
     Attributes
     ----------
@@ -132,7 +132,7 @@ def stencil(name: str, *, cutoff_over_rate: float | None = None) -> Weights:
     Raises
     ------
     DataError
-        When there is no such scheme, or local polynomials are not told the cut-off.
+        When there is no such scheme, or the cut-off is missing for local polynomials.
     """
     if name == "savitzky_golay":
         if cutoff_over_rate is None or not 0.0 < cutoff_over_rate < 0.5:

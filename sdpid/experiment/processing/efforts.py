@@ -1,4 +1,4 @@
-"""Efforts, filtered period by period: their mean, their covariance, and never all of them."""
+"""Filter the efforts period by period, and return their mean and covariance."""
 
 from __future__ import annotations
 
@@ -21,14 +21,14 @@ T = TypeVar("T")
 
 # Decoding and filtering let other threads run, but each holds some copies of a period.
 _MOST_THREADS = 4
-# The efforts of all periods are kept up to so many bytes, for a bootstrap over the periods; more
+# The efforts of all periods are kept up to this many bytes, for a bootstrap over periods; more
 # would make the memory grow with the length of the record.
 _MOST_KEPT = 1 << 27
 
 
 @contextlib.contextmanager
 def workers(count: int) -> Iterator[Callable[[Callable[[int], T], Iterable[int]], list[T]]]:
-    """Yield ``map``, which returns a list, on all cores up to four and no more than `count`."""
+    """Yield a ``map`` that returns a list and runs on up to four cores, at most `count`."""
     count = min(_MOST_THREADS, count, _cores())
     if count <= 1:
         yield lambda action, items: [action(item) for item in items]
@@ -38,20 +38,20 @@ def workers(count: int) -> Iterator[Callable[[Callable[[int], T], Iterable[int]]
 
 
 def in_threads(action: Callable[[int], T], items: Sequence[int]) -> list[T]:
-    """Return ``[action(i) for i in items]``, made on all cores up to four."""
+    """Return ``[action(i) for i in items]``, computed on up to four cores."""
     with workers(len(items)) as each:
         return each(action, items)
 
 
 def _cores() -> int:
-    """Return how many cores this process may use."""
+    """Return the number of cores that this process may use."""
     if hasattr(os, "sched_getaffinity"):
         return len(os.sched_getaffinity(0))
     return os.cpu_count() or 1
 
 
 class Moments:
-    """Mean and covariance of vectors that come one after the other, by Welford's recurrence.
+    """Mean and covariance of vectors that are added one by one, by Welford's recurrence.
 
     Parameters
     ----------
@@ -68,7 +68,7 @@ class Moments:
         self._count = 0
 
     def add(self, values: Array) -> None:
-        """Take in the values (n, K) of one more period."""
+        """Add the values (n, K) of one period."""
         self._count += 1
         change = values - self._mean
         self._mean += change / self._count
@@ -94,7 +94,7 @@ class Moments:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Efforts:
-    """What is kept of the filtered efforts.
+    """Filtered efforts: their mean over the periods, and their covariance.
 
     Attributes
     ----------
@@ -105,7 +105,7 @@ class Efforts:
     periods : (P, K, n) ndarray or None
         All of them, where there are several and they take no more than 128 MiB.
     note : str or None
-        Says when they take more.
+        Why they are not kept.
     """
 
     mean: Array
@@ -115,7 +115,7 @@ class Efforts:
 
     @staticmethod
     def of(log: Recording, chain: Chain, *, covariance: bool, chunk: int) -> Efforts:
-        """Filter the efforts of a recording, and fold them at once.
+        """Filter the efforts of a recording and add up mean and covariance.
 
         Parameters
         ----------

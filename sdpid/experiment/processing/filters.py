@@ -17,8 +17,8 @@ FilterType = Literal["butterworth", "bessel"]
 
 FILTERS: tuple[str, ...] = get_args(FilterType)
 
-# After so many time constants exp(-45) = 3e-20 of a disturbance is left: below rounding, also
-# with the polynomial factors that repeated passes bring.
+# After this many time constants exp(-45) = 3e-20 of a disturbance is left: below rounding, also
+# with the polynomial factors of repeated passes.
 _FORGOTTEN = 45.0
 
 
@@ -39,7 +39,7 @@ class ZeroPhaseFilter:
 
     @property
     def reach(self) -> int:
-        """Number of samples after which a disturbance is forgotten to rounding."""
+        """Number of samples after which a disturbance has decayed below rounding."""
         return math.ceil(_FORGOTTEN * self.time_constant)
 
     def apply(self, signal: Array) -> Array:

@@ -1,4 +1,4 @@
-"""Period by period: filter a channel, fold it into the mean, and measure the spread."""
+"""Filter a channel period by period; return the mean period and the spread about it."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ __all__ = ["Chain", "near_standstill"]
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Chain:
-    """The filter, the window it is run over, and what is kept of its output.
+    """A filter, the window that it is run over, and the samples of its output to keep.
 
     Attributes
     ----------
@@ -31,7 +31,7 @@ class Chain:
     stencil : Stencil
         Central differences.
     decimation : int
-        Every so many samples are kept.
+        One sample in `decimation` is kept.
     passes : int
         Zero-phase passes over a signal that is to be differentiated, 1 or 2. What is kept as it
         is (position, torque, a measured velocity) always gets 1.
@@ -47,14 +47,14 @@ class Chain:
     margin: int
 
     def kept(self, signal: NDArray[Any]) -> Any:
-        """Return the kept samples of a period that still has (what is left of) its margins."""
+        """Return the kept samples of a period that has margins of equal length at both ends."""
         margin = (signal.size - self.window.length) // 2
         return signal[margin : margin + self.window.length : self.decimation]
 
     def parts(self, size: int) -> Iterator[Chain]:
-        """Yield the chain over pieces of about `size` samples, which together are the window.
+        """Yield the chain for consecutive parts of the window of about `size` samples.
 
-        The periods of a periodic window are averaged, so it is not taken apart.
+        A periodic window is one part, since its periods are averaged.
         """
         window = self.window
         if window.circular:
@@ -66,11 +66,11 @@ class Chain:
             yield replace(self, window=replace(window, first=window.first + first, length=length))
 
     def period(self, column: Array, p: int, *, scale: float = 1.0) -> Array:
-        """Return one period, with its margins, scaled and filtered once."""
+        """Return one period with its margins, scaled and filtered once."""
         pad = self.low_pass.reach
         signal = self.window.read(column, p, pad + self.margin)
         if scale != 1.0:
-            signal = np.multiply(signal, scale, out=_own(signal))
+            signal = np.multiply(signal, scale, out=_writable(signal))
         return self.low_pass.apply(signal)[pad : signal.size - pad]
 
     def mean(self, column: Array) -> tuple[Array, Array, float]:
@@ -87,7 +87,7 @@ class Chain:
         signal, squares = np.zeros(size), 0.0
         for p in range(window.periods):
             period = self.window.read(column, p, pad + self.margin)
-            change = np.subtract(period, signal, out=_own(period))
+            change = np.subtract(period, signal, out=_writable(period))
             if p:
                 squares += p / (p + 1) * float(np.dot(change[inner], change[inner]))
                 change /= p + 1
@@ -106,15 +106,15 @@ class Chain:
         return float(np.sqrt(np.mean(kept**2)))
 
 
-def _own(signal: Array) -> Array | None:
-    """Return the array that was read where it is a copy: what was recorded is read-only."""
+def _writable(signal: Array) -> Array | None:
+    """Return the array if it may be overwritten, being a copy of the recording; else None."""
     return signal if signal.flags.writeable else None
 
 
 def near_standstill(
     velocity: Array, speed: float, reach: int, *, circular: bool
 ) -> NDArray[np.bool_]:
-    """Tell which samples are near a reversal or a standstill.
+    """Return which samples are near a reversal or a standstill.
 
     Parameters
     ----------
@@ -123,7 +123,7 @@ def near_standstill(
     speed : float
         Below this speed a sample is slow.
     reach : int
-        Samples within so many samples of a slow one are near it.
+        Samples at most this far from a slow one are near it.
     circular : bool
         The last sample is followed by the first.
 

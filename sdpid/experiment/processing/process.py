@@ -1,8 +1,8 @@
-"""From a recording to samples: filter, differentiate, cut, average, decimate.
+"""Turn a recording into samples: filter, differentiate, cut, average, decimate.
 
 The chain is that of section III-C of the paper [denso]_. Its steps are linear and do not
 depend on time, so they may be carried out in any order. Here each channel is filtered period by
-period, together with its neighbours on either side, and folded at once into the average. To
+period, together with its neighbors on either side, and added at once to the average. Up to
 rounding, that equals filtering the whole record first, and it needs the memory of one period.
 """
 
@@ -35,7 +35,7 @@ from sdpid.experiment.recording.uniform_grid import Grid, make_grid
 
 __all__ = ["Processing", "process"]
 
-# Without periods the ends of the record are guessed, and the guess is forgotten exponentially.
+# Without periods the signals beyond the ends are guessed; the guess decays exponentially.
 # On real logs (UR10, Gen3; orders 1, 2, 4 at 4, 10, 15 Hz) 5 time constants left at most 2 % of
 # the rms acceleration and 0.7 % of the rms torque, on the outermost samples only and below what
 # any model of these robots misses; 10 left 2e-4 and 5e-5 and would cost a third of a record of
@@ -49,7 +49,7 @@ _BLOCK_SECONDS = 1.0
 # differ by as much as the joint moves. Below a hundredth of a radian it does not matter.
 _PERIOD_SPREAD = 0.2
 _PERIOD_SPREAD_FLOOR = 0.01
-# Records without periods are filtered in pieces of so many samples, to save memory.
+# Records without periods are filtered in pieces of this many samples, to save memory.
 _CHUNK = 1 << 18
 # decimation=None: the paper keeps ten samples per period of the cut-off frequency.
 _RATE_OVER_CUTOFF = 10.0
@@ -58,7 +58,7 @@ _NOISE_FREE = 1e-9
 
 
 class _TooShortError(DataError):
-    """Nothing of a record is left between its ends."""
+    """Raised when a record is too short to be filtered."""
 
 
 @one_thread
@@ -77,15 +77,15 @@ def process(
     of the periods.
 
     No transient of the filter is left in the samples. Records with periods are filtered with 45
-    time constants of their neighbourhood: the recorded lead-in and lead-out where they are as
+    time constants of their neighborhood: the recorded lead-in and lead-out where they are as
     long as that, else the other end of the periodic part (a periodic signal continues with its
     beginning). Records without periods are continued by point reflection, and then trimmed; see
     `Processing.trim_s`.
 
     Before all that, angles that wrap are continued, and a record without periods is split where
-    more than four samples in a row are missing. Each piece is processed on its own, as if it were
-    a record; pieces of which nothing is left after trimming are dropped. `Samples.starts` says
-    where the others begin.
+    more than four samples in a row (and more than 10 ms) are missing. Each piece is processed
+    separately; pieces that are too short are dropped. `Samples.starts` has the first sample of
+    each of the others.
 
     Parameters
     ----------
@@ -134,23 +134,23 @@ def process(
         samples = _joined(pieces, processing, advance)
     if samples.mask is not None:
         _check_rows(log, processing, samples.mask)
-    reasons = [reason.said(processing) for reason in processing.reasons]
+    reasons = [reason.in_words(processing) for reason in processing.reasons]
     return replace(samples, notes=(*reasons, *notes, *samples.notes))
 
 
 def _joined(
     pieces: tuple[Recording, ...], processing: Processing, advance: Callable[[int], object]
 ) -> Samples:
-    """Process the pieces of a record, and join what is left of them."""
-    found: list[Samples] = []
+    """Process the pieces of a record and join their samples."""
+    samples_of_pieces: list[Samples] = []
     short: list[tuple[Recording, str]] = []
     for piece in pieces:
         try:
-            found.append(_processed(piece, processing, advance))
+            samples_of_pieces.append(_processed(piece, processing, advance))
         except _TooShortError as error:
             short.append((piece, str(error)))
             advance(piece.n)
-    if not found:
+    if not samples_of_pieces:
         longest, why = max(short, key=lambda each: each[0].duration)
         if len(pieces) == 1:
             raise DataError(why)
@@ -158,7 +158,7 @@ def _joined(
             f"time: gaps split the record into {len(short)} pieces, each too short; of the "
             f"longest, with {longest.n_samples} samples: {why}"
         )
-    samples = Samples.join(found)
+    samples = Samples.join(samples_of_pieces)
     if not short:
         return samples
     dropped = (
@@ -199,9 +199,9 @@ def _processed(log: Recording, processing: Processing, advance: Callable[[int], 
         columns = log.position[:, j], None if log.velocity is None else log.velocity[:, j]
         first = 0
         for part in chain.parts(_CHUNK):
-            found = _motion(log, j, columns, part, processing)
-            rows = slice(first, first + found[0].size)
-            position[rows, j], fine, acceleration[rows, j] = found
+            q, fine, a = _motion(log, j, columns, part, processing)
+            rows = slice(first, first + q.size)
+            position[rows, j], acceleration[rows, j] = q, a
             velocity[rows, j] = part.kept(fine)
             if mask is not None:
                 speed = processing.reversal_speed
@@ -260,7 +260,7 @@ def _motion(
 ) -> tuple[Array, Array, Array]:
     """Return position (K,), velocity at the full rate and acceleration (K,) of one joint.
 
-    The velocity keeps what is left of the margins, for the mask.
+    The velocity keeps the rest of its margins, for the mask.
 
     Filtering a derivative is differentiating what was filtered, and averaging commutes with
     both. So no derivative is filtered: only averages are differentiated, of the position after
@@ -291,7 +291,7 @@ def _motion(
 
 
 def _check_period_count(log: Recording, processing: Processing) -> None:
-    """Refuse fewer periods than the covariance asked for needs, before any work is done."""
+    """Raise when the periods are too few for the covariance, before any work is done."""
     layout = log.period_layout
     if layout is None or processing.covariance is None:
         return
@@ -310,7 +310,7 @@ def _check_period_count(log: Recording, processing: Processing) -> None:
 
 
 def _check_rows(log: Recording, processing: Processing, mask: NDArray[np.bool_]) -> None:
-    """Refuse a joint whose rows are all masked: what holds it still cannot identify it."""
+    """Raise when all rows of a joint are masked: a joint at rest cannot be identified."""
     empty = [name for j, name in enumerate(log.names) if not mask[:, j].any()]
     if empty:
         raise DataError(
@@ -324,7 +324,7 @@ def _check_rows(log: Recording, processing: Processing, mask: NDArray[np.bool_])
 def _window(
     log: Recording, grid: Grid, low_pass: ZeroPhaseFilter, processing: Processing
 ) -> Window:
-    """Return the part of the grid that is kept: the whole periods, or all but the ends."""
+    """Return the part of the grid to keep: the whole periods, or all but the ends."""
     layout = log.period_layout
     if layout is not None:
         first, length, periods = layout
@@ -357,7 +357,7 @@ def _notes(
     grid: Grid,
     mask: NDArray[np.bool_] | None,
 ) -> list[str]:
-    """Say what was done, in the order it was done."""
+    """Return notes on what was done, in order."""
     window = chain.window
     notes = [] if grid.note is None else [grid.note]
     alike = "all signals once"

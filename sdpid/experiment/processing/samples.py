@@ -1,4 +1,4 @@
-"""`Samples`: what the estimators see, after processing."""
+"""`Samples`: joint states and efforts, ready for a regression."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ class Samples:
         has ``covariance / periods``.
     mask : (K, n) array_like of bool, optional
         True where the row (sample k, joint j) is to be used. None uses all. A joint may have no
-        row at all: nobody measures the six efforts of a floating base.
+        row at all: the six efforts of a floating base are not measured.
     time : (K,) array_like, optional
         In s.
     joint_names : sequence of str, optional
@@ -50,7 +50,7 @@ class Samples:
         Number of samples in a block clearly longer than the memory of the filter. Blocks, not
         samples, are the independent units of standard errors.
     notes : sequence of str, optional
-        What processing did, and what it noticed.
+        What was done in processing, and what was noticed.
     effort_periods : (P, K, n) array_like, optional
         Effort of each period before averaging, in N·m.
     starts : sequence of int, optional
@@ -200,17 +200,17 @@ class Samples:
         return (self,) if len(self.starts) == 1 else tuple(self._picked(p) for p in self.parts)
 
     def thinned(self, most: int) -> Samples:
-        """Return at most about twice so many samples, evenly spread over every piece."""
+        """Return about `most` samples (fewer than twice as many), evenly spread over all pieces."""
         return self.every(max(self.n_samples // most, 1))
 
     def every(self, step: int) -> Samples:
-        """Return one sample in so many, beginning with the first of every piece."""
+        """Return one sample in `step`, beginning with the first of every piece."""
         if step == 1:
             return self
         return Samples.join([piece._picked(slice(None, None, step)) for piece in self.pieces])
 
     def _picked(self, which: slice) -> Samples:
-        """Return some samples of one piece; averages are no longer said to be any."""
+        """Return some samples of one piece, without `periods` and the single periods' efforts."""
         covariance, time = self.covariance, self.time
         if covariance is not None and covariance.ndim == 3:
             covariance = covariance[which]
@@ -289,7 +289,7 @@ class Samples:
                 f"{scale:.3g}."
             )
         # Cheap necessary conditions for a positive semidefinite matrix; the eigenvalues are the
-        # business of whoever factorises it.
+        # business of whoever factorizes it.
         variance = np.diagonal(covariance, axis1=-2, axis2=-1)
         if variance.min() < 0.0:
             j = int(np.argwhere(variance < 0.0)[0][-1])
@@ -345,12 +345,12 @@ def _joined_covariance(pieces: Sequence[Samples]) -> Array | None:
 
 
 def _joined_notes(pieces: Sequence[Samples]) -> tuple[str, ...]:
-    """Return what all pieces say, then what each says alone."""
+    """Return the notes that all pieces share, then those of single pieces."""
     common = [note for note in pieces[0].notes if all(note in p.notes for p in pieces)]
-    own = [
+    single = [
         f"piece {number}: {note}"
         for number, piece in enumerate(pieces, 1)
         for note in piece.notes
         if note not in common
     ]
-    return (*common, f"{len(pieces)} pieces joined", *own)
+    return (*common, f"{len(pieces)} pieces joined", *single)

@@ -1,4 +1,4 @@
-"""How a recording is processed: every choice, with its default and the reason for it."""
+"""`Processing`: the settings of `process`, with their defaults and reasons."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ _OPTIONAL = ("decimation", "reversal_time", "trim_s")
 
 @dataclass(frozen=True, kw_only=True)
 class Reason:
-    """Why a setting has the value that a rule gave it.
+    """Why a rule gave a setting its value.
 
     Attributes
     ----------
@@ -50,8 +50,8 @@ class Reason:
     value: Any
     text: str
 
-    def said(self, processing: Processing) -> str:
-        """Return the reason in words, or what stands in the setting's place."""
+    def in_words(self, processing: Processing) -> str:
+        """Return the reason in words, or that another value was given."""
         chosen, value = _shown(self.value), getattr(processing, self.field)
         if value == self.value:
             return f"{self.field} {chosen}: {self.text}"
@@ -73,8 +73,8 @@ class Processing:
     filter : {"butterworth", "bessel"}
         Type of the low-pass filter; see `sdpid.experiment.processing.filters.low_pass`.
     decimation : int or None
-        Every so many samples are kept. None keeps about ten per period of the cut-off frequency,
-        which is the paper's choice (1 kHz, 10 Hz, a factor of 10).
+        One sample in `decimation` is kept. None keeps about ten per period of the cut-off
+        frequency, which is the paper's choice (1 kHz, 10 Hz, a factor of 10).
     filter_alike : bool
         True: position, velocity, acceleration and torque all pass the same filter once, forward
         and backward, so that the equation of motion still holds between them to first order, and

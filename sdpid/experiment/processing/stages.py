@@ -1,4 +1,4 @@
-"""One joint's signals before and after filtering, as the paper's Fig. 3 shows them."""
+"""Return one joint's signals before and after filtering, as in the paper's Fig. 3."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The part of a record that is kept, read period by period with its surroundings."""
+"""Read the kept part of a record period by period, with samples on either side."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ class Window:
     circular: bool
 
     def read(self, column: Array, period: int, pad: int) -> Array:
-        """Return one stretch of a channel with `pad` points on either side.
+        """Return one stretch of a channel, with `pad` points on either side.
 
         Parameters
         ----------
@@ -43,7 +43,7 @@ class Window:
         period : int
             Which stretch, from 0.
         pad : int
-            How many points of the neighbourhood on either side. Recorded ones are used where all
+            How many points of the neighborhood on either side. Recorded ones are used where all
             of them were recorded, else the record is continued as `circular` says.
 
         Returns

@@ -1,4 +1,4 @@
-"""Are the positions in radians? Degrees are recognised by ranges that no joint could have."""
+"""Recognize positions in degrees by ranges that no joint has."""
 
 from __future__ import annotations
 
@@ -114,7 +114,7 @@ def _checked_limits(position_limits: Any, n: int) -> Array:
 
 
 def _suspect_limited(low: Array, high: Array, peak: Array, limits: Array) -> Any:
-    """Tell which joints with finite limits move as if in degrees."""
+    """Return which joints with finite limits move as if in degrees, (n,)."""
     finite = np.asarray(np.isfinite(limits).all(axis=1))
     limits = np.where(finite[:, None], limits, 0.0)
     reach = np.abs(limits).max(axis=1)

@@ -31,7 +31,7 @@ _BEFORE = 400
 
 
 def continuous(log: Recording) -> tuple[tuple[Recording, ...], list[str]]:
-    """Return the pieces of a record that can be filtered, and what was done to get them.
+    """Return the pieces of a recording that can be filtered, and notes on what was done.
 
     Parameters
     ----------
@@ -70,7 +70,7 @@ def continuous(log: Recording) -> tuple[tuple[Recording, ...], list[str]]:
 
 
 def split_at_gaps(log: Recording) -> tuple[Recording, ...]:
-    """Split a record where so many samples are missing that nobody knows the motion between.
+    """Split a recording where samples are missing for too long to interpolate.
 
     Parameters
     ----------
@@ -97,13 +97,13 @@ def split_at_gaps(log: Recording) -> tuple[Recording, ...]:
     pieces: list[Recording] = []
     for first, stop in pairwise(bounds):
         if stop - first > 1:
-            # Its own nominal step may be shorter, and a step that was just no gap then is one.
+            # A piece may have a shorter nominal step, so that another of its steps is a gap.
             pieces += split_at_gaps(_rows(log, slice(first, stop)))
     return tuple(pieces)
 
 
 def unwrapped(log: Recording) -> tuple[Recording, NDArray[np.intp]]:
-    """Continue angles by whole turns where they jump by about as much.
+    """Continue angles that wrap: add whole turns after jumps of about whole turns.
 
     Parameters
     ----------
@@ -113,9 +113,9 @@ def unwrapped(log: Recording) -> tuple[Recording, NDArray[np.intp]]:
     Returns
     -------
     log : Recording
-        In which no such jumps are left; the same one where there were none.
+        Without such jumps; the same object where there were none.
     jumps : (n,) ndarray of int
-        How many each joint had. A joint that also jumps by something between 1 rad and a turn
+        Jumps of each joint. A joint that also jumps by something between 1 rad and a turn
         less 1 rad is left alone: it is in another unit, or has outliers.
     """
     jumps = np.zeros(log.n, dtype=np.intp)
@@ -133,7 +133,7 @@ def unwrapped(log: Recording) -> tuple[Recording, NDArray[np.intp]]:
 
 
 def _may_wrap(log: Recording) -> list[int]:
-    """Return the joints that are worth a closer look, by passes that cost long records little."""
+    """Return the joints whose angles may wrap, by a quick test of ranges and steps."""
     position, least = log.position, _TURN - _LARGEST_STEP
     if float(position.max()) - float(position.min()) < least:
         return []
@@ -149,7 +149,7 @@ def _may_wrap(log: Recording) -> list[int]:
 
 
 def _rows(log: Recording, rows: slice | NDArray[np.bool_]) -> Recording:
-    """Return some samples of a record without periods."""
+    """Return some rows of a recording without periods."""
     return replace(
         log,
         time=log.time[rows],
@@ -160,11 +160,11 @@ def _rows(log: Recording, rows: slice | NDArray[np.bool_]) -> Recording:
 
 
 def in_time(log: Recording) -> tuple[Recording, list[str]]:
-    """Put right the stamps of samples that came late, in a burst after a gap.
+    """Correct the time stamps of samples that came late, in a burst after a gap.
 
     Samples that a busy logger stamps late follow each other faster until the stamps are back on
-    the regular clock. Where they all came, they get regular stamps. Where some of them were lost
-    as well, nobody knows which, and the burst is left out.
+    the regular clock. Where none is missing, they get regular stamps. Where some were lost as
+    well, it is not known which, and the burst is left out.
 
     Parameters
     ----------

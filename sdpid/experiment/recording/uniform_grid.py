@@ -20,7 +20,7 @@ Timing = Literal["auto", "nominal", "resample"]
 # seconds since 1970 has a resolution of 2.4e-7 s, which is 2.4e-4 of a step at 1 kHz.
 _JITTER = 1e-3
 # Gaps up to this many steps, or this long (s: a tenth of a period of the fastest motion of an arm),
-# are bridged by the spline; a longer one holds motion nobody measured, and records without periods
+# are bridged by the spline; in a longer one motion is unknown, and records without periods
 # are split there.
 MAX_GAP_STEPS = 5.0
 _MAX_GAP_S = 0.01

@@ -1,4 +1,4 @@
-"""Recorded velocities held against the rate of the recorded positions."""
+"""Compare recorded velocities with the derivative of the recorded positions."""
 
 from __future__ import annotations
 
@@ -11,15 +11,15 @@ from sdpid.experiment.recording.recording import Recording
 
 __all__ = ["VelocityFit", "disagreement", "velocity_fit"]
 
-# Compared on so many samples from the middle of a record, as means over about so many intervals,
+# Compared on this many samples from the middle of a record, as means over about 1000 intervals,
 # so that the quantum of an encoder does not drown a slow motion.
 _COMPARED = 20_000
 _INTERVALS = 1000
-# A joint below this speed (rad/s, or m/s; rms) says nothing: it stands still.
+# A joint below this speed (rad/s, or m/s; rms) stands still, and its velocity is not compared.
 _LEAST_SPEED = 0.02
-# A velocity serves while it is wrong by no more than this part: a tenth of the velocity is a tenth
+# A velocity is used while it is wrong by no more than this share: a tenth of it is a tenth
 # of viscous friction and a fifth of the centrifugal torques.
-_SERVES = 0.1
+_TOLERATED = 0.1
 # Less correlated signals do not belong together.
 _CORRELATED = 0.9
 
@@ -91,7 +91,7 @@ def velocity_fit(log: Recording, joint: int) -> VelocityFit | None:
 
 
 def disagreement(log: Recording, motion_hz: float) -> str | None:
-    """Say where recorded velocities are not the rates of the positions.
+    """Return why recorded velocities are not the rates of the positions, or None.
 
     Parameters
     ----------
@@ -115,12 +115,12 @@ def disagreement(log: Recording, motion_hz: float) -> str | None:
                 f"that of joint {name} does not follow d/dt of its position (correlation "
                 f"{fit.correlation:.2f}, limit {_CORRELATED:g})"
             )
-        if abs(fit.scale - 1.0) > _SERVES:
+        if abs(fit.scale - 1.0) > _TOLERATED:
             return (
                 f"that of joint {name} is {fit.scale:.3g} times d/dt of its position, limit "
-                f"{1.0 - _SERVES:g} to {1.0 + _SERVES:g}"
+                f"{1.0 - _TOLERATED:g} to {1.0 + _TOLERATED:g}"
             )
-        limit = _SERVES / (2.0 * math.pi * motion_hz)
+        limit = _TOLERATED / (2.0 * math.pi * motion_hz)
         if abs(fit.lag) > limit:
             return (
                 f"that of joint {name} is {'late' if fit.lag > 0 else 'early'} by "

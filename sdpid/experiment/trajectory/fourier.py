@@ -13,7 +13,7 @@ from sdpid.errors import DataError
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class FourierSeries:
-    """``q_j(t) = centre_j + Σ_h amplitudes_jh · sin(2π·harmonics_jh·t/period + phases_jh)``.
+    """``q_j(t) = center_j + Σ_h amplitudes_jh · sin(2π·harmonics_jh·t/period + phases_jh)``.
 
     Joints with fewer sinusoids than others are padded with harmonic 0 and amplitude 0.
 
@@ -21,7 +21,7 @@ class FourierSeries:
     ----------
     period : float
         Period in s.
-    centre : ndarray, shape (n,)
+    center : ndarray, shape (n,)
         Mean positions in rad.
     harmonics : ndarray of int, shape (n, H)
         Multiples of the fundamental frequency 1/period.
@@ -38,7 +38,7 @@ class FourierSeries:
     """
 
     period: float
-    centre: Array
+    center: Array
     harmonics: Any
     amplitudes: Array
     phases: Array
@@ -46,15 +46,15 @@ class FourierSeries:
     def __post_init__(self) -> None:
         if not (np.isfinite(self.period) and self.period > 0.0):
             raise DataError(f"Fourier series: period is {self.period}; give a positive time in s.")
-        centre = real_array(self.centre, "centre", ndim=1)
+        center = real_array(self.center, "center", ndim=1)
         harmonics = real_array(self.harmonics, "harmonics", ndim=2)
         amplitudes = real_array(self.amplitudes, "amplitudes", ndim=2)
         phases = real_array(self.phases, "phases", ndim=2)
-        if not (harmonics.shape == amplitudes.shape == phases.shape) or len(centre) != len(
+        if not (harmonics.shape == amplitudes.shape == phases.shape) or len(center) != len(
             harmonics
         ):
             raise DataError(
-                f"Fourier series: centre {centre.shape}, harmonics {harmonics.shape}, amplitudes "
+                f"Fourier series: center {center.shape}, harmonics {harmonics.shape}, amplitudes "
                 f"{amplitudes.shape} and phases {phases.shape} do not fit; give (n,) and three "
                 "times (n, H)."
             )
@@ -63,11 +63,11 @@ class FourierSeries:
             raise DataError("Fourier series: harmonics must be whole numbers of at least 0.")
         if np.any((whole == 0) & (amplitudes != 0.0)):
             raise DataError(
-                "Fourier series: harmonic 0 with an amplitude; put a constant into the centre."
+                "Fourier series: harmonic 0 with an amplitude; put a constant into the center."
             )
         whole.setflags(write=False)
         object.__setattr__(self, "period", float(self.period))
-        object.__setattr__(self, "centre", frozen(centre))
+        object.__setattr__(self, "center", frozen(center))
         object.__setattr__(self, "harmonics", whole)
         object.__setattr__(self, "amplitudes", frozen(amplitudes))
         object.__setattr__(self, "phases", frozen(phases))
@@ -75,7 +75,7 @@ class FourierSeries:
     @property
     def n(self) -> int:
         """Number of joints."""
-        return len(self.centre)
+        return len(self.center)
 
     def evaluate(self, time: Any, *, derivative: int = 0) -> Array:
         """Return a derivative of the positions at any times, (K,) to (K, n)."""
@@ -87,7 +87,7 @@ class FourierSeries:
         for h in range(self.harmonics.shape[1]):
             angle = time[:, None] * rate[:, h] + self.phases[:, h] + quarter
             out += self.amplitudes[:, h] * rate[:, h] ** derivative * np.sin(angle)
-        return out + self.centre if derivative == 0 else out
+        return out + self.center if derivative == 0 else out
 
     def one_period(self, samples: int, *, derivative: int = 0) -> Array:
         """Return a derivative at equally spaced samples of one period, shape (samples, n).
@@ -113,7 +113,7 @@ class FourierSeries:
         np.add.at(spectrum, (joints, self.harmonics), lines * np.exp(1j * (self.phases + quarter)))
         values = np.fft.irfft(spectrum, n=samples, axis=1)
         if derivative == 0:
-            values += self.centre[:, None]
+            values += self.center[:, None]
         return np.ascontiguousarray(values.T)
 
     def delayed(self, shift: Array) -> FourierSeries:
@@ -121,7 +121,7 @@ class FourierSeries:
         turn = 2.0 * np.pi * self.harmonics * np.asarray(shift)[:, None] / self.period
         return FourierSeries(
             period=self.period,
-            centre=self.centre,
+            center=self.center,
             harmonics=self.harmonics,
             amplitudes=self.amplitudes,
             phases=np.mod(self.phases + turn, 2.0 * np.pi),

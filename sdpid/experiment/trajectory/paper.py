@@ -1,7 +1,4 @@
-"""Excitation: the rule of the paper that makes a trajectory.
-
-Another rule (an optimal excitation, say) is another function that returns a `Trajectory`.
-"""
+"""Draw the paper's excitation (Table II and section III-B)."""
 
 from __future__ import annotations
 
@@ -41,7 +38,7 @@ def paper_excitation(
 
     Each axis gets a sum of sinusoids of equal amplitude and random phase. Their frequencies are
     distinct multiples of the fundamental, drawn without replacement from those not above the
-    axis's limit frequency. The sum is scaled so that its largest excursion from the centre is
+    axis's limit frequency. The sum is scaled so that its largest excursion from the center is
     half of the axis's range. By Bernstein's inequality its speed then stays below 2π times the
     limit frequency times half the range, which is how the table's velocity limit is made.
 
@@ -130,11 +127,11 @@ def _excitation_file(folder: str | os.PathLike[str]) -> Path:
 def filled(
     period: float, ranges: Array, harmonics: Any, phases: Array, rate: float
 ) -> FourierSeries:
-    """Return the sum of equal sinusoids, scaled to fill each range about its centre."""
+    """Return the sum of equal sinusoids, scaled to fill each range about its center."""
     used = (harmonics > 0).astype(np.float64)
     unit = FourierSeries(
         period=period,
-        centre=np.zeros(len(ranges)),
+        center=np.zeros(len(ranges)),
         harmonics=harmonics,
         amplitudes=used,
         phases=phases,
@@ -143,7 +140,7 @@ def filled(
     half = 0.5 * (ranges[:, 1] - ranges[:, 0])
     return FourierSeries(
         period=period,
-        centre=ranges.mean(axis=1),
+        center=ranges.mean(axis=1),
         harmonics=harmonics,
         amplitudes=used * (half / peak)[:, None],
         phases=phases,
@@ -162,12 +159,12 @@ def quiet_start(
     samples = round(series.period * rate)
     stride = max(1, samples // _STARTS)
     states = [series.one_period(samples, derivative=order)[::stride] for order in range(3)]
-    states[0] = states[0] - series.centre
+    states[0] = states[0] - series.center
     s = np.linspace(0.0, 1.0, _CHECKS)
     margins = []
     for seconds in (connection, -connection):
         position, velocity, _ = quintic(s, seconds, *states)
-        position += series.centre
+        position += series.center
         inside = np.minimum(ranges[:, 1] - position, position - ranges[:, 0]).min(axis=1)
         # In units of the half range and of the limit, so that the worse of the two counts.
         inside /= 0.5 * (ranges[:, 1] - ranges[:, 0])

@@ -1,7 +1,4 @@
-"""`Trajectory`: what the joints are asked to do, sample by sample.
-
-It knows nothing of the rule that made it: any `FourierSeries` becomes a trajectory.
-"""
+"""`Trajectory`: desired joint motion, sample by sample, from any `FourierSeries`."""
 
 from __future__ import annotations
 
@@ -21,7 +18,7 @@ from sdpid.errors import DataError
 from sdpid.experiment.trajectory.fourier import FourierSeries, quintic
 
 # A duration counts as a whole number of samples when it is this close to one, in samples: far
-# above the rounding of the product, far below a timing anybody would mean.
+# above the rounding of the product, far below any intended timing.
 _WHOLE = 1e-6
 # Entries of a trajectory's file.
 _DURATIONS = ("rate_hz", "rest", "connection")
@@ -32,7 +29,7 @@ _SERIES = ("harmonics", "amplitudes", "phases")
 class Trajectory:
     """Rest, connection, whole periods of a Fourier series, connection, rest.
 
-    At rest the joints stand at the centre of the series. The connections are polynomials of
+    At rest the joints stand at the center of the series. The connections are polynomials of
     fifth degree: position, velocity and acceleration are continuous throughout.
 
     Attributes
@@ -109,9 +106,9 @@ class Trajectory:
         return self.series.period
 
     @property
-    def centre(self) -> Array:
-        """Centre of the motion, where the joints rest, shape (n,)."""
-        return self.series.centre
+    def center(self) -> Array:
+        """Center of the motion, where the joints rest, shape (n,)."""
+        return self.series.center
 
     @property
     def harmonics(self) -> Any:
@@ -205,7 +202,7 @@ class Trajectory:
         lines += [f"notes = {json.dumps(list(self.notes))}"]
         for j, name in enumerate(self.joint_names):
             lines += ["", "[[joint]]", f"name = {json.dumps(name)}"]
-            lines += [f"centre = {float(series.centre[j])!r}"]
+            lines += [f"center = {float(series.center[j])!r}"]
             for key in _SERIES:
                 lines.append(f"{key} = {np.asarray(getattr(series, key))[j].tolist()}")
             lines.append(f"position_range = {self.position_range[j].tolist()}")
@@ -226,7 +223,7 @@ class Trajectory:
             joints = table["joint"]
             series = FourierSeries(
                 period=table["period"],
-                centre=np.array([joint["centre"] for joint in joints]),
+                center=np.array([joint["center"] for joint in joints]),
                 **{key: np.array([joint[key] for joint in joints]) for key in _SERIES},
             )
             return cls(
@@ -269,7 +266,7 @@ class Trajectory:
                 f"trajectory: samples {start} to {stop} are not within 0 to {self.n_samples}."
             )
         out = np.zeros((3, stop - start, self.n))
-        out[0] = self.centre
+        out[0] = self.center
         lead, per_period = self.lead_samples, self.samples_per_period
         rest, connection = lead - round(self.connection * self.rate_hz), lead
         end = lead + self.periods * per_period
@@ -291,9 +288,9 @@ class Trajectory:
 
     @cached_property
     def _start_state(self) -> tuple[Array, Array, Array]:
-        """Offset from the centre, velocity and acceleration at the start of a period."""
+        """Offset from the center, velocity and acceleration at the start of a period."""
         first = np.zeros(1)
         position, velocity, acceleration = (
             self.series.evaluate(first, derivative=order)[0] for order in range(3)
         )
-        return position - self.centre, velocity, acceleration
+        return position - self.center, velocity, acceleration

@@ -173,7 +173,7 @@ def friction_findings(fit: Validation, errors: tuple[JointErrors, ...]) -> Itera
     for kind, names in kinds.items():
         yield Finding(
             "caution",
-            f"Friction is not fully modelled. Errors go {kind}. Share of the error's variance: "
+            f"Friction is not fully modeled. Errors go {kind}. Share of the error's variance: "
             f"{listed(names, 99)}.",
         )
 

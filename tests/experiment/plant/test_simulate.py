@@ -247,15 +247,15 @@ def test_settled_periods_repeat(
     assert np.abs(rows[3] - rows[2]).max() < 1e-8
 
 
-def test_unmodelled_effects_show_in_the_current_only(
+def test_unmodeled_effects_show_in_the_current_only(
     robot: RobotModel, theta: Array, short: Trajectory, log: PlantLog
 ) -> None:
-    other = run_plant(robot, short, theta=theta, unmodelled=True, start=3_000, stop=30_000)
+    other = run_plant(robot, short, theta=theta, unmodeled=True, start=3_000, stop=30_000)
     np.testing.assert_array_equal(other.position, log.position)
     extra = other.motor_torque - log.motor_torque
-    np.testing.assert_allclose(extra, other.unmodelled_torque, atol=1e-9)
-    assert not log.unmodelled_torque.any()
-    effects = load_drives(NAME).unmodelled
+    np.testing.assert_allclose(extra, other.unmodeled_torque, atol=1e-9)
+    assert not log.unmodeled_torque.any()
+    effects = load_drives(NAME).unmodeled
     assert effects is not None
     slow = effects.torque(np.zeros((1, 6)), np.full((1, 6), 1e-9))
     np.testing.assert_allclose(slow[0], effects.stribeck_torque + effects.coulomb_asymmetry)
@@ -275,8 +275,8 @@ def test_unstable_gains_are_refused(robot: RobotModel, theta: Array, short: Traj
     )
     with pytest.raises(DataError, match="fastest pole"):
         simulate(robot, short, theta=theta, drives=fast)
-    with pytest.raises(DataError, match="no unmodelled effects"):
-        simulate(robot, short, theta=theta, drives=fast, unmodelled=True)
+    with pytest.raises(DataError, match="no unmodeled effects"):
+        simulate(robot, short, theta=theta, drives=fast, unmodeled=True)
 
 
 def test_bad_parameters(robot: RobotModel, theta: Array, short: Trajectory) -> None:

@@ -30,7 +30,7 @@ def test_full_size_is_table_ii(full: Trajectory) -> None:
     assert full.harmonics.shape == (6, 55)
     assert full.notes == ()
     np.testing.assert_allclose(full.position_range, np.radians(RANGES_DEG))
-    np.testing.assert_allclose(full.centre, np.radians(RANGES_DEG.mean(axis=1)))
+    np.testing.assert_allclose(full.center, np.radians(RANGES_DEG.mean(axis=1)))
 
 
 @settings(deadline=None, max_examples=10)
@@ -38,7 +38,7 @@ def test_full_size_is_table_ii(full: Trajectory) -> None:
 def test_the_papers_rule(seed: int, period: float) -> None:
     trajectory = paper_excitation(ROBOT, seed, period=period)
     half = np.radians(np.diff(RANGES_DEG, axis=1)[:, 0]) / 2
-    excursion = np.abs(trajectory.position_period - trajectory.centre).max(axis=0)
+    excursion = np.abs(trajectory.position_period - trajectory.center).max(axis=0)
     np.testing.assert_allclose(excursion, half, rtol=FFT_ROUNDING)
     for j, limit in enumerate(LIMITS_HZ):
         used = trajectory.harmonics[j][trajectory.harmonics[j] > 0]
@@ -63,7 +63,7 @@ def test_ends_at_rest_and_is_smooth(seed: int, periods: int) -> None:
     q, v, a = trajectory.sample()
     assert q.shape == (trajectory.n_samples, 6)
     for end in (slice(0, 4001), slice(-4000, None)):
-        np.testing.assert_array_equal(q[end], np.broadcast_to(trajectory.centre, q[end].shape))
+        np.testing.assert_array_equal(q[end], np.broadcast_to(trajectory.center, q[end].shape))
         assert not v[end].any()
         assert not a[end].any()
     # Trapezoids: a jump in position, velocity or acceleration would break one of these at once.
@@ -144,7 +144,7 @@ def test_fft_equals_the_sum(seed: int, samples: int, derivative: int, period: fl
     rng = np.random.default_rng(seed)
     series = FourierSeries(
         period=period,
-        centre=rng.normal(size=2),
+        center=rng.normal(size=2),
         harmonics=rng.integers(1, 30, size=(2, 5)),
         amplitudes=rng.normal(size=(2, 5)),
         phases=rng.uniform(0, 7, size=(2, 5)),
@@ -162,7 +162,7 @@ def test_fft_equals_the_sum(seed: int, samples: int, derivative: int, period: fl
 def test_series_refuses_what_is_no_series() -> None:
     good = {
         "period": 1.0,
-        "centre": [0.0],
+        "center": [0.0],
         "harmonics": [[1, 2]],
         "amplitudes": [[1.0, 1.0]],
         "phases": [[0.0, 0.0]],

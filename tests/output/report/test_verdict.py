@@ -133,7 +133,7 @@ def test_friction_that_changed_is_named(good: sdpid.Identification, shape, words
     effort = np.array(fresh.effort)
     effort[:, 0] += 0.3 * effort[:, 0].std() * shape(fresh.velocity[:, 0])
     result = with_validation(good, replace(fresh, effort=effort))
-    text = said(result, "Friction is not fully modelled", words)
+    text = said(result, "Friction is not fully modeled", words)
     assert FIRST in text
     assert LAST not in text
 
