@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
 from hypothesis import HealthCheck, settings
@@ -49,3 +51,16 @@ def data_folder() -> Path:
 def denso() -> RobotModel:
     """Return the arm of the case study."""
     return load_robot("denso_vp6242")
+
+
+@pytest.fixture(scope="session")
+def dask_client() -> Iterator[Any]:
+    """Return a client of two worker processes; tests that use it share the group ``dask``."""
+    distributed = pytest.importorskip("distributed", reason="the extra dask is not installed")
+    with (
+        distributed.LocalCluster(
+            n_workers=2, threads_per_worker=1, dashboard_address=":0", processes=True
+        ) as cluster,
+        distributed.Client(cluster) as client,
+    ):
+        yield client

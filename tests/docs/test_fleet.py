@@ -14,6 +14,8 @@ from tests.helpers.robots import small_arm
 
 pytest.importorskip("distributed", reason="the extra dask is not installed")
 
+pytestmark = pytest.mark.xdist_group("dask")
+
 ARM = small_arm(2)
 BODIES = np.tile([2.0, 0.1, 0.0, 0.1, 0.1, 0.0, 0.1, 0.0, 0.0, 0.1], (2, 1))
 COUNTS = (1500, 1300, 1400)
@@ -64,18 +66,14 @@ def test_one_problem_on_a_cluster(page: dict[str, Any], files: list[Path]) -> No
     np.testing.assert_array_equal(there.theta, here.theta)
 
 
-def test_a_task_a_robot_and_joblib(page: dict[str, Any], files: list[Path]) -> None:
-    from distributed import Client, LocalCluster
-
+def test_a_task_a_robot_and_joblib(
+    page: dict[str, Any], files: list[Path], dask_client: Any
+) -> None:
     processing = sdpid.Processing(cutoff_hz=10.0)
     missing = files[0].with_name("missing.parquet")
-    with (
-        LocalCluster(n_workers=2, threads_per_worker=1, dashboard_address=":0") as cluster,
-        Client(cluster) as client,
-    ):
-        found = page["all_robots"](client, ARM, [*files, missing])
-        problem = sdpid.build_problem(ARM, files, processing=processing, weighting="residual")
-        compared, bands = page["repeated"](sdpid.solve_sdp(problem))
+    found = page["all_robots"](dask_client, ARM, [*files, missing])
+    problem = sdpid.build_problem(ARM, files, processing=processing, weighting="residual")
+    compared, bands = page["repeated"](sdpid.solve_sdp(problem))
     # The log that is missing costs its own robot only.
     assert len(found) == len(files)
     for file, each in zip(files, found, strict=True):

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
@@ -19,17 +18,6 @@ from tests.helpers.arm import LIGHT, arm_problem
 @pytest.fixture(scope="module")
 def estimate() -> Estimate:
     return sdpid.solve_sdp(arm_problem(LIGHT))
-
-
-@pytest.fixture(scope="module")
-def cluster() -> Iterator[Any]:
-    distributed = pytest.importorskip("distributed", reason="extra dask is not installed")
-    options: dict[str, Any] = {"n_workers": 2, "threads_per_worker": 1, "processes": True}
-    with (
-        distributed.LocalCluster(dashboard_address=":0", **options) as local,
-        distributed.Client(local) as client,
-    ):
-        yield client
 
 
 def profile(estimate: Estimate, n_jobs: int | None = None) -> Intervals:
@@ -65,7 +53,8 @@ def test_jobs_that_are_none_are_refused(estimate: Estimate, n_jobs: Any) -> None
         sdpid.compare(estimate.problem, starts=1, n_jobs=n_jobs)
 
 
-@pytest.mark.usefixtures("cluster")
+@pytest.mark.xdist_group("dask")
+@pytest.mark.usefixtures("dask_client")
 def test_dask_serves_bootstrap_intervals_and_comparison(
     estimate: Estimate, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 import signal
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -32,20 +31,11 @@ PROCESSING = Processing(
 )
 FRICTION = (sdpid.friction.Coulomb(width=0.02), sdpid.friction.SigmoidFriction(), "viscous")
 
+# One cluster serves all of these.
+pytestmark = pytest.mark.xdist_group("dask")
+
 # What the answers of one machine and of many may differ by, relative.
 SAME = 1e-12
-
-
-@pytest.fixture(scope="module")
-def client() -> Iterator[Any]:
-    distributed = pytest.importorskip("distributed", reason="the extra dask is not installed")
-    with (
-        distributed.LocalCluster(
-            n_workers=2, threads_per_worker=1, dashboard_address=":0", processes=True
-        ) as cluster,
-        distributed.Client(cluster) as found,
-    ):
-        yield found
 
 
 @pytest.fixture(scope="module")
@@ -106,9 +96,9 @@ def kill_one(client: Any) -> None:
     os.kill(next(iter(client.run(os.getpid).values())), signal.SIGKILL)
 
 
-def test_the_answer_is_the_same_as_on_one_machine(client: Any, files: list[Path]) -> None:
+def test_the_answer_is_the_same_as_on_one_machine(dask_client: Any, files: list[Path]) -> None:
     here = built(files)
-    there = built(files, client=client)
+    there = built(files, client=dask_client)
     assert (
         there.samples.n_samples < 6000 < there.n_samples == here.n_samples == here.samples.n_samples
     )
@@ -117,9 +107,9 @@ def test_the_answer_is_the_same_as_on_one_machine(client: Any, files: list[Path]
     same(here, there)
 
 
-def test_one_processing_is_chosen_for_all(client: Any, files: list[Path]) -> None:
+def test_one_processing_is_chosen_for_all(dask_client: Any, files: list[Path]) -> None:
     here = built(files, processing=None)
-    there = built(files, processing=None, client=client)
+    there = built(files, processing=None, client=dask_client)
     said = [note for note in there.samples.notes if "the median of their cut-offs" in note]
     assert said
     assert said[0] in here.samples.notes
@@ -127,7 +117,7 @@ def test_one_processing_is_chosen_for_all(client: Any, files: list[Path]) -> Non
 
 
 def test_a_killed_worker_loses_nothing(
-    client: Any, files: list[Path], monkeypatch: pytest.MonkeyPatch
+    dask_client: Any, files: list[Path], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     here = built(files)
     killed = []
@@ -136,43 +126,43 @@ def test_a_killed_worker_loses_nothing(
         @classmethod
         def of(cls, rows: Any, weighting: Any) -> Factor:
             # The pieces are read; now half of them are lost.
-            kill_one(client)
+            kill_one(dask_client)
             killed.append(rows)
             return Factor.of(rows, weighting)
 
     monkeypatch.setattr(problem_module, "Factor", Interrupted)
-    there = built(files, client=client)
+    there = built(files, client=dask_client)
     assert killed
     same(here, there)
-    kill_one(client)
+    kill_one(dask_client)
     # Standard errors look at the rows again.
     same(here, there)
 
 
-def test_samples_in_memory_may_be_pieces_too(client: Any) -> None:
+def test_samples_in_memory_may_be_pieces_too(dask_client: Any) -> None:
     rng = np.random.default_rng(5)
     pieces = [make_samples(ARM, THETA, rng, count=k, noise=0.1) for k in (80, 120)]
-    there = build_problem(ARM, DistributedSamples.read(client, ARM, pieces))
+    there = build_problem(ARM, DistributedSamples.read(dask_client, ARM, pieces))
     here = build_problem(ARM, pieces)
     np.testing.assert_array_equal(there.A, here.A)
 
 
-def test_solvers_are_compared_on_the_cluster(client: Any, files: list[Path]) -> None:
-    there = built(files[:2], client=client)
+def test_solvers_are_compared_on_the_cluster(dask_client: Any, files: list[Path]) -> None:
+    there = built(files[:2], client=dask_client)
     with joblib.parallel_config(backend="dask"):
         found = sdpid.compare(there, starts=2, seed=0, local=("log_cholesky",))
     assert [row.solver for row in found.rows] == ["wls", "sdp", "log_cholesky", "log_cholesky"]
     assert all(estimate is not None and estimate.problem is there for estimate in found.estimates)
 
 
-def test_what_needs_the_rows_here_says_so(client: Any, files: list[Path]) -> None:
-    there = built(files[:2], client=client)
+def test_what_needs_the_rows_here_says_so(dask_client: Any, files: list[Path]) -> None:
+    there = built(files[:2], client=dask_client)
     with pytest.raises(DataError, match="on the workers of a cluster"):
         sdpid.solve_robust(there)
     with pytest.raises(DataError, match="none to join"):
-        built([], client=client)
+        built([], client=dask_client)
     with pytest.raises(DataError, match="no such file"):
-        built([files[0].with_name("missing.parquet")], client=client)
+        built([files[0].with_name("missing.parquet")], client=dask_client)
 
 
 def test_a_cluster_without_workers_is_given_up(
