@@ -2,7 +2,7 @@ from . import constraints, friction, plots
 from .assurance.certificate.certificate import certify, verify
 from .assurance.descriptions.audit import audit_urdf
 from .assurance.diagnostics.cost_of_constraints import cost_of_constraints
-from .assurance.diagnostics.mass_matrix import smallest_mass_eigenvalue
+from .assurance.diagnostics.mass_matrix import mass_matrix, smallest_mass_eigenvalue
 from .assurance.diagnostics.validation import validate
 from .assurance.intervals.intervals import confidence_intervals
 from .assurance.payload.identify import identify_payload
@@ -47,7 +47,7 @@ from .robot.model.load import load_robot
 from .robot.model.model import RobotModel
 from .workflow.comparison import Comparison, compare
 from .workflow.cross_validation import CrossValidation, cross_validate
-from .workflow.identify import identify, mass_matrix
+from .workflow.identify import identify
 from .workflow.result import Identification
 
 __version__: str

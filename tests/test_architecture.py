@@ -198,11 +198,7 @@ def test_no_circle_between_files() -> None:
     "level",
     [
         pytest.param(2, id="rooms"),
-        pytest.param(
-            3,
-            id="sub-packages",
-            marks=pytest.mark.xfail(strict=True, reason="being opened"),
-        ),
+        pytest.param(3, id="sub-packages"),
     ],
 )
 def test_no_circle_between(level: int) -> None:

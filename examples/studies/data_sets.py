@@ -29,7 +29,7 @@ from sdpid._common.tables import Table
 from sdpid.estimation.prior.prior import PriorKind
 from sdpid.experiment.preparation.for_robot import default_processing, prepare
 from sdpid.robot.inertia import Consistency
-from sdpid.workflow import formulate
+from sdpid.workflow.formulate import formulate
 
 Terms = tuple[str | sdpid.friction.FrictionTerm, ...]
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import io
+import json
 import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields, is_dataclass
@@ -159,3 +160,8 @@ def plain(value: Any) -> Any:
         names = [each.name for each in fields(value) if not each.name.startswith("_")]
         return {name: plain(getattr(value, name)) for name in names}
     return [plain(each) for each in value]
+
+
+def json_text(value: Any) -> str:
+    """Return a value as JSON text with an indent of one; numbers that are not finite are null."""
+    return json.dumps(plain(value), indent=1, allow_nan=False)

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from sdpid.cli import options as opt
+import sdpid.cli.options as opt
 from sdpid.cli.endings import NO_ANSWER
 from sdpid.errors import DataError, ExportError
 

@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from sdpid.cli import options as opt
+import sdpid.cli.options as opt
 
 
 def compare(
@@ -37,12 +37,12 @@ def compare(
     if out is not None:
         opt.require_folder("--out", out, reading.files((log,), robot, printing.config))
     record = reading.read(log, **periods.arguments())
-    from sdpid import workflow
     from sdpid.robot.model.load import load_robot
     from sdpid.workflow.comparison import compare as run
+    from sdpid.workflow.formulate import formulate
 
     model = load_robot(robot)
-    problem = workflow.formulate(
+    problem = formulate(
         model, record, processing=processing.changes(), **estimation.arguments(model)
     )
     comparison = run(problem, starts=starts, seed=seed, max_iterations=max_iterations, n_jobs=jobs)

@@ -8,9 +8,9 @@ from typing import Annotated
 
 import typer
 
+import sdpid.cli.options as opt
 from sdpid._common.extras import require
 from sdpid._common.text import printable
-from sdpid.cli import options as opt
 from sdpid.cli.config import config_text
 from sdpid.cli.endings import OURS, command_line
 
@@ -60,11 +60,11 @@ def identify(
         require("matplotlib", extra="plot")
     records = [reading.read(log, **periods.arguments()) for log in logs]
     checks = [reading.read(log) for log in validation or ()]
-    from sdpid import workflow
     from sdpid.robot.model.load import load_robot
+    from sdpid.workflow.identify import identify as run
 
     model = load_robot(robot)
-    result = workflow.identify(
+    result = run(
         model,
         records,
         validation=checks or None,

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from sdpid.cli import options as opt
+import sdpid.cli.options as opt
 
 
 def info(

@@ -396,7 +396,7 @@ class Printing:
         if self.quiet:
             return
         if self.json:
-            from sdpid._common.json import json_text
+            from sdpid._common.tables import json_text
 
             typer.echo(json_text(values))
         else:

@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from sdpid.cli import options as opt
+import sdpid.cli.options as opt
 
 
 def payload(

@@ -8,8 +8,8 @@ from typing import Annotated
 
 import typer
 
+import sdpid.cli.options as opt
 from sdpid._common.extras import require
-from sdpid.cli import options as opt
 
 
 def validate(

@@ -32,6 +32,7 @@ from sdpid.robot.friction.term import FrictionTerm
 from sdpid.robot.inertia import Consistency
 from sdpid.robot.model.load import load_robot
 from sdpid.robot.model.model import RobotModel
+from sdpid.workflow.formulate import formulate, tuple_of_terms
 
 By = Literal["time", "recording"]
 
@@ -223,12 +224,16 @@ def cross_validate(
     SdpidError
         A child, as of `identify`, that names the fold; a `DataError` when parts are too short.
     """
-    from sdpid.workflow import formulate
-
     model = robot if isinstance(robot, RobotModel) else load_robot(robot)
     logs = all_recordings(log)
-    friction = None if friction is None else tuple(friction)
     without_effort = tuple(without_effort)
+    formulation: dict[str, Any] = {
+        "friction": tuple_of_terms(friction),
+        "weighting": weighting,
+        "consistency": consistency,
+        "constraints": constraints,
+        "prior": prior,
+    }
     parts = list(_parts(logs, folds, by))
     done: list[Fold] = []
     squares = []
@@ -239,15 +244,7 @@ def cross_validate(
                     model, kept, processing, without_effort=without_effort
                 )
                 fresh = prepared.others(out, scored).samples
-                problem = formulate(
-                    model,
-                    prepared,
-                    friction=friction,
-                    weighting=weighting,
-                    consistency=consistency,
-                    constraints=constraints,
-                    prior=prior,
-                )
+                problem = formulate(model, prepared, **formulation)
             except (DataError, IdentifiabilityError) as reason:
                 advice = " Use fewer folds, or longer recordings." if by == "time" else ""
                 raise type(reason)(f"cross-validation without {name}: {reason}{advice}") from None

@@ -1,16 +1,14 @@
-"""The whole way with defaults: a robot and recordings in, certified parameters out."""
+"""Identify a robot from recordings, with defaults for every choice."""
 
 from __future__ import annotations
 
 import os
 from collections.abc import Iterable
 from dataclasses import replace
-from typing import get_args
+from typing import Any, get_args
 
 import numpy as np
-from numpy.typing import ArrayLike
 
-from sdpid._common.arrays import Array
 from sdpid._common.progress import progress
 from sdpid._common.threads import one_thread
 from sdpid.assurance.certificate.certificate import certify
@@ -22,91 +20,23 @@ from sdpid.estimation.compression.covariance import Weighting
 from sdpid.estimation.constraints.constraints import Constraints
 from sdpid.estimation.estimate import Estimate
 from sdpid.estimation.prior.prior import Prior
-from sdpid.estimation.problem import Problem, build_problem
 from sdpid.estimation.sdp.solve import solve_sdp
 from sdpid.estimation.wls import solve_wls
-from sdpid.experiment.preparation.for_robot import default_friction
-from sdpid.experiment.preparation.several import (
-    Logs,
-    Prepared,
-    ProcessingOf,
-    prepare_recordings,
-)
+from sdpid.experiment.preparation.several import Logs, ProcessingOf, prepare_recordings
 from sdpid.robot.friction.term import FrictionTerm
 from sdpid.robot.inertia import Consistency
 from sdpid.robot.model.load import load_robot
 from sdpid.robot.model.model import RobotModel
+from sdpid.workflow.cross_validation import cross_validate
+from sdpid.workflow.formulate import formulate, tuple_of_terms
 from sdpid.workflow.result import Identification
 
-__all__ = ["Identification", "formulate", "identify", "mass_matrix"]
-
-# What `identify` takes for its intervals. Profile bounds say most, but take several hundred solves,
-# 5 to 9 s for arms of six and seven joints; Gauss-Markov intervals take some 20 ms.
+# Profile intervals respect the constraints, but take several hundred solves, 5 to 9 s for arms of
+# six and seven joints; Gauss-Markov intervals take some 20 ms.
 DEFAULT_INTERVALS: Method = "gauss_markov"
 
 # Unconstrained fit, estimate, certificate, intervals.
 _STEPS = 4
-
-
-def _tuple_of_terms(
-    friction: Iterable[str | FrictionTerm] | None,
-) -> tuple[str | FrictionTerm, ...] | None:
-    """Return the terms, perhaps of a generator, in a tuple.
-
-    Raises
-    ------
-    DataError
-        When they are one name, or nothing that has terms in it.
-    """
-    if friction is None:
-        return None
-    if isinstance(friction, (str, FrictionTerm)):
-        raise DataError(f"friction: is {friction!r}; give a tuple of terms, ({friction!r},).")
-    try:
-        return tuple(friction)
-    except TypeError:
-        raise DataError(
-            f"friction: is {friction!r}; give a tuple of terms, such as ('coulomb', 'viscous')."
-        ) from None
-
-
-def formulate(
-    robot: RobotModel | str | os.PathLike[str],
-    log: Logs | Prepared,
-    *,
-    processing: ProcessingOf = None,
-    without_effort: Iterable[str] = (),
-    friction: Iterable[str | FrictionTerm] | None = None,
-    weighting: Weighting | None = None,
-    consistency: Consistency = "pseudo_inertia",
-    constraints: Constraints | None = None,
-    prior: Prior | bool | None = None,
-) -> Problem:
-    """Build the problem that `identify` solves; arguments and errors are those of `identify`.
-
-    `log` may also be recordings that are prepared already (see `prepare_recordings`).
-    """
-    robot = robot if isinstance(robot, RobotModel) else load_robot(robot)
-    friction = _tuple_of_terms(friction)
-    if not isinstance(log, Prepared):
-        log = prepare_recordings(robot, log, processing, without_effort=without_effort)
-    samples = log.samples
-    chosen: Weighting = weighting or ("residual" if samples.covariance is None else "gls")
-    if prior is None:
-        # Friction of a joint without effort is known from a prior or not at all.
-        wanted = chosen == "residual" or (chosen == "gls" and bool(log.without_effort))
-        prior = wanted and bool(np.any(robot.prior[:, 0] > 0.0))
-    if isinstance(prior, bool):
-        prior = Prior() if prior else None
-    return build_problem(
-        robot,
-        samples,
-        friction=default_friction(log.logs[0]) if friction is None else friction,
-        weighting=chosen,
-        consistency=consistency,
-        constraints=Constraints.of_size(robot) if constraints is None else constraints,
-        prior=prior,
-    )
 
 
 @one_thread
@@ -125,7 +55,7 @@ def identify(
     intervals: bool | Method = True,
     folds: int | None = None,
 ) -> Identification:
-    """Identify a robot from one recording or several, with defaults for everything.
+    """Identify the dynamics of a robot from one recording or several.
 
     Parameters
     ----------
@@ -135,7 +65,7 @@ def identify(
         What was measured (see `read_recording`). Several recordings are processed alike, each
         alone, and fitted together; none of them may have periods then.
     validation : Recording or path, or a sequence of these, optional
-        Other recordings to predict; nothing is chosen by them.
+        Other recordings, whose efforts are predicted only.
     processing : Processing or mapping, optional
         By default `default_processing`; of several recordings that of the one with the median
         cut-off. A mapping changes some settings of the default, such as ``{"cutoff_hz": 10.0}``.
@@ -147,20 +77,22 @@ def identify(
     weighting : str, optional
         By default ``gls`` for records with periods, else ``residual``.
     consistency : str, optional
-        What every link must obey.
+        Physical consistency that every link must have.
     constraints : Constraints, optional
         Margins and bounds; by default bounds that follow the robot's size
         (`Constraints.of_size`).
     prior : Prior or bool, optional
-        What is believed beside the data. By default the description's own inertias, with a
-        strength of one nat, for records without periods of a robot whose description has masses;
-        none otherwise.
+        Regularization towards the inertias in the robot's description. By default a `Prior` with
+        a strength of one nat for records without periods, where the description has masses; none
+        otherwise.
     intervals : bool or str, optional
-        Find intervals of the parameters (see `sdpid.confidence_intervals`): True by Gauss-Markov,
-        which takes a moment; ``"profile"`` says more and takes some seconds; or ``"bootstrap"``.
-        Where the data do not allow them, `Identification.intervals_note` says why.
+        Method for the intervals of the parameters (see `sdpid.confidence_intervals`): True is
+        ``"gauss_markov"``, which takes a moment; ``"profile"`` respects the constraints and takes
+        some seconds. Where the data do not allow intervals, `Identification.intervals_note` says
+        why.
     folds : int, optional
-        Also hold out so many blocks of the recordings in turn (see `sdpid.cross_validate`).
+        Number of blocks of the recordings to hold out in turn (see `sdpid.cross_validate`); by
+        default no cross-validation.
 
     Returns
     -------
@@ -176,24 +108,21 @@ def identify(
         raise DataError(
             f"intervals: is {intervals!r}; use True, False or one of {', '.join(get_args(Method))}."
         )
-    friction = _tuple_of_terms(friction)
     model = robot if isinstance(robot, RobotModel) else load_robot(robot)
     prepared = prepare_recordings(model, log, processing, without_effort=without_effort)
     fresh = None if validation is None else prepared.others(validation)
-    findings = prepared.findings
-    findings += () if fresh is None else fresh.findings
+    findings = prepared.findings + (() if fresh is None else fresh.findings)
     # Gaps and wrapped angles stand in the notes of the samples.
     notes = [str(finding) for finding in findings if finding.kind != "continued"]
     notes += prepared.notes
-    problem = formulate(
-        model,
-        prepared,
-        friction=friction,
-        weighting=weighting,
-        consistency=consistency,
-        constraints=constraints,
-        prior=prior,
-    )
+    formulation: dict[str, Any] = {
+        "friction": tuple_of_terms(friction),
+        "weighting": weighting,
+        "consistency": consistency,
+        "constraints": constraints,
+        "prior": prior,
+    }
+    problem = formulate(model, prepared, **formulation)
     with progress(_STEPS, "estimating") as advance:
         wls = solve_wls(replace(problem, prior=None))
         advance(1)
@@ -201,23 +130,17 @@ def identify(
         advance(1)
         certificate = certify(estimate)
         advance(1)
-        found, beware = _intervals(estimate, intervals)
+        confidence, intervals_note = _intervals(estimate, intervals)
         advance(1)
-    crossed = None
+    cross_validation = None
     if folds is not None:
-        from sdpid.workflow.cross_validation import cross_validate
-
-        crossed = cross_validate(
+        cross_validation = cross_validate(
             model,
             prepared.logs,
             folds=folds,
             processing=processing,
             without_effort=prepared.without_effort,
-            friction=friction,
-            weighting=weighting,
-            consistency=consistency,
-            constraints=constraints,
-            prior=prior,
+            **formulation,
         )
     return Identification(
         problem=problem,
@@ -228,58 +151,37 @@ def identify(
         training_wls=validate(wls),
         validation=None if fresh is None else validate(estimate, fresh.samples),
         validation_samples=None if fresh is None else fresh.samples,
-        intervals=found,
-        cross_validation=crossed,
-        intervals_note=beware,
+        intervals=confidence,
+        cross_validation=cross_validation,
+        intervals_note=intervals_note,
         notes=tuple(notes),
         findings=findings,
     )
 
 
 def _intervals(estimate: Estimate, wanted: bool | Method) -> tuple[Intervals | None, str | None]:
-    """Return intervals, and why there are none or what to beware of."""
+    """Return the intervals, and a note on why there are none or how far to trust them."""
     if wanted is False:
         return None, None
     method: Method = DEFAULT_INTERVALS if wanted is True else wanted
     try:
-        found = confidence_intervals(estimate, method=method)
+        intervals = confidence_intervals(estimate, method=method)
     except (DataError, IdentifiabilityError, SolverError) as reason:
         return None, f"no intervals of the parameters ({method}): {reason}"
-    outside = _outside(estimate, found)
+    outside = _outside(estimate, intervals)
     if not outside:
-        return found, None
-    return found, (
-        f"{outside} of {len(found)} intervals do not hold the estimate: they are about the "
+        return intervals, None
+    return intervals, (
+        f"{outside} of {len(intervals)} intervals do not hold the estimate: they are about the "
         "unconstrained fit, from which physics or the prior moves it farther than the data's "
         "scatter; intervals='profile' (--interval-method profile) respects physics and takes some "
         "seconds"
     )
 
 
-def _outside(estimate: Estimate, found: Intervals) -> int:
-    """Return how many intervals of the unconstrained fit do not hold the estimate."""
-    if found.method != "gauss_markov":
+def _outside(estimate: Estimate, intervals: Intervals) -> int:
+    """Return the number of Gauss-Markov intervals that do not hold the estimate."""
+    if intervals.method != "gauss_markov":
         return 0
-    shown = ParameterFunctions.of(estimate.problem, found.names)
-    return int(np.count_nonzero(~found.contains(shown.functionals @ estimate.base)))
-
-
-def mass_matrix(estimate: Estimate, q: ArrayLike) -> Array:
-    """Return the mass matrix of an estimate.
-
-    Parameters
-    ----------
-    estimate : Estimate
-        With or without standard parameters: base parameters determine the mass matrix, so any
-        standard ones that have them will do.
-    q : array_like, shape (n,) or (K, n)
-        Joint positions.
-
-    Returns
-    -------
-    ndarray, shape (n, n) or (K, n, n)
-    """
-    problem = estimate.problem
-    if estimate.theta is not None:
-        return problem.robot.mass_matrix(estimate.theta, q)
-    return problem.robot.mass_matrix(np.linalg.pinv(problem.base.matrix) @ estimate.base, q)
+    parameters = ParameterFunctions.of(estimate.problem, intervals.names)
+    return int(np.count_nonzero(~intervals.contains(parameters.functionals @ estimate.base)))

@@ -1,4 +1,4 @@
-"""What an identification found, and how it is told and saved."""
+"""The result of an identification: in words, as plain values, and saved to files."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
 
-from sdpid._common.tables import plain
+from sdpid._common.tables import Table, facts_html, plain
 from sdpid.assurance.certificate.certificate import Certificate
 from sdpid.assurance.diagnostics.active_constraints import constraint_states
 from sdpid.assurance.diagnostics.validation import Validation
@@ -27,34 +27,35 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Identification:
-    """What `identify` found.
+    """The result of `identify`.
 
     Attributes
     ----------
     problem : Problem
-        What was solved.
+        The problem that was solved.
     wls : Estimate
         The unconstrained fit.
     estimate : Estimate
         The global optimum under the constraints.
     certificate : Certificate
-        Of `estimate`.
+        Of `estimate`: the proof that it is the optimum.
     training : Validation
-        `estimate` on the rows it was made from.
+        Errors of `estimate` on the recordings that it was fitted to.
     training_wls : Validation
-        The unconstrained fit on the same rows.
+        Errors of the unconstrained fit on the same recordings.
     validation : Validation or None
-        `estimate` on the validation recording.
+        Errors of `estimate` on the validation recording.
     validation_samples : Samples or None
         That recording, processed the same way.
     intervals : Intervals or None
-        Of the parameters; None where they were not wanted, or cannot be had (see `intervals_note`).
+        Confidence intervals of the parameters; None where they were not asked for, or the data do
+        not allow them (see `intervals_note`).
     cross_validation : CrossValidation or None
         Blocks of the training recordings held out in turn (see `sdpid.cross_validate`).
     intervals_note : str or None
-        Why there are none, or what to beware of in them.
+        Why there are no intervals, or how far to trust them.
     notes : tuple of str
-        What was chosen, and the findings in words.
+        The choices that were made, and the findings, in words.
     findings : tuple of Finding
         What is wrong with the recordings (see `sdpid.inspect_recording`).
     """
@@ -72,6 +73,37 @@ class Identification:
     intervals_note: str | None = None
     notes: tuple[str, ...] = ()
     findings: tuple[Finding, ...] = ()
+
+    def __repr__(self) -> str:
+        """Return the robot, the residual and the proof in a line."""
+        return (
+            f"Identification(robot={self.problem.robot.name!r}, "
+            f"relative_residual={self.training.relative:.3g}, "
+            f"certified={self.certificate.passed})"
+        )
+
+    def _repr_html_(self) -> str:
+        """Return the main facts, the verdict and the errors of every joint, for a notebook."""
+        facts = {
+            "base parameters": self.problem.base.count,
+            "rows": self.problem.n_rows,
+            "cost": self.estimate.cost,
+            "proven lower bound": self.certificate.lower_bound,
+            "certified": "yes" if self.certificate.passed else "no",
+            "relative residual": self.training.relative,
+            "relative residual, unconstrained": self.training_wls.relative,
+        }
+        if self.validation is not None:
+            facts["relative residual, validation"] = self.validation.relative
+        errors = Table.of_columns(
+            {
+                "joint": list(self.training.joint_names),
+                "RMSE [N·m]": self.training.rmse.tolist(),
+                "NRMSE": self.training.nrmse.tolist(),
+            }
+        )
+        words = Table(("verdict",), tuple((text,) for text in verdict(self)))
+        return facts_html(f"Identification of {self.problem.robot.name}", facts, errors, words)
 
     def to_dict(self) -> dict[str, Any]:
         """Return the result as plain values for JSON: None where a number is not finite."""
@@ -153,14 +185,14 @@ class Identification:
         figures : bool, optional
             Draw plots too (extra ``plot``).
         report : callable, optional
-            Told in words what could not be written as identified (see `ExportReport`), and which
-            files there are not, and why.
+            Called with a sentence for all that the files leave out of the estimate (see
+            `ExportReport`), and for every file that is not written.
         command : str, optional
             The command line, for report.html.
         config : str, optional
             The options of the command in TOML, for run.toml.
         intervals : Intervals, optional
-            To be shown in place of `self.intervals`.
+            Shown in place of `self.intervals`.
 
         Returns
         -------
@@ -183,10 +215,10 @@ class Identification:
         )
 
 
-def _intervals(found: Intervals) -> dict[str, Any]:
-    """Return intervals as plain values; ends that are not finite are null."""
-    ends = ends_of(found)
-    told = found.to_dict()
-    for entry in told["parameters"]:
+def _intervals(intervals: Intervals) -> dict[str, Any]:
+    """Return intervals as plain values, with the ends that tables show."""
+    ends = ends_of(intervals)
+    content = intervals.to_dict()
+    for entry in content["parameters"]:
         entry["lower"], entry["upper"], _ = ends[entry["name"]]
-    return told
+    return content

@@ -99,7 +99,8 @@ def sdpid_job(everything: bool) -> Callable[[str, str], dict[str, Any]]:
 
     def job(log_file: str, robot_file: str) -> dict[str, Any]:
         from sdpid.experiment.preparation.for_robot import default_friction
-        from sdpid.workflow import formulate, identify
+        from sdpid.workflow.formulate import formulate
+        from sdpid.workflow.identify import identify
 
         log = sdpid.read_recording(log_file)
         robot = sdpid.load_robot(robot_file)

@@ -9,7 +9,7 @@ import pytest
 
 import sdpid
 from sdpid.experiment.preparation.for_robot import default_processing, prepare
-from sdpid.workflow import formulate
+from sdpid.workflow.formulate import formulate
 from tests.helpers.runs import arm, recorded
 
 FOLDS = 4

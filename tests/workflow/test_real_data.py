@@ -10,7 +10,7 @@ import pytest
 import sdpid
 from sdpid.assurance.diagnostics.active_constraints import constraint_states
 from sdpid.robot.inertia import Consistency
-from sdpid.workflow import formulate
+from sdpid.workflow.formulate import formulate
 from tests.helpers.tolerances import SAME_OPTIMUM
 
 BOTH: tuple[Consistency, ...] = ("pseudo_inertia", "spatial_inertia")

@@ -21,8 +21,8 @@ import pytest
 import sdpid
 from sdpid._common import files as _files
 from sdpid._common import signals as _signals
-from sdpid.workflow import results_folder
-from sdpid.workflow.results_folder import NAMES, _exchange
+from sdpid._common import staging
+from sdpid.workflow.results_folder import NAMES
 from tests.helpers.runs import arm, recorded
 
 # Events of Python's audit that change a disk. "open" counts where it is for writing.
@@ -132,7 +132,7 @@ def test_the_list_names_every_file_with_its_digest(
     files = result.save(tmp_path)
     listed = json.loads((tmp_path / "result.json").read_text())["files"]
     assert set(listed) | {"result.json"} == {path.name for path in files}
-    assert all(results_folder._digest(tmp_path / name) == listed[name] for name in listed)
+    assert all(staging.digest(tmp_path / name) == listed[name] for name in listed)
 
 
 @pytest.mark.parametrize("earlier", [False, True])
@@ -227,8 +227,8 @@ def test_what_a_killed_run_left_is_removed(result: sdpid.Identification, tmp_pat
 WRITER = """
 import sys, time
 from pathlib import Path
-from sdpid.workflow.results_folder import _stage
-with _stage(Path(sys.argv[1])) as stage:
+from sdpid._common.staging import staged
+with staged(Path(sys.argv[1])) as stage:
     (stage / "half").write_text("")
     print("ready", flush=True)
     time.sleep(float(sys.argv[2]))
@@ -255,8 +255,8 @@ def test_what_a_living_run_prepares_stays(result: sdpid.Identification, tmp_path
 def test_two_runs_do_not_wait_for_ever(
     result: sdpid.Identification, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(results_folder, "_PATIENCE", 0.2)
-    with results_folder._stage(tmp_path), pytest.raises(sdpid.ExportError, match="another run"):
+    monkeypatch.setattr(staging, "_PATIENCE", 0.2)
+    with staging.staged(tmp_path), pytest.raises(sdpid.ExportError, match="another run"):
         result.save(tmp_path, figures=False)
 
 
@@ -273,7 +273,7 @@ def test_a_signal_amid_the_moves_undoes_them(
     for name in "ad":
         (out / name).write_text("old")
     before = contents(out)
-    move, moved = results_folder._move, []
+    move, moved = staging._move, []
 
     def interrupted(source: Path, target: Path) -> None:
         move(source, target)
@@ -282,13 +282,13 @@ def test_a_signal_amid_the_moves_undoes_them(
             os.kill(os.getpid(), signal.SIGINT)
             time.sleep(1.0)
 
-    monkeypatch.setattr(results_folder, "_move", interrupted)
+    monkeypatch.setattr(staging, "_move", interrupted)
     if number < 3:
         with pytest.raises(KeyboardInterrupt):
-            _exchange(stage, out, ["a", "b", "c"], ["d"])
+            staging.exchange(stage, out, ["a", "b", "c"], ["d"])
         assert contents(out) == before
     else:
-        _exchange(stage, out, ["a", "b", "c"], ["d"])
+        staging.exchange(stage, out, ["a", "b", "c"], ["d"])
         assert contents(out) == dict.fromkeys("abc", b"new")
 
 
@@ -304,7 +304,7 @@ def test_nothing_is_moved_once_a_signal_was_to_end_it(
     stage.mkdir()
     (stage / "a").write_text("a")
     with pytest.raises(SystemExit):
-        _exchange(stage, tmp_path, ["a"], [])
+        staging.exchange(stage, tmp_path, ["a"], [])
     assert not (tmp_path / "a").exists()
 
 
@@ -388,3 +388,14 @@ def test_numbers_that_json_cannot_hold_are_null(tmp_path: Path) -> None:
     content = json.loads((tmp_path / "result.json").read_text(), parse_constant=refuse)
     assert content["training"]["joints"]["b"]["r2"] is None
     assert content == found.to_dict() | {"files": content["files"]}
+
+
+def test_results_are_short_in_a_console_and_whole_in_a_notebook(
+    result: sdpid.Identification,
+) -> None:
+    assert len(repr(result)) < 120
+    assert repr(result).startswith("Identification(robot='arm', relative_residual=0.0")
+    html = result._repr_html_()
+    assert "Identification of arm" in html
+    assert html.count("<table>") == 3
+    assert all(f"<td>{name}</td>" in html for name in ("a", "b", "proven lower bound"))

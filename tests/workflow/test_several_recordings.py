@@ -22,7 +22,7 @@ from sdpid.experiment.preparation.several import (
 from sdpid.output.plots.figures import TimeLine
 from sdpid.output.plots.reconstruction import plot_fit
 from sdpid.output.report.report import report_html
-from sdpid.workflow import formulate
+from sdpid.workflow.formulate import formulate
 from tests.helpers.runs import arm, recorded
 
 

@@ -18,7 +18,7 @@ from sdpid.experiment.plant.simulate import true_parameters
 from sdpid.experiment.preparation.for_robot import default_processing, prepare
 from sdpid.experiment.recording.joints import match_joints
 from sdpid.robot.model.model import RobotModel
-from sdpid.workflow import formulate
+from sdpid.workflow.formulate import formulate
 from tests.helpers.arm_files import ARM_URDF
 from tests.helpers.runs import arm, recorded
 

@@ -16,7 +16,7 @@ import sdpid
 from sdpid.assurance.certificate import verify as exact
 from sdpid.assurance.certificate.certificate import Certificate
 from sdpid.robot.inertia import Consistency
-from sdpid.workflow import formulate
+from sdpid.workflow.formulate import formulate
 from tests.helpers.data import make_samples, random_links, random_theta
 
 BOTH: tuple[Consistency, ...] = ("pseudo_inertia", "spatial_inertia")

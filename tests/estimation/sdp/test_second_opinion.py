@@ -19,7 +19,7 @@ from sdpid.estimation.scaling import Scaling
 from sdpid.estimation.sdp.program import Coordinates, SdpProgram, best_fit
 from sdpid.estimation.sdp.solve import solve_sdp
 from sdpid.robot.inertia import Consistency
-from sdpid.workflow import formulate
+from sdpid.workflow.formulate import formulate
 from tests.helpers.arm import BODIES, BOTH, CONDITIONS, arm_problem
 from tests.helpers.independent import Second
 from tests.helpers.tolerances import SAME_OPTIMUM

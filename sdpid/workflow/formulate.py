@@ -1,0 +1,86 @@
+"""Build the problem that `identify` solves, with its defaults."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterable
+
+import numpy as np
+
+from sdpid.errors import DataError
+from sdpid.estimation.compression.covariance import Weighting
+from sdpid.estimation.constraints.constraints import Constraints
+from sdpid.estimation.prior.prior import Prior
+from sdpid.estimation.problem import Problem, build_problem
+from sdpid.experiment.preparation.for_robot import default_friction
+from sdpid.experiment.preparation.several import (
+    Logs,
+    Prepared,
+    ProcessingOf,
+    prepare_recordings,
+)
+from sdpid.robot.friction.term import FrictionTerm
+from sdpid.robot.inertia import Consistency
+from sdpid.robot.model.load import load_robot
+from sdpid.robot.model.model import RobotModel
+
+
+def tuple_of_terms(
+    friction: Iterable[str | FrictionTerm] | None,
+) -> tuple[str | FrictionTerm, ...] | None:
+    """Return the friction terms as a tuple; None stays None.
+
+    Raises
+    ------
+    DataError
+        When it is a single name or term, or cannot be iterated over.
+    """
+    if friction is None:
+        return None
+    if isinstance(friction, (str, FrictionTerm)):
+        raise DataError(f"friction: is {friction!r}; give a tuple of terms, ({friction!r},).")
+    try:
+        return tuple(friction)
+    except TypeError:
+        raise DataError(
+            f"friction: is {friction!r}; give a tuple of terms, such as ('coulomb', 'viscous')."
+        ) from None
+
+
+def formulate(
+    robot: RobotModel | str | os.PathLike[str],
+    log: Logs | Prepared,
+    *,
+    processing: ProcessingOf = None,
+    without_effort: Iterable[str] = (),
+    friction: Iterable[str | FrictionTerm] | None = None,
+    weighting: Weighting | None = None,
+    consistency: Consistency = "pseudo_inertia",
+    constraints: Constraints | None = None,
+    prior: Prior | bool | None = None,
+) -> Problem:
+    """Build the problem that `identify` solves; arguments and errors are those of `identify`.
+
+    `log` may also be recordings that are prepared already (see `prepare_recordings`).
+    """
+    robot = robot if isinstance(robot, RobotModel) else load_robot(robot)
+    friction = tuple_of_terms(friction)
+    if not isinstance(log, Prepared):
+        log = prepare_recordings(robot, log, processing, without_effort=without_effort)
+    samples = log.samples
+    chosen: Weighting = weighting or ("residual" if samples.covariance is None else "gls")
+    if prior is None:
+        # Friction of a joint without effort is known from a prior or not at all.
+        wanted = chosen == "residual" or (chosen == "gls" and bool(log.without_effort))
+        prior = wanted and bool(np.any(robot.prior[:, 0] > 0.0))
+    if isinstance(prior, bool):
+        prior = Prior() if prior else None
+    return build_problem(
+        robot,
+        samples,
+        friction=default_friction(log.logs[0]) if friction is None else friction,
+        weighting=chosen,
+        consistency=consistency,
+        constraints=Constraints.of_size(robot) if constraints is None else constraints,
+        prior=prior,
+    )
