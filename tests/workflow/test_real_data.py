@@ -57,7 +57,7 @@ def test_the_optimum_without_a_prior(data_folder: Path, consistency: Consistency
     names = ("Ia", "Fs", "Fv")
     signs = [state for state in constraint_states(best) if state.name.startswith(names)]
     assert signs
-    assert all(state.room is not None and state.room >= 0.0 for state in signs)
+    assert all(state.slack is not None and state.slack >= 0.0 for state in signs)
     local = [sdpid.solve_log_cholesky(weak, seed=seed) for seed in range(2)]
     local.append(sdpid.solve_slsqp(weak, max_iterations=200))
     feasible = [estimate for estimate in local if estimate.feasible]

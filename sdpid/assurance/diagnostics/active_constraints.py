@@ -1,6 +1,6 @@
-"""What each constraint leaves to an estimate, and what it costs.
+"""Slack, multiplier and activity of every constraint at an estimate.
 
-A constraint says that something is at least, or at most, a limit. Its room is how far the estimate
+A constraint says that something is at least, or at most, a limit. Its slack is how far the estimate
 is inside, its multiplier the derivative of the optimal cost with respect to the limit: positive for
 what must be at least something, negative for what must be at most something, since raising that
 limit helps. Multipliers are those of the proof that comes with the estimate, in units of the cost
@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
@@ -22,6 +22,9 @@ from sdpid.estimation.estimate import Estimate
 from sdpid.estimation.scaling import Scaling
 from sdpid.robot.inertia import margin_shift
 
+ConstraintKind = Literal["consistency", "mass", "sign", "theta_max", "row", "cone"]
+Side = Literal["least", "most"]
+
 
 @dataclass(frozen=True, kw_only=True)
 class ConstraintState:
@@ -30,21 +33,28 @@ class ConstraintState:
     Attributes
     ----------
     name : str
-        What it says.
-    room : float or None
+        The constraint in words.
+    kind : {"consistency", "mass", "sign", "theta_max", "row", "cone"}
+        Consistency of a link, bound on a mass, sign of another parameter, the numerical bound
+        `theta_max`, or a linear row or cone of a further condition.
+    side : {"least", "most"} or None
+        Which limit of the quantity it is; None for consistency, equations and cones.
+    slack : float or None
         How far the estimate is inside; of an equation minus the error. None where it means
         nothing: a link without a positive mass has no margin.
     multiplier : float or None
-        What the optimal cost would rise by per unit of the limit; for consistency the limit is the
-        link's margin, for a cone what its room must be. None where the method has none.
+        Shadow price: derivative of the optimal cost with respect to the limit. For consistency
+        the limit is the link's margin, for a cone its least slack. None where the method has none.
     active : bool
         Whether it holds the estimate back (see `constraint_states`).
     unit : str or None
-        Of room and limit; None where a condition does not say.
+        Of slack and limit; None where a condition has none.
     """
 
     name: str
-    room: float | None
+    kind: ConstraintKind
+    side: Side | None = None
+    slack: float | None
     multiplier: float | None
     active: bool
     unit: str | None = None
@@ -55,13 +65,12 @@ class ConstraintState:
 
 
 def constraint_states(estimate: Estimate) -> tuple[ConstraintState, ...]:
-    """Return room, multiplier and activity of every constraint.
+    """Return slack, multiplier and activity of every constraint.
 
     These are, in turn: the consistency of every link, bounds on masses, signs of friction, what
     touches theta_max, and the linear rows and cones of the further conditions, limit by limit.
 
-    A constraint is active where its room is at most `sdpid.assurance.diagnostics.provenance.ACTIVE`
-    of its size. It is also where room, relative to the size, is below the multiplier, relative to
+    A constraint is active where its slack is at most `ACTIVE` of its size. It is also where slack, relative to the size, is below the multiplier, relative to
     the cost over the size: their product is part of the estimate's gap, so one of the two is small,
     and which one it is tells whether the constraint matters. No level has to be chosen for that.
     Equations are always active. Constraints may be active with a multiplier of zero: of equally
@@ -111,14 +120,27 @@ class _Seen:
         return cls(estimate, theta, scaling, max(estimate.cost, cost_scale(problem)))
 
     def state(
-        self, name: str, room: float, size: float, multiplier: float | None, unit: str | None
+        self,
+        name: str,
+        kind: ConstraintKind,
+        side: Side | None,
+        slack: float,
+        size: float,
+        multiplier: float | None,
+        unit: str | None,
     ) -> ConstraintState:
         """Return the state of an inequality."""
-        near = room / size
+        near = slack / size
         presses = 0.0 if multiplier is None else abs(multiplier) * size / self.cost
         active = near <= ACTIVE or near < presses
         return ConstraintState(
-            name=name, room=float(room), multiplier=multiplier, active=bool(active), unit=unit
+            name=name,
+            kind=kind,
+            side=side,
+            slack=float(slack),
+            multiplier=multiplier,
+            active=bool(active),
+            unit=unit,
         )
 
     def consistency(self) -> Iterator[ConstraintState]:
@@ -142,10 +164,11 @@ class _Seen:
                 roots = np.linalg.inv(inverses[i])
                 presses = float(np.trace(roots.T @ found.Z[i] @ roots)) / self.cost
             least, largest = float(eigenvalues[i, 0]), max(float(eigenvalues[i, -1]), 0.0)
-            room = float(margins[i])
+            slack = float(margins[i])
             yield ConstraintState(
                 name=feasible.block_names[i],
-                room=room if np.isfinite(room) else None,
+                kind="consistency",
+                slack=slack if np.isfinite(slack) else None,
                 multiplier=multiplier,
                 active=least <= ACTIVE * largest or least < presses,
                 unit="kg.m2",
@@ -159,21 +182,25 @@ class _Seen:
         at_end = []
         for k in (*np.flatnonzero(feasible.bounded), *np.flatnonzero(~feasible.bounded)):
             value, size = float(self.theta[k]), float(self.scaling.theta[k])
-            for word, limit in (("least", feasible.lower[k]), ("most", feasible.upper[k])):
-                sign = 1.0 if word == "least" else -1.0
+            sides: tuple[tuple[Side, Any, float], ...] = (
+                ("least", feasible.lower[k], 1.0),
+                ("most", feasible.upper[k], -1.0),
+            )
+            for side, limit, sign in sides:
                 multiplier = self._bound(int(k), sign)
-                room = sign * (value - float(limit))
+                slack = sign * (value - float(limit))
                 if abs(limit) >= wide:
-                    name = f"{names[k]} at {word} {limit:g}"
-                    state = self.state(name, room, wide, multiplier, units[k])
+                    name = f"{names[k]} at {side} {limit:g}"
+                    state = self.state(name, "theta_max", side, slack, wide, multiplier, units[k])
                     if state.active:
                         at_end.append(state)
                     continue
-                if k < 10 * feasible.n_links:
-                    name = f"mass of {problem.robot.link_names[k // 10]} at {word} {limit:g} kg"
+                kind: ConstraintKind = "mass" if k < 10 * feasible.n_links else "sign"
+                if kind == "mass":
+                    name = f"mass of {problem.robot.link_names[k // 10]} at {side} {limit:g} kg"
                 else:
-                    name = f"{names[k]} at {word} {limit:g}"
-                yield self.state(name, room, size, multiplier, units[k])
+                    name = f"{names[k]} at {side} {limit:g}"
+                yield self.state(name, kind, side, slack, size, multiplier, units[k])
         yield from at_end
 
     def _bound(self, k: int, sign: float) -> float | None:
@@ -193,27 +220,37 @@ class _Seen:
             multiplier = None if found is None else float(found.rows[j])
             if lower == upper:
                 yield ConstraintState(
-                    name=name, room=0.0 - abs(value - lower), multiplier=multiplier, active=True
+                    name=name,
+                    kind="row",
+                    slack=0.0 - abs(value - lower),
+                    multiplier=multiplier,
+                    active=True,
                 )
                 continue
             both = np.isfinite(lower) and np.isfinite(upper)
-            for word, limit, sign in (("least", lower, 1.0), ("most", upper, -1.0)):
+            sides: tuple[tuple[Side, float, float], ...] = (
+                ("least", lower, 1.0),
+                ("most", upper, -1.0),
+            )
+            for side, limit, sign in sides:
                 if not np.isfinite(limit):
                     continue
-                said = f"{name}, at {word} {limit:g}" if both else name
+                limited = f"{name}, at {side} {limit:g}" if both else name
                 part = None if multiplier is None else _side(multiplier, sign)
-                yield self.state(said, sign * (value - limit), float(sizes[j]), part, None)
+                slack = sign * (value - limit)
+                yield self.state(limited, "row", side, slack, float(sizes[j]), part, None)
 
     def cones(self) -> Iterator[ConstraintState]:
         """Yield the cones of the further conditions."""
         feasible, found = self.estimate.problem.feasible, self.estimate.multipliers
         own = feasible.n_own
         roots = self.scaling.block_roots(feasible)[own:]
-        for i, room in enumerate(feasible.rooms(self.theta)):
+        for i, slack in enumerate(feasible.rooms(self.theta)):
             # Taking t off both sides of ‖v‖ ≤ a − t takes t·E off the matrix.
             multiplier = None if found is None else float(np.trace(found.Z[own + i]))
             size = float(roots[i, 0, 0]) ** 2
-            yield self.state(feasible.block_names[own + i], float(room), size, multiplier, None)
+            name = feasible.block_names[own + i]
+            yield self.state(name, "cone", None, float(slack), size, multiplier, None)
 
 
 def _side(multiplier: float, sign: float) -> float:

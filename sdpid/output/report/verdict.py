@@ -277,8 +277,8 @@ def _reach(result: Judged) -> Iterator[Finding]:
             ("velocity", samples.velocity, fresh.velocity),
             ("acceleration", samples.acceleration, fresh.acceleration),
         ):
-            room = np.abs(own[:, j]).max()
-            if np.abs(other[:, j]).max() > (1.0 + BEYOND) * room:
+            highest = np.abs(own[:, j]).max()
+            if np.abs(other[:, j]).max() > (1.0 + BEYOND) * highest:
                 beyond.append(f"{robot.joint_names[j]} ({what})")
     if beyond:
         yield Finding(
@@ -381,15 +381,14 @@ def _constraints(result: Judged) -> Iterator[Finding]:
             f"{percent(free)}. {end} Active constraints: {names} (cost_of_constraints tells "
             "what each costs).",
         )
-    limit = f"{result.problem.constraints.theta_max:g}"
-    ends = [s.name for s in states if s.name.endswith((f" most {limit}", f" least -{limit}"))]
+    ends = [s.name for s in states if s.kind == "theta_max"]
     if ends:
         yield Finding(
             "bad",
             f"Nothing but a numerical limit holds {listed(ends)}: the data do not determine these "
             "parameters. Use a prior, or a richer motion.",
         )
-    heavy = [s.name for s in states if s.name.startswith("mass of ") and " at most " in s.name]
+    heavy = [s.name for s in states if s.kind == "mass" and s.side == "most"]
     if heavy:
         yield Finding(
             "caution",

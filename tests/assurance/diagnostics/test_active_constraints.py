@@ -245,15 +245,23 @@ def test_states_of_everything_in_turn() -> None:
     ]
     by_name = {state.name: state for state in states}
     assert estimate.margins is not None
-    assert by_name[f"consistency of {LAST}"].room == pytest.approx(estimate.margins[1] - 1e-3)
+    assert by_name[f"consistency of {LAST}"].slack == pytest.approx(estimate.margins[1] - 1e-3)
     assert by_name[f"consistency of {LAST}"].unit == "kg.m2"
-    assert by_name[f"mass of {LAST} at most 0.5 kg"].room == pytest.approx(0.1)
+    assert by_name[f"mass of {LAST} at most 0.5 kg"].slack == pytest.approx(0.1)
     assert by_name["m_2 fixed"].active
-    assert by_name["m_2 fixed"].room == pytest.approx(0.0, abs=FEASIBLE)
-    values = {state.room is None or state.room >= -FEASIBLE for state in states}
+    assert by_name["m_2 fixed"].slack == pytest.approx(0.0, abs=FEASIBLE)
+    values = {state.slack is None or state.slack >= -FEASIBLE for state in states}
     assert values == {True}
     for state in states:
-        assert set(state.to_dict()) == {"name", "room", "multiplier", "active", "unit"}
+        assert set(state.to_dict()) == {
+            "name",
+            "kind",
+            "side",
+            "slack",
+            "multiplier",
+            "active",
+            "unit",
+        }
         if state.multiplier is not None and not state.name.endswith("fixed"):
             lower = "most" not in state.name
             assert state.multiplier * (1.0 if lower else -1.0) >= -1e-9
@@ -273,7 +281,7 @@ def test_states_without_multipliers_or_parameters() -> None:
     ]
     # A link without a mass has no margin.
     broken = Estimate.of_theta(problem, np.zeros(problem.n_theta), method="sdp", status="bad")
-    assert constraint_states(broken)[0].room is None
+    assert constraint_states(broken)[0].slack is None
 
 
 def test_wide_bounds_show_only_where_they_hold() -> None:

@@ -228,8 +228,8 @@ def test_what_does_not_bind_does_not_cost(name: str, consistency: Consistency) -
     assert estimate.cost == pytest.approx(free.cost, rel=SAME_OPTIMUM)
     assert certify(estimate).passed
     for state in constraint_states(estimate)[len(constraint_states(free)) :]:
-        assert state.room is not None
-        assert state.room > 0.0
+        assert state.slack is not None
+        assert state.slack > 0.0
         assert not state.active
         assert state.multiplier == pytest.approx(0.0, abs=1e-6)
 
