@@ -70,11 +70,12 @@ def constraint_states(estimate: Estimate) -> tuple[ConstraintState, ...]:
     These are, in turn: the consistency of every link, bounds on masses, signs of friction, what
     touches theta_max, and the linear rows and cones of the further conditions, limit by limit.
 
-    A constraint is active where its slack is at most `ACTIVE` of its size. It is also where slack, relative to the size, is below the multiplier, relative to
-    the cost over the size: their product is part of the estimate's gap, so one of the two is small,
-    and which one it is tells whether the constraint matters. No level has to be chosen for that.
-    Equations are always active. Constraints may be active with a multiplier of zero: of equally
-    good parameters the nearest to the description often touches some.
+    A constraint is active where its slack is at most `ACTIVE` of its size. It is also where slack,
+    relative to the size, is below the multiplier, relative to the cost over the size: their product
+    is part of the estimate's gap, so one of the two is small, and which one it is tells whether the
+    constraint matters. No level has to be chosen for that. Equations are always active. Constraints
+    may be active with a multiplier of zero: of equally good parameters the nearest to the
+    description often touches some.
 
     Parameters
     ----------
