@@ -4,68 +4,25 @@ from __future__ import annotations
 
 import csv
 import os
-from collections.abc import Callable
-from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from sdpid._common.arrays import Array, real_array
-from sdpid._common.extras import require
 from sdpid._common.progress import progress as progress_bar
 from sdpid.errors import DataError, ModelError
+from sdpid.experiment.plant.closed_loop import CHUNK, ClosedLoop, ExactMotion
 from sdpid.experiment.plant.default_motion import default_motion
 from sdpid.experiment.plant.default_plant import default_drives, default_parameters
 from sdpid.experiment.plant.drives import Drives, load_drives, plant_folder
-from sdpid.experiment.plant.mujoco_model import MujocoModel, build_mujoco
 from sdpid.experiment.recording.recording import Recording
 from sdpid.experiment.trajectory.trajectory import Trajectory
 from sdpid.robot.description.catalog import bundled_robots
 from sdpid.robot.model.model import RobotModel
 
-# Integrator steps are never longer than this (s): with the case study's gains the fastest pole is
-# near 1300/s.
-_LONGEST_STEP = 1e-3
-# Runge-Kutta's method of fourth order is stable on the negative real axis down to -2.785.
-_STABLE = 2.7
-# Samples a call of the rollout: long enough to drown its overhead, short enough for the progress
-# bar and for memory.
-_CHUNK = 10_000
 # A loop whose state after a period is the one before it to this (rad, rad/s) has settled: a
 # thousandth of an encoder count, and far above the rounding of a period's steps.
 SETTLED = 1e-9
-# No joint of a working plant moves this fast (rad/s): what does is an unstable loop.
-_RUNAWAY = 1e4
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class PlantLog:
-    """True states and torques of a plant, as sensors without error would show them.
-
-    Attributes
-    ----------
-    time : ndarray, shape (N,)
-        Time from the start of the trajectory in s.
-    desired, position, velocity, acceleration : ndarray, shape (N, n)
-        Set-points and states in rad, rad/s and rad/s².
-    motor_torque : ndarray, shape (N, n)
-        Torque that the currents show, in N·m at the joint.
-    unmodeled_torque : ndarray, shape (N, n)
-        The part of it that supplies the unmodeled effects; zero without them.
-    coulomb_torque, viscous_torque : ndarray, shape (N, n)
-        Friction acting on the joints: it opposes the motion.
-    """
-
-    time: Array
-    desired: Array
-    position: Array
-    velocity: Array
-    acceleration: Array
-    motor_torque: Array
-    unmodeled_torque: Array
-    coulomb_torque: Array
-    viscous_torque: Array
 
 
 def true_parameters(folder: str | os.PathLike[str]) -> Array:
@@ -159,11 +116,11 @@ def simulate(
     rng = np.random.default_rng(seed)
     if trajectory is None:
         trajectory = default_motion(robot, rng)
-    theta, drives = _parts(robot, trajectory, theta, drives)
+    theta, drives = plant_parts(robot, trajectory, theta, drives)
     if robot.expansion.shape != (robot.n, robot.n):
-        plant: _Plant | _Exact = _Exact(robot, trajectory, theta, drives, unmodeled)
+        plant: ClosedLoop | ExactMotion = ExactMotion(robot, trajectory, theta, drives, unmodeled)
     else:
-        plant = _Plant(robot, trajectory, theta, drives, unmodeled)
+        plant = ClosedLoop(robot, trajectory, theta, drives, unmodeled)
     lead, per_period = trajectory.lead_samples, trajectory.samples_per_period
     total = (trajectory.periods + 1) * per_period + 2 * lead
     position = np.empty((trajectory.n_samples, robot.n))
@@ -173,8 +130,8 @@ def simulate(
 
     def record(states: Array) -> None:
         nonlocal row
-        for start in range(0, states.shape[1], _CHUNK):
-            q, v, torque = states[:, start : start + _CHUNK]
+        for start in range(0, states.shape[1], CHUNK):
+            q, v, torque = states[:, start : start + CHUNK]
             current = (torque + plant.extra_torque(q, v)) / scale
             if noise:
                 q = np.rint(q / resolution) * resolution
@@ -210,54 +167,7 @@ def simulate(
     )
 
 
-def run_plant(
-    robot: RobotModel,
-    trajectory: Trajectory,
-    *,
-    theta: ArrayLike | None = None,
-    drives: Drives | None = None,
-    unmodeled: bool = False,
-    start: int = 0,
-    stop: int | None = None,
-) -> PlantLog:
-    """Return true states, torques and friction of a range of samples of a trajectory.
-
-    The trajectory runs from its own start, without a settling period. Arguments and errors are
-    those of `simulate`.
-
-    Parameters
-    ----------
-    robot, trajectory, theta, drives, unmodeled
-        See `simulate`.
-    start, stop : int
-        Samples to return; `stop` is excluded and by default the end.
-
-    Returns
-    -------
-    PlantLog
-    """
-    theta, drives = _parts(robot, trajectory, theta, drives)
-    plant = _Plant(robot, trajectory, theta, drives, unmodeled)
-    stop = trajectory.n_samples if stop is None else stop
-    desired = trajectory.sample(start, stop)[0]
-    plant.run(0, start, lambda _: None)
-    q, v, torque = plant.run(start, stop, lambda _: None)
-    acceleration, coulomb, viscous = plant.forces(q, v, desired)
-    extra = plant.extra_torque(q, v)
-    return PlantLog(
-        time=np.arange(start, stop) / trajectory.rate_hz,
-        desired=desired,
-        position=q,
-        velocity=v,
-        acceleration=acceleration,
-        motor_torque=torque + extra,
-        unmodeled_torque=extra,
-        coulomb_torque=coulomb,
-        viscous_torque=viscous,
-    )
-
-
-def _parts(
+def plant_parts(
     robot: RobotModel, trajectory: Trajectory, theta: ArrayLike | None, drives: Drives | None
 ) -> tuple[Array, Drives]:
     """Return parameters and drives: the given ones, the bundled robot's, or made-up ones."""
@@ -277,158 +187,6 @@ def _parts(
     if drives.n != robot.n:
         raise DataError(f"simulate: {drives.n} drives, robot '{robot.name}' has {robot.n} joints.")
     return parameters, drives
-
-
-class _Exact:
-    """A robot that follows its trajectory exactly: no controller, no solver of motion."""
-
-    def __init__(
-        self,
-        robot: RobotModel,
-        trajectory: Trajectory,
-        theta: Array,
-        drives: Drives,
-        unmodeled: bool,
-    ) -> None:
-        if unmodeled:
-            raise DataError(
-                f"simulate: '{robot.name}' has mimic joints; unmodeled effects are not simulated."
-            )
-        self.drives = drives
-        self._robot, self._trajectory = robot, trajectory
-        bodies, friction = theta[: 10 * robot.n_links], theta[10 * robot.n_links :]
-        self._bodies = bodies.reshape(-1, 10)
-        self._coulomb, self._viscous = friction.reshape(2, robot.n)
-        self._state = np.zeros(2 * robot.n)
-
-    def state(self) -> Array:
-        """Return a state that never changes: the motion has settled from its start on."""
-        return self._state
-
-    def extra_torque(self, position: Array, velocity: Array) -> Array:
-        """Return zeros: there are no unmodeled effects."""
-        return np.zeros_like(position)
-
-    def run(self, start: int, stop: int, advance: Callable[[float], None]) -> Array:
-        """Return positions, velocities and torques at samples start … stop − 1."""
-        q, v, a = self._trajectory.sample(start, stop)
-        torque = self._robot.inverse_dynamics(self._bodies, q, v, a)
-        advance(stop - start)
-        return np.stack([q, v, torque + self._coulomb * np.sign(v) + self._viscous * v])
-
-
-class _Plant:
-    """A robot in closed loop along a trajectory, with MuJoCo's state."""
-
-    def __init__(
-        self,
-        robot: RobotModel,
-        trajectory: Trajectory,
-        parameters: Array,
-        drives: Drives,
-        unmodeled: bool,
-    ) -> None:
-        mujoco = require("mujoco", extra="sim")
-        if unmodeled and drives.unmodeled is None:
-            raise DataError("simulate: these drives have no unmodeled effects; set them.")
-        self.drives = drives
-        self._effects = drives.unmodeled if unmodeled else None
-        self._trajectory = trajectory
-        self._substeps = int(np.ceil(1.0 / (trajectory.rate_hz * _LONGEST_STEP) - 1e-9))
-        step = 1.0 / (trajectory.rate_hz * self._substeps)
-        self._mujoco: Any = mujoco
-        self._robot: MujocoModel = build_mujoco(robot, parameters, drives, timestep=step)
-        self._data: Any = mujoco.MjData(self._robot.model)
-        self._data.qpos[self._robot.qpos] = trajectory.center
-        self._check_stability(robot, parameters, step)
-
-    def _check_stability(self, robot: RobotModel, theta: Array, step: float) -> None:
-        """Raise when the velocity loop is too fast for the step, where the trajectory goes."""
-        speed = self.drives.velocity_gain + theta[10 * robot.n_links + robot.n :]
-        period = self._trajectory.position_period
-        for q in period[:: max(1, len(period) // 20)]:
-            M = robot.mass_matrix(theta, q)
-            # M⁻¹·D is similar to a symmetric matrix, so its eigenvalues are real.
-            root = np.sqrt(speed)
-            fastest = np.linalg.eigvalsh(root[:, None] * np.linalg.inv(M) * root)[-1]
-            if not fastest * step < _STABLE:
-                raise DataError(
-                    f"plant of '{robot.name}': the velocity loop's fastest pole is at "
-                    f"{fastest:.4g}/s, too fast for a step of {step:g} s (limit "
-                    f"{_STABLE / step:.4g}/s); lower velocity_gain or raise the sample rate."
-                )
-
-    def state(self) -> Array:
-        """Return positions and velocities, shape (2n,)."""
-        data, where = self._data, self._robot
-        return np.concatenate([data.qpos[where.qpos], data.qvel[where.dof]])
-
-    def extra_torque(self, position: Array, velocity: Array) -> Array:
-        """Return the torque of the unmodeled effects, (K, n)."""
-        if self._effects is None:
-            return np.zeros_like(position)
-        return self._effects.torque(position, velocity)
-
-    def run(self, start: int, stop: int, advance: Callable[[float], None]) -> Array:
-        """Simulate samples start … stop − 1 of the trajectory, from the present state on.
-
-        Returns
-        -------
-        ndarray, shape (3, stop - start, n)
-            Positions, velocities and torques at the samples.
-        """
-        from mujoco import rollout
-
-        model, data, n = self._robot.model, self._data, self._trajectory.n
-        kind = self._mujoco.mjtState.mjSTATE_FULLPHYSICS
-        state = np.empty(self._mujoco.mj_stateSize(model, kind))
-        out = np.empty((3, stop - start, n))
-        for first in range(start, stop, _CHUNK):
-            last = min(first + _CHUNK, stop)
-            desired = self._set_points(first, last + 1)
-            # The integrated command starts anew in each chunk, so rounding does not add up.
-            data.act[:] = desired[0]
-            data.time = 0.0
-            self._mujoco.mj_getState(model, data, state, kind)
-            rates = np.diff(desired, axis=0) * self._trajectory.rate_hz
-            states, sensors = rollout.rollout(
-                model, data, state[None], np.repeat(rates, self._substeps, axis=0)[None]
-            )
-            # Sensors show the state at the start of each step: the sample itself.
-            values = sensors[0, :: self._substeps].reshape(last - first, 3, n)
-            out[:, first - start : last - start] = values.transpose(1, 0, 2)
-            self._mujoco.mj_setState(model, data, np.ascontiguousarray(states[0, -1]), kind)
-            speed = np.abs(values[:, 1]).max() if last > first else 0.0
-            if not speed < _RUNAWAY:
-                raise DataError(
-                    f"plant: joints reach {speed:.3g} rad/s near sample {first}: the loop is "
-                    "unstable; lower velocity_gain or proportional_gain."
-                )
-            advance(last - first)
-        return out
-
-    def _set_points(self, start: int, stop: int) -> Array:
-        """Return desired positions, held at the end of the trajectory."""
-        end = min(stop, self._trajectory.n_samples)
-        desired = self._trajectory.sample(start, end)[0]
-        if end < stop:
-            desired = np.concatenate([desired, desired[-1:]])
-        return desired
-
-    def forces(self, q: Array, v: Array, desired: Array) -> tuple[Array, Array, Array]:
-        """Return accelerations, Coulomb and viscous friction at given states, each (K, n)."""
-        model, where = self._robot.model, self._robot
-        data = self._mujoco.MjData(model)
-        out = np.empty((3, *q.shape))
-        for k in range(len(q)):
-            data.qpos[where.qpos] = q[k]
-            data.qvel[where.dof] = v[k]
-            data.act[:] = desired[k]
-            self._mujoco.mj_forward(model, data)
-            out[0, k] = data.qacc[where.dof]
-            out[1, k] = data.qfrc_constraint[where.dof]
-            out[2, k] = data.qfrc_passive[where.dof]
-        return out[0], out[1], out[2]
 
 
 def _checked_theta(robot: RobotModel, theta: ArrayLike) -> Array:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from typing import Any, Literal
 
 import numpy as np
@@ -58,7 +58,7 @@ class Reason:
         return f"{self.field} {_shown(value)}: as given, for {chosen} ({self.text})"
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, repr=False)
 class Processing:
     """How `process` turns a recording into samples.
 
@@ -133,7 +133,7 @@ class Processing:
     trim_s: float | None = None
     timing: Timing = "auto"
     filter: FilterType = "butterworth"
-    reasons: tuple[Reason, ...] = field(default=(), repr=False, compare=False)
+    reasons: tuple[Reason, ...] = field(default=(), compare=False)
 
     def __post_init__(self) -> None:
         choices: dict[str, tuple[Any, ...]] = {
@@ -150,6 +150,15 @@ class Processing:
             value = getattr(self, name)
             if value is not None or name not in _OPTIONAL:
                 _check_number(value, name, low, high, whole=name in ("order", "decimation"))
+
+    def __repr__(self) -> str:
+        settings = [field for field in fields(self) if field.compare]
+        changed = [
+            f"{field.name}={getattr(self, field.name)!r}"
+            for field in settings
+            if getattr(self, field.name) != field.default
+        ]
+        return f"Processing({', '.join(changed)})"
 
     def low_pass(self, rate_hz: float) -> ZeroPhaseFilter:
         """Design the filter for a sample rate in Hz."""

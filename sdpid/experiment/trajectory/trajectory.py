@@ -7,7 +7,6 @@ import os
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -109,21 +108,6 @@ class Trajectory:
     def center(self) -> Array:
         """Center of the motion, where the joints rest, shape (n,)."""
         return self.series.center
-
-    @property
-    def harmonics(self) -> Any:
-        """Multiples of the fundamental frequency, shape (n, H); 0 is padding."""
-        return self.series.harmonics
-
-    @property
-    def phases(self) -> Array:
-        """Phases in rad, shape (n, H)."""
-        return self.series.phases
-
-    @property
-    def amplitude(self) -> Array:
-        """Amplitude of the largest sinusoid of each joint, shape (n,); equal ones by the paper."""
-        return np.asarray(np.abs(self.series.amplitudes).max(axis=1))
 
     @property
     def samples_per_period(self) -> int:

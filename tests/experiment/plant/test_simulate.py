@@ -19,13 +19,14 @@ from sdpid.experiment.plant.default_motion import default_motion
 from sdpid.experiment.plant.default_plant import default_parameters
 from sdpid.experiment.plant.drives import Drives, load_drives
 from sdpid.experiment.plant.mujoco_model import build_mujoco
-from sdpid.experiment.plant.simulate import PlantLog, run_plant, simulate, true_parameters
+from sdpid.experiment.plant.simulate import simulate, true_parameters
 from sdpid.experiment.processing.process import Processing, process
 from sdpid.experiment.trajectory.paper import Trajectory, paper_excitation
 from sdpid.robot.description.catalog import bundled_folder
 from sdpid.robot.inertia import theta_from_physical
 from sdpid.robot.model.load import load_robot
 from sdpid.robot.model.model import RobotModel
+from tests.helpers.plant import PlantLog, run_plant
 
 NAME = "denso_vp6242"
 # The agreed accuracy of the plant's torques, N·m.

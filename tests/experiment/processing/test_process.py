@@ -487,6 +487,13 @@ def test_settings_out_of_range_are_refused(changes: dict):
         chosen_processing([periodic(3)], changes)
 
 
+def test_settings_print_what_differs_from_the_defaults():
+    assert repr(Processing()) == "Processing()"
+    changed = Processing(cutoff_hz=8.0, trim_s=0.5)
+    assert repr(changed) == "Processing(cutoff_hz=8.0, trim_s=0.5)"
+    assert eval(repr(changed)) == changed
+
+
 @pytest.mark.parametrize("wrong", [{"cutof_hz": 10.0}, {"reasons": ()}, 10.0, "paper", {1: 2}])
 def test_what_is_no_setting_is_refused(wrong: object):
     with pytest.raises(DataError, match=r"processing: (has no setting|is)"):
