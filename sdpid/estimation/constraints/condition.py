@@ -78,6 +78,11 @@ class Layout:
         return (*self.robot.parameter_names, *(p.name for p in self.friction.parameters))
 
     @property
+    def units(self) -> tuple[str, ...]:
+        """Units of theta."""
+        return (*self.robot.parameter_units, *(p.unit for p in self.friction.parameters))
+
+    @property
     def count(self) -> int:
         """Size p of theta."""
         return 10 * self.robot.n_links + len(self.friction.parameters)

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -11,7 +13,10 @@ from sdpid._common.arrays import Array, Indices, Mask, frozen
 from sdpid.errors import InfeasibleError
 from sdpid.estimation.constraints.condition import Cone, Layout, Row
 from sdpid.estimation.constraints.constraints import Constraints
+from sdpid.estimation.constraints.named import Constraint, ConstraintKind, Side
 from sdpid.robot.inertia import Consistency, margin, margin_shift, matrix_basis
+
+_SIDES: tuple[Side, Side] = ("least", "most")
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -28,8 +33,10 @@ class FeasibleSet:
         Which matrix inequality each link obeys.
     constraints : Constraints
         The numbers.
-    n_links : int
+    link_names : tuple of str
         Links; their parameters are the first 10·links entries of theta.
+    theta_names, theta_units : tuple of str
+        Of theta.
     lower, upper : ndarray, shape (p,)
         Bounds on theta.
     block_names : tuple of str
@@ -50,7 +57,9 @@ class FeasibleSet:
 
     consistency: Consistency
     constraints: Constraints
-    n_links: int
+    link_names: tuple[str, ...]
+    theta_names: tuple[str, ...]
+    theta_units: tuple[str, ...]
     lower: Array
     upper: Array
     block_names: tuple[str, ...]
@@ -101,7 +110,9 @@ class FeasibleSet:
         return cls(
             consistency=consistency,
             constraints=constraints,
-            n_links=n_links,
+            link_names=tuple(robot.link_names),
+            theta_names=layout.names,
+            theta_units=layout.units,
             lower=frozen(lower),
             upper=frozen(upper),
             block_names=tuple(names),
@@ -113,6 +124,63 @@ class FeasibleSet:
             row_lower=frozen([row.lower for row in rows]),
             row_upper=frozen([row.upper for row in rows]),
         )
+
+    @property
+    def n_links(self) -> int:
+        """Number of links."""
+        return len(self.link_names)
+
+    @cached_property
+    def named(self) -> tuple[Constraint, ...]:
+        """Every constraint: consistency, masses, signs, theta_max, rows by limit, cones."""
+        matrices = [
+            Constraint(
+                kind="consistency" if i < self.n_own else "cone",
+                name=name,
+                index=i,
+                link=self.link_names[link],
+                limit=self.constraints.margin if i < self.n_own else None,
+                unit="kg.m2" if i < self.n_own else None,
+            )
+            for i, (name, link) in enumerate(
+                zip(self.block_names, self.block_links.tolist(), strict=True)
+            )
+        ]
+        bounds = [
+            self._bound(k, side, limit)
+            for k, limits in enumerate(zip(self.lower.tolist(), self.upper.tolist(), strict=True))
+            for side, limit in zip(_SIDES, limits, strict=True)
+        ]
+        own = [bound for bound in bounds if bound.kind != "theta_max"]
+        wide = [bound for bound in bounds if bound.kind == "theta_max"]
+        rows = [row for j in range(len(self.rows)) for row in self._row(j)]
+        return (*matrices[: self.n_own], *own, *wide, *rows, *matrices[self.n_own :])
+
+    def _bound(self, k: int, side: Side, limit: float) -> Constraint:
+        """Return one side of the bounds of a parameter."""
+        name, unit = self.theta_names[k], self.theta_units[k]
+        link = self.link_names[k // 10] if k < 10 * self.n_links else None
+        kind: ConstraintKind = "sign" if link is None else "mass"
+        words = f"{name} at {side} {limit:g}"
+        if abs(limit) >= self.constraints.theta_max:
+            kind = "theta_max"
+        elif kind == "mass":
+            words = f"mass of {link} at {side} {limit:g} kg"
+        return Constraint(
+            kind=kind, name=words, index=k, link=link, side=side, limit=limit, unit=unit
+        )
+
+    def _row(self, j: int) -> Iterator[Constraint]:
+        """Yield an equation, or the finite limits of a linear row."""
+        name, limits = self.row_names[j], (float(self.row_lower[j]), float(self.row_upper[j]))
+        if limits[0] == limits[1]:
+            yield Constraint(kind="row", name=name, index=j, limit=limits[0])
+            return
+        both = bool(np.isfinite(limits).all())
+        for side, limit in zip(_SIDES, limits, strict=True):
+            if np.isfinite(limit):
+                words = f"{name}, at {side} {limit:g}" if both else name
+                yield Constraint(kind="row", name=words, index=j, side=side, limit=limit)
 
     @property
     def bounded(self) -> Mask:

@@ -8,6 +8,7 @@ import numpy as np
 
 from sdpid.errors import InfeasibleError
 from sdpid.estimation.conic.solve import ConicProgram, Matrix, solve_conic
+from sdpid.estimation.constraints.named import Constraint
 from sdpid.estimation.problem import Problem
 from sdpid.estimation.scaling import Scaling
 from sdpid.estimation.sdp.program import CONTRADICTION, Coordinates, contradiction
@@ -29,23 +30,24 @@ _REGULARISATIONS = (1e-8, 1e-10, 1e-12)
 
 @dataclass(frozen=True, eq=False)
 class _Limit:
-    """One constraint: one side of a bound, a row or a matrix inequality.
+    """What may be left out: a constraint, theta_max as a whole, or a body that must exist.
 
     Attributes
     ----------
     name : str
-        What it says.
+        In words.
     group : str
         What it is part of.
-    kind : {"lower", "upper", "row", "block", "exists", "all"}
-    index : int
-        Of the parameter, the row, the block or the link.
+    constraint : Constraint or None
+        None of theta_max, and of a link that must exist.
+    link : int or None
+        The link that must exist.
     """
 
     name: str
     group: str
-    kind: str
-    index: int
+    constraint: Constraint | None = None
+    link: int | None = None
 
 
 def explained(problem: Problem) -> InfeasibleError:
@@ -120,41 +122,31 @@ def _limits(problem: Problem) -> list[_Limit]:
     theta_max comes as one; a log-det prior asks for bodies that can exist, whatever the
     consistency.
     """
-    feasible, robot = problem.feasible, problem.robot
-    numbers = problem.constraints
-    wide = numbers.theta_max
-    out = [
-        _Limit(name, "consistency of the links" if i < feasible.n_own else name, "block", i)
-        for i, name in enumerate(feasible.block_names)
+    feasible = problem.feasible
+    kinds: dict[str, list[_Limit]] = {}
+    for constraint in feasible.named:
+        kind = (
+            f"{constraint.kind} {constraint.side}" if constraint.kind == "mass" else constraint.kind
+        )
+        limit = _Limit(constraint.name, constraint.group, constraint)
+        kinds.setdefault(kind, []).append(limit)
+    widest = f"theta_max {problem.constraints.theta_max:g}"
+    kinds["theta_max"] = [_Limit(widest, widest)]
+    kinds["exists"] = [
+        _Limit(f"entropic prior of {feasible.link_names[i]}", "entropic prior", link=int(i))
+        for i in problem.log_det.links
     ]
-    own = out[: feasible.n_own]
-    bounds: dict[str, list[_Limit]] = {"friction": [], "upper": [], "lower": []}
-    for k in np.flatnonzero(feasible.bounded):
-        if k >= 10 * feasible.n_links:
-            name = f"{problem.base.theta_names[k]} at least 0"
-            bounds["friction"].append(_Limit(name, "friction_nonnegative", "lower", int(k)))
-            continue
-        link = robot.link_names[k // 10]
-        for side, limit in (("upper", numbers.mass_max), ("lower", numbers.mass_min)):
-            word = "most" if side == "upper" else "least"
-            name = f"mass of {link} at {word} {limit:g} kg"
-            bounds[side].append(_Limit(name, f"masses at {word} {limit:g} kg", side, int(k)))
-    rows = [_Limit(name, name, "row", i) for i, name in enumerate(feasible.row_names)]
-    widest = f"theta_max {wide:g}"
-    own.append(_Limit(widest, widest, "all", 0))
-    if len(problem.log_det.links):
-        own += [
-            _Limit(f"entropic prior of {robot.link_names[i]}", "entropic prior", "exists", int(i))
-            for i in problem.log_det.links
-        ]
-    return [
-        *own,
-        *bounds["friction"],
-        *bounds["upper"],
-        *bounds["lower"],
-        *out[feasible.n_own :],
-        *rows,
-    ]
+    order = (
+        "consistency",
+        "theta_max",
+        "exists",
+        "sign",
+        "mass most",
+        "mass least",
+        "cone",
+        "row",
+    )
+    return [limit for kind in order for limit in kinds.get(kind, [])]
 
 
 def _contradict(problem: Problem, limits: list[_Limit]) -> bool:
@@ -180,31 +172,28 @@ def _shortfall(problem: Problem, limits: list[_Limit]) -> float:
     units, exist = pseudo_inertia(np.eye(10)), np.linalg.inv(scaling.roots(4))
     widest = numbers.theta_max * _WIDER
     for limit in limits:
-        i = limit.index
-        if limit.kind == "all":
+        constraint = limit.constraint
+        if constraint is None and limit.link is None:
             widest = numbers.theta_max
-            continue
-        if limit.kind in ("block", "exists"):
-            if limit.kind == "block":
+        elif constraint is None or constraint.kind in ("consistency", "cone"):
+            if constraint is None:
+                link, inverse, F, constant = limit.link, exist[limit.link], units, np.zeros((4, 4))
+            else:
+                i = constraint.index
                 link, inverse, F = feasible.block_links[i], inverses[i], feasible.block_basis[i]
                 constant = inverse @ feasible.block_constants[i] @ inverse.T
-            else:
-                link, inverse, F, constant = i, exist[i], units, np.zeros((4, 4))
             scaled = (inverse @ F @ inverse.T)[None]
             fixed = coordinates.matrices(constant[None], scaled, np.array([link]))[0]
             give = np.eye(len(constant))[None]
             linear = np.concatenate([fixed.linear, give])
             blocks.append(Matrix(np.append(fixed.index, n), linear, fixed.constant))
-            continue
-        if limit.kind == "row":
-            row, size = feasible.rows[i] @ basis, sizes[i]
-            sides = [(feasible.row_lower[i], 1.0), (feasible.row_upper[i], -1.0)]
         else:
-            row, size = basis[i], scaling.theta[i]
-            low = limit.kind == "lower"
-            sides = [(feasible.lower[i], 1.0) if low else (feasible.upper[i], -1.0)]
-        for end, sign in sides:
-            if np.isfinite(end):
+            i, end = constraint.index, float(constraint.limit or 0.0)
+            by_row = constraint.kind == "row"
+            row, size = (
+                (feasible.rows[i] @ basis, sizes[i]) if by_row else (basis[i], scaling.theta[i])
+            )
+            for sign in (1.0, -1.0) if constraint.side is None else (constraint.sign,):
                 C.append(np.append(row / size, sign))
                 lower.append(end / size if sign > 0.0 else -np.inf)
                 upper.append(end / size if sign < 0.0 else np.inf)

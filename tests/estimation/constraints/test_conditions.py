@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import pickle
+from collections import Counter
 from collections.abc import Sequence
 from typing import Any
 
@@ -29,11 +30,14 @@ from sdpid.constraints import (
 from sdpid.errors import DataError, ModelError
 from sdpid.estimation.constraints.condition import Condition, Cone, Layout, Row
 from sdpid.estimation.constraints.hull import hull_facets
+from sdpid.estimation.estimate import FEASIBLE
+from sdpid.estimation.sdp.solve import solve_sdp
 from sdpid.robot.friction.model import FrictionModel
 from sdpid.robot.inertia import margin, physical_parameters, point_masses, pseudo_inertia
 from sdpid.robot.model.geometry import collision_points, link_placements
 from sdpid.robot.model.load import load_robot
 from sdpid.robot.model.model import RobotModel
+from tests.helpers.arm import LAST, arm_problem
 from tests.helpers.data import FRICTION, random_links
 from tests.helpers.robots import TREE
 from tests.helpers.strategies import SEEDS, bodies, reals, rotations
@@ -578,3 +582,30 @@ def test_the_bodies_of_these_tests_exist() -> None:
     theta = theta_with({})
     links = theta[: 10 * ROBOT.n_links].reshape(-1, 10)
     assert (margin(links, "pseudo_inertia") > 0.0).all()
+
+
+def test_every_constraint_is_a_named_object() -> None:
+    """Each once, with what it is about: nobody needs to read it out of a name."""
+    problem = arm_problem(TotalMass(2.0, tolerance=0.5), TotalMass(1.0, links=(LAST,)))
+    feasible = problem.feasible
+    found = feasible.named
+    assert len({c.name for c in found}) == len(found)
+    assert Counter(c.kind for c in found) == {
+        "consistency": 2,
+        "mass": 4,
+        "sign": 4,
+        "theta_max": 2 * problem.n_theta - 8,
+        "row": 3,
+    }
+    total = [c for c in found if c.name.startswith("total mass, ")]
+    assert [(c.side, c.limit, c.link) for c in total] == [("least", 1.5, None), ("most", 2.5, None)]
+    (equation,) = (c for c in found if c.kind == "row" and c.side is None)
+    assert (equation.limit, feasible.row_names[equation.index]) == (1.0, f"total mass of {LAST}")
+    heavy = [c for c in found if c.kind == "mass" and c.side == "most"]
+    assert [(c.link, c.limit, c.unit) for c in heavy] == [
+        (link, problem.constraints.mass_max, "kg") for link in problem.robot.link_names
+    ]
+    theta = np.array(solve_sdp(problem).theta)
+    for c in found:
+        if c.kind in ("mass", "sign", "theta_max"):
+            assert c.sign * (theta[c.index] - c.limit) >= -FEASIBLE

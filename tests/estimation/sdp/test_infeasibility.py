@@ -76,10 +76,11 @@ def shortfall(problem: Problem, names: Iterable[str] | None = None) -> float:
     for name, row, low, high in zip(
         feasible.row_names, feasible.rows, feasible.row_lower, feasible.row_upper, strict=True
     ):
+        both = np.isfinite(low) and np.isfinite(high) and low != high
         if np.isfinite(low):
-            say(row @ theta >= low - t, name)
+            say(row @ theta >= low - t, f"{name}, at least {low:g}" if both else name)
         if np.isfinite(high):
-            say(row @ theta <= high + t, name)
+            say(row @ theta <= high + t, f"{name}, at most {high:g}" if both else name)
     for i, name in enumerate(feasible.block_names[feasible.n_own :], start=feasible.n_own):
         link = int(feasible.block_links[i])
         axis = feasible.block_basis[i][:, -1, -1]
