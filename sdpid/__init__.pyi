@@ -1,4 +1,4 @@
-from . import constraints, friction, plots
+from . import constraints, errors, friction, plots
 from .assurance.certificate.certificate import certify, verify
 from .assurance.descriptions.audit import audit_urdf
 from .assurance.diagnostics.cost_of_constraints import cost_of_constraints
@@ -7,17 +7,6 @@ from .assurance.diagnostics.validation import validate
 from .assurance.intervals.intervals import confidence_intervals
 from .assurance.payload.identify import identify_payload
 from .assurance.tables.audit import audit_base_parameters
-from .errors import (
-    CertificateError,
-    DataError,
-    ExportError,
-    IdentifiabilityError,
-    InfeasibleError,
-    MissingExtraError,
-    ModelError,
-    SdpidError,
-    SolverError,
-)
 from .estimation.constraints.constraints import Constraints
 from .estimation.estimate import Estimate
 from .estimation.local.log_cholesky import solve_log_cholesky
@@ -45,27 +34,16 @@ from .output.tables.parameters_file import read_parameters, write_parameters
 from .robot.description.dh_table import DhTable
 from .robot.model.load import load_robot
 from .robot.model.model import RobotModel
-from .workflow.comparison import Comparison, compare
-from .workflow.cross_validation import CrossValidation, cross_validate
+from .workflow.comparison import compare
+from .workflow.cross_validation import cross_validate
 from .workflow.identify import identify
-from .workflow.result import Identification
 
 __version__: str
 
 __all__ = [
-    "CertificateError",
-    "Comparison",
     "Constraints",
-    "CrossValidation",
-    "DataError",
     "DhTable",
     "Estimate",
-    "ExportError",
-    "IdentifiabilityError",
-    "Identification",
-    "InfeasibleError",
-    "MissingExtraError",
-    "ModelError",
     "MotorSide",
     "Prior",
     "Problem",
@@ -74,8 +52,6 @@ __all__ = [
     "RobotModel",
     "RobustEstimate",
     "Samples",
-    "SdpidError",
-    "SolverError",
     "StreamingProblem",
     "Trajectory",
     "__version__",
@@ -89,6 +65,7 @@ __all__ = [
     "constraints",
     "cost_of_constraints",
     "cross_validate",
+    "errors",
     "friction",
     "identify",
     "identify_payload",

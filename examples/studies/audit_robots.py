@@ -105,7 +105,7 @@ def row(name: str, path: Path) -> tuple[tuple[object, ...], UrdfAudit | None]:
     """Return a row of the table, and the audit."""
     try:
         audit = sdpid.audit_urdf(path)
-    except sdpid.ModelError as error:
+    except sdpid.errors.ModelError as error:
         print(f"{name}: {error}", file=sys.stderr)
         return (name, *(None,) * 5, "unreadable", *(None,) * 5), None
     text = path.read_bytes().decode("utf-8")

@@ -200,7 +200,7 @@ def solved(problem: sdpid.Problem, fresh: sdpid.Samples | None) -> tuple[object,
     start = time.perf_counter()
     try:
         estimate: sdpid.Estimate | None = sdpid.solve_sdp(problem)
-    except sdpid.SolverError as error:
+    except sdpid.errors.SolverError as error:
         # What was found all the same is shown.
         estimate, message = error.found, str(error)
         status = type(error).__name__
@@ -260,7 +260,7 @@ def rows(
                             sdpid.certify(sdpid.solve_sdp(problem))
                             warm = True
                         cells = solved(problem, fresh)
-                    except sdpid.SdpidError as error:
+                    except sdpid.errors.SdpidError as error:
                         cells = (type(error).__name__, *(None,) * 9, str(error))
                     yield *known, count, *cells
 

@@ -178,7 +178,7 @@ def row(
         counts = (problem.base.count, SAMPLES, condition if np.isfinite(condition) else None)
         estimate = sdpid.solve_sdp(problem)
         certificate = sdpid.certify(estimate)
-    except sdpid.SdpidError as error:
+    except sdpid.errors.SdpidError as error:
         seconds = time.perf_counter() - start
         return *known, *counts, type(error).__name__, *(None,) * 4, seconds, None, None
     seconds = time.perf_counter() - start
@@ -203,7 +203,7 @@ def rows(names: Sequence[str], seed: int) -> Iterator[tuple[object, ...]]:
         for base in BASES:
             try:
                 robot = sdpid.load_robot(name, root=None if base == "fixed" else "free_flyer")
-            except sdpid.ModelError:
+            except sdpid.errors.ModelError:
                 nothing = (None,) * (len(HEADER) - 9)
                 yield name, base, *(None,) * 6, "cannot be loaded", *nothing
                 continue

@@ -208,9 +208,9 @@ def rows(case: Case, names: Iterable[str], said: list[str]) -> Iterator[tuple[ob
             start = time.perf_counter()
             estimate = method.solve(problem)
             status = estimate.status
-        except sdpid.SolverError as error:
+        except sdpid.errors.SolverError as error:
             estimate, message, status = error.found, str(error), type(error).__name__
-        except sdpid.SdpidError as error:
+        except sdpid.errors.SdpidError as error:
             message, status = str(error), type(error).__name__
         seconds = time.perf_counter() - start
         if estimate is None:

@@ -232,7 +232,7 @@ def held_out(case: Case, terms: Terms, change: Change) -> float:
         samples = case.trained(change(case.log, processing))
         problem = case.problem(samples, METHODS[DEFAULT], (*terms, *drives))
         return 100.0 * sdpid.validate(sdpid.solve_sdp(problem), fresh).relative
-    except sdpid.SdpidError:
+    except sdpid.errors.SdpidError:
         return float("inf")
 
 

@@ -137,7 +137,7 @@ def test_friction_options() -> None:
         *(Coulomb(width=None), Stribeck(0.2), Stribeck(), AsymmetricCoulomb(width=0.1)),
         *("sigmoid", Coupling("a", "b")),
     ]
-    with pytest.raises(sdpid.ModelError, match="viscous=1: takes no value"):
+    with pytest.raises(sdpid.errors.ModelError, match="viscous=1: takes no value"):
         options.friction_terms(["viscous=1"])
 
 
@@ -428,15 +428,15 @@ def test_the_unidentifiable_ends_with_3(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("error", "status"),
     [
-        (sdpid.DataError("x"), 2),
-        (sdpid.ModelError("x"), 2),
-        (sdpid.ExportError("x"), 2),
-        (sdpid.CertificateError("x"), 2),
-        (sdpid.MissingExtraError("x"), 2),
+        (sdpid.errors.DataError("x"), 2),
+        (sdpid.errors.ModelError("x"), 2),
+        (sdpid.errors.ExportError("x"), 2),
+        (sdpid.errors.CertificateError("x"), 2),
+        (sdpid.errors.MissingExtraError("x"), 2),
         (PermissionError(13, "Permission denied", "x"), 2),
-        (sdpid.InfeasibleError("x"), 3),
-        (sdpid.IdentifiabilityError("x"), 3),
-        (sdpid.SolverError("x"), 1),
+        (sdpid.errors.InfeasibleError("x"), 3),
+        (sdpid.errors.IdentifiabilityError("x"), 3),
+        (sdpid.errors.SolverError("x"), 1),
         (RuntimeError("x"), 1),
     ],
     ids=lambda value: type(value).__name__,
@@ -473,7 +473,7 @@ def test_an_interrupt_is_quiet(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) 
 def test_a_missing_extra_is_named_before_any_work(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
-    missing = sdpid.MissingExtraError("pip install 'sdpid[plot]'")
+    missing = sdpid.errors.MissingExtraError("pip install 'sdpid[plot]'")
     monkeypatch.setattr(sys.modules["sdpid.cli.identify"], "require", raising(missing))
     refused(run("identify", tmp_path / "x.npz", "--robot", ROBOT, "--figures"), 2, "sdpid[plot]")
 

@@ -11,6 +11,7 @@ import sdpid
 from sdpid._common.arrays import Array
 from sdpid.estimation.problem import Problem, build_problem
 from sdpid.experiment.processing.samples import Samples
+from sdpid.workflow.result import Identification
 from tests.helpers.data import full_regressor, random_theta
 from tests.helpers.robots import small_arm
 
@@ -50,7 +51,7 @@ def moved(
 
 def identified(
     samples: Samples | Problem, validation: Samples | None = None, **options: Any
-) -> sdpid.Identification:
+) -> Identification:
     """Identify the arm."""
     problem = samples
     if isinstance(problem, Samples):
@@ -58,7 +59,7 @@ def identified(
             options.pop("robot", ARM), problem, friction=FRICTION, weighting="residual", **options
         )
     wls, estimate = sdpid.solve_wls(replace(problem, prior=None)), sdpid.solve_sdp(problem)
-    return sdpid.Identification(
+    return Identification(
         problem=problem,
         wls=wls,
         estimate=estimate,

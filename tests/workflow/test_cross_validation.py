@@ -9,6 +9,7 @@ import pytest
 
 import sdpid
 from sdpid.experiment.preparation.for_robot import default_processing, prepare
+from sdpid.workflow.cross_validation import CrossValidation
 from sdpid.workflow.formulate import formulate
 from tests.helpers.runs import arm, recorded
 
@@ -21,7 +22,7 @@ def log() -> sdpid.Recording:
 
 
 @pytest.fixture(scope="module")
-def crossed(log: sdpid.Recording) -> sdpid.CrossValidation:
+def crossed(log: sdpid.Recording) -> CrossValidation:
     return sdpid.cross_validate(arm(), log, folds=FOLDS)
 
 
@@ -30,7 +31,7 @@ def part(log: sdpid.Recording, first: int, last: int) -> sdpid.Recording:
     return replace(log, time=log.time[own], position=log.position[own], effort=log.effort[own])
 
 
-def test_a_fold_is_what_it_says(log: sdpid.Recording, crossed: sdpid.CrossValidation) -> None:
+def test_a_fold_is_what_it_says(log: sdpid.Recording, crossed: CrossValidation) -> None:
     """The second fold, made by hand."""
     a, b = log.n_samples // FOLDS, 2 * log.n_samples // FOLDS
     kept = [part(log, 0, a), part(log, b, log.n_samples)]
@@ -69,7 +70,7 @@ def test_nothing_of_a_block_reaches_its_fit(log: sdpid.Recording) -> None:
     assert found[1].held_out.relative > 3.0 * found[0].held_out.relative
 
 
-def test_the_whole_is_the_sum_of_the_folds(crossed: sdpid.CrossValidation) -> None:
+def test_the_whole_is_the_sum_of_the_folds(crossed: CrossValidation) -> None:
     rows = np.array([fold.held_out.rows for fold in crossed.folds])
     square = np.array([fold.held_out.rmse**2 for fold in crossed.folds])
     np.testing.assert_allclose(crossed.rmse, np.sqrt((rows * square).sum(0) / rows.sum(0)))
@@ -118,16 +119,16 @@ def test_the_verdict_tells_when_blocks_are_not_predicted(log: sdpid.Recording) -
 
 @pytest.mark.parametrize("folds", [0, 1, 2.5, True])
 def test_folds_that_make_no_sense(log: sdpid.Recording, folds: int) -> None:
-    with pytest.raises(sdpid.DataError, match="whole number of at least 2"):
+    with pytest.raises(sdpid.errors.DataError, match="whole number of at least 2"):
         sdpid.cross_validate(arm(), log, folds=folds)
 
 
 def test_what_cannot_be_cross_validated(log: sdpid.Recording) -> None:
-    with pytest.raises(sdpid.DataError, match="repeats one motion"):
+    with pytest.raises(sdpid.errors.DataError, match="repeats one motion"):
         sdpid.cross_validate(arm(), recorded(1, period=10.0))
-    with pytest.raises(sdpid.DataError, match="at least two recordings"):
+    with pytest.raises(sdpid.errors.DataError, match="at least two recordings"):
         sdpid.cross_validate(arm(), log, by="recording")
-    with pytest.raises(sdpid.DataError, match="by is 'luck'"):
+    with pytest.raises(sdpid.errors.DataError, match="by is 'luck'"):
         sdpid.cross_validate(arm(), log, by="luck")  # type: ignore[arg-type]
-    with pytest.raises(sdpid.DataError, match=r"without block 1 of 200.*fewer folds"):
+    with pytest.raises(sdpid.errors.DataError, match=r"without block 1 of 200.*fewer folds"):
         sdpid.cross_validate(arm(), log, folds=200)

@@ -22,6 +22,7 @@ import sdpid
 from sdpid._common import files as _files
 from sdpid._common import signals as _signals
 from sdpid._common import staging
+from sdpid.workflow.result import Identification
 from sdpid.workflow.results_folder import NAMES
 from tests.helpers.runs import arm, recorded
 
@@ -64,12 +65,12 @@ def injector() -> Injector:
 
 
 @pytest.fixture(scope="module")
-def result() -> sdpid.Identification:
+def result() -> Identification:
     return sdpid.identify(arm(), recorded(1))
 
 
 @pytest.fixture(scope="module")
-def other() -> sdpid.Identification:
+def other() -> Identification:
     """Return the result of another run, of which no robot can be written."""
     return sdpid.identify(arm(), recorded(2), consistency="none")
 
@@ -85,7 +86,7 @@ def contents(folder: Path) -> dict[str, bytes]:
 
 
 def test_a_run_replaces_what_an_earlier_one_wrote(
-    result: sdpid.Identification, other: sdpid.Identification, tmp_path: Path
+    result: Identification, other: Identification, tmp_path: Path
 ) -> None:
     first = {path.name for path in result.save(tmp_path)}
     assert {"identified.urdf", "identified.xml", "training.png"} <= first <= set(NAMES)
@@ -97,7 +98,7 @@ def test_a_run_replaces_what_an_earlier_one_wrote(
 
 
 def test_files_of_others_stay(
-    result: sdpid.Identification, other: sdpid.Identification, tmp_path: Path
+    result: Identification, other: Identification, tmp_path: Path
 ) -> None:
     """Also under the name of a result: where no run wrote it, or it was changed since."""
     (tmp_path / "validation.png").write_text("drawn by hand")
@@ -115,9 +116,7 @@ def test_files_of_others_stay(
 @pytest.mark.parametrize(
     "text", ["", "[]", '{"files": 1}', '{"files": {"../x": "0"}}', "[" * 10_000]
 )
-def test_a_list_of_files_that_is_none(
-    other: sdpid.Identification, tmp_path: Path, text: str
-) -> None:
+def test_a_list_of_files_that_is_none(other: Identification, tmp_path: Path, text: str) -> None:
     (tmp_path / "x").write_text("kept")
     out = tmp_path / "out"
     out.mkdir()
@@ -126,9 +125,7 @@ def test_a_list_of_files_that_is_none(
     assert (tmp_path / "x").exists()
 
 
-def test_the_list_names_every_file_with_its_digest(
-    result: sdpid.Identification, tmp_path: Path
-) -> None:
+def test_the_list_names_every_file_with_its_digest(result: Identification, tmp_path: Path) -> None:
     files = result.save(tmp_path)
     listed = json.loads((tmp_path / "result.json").read_text())["files"]
     assert set(listed) | {"result.json"} == {path.name for path in files}
@@ -137,8 +134,8 @@ def test_the_list_names_every_file_with_its_digest(
 
 @pytest.mark.parametrize("earlier", [False, True])
 def test_whatever_fails_all_or_none(
-    result: sdpid.Identification,
-    other: sdpid.Identification,
+    result: Identification,
+    other: Identification,
     injector: Injector,
     tmp_path: Path,
     earlier: bool,
@@ -159,7 +156,7 @@ def test_whatever_fails_all_or_none(
         try:
             other.save(out, figures=False)
             saved = True
-        except sdpid.ExportError:
+        except sdpid.errors.ExportError:
             saved = False
             failures += 1
         reached = injector.left <= 0
@@ -189,7 +186,7 @@ def test_whatever_fails_all_or_none(
 
 @pytest.mark.parametrize("limit", [0, 100, 3000, 20_000])
 def test_a_disk_that_is_full_in_the_midst_of_a_file(
-    result: sdpid.Identification, tmp_path: Path, limit: int
+    result: Identification, tmp_path: Path, limit: int
 ) -> None:
     result.save(tmp_path / "out", figures=False)
     sizes = {path.stat().st_size for path in (tmp_path / "out").iterdir()}
@@ -198,7 +195,7 @@ def test_a_disk_that_is_full_in_the_midst_of_a_file(
     soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
     resource.setrlimit(resource.RLIMIT_FSIZE, (limit, hard))
     try:
-        with pytest.raises(sdpid.ExportError, match="too large"):
+        with pytest.raises(sdpid.errors.ExportError, match="too large"):
             result.save(tmp_path / "out")
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
@@ -206,16 +203,14 @@ def test_a_disk_that_is_full_in_the_midst_of_a_file(
 
 
 @pytest.mark.parametrize("name", ["report.html", "training.png", "result.json"])
-def test_a_folder_in_the_place_of_a_file(
-    result: sdpid.Identification, tmp_path: Path, name: str
-) -> None:
+def test_a_folder_in_the_place_of_a_file(result: Identification, tmp_path: Path, name: str) -> None:
     (tmp_path / name).mkdir()
-    with pytest.raises(sdpid.ExportError, match=f"{name}: it is a folder"):
+    with pytest.raises(sdpid.errors.ExportError, match=f"{name}: it is a folder"):
         result.save(tmp_path)
     assert [path.name for path in tmp_path.iterdir()] == [name]
 
 
-def test_what_a_killed_run_left_is_removed(result: sdpid.Identification, tmp_path: Path) -> None:
+def test_what_a_killed_run_left_is_removed(result: Identification, tmp_path: Path) -> None:
     out = tmp_path / "out"
     left = out / ".sdpid-0123456789ab" / "replaced"
     left.mkdir(parents=True)
@@ -235,7 +230,7 @@ with staged(Path(sys.argv[1])) as stage:
 """
 
 
-def test_what_a_living_run_prepares_stays(result: sdpid.Identification, tmp_path: Path) -> None:
+def test_what_a_living_run_prepares_stays(result: Identification, tmp_path: Path) -> None:
     """The next run waits for it; when it is killed, its folder is removed at once."""
     run = [sys.executable, "-c", WRITER, str(tmp_path)]
     with subprocess.Popen([*run, "1"], stdout=subprocess.PIPE, text=True) as living:
@@ -253,10 +248,10 @@ def test_what_a_living_run_prepares_stays(result: sdpid.Identification, tmp_path
 
 
 def test_two_runs_do_not_wait_for_ever(
-    result: sdpid.Identification, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    result: Identification, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(staging, "_PATIENCE", 0.2)
-    with staging.staged(tmp_path), pytest.raises(sdpid.ExportError, match="another run"):
+    with staging.staged(tmp_path), pytest.raises(sdpid.errors.ExportError, match="another run"):
         result.save(tmp_path, figures=False)
 
 
@@ -308,9 +303,7 @@ def test_nothing_is_moved_once_a_signal_was_to_end_it(
     assert not (tmp_path / "a").exists()
 
 
-def test_links_stay_and_their_files_are_replaced(
-    result: sdpid.Identification, tmp_path: Path
-) -> None:
+def test_links_stay_and_their_files_are_replaced(result: Identification, tmp_path: Path) -> None:
     (tmp_path / "elsewhere").mkdir()
     linked = tmp_path / "elsewhere" / "robot.urdf"
     linked.write_text("old")
@@ -348,16 +341,16 @@ def test_files_get_the_permissions_of_any_new_file(
 def test_what_no_file_can_replace(tmp_path: Path) -> None:
     os.mkfifo(tmp_path / "pipe")
     for path, words in ((tmp_path, "a folder"), (tmp_path / "pipe", "no regular file")):
-        with pytest.raises(sdpid.ExportError, match=words):
+        with pytest.raises(sdpid.errors.ExportError, match=words):
             _files.atomic_write_text(path, "")
-    with pytest.raises(sdpid.ExportError, match="No such file"):
+    with pytest.raises(sdpid.errors.ExportError, match="No such file"):
         _files.atomic_write_text(tmp_path / "no" / "file", "")
     assert [path.name for path in tmp_path.iterdir()] == ["pipe"]
 
 
 @pytest.mark.parametrize("error", [AttributeError("no mj_saveLastXML"), RuntimeError("boom")])
 def test_a_failing_mujoco_costs_the_run_nothing_but_its_file(
-    result: sdpid.Identification,
+    result: Identification,
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
     error: Exception,
@@ -391,7 +384,7 @@ def test_numbers_that_json_cannot_hold_are_null(tmp_path: Path) -> None:
 
 
 def test_results_are_short_in_a_console_and_whole_in_a_notebook(
-    result: sdpid.Identification,
+    result: Identification,
 ) -> None:
     assert len(repr(result)) < 120
     assert repr(result).startswith("Identification(robot='arm', relative_residual=0.0")

@@ -23,6 +23,7 @@ from sdpid.output.plots.figures import TimeLine
 from sdpid.output.plots.reconstruction import plot_fit
 from sdpid.output.report.report import report_html
 from sdpid.workflow.formulate import formulate
+from sdpid.workflow.result import Identification
 from tests.helpers.runs import arm, recorded
 
 
@@ -32,12 +33,12 @@ def logs() -> list[sdpid.Recording]:
 
 
 @pytest.fixture(scope="module")
-def result(logs: list[sdpid.Recording]) -> sdpid.Identification:
+def result(logs: list[sdpid.Recording]) -> Identification:
     return sdpid.identify(arm(), logs[:2], validation=logs[2])
 
 
 def test_recordings_are_processed_alike_and_alone(
-    logs: list[sdpid.Recording], result: sdpid.Identification
+    logs: list[sdpid.Recording], result: Identification
 ) -> None:
     cutoffs = [default_processing(log).cutoff_hz for log in logs]
     assert cutoffs == sorted(cutoffs)
@@ -64,29 +65,27 @@ def test_settings_may_be_changed_one_by_one(logs: list[sdpid.Recording]) -> None
     assert processing.order == 2
     assert processing.cutoff_hz == default_processing(logs[1]).cutoff_hz
     assert why is not None
-    with pytest.raises(sdpid.DataError, match="no setting colour"):
+    with pytest.raises(sdpid.errors.DataError, match="no setting colour"):
         sdpid.identify(arm(), logs[0], processing={"colour": "red"})
-    with pytest.raises(sdpid.DataError, match="order"):
+    with pytest.raises(sdpid.errors.DataError, match="order"):
         sdpid.identify(arm(), logs[0], processing={"order": 0})
 
 
 def test_what_cannot_be_joined_is_refused(logs: list[sdpid.Recording]) -> None:
-    with pytest.raises(sdpid.DataError, match="at least one"):
+    with pytest.raises(sdpid.errors.DataError, match="at least one"):
         sdpid.identify(arm(), [])
     periodic = recorded(4, seconds=20.0, period=10.0)
-    with pytest.raises(sdpid.DataError, match=r"recording 2 of 2 has a period.*period=None"):
+    with pytest.raises(sdpid.errors.DataError, match=r"recording 2 of 2 has a period.*period=None"):
         sdpid.identify(arm(), [logs[0], periodic])
     other = recorded(5)
     other = sdpid.Recording(
         time=other.time, position=other.position[:, :1], effort=other.effort[:, :1]
     )
-    with pytest.raises(sdpid.DataError, match="1 joints"):
+    with pytest.raises(sdpid.errors.DataError, match="1 joints"):
         sdpid.identify(arm(), [logs[0], other])
 
 
-def test_intervals_come_by_default_and_are_written(
-    result: sdpid.Identification, tmp_path: Path
-) -> None:
+def test_intervals_come_by_default_and_are_written(result: Identification, tmp_path: Path) -> None:
     found = result.intervals
     assert found is not None
     assert found.method == "gauss_markov"
@@ -155,17 +154,17 @@ def test_why_there_are_none_is_said(tmp_path: Path) -> None:
     header = (tmp_path / "base_parameters.csv").read_text().splitlines()[0]
     assert "lower" not in header
     assert sdpid.identify(arm(), short, intervals=False).intervals_note is None
-    with pytest.raises(sdpid.DataError, match="'guess'"):
+    with pytest.raises(sdpid.errors.DataError, match="'guess'"):
         sdpid.identify(arm(), short, intervals="guess")  # type: ignore[arg-type]
 
 
 def test_why_there_is_no_mjcf_is_said(
-    result: sdpid.Identification, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    result: Identification, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     from sdpid.output.robots import mjcf
 
     def fail(*_: object, **__: object) -> None:
-        raise sdpid.ExportError("MuJoCo cannot hold it.")
+        raise sdpid.errors.ExportError("MuJoCo cannot hold it.")
 
     monkeypatch.setattr(mjcf, "write_mjcf", fail)
     said: list[str] = []
@@ -175,7 +174,7 @@ def test_why_there_is_no_mjcf_is_said(
     assert any("no identified.xml" in text and "cannot hold it" in text for text in said)
 
 
-def test_no_line_is_drawn_across_a_join(result: sdpid.Identification) -> None:
+def test_no_line_is_drawn_across_a_join(result: Identification) -> None:
     samples = result.problem.samples
     figure = plot_fit(samples, result.training)
     seconds = sum(float(samples.time[p][-1] - samples.time[p][0]) for p in samples.parts)
@@ -238,9 +237,9 @@ def test_joints_without_effort_are_left_out() -> None:
     assert "every joint" not in result.to_dict()["verdict"][0]
     # With its effort the log is not explained.
     assert sdpid.identify(robot, broken, intervals=False).training.nrmse[4] > 0.1
-    with pytest.raises(sdpid.DataError, match="has no joint wrist"):
+    with pytest.raises(sdpid.errors.DataError, match="has no joint wrist"):
         sdpid.identify(robot, broken, without_effort=["wrist"])
-    with pytest.raises(sdpid.DataError, match="names every joint"):
+    with pytest.raises(sdpid.errors.DataError, match="names every joint"):
         sdpid.identify(robot, broken, without_effort=robot.joint_names)
 
 

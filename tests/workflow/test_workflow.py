@@ -19,6 +19,7 @@ from sdpid.experiment.preparation.for_robot import default_processing, prepare
 from sdpid.experiment.recording.joints import match_joints
 from sdpid.robot.model.model import RobotModel
 from sdpid.workflow.formulate import formulate
+from sdpid.workflow.result import Identification
 from tests.helpers.arm_files import ARM_URDF
 from tests.helpers.runs import arm, recorded
 
@@ -36,7 +37,7 @@ def log(denso: RobotModel) -> sdpid.Recording:
 
 
 @pytest.fixture(scope="module")
-def result(denso: RobotModel, log: sdpid.Recording) -> sdpid.Identification:
+def result(denso: RobotModel, log: sdpid.Recording) -> Identification:
     return sdpid.identify(denso, log, validation=log)
 
 
@@ -45,7 +46,7 @@ def loads_elsewhere(path: Path, joints: int) -> None:
     assert mujoco.MjModel.from_xml_path(str(path)).nv == joints
 
 
-def test_a_periodic_experiment_is_certified(result: sdpid.Identification) -> None:
+def test_a_periodic_experiment_is_certified(result: Identification) -> None:
     assert result.certificate.passed
     assert result.problem.weighting == "gls"
     assert result.estimate.worst_margin is not None
@@ -60,7 +61,7 @@ def test_a_periodic_experiment_is_certified(result: sdpid.Identification) -> Non
         assert result.estimate.base[i] == pytest.approx(truth[i], rel=0.02)
 
 
-def test_everything_is_saved_and_loads(result: sdpid.Identification, tmp_path: Path) -> None:
+def test_everything_is_saved_and_loads(result: Identification, tmp_path: Path) -> None:
     said: list[str] = []
     files = result.save(tmp_path / "deep" / "out", report=said.append)
     assert {path.name for path in files} == {
@@ -85,7 +86,7 @@ def test_everything_is_saved_and_loads(result: sdpid.Identification, tmp_path: P
 
 
 def test_the_written_urdf_predicts_as_the_estimate_does(
-    result: sdpid.Identification, log: sdpid.Recording, denso: RobotModel, tmp_path: Path
+    result: Identification, log: sdpid.Recording, denso: RobotModel, tmp_path: Path
 ) -> None:
     sdpid.write_urdf(result.estimate, target=tmp_path / "identified.urdf")
     written = sdpid.load_robot(tmp_path / "identified.urdf", gravity=denso.gravity.tolist())
@@ -97,21 +98,21 @@ def test_the_written_urdf_predicts_as_the_estimate_does(
 
 
 def test_nothing_is_left_behind_when_saving_fails(
-    result: sdpid.Identification, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    result: Identification, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def fail(*_: object) -> None:
-        raise sdpid.ExportError("no")
+        raise sdpid.errors.ExportError("no")
 
     monkeypatch.setattr(Certificate, "to_json", fail)
-    with pytest.raises(sdpid.ExportError):
+    with pytest.raises(sdpid.errors.ExportError):
         result.save(tmp_path / "new", figures=False)
     assert not (tmp_path / "new").exists()
     (tmp_path / "old").mkdir()
-    with pytest.raises(sdpid.ExportError):
+    with pytest.raises(sdpid.errors.ExportError):
         result.save(tmp_path / "old", figures=False)
     assert list((tmp_path / "old").iterdir()) == []
     (tmp_path / "file").write_text("")
-    with pytest.raises(sdpid.ExportError, match="name a folder"):
+    with pytest.raises(sdpid.errors.ExportError, match="name a folder"):
         result.save(tmp_path / "file", figures=False)
 
 
@@ -190,24 +191,24 @@ def short(log: sdpid.Recording, **changes: object) -> sdpid.Recording:
 def test_names_that_do_not_match_are_refused(
     log: sdpid.Recording, denso: RobotModel, names: tuple[str, ...], message: str
 ) -> None:
-    with pytest.raises(sdpid.DataError, match=message):
+    with pytest.raises(sdpid.errors.DataError, match=message):
         sdpid.identify(denso, short(log, joint_names=names))
 
 
 def test_degrees_are_refused(log: sdpid.Recording, denso: RobotModel) -> None:
-    with pytest.raises(sdpid.DataError, match="degrees"):
+    with pytest.raises(sdpid.errors.DataError, match="degrees"):
         sdpid.identify(denso, replace(log, position=np.degrees(log.position)))
 
 
 def test_another_number_of_joints_is_refused(log: sdpid.Recording) -> None:
-    with pytest.raises(sdpid.DataError, match=r"6 joints.*has 8"):
+    with pytest.raises(sdpid.errors.DataError, match=r"6 joints.*has 8"):
         sdpid.identify("panda", short(log))
 
 
 def test_a_motion_that_shows_too_little_is_refused(log: sdpid.Recording, denso: RobotModel) -> None:
     still = np.array(log.position)
     still[:, 0] = 0.0
-    with pytest.raises(sdpid.IdentifiabilityError, match=r"Fs1|Fv1"):
+    with pytest.raises(sdpid.errors.IdentifiabilityError, match=r"Fs1|Fv1"):
         sdpid.identify(
             denso,
             replace(log, position=still),
@@ -219,7 +220,7 @@ def test_a_motion_that_shows_too_little_is_refused(log: sdpid.Recording, denso: 
 def test_files_that_cannot_be_read(denso: RobotModel, tmp_path: Path, name: str) -> None:
     if name != "missing.npz":
         (tmp_path / name).write_text("")
-    with pytest.raises(sdpid.DataError, match=name):
+    with pytest.raises(sdpid.errors.DataError, match=name):
         sdpid.identify(denso, tmp_path / name)
 
 
@@ -235,7 +236,7 @@ def test_files_that_cannot_be_read(denso: RobotModel, tmp_path: Path, name: str)
     ],
 )
 def test_arguments_of_a_wrong_kind(arguments: dict[str, object], words: str) -> None:
-    with pytest.raises(sdpid.SdpidError, match=words):
+    with pytest.raises(sdpid.errors.SdpidError, match=words):
         sdpid.identify(arm(), recorded(1), **arguments)  # type: ignore[arg-type]
 
 
@@ -246,5 +247,5 @@ def test_formulate_takes_what_identify_takes(tmp_path: Path) -> None:
     problem = formulate(tmp_path / "arm.urdf", tmp_path / "run.parquet")
     same = formulate(arm(), log)
     np.testing.assert_array_equal(problem.rhs, same.rhs)
-    with pytest.raises(sdpid.DataError, match=r"no\.csv"):
+    with pytest.raises(sdpid.errors.DataError, match=r"no\.csv"):
         formulate(arm(), tmp_path / "no.csv")

@@ -48,7 +48,7 @@ def test_the_cut_off_follows_the_motion() -> None:
 
 def test_what_stands_still_has_no_cut_off() -> None:
     log = sine(100.0, 10.0, 0.5)
-    with pytest.raises(sdpid.DataError, match="no joint moves"):
+    with pytest.raises(sdpid.errors.DataError, match="no joint moves"):
         default_processing(replace(log, position=np.ones_like(log.position)))
 
 

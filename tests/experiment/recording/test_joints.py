@@ -82,7 +82,9 @@ def test_columns_of_other_joints_are_left_out(ur5: sdpid.RobotModel) -> None:
 
 def test_two_arms_are_refused_unless_one_has_the_names(ur5: sdpid.RobotModel) -> None:
     arms = tuple(f"{side}_{name}" for side in ("left", "right") for name in DRIVER)
-    with pytest.raises(sdpid.DataError, match=r"in 2 ways: left_shoulder_pan_joint, .*; right_"):
+    with pytest.raises(
+        sdpid.errors.DataError, match=r"in 2 ways: left_shoulder_pan_joint, .*; right_"
+    ):
         match_joints(ur5, log_of(arms))
     assert columns_of(ur5, log_of((*arms, *DRIVER))) == [14, 13, 12, 15, 16, 17]
 
@@ -97,18 +99,18 @@ def test_two_arms_are_refused_unless_one_has_the_names(ur5: sdpid.RobotModel) ->
     ],
 )
 def test_other_names_are_refused(ur5: sdpid.RobotModel, names: tuple[str, ...]) -> None:
-    with pytest.raises(sdpid.DataError, match="not even with another prefix or suffix"):
+    with pytest.raises(sdpid.errors.DataError, match="not even with another prefix or suffix"):
         match_joints(ur5, log_of(names))
 
 
 def test_without_names_the_columns_are_taken_in_order(ur5: sdpid.RobotModel) -> None:
     assert columns_of(ur5, log_of(None, 6)) == [0, 1, 2, 3, 4, 5]
-    with pytest.raises(sdpid.DataError, match="has 7 joints, the robot 'ur5"):
+    with pytest.raises(sdpid.errors.DataError, match="has 7 joints, the robot 'ur5"):
         match_joints(ur5, log_of(None, 7))
 
 
 def test_too_few_columns_are_refused(ur5: sdpid.RobotModel) -> None:
-    with pytest.raises(sdpid.DataError, match="has 5 joints, the robot 'ur5"):
+    with pytest.raises(sdpid.errors.DataError, match="has 5 joints, the robot 'ur5"):
         match_joints(ur5, log_of(DRIVER[:5]))
 
 

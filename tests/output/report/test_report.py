@@ -25,6 +25,7 @@ from sdpid.assurance.diagnostics.active_constraints import constraint_states
 from sdpid.estimation.compression.rows import Rows
 from sdpid.output.report import report
 from sdpid.output.report.report import report_html, write_report
+from sdpid.workflow.result import Identification
 from tests.helpers.identified import arm_theta, identified, moved
 from tests.helpers.runs import arm as recorded_arm
 from tests.helpers.runs import recorded
@@ -49,14 +50,14 @@ class Given:
 
 
 @pytest.fixture(scope="module")
-def result() -> sdpid.Identification:
+def result() -> Identification:
     theta = arm_theta()
     notes = ("low-pass filter at 10 Hz", EVIL)
     return identified(moved(theta, 1, notes=notes), moved(theta, 2))
 
 
 @pytest.fixture(scope="module")
-def page(result: sdpid.Identification) -> str:
+def page(result: Identification) -> str:
     return report_html(result, command=COMMAND)
 
 
@@ -178,7 +179,7 @@ def test_names_are_escaped(evil_page: str) -> None:
     assert len(pictures(evil_page)) == 4
 
 
-def test_it_tells_the_whole_story(result: sdpid.Identification, page: str) -> None:
+def test_it_tells_the_whole_story(result: Identification, page: str) -> None:
     shown = words(page)
     certificate = result.certificate
     for text in (
@@ -211,11 +212,11 @@ def test_it_tells_the_whole_story(result: sdpid.Identification, page: str) -> No
         assert sum(widths) == pytest.approx(100.0, abs=0.2)
 
 
-def test_the_same_result_gives_the_same_page(result: sdpid.Identification, page: str) -> None:
+def test_the_same_result_gives_the_same_page(result: Identification, page: str) -> None:
     assert report_html(result, command=COMMAND) == page
 
 
-def test_without_validation_figures_or_command(result: sdpid.Identification) -> None:
+def test_without_validation_figures_or_command(result: Identification) -> None:
     alone = replace(result, validation=None, validation_samples=None)
     text = report_html(alone, figures=False)
     self_contained(text)
@@ -228,7 +229,7 @@ def test_without_validation_figures_or_command(result: sdpid.Identification) -> 
 
 
 def test_without_matplotlib_the_page_has_no_plots_and_says_so(
-    result: sdpid.Identification, page: str, monkeypatch: pytest.MonkeyPatch
+    result: Identification, page: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     assert len(pictures(page)) == 4
     monkeypatch.setitem(sys.modules, "matplotlib", None)
@@ -239,7 +240,7 @@ def test_without_matplotlib_the_page_has_no_plots_and_says_so(
     assert said in words(without)
     assert "matplotlib" not in words(page)
     # Only when they are asked for.
-    with pytest.raises(sdpid.MissingExtraError, match=r"sdpid\[plot\]"):
+    with pytest.raises(sdpid.errors.MissingExtraError, match=r"sdpid\[plot\]"):
         report_html(result, figures=True)
 
 
@@ -254,7 +255,7 @@ def test_a_long_record_is_drawn_with_few_points_and_says_so() -> None:
 
 
 def test_rows_on_a_cluster_are_counted_and_a_selection_is_drawn(
-    result: sdpid.Identification,
+    result: Identification,
 ) -> None:
     """As of a problem whose rows are elsewhere: `samples` is one in so many."""
     problem = result.problem
@@ -288,7 +289,7 @@ class Many:
         self.map = elsewhere.map
 
 
-def test_samples_without_time_and_with_masked_rows(result: sdpid.Identification) -> None:
+def test_samples_without_time_and_with_masked_rows(result: Identification) -> None:
     samples = moved(arm_theta(), 1, seconds=8.0)
     mask = np.ones(samples.effort.shape, dtype=bool)
     mask[100:200, 0] = False
@@ -297,7 +298,7 @@ def test_samples_without_time_and_with_masked_rows(result: sdpid.Identification)
     assert "700 of 800" in words(text)
 
 
-def test_intervals_are_shown(result: sdpid.Identification) -> None:
+def test_intervals_are_shown(result: Identification) -> None:
     base, theta = result.problem.base.names[0], result.problem.base.theta_names[0]
     names, label = (base, theta), ("from data", "from physics")
     given = Given(names, np.array([-1.25, 0.0]), np.array([2.5, np.inf]), label)
@@ -327,7 +328,7 @@ def test_cross_validation_and_pieces_are_shown() -> None:
         assert part in shown, part
 
 
-def test_values_at_a_bound_are_zero(result: sdpid.Identification) -> None:
+def test_values_at_a_bound_are_zero(result: Identification) -> None:
     rows = list(report._base(replace(result, wls=result.wls), {}))
     tiny = replace(result.estimate, base=np.array([1e-12, *result.estimate.base[1:]]))
     again = list(report._base(replace(result, estimate=tiny), {}))
@@ -336,25 +337,25 @@ def test_values_at_a_bound_are_zero(result: sdpid.Identification) -> None:
 
 
 def test_it_is_written_whole_or_not_at_all(
-    result: sdpid.Identification, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    result: Identification, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     path = write_report(result, tmp_path / "report.html", figures=False, sha256="0")
     before = path.read_text(encoding="utf-8")
-    with pytest.raises(sdpid.ExportError):
+    with pytest.raises(sdpid.errors.ExportError):
         write_report(result, tmp_path / "nowhere" / "report.html", figures=False, sha256="0")
 
     def fail(*_: object, **__: object) -> None:
-        raise sdpid.ExportError("no")
+        raise sdpid.errors.ExportError("no")
 
     monkeypatch.setattr(report, "atomic_write_text", fail)
-    with pytest.raises(sdpid.ExportError):
+    with pytest.raises(sdpid.errors.ExportError):
         result.save(tmp_path, figures=False)
     assert [p.name for p in tmp_path.iterdir()] == ["report.html"]
     assert path.read_text(encoding="utf-8") == before
 
 
 def test_save_writes_it_with_the_digest_of_the_certificate(
-    result: sdpid.Identification, tmp_path: Path
+    result: Identification, tmp_path: Path
 ) -> None:
     files = result.save(tmp_path, figures=False, command=COMMAND)
     assert tmp_path / "report.html" in files
@@ -365,7 +366,7 @@ def test_save_writes_it_with_the_digest_of_the_certificate(
 
 
 def test_save_goes_on_without_the_extra(
-    result: sdpid.Identification, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    result: Identification, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     found: Callable[..., Any] = importlib.util.find_spec
     monkeypatch.setattr(

@@ -15,35 +15,36 @@ from sdpid.experiment.processing.samples import Samples
 from sdpid.output.report.prediction_verdict import SMALL, grade, prediction_findings
 from sdpid.output.report.verdict import _one_way, errors_of, findings
 from sdpid.robot.friction.model import FrictionModel
+from sdpid.workflow.result import Identification
 from tests.helpers.identified import ARM, RATE, arm_theta, identified, moved
 
 FIRST, LAST = ARM.joint_names
 
 
 @pytest.fixture(scope="module")
-def good() -> sdpid.Identification:
+def good() -> Identification:
     theta = arm_theta()
     return identified(moved(theta, 1), moved(theta, 2))
 
 
-def said(result: sdpid.Identification, *words: str) -> str:
+def said(result: Identification, *words: str) -> str:
     """Return the one statement that has these words."""
     found = [text for text in sdpid.verdict(result) if all(word in text for word in words)]
     assert len(found) == 1, (words, sdpid.verdict(result))
     return found[0]
 
 
-def unsaid(result: sdpid.Identification, *words: str) -> None:
+def unsaid(result: Identification, *words: str) -> None:
     for text in sdpid.verdict(result):
         assert not all(word in text for word in words), text
 
 
-def with_validation(result: sdpid.Identification, samples: Samples) -> sdpid.Identification:
+def with_validation(result: Identification, samples: Samples) -> Identification:
     fit = sdpid.validate(result.estimate, samples)
     return replace(result, validation=fit, validation_samples=samples)
 
 
-def test_a_good_model_is_trusted(good: sdpid.Identification) -> None:
+def test_a_good_model_is_trusted(good: Identification) -> None:
     text = said(good, "Trust it for the effort of every joint")
     assert "not used for the fit" in text
     said(good, "carries over")
@@ -53,13 +54,13 @@ def test_a_good_model_is_trusted(good: sdpid.Identification) -> None:
     assert {f.level for f in findings(good)} <= {"good", "caution"}
 
 
-def test_nothing_held_out_is_said(good: sdpid.Identification) -> None:
+def test_nothing_held_out_is_said(good: Identification) -> None:
     alone = replace(good, validation=None, validation_samples=None)
     said(alone, "Nothing was held out")
     said(alone, "its own training data")
 
 
-def test_a_noisy_joint_is_not_trusted(good: sdpid.Identification) -> None:
+def test_a_noisy_joint_is_not_trusted(good: Identification) -> None:
     fresh = moved(arm_theta(), 2)
     effort = np.array(fresh.effort)
     rng = np.random.default_rng(0)
@@ -70,7 +71,7 @@ def test_a_noisy_joint_is_not_trusted(good: sdpid.Identification) -> None:
     said(result, "does not carry over", "times as much")
 
 
-def test_a_joint_worse_than_its_mean(good: sdpid.Identification) -> None:
+def test_a_joint_worse_than_its_mean(good: Identification) -> None:
     fresh = moved(arm_theta(), 2)
     effort = np.array(fresh.effort)
     effort[:, 1] += 10.0 * effort[:, 1].std()
@@ -128,7 +129,7 @@ def test_what_never_moved_is_not_trusted(error: float) -> None:
         (lambda v: np.cos(2.0 * v), "along a curve"),
     ],
 )
-def test_friction_that_changed_is_named(good: sdpid.Identification, shape, words: str) -> None:
+def test_friction_that_changed_is_named(good: Identification, shape, words: str) -> None:
     fresh = moved(arm_theta(), 2)
     effort = np.array(fresh.effort)
     effort[:, 0] += 0.3 * effort[:, 0].std() * shape(fresh.velocity[:, 0])
@@ -138,7 +139,7 @@ def test_friction_that_changed_is_named(good: sdpid.Identification, shape, words
     assert LAST not in text
 
 
-def test_motion_beyond_the_training_is_named(good: sdpid.Identification) -> None:
+def test_motion_beyond_the_training_is_named(good: Identification) -> None:
     result = with_validation(good, moved(arm_theta(), 2, speed=2.0))
     assert f"{FIRST} (velocity)" in said(result, "goes beyond the training motion")
 
@@ -149,7 +150,7 @@ def test_weak_directions_are_named() -> None:
     assert "as good as arbitrary" in said(result, "weakly excited")
 
 
-def test_constraints_that_cost_are_named(good: sdpid.Identification) -> None:
+def test_constraints_that_cost_are_named(good: Identification) -> None:
     # Twice the friction that there is.
     friction = 2.0 * good.estimate.named()["Fv1"]
     constraints = sdpid.Constraints(others=(Fixed({"Fv1": friction}),))
@@ -176,7 +177,7 @@ def test_a_prior_that_holds_back_is_judged_on_other_motion() -> None:
     said(fresh, "standard parameters are the description's")
 
 
-def test_errors_of_white_noise(good: sdpid.Identification) -> None:
+def test_errors_of_white_noise(good: Identification) -> None:
     K = 20_000
     rng = np.random.default_rng(4)
     t = np.arange(K) / 100.0
@@ -199,7 +200,7 @@ def test_errors_of_white_noise(good: sdpid.Identification) -> None:
         assert np.all(each.mean < each.high)
 
 
-def test_a_joint_that_stands_still_has_no_friction_curve(good: sdpid.Identification) -> None:
+def test_a_joint_that_stands_still_has_no_friction_curve(good: Identification) -> None:
     v = np.zeros((100, 2))
     effort = np.random.default_rng(0).standard_normal((100, 2))
     samples = Samples(position=v, velocity=v, acceleration=v, effort=effort)
@@ -209,7 +210,7 @@ def test_a_joint_that_stands_still_has_no_friction_curve(good: sdpid.Identificat
         assert each.share == 0.0
 
 
-def test_a_prediction_alone_is_judged(good: sdpid.Identification) -> None:
+def test_a_prediction_alone_is_judged(good: Identification) -> None:
     fresh = moved(arm_theta(), 3)
     (only,) = prediction_findings(fresh, sdpid.validate(good.estimate, fresh))
     assert only.level == "good"
@@ -230,7 +231,7 @@ def one_way(samples: Samples, joint: int, sign: float) -> Samples:
 
 @pytest.mark.parametrize(("sign", "word"), [(1.0, "forwards"), (-1.0, "backwards")])
 def test_a_joint_that_moves_one_way_only_is_named(
-    good: sdpid.Identification, sign: float, word: str
+    good: Identification, sign: float, word: str
 ) -> None:
     unsaid(good, "one direction only")
     samples = one_way(good.problem.samples, 0, sign)
@@ -245,7 +246,7 @@ def test_a_joint_that_moves_one_way_only_is_named(
 
 
 def test_velocity_noise_is_no_motion_and_hidden_rows_do_not_count(
-    good: sdpid.Identification,
+    good: Identification,
 ) -> None:
     samples = one_way(good.problem.samples, 1, 1.0)
     v = np.array(samples.velocity)
@@ -272,7 +273,7 @@ def test_velocity_noise_is_no_motion_and_hidden_rows_do_not_count(
     assert f"{LAST} (forwards)" in said(result, "one direction only")
 
 
-def test_without_friction_directions_do_not_matter(good: sdpid.Identification) -> None:
+def test_without_friction_directions_do_not_matter(good: Identification) -> None:
     problem = good.problem
     bare = FrictionModel.from_terms((), problem.robot.joint_names)
     samples = one_way(problem.samples, 0, 1.0)
@@ -282,7 +283,7 @@ def test_without_friction_directions_do_not_matter(good: sdpid.Identification) -
     assert not list(_one_way(result))
 
 
-def test_all_pieces_count_for_directions(good: sdpid.Identification) -> None:
+def test_all_pieces_count_for_directions(good: Identification) -> None:
     forwards, backwards = (one_way(moved(arm_theta(), 1), 0, s) for s in (1.0, -1.0))
     for pieces, named in (((forwards, backwards), False), ((forwards, forwards), True)):
         joined = Samples.join(pieces)
@@ -292,9 +293,7 @@ def test_all_pieces_count_for_directions(good: sdpid.Identification) -> None:
         assert bool(list(_one_way(result))) is named
 
 
-def test_errors_are_looked_at_once(
-    good: sdpid.Identification, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_errors_are_looked_at_once(good: Identification, monkeypatch: pytest.MonkeyPatch) -> None:
     fresh = replace(good)
     first = errors_of(fresh)
     monkeypatch.setattr("sdpid.output.report.verdict.joint_errors", None)

@@ -14,7 +14,9 @@ from tests.helpers.arm_files import ARM_URDF
 
 def test_the_parser_of_urdf_is_quoted(capfd: pytest.CaptureFixture[str]) -> None:
     bad = ARM_URDF.replace('effort="100"', 'effort="many"')
-    with pytest.raises(sdpid.ModelError, match=r"joint \[a\]: effort value \(many\)") as caught:
+    with pytest.raises(
+        sdpid.errors.ModelError, match=r"joint \[a\]: effort value \(many\)"
+    ) as caught:
         sdpid.load_robot(bad)
     assert "at line" not in str(caught.value)
     assert capfd.readouterr().err == ""
