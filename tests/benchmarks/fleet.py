@@ -65,7 +65,6 @@ def part(log: sdpid.Recording, begin: int, end: int) -> sdpid.Recording:
         position=log.position[begin:end],
         effort=log.effort[begin:end],
         joint_names=log.joint_names,
-        effort_scale=log.effort_scale,
     )
 
 

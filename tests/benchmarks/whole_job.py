@@ -154,9 +154,9 @@ def lengthen(source: Path, target: Path, times: int = TIMES) -> None:
     import pyarrow as pa
     import pyarrow.parquet as pq
 
-    from sdpid.experiment.recording.recording import Recording
+    from sdpid.experiment.readers.read import read_recording
 
-    log = Recording.from_parquet(source, stored=True)
+    log = read_recording(source, stored=True)
     layout = log.period_layout
     assert layout is not None
     first, length, periods = layout

@@ -170,7 +170,7 @@ def test_simulate_then_info(tmp_path: Path) -> None:
     done = run("simulate", ROBOT, "--out", path, "--periods", 1, "--period", 10, "--seed", 2)
     assert done.exit_code == 0, done.output
     assert "peak velocity" in done.stdout
-    record = sdpid.Recording.from_parquet(path)
+    record = sdpid.read_recording(path)
     assert (record.period, record.periods) == (10.0, 1)
     shown = run("info", path, "--robot", ROBOT)
     assert shown.exit_code == 0, shown.output
@@ -192,7 +192,7 @@ def test_simulate_any_robot_with_a_trajectory_file(tmp_path: Path) -> None:
     assert made.exit_code == 0, made.output
     again = run("simulate", "ur5_robot", "--out", second, "--trajectory", motion, "--seed", 4)
     assert again.exit_code == 0, again.output
-    one, other = sdpid.Recording.from_parquet(first), sdpid.Recording.from_parquet(second)
+    one, other = sdpid.read_recording(first), sdpid.read_recording(second)
     np.testing.assert_array_equal(one.position, other.position)
     np.testing.assert_array_equal(one.effort, other.effort)
     motion.write_text("period = 1.0")
@@ -511,7 +511,7 @@ def test_what_a_terminal_would_obey_is_not_printed(
     results: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Names from files: escapes, a reversed line, and a line of its own that claims a proof."""
-    from sdpid.assurance.certificate import certificate
+    from sdpid.assurance.certificate.certificate import certificate
 
     forged = replace(
         certificate.verify(results / "certificate.json"),

@@ -162,22 +162,18 @@ def test_joints_in_another_order_are_put_right(log: sdpid.Recording, denso: Robo
         log,
         position=log.position[:, order],
         effort=log.effort[:, order],
-        effort_scale=None if log.effort_scale is None else log.effort_scale[order],
         joint_names=tuple(names[j] for j in order),
     )
     back = match_joints(denso, mixed)
     assert back.joint_names == names
     np.testing.assert_array_equal(back.position, log.position)
     np.testing.assert_array_equal(back.effort, log.effort)
-    assert log.effort_scale is not None
-    assert back.effort_scale is not None
-    np.testing.assert_array_equal(back.effort_scale, log.effort_scale)
 
 
 def short(log: sdpid.Recording, **changes: object) -> sdpid.Recording:
     """Return the beginning of a recording, without its periods."""
     fields = {name: getattr(log, name)[:4000] for name in ("time", "position", "effort")}
-    cut = sdpid.Recording(**fields, joint_names=log.joint_names, effort_scale=log.effort_scale)
+    cut = sdpid.Recording(**fields, joint_names=log.joint_names)
     return replace(cut, **changes)  # type: ignore[arg-type]
 
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from sdpid._common.arrays import Array
 from sdpid.experiment.inspection.finding import Finding, Subject, check
-from sdpid.experiment.recording.timestamps import blocks
+from sdpid.experiment.recording.stored import blocks
 
 # Gravity below this (N.m, rms about its mean) says nothing about the efforts.
 _LEAST_GRAVITY = 1.0

@@ -109,8 +109,7 @@ class Subject:
     @cached_property
     def torque(self) -> Array:
         """Recorded effort at `rows` in N·m, shape (rows, n)."""
-        effort = np.asarray(self.log.effort[self.rows])
-        return effort if self.log.effort_scale is None else effort * self.log.effort_scale
+        return np.asarray(self.log.effort[self.rows])
 
 
 Check: TypeAlias = Callable[[Subject], Iterator[Finding]]

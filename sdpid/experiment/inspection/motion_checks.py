@@ -10,7 +10,7 @@ import numpy as np
 from sdpid.experiment.inspection.finding import Finding, Subject, check
 from sdpid.experiment.recording.degrees import suspect_units
 from sdpid.experiment.recording.recording import Recording
-from sdpid.experiment.recording.timestamps import blocks
+from sdpid.experiment.recording.stored import blocks
 from sdpid.experiment.recording.velocities import velocity_fit
 
 # No joint of an arm turns faster (rad/s); the fastest reach some 15.

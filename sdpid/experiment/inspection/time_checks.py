@@ -9,7 +9,7 @@ import numpy as np
 from sdpid.errors import DataError
 from sdpid.experiment.inspection.finding import Finding, Subject, check
 from sdpid.experiment.recording.gaps import continuous
-from sdpid.experiment.recording.timestamps import blocks
+from sdpid.experiment.recording.stored import blocks
 
 # A row is repeated where no position and no effort changes. More repeats than these in a row are
 # rest; a logger that runs faster than the robot makes fewer, many times.

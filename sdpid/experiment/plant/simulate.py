@@ -101,8 +101,7 @@ def simulate(
     Returns
     -------
     Recording
-        Efforts are currents in A, with their `effort_scale`; with `default_drives` efforts in
-        N·m.
+        Efforts in N·m: with drives the measured currents, times torque constant and gear ratio.
 
     Raises
     ------
@@ -137,7 +136,7 @@ def simulate(
                 q = np.rint(q / resolution) * resolution
                 current += plant.drives.current_noise * rng.standard_normal(current.shape)
             position[row : row + len(q)] = q
-            effort[row : row + len(q)] = current
+            effort[row : row + len(q)] = current * scale
             row += len(q)
 
     with progress_bar(total, "simulating", enabled=progress) as advance:
@@ -163,7 +162,6 @@ def simulate(
         period=trajectory.period,
         start=lead / rate,
         periods=trajectory.periods,
-        effort_scale=None if np.all(scale == 1.0) else scale,
     )
 
 

@@ -66,7 +66,6 @@ def overview(recording: Recording, robot: RobotModel | None = None) -> dict[str,
         "lost_samples": round(matched.duration / matched.step) + 1 - matched.n_samples,
         **gaps(matched),
         "velocity": None if matched.velocity is None else "measured",
-        "effort": "N.m" if matched.effort_scale is None else "turned into N.m by effort_scale",
         "period_s": matched.period,
         "periods": None if layout is None else layout[2],
         "start_s": matched.start,
@@ -81,8 +80,6 @@ def _joints(recording: Recording) -> list[dict[str, Any]]:
     """Return the range of every joint."""
     position, velocity = recording.position, recording.velocity
     effort = recording.effort
-    if recording.effort_scale is not None:
-        effort = effort * recording.effort_scale
     motion = joint_frequencies(recording)
     return [
         {

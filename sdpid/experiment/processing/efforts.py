@@ -129,7 +129,6 @@ class Efforts:
             Pieces in which a record without periods is filtered, in samples.
         """
         window, n = chain.window, log.n
-        scale = np.ones(n) if log.effort_scale is None else log.effort_scale
         columns = [log.effort[:, j] for j in range(n)]
         K, P = len(range(0, window.length, chain.decimation)), window.periods
         if not window.circular:
@@ -138,7 +137,7 @@ class Efforts:
             def whole(j: int) -> None:
                 first = 0
                 for part in chain.parts(chunk):
-                    kept = part.kept(part.period(columns[j], 0, scale=scale[j]))
+                    kept = part.kept(part.period(columns[j], 0))
                     mean[first : first + kept.size, j] = kept
                     first += kept.size
 
@@ -153,7 +152,7 @@ class Efforts:
             for p in range(P):
 
                 def one(j: int, p: int = p) -> None:
-                    values[j] = chain.kept(chain.period(columns[j], p, scale=scale[j]))
+                    values[j] = chain.kept(chain.period(columns[j], p))
 
                 each(one, range(n))
                 moments.add(values)

@@ -65,12 +65,10 @@ class Chain:
             length = min(size, window.length - first)
             yield replace(self, window=replace(window, first=window.first + first, length=length))
 
-    def period(self, column: Array, p: int, *, scale: float = 1.0) -> Array:
-        """Return one period with its margins, scaled and filtered once."""
+    def period(self, column: Array, p: int) -> Array:
+        """Return one period with its margins, filtered once."""
         pad = self.low_pass.reach
         signal = self.window.read(column, p, pad + self.margin)
-        if scale != 1.0:
-            signal = np.multiply(signal, scale, out=_writable(signal))
         return self.low_pass.apply(signal)[pad : signal.size - pad]
 
     def mean(self, column: Array) -> tuple[Array, Array, float]:

@@ -71,9 +71,8 @@ def filter_stages(
             f"window {window[0]:g} … {window[1]:g} s: {last - first} samples, too few to filter; "
             f"the recording runs from {log.time[0]:g} to {log.time[-1]:g} s."
         )
-    scale = 1.0 if log.effort_scale is None else float(log.effort_scale[joint])
     position = np.ascontiguousarray(log.position[start:stop, joint])
-    torque = log.effort[start:stop, joint] * scale
+    torque = np.ascontiguousarray(log.effort[start:stop, joint])
     smooth = low_pass.apply(position)
     velocity = difference.velocity(smooth, log.step)
     acceleration = difference.acceleration(smooth, log.step)

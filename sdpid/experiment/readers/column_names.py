@@ -15,6 +15,7 @@ from sdpid.errors import DataError
 from sdpid.experiment.readers.table import NoNumbersError, Table
 from sdpid.experiment.readers.unit_names import UNITS, split_unit
 from sdpid.experiment.recording.memory_budget import check_memory
+from sdpid.experiment.recording.stored import StoredArray
 
 __all__ = ["CONVENTIONS", "Columns"]
 
@@ -109,8 +110,8 @@ class Columns:
         scaled: bool = False,
     ) -> None:
         self._file = file
+        self._table = table
         self._arrays = {printable(name): read for name, read in table.arrays.items()}
-        self._unnamed = table.unnamed
         self._given = given
         self._scaled = scaled
         self._cache: dict[str, NDArray[Any]] = {}
@@ -120,6 +121,7 @@ class Columns:
         split = {name: split_unit(name) for name in self._arrays}
         self._plain = {name: part for name, (part, _) in split.items()}
         self._units = {name: unit for name, (_, unit) in split.items() if unit is not None}
+        self._units |= table.units
         self.used: dict[str, tuple[str, ...]] = {}
         self.implied: dict[str, str | list[str]] = {}
 
@@ -203,7 +205,7 @@ class Columns:
 
     def missing(self, quantity: str) -> DataError:
         """Return the error that a quantity was not found, and what was."""
-        if self._unnamed:
+        if self._table.unnamed:
             return DataError(
                 f"{self._file}: its {len(self._arrays)} columns have no names: the first line must "
                 "name the columns, or give their numbers from 1, as in columns={'time': 1, "
@@ -320,12 +322,15 @@ class Columns:
         """Read an array once."""
         if name not in self._cache:
             self._cache[name] = self._arrays[name]()
-            self._bytes += self._cache[name].nbytes
-            check_memory(self._file, self._bytes)
+            if not isinstance(self._cache[name], StoredArray):
+                self._bytes += self._cache[name].nbytes
+                check_memory(self._file, self._bytes)
         return self._cache[name]
 
     def _is_column(self, name: str) -> bool:
         """Tell whether an array has one value a sample."""
+        if name in self._table.plain:
+            return True
         try:
             shape = self._array(name).shape
         except NoNumbersError:
@@ -356,6 +361,8 @@ class Columns:
                 f"there; found: {self._listing()}."
             )
         self._note(quantity, keys, unit)
+        if self._table.columns is not None and self._table.plain.issuperset(keys):
+            return self._table.columns(keys)
         table: NDArray[Any] | None = None
         for j, key in enumerate(keys):
             column = self._array(key)

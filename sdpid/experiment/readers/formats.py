@@ -13,10 +13,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from sdpid._common.extras import require
 from sdpid.errors import DataError
 from sdpid.experiment.readers.hdf5 import load_hdf5
 from sdpid.experiment.readers.matlab import load_mat
+from sdpid.experiment.readers.parquet_file import load_parquet
 from sdpid.experiment.readers.ros_bag import load_rosbag
 from sdpid.experiment.readers.table import NoNumbersError, Table
 from sdpid.experiment.readers.text_file import load_text
@@ -98,60 +98,6 @@ def _frame_column(frame: Any, name: Any) -> NDArray[Any]:
         return values.astype(np.float64)
     except (TypeError, ValueError):
         raise NoNumbersError(f"data frame: '{name}' holds objects, expected numbers.") from None
-
-
-def load_parquet(path: Path) -> Table:
-    """List the columns of a Parquet file, and what `Recording.to_parquet` kept beside them."""
-    from sdpid.experiment.recording.parquet import read_metadata
-
-    pa = require("pyarrow", extra="io")
-    pq = require("pyarrow.parquet", extra="io")
-    errors = (pa.lib.ArrowException, OSError, ValueError, NotImplementedError, MemoryError)
-
-    def column(name: str) -> NDArray[Any]:
-        try:
-            with pq.ParquetFile(path) as file:
-                _check_column(path, file.metadata, name)
-            values = pq.read_table(path, columns=[name]).column(0).combine_chunks()
-        except errors as cause:
-            raise DataError(f"{path}: column '{name}' is damaged ({cause}).") from None
-        if values.null_count:
-            raise DataError(f"{path}: column '{name}' has {values.null_count} missing values.")
-        if not (pa.types.is_list(values.type) or pa.types.is_fixed_size_list(values.type)):
-            return np.asarray(values.to_numpy(zero_copy_only=False))
-        if not len(values):
-            raise DataError(f"{path}: column '{name}' has no rows.")
-        lengths = np.unique(values.value_lengths().to_numpy(zero_copy_only=False))
-        if lengths.size != 1:
-            raise DataError(
-                f"{path}: column '{name}' is ragged: its rows have {lengths.min()} to "
-                f"{lengths.max()} entries."
-            )
-        flat = np.asarray(values.flatten().to_numpy(zero_copy_only=False))
-        return flat.reshape(len(values), int(lengths[0]))
-
-    try:
-        schema = pq.read_schema(path)
-    except errors as cause:
-        raise DataError(f"{path}: not a readable Parquet file ({cause}).") from None
-    table = {name: partial(column, name) for name in schema.names}
-    metadata = read_metadata(schema.metadata, path)
-    for name in ("joint_names", "period", "start", "periods", "effort_scale"):
-        if metadata.get(name) is not None:
-            table[name] = partial(np.asarray, metadata[name])
-    return Table(table)
-
-
-def _check_column(path: Path, metadata: Any, name: str) -> None:
-    """Refuse a column that is too large: run lengths may stand for any number of values."""
-    count = 0
-    for group in range(metadata.num_row_groups):
-        row_group = metadata.row_group(group)
-        for k in range(row_group.num_columns):
-            chunk = row_group.column(k)
-            if chunk.path_in_schema.split(".")[0] == name:
-                count += max(chunk.num_values, row_group.num_rows)
-    check_claim(path, name, (count,), 8)
 
 
 # A new format is one function and one line here.

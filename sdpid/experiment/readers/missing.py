@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sdpid.errors import DataError
-from sdpid.experiment.recording.stored_file import LARGEST
+from sdpid.experiment.recording.recording import LARGEST
 
 __all__ = ["MISSING", "mend_missing"]
 

@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import os
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, field, fields
+from functools import partial
 from pathlib import Path
 from typing import Any, TypeAlias, overload
 
 import numpy as np
 from numpy.typing import NDArray
 
+from sdpid._common.arrays import real_array
 from sdpid.errors import DataError
 from sdpid.experiment.readers.column_names import CONVENTIONS
 from sdpid.experiment.readers.formats import LOADERS, load_frame
@@ -21,6 +23,7 @@ from sdpid.experiment.readers.table import row_number
 from sdpid.experiment.readers.unit_names import UNITS, is_current
 from sdpid.experiment.recording.motor_side import MotorSide
 from sdpid.experiment.recording.recording import Recording
+from sdpid.experiment.recording.stored import transformed
 from sdpid.experiment.recording.timestamps import guess_time_unit
 
 __all__ = ["Reading", "read_described", "read_recording"]
@@ -108,10 +111,15 @@ def read_recording(path: Any, **how: Any) -> Any:
     missing : {"refuse", "drop", "interpolate"}, optional
         What to do with samples that have no value (NaN, or an empty field): refuse the log (the
         default), drop the samples, or interpolate linearly over gaps of at most 10 samples.
-    period, start, periods, effort_scale : optional
+    period, start, periods : optional
         As in `Recording`; override what the file says.
+    effort_scale : (n,) array_like, optional
+        N·m per unit of effort, where efforts are currents on the joints' side: the torque constant
+        times the gear ratio. Efforts are multiplied by it.
     stored : bool, optional
-        Leave the values of a Parquet file in it; see `Recording.from_parquet`.
+        Whether to keep the values of a Parquet file in temporary files that are mapped into
+        memory, so that a log may be larger than memory; by default those of logs that would take
+        more than 256 MB. `TMPDIR` says where they lie.
 
     Returns
     -------
@@ -158,29 +166,20 @@ def read_described(
         selection = select(file, load_frame(path), **options.selection)
         return _converted(file, selection, options, row_number, mapped)
     suffix = _suffix(file)
-    own = _own_recording(file, stored) if suffix == ".parquet" and options.plain else None
-    if own is not None:
-        changed = {name: v for name in _STATED if (v := getattr(options, name)) is not None}
-        recording = replace(own, **changed) if changed else own
-        sources = {"all": "as written by Recording.to_parquet"}
-        return Reading(recording=recording, file=str(file), mapping=mapped, sources=sources)
-    if stored:
-        raise DataError(
-            f"{file}: stored=True leaves the values in a Parquet file with the columns of "
-            "Recording.to_parquet, read without columns, units, motors and joint_names; write one, "
-            "or leave stored out."
-        )
     choices: dict[str, Any] = {}
     if suffix in _BAGS:
         choices = {"topic": options.topic, "joint_names": options.joint_names}
     elif options.topic is not None:
         raise DataError(f"{file}: topic is for ROS bags; this is a file {suffix}.")
+    if suffix == ".parquet":
+        choices = {"stored": stored}
+    elif stored:
+        raise DataError(
+            f"{file}: stored=True keeps the values of Parquet files on disk; this is a file "
+            f"{suffix}. Write it as Parquet (Recording.to_parquet), or leave stored out."
+        )
     selection, place = read_selection(file, suffix, choices, options.selection)
     return _converted(file, selection, options, place, mapped)
-
-
-# What a recording states beside its arrays.
-_STATED = ("period", "start", "periods", "effort_scale")
 
 
 @dataclass(kw_only=True)
@@ -198,13 +197,6 @@ class _Options:
     start: float | None = None
     periods: int | None = None
     effort_scale: Any = None
-
-    @property
-    def plain(self) -> bool:
-        """Whether the columns are to be read as they are."""
-        return not (self.columns or self.units or self.joint_names or self.motors) and (
-            self.missing == "refuse"
-        )
 
     @property
     def scaled(self) -> bool:
@@ -318,11 +310,17 @@ def _converted(
     time, tables, note = mend_missing(file, time, tables, used, place, options.missing)
     tables = {name: _scaled(table, name, units, order, motors) for name, table in tables.items()}
     if motors is not None:
-        tables = {name: motors.to_joints(name, table) for name, table in tables.items()}
+        tables = {
+            name: transformed(table, partial(motors.to_joints, name))
+            for name, table in tables.items()
+        }
         if order is not None:
             tables = {name: _picked(file, name, table, order) for name, table in tables.items()}
-    if order is not None and options.effort_scale is None and scale is not None:
-        scale = np.asarray(scale)[order] if np.size(scale) > max(order) else scale
+    if scale is not None:
+        if order is not None and options.effort_scale is None and np.size(scale) > max(order):
+            scale = np.asarray(scale)[order]
+        scale = _checked_scale(file, scale, tables["effort"].shape[1])
+        tables["effort"] = transformed(tables["effort"], lambda values: values * scale)
     stated = {
         name: value if (value := getattr(options, name)) is not None else found.numbers.get(name)
         for name in ("period", "start", "periods")
@@ -335,7 +333,6 @@ def _converted(
             velocity=tables.get("velocity"),
             joint_names=names,
             **{**stated, "periods": _whole(stated["periods"])},
-            effort_scale=scale,
         )
     except DataError as cause:
         raise DataError(f"{file}: {cause}") from None
@@ -353,6 +350,17 @@ def _converted(
     return Reading(recording=recording, file=str(file), mapping=mapped, sources=sources)
 
 
+def _checked_scale(file: Path, scale: Any, count: int) -> NDArray[np.float64]:
+    """Return the factors from the unit of effort to N.m, one for each joint that is read."""
+    factors = np.atleast_1d(real_array(scale, f"{file}: effort_scale", ndim=np.ndim(scale)))
+    if factors.shape != (count,) or not factors.all():
+        raise DataError(
+            f"{file}: effort_scale: is {factors.tolist()}, expected {count} non-zero factors, one "
+            "for each joint."
+        )
+    return factors
+
+
 def _column_names(
     found: Selection, quantity: str, order: list[int] | None, motors: MotorSide | None
 ) -> list[str]:
@@ -362,15 +370,6 @@ def _column_names(
         labels = found.labels
         used = [f"{used[0]} of joint {labels[j] if labels else j + 1}" for j in range(count)]
     return used if order is None or motors is not None else [used[j] for j in order]
-
-
-def _own_recording(file: Path, stored: bool | None) -> Recording | None:
-    """Read a file with the columns of `Recording.to_parquet`; None when it has others."""
-    found = LOADERS[".parquet"](file).arrays
-    wanted = ("time", "position_", "effort_")
-    if all(any(name.startswith(prefix) for name in found) for prefix in wanted):
-        return Recording.from_parquet(file, stored=stored)
-    return None
 
 
 def _as_names(value: Any) -> Any:
@@ -429,7 +428,7 @@ def _picked(file: Path, name: str, table: NDArray[Any], order: list[int]) -> NDA
         raise DataError(
             f"{file}: {name} has {table.shape[1]} columns, too few for column {max(order) + 1}."
         )
-    return table[:, order]
+    return transformed(table, lambda part: part[:, order])
 
 
 def _scaled(
@@ -452,14 +451,15 @@ def _scaled(
             )
     factors = np.array([UNITS[quantity][one] for one in each])
     if isinstance(unit, str):
-        return values if factors[0] == 1.0 else np.asarray(values * factors[0])
-    if order is not None and motors is None and len(each) > max(order):
+        if factors[0] == 1.0:
+            return values
+    elif order is not None and motors is None and len(each) > max(order):
         factors = factors[order]
-    if len(factors) != values.shape[1]:
+    if not isinstance(unit, str) and len(factors) != values.shape[1]:
         raise DataError(
             f"units: {len(each)} units for {quantity}, which has the shape {values.shape}."
         )
-    return np.asarray(values * factors)
+    return transformed(values, lambda part: part * factors)
 
 
 def _time(

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
 from typing import Any
 
 from numpy.typing import NDArray
@@ -39,8 +39,17 @@ class Table:
         Says where sample k, counted from 0, stands in the file; for messages.
     unnamed : bool
         Whether columns have numbers from 1 instead of names.
+    columns : callable, optional
+        Reads several plain columns at once, as a table.
+    plain : frozenset of str
+        Names that are known to be columns of numbers.
+    units : mapping
+        Units that are known for some names.
     """
 
     arrays: Arrays
     place: Callable[[int], str] = row_number
     unnamed: bool = False
+    columns: Callable[[Sequence[str]], NDArray[Any]] | None = None
+    plain: frozenset[str] = frozenset()
+    units: Mapping[str, str] = field(default_factory=dict)

@@ -138,7 +138,7 @@ def _may_wrap(log: Recording) -> list[int]:
     if float(position.max()) - float(position.min()) < least:
         return []
     if log.stored:
-        # Their file knows the ranges; steps would have to be decoded.
+        # Ranges are found in pieces; steps would take memory.
         return np.flatnonzero(position.max(axis=0) - position.min(axis=0) >= least).tolist()
     for first in range(0, log.n_samples - 1, _BLOCK):
         part = position[first : first + _BLOCK + 1]

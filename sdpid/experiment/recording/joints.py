@@ -4,10 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import partial
 from itertools import takewhile
 
 from sdpid.errors import DataError
 from sdpid.experiment.recording.recording import Recording
+from sdpid.experiment.recording.stored import transformed
 from sdpid.robot.model.model import RobotModel
 
 __all__ = ["joint_columns", "match_joints"]
@@ -50,12 +52,12 @@ def match_joints(robot: RobotModel, log: Recording) -> Recording:
     order = joint_columns(robot, names)
     if order == list(range(log.n)):
         return replace(log, joint_names=robot.joint_names)
+    picked = partial(transformed, function=lambda values: values[:, order])
     return replace(
         log,
-        position=log.position[:, order],
-        effort=log.effort[:, order],
-        velocity=None if log.velocity is None else log.velocity[:, order],
-        effort_scale=None if log.effort_scale is None else log.effort_scale[order],
+        position=picked(log.position),
+        effort=picked(log.effort),
+        velocity=None if log.velocity is None else picked(log.velocity),
         joint_names=robot.joint_names,
     )
 

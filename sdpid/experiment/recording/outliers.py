@@ -8,7 +8,7 @@ import numpy as np
 
 from sdpid.errors import DataError
 from sdpid.experiment.recording.recording import Recording
-from sdpid.experiment.recording.timestamps import blocks
+from sdpid.experiment.recording.stored import blocks
 
 __all__ = ["require_no_outliers"]
 

@@ -10,13 +10,16 @@ from typing import Any
 import numpy as np
 
 from sdpid._common.arrays import Array, frozen_view, real_array
+from sdpid._common.text import printable
 from sdpid.errors import DataError
-from sdpid.experiment.recording.stored import StoredColumn, StoredTable
-from sdpid.experiment.recording.stored_file import LARGEST
+from sdpid.experiment.recording.stored import StoredArray
 from sdpid.experiment.recording.timestamps import Stamps
 
-__all__ = ["Recording"]
+__all__ = ["LARGEST", "Recording"]
 
+# No robot moves, turns or pulls so much, in SI units, nor since 1970 have so many seconds passed;
+# squares of what is below are far from overflow.
+LARGEST = 1e12
 # The end of the last period may be off by this many samples. A period that does not divide the
 # record is off by many; half a sample is where the nearest sample becomes another one.
 _PERIOD_SLACK = 0.5
@@ -38,7 +41,7 @@ class Recording:
     position : (N, n) array_like
         Joint positions in rad (m for a prismatic joint).
     effort : (N, n) array_like
-        Joint efforts in N·m (N), or in another unit when `effort_scale` is given.
+        Joint efforts in N·m (N). `read_recording` turns currents into torques.
     velocity : (N, n) array_like, optional
         Measured joint velocities in rad/s (m/s).
     joint_names : sequence of str, optional
@@ -50,9 +53,6 @@ class Recording:
     periods : int, optional
         Number of whole periods from `start` on. By default as many as the record holds, which
         then must be a whole number.
-    effort_scale : (n,) array_like, optional
-        N·m per unit of effort: the torque constant times the gear ratio when currents in A were
-        logged. None means that efforts are in N·m already.
 
     Attributes
     ----------
@@ -63,7 +63,7 @@ class Recording:
     ------
     DataError
         When the arrays are ragged, not finite or of different lengths, when time does not
-        increase, when names or scales do not match the joints, or when the period does not
+        increase, when names do not match the joints, or when the period does not
         divide the record.
     """
 
@@ -75,7 +75,6 @@ class Recording:
     period: float | None = None
     start: float | None = None
     periods: int | None = None
-    effort_scale: Array | None = None
     stamps: Stamps = field(init=False)
 
     def __post_init__(self) -> None:
@@ -85,9 +84,7 @@ class Recording:
         time: Any = _kept(self, "time", 1)
         if time.size < _LEAST_SAMPLES:
             raise DataError(f"time: has {time.size} samples, at least {_LEAST_SAMPLES} are needed.")
-        # A pass over a stored column is not repeated for every changed copy of a recording.
-        once = time.remembered if isinstance(time, StoredColumn) else None
-        object.__setattr__(self, "stamps", once(Stamps.of) if once else Stamps.of(time))
+        object.__setattr__(self, "stamps", Stamps.of(time))
         position = _kept(self, "position", 2)
         n = position.shape[1]
         if n == 0:
@@ -102,13 +99,6 @@ class Recording:
                     )
         if self.joint_names is not None:
             object.__setattr__(self, "joint_names", checked_names(self.joint_names, n))
-        if self.effort_scale is not None:
-            scale = _kept(self, "effort_scale", 1)
-            if scale.shape != (n,) or not scale.all():
-                raise DataError(
-                    f"effort_scale: is {scale.tolist()}, expected {n} non-zero factors, one for "
-                    "each joint."
-                )
         self._check_period()
 
     def __repr__(self) -> str:
@@ -143,8 +133,8 @@ class Recording:
 
     @property
     def stored(self) -> bool:
-        """Whether the arrays stay in their file; see `from_parquet`."""
-        return isinstance(self.position, StoredTable)
+        """Whether the arrays lie in temporary files; see `read_recording`."""
+        return isinstance(self.position, StoredArray) and self.position.mapped
 
     @property
     def rate_hz(self) -> float:
@@ -239,35 +229,15 @@ class Recording:
         MissingExtraError
             When pyarrow is not installed (extra ``io``).
         """
-        from sdpid.experiment.recording.parquet import write_parquet
+        from sdpid.experiment.recording.parquet import write_columns
 
-        write_parquet(self, path)
-
-    @staticmethod
-    def from_parquet(path: str | os.PathLike[str], *, stored: bool | None = None) -> Recording:
-        """Read a file that `to_parquet` wrote, or one with the same columns.
-
-        Parameters
-        ----------
-        path : path-like
-            The file.
-        stored : bool, optional
-            True leaves the values in the file, where `position[:, j]` and the others are then
-            columns that are decoded piece by piece as they are read (see
-            `sdpid.experiment.recording.stored`), so that a recording may be larger than memory. The
-            file must stay as it is. Time stamps are checked at once, other values as they are read.
-            By default true for files whose values would take more than 256 MB.
-
-        Raises
-        ------
-        DataError
-            When the file is missing, damaged, or lacks a column.
-        MissingExtraError
-            When pyarrow is not installed (extra ``io``).
-        """
-        from sdpid.experiment.recording.parquet import read_parquet
-
-        return read_parquet(path, stored=stored)
+        columns = {"time": self.time}
+        for quantity in ("position", "effort", "velocity"):
+            table = getattr(self, quantity)
+            if table is not None:
+                columns |= {f"{quantity}_{name}": table[:, j] for j, name in enumerate(self.names)}
+        stated = ("n", "joint_names", "period", "start", "periods")
+        write_columns(path, columns, {name: getattr(self, name) for name in stated})
 
 
 def checked_names(names: Any, n: int) -> tuple[str, ...]:
@@ -283,7 +253,7 @@ def checked_names(names: Any, n: int) -> tuple[str, ...]:
     result = tuple(names)
     if any(not isinstance(name, str) or not name for name in result):
         raise DataError(f"joint_names: {result} holds something that is not a name.")
-    result = tuple(str(name) for name in result)
+    result = tuple(printable(str(name)) for name in result)
     if len(result) != n:
         raise DataError(
             f"joint_names: {len(result)} names ({', '.join(result)}) for {n} joints (columns)."
@@ -297,9 +267,9 @@ def checked_names(names: Any, n: int) -> tuple[str, ...]:
 def _kept(record: Recording, name: str, ndim: int) -> Array:
     """Check the array in a field and put it back as a read-only contiguous view."""
     given: Any = getattr(record, name)
-    if isinstance(given, (StoredColumn, StoredTable)) and given.ndim == ndim:
-        # Its values are checked as they are decoded.
-        return given  # type: ignore[return-value]
+    if isinstance(given, StoredArray) and given.mapped and given.ndim == ndim:
+        # Its columns stay one after the other. Its values were checked when it was read.
+        return given
     array = np.ascontiguousarray(given) if _sound(given, ndim) else _checked(given, name, ndim)
     view: Array = frozen_view(array)
     object.__setattr__(record, name, view)

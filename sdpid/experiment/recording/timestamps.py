@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
 
@@ -10,8 +9,9 @@ import numpy as np
 
 from sdpid._common.arrays import Array
 from sdpid.errors import DataError
+from sdpid.experiment.recording.stored import blocks
 
-__all__ = ["Stamps", "blocks", "guess_time_unit"]
+__all__ = ["Stamps", "guess_time_unit"]
 
 # A step longer than this many median steps may hold a lost sample, or end with a late stamp.
 _LONG = 1.5
@@ -59,12 +59,11 @@ class Stamps:
     def of(time: Any) -> Stamps:
         """Look at all stamps, block by block.
 
-        Where steps differ by half or more, lost samples are looked for; a stored column is then
-        read into an array.
+        Where steps differ by half or more, lost samples are looked for.
 
         Parameters
         ----------
-        time : (N,) ndarray or StoredColumn
+        time : (N,) ndarray
             The stamps, finite.
 
         Raises
@@ -75,7 +74,7 @@ class Stamps:
         least, most, row, wrong = np.inf, -np.inf, 0, 0
         said = ""
         first = last = np.nan
-        for begin, values in blocks(time):
+        for begin, values in blocks(time, _BLOCK):
             # With the stamp before, so that no step between blocks is missed.
             steps = np.diff(values, prepend=last) if begin else np.diff(values)
             if steps.size:
@@ -108,15 +107,6 @@ class Stamps:
     def step(self) -> float:
         """The duration over the number of steps, lost samples counted."""
         return (self.last - self.first) / (self.count - 1 + self.lost)
-
-
-def blocks(column: Any) -> Iterator[tuple[int, Array]]:
-    """Yield the first rows and the values of pieces of an array, or of a stored column."""
-    if not isinstance(column, np.ndarray):
-        yield from column.blocks()
-        return
-    for begin in range(0, column.size, _BLOCK):
-        yield begin, column[begin : begin + _BLOCK]
 
 
 def guess_time_unit(time: Any) -> str:

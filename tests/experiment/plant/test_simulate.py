@@ -210,13 +210,12 @@ def test_record_layout_and_sensors(robot: RobotModel, theta: Array, short: Traje
     assert exact.n_samples == noisy.n_samples == short.n_samples
     assert (noisy.start, noisy.period, noisy.periods) == (9.0, 16.0, 3)
     assert noisy.joint_names == robot.joint_names
-    assert noisy.effort_scale is not None
     expected = np.array([45.6, 60.8, 26.4, 21.0, 21.0, 21.0])
-    np.testing.assert_allclose(noisy.effort_scale, expected)
+    np.testing.assert_allclose(drives.effort_scale, expected)
     counts = noisy.position / drives.resolution
     np.testing.assert_allclose(counts, np.rint(counts), atol=1e-6)
     assert np.all(np.abs(noisy.position - exact.position) <= drives.resolution / 2 * (1 + 1e-9))
-    noise = noisy.effort - exact.effort
+    noise = (noisy.effort - exact.effort) / drives.effort_scale
     np.testing.assert_allclose(noise.std(axis=0), 0.05, rtol=0.02)
     assert np.abs(noise.mean(axis=0)).max() < 5 * 0.05 / np.sqrt(len(noise))
     # The record is continuous, through the settling period and both ends of the periods.
@@ -326,7 +325,6 @@ def test_any_robot_is_simulated_and_found_again(name: str) -> None:
     robot = load_robot(name)
     trajectory = default_motion(robot, 1, period=10.0, periods=2)
     log = simulate(robot, trajectory, noise=False, progress=False)
-    assert log.effort_scale is None
     assert log.n_samples == trajectory.n_samples
     theta = default_parameters(robot, trajectory)
     settings = Processing(covariance=None, cutoff_hz=20.0, order=4)

@@ -111,7 +111,7 @@ def test_long_records_are_averaged_first(
     monkeypatch.setattr(motion_module, "_BLOCK", 777)
     if stored:
         log.to_parquet(tmp_path / "log.parquet")
-        log = sdpid.Recording.from_parquet(tmp_path / "log.parquet", stored=True)
+        log = sdpid.read_recording(tmp_path / "log.parquet", stored=True)
         assert log.stored
     # The resolution of either is the inverse of the record's length.
     assert motion_frequency(log) == pytest.approx(expected, abs=1.5 / 40.3)

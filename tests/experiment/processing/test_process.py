@@ -12,11 +12,11 @@ from scipy import signal
 
 from sdpid.errors import DataError
 from sdpid.experiment.preparation.several import chosen_processing
-from sdpid.experiment.processing import process as processing_module
 from sdpid.experiment.processing.choose import default_processing
 from sdpid.experiment.processing.derivatives import Weights, stencil
 from sdpid.experiment.processing.filters import low_pass
 from sdpid.experiment.processing.process import Processing, process
+from sdpid.experiment.processing.process import process as processing_module
 from sdpid.experiment.readers.read import read_recording
 from sdpid.experiment.recording.recording import Recording
 from sdpid.experiment.recording.uniform_grid import make_grid
@@ -222,7 +222,7 @@ def test_pieces_do_not_show(monkeypatch: pytest.MonkeyPatch):
 
 def test_paper_is_the_literal_chain():
     """III-C step by step on the whole record, in the paper's order, with SciPy's filtfilt."""
-    log = replace(periodic(4, lead=3.0, noise=0.01), effort_scale=np.array([45.6, -3.0]))
+    log = periodic(4, lead=3.0, noise=0.01)
     samples = process(log, Processing.paper())
 
     b, a = signal.butter(1, 10.0, fs=RATE)
@@ -230,7 +230,7 @@ def test_paper_is_the_literal_chain():
     def low_pass(values: np.ndarray) -> np.ndarray:
         return signal.filtfilt(b, a, values, axis=0)
 
-    torque = low_pass(log.effort * log.effort_scale)
+    torque = low_pass(log.effort)
     position = low_pass(log.position)
     velocity, acceleration = np.zeros_like(position), np.zeros_like(position)
     velocity[1:-1] = (position[2:] - position[:-2]) * RATE / 2
@@ -510,13 +510,6 @@ def test_periods_that_do_not_repeat():
     log = periodic(3)
     with pytest.raises(DataError, match="periods of joint 1 do not repeat"):
         process(replace(log, period=1.5, periods=4), Processing(covariance=None))
-
-
-def test_effort_in_amperes():
-    log = periodic(3, noise=0.1)
-    scaled = process(replace(log, effort_scale=[2.0, -3.0]), ALL_ROWS)
-    direct = process(replace(log, effort=log.effort * [2.0, -3.0]), ALL_ROWS)
-    np.testing.assert_array_equal(scaled.effort, direct.effort)
 
 
 def test_joints_do_not_mix():

@@ -68,7 +68,6 @@ def test_a_mapping_beside_the_log(tmp_path: Path):
     np.testing.assert_allclose(log.position, Q, atol=1e-12)
     np.testing.assert_allclose(log.velocity, DQ, atol=1e-12)
     np.testing.assert_allclose(log.effort, TAU, atol=1e-12)
-    assert log.effort_scale is None
     assert log.joint_names == ("base", "wrist", "hand")
     assert log.period_layout == (0, 4, 2)
     assert reading.mapping == str(tmp_path / "run.toml")

@@ -68,10 +68,9 @@ def test_columns_units_and_overrides(tmp_path: Path):
     np.testing.assert_allclose(log.position, Q, rtol=1e-15)
     np.testing.assert_allclose(log.time, T, rtol=1e-15)
     np.testing.assert_allclose(log.velocity, DQ * 2 * np.pi / 60, rtol=1e-15)
-    np.testing.assert_array_equal(log.effort, TAU)
+    np.testing.assert_array_equal(log.effort, TAU * [2.0, 3.0])
     assert log.period_layout == (0, 2, 3)
     assert log.joint_names == ("x", "y")
-    assert log.effort_scale.tolist() == [2.0, 3.0]
     columns = {"effort": "current", "velocity": None}
     assert read_recording(file, columns=columns).velocity is None
 
@@ -110,9 +109,7 @@ def test_numbered_columns_are_in_numeric_order(tmp_path: Path):
 
 def test_own_parquet_and_overrides(tmp_path: Path):
     file = tmp_path / "log.PARQUET"
-    log = Recording(
-        time=T, position=Q, effort=TAU, joint_names=("a", "b"), period=1.0, effort_scale=[1.0, 2.0]
-    )
+    log = Recording(time=T, position=Q, effort=TAU, joint_names=("a", "b"), period=1.0)
     log.to_parquet(file)
     again = read_recording(file)
     assert again.period == 1.0
@@ -120,7 +117,6 @@ def test_own_parquet_and_overrides(tmp_path: Path):
     assert read_recording(file, period=1.5).period == 1.5
     turned = read_recording(file, joint_names=("b", "a"))
     np.testing.assert_array_equal(turned.position, Q[:, ::-1])
-    assert turned.effort_scale.tolist() == [2.0, 1.0]
     assert turned.period == 1.0
 
 
@@ -135,7 +131,7 @@ def test_foreign_parquet_with_lists(tmp_path: Path):
     with pytest.raises(DataError, match="'q' is ragged: its rows have 1 to 2"):
         read_recording(file)
     pq.write_table(pa.table({"t": [0.0, 1.0], "q": [1.0, None], "tau": [1.0, 2.0]}), file)
-    with pytest.raises(DataError, match="'q' has 1 missing values"):
+    with pytest.raises(DataError, match="row 2: position: 'q' has no value"):
         read_recording(file)
 
 

@@ -288,7 +288,7 @@ def test_a_stored_record_is_split_and_continued_as_well(tmp_path: Path) -> None:
     position[:, 1] = np.mod(2.0 * log.time + position[:, 1], 2.0 * np.pi)
     log = replace(log, position=position)
     log.to_parquet(tmp_path / "log.parquet")
-    stored = sdpid.Recording.from_parquet(tmp_path / "log.parquet", stored=True)
+    stored = sdpid.read_recording(tmp_path / "log.parquet", stored=True)
     assert stored.stored
     samples, expected = (process(each, default_processing(each)) for each in (stored, log))
     assert samples.notes == expected.notes

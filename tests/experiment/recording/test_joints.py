@@ -24,7 +24,6 @@ def log_of(names: tuple[str, ...] | None, joints: int | None = None) -> sdpid.Re
         effort=columns,
         velocity=columns,
         joint_names=names,
-        effort_scale=np.arange(1.0, n + 1.0),
     )
 
 
@@ -32,10 +31,8 @@ def columns_of(robot: sdpid.RobotModel, log: sdpid.Recording) -> list[int]:
     matched = match_joints(robot, log)
     assert matched.joint_names == robot.joint_names
     assert matched.velocity is not None
-    assert matched.effort_scale is not None
     np.testing.assert_array_equal(matched.position, matched.effort)
     np.testing.assert_array_equal(matched.position, matched.velocity)
-    np.testing.assert_array_equal(matched.position[0], matched.effort_scale - 1.0)
     return matched.position[0].astype(int).tolist()
 
 

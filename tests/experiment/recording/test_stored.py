@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-import os
 import pickle
-import tracemalloc
+import subprocess
+import sys
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -18,15 +18,16 @@ from hypothesis import strategies as st
 from scipy import signal
 
 from sdpid.errors import DataError
-from sdpid.experiment import efforts, parquet, stamps, stored_file
-from sdpid.experiment.preparation.for_robot import prepare
+from sdpid.experiment.processing import efforts
 from sdpid.experiment.processing import process as processing_module
 from sdpid.experiment.processing.efforts import Moments, in_threads
 from sdpid.experiment.processing.process import Processing, process
+from sdpid.experiment.readers import parquet_file
 from sdpid.experiment.readers.read import read_recording
+from sdpid.experiment.recording import stored
+from sdpid.experiment.recording import timestamps as stamps
 from sdpid.experiment.recording.joints import match_joints
 from sdpid.experiment.recording.recording import Recording
-from sdpid.experiment.recording.stored import StoredColumn, StoredTable
 from sdpid.experiment.recording.timestamps import Stamps
 from tests.helpers.robots import small_arm
 
@@ -50,7 +51,7 @@ def make(seconds: float = 12.0, lead: float = 0.0, jitter: float = 0.0, **fields
     )
 
 
-PERIODIC = {"period": 2.0, "periods": 6, "effort_scale": [2.0, -1.0]}
+PERIODIC = {"period": 2.0, "periods": 6}
 RECORDS: dict[str, tuple[Recording, Processing]] = {
     "periodic": (make(**PERIODIC), QUICK),
     "with a lead": (make(lead=1.5, start=1.5, **PERIODIC), QUICK),
@@ -60,7 +61,7 @@ RECORDS: dict[str, tuple[Recording, Processing]] = {
         replace(QUICK, covariance="pooled", shrinkage=0.5, velocity="measured"),
     ),
     "no covariance": (make(**PERIODIC), replace(QUICK, covariance=None)),
-    "without periods": (make(effort_scale=[1.0, 3.0]), QUICK),
+    "without periods": (make(), QUICK),
     "by stamp": (make(jitter=0.4), replace(QUICK, timing="resample")),
     "jitter": (make(jitter=0.2, **PERIODIC), QUICK),
 }
@@ -79,8 +80,9 @@ def file_of(request: pytest.FixtureRequest, tmp_path: Path, monkeypatch: pytest.
         pq.write_table(table.replace_schema_metadata(schema.metadata), file, row_group_size=rows)
         return file
 
-    monkeypatch.setattr(stored_file, "ROWS", 37)
-    monkeypatch.setattr(stored_file, "_BUFFER", 1000)
+    monkeypatch.setattr(stored, "ROWS", 37)
+    monkeypatch.setattr(parquet_file, "ROWS", 37)
+    monkeypatch.setattr(parquet_file, "_BUFFER", 1000)
     monkeypatch.setattr(processing_module, "_CHUNK", 250)
     return write
 
@@ -88,7 +90,7 @@ def file_of(request: pytest.FixtureRequest, tmp_path: Path, monkeypatch: pytest.
 @pytest.mark.parametrize("case", RECORDS)
 def test_samples_are_the_same_to_the_last_bit(case: str, file_of: Any):
     log, processing = RECORDS[case]
-    again = Recording.from_parquet(file_of(log), stored=True)
+    again = read_recording(file_of(log), stored=True)
     assert again.stored
     assert not log.stored
     expected, samples = process(log, processing), process(again, processing)
@@ -101,98 +103,68 @@ def test_samples_are_the_same_to_the_last_bit(case: str, file_of: Any):
     assert (samples.effort_periods is None) == (expected.effort_periods is None)
 
 
-def test_every_value_is_decoded_once(file_of: Any, monkeypatch: pytest.MonkeyPatch):
-    log = replace(make(lead=2.0, start=2.0, **PERIODIC), velocity=None)
-    file = file_of(log)
-    count: dict[str, int] = {}
-    real = stored_file._checked
-
-    def counted(column: Any, name: str, begin: int, path: Path) -> Any:
-        count[name] = count.get(name, 0) + len(column)
-        return real(column, name, begin, path)
-
-    monkeypatch.setattr(stored_file, "_checked", counted)
-    # More than what two periods have in common, which else is decoded again once.
-    monkeypatch.setattr(stored_file, "ROWS", 300)
-    for kind in (StoredColumn, StoredTable):
-        monkeypatch.setattr(kind, "__array__", None)
-    prepare(ARM, read_recording(file, stored=True), QUICK)
-    assert set(count) == {"time", *(f"{q}_{j}" for q in ("position", "effort") for j in "12")}
-    # Not even all of it: what follows the last period is not needed.
-    assert count.pop("time") == log.n_samples
-    assert all(log.n_samples - 400 < each <= log.n_samples for each in count.values())
-
-
 def test_memory_does_not_grow_with_the_record(tmp_path: Path):
+    """The most that a process has in memory, of a record and of one ten times as long."""
     peaks = []
-    # The first is for what is imported and compiled on the way.
-    for periods in (3, 4, 24):
+    for periods in (8, 80):
         file = tmp_path / f"{periods}.parquet"
-        make(40.0 * periods, period=40.0).to_parquet(file)
-        processing = replace(QUICK, covariance=None)
-        with pytest.MonkeyPatch.context() as patch:
-            patch.setattr(efforts, "_MOST_KEPT", 0)
-            patch.setattr(efforts, "_cores", lambda: 1)
-            patch.setattr(stored_file, "ROWS", 1000)
-            tracemalloc.start()
-            samples = process(Recording.from_parquet(file, stored=True), processing)
-            peaks.append(tracemalloc.get_traced_memory()[1])
-            tracemalloc.stop()
-        assert samples.effort_periods is None
-        assert any("efforts of the single periods not kept" in note for note in samples.notes)
-    decoded = 8 * 24 * 4000 * (1 + 3 * JOINTS)
-    # Small objects come and go; the record itself grew sixfold.
-    assert peaks[2] < 1.3 * peaks[1] < 0.1 * decoded
+        make(200.0 * periods, period=200.0).to_parquet(file)
+        code = (
+            "import sys; "
+            "from sdpid.experiment.processing import efforts; "
+            "from sdpid.experiment.recording import stored; "
+            "from sdpid.experiment.readers import read; "
+            "from sdpid.experiment.processing.process import Processing, process; "
+            "from tests.benchmarks.timing import peak; "
+            "efforts._MOST_KEPT = 0; stored.ROWS = 10_000; "
+            "log = read.read_recording(sys.argv[1], stored=True); "
+            "samples = process(log, Processing(cutoff_hz=10.0, covariance=None)); "
+            "assert samples.effort_periods is None; print(peak())"
+        )
+        done = subprocess.run(
+            [sys.executable, "-c", code, str(file)], capture_output=True, text=True, check=True
+        )
+        peaks.append(int(done.stdout))
+    values = 8 * 200 * 100 * (80 - 8) * (1 + 3 * JOINTS)
+    assert peaks[1] - peaks[0] < 0.3 * values
 
 
 @settings(max_examples=60, deadline=None)
 @given(data=st.data())
-def test_columns_are_read_like_arrays(
-    data: st.DataObject, tmp_path_factory: pytest.TempPathFactory
-):
-    size = data.draw(st.integers(1, 40))
-    values = np.random.default_rng(0).standard_normal((size, 3))
-    file = tmp_path_factory.mktemp("columns") / "log.parquet"
-    groups = data.draw(st.integers(1, 45))
-    names = ["a", "b", "c"]
-    pq.write_table(pa.table(dict(zip(names, values.T, strict=True))), file, row_group_size=groups)
+def test_stored_arrays_are_as_others(data: st.DataObject):
+    size, width = data.draw(st.integers(1, 40)), data.draw(st.integers(1, 3))
+    values = np.random.default_rng(0).standard_normal((size, width))
+    part = data.draw(st.integers(1, 45))
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(stored_file, "ROWS", data.draw(st.integers(1, 10)))
-        source = stored_file.StoredFile.of(file, pq.read_metadata(file), names)
-        table = StoredTable(source, [0, 1, 2])
-        column = table[:, 1]
-        assert (len(column), column.shape, column.size) == (size, (size,), size)
-        assert (table.shape, len(table), table.size) == ((size, 3), size, 3 * size)
-        for _ in range(6):
-            bounds = st.none() | st.integers(-50, 50)
-            step = st.none() | st.sampled_from([1, 2, 3, -1])
-            part = slice(data.draw(bounds), data.draw(bounds), data.draw(step))
-            np.testing.assert_array_equal(column[part], values[part, 1])
-            np.testing.assert_array_equal(table[part], values[part])
-            np.testing.assert_array_equal(table[part, -1], values[part, -1])
-            rows = data.draw(st.lists(st.integers(0, size - 1), max_size=5))
-            picked = np.array(rows, dtype=np.intp)
-            np.testing.assert_array_equal(column[picked], values[picked, 1])
-            row = data.draw(st.integers(-size, size - 1))
-            assert column[row] == values[row, 1]
-            np.testing.assert_array_equal(table[row], values[row])
-        np.testing.assert_array_equal(np.asarray(column), values[:, 1])
-        np.testing.assert_array_equal(np.asarray(table[:, [2, 0]]), values[:, [2, 0]])
-        np.testing.assert_array_equal(column[values[:, 0] > 0], values[values[:, 0] > 0, 1])
-        for axis in (0, None):
-            np.testing.assert_array_equal(table.min(axis=axis), values.min(axis=axis))
-            np.testing.assert_array_equal(table.max(axis=axis), values.max(axis=axis))
-            np.testing.assert_allclose(table.mean(axis=axis), values.mean(axis=axis), atol=1e-15)
-        for function in (np.min, np.max, np.mean, np.ptp, np.std):
-            assert function(column) == pytest.approx(function(values[:, 1]), abs=1e-14)
-        np.testing.assert_array_equal(np.abs(column - 1.0), np.abs(values[:, 1] - 1.0))
-        np.testing.assert_array_equal(table * np.arange(3.0), values * np.arange(3.0))
-        sent = pickle.loads(pickle.dumps(column))
-        np.testing.assert_array_equal(2.0 * np.asarray(sent), 2 * values[:, 1])
-        with pytest.raises(IndexError):
-            column[size]
-        with pytest.raises(ValueError, match="axis"):
-            table.min(axis=1)
+        patch.setattr(stored, "ROWS", part)
+        table = stored.store(size, width, stored.blocks(values, part))
+        assert table.mapped
+        assert not table.flags.writeable
+        np.testing.assert_array_equal(table, values)
+        begin, end = sorted(data.draw(st.tuples(*[st.integers(0, size)] * 2)))
+        np.testing.assert_array_equal(stored.taken(table, begin, end), values[begin:end])
+        np.testing.assert_array_equal(stored.taken(table[:, 0], begin, end), values[begin:end, 0])
+        for name in ("min", "max"):
+            for axis in (0, 1, None):
+                found, expected = (getattr(v, name)(axis=axis) for v in (table, values))
+                np.testing.assert_array_equal(found, expected)
+            assert getattr(np, name)(table[:, -1]) == getattr(np, name)(values[:, -1])
+        doubled = stored.transformed(table, lambda rows: 2.0 * rows[:, ::-1])
+        assert doubled.mapped
+        np.testing.assert_array_equal(doubled, 2.0 * values[:, ::-1])
+        assert not (2.0 * table).mapped
+        np.testing.assert_array_equal(pickle.loads(pickle.dumps(table)), values)
+        rows = values[:, 0] > 0
+        np.testing.assert_array_equal(table[rows], values[rows])
+
+
+def test_a_full_disk_is_a_data_error(monkeypatch: pytest.MonkeyPatch):
+    def full(*_: Any, **__: Any) -> None:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(stored.tempfile, "TemporaryFile", full)
+    with pytest.raises(DataError, match=r"does not fit .*No space left on device.* set TMPDIR"):
+        stored.store(10, 2, [])
 
 
 def write_columns(file: Path, **changes: Any) -> None:
@@ -212,12 +184,12 @@ def spoilt(row: int, value: Any) -> list[Any]:
 
 
 BAD = {
-    "nan": ({"position_2": spoilt(703, np.nan)}, r"'position_2' is nan at row 703, not finite"),
-    "inf": ({"effort_1": spoilt(5, -np.inf)}, r"'effort_1' is -inf at row 5, not finite"),
-    "huge": ({"effort_2": spoilt(99, 3e13)}, r"'effort_2' is 3e\+13 at row 99, more than 1e\+12"),
-    "missing": ({"position_1": spoilt(7, None)}, "'position_1' has missing values"),
-    "text": ({"effort_1": ["a"] * 1200}, "'effort_1' is not numeric"),
-    "time": ({"time": spoilt(100, np.nan)}, "'time' is nan at row 100"),
+    "nan": ({"position_2": spoilt(703, np.nan)}, r"row 704: position: 'position_2' has no value"),
+    "inf": ({"effort_1": spoilt(5, -np.inf)}, r"row 6: effort: 'effort_1' is -inf, not finite"),
+    "huge": ({"effort_2": spoilt(99, 3e13)}, r"row 100: effort: 'effort_2' is 3e\+13, more than"),
+    "missing": ({"position_1": spoilt(7, None)}, "row 8: position: 'position_1' has no value"),
+    "text": ({"effort_1": ["a"] * 1200}, "'effort_1' holds object, expected numbers"),
+    "time": ({"time": spoilt(100, np.nan)}, "row 101: time: 'time' has no value"),
     "time back": ({"time": np.r_[0:100, 98:1198] * 0.01}, "runs backwards at row 101: 0.98 s "),
     "time again": ({"time": np.r_[0:100, 99:1199] * 0.01}, "time repeats at row 101: 0.99 s "),
 }
@@ -229,33 +201,19 @@ def test_bad_values_are_refused_as_they_are_read(case: str, tmp_path: Path):
     file = tmp_path / "log.parquet"
     write_columns(file, **changes)
     with pytest.raises(DataError, match=message):
-        process(Recording.from_parquet(file, stored=True), QUICK)
+        process(read_recording(file, stored=True), QUICK)
     write_columns(file)
-    process(Recording.from_parquet(file, stored=True), QUICK)
+    process(read_recording(file, stored=True), QUICK)
 
 
-def test_a_file_that_changes_is_noticed(tmp_path: Path):
+def test_damage_is_found_as_it_is_decoded(tmp_path: Path):
     file = tmp_path / "log.parquet"
-    make().to_parquet(file)
-    log = Recording.from_parquet(file, stored=True)
-    os.utime(file, (1, 1))
-    with pytest.raises(DataError, match="has changed since it was opened"):
-        process(log, QUICK)
-    log = Recording.from_parquet(file, stored=True)
-    file.unlink()
-    with pytest.raises(DataError, match="cannot be read"):
-        process(log, QUICK)
-
-
-def test_damage_is_a_data_error(tmp_path: Path):
-    file = tmp_path / "log.parquet"
-    make().to_parquet(file)
+    make(20.0).to_parquet(file)
     content = bytearray(file.read_bytes())
-    # Pages, not the metadata at the end.
     content[2000:60000] = bytes(58000)
     file.write_bytes(content)
     with pytest.raises(DataError, match="not a readable Parquet file"):
-        process(Recording.from_parquet(file, stored=True), QUICK)
+        read_recording(file, stored=True)
 
 
 def test_large_files_stay_on_disk_by_default(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
@@ -263,14 +221,19 @@ def test_large_files_stay_on_disk_by_default(tmp_path: Path, monkeypatch: pytest
     log = make(**PERIODIC)
     log.to_parquet(file)
     assert not read_recording(file).stored
-    monkeypatch.setattr(parquet, "LARGE", 8 * 1200 * 7 - 1)
+    monkeypatch.setattr(parquet_file, "LARGE", 8 * 1200 * 7 - 1)
     assert read_recording(file).stored
     assert not read_recording(file, stored=False).stored
     assert read_recording(file, periods=4).period_layout == (0, 200, 4)
-    monkeypatch.setattr(parquet, "LARGE", 8 * 1200 * 7)
+    monkeypatch.setattr(parquet_file, "LARGE", 8 * 1200 * 7)
     assert not read_recording(file).stored
-    with pytest.raises(DataError, match="stored=True leaves the values"):
-        read_recording(file, stored=True, units={"position": "deg"})
+    turned = read_recording(file, stored=True, units={"position": "deg"}, effort_scale=[2.0, 3.0])
+    assert turned.stored
+    np.testing.assert_array_equal(turned.position, log.position * (np.pi / 180.0))
+    np.testing.assert_array_equal(turned.effort, log.effort * [2.0, 3.0])
+    np.savez(tmp_path / "log.npz", t=log.time, q=log.position, tau=log.effort)
+    with pytest.raises(DataError, match="stored=True keeps the values of Parquet files"):
+        read_recording(tmp_path / "log.npz", stored=True)
 
 
 def test_it_can_be_written_matched_and_sent(tmp_path: Path):
@@ -278,7 +241,7 @@ def test_it_can_be_written_matched_and_sent(tmp_path: Path):
     names = ARM.joint_names[::-1]
     log = make(joint_names=names, **PERIODIC)
     log.to_parquet(file)
-    again = pickle.loads(pickle.dumps(Recording.from_parquet(file, stored=True)))
+    again = pickle.loads(pickle.dumps(read_recording(file, stored=True)))
     again.to_parquet(copy)
     assert copy.read_bytes() == file.read_bytes()
     matched = match_joints(ARM, again)
@@ -375,9 +338,7 @@ def test_averaging_first_changes_nothing_but_rounding(tmp_path: Path):
         "effort_periods": (torque, 1e-12),
     }
     for stored_ in (False, True):
-        samples = process(
-            Recording.from_parquet(file, stored=stored_), Processing(reversal_time=None)
-        )
+        samples = process(read_recording(file, stored=stored_), Processing(reversal_time=None))
         for name, (values, tolerance) in expected.items():
             error = np.abs(getattr(samples, name) - values).max() / np.abs(values).max()
             assert error < tolerance, name

@@ -1,0 +1,216 @@
+"""Parquet files: columns of numbers, lists one row a sample, and what `to_parquet` wrote."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sdpid._common.arrays import Array
+from sdpid._common.extras import require
+from sdpid.errors import DataError
+from sdpid.experiment.readers.table import Table
+from sdpid.experiment.recording.memory_budget import check_claim
+from sdpid.experiment.recording.parquet import FORMAT, KEY
+from sdpid.experiment.recording.stored import ROWS, store
+
+__all__ = ["LARGE", "load_parquet"]
+
+# Logs that would take more bytes than this are kept in temporary files.
+LARGE = 1 << 28
+# Bytes read from the file at a time, so that the size of row groups is no matter.
+_BUFFER = 1 << 20
+_MOST_JOINTS = 10_000
+# What pyarrow calls plain numbers.
+_KINDS = {"double": "f8", "float": "f4"}
+_KINDS |= {f"int{8 * k}": f"i{k}" for k in (1, 2, 4, 8)}
+_KINDS |= {f"uint{8 * k}": f"u{k}" for k in (1, 2, 4, 8)}
+
+
+def load_parquet(path: Path, *, stored: bool | None = None) -> Table:
+    """List the columns of a Parquet file, and what `Recording.to_parquet` kept beside them.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+    stored : bool, optional
+        Whether to keep columns of numbers in temporary files; by default those of logs that would
+        take more than 256 MB.
+
+    Raises
+    ------
+    DataError
+        When the file is damaged.
+    MissingExtraError
+        When pyarrow is not installed (extra ``io``).
+    """
+    file = _ParquetFile(path)
+    plain = [name for name, kind in file.kinds.items() if kind in _KINDS]
+    if stored is None:
+        stored = 8 * file.rows * len(plain) > LARGE
+    several = partial(file.numbers, stored=stored)
+    arrays: dict[str, Callable[[], NDArray[Any]]] = {}
+    for name in file.kinds:
+        arrays[name] = partial(_first, several, name) if name in plain else partial(file.any, name)
+    own = _own_arrays(path, file.metadata, plain, several)
+    return Table(
+        {**arrays, **own},
+        columns=several,
+        plain=frozenset(plain),
+        units={"time": "s"} if own else {},
+    )
+
+
+def _first(several: Callable[[Sequence[str]], Array], name: str) -> Array:
+    """Read a single column."""
+    return several([name])[:, 0]
+
+
+class _ParquetFile:
+    """An open Parquet file; whatever goes wrong in it is a `DataError`."""
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+        self._pa, self._pq = require("pyarrow", extra="io"), require("pyarrow.parquet", extra="io")
+        try:
+            # Buffered ahead, the whole file would be in memory beside the arrays.
+            self._file = self._pq.ParquetFile(path, pre_buffer=False, buffer_size=_BUFFER)
+            schema = self._file.schema_arrow
+        except self._errors as cause:
+            raise self._unreadable(cause) from None
+        self.kinds = {field.name: str(field.type) for field in schema}
+        if len(self.kinds) != len(schema):
+            raise DataError(f"{path}: has several columns of one name.")
+        self.rows: int = self._file.metadata.num_rows
+        self.metadata: Mapping[bytes, bytes] = schema.metadata or {}
+
+    def numbers(self, names: Sequence[str], *, stored: bool) -> Array:
+        """Return columns of numbers as a table; NaN where they lack values."""
+        shape = (self.rows, len(names))
+        for name in names:
+            check_claim(self._path, name, (self._held(name),), 8, loaded=not stored)
+        if stored:
+            return store(*shape, self._parts(names))
+        check_claim(self._path, ", ".join(names), shape, 8)
+        table = np.empty(shape)
+        for begin, values in self._parts(names):
+            table[begin : begin + len(values)] = values
+        return table
+
+    def any(self, name: str) -> NDArray[Any]:
+        """Return a column of lists, times or anything else."""
+        check_claim(self._path, name, (self._held(name),), 8)
+        types = self._pa.types
+        try:
+            values = self._pq.read_table(self._path, columns=[name]).column(0).combine_chunks()
+            if values.null_count:
+                raise DataError(
+                    f"{self._path}: column '{name}' has {values.null_count} missing values."
+                )
+            if not (types.is_list(values.type) or types.is_fixed_size_list(values.type)):
+                return np.asarray(values.to_numpy(zero_copy_only=False))
+            if not len(values):
+                raise DataError(f"{self._path}: column '{name}' has no rows.")
+            lengths = np.unique(values.value_lengths().to_numpy(zero_copy_only=False))
+            if lengths.size != 1:
+                raise DataError(
+                    f"{self._path}: column '{name}' is ragged: its rows have {lengths.min()} to "
+                    f"{lengths.max()} entries."
+                )
+            flat = np.asarray(values.flatten().to_numpy(zero_copy_only=False))
+            return flat.reshape(len(values), int(lengths[0]))
+        except self._errors as cause:
+            raise self._unreadable(cause) from None
+
+    def _parts(self, names: Sequence[str]) -> Iterator[tuple[int, Array]]:
+        """Yield the first rows and the values of parts of some columns."""
+        begin = 0
+        try:
+            for batch in self._file.iter_batches(batch_size=ROWS, columns=list(names)):
+                values = np.empty((batch.num_rows, len(names)), order="F")
+                for j, name in enumerate(names):
+                    values[:, j] = _values(batch.column(batch.schema.get_field_index(name)))
+                yield begin, values
+                begin += batch.num_rows
+        except self._errors as cause:
+            raise self._unreadable(cause) from None
+        if begin != self.rows:
+            raise DataError(f"{self._path}: holds {begin} rows where {self.rows} are announced.")
+
+    def _held(self, name: str) -> int:
+        """Return how many values a column claims: run lengths may stand for any number."""
+        metadata, count = self._file.metadata, 0
+        for group in map(metadata.row_group, range(metadata.num_row_groups)):
+            for chunk in map(group.column, range(group.num_columns)):
+                if chunk.path_in_schema.split(".")[0] == name:
+                    count += max(chunk.num_values, group.num_rows)
+        return count
+
+    @property
+    def _errors(self) -> tuple[type[Exception], ...]:
+        return (self._pa.lib.ArrowException, OSError, ValueError, MemoryError)
+
+    def _unreadable(self, cause: Exception) -> DataError:
+        line = (str(cause).splitlines() or [type(cause).__name__])[0]
+        return DataError(f"{self._path}: not a readable Parquet file ({line}).")
+
+
+def _values(column: Any) -> NDArray[Any]:
+    """Return some rows of a pyarrow column of numbers; NaN where values are missing."""
+    if column.null_count or not len(column):
+        return np.asarray(column.to_numpy(zero_copy_only=False), dtype=np.float64)
+    # As to_numpy does, but that loads pandas, which takes a quarter of a second.
+    begin, kind = column.offset, _KINDS[str(column.type)]
+    return np.frombuffer(column.buffers()[1], dtype=kind)[begin : begin + len(column)]
+
+
+def _own_arrays(
+    path: Path,
+    raw: Mapping[bytes, bytes],
+    plain: Sequence[str],
+    several: Callable[[Sequence[str]], Array],
+) -> dict[str, Callable[[], NDArray[Any]]]:
+    """Return the arrays of a file that `Recording.to_parquet` wrote; none for other files.
+
+    Raises
+    ------
+    DataError
+        When its metadata are damaged or of a later format, or a column is missing.
+    """
+    if KEY not in raw:
+        return {}
+    try:
+        stated = json.loads(raw[KEY])
+    except (ValueError, RecursionError):
+        stated = None
+    if not isinstance(stated, dict):
+        raise DataError(f"{path}: the metadata under 'sdpid' is damaged.")
+    if stated.get("format") != FORMAT:
+        raise DataError(
+            f"{path}: is of format {stated.get('format')}, this version reads {FORMAT}."
+        )
+    count, names = stated.get("n"), stated.get("joint_names")
+    if names is None and isinstance(count, int) and 0 < count <= _MOST_JOINTS:
+        labels = [str(j + 1) for j in range(count)]
+    elif names and isinstance(names, list) and all(isinstance(name, str) for name in names):
+        labels = names
+    else:
+        raise DataError(f"{path}: the metadata under 'sdpid' is damaged: it names no joints.")
+    arrays: dict[str, Callable[[], NDArray[Any]]] = {}
+    for quantity in ("position", "effort", "velocity"):
+        columns = [f"{quantity}_{label}" for label in labels]
+        if quantity == "velocity" and not set(columns) & set(plain):
+            continue
+        if absent := [name for name in columns if name not in plain]:
+            raise DataError(f"{path}: lacks the columns {', '.join(absent)}.")
+        arrays[quantity] = partial(several, columns)
+    for name in ("joint_names", "period", "start", "periods"):
+        if stated.get(name) is not None:
+            arrays[name] = partial(np.asarray, stated[name])
+    return arrays
