@@ -168,7 +168,7 @@ class Columns:
             raise DataError(f"{self._file}: joint_names: holds {names.dtype}, expected text.")
         if names.dtype.kind == "S":
             names = np.char.decode(names, "utf-8", "replace")
-        return tuple(printable(str(name).strip()) for name in np.atleast_1d(names).ravel())
+        return tuple(printable(str(name)) for name in np.atleast_1d(names).ravel())
 
     def table(
         self, quantity: str, names: Sequence[str] | None

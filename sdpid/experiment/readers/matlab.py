@@ -78,8 +78,9 @@ def _load(path: Path, name: str) -> Any:
 
 
 def _array(path: Path, name: str) -> NDArray[Any]:
-    """Read a variable of numbers or text."""
-    return np.asarray(_load(path, name))
+    """Read a variable of numbers or text; rows of text are filled up with blanks."""
+    array = np.asarray(_load(path, name))
+    return np.char.rstrip(array) if array.dtype.kind == "U" else array
 
 
 def _cell(path: Path, name: str) -> NDArray[Any]:
