@@ -189,7 +189,6 @@ def at_level(level: int) -> dict[str, set[str]]:
     return found
 
 
-@pytest.mark.xfail(strict=True, reason="being opened")
 def test_no_circle_between_files() -> None:
     assert circle(ARROWS) == []
 

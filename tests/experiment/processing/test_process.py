@@ -12,11 +12,11 @@ from scipy import signal
 
 from sdpid.errors import DataError
 from sdpid.experiment.preparation.several import chosen_processing
+from sdpid.experiment.processing import process as processing_module
 from sdpid.experiment.processing.choose import default_processing
 from sdpid.experiment.processing.derivatives import Weights, stencil
 from sdpid.experiment.processing.filters import low_pass
 from sdpid.experiment.processing.process import Processing, process
-from sdpid.experiment.processing.process import process as processing_module
 from sdpid.experiment.readers.read import read_recording
 from sdpid.experiment.recording.recording import Recording
 from sdpid.experiment.recording.uniform_grid import make_grid
