@@ -213,25 +213,13 @@ def _processed(log: Recording, processing: Processing, advance: Callable[[int], 
     in_threads(motion, range(n))
     wanted = log.period is not None and processing.covariance is not None
     efforts = Efforts.of(log, chain, covariance=wanted, chunk=_CHUNK)
-    effort, covariance = efforts.mean, efforts.covariance
     notes = _notes(log, processing, chain, grid, mask)
     if efforts.note is not None:
         notes.append(efforts.note)
-    if covariance is not None:
-        pooled = covariance.mean(axis=0)
-        if processing.covariance == "pooled":
-            covariance = pooled
-        elif processing.shrinkage > 0.0:
-            covariance *= 1.0 - processing.shrinkage
-            covariance += processing.shrinkage * pooled
-        noise = np.sqrt(np.diagonal(covariance, axis1=-2, axis2=-1).reshape(-1, n).mean(axis=0))
-        size = np.sqrt(np.mean(effort**2, axis=0))
-        exact = [name for j, name in enumerate(log.names) if noise[j] <= _NOISE_FREE * size[j]]
-        if exact:
-            notes.append(
-                f"the effort of joint {', '.join(exact)} repeats exactly: its covariance is "
-                "rounding error, use covariance=None"
-            )
+    covariance = None
+    if efforts.covariance is not None:
+        covariance = _shrunk(efforts.covariance, processing)
+        notes += _noise_free(log, covariance, efforts.mean)
     kept_rate = 1.0 / (grid.step * decimation)
     memory_s = low_pass.time_constant * grid.step
     block = math.ceil(max(_BLOCK_TIME_CONSTANTS * memory_s, _BLOCK_SECONDS) * kept_rate)
@@ -239,7 +227,7 @@ def _processed(log: Recording, processing: Processing, advance: Callable[[int], 
         position=position,
         velocity=velocity,
         acceleration=acceleration,
-        effort=effort,
+        effort=efforts.mean,
         covariance=covariance,
         mask=mask,
         time=grid.origin + grid.step * (window.first + kept),
@@ -249,6 +237,28 @@ def _processed(log: Recording, processing: Processing, advance: Callable[[int], 
         notes=tuple(notes),
         effort_periods=efforts.periods,
     )
+
+
+def _shrunk(covariance: Array, processing: Processing) -> Array:
+    """Return the covariance (K, n, n) pooled over the samples, or shrunk towards that."""
+    pooled = np.asarray(covariance.mean(axis=0))
+    if processing.covariance == "pooled":
+        return pooled
+    share = processing.shrinkage
+    return (1.0 - share) * covariance + share * pooled if share > 0.0 else covariance
+
+
+def _noise_free(log: Recording, covariance: Array, effort: Array) -> list[str]:
+    """Return a note on the joints whose efforts repeat without noise, if there are any."""
+    variance = np.diagonal(covariance, axis1=-2, axis2=-1).reshape(-1, log.n)
+    noise, size = np.sqrt(variance.mean(axis=0)), np.sqrt(np.mean(effort**2, axis=0))
+    exact = [name for j, name in enumerate(log.names) if noise[j] <= _NOISE_FREE * size[j]]
+    if not exact:
+        return []
+    return [
+        f"the effort of joint {', '.join(exact)} repeats exactly: its covariance is rounding "
+        "error, use covariance=None"
+    ]
 
 
 def _motion(
