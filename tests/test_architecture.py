@@ -91,7 +91,6 @@ ALLOWED = {
     "mujoco": (
         "sdpid.experiment.plant",
         "sdpid.robot.description.mjcf",
-        "sdpid.output.robots.compiled_mjcf",
     ),
     "numba": ("sdpid.robot.model.regressor_kernel",),
     "dask": ("sdpid.estimation.compression.distributed_rows",),

@@ -12,41 +12,35 @@ from sdpid._common.arrays import Array
 from sdpid._common.files import atomic_path
 from sdpid.errors import ExportError, ModelError
 from sdpid.estimation.estimate import Estimate
-from sdpid.output.robots.compiled_mjcf import CompiledMjcf
-from sdpid.output.robots.mjcf_skeleton import inertial_markup, mjcf_skeleton, numbers
+from sdpid.output.robots.mjcf_skeleton import inertial_markup, mjcf_skeleton
 from sdpid.output.robots.urdf import ExportReport, source_text
 from sdpid.output.robots.urdf_tree import FixedChild, UrdfTree
 from sdpid.output.robots.written_bodies import (
+    SEED,
+    STATES,
     add_shapes,
     joint_numbers,
     lifted,
     require_consistent,
+    require_same_efforts,
     rest_of,
     standard_parameters,
 )
-from sdpid.robot.description.mjcf import check_compiles
+from sdpid.robot.description.mjcf import read_mjcf
+from sdpid.robot.description.origin import numbers, relative
 from sdpid.robot.description.xml import encode_xml, is_mjcf, is_xml, parse_xml
 from sdpid.robot.description.xml_edits import Document, Element
 from sdpid.robot.friction.term import FrictionTerm
 from sdpid.robot.friction.terms import Coulomb, RotorInertia, Viscous
 from sdpid.robot.inertia import transform
 from sdpid.robot.model.base_parameters import generic_states
-from sdpid.robot.model.geometry import link_placements
+from sdpid.robot.model.geometry import link_placements, neutral
 from sdpid.robot.model.model import RobotModel
-
-# The written file is read back; its efforts may differ by this fraction of the largest one.
-_READ_BACK = 1e-10
-_STATES, _SEED = 8, 20240229
 
 _PLACES: dict[type[FrictionTerm], str] = {
     Coulomb: "frictionloss",
     Viscous: "damping",
     RotorInertia: "armature",
-}
-_COMPILED = {
-    "frictionloss": "dof_frictionloss",
-    "damping": "dof_damping",
-    "armature": "dof_armature",
 }
 
 
@@ -106,15 +100,13 @@ def write_mjcf(
     tail = theta[10 * robot.n_links :]
     written, left_out = joint_numbers(problem.friction, tail, _PLACES, what)
     left_out, notes = add_shapes(problem, tail, written, left_out, "frictionloss", "damping")
+    ours = True
     if source is None and robot.urdf is None:
         text, folder = mjcf_skeleton(robot, None)[0], None
     else:
         text, folder = source_text(robot, source, what), _folder(source)
         if is_mjcf(text, what):
-            try:
-                check_compiles(text, None if folder is None else str(folder), what)
-            except ModelError as cause:
-                raise ExportError(str(cause)) from None
+            ours = False
         else:
             root = parse_xml(text, what)
             text, impossible = mjcf_skeleton(robot, UrdfTree(text))
@@ -128,12 +120,13 @@ def write_mjcf(
                     "links fixed to others with inertials that no body can have, now zero and "
                     "counted in where they are fixed: " + ", ".join(impossible),
                 )
-    patch = _Patch(robot, text, folder, what)
+    patch = _Patch(robot, text, what, folder=folder, ours=ours)
     for link, body in enumerate(bodies):
         patch.body(link, body)
     patch.joints(written, clear_armature="armature" not in _attributes(written))
     result = patch.document.text()
-    _read_back(robot, bodies, CompiledMjcf(result, robot, folder, what), what)
+    # It has compiled in a child process; only numbers have changed since.
+    _Compiled(robot, result, what, folder=folder, ours=True).require_same_efforts(bodies)
     with atomic_path(target) as temporary:
         temporary.write_bytes(encode_xml(result))
     if patch.cleared:
@@ -163,17 +156,109 @@ def _folder(source: str | os.PathLike[str] | None) -> Path | None:
     return Path(source).resolve().parent
 
 
-class _Patch:
+class _Compiled:
+    """A compiled MJCF text, its joints matched with a robot's."""
+
+    def __init__(
+        self, robot: RobotModel, text: str, what: str, *, folder: Path | None, ours: bool
+    ) -> None:
+        self.robot, self.what = robot, what
+        try:
+            found = read_mjcf(text, what, folder=folder, trusted=ours)
+        except ModelError as cause:
+            raise ExportError(str(cause)) from None
+        self.bodies, self.values = found.bodies, found.joint_values
+        self.model = RobotModel.from_pinocchio(found.pin_model)
+        self.matched = self._match()
+        owners = {joint: k for k, body in enumerate(self.bodies) for joint in body.joints}
+        # The body that each of the robot's joints moves.
+        self.carriers = [owners[joint] for joint in self.matched]
+        self.placements = self._placements(self._states(neutral(robot)[None])[0][0])
+        base = _root_link(robot)
+        named = [k for k, body in enumerate(self.bodies) if base is not None and body.name == base]
+        fixed = [k for k in named if self.bodies[k].carrier == 0]
+        # The robot's base in the file's world.
+        self.base = self.placements[fixed[0]] if fixed else np.eye(4)
+
+    def _match(self) -> list[int]:
+        """Return Pinocchio's joint of the file for each joint of the robot."""
+        names, found = [str(name) for name in self.model.pin_model.names], []
+        for i, name in enumerate(list(self.robot.pin_model.names)[1:], start=1):
+            floating = i == 1 and self.robot.free_flyer
+            if (floating and not self.model.free_flyer) or (not floating and name not in names):
+                raise ExportError(
+                    f"{self.what}: the source has no joint '{'free joint' if floating else name}'; "
+                    "give the MJCF of the same robot."
+                )
+            found.append(1 if floating else names.index(name))
+        others = [name for k, name in enumerate(names) if k and k not in found]
+        if others:
+            raise ExportError(
+                f"{self.what}: the source has joints that the robot '{self.robot.name}' lacks: "
+                f"{', '.join(others)}; identify the robot with them, or remove them."
+            )
+        return found
+
+    def _states(self, q: Array, *rates: Array) -> list[Array]:
+        """Return positions and rates (K, …) of the robot in the order of the file's joints."""
+        robot, model = self.robot, self.model.pin_model
+        configurations = robot.configuration(q)
+        rates = tuple(rate @ robot.expansion.T for rate in rates)
+        out = [np.zeros((len(q), model.nq)), *(np.zeros((len(q), model.nv)) for _ in rates)]
+        for joint, number in zip(list(robot.pin_model.joints)[1:], self.matched, strict=True):
+            to = model.joints[number]
+            x = configurations[:, joint.idx_q : joint.idx_q + joint.nq]
+            if joint.nq == 2:
+                x = np.arctan2(x[:, 1:], x[:, :1])
+            out[0][:, to.idx_q : to.idx_q + to.nq] = x
+            for target, rate in zip(out[1:], rates, strict=True):
+                target[:, to.idx_v : to.idx_v + to.nv] = rate[:, joint.idx_v : joint.idx_v + to.nv]
+        return out
+
+    def _placements(self, position: Array) -> Array:
+        """Return the placements (bodies, 4, 4) in the world at a position (nq,)."""
+        joints = [np.eye(4), *link_placements(self.model, position)]
+        return np.stack([joints[body.carrier] @ body.placement for body in self.bodies])
+
+    def require_same_efforts(self, bodies: Array) -> None:
+        """Refuse a text whose rigid bodies need other efforts than identified ones.
+
+        Raises
+        ------
+        ExportError
+            With the difference.
+        """
+        robot = self.robot
+        gravity = self.base[:3, :3] @ robot.gravity
+        model = RobotModel.from_pinocchio(self.model.pin_model, gravity=gravity.tolist())
+        states = generic_states(robot, STATES, SEED)
+        raw = model.inverse_dynamics(model.prior, *self._states(*states))
+        order = np.concatenate(
+            [
+                np.arange(self.model.pin_model.joints[k].nv) + self.model.pin_model.joints[k].idx_v
+                for k in self.matched
+            ]
+        )
+        require_same_efforts(
+            robot.inverse_dynamics(bodies, *states),
+            raw[:, order] @ robot.expansion,
+            self.what,
+            "the source's joints are placed, turned or counted differently, or it overrides "
+            "inertials (inertiafromgeom, boundmass, settotalmass). Give the MJCF of the robot "
+            "that was identified.",
+        )
+
+
+class _Patch(_Compiled):
     """An MJCF text, compiled, and the edits that make it the identified robot."""
 
-    def __init__(self, robot: RobotModel, text: str, folder: Path | None, what: str) -> None:
+    def __init__(
+        self, robot: RobotModel, text: str, what: str, *, folder: Path | None, ours: bool
+    ) -> None:
         parse_xml(text, what)  # refuses document types, so that nothing is expanded below
-        self.robot, self.what = robot, what
+        super().__init__(robot, text, what, folder=folder, ours=ours)
         self.document = Document(text)
-        self.compiled = CompiledMjcf(text, robot, folder, what)
         self.elements = self._elements()
-        self.carriers = self.compiled.carriers()
-        self.placements = self._placements()
         self.changed: list[str] = []
         self.lumped: list[str] = []
         self.joints_changed: list[str] = []
@@ -181,42 +266,29 @@ class _Patch:
 
     def _elements(self) -> list[Element]:
         """Return the element of every compiled body, the world's in the first place."""
-        root, compiled = self.document.root, self.compiled
+        root = self.document.root
         found = [e for world in root.find_all("worldbody") for e in _nested(world)]
         names = [e.attributes.get("name", "") for e in found]
-        expected = [compiled.body_name(b) for b in range(1, compiled.model.nbody)]
-        if names != expected:
+        if names != [body.name for body in self.bodies[1:]]:
             raise ExportError(
-                f"{self.what}: MuJoCo finds {len(expected)} bodies, the text itself has "
+                f"{self.what}: MuJoCo finds {len(self.bodies) - 1} bodies, the text itself has "
                 f"{len(names)}, or others (it includes files, replicates or attaches, or merges "
                 "static bodies); save the compiled model as one file and give that."
             )
         return [root, *found]
 
-    def _placements(self) -> Array:
-        """Return the placements of the robot's joint frames in the file's bodies."""
-        compiled, robot = self.compiled, self.robot
-        world = np.eye(4)
-        placements = compiled.placements()
-        base = _root_link(robot)
-        for body in range(1, compiled.model.nbody):
-            fixed = compiled.model.body_weldid[body] == 0
-            if fixed and base is not None and compiled.body_name(body) == base:
-                world = placements[body]
-        joints = world @ link_placements(robot)
-        self.world = world
-        return np.asarray(np.linalg.solve(placements[self.carriers], joints))
-
     def body(self, link: int, identified: Array) -> None:
         """Write the body of a link, given in its joint frame."""
-        compiled, carrier = self.compiled, self.carriers[link]
-        T = self.placements[link]
+        carrier = self.carriers[link]
+        joint = self.base @ link_placements(self.robot)[link]
+        T = relative(self.placements[carrier], joint)
         body = transform(identified, T[:3, :3], T[:3, 3])
+        own = self.bodies[carrier]
         # By number: bodies need not have names.
         children = {
-            number: FixedChild(compiled.body_name(number), own, R, t)
-            for number, R, t in compiled.fixed_bodies(carrier)
-            if np.any(own := compiled.body(number))
+            k: FixedChild(other.name, other.theta, relative(own.placement, other.placement))
+            for k, other in enumerate(self.bodies)
+            if k != carrier and other.carrier == own.carrier and np.any(other.theta)
         }
         rest = rest_of(body, list(children.values()), "pseudo_inertia")
         if rest is not None:
@@ -228,7 +300,7 @@ class _Patch:
         self._write(carrier, lifted(body, "pseudo_inertia"))
 
     def _name(self, body: int) -> str:
-        return self.compiled.body_name(body) or f"body {body}"
+        return self.bodies[body].name or f"body {body}"
 
     def _write(self, body: int, values: Array) -> None:
         element, markup = self.elements[body], inertial_markup(values)
@@ -241,21 +313,20 @@ class _Patch:
 
     def joints(self, written: dict[str, dict[str, float]], *, clear_armature: bool) -> None:
         """Write the joints' numbers; those of joints that mimic another count at that one."""
-        model = self.compiled.model
         attributes = _attributes(written)
-        for i, number in enumerate(self.compiled.joints):
-            name = str(self.robot.pin_model.names[i + 1])
-            if self.robot.pin_model.joints[i + 1].nv != 1:
+        model = self.robot.pin_model
+        for i, carrier in enumerate(self.carriers):
+            name = str(model.names[i + 1])
+            if model.joints[i + 1].nv != 1:
                 continue
-            dof = int(model.jnt_dofadr[number])
-            values = dict(written.get(name, {}))
+            before, values = self.values[name], dict(written.get(name, {}))
             if name not in self.robot.joint_names:
-                values = {a: 0.0 for a in attributes if getattr(model, _COMPILED[a])[dof] != 0.0}
-            if clear_armature and model.dof_armature[dof] != 0.0:
+                values = {a: 0.0 for a in attributes if before[a] != 0.0}
+            if clear_armature and before["armature"] != 0.0:
                 values["armature"] = 0.0
                 self.cleared.append(name)
             if values:
-                joint = self._joint(self.carriers[i], name)
+                joint = self._joint(carrier, name)
                 text = {key: numbers([value]) for key, value in values.items()}
                 self.document.set_attributes(joint, text)
                 self.joints_changed.append(name)
@@ -288,36 +359,3 @@ def _root_link(robot: RobotModel) -> str | None:
     if robot.free_flyer or robot.urdf is None:
         return None
     return UrdfTree(robot.urdf).root_link()
-
-
-def _read_back(robot: RobotModel, bodies: Array, written: CompiledMjcf, what: str) -> None:
-    """Check that the written text is the identified robot, by its efforts at generic states.
-
-    Raises
-    ------
-    ExportError
-        When it is not.
-    """
-    states = generic_states(robot, _STATES, _SEED)
-    gravity = _turned(robot, written)
-    expected = robot.inverse_dynamics(bodies, *states)
-    found = written.efforts(states, gravity)
-    error, scale = float(np.abs(found - expected).max()), float(np.abs(expected).max())
-    if not error <= _READ_BACK * max(scale, 1.0):
-        raise ExportError(
-            f"{what}: the efforts of the written robot differ from the identified ones by "
-            f"{error:.3g} of {scale:.3g} N·m (limit {_READ_BACK:.0e} of it); the source's joints "
-            "are placed, turned or counted differently, or it overrides inertials "
-            "(inertiafromgeom, boundmass, settotalmass). Give the MJCF of the robot that was "
-            "identified."
-        )
-
-
-def _turned(robot: RobotModel, written: CompiledMjcf) -> Array:
-    """Return the robot's gravity in the file's world."""
-    base = _root_link(robot)
-    placements = written.placements()
-    for body in range(1, written.model.nbody):
-        if base is not None and written.body_name(body) == base:
-            return np.asarray(placements[body][:3, :3] @ robot.gravity)
-    return robot.gravity

@@ -6,24 +6,18 @@ every link stays a body under its name, and every number is written in full.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 
 from sdpid._common.arrays import Array
 from sdpid.experiment.plant.mujoco_model import joint_axis
-from sdpid.output.robots.compiled_mjcf import quaternion_of
 from sdpid.output.robots.urdf_tree import FixedChild, UrdfTree
 from sdpid.output.robots.written_bodies import lifted, possible
+from sdpid.robot.description.mjcf import quaternion_of
+from sdpid.robot.description.origin import numbers
 from sdpid.robot.inertia import physical_parameters
 from sdpid.robot.model.model import RobotModel
-
-
-def numbers(values: Sequence[float] | Array) -> str:
-    """Return numbers in their shortest form that reads back the same."""
-    # Adding zero turns -0.0 into 0.0.
-    return " ".join(repr(float(x) + 0.0) for x in np.atleast_1d(values))
 
 
 def quoted(text: str) -> str:
@@ -80,7 +74,7 @@ def mjcf_skeleton(robot: RobotModel, tree: UrdfTree | None) -> tuple[str, tuple[
     def body(i: int, depth: int) -> list[str]:
         pad = "  " * depth
         place = model.jointPlacements[i]
-        out = [f"{pad}<body name={_body(names[i - 1])}{_pose(place.rotation, place.translation)}>"]
+        out = [f"{pad}<body name={_body(names[i - 1])}{_pose(place.homogeneous)}>"]
         out.append(f'{pad}  <inertial pos="0 0 0" mass="1" diaginertia="1 1 1"/>')
         out.append(f"{pad}  {_joint(robot, i, columns.get(model.names[i]))}")
         for child in [] if tree is None else tree.fixed_children(names[i - 1]):
@@ -113,14 +107,14 @@ def mjcf_skeleton(robot: RobotModel, tree: UrdfTree | None) -> tuple[str, tuple[
     return "\n".join([*lines, "</mujoco>", ""]), tuple(impossible)
 
 
-def _pose(rotation: Array, translation: Array) -> str:
-    quaternion = quaternion_of(np.asarray(rotation))
-    return f' pos="{numbers(translation)}" quat="{numbers(quaternion)}"'
+def _pose(placement: Array) -> str:
+    quaternion = quaternion_of(placement[:3, :3])
+    return f' pos="{numbers(placement[:3, 3])}" quat="{numbers(quaternion)}"'
 
 
 def _fixed(child: FixedChild, depth: int) -> list[str]:
     pad = "  " * depth
-    opening = f"{pad}<body name={_body(child.name)}{_pose(child.rotation, child.translation)}"
+    opening = f"{pad}<body name={_body(child.name)}{_pose(child.placement)}"
     if child.body is None or not np.any(child.body):
         return [opening + "/>"]
     return [opening + ">", f"{pad}  {inertial_markup(child.body)}", f"{pad}</body>"]

@@ -18,10 +18,13 @@ from sdpid.estimation.estimate import Estimate
 from sdpid.estimation.problem import Problem
 from sdpid.output.robots.urdf_tree import FixedChild, UrdfTree
 from sdpid.output.robots.written_bodies import (
+    SEED,
+    STATES,
     add_shapes,
     joint_numbers,
     lifted,
     require_consistent,
+    require_same_efforts,
     rest_of,
     standard_parameters,
 )
@@ -36,10 +39,6 @@ from sdpid.robot.model.model import RobotModel
 
 # How a body is split among a moving link and those fixed to it.
 Fixed: TypeAlias = Literal["keep", "merge"] | Mapping[str, ArrayLike]
-
-# The written file is read back; its efforts may differ by this fraction of the largest one.
-_READ_BACK = 1e-10
-_STATES, _SEED = 8, 20240229
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -316,13 +315,11 @@ def _read_back(robot: RobotModel, bodies: Array, text: str) -> None:
             f"{what}: the source has the joints {', '.join(written.joint_names)}, the robot has "
             f"{', '.join(robot.joint_names)}; give the URDF of the same robot."
         )
-    states = generic_states(robot, _STATES, _SEED)
-    expected = robot.inverse_dynamics(bodies, *states)
-    found = written.inverse_dynamics(written.prior, *states)
-    error, scale = float(np.abs(found - expected).max()), float(np.abs(expected).max())
-    if not error <= _READ_BACK * max(scale, 1.0):
-        raise ExportError(
-            f"{what}: the efforts of the written robot differ from the identified ones by "
-            f"{error:.3g} of {scale:.3g} N·m (limit {_READ_BACK:.0e} of it); the source's joints "
-            "are placed differently. Give the URDF that the robot was identified with."
-        )
+    states = generic_states(robot, STATES, SEED)
+    require_same_efforts(
+        robot.inverse_dynamics(bodies, *states),
+        written.inverse_dynamics(written.prior, *states),
+        what,
+        "the source's joints are placed differently. Give the URDF that the robot was identified "
+        "with.",
+    )

@@ -22,14 +22,13 @@ class FixedChild:
         The link.
     body : ndarray, shape (10,), or None
         Its inertial in its own frame; None where it has none.
-    rotation, translation : ndarray, shapes (3, 3) and (3,)
-        Placement of its frame in that of the moving link.
+    placement : ndarray, shape (4, 4)
+        Its frame in that of the moving link.
     """
 
     name: str
     body: Array | None
-    rotation: Array
-    translation: Array
+    placement: Array
 
 
 class UrdfTree:
@@ -106,8 +105,7 @@ class UrdfTree:
             if body.problems:
                 raise ModelError(f"URDF: link '{body.name}': {body.problems[0]}.")
             theta = body.theta if body.described else None
-            placement = body.placement
-            children.append(FixedChild(body.name, theta, placement[:3, :3], placement[:3, 3]))
+            children.append(FixedChild(body.name, theta, body.placement))
         return children
 
 

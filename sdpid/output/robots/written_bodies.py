@@ -29,6 +29,10 @@ _ROUNDING = 1e-14
 # kg·m², or a triangle inequality missed by one bit). Written bodies are at least this far inside,
 # kg·m²; it changes efforts by some 1e-13 N·m.
 _INSIDE = 1e-13
+# The written file is read back at generic states; its efforts may differ by this fraction of the
+# largest one.
+_READ_BACK = 1e-10
+STATES, SEED = 8, 20240229
 # Friction negative by no more than this (N·m, N·m·s/rad) is zero with a solver's rounding.
 _FRICTION_ZERO = 1e-9
 
@@ -81,6 +85,22 @@ def require_consistent(
             )
 
 
+def require_same_efforts(expected: Array, found: Array, what: str, reason: str) -> None:
+    """Refuse a written robot whose efforts differ from those of the identified bodies.
+
+    Raises
+    ------
+    ExportError
+        With the difference and a reason.
+    """
+    error, scale = float(np.abs(found - expected).max()), float(np.abs(expected).max())
+    if not error <= _READ_BACK * max(scale, 1.0):
+        raise ExportError(
+            f"{what}: the efforts of the written robot differ from the identified ones by "
+            f"{error:.3g} of {scale:.3g} N·m (limit {_READ_BACK:.0e} of it); {reason}"
+        )
+
+
 def possible(bodies: Array, consistency: Consistency) -> bool:
     """Return whether bodies (..., 10) satisfy a consistency, but for rounding."""
     return bool(np.all(margin(bodies, consistency) >= -_rounding(bodies)))
@@ -96,7 +116,11 @@ def rest_of(body: Array, children: Sequence[FixedChild], consistency: Consistenc
     own = np.array([child.body for child in children])
     if not possible(own, consistency):
         return None
-    inside = [transform(c.body, c.rotation, c.translation) for c in children if c.body is not None]
+    inside = [
+        transform(c.body, c.placement[:3, :3], c.placement[:3, 3])
+        for c in children
+        if c.body is not None
+    ]
     rest = body - np.sum(inside, axis=0)
     enough = rest[0] > 0.0 and margin(rest, consistency) >= _INSIDE + _rounding(rest)
     return rest if enough else None

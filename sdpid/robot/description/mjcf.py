@@ -1,4 +1,4 @@
-"""MJCF files: compiled by MuJoCo in a child process, and turned into a Pinocchio model.
+"""MJCF files, compiled by MuJoCo in a child process and turned into a Pinocchio model.
 
 MuJoCo's parser trusts its input: a file that includes itself ends the process, and a large
 ``<replicate>`` never ends. Nothing of a stranger is therefore parsed in this process.
@@ -7,6 +7,7 @@ MuJoCo's parser trusts its input: a file that includes itself ends the process, 
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -40,18 +41,8 @@ def parsed(text: str, path: str | None, what: str) -> Any:
         raise ModelError(f"{what}: MuJoCo cannot parse it ({_line(cause)}).") from None
 
 
-def compiled(text: str, path: str | None, folder: str | None, what: str) -> Any:
-    """Return MuJoCo's ``MjModel`` of a file, or of a text with files in a folder.
-
-    Only within a child process, or after the same text compiled in one.
-
-    Raises
-    ------
-    ModelError
-        When MuJoCo cannot compile it.
-    MissingExtraError
-        When MuJoCo is not installed (extra ``sim``).
-    """
+def _compiled(text: str, path: str | None, folder: str | None, what: str) -> Any:
+    """Return MuJoCo's ``MjModel`` of a file, or of a text with files in a folder."""
     spec = parsed(text, path, what)
     if folder is not None:
         spec.modelfiledir = folder
@@ -80,54 +71,124 @@ def in_child(function: Callable[..., Any], *arguments: Any, what: str) -> Any:
     )
 
 
-def check_compiles(text: str, folder: str | None, what: str) -> None:
-    """Refuse an MJCF text that does not compile in a child process.
+@dataclass(frozen=True, eq=False)
+class MjcfBody:
+    """A compiled body.
 
-    Raises
-    ------
-    ModelError
-        When it does not.
-    MissingExtraError
-        When MuJoCo is not installed (extra ``sim``).
+    Attributes
+    ----------
+    name : str
+        Its name, which may be empty.
+    carrier : int
+        Pinocchio's joint that carries it, 0 for the world.
+    placement : ndarray, shape (4, 4)
+        Its frame in that joint's.
+    theta : ndarray, shape (10,)
+        Its parameters in its own frame; zero without mass.
+    joints : tuple of int
+        Pinocchio's joints that are its own.
     """
-    in_child(_compiles, text, folder, what=what)
+
+    name: str
+    carrier: int
+    placement: Array
+    theta: Array
+    joints: tuple[int, ...]
 
 
-def _compiles(text: str, folder: str | None, what: str) -> None:
-    compiled(text, None, folder, what)
+@dataclass(frozen=True, eq=False)
+class MjcfModel:
+    """A compiled MJCF.
+
+    Attributes
+    ----------
+    pin_model : pinocchio.Model
+        A joint for every hinge, slide and free joint.
+    bodies : tuple of MjcfBody
+        In MuJoCo's order, the world first.
+    joint_values : dict
+        ``armature``, ``damping`` and ``frictionloss`` by joint name.
+    mimics : tuple of Mimic
+        Joints that an active equality makes follow another.
+    closures : tuple of str
+        Kinds of the other active equalities.
+    """
+
+    pin_model: Any
+    bodies: tuple[MjcfBody, ...]
+    joint_values: dict[str, dict[str, float]]
+    mimics: tuple[Mimic, ...]
+    closures: tuple[str, ...]
 
 
-def pinocchio_from_mjcf(text: str, path: Path | None, what: str) -> tuple[Any, tuple[Mimic, ...]]:
-    """Return the Pinocchio model of an MJCF file, and joints that mimic others.
+def read_mjcf(
+    text: str,
+    what: str,
+    *,
+    path: Path | None = None,
+    folder: Path | None = None,
+    trusted: bool = False,
+) -> MjcfModel:
+    """Return a compiled MJCF.
 
     Every hinge and slide becomes a joint with the angle that MuJoCo gives it (``ref`` included);
     a body with several gets links without mass in between. Bodies without joints are part of what
-    carries them. Linear joint equalities become mimic joints.
+    carries them.
 
     Parameters
     ----------
     text : str
         The file.
-    path : Path or None
-        Where it is, for what it includes.
     what : str
         What it is called in messages.
+    path : Path, optional
+        Where it is, for what it includes.
+    folder : Path, optional
+        Where the names of its meshes start, for a text.
+    trusted : bool, optional
+        Compile it in this process: text of our own.
 
     Raises
     ------
     ModelError
-        When MuJoCo cannot compile it, nothing moves, or it has ball joints or closed loops.
+        When MuJoCo cannot compile it, or it has ball joints.
     MissingExtraError
         When MuJoCo is not installed (extra ``sim``).
     """
-    found = in_child(_numbers, text, None if path is None else str(path.resolve()), what=what)
-    return _Build(found, what).model, _mimics(found, what)
+    places = (
+        None if path is None else str(path.resolve()),
+        None if folder is None else str(folder),
+    )
+    if trusted:
+        found = _numbers(text, *places, what)
+    else:
+        found = in_child(_numbers, text, *places, what=what)
+    return _Build(found, what).result()
 
 
-def _numbers(text: str, path: str | None, what: str) -> dict[str, Any]:
+def pinocchio_from_mjcf(text: str, path: Path | None, what: str) -> tuple[Any, tuple[Mimic, ...]]:
+    """Return the Pinocchio model of an MJCF file, and joints that mimic others.
+
+    Raises
+    ------
+    ModelError
+        When MuJoCo cannot compile it, or it has ball joints or closed loops.
+    MissingExtraError
+        When MuJoCo is not installed (extra ``sim``).
+    """
+    found = read_mjcf(text, what, path=path)
+    if found.closures:
+        raise ModelError(
+            f"{what}: has a {found.closures[0]} equality, which is not supported; supported are "
+            "linear equalities of two joints. Remove it, or set active='false'."
+        )
+    return found.pin_model, found.mimics
+
+
+def _numbers(text: str, path: str | None, folder: str | None, what: str) -> dict[str, Any]:
     """Return the numbers of a compiled model that make its kinematics and inertias."""
     mujoco = require("mujoco", extra="sim")
-    model = compiled(text, path, None, what)
+    model = _compiled(text, path, folder, what)
     arrays = (
         *("body_parentid", "body_pos", "body_quat", "body_mass", "body_ipos", "body_iquat"),
         *("body_inertia", "body_jntadr", "body_jntnum", "jnt_type", "jnt_pos", "jnt_axis"),
@@ -136,6 +197,10 @@ def _numbers(text: str, path: str | None, what: str) -> dict[str, Any]:
     )
     found: dict[str, Any] = {name: np.asarray(getattr(model, name)).tolist() for name in arrays}
     found["ref"] = [float(model.qpos0[at]) for at in model.jnt_qposadr]
+    found["dof"] = {
+        key: [float(getattr(model, f"dof_{key}")[at]) for at in model.jnt_dofadr]
+        for key in ("armature", "damping", "frictionloss")
+    }
     found["gravity"] = [float(x) for x in model.opt.gravity]
     found["name"] = str(model.names.split(b"\0")[0].decode("utf-8", "replace"))
     found["bodies"] = [str(model.body(i).name) for i in range(model.nbody)]
@@ -145,7 +210,7 @@ def _numbers(text: str, path: str | None, what: str) -> dict[str, Any]:
         for kind in ("free", "ball", "slide", "hinge")
     }
     found["equalities"] = {
-        int(getattr(mujoco.mjtEq, f"mjEQ_{kind.upper()}")): kind
+        str(int(getattr(mujoco.mjtEq, f"mjEQ_{kind.upper()}"))): kind
         for kind in ("connect", "weld", "joint", "tendon", "flex")
     }
     return found
@@ -164,33 +229,26 @@ def _joint_names(found: dict[str, Any]) -> list[str]:
     ]
 
 
-def _mimics(found: dict[str, Any], what: str) -> tuple[Mimic, ...]:
-    """Return the joints that an active equality makes follow others.
-
-    Raises
-    ------
-    ModelError
-        For equalities that close a loop or are not linear.
-    """
-    names, mimics = _joint_names(found), []
+def _equalities(found: dict[str, Any]) -> tuple[tuple[Mimic, ...], tuple[str, ...]]:
+    """Return active linear equalities of two joints as mimics, and the kinds of the others."""
+    names = _joint_names(found)
+    mimics, others = [], []
     columns = [found[f"eq_{key}"] for key in ("type", "active0", "obj1id", "obj2id", "data")]
     for kind, active, first, second, data in zip(*columns, strict=True):
+        name = found["equalities"].get(str(kind), "strange")
         if not active:
             continue
-        name = found["equalities"].get(str(kind), "another kind of")
         if name != "joint" or second < 0 or any(data[2:5]):
-            raise ModelError(
-                f"{what}: has a {name} equality, which is not supported; supported are linear "
-                "equalities of two joints. Remove it, or set active='false'."
-            )
+            others.append(name)
+            continue
         # q1 − ref1 = c0 + c1·(q2 − ref2)
         offset = found["ref"][first] + data[0] - data[1] * found["ref"][second]
         mimics.append(Mimic(names[first], names[second], data[1], offset))
-    return tuple(mimics)
+    return tuple(mimics), tuple(others)
 
 
 class _Build:
-    """A Pinocchio model made body by body."""
+    """A model made body by body."""
 
     def __init__(self, found: dict[str, Any], what: str) -> None:
         import pinocchio as pin
@@ -202,8 +260,17 @@ class _Build:
         self.model.gravity.linear = np.array(found["gravity"])
         # For each body, the joint that carries it and its placement in that joint's frame.
         self.carriers: list[tuple[int, Any]] = [(0, pin.SE3.Identity())]
+        self.bodies = [MjcfBody("world", 0, np.eye(4), np.zeros(10), ())]
         for body in range(1, len(found["bodies"])):
             self._add(body)
+
+    def result(self) -> MjcfModel:
+        """Return the model."""
+        values = {
+            name: {key: numbers[i] for key, numbers in self.found["dof"].items()}
+            for i, name in enumerate(self.names)
+        }
+        return MjcfModel(self.model, tuple(self.bodies), values, *_equalities(self.found))
 
     def _add(self, body: int) -> None:
         import pinocchio as pin
@@ -211,24 +278,24 @@ class _Build:
         found = self.found
         joint, place = self.carriers[found["body_parentid"][body]]
         place = place * _placement(found["body_pos"][body], found["body_quat"][body])
-        first, count = found["body_jntadr"][body], found["body_jntnum"][body]
-        for number in range(first, first + count):
+        first, own_joints = found["body_jntadr"][body], []
+        for number in range(first, first + found["body_jntnum"][body]):
             joint, place = self._add_joint(number, joint, place)
+            own_joints.append(joint)
         self.carriers.append((joint, place))
-        R = _placement(np.zeros(3), found["body_iquat"][body]).rotation
-        own = theta_from_physical(
-            found["body_mass"][body],
-            found["body_ipos"][body],
-            R @ np.diag(found["body_inertia"][body]) @ R.T,
-        )
-        if joint and own[0] > 0.0:
-            inertia = pin.Inertia.FromDynamicParameters(
-                transform(own, place.rotation, place.translation)
-            )
-            self.model.appendBodyToJoint(joint, inertia, pin.SE3.Identity())
-        name = found["bodies"][body] or f"body_{body}"
-        if not self.model.existBodyName(name):
-            self.model.addBodyFrame(name, joint, place, 0)
+        theta, mass = np.zeros(10), found["body_mass"][body]
+        if mass > 0.0:
+            R = _placement(np.zeros(3), found["body_iquat"][body]).rotation
+            inertia = R @ np.diag(found["body_inertia"][body]) @ R.T
+            theta = theta_from_physical(mass, found["body_ipos"][body], inertia)
+            if joint:
+                here = transform(theta, place.rotation, place.translation)
+                moved = pin.Inertia.FromDynamicParameters(here)
+                self.model.appendBodyToJoint(joint, moved, pin.SE3.Identity())
+        name = found["bodies"][body]
+        self.bodies.append(MjcfBody(name, joint, place.homogeneous, theta, tuple(own_joints)))
+        if not self.model.existBodyName(name or f"body_{body}"):
+            self.model.addBodyFrame(name or f"body_{body}", joint, place, 0)
 
     def _add_joint(self, number: int, parent: int, place: Any) -> tuple[int, Any]:
         """Add a joint that moves a body at `place`; return it and the body's place in it."""
@@ -285,3 +352,11 @@ def _placement(position: Any, quaternion: Any) -> Any:
 
     w, x, y, z = quaternion
     return pin.SE3(pin.Quaternion(w, x, y, z).normalized().matrix(), np.array(position))
+
+
+def quaternion_of(rotation: Array) -> Array:
+    """Return a rotation matrix as MuJoCo's quaternion, scalar first."""
+    import pinocchio as pin
+
+    x, y, z, w = pin.Quaternion(np.asarray(rotation)).normalized().coeffs()
+    return np.array([w, x, y, z])

@@ -79,6 +79,11 @@ def read_origin(owner: Any) -> Array:
     return placement
 
 
+def relative(frame: Array, other: Array) -> Array:
+    """Return the placement (4, 4) of another frame in a frame, both placed in a third."""
+    return np.asarray(np.linalg.solve(frame, other), dtype=np.float64)
+
+
 def numbers(values: ArrayLike) -> str:
     """Return numbers as XML text, in the shortest form that reads back to the same float64."""
     # Adding zero turns -0.0 into 0.0.

@@ -128,6 +128,15 @@ def link_points(element: Any, kind: str, robot: str, folders: Sequence[Path]) ->
     return np.concatenate(points)
 
 
+def neutral(robot: RobotModel) -> Array:
+    """Return the position at which all joints are at zero and a floating base at the origin."""
+    if not robot.free_flyer:
+        return np.zeros(robot.n)
+    import pinocchio as pin
+
+    return np.asarray(pin.neutral(robot.pin_model))
+
+
 def link_placements(robot: RobotModel, position: ArrayLike | None = None) -> Array:
     """Return the placements of the links' joint frames in the base frame, shape (links, 4, 4).
 
@@ -147,12 +156,9 @@ def link_placements(robot: RobotModel, position: ArrayLike | None = None) -> Arr
     import pinocchio as pin
 
     model = robot.pin_model
-    if position is not None:
-        q = robot.configuration(real_array(position, "position", ndim=1)[None])[0]
-    elif robot.free_flyer:
-        q = pin.neutral(model)
-    else:
-        q = robot.configuration(np.zeros((1, robot.n)))[0]
+    if position is None:
+        position = neutral(robot)
+    q = robot.configuration(real_array(position, "position", ndim=1)[None])[0]
     data = model.createData()
     pin.forwardKinematics(model, data, q)
     return np.stack([data.oMi[i + 1].homogeneous for i in range(robot.n_links)])
