@@ -13,7 +13,7 @@ from .estimation.local.log_cholesky import solve_log_cholesky
 from .estimation.local.slsqp import solve_slsqp
 from .estimation.prior.prior import Prior
 from .estimation.problem import Problem, build_problem
-from .estimation.recursive import StreamingProblem
+from .estimation.recursive import RecursiveEstimator
 from .estimation.robust.solve import RobustEstimate, solve_robust
 from .estimation.sdp.cvxpy_form import as_cvxpy
 from .estimation.sdp.solve import solve_sdp
@@ -49,10 +49,10 @@ __all__ = [
     "Problem",
     "Processing",
     "Recording",
+    "RecursiveEstimator",
     "RobotModel",
     "RobustEstimate",
     "Samples",
-    "StreamingProblem",
     "Trajectory",
     "__version__",
     "as_cvxpy",

@@ -1,4 +1,4 @@
-"""A problem that goes on: new samples come in, old ones fade, and it is solved again and again.
+"""Estimate again and again while samples come in, with old ones fading.
 
 Samples are folded into the triangular factor of the cost and forgotten: memory does not grow. What
 weighs them is fixed at the start. A solve takes the program of the solve before, in which only the
@@ -8,46 +8,36 @@ starts from scratch (`sdpid.solve_sdp`).
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from copy import copy
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import ArrayLike
 
-from sdpid._common.arrays import Array, frozen, real_array
+from sdpid._common.arrays import Array, frozen
 from sdpid._common.threads import one_thread
 from sdpid.errors import DataError
 from sdpid.estimation.compression.rows import RowSource
 from sdpid.estimation.compression.triangle import Triangle
 from sdpid.estimation.compression.whitening import whitened_chunks
 from sdpid.estimation.conic.solve import ConicSolution
-from sdpid.estimation.constraints.condition import Layout
-from sdpid.estimation.constraints.constraints import Constraints
-from sdpid.estimation.constraints.feasible_set import FeasibleSet
 from sdpid.estimation.duality.bound import PROVEN, TINY_COST, relative_gap
 from sdpid.estimation.duality.refine_multipliers import lower_bound
 from sdpid.estimation.estimate import Estimate
 from sdpid.estimation.information import require_excitation
 from sdpid.estimation.problem import Problem
 from sdpid.estimation.sdp.program import SdpProgram
-from sdpid.estimation.sdp.reusable import Prepared, program_about
+from sdpid.estimation.sdp.reusable import ReusableProgram, program_about
 from sdpid.estimation.sdp.solve import repair, solve_sdp
 from sdpid.experiment.processing.samples import Samples
-from sdpid.robot.friction.model import FrictionModel
-from sdpid.robot.friction.term import FrictionTerm
-from sdpid.robot.inertia import CONSISTENCIES, Consistency
-from sdpid.robot.model.base_parameters import structural_base
-from sdpid.robot.model.model import RobotModel
 
 # What Clarabel adds to the diagonal of its linear systems: the first that `solve_sdp` tries.
-_REGULARISATION = 1e-10
+_REGULARIZATION = 1e-10
 
 _WEIGHTINGS = ("gls", "gls_per_sample", "residual")
 
 
-class StreamingProblem:
-    """A problem that takes samples while the robot works.
+class RecursiveEstimator:
+    """An estimator that takes samples while the robot works, and is solved at any time.
 
     Weights are those of the start, for good: its covariance (``gls``, ``residual``), or that of
     each sample (``gls_per_sample``). So are friction terms with their numbers, and a prior.
@@ -55,7 +45,8 @@ class StreamingProblem:
     Parameters
     ----------
     start : Problem
-        The problem to go on from; what it has seen counts as seen just now.
+        The problem to go on from; its samples count as the newest. Where they are too few to show
+        every base parameter it needs a prior.
     forgetting : float, optional
         Factor, in (0, 1], of the weight of all samples before at every sample. They count as
         ``1 / (1 − forgetting)`` samples; 1 forgets nothing.
@@ -84,8 +75,8 @@ class StreamingProblem:
             )
         if start.weighting not in _WEIGHTINGS:
             raise DataError(
-                f"streaming: the cost of weighting {start.weighting!r} is no sum over samples; "
-                f"use one of {', '.join(_WEIGHTINGS)}."
+                f"recursive estimation: the cost of weighting {start.weighting!r} is no sum over "
+                f"samples; use one of {', '.join(_WEIGHTINGS)}."
             )
         self.forgetting, self.memory = forgetting, memory
         b = start.base.count
@@ -97,73 +88,10 @@ class StreamingProblem:
         self._folded = True
         self._time: float | None = None
         # The program of the solves to come, and what it is about.
-        self._program: tuple[SdpProgram, Prepared] | None = None
+        self._program: tuple[SdpProgram, ReusableProgram] | None = None
         self._about: Estimate | None = None
-        self._boxed = start.feasible.bounded
+        self._bounds_included = start.feasible.bounded
         self._last: Array | None = None
-
-    @classmethod
-    def of_robot(
-        cls,
-        robot: RobotModel,
-        *,
-        covariance: ArrayLike | None = None,
-        friction: Iterable[str | FrictionTerm] = ("coulomb", "viscous"),
-        consistency: Consistency = "pseudo_inertia",
-        constraints: Constraints | None = None,
-        forgetting: float = 1.0,
-        memory: float | None = None,
-    ) -> StreamingProblem:
-        """Return a problem that has seen nothing yet.
-
-        Parameters
-        ----------
-        robot : RobotModel
-            The robot.
-        covariance : ndarray, shape (n, n), optional
-            Of the effort, for good (``gls``); by default the identity.
-        friction : iterable of str or FrictionTerm, optional
-            Terms beside the links' inertia; their numbers must be given.
-        consistency, constraints : optional
-            As of `sdpid.build_problem`.
-        forgetting, memory : optional
-            As of the class.
-
-        Raises
-        ------
-        DataError
-            When something makes no sense.
-        """
-        if consistency not in CONSISTENCIES:
-            raise DataError(f"consistency is {consistency!r}: use one of {CONSISTENCIES}.")
-        n = robot.n
-        sigma = np.eye(n) if covariance is None else real_array(covariance, "covariance", ndim=2)
-        model = FrictionModel.from_terms(friction, robot.joint_names, first=robot.n_base)
-        speeds = [np.ones(1)] * (n - robot.n_base)
-        for term in model.terms:
-            for parameter in term.open_parameters(speeds, model.joint_names):
-                raise DataError(
-                    f"friction: {type(term).__name__} leaves {parameter.name} to the data, of "
-                    "which there are none yet; give it, or start from a problem of a recording."
-                )
-        base = structural_base(robot, model)
-        b = base.count
-        start = Problem(
-            robot=robot,
-            friction=model,
-            base=base,
-            weighting="gls",
-            sigma=frozen(sigma),
-            A=frozen(np.zeros((b, b))),
-            rhs=frozen(np.zeros(b)),
-            floor=0.0,
-            n_samples=0,
-            n_rows=0,
-            feasible=FeasibleSet.build(
-                constraints or Constraints(), consistency, Layout(robot, model)
-            ),
-        )
-        return cls(start, forgetting=forgetting, memory=memory)
 
     @one_thread
     def update(self, samples: Samples) -> None:
@@ -284,27 +212,29 @@ class StreamingProblem:
         if len(problem.log_det.links):
             # The weight of its logarithms is in units of the cost, which changes.
             return
-        program = program_about(problem, np.array(estimate.theta), estimate.cost, self._boxed)
-        self._about, self._program = estimate, (program, Prepared.of(program))
+        program = program_about(
+            problem, np.array(estimate.theta), estimate.cost, self._bounds_included
+        )
+        self._about, self._program = estimate, (program, ReusableProgram.of(program))
 
     def _solved(
         self, problem: Problem, unit: float
     ) -> tuple[SdpProgram, ConicSolution, Array] | None:
         """Return the solution of the program of before with the data of now, and its theta."""
         while self._program is not None and self._about is not None:
-            program, prepared = self._program
-            solution = prepared.solve(
-                problem.A, problem.rhs, cost=unit, regularisation=_REGULARISATION
+            program, reusable = self._program
+            solution = reusable.solve(
+                problem.A, problem.rhs, cost=unit, regularization=_REGULARIZATION
             )
             if solution.x is None:
                 break
-            theta = prepared.coordinates.theta(solution.x)
-            outside = ~prepared.inside(theta)
+            theta = reusable.coordinates.theta(solution.x)
+            outside = ~reusable.inside(theta)
             if not outside.any():
                 scaling = replace(program.scaling, cost=unit)
                 return replace(program, problem=problem, scaling=scaling), solution, theta
             # theta_max matters after all: from now on with the bounds that were overstepped.
-            self._boxed = self._boxed | outside
+            self._bounds_included = self._bounds_included | outside
             self._prepare(self._about)
         return None
 

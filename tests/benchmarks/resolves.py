@@ -27,7 +27,7 @@ from sdpid.assurance.intervals.intervals import confidence_intervals
 from sdpid.estimation.constraints.constraints import Constraints
 from sdpid.estimation.estimate import Estimate
 from sdpid.estimation.problem import Problem, build_problem
-from sdpid.estimation.recursive import StreamingProblem
+from sdpid.estimation.recursive import RecursiveEstimator
 from sdpid.estimation.sdp.solve import solve_sdp
 from sdpid.experiment.plant.simulate import simulate, true_parameters
 from sdpid.experiment.processing.process import process
@@ -101,7 +101,7 @@ def _stream(label: str, problem: Problem, repeats: int) -> Iterator[Row]:
     gap = 0.0
     full = 0
     for repeat in range(repeats):
-        stream = StreamingProblem(problem, forgetting=FORGETTING)
+        stream = RecursiveEstimator(problem, forgetting=FORGETTING)
         stream.solve()
         times: list[tuple[float, float, float]] = []
         for samples in islice(_pieces(problem.samples), UPDATES):

@@ -26,8 +26,8 @@ from sdpid.estimation.sdp.program import Coordinates, SdpProgram
 from sdpid.estimation.sdp.solve import solve_sdp
 from sdpid.estimation.wls import solve_wls
 
-# Clarabel's regularisations; the cheapest of what they find counts.
-_REGULARISATIONS = (1e-10, 1e-8)
+# Clarabel's regularizations; the cheapest of what they find counts.
+_REGULARIZATIONS = (1e-10, 1e-8)
 
 # Multipliers count from this share of the cost over their constraint's size on: below, leaving the
 # constraint out would save less than the solver's accuracy.
@@ -234,8 +234,8 @@ def _solved(
 ) -> tuple[Array, Array, tuple[Array, ...]] | None:
     """Return point and multipliers of the cheapest of some attempts."""
     best, least = None, np.inf
-    for regularisation in _REGULARISATIONS:
-        solution = solve_conic(conic, regularisation=regularisation)
+    for regularization in _REGULARIZATIONS:
+        solution = solve_conic(conic, regularization=regularization)
         if solution.x is None or "Infeasible" in solution.status:
             continue
         value = 0.0 if cost is None or theta is None else cost(theta(solution.x))

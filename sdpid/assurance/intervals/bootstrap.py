@@ -25,7 +25,7 @@ from sdpid._common.seeds import generator
 from sdpid.errors import DataError, SolverError
 from sdpid.estimation.cluster_robust import Groups, ScoreBlocks
 from sdpid.estimation.estimate import Estimate
-from sdpid.estimation.sdp.reusable import Prepared, program_about
+from sdpid.estimation.sdp.reusable import ReusableProgram, program_about
 
 Kind = Literal["percentile", "basic"]
 KINDS: tuple[Kind, ...] = ("percentile", "basic")
@@ -33,8 +33,8 @@ KINDS: tuple[Kind, ...] = ("percentile", "basic")
 # Pieces of a block at which a drawn block may begin.
 _PIECES = 2
 
-# Clarabel's regularisations, in turn until one ends with an accurate point.
-_REGULARISATIONS = (1e-10, 1e-8)
+# Clarabel's regularizations, in turn until one ends with an accurate point.
+_REGULARIZATIONS = (1e-10, 1e-8)
 
 # A cost that may be this share above the optimum, by the solver's own account, is no solution:
 # with a million rows that is a hundredth of a variance.
@@ -228,13 +228,13 @@ class Again:
     ----------
     printed : bool
         Whether the cost is the norm of the normal equations' residual itself.
-    programs : tuple of Prepared
+    programs : tuple of ReusableProgram
         What is solved: with the bounds that any data need, then with all of them; nothing where
         there is a closed form.
     """
 
     printed: bool
-    programs: tuple[Prepared, ...]
+    programs: tuple[ReusableProgram, ...]
 
     @classmethod
     def of(cls, estimate: Estimate) -> Again:
@@ -245,10 +245,10 @@ class Again:
             return cls(printed, ())
         theta, few = np.array(estimate.theta), problem.feasible.bounded
         programs = [
-            program_about(problem, theta, estimate.cost, boxed)
-            for boxed in (few, np.ones_like(few))
+            program_about(problem, theta, estimate.cost, included)
+            for included in (few, np.ones_like(few))
         ]
-        return cls(printed, tuple(Prepared.of(program) for program in programs))
+        return cls(printed, tuple(ReusableProgram.of(program) for program in programs))
 
     def solve(self, information: Array, target: Array) -> tuple[Array | None, float]:
         """Return the base parameters of some data, None where none are found, and the seconds."""
@@ -266,8 +266,8 @@ class Again:
             return np.asarray(np.linalg.solve(A / scale, rhs) / scale), 0.0
         seconds = 0.0
         for program in self.programs:
-            for regularisation in _REGULARISATIONS:
-                solution = program.solve(A, rhs, regularisation=regularisation)
+            for regularization in _REGULARIZATIONS:
+                solution = program.solve(A, rhs, regularization=regularization)
                 seconds += solution.seconds
                 if solution.x is None or solution.error > _ACCURATE:
                     continue

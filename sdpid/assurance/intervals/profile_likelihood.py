@@ -54,7 +54,7 @@ _TOGETHER = 8
 _LEAST_RISE = 1e-6
 
 # Regularisations, tried until the bound proven is within this share of the point found.
-_REGULARISATIONS = (1e-10, 1e-8, 1e-12)
+_REGULARIZATIONS = (1e-10, 1e-8, 1e-12)
 _CLOSE = 1e-3
 
 # An end that would move by this share, were a limit twice as far, rests on the limit.
@@ -251,9 +251,9 @@ class ProfileLikelihood:
         best: tuple[float, End, Array] | None = None
         seconds, solves = 0.0, 0
         box = self.problem.feasible.lower, self.problem.feasible.upper
-        for regularisation in _REGULARISATIONS:
+        for regularization in _REGULARIZATIONS:
             solution = self.family.solve(
-                slope / size, radius / self.unit, regularisation=regularisation
+                slope / size, radius / self.unit, regularization=regularization
             )
             seconds, solves = seconds + solution.seconds, solves + 1
             if solution.x is None or len(solution.ball) == 0:

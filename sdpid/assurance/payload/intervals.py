@@ -204,9 +204,9 @@ class PayloadIntervals:
         size = float(np.linalg.norm(slope)) or 1.0
         radius = float(np.sqrt(self.least + rise)) / self.program.cost_unit
         best: Any = None
-        for regularisation in (1e-10, 1e-8):
+        for regularization in (1e-10, 1e-8):
             solution = (family or self.family).solve(
-                slope / size, radius, regularisation=regularisation
+                slope / size, radius, regularization=regularization
             )
             self.program.seconds += solution.seconds
             self.program.solves += 1

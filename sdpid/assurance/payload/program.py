@@ -88,7 +88,7 @@ class PayloadProgram:
         SolverError
             When it finds none.
         """
-        solution = solve_conic(self.conic, regularisation=1e-10)
+        solution = solve_conic(self.conic, regularization=1e-10)
         self.seconds += solution.seconds
         self.solves += 1
         if solution.x is None:

@@ -143,7 +143,7 @@ class ConicFamily:
         radius: float | None = None,
         *,
         squares: tuple[Array, Array] | None = None,
-        regularisation: float = 1e-8,
+        regularization: float = 1e-8,
     ) -> ConicSolution:
         """Solve one of the programs with Clarabel.
 
@@ -155,7 +155,7 @@ class ConicFamily:
             Another radius; only for programs that have one.
         squares : tuple of ndarray, optional
             Other M and m than the program's, M zero outside of the pattern.
-        regularisation : float, optional
+        regularization : float, optional
             What Clarabel adds to the diagonal of its linear systems.
         """
         standard = self._form
@@ -174,11 +174,11 @@ class ConicFamily:
             b[: standard.zero] = squares[1]
         changed = replace(standard, q=q, A=A, b=b)
         solvers = vars(self._local)
-        key = str(regularisation)
+        key = str(regularization)
         solver = solvers.get(key)
         again = solver is not None
         if solver is None:
-            solver = _clarabel_solver(changed, regularisation, fixed=self._tolerance)
+            solver = _clarabel_solver(changed, regularization, fixed=self._tolerance)
             # An older Clarabel takes no other numbers, or not of every program.
             if getattr(solver, "is_data_update_allowed", bool)():
                 solvers[key] = solver
@@ -196,7 +196,7 @@ def solve_conic(
     program: ConicProgram,
     *,
     solver: Solver = "clarabel",
-    regularisation: float = 1e-8,
+    regularization: float = 1e-8,
     verbose: bool = False,
 ) -> ConicSolution:
     """Solve a program.
@@ -207,7 +207,7 @@ def solve_conic(
         The program.
     solver : {"clarabel", "scs"}, optional
         The solver.
-    regularisation : float, optional
+    regularization : float, optional
         What Clarabel adds to the diagonal of its linear systems.
     verbose : bool, optional
         Let the solver print.
@@ -222,7 +222,7 @@ def solve_conic(
     if lower:
         found = _scs(standard, verbose)
     else:
-        found = _clarabel_found(_clarabel_solver(standard, regularisation, verbose=verbose))
+        found = _clarabel_found(_clarabel_solver(standard, regularization, verbose=verbose))
     return _read(program, standard, found, lower=lower)
 
 
@@ -257,7 +257,7 @@ def _read(
 
 def _clarabel_solver(
     standard: Standard,
-    regularisation: float,
+    regularization: float,
     *,
     verbose: bool = False,
     fixed: float | None = None,
@@ -269,7 +269,7 @@ def _clarabel_solver(
     settings.verbose = verbose
     tolerance = TOLERANCE if fixed is None else fixed
     settings.tol_gap_abs = settings.tol_gap_rel = settings.tol_feas = tolerance
-    settings.static_regularization_constant = regularisation
+    settings.static_regularization_constant = regularization
     if fixed is not None:
         settings.presolve_enable = settings.chordal_decomposition_enable = False
         settings.equilibrate_enable = False

@@ -25,7 +25,7 @@ _WIDER = 1e3
 _FAR = 1e6
 
 # Clarabel's, tried in turn.
-_REGULARISATIONS = (1e-8, 1e-10, 1e-12)
+_REGULARIZATIONS = (1e-8, 1e-10, 1e-12)
 
 
 @dataclass(frozen=True, eq=False)
@@ -208,8 +208,8 @@ def _shortfall(problem: Problem, limits: list[_Limit]) -> float:
         upper=np.concatenate([upper, wide]),
         blocks=tuple(blocks),
     )
-    for regularisation in _REGULARISATIONS:
-        solution = solve_conic(program, regularisation=regularisation)
+    for regularization in _REGULARIZATIONS:
+        solution = solve_conic(program, regularization=regularization)
         if solution.x is not None and solution.status in ("Solved", "AlmostSolved"):
             return float(solution.x[-1])
     return float("nan")

@@ -21,13 +21,13 @@ from sdpid.estimation.sdp.program import Coordinates, SdpProgram
 
 # The face often has no interior: matrices may be so much below zero in the links' own scale, which
 # the caller repairs. Tried in turn: links in units of the reference or of the point itself, this
-# slack, and Clarabel's regularisation.
+# slack, and Clarabel's regularization.
 _TRIALS = ((False, 1e-10, 1e-8), (True, 1e-10, 1e-8))
 
 # Where that does not succeed the distance is weighed against the cost instead, in units in which
 # the cost is one: the stronger the nearer, the weaker the cheaper.
 _WEIGHTS = (1e-8, 1e-9, 1e-10, 1e-11, 1e-12)
-_REGULARISATION = 1e-10
+_REGULARIZATION = 1e-10
 
 # Null directions of the scaled base matrix: its singular values are of order one or rounding.
 _NULL = 1e-9
@@ -67,9 +67,9 @@ def nearest_on_face(problem: Problem, theta: Array) -> Iterator[tuple[Array, flo
     goal = np.concatenate([reference.bodies.ravel(), theta[links:]])
     there = np.column_stack([null[:links], (theta - goal)[:links]])
     distance = np.linalg.solve(basis[:links, :links], there)
-    for own_scale, slack, regularisation in _TRIALS:
+    for own_scale, slack, regularization in _TRIALS:
         scaling = reference.around(theta) if own_scale else reference
-        solution = _step(problem, theta, null, distance, scaling, slack, regularisation)
+        solution = _step(problem, theta, null, distance, scaling, slack, regularization)
         seconds += solution.seconds
         if solution.x is None:
             continue
@@ -82,7 +82,7 @@ def nearest_on_face(problem: Problem, theta: Array) -> Iterator[tuple[Array, flo
         return
     for weight in _WEIGHTS:
         program = SdpProgram.build(problem, scaling, coordinates, feasible.bounded, anchor=weight)
-        solution = solve_conic(program.conic, regularisation=_REGULARISATION)
+        solution = solve_conic(program.conic, regularization=_REGULARIZATION)
         seconds += solution.seconds
         if solution.x is not None:
             yield program.theta(solution), seconds
@@ -101,7 +101,7 @@ def _step(
     distance: Array,
     scaling: Scaling,
     slack: float,
-    regularisation: float,
+    regularization: float,
 ) -> ConicSolution:
     """Return the step along the null directions that brings theta nearest."""
     feasible = problem.feasible
@@ -127,5 +127,5 @@ def _step(
             upper=np.maximum(upper - here, 0.0) / scale,
             blocks=tuple(block for block in blocks if len(block.index)),
         ),
-        regularisation=regularisation,
+        regularization=regularization,
     )

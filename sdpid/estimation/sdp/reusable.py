@@ -1,4 +1,4 @@
-"""One program for data that change: everything but the numbers of the squares is kept."""
+"""A semidefinite program that is solved for other data: only the numbers of its squares change."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from sdpid.estimation.sdp.program import Coordinates, SdpProgram
 _TOLERANCE = 1e-9
 
 
-def program_about(problem: Problem, theta: Array, cost: float, boxed: Mask) -> SdpProgram:
+def program_about(problem: Problem, theta: Array, cost: float, bounds_included: Mask) -> SdpProgram:
     """Return a problem's program in the units of its description, about a solution.
 
     Parameters
@@ -28,7 +28,7 @@ def program_about(problem: Problem, theta: Array, cost: float, boxed: Mask) -> S
         A solution.
     cost : float
         What it costs: the unit of the cost, where it is not smaller than the scaling's own.
-    boxed : ndarray of bool, shape (p,)
+    bounds_included : ndarray of bool, shape (p,)
         Parameters whose bounds are part of the program: at least `FeasibleSet.bounded`.
 
     Raises
@@ -44,12 +44,12 @@ def program_about(problem: Problem, theta: Array, cost: float, boxed: Mask) -> S
             f"'{problem.robot.name}': the equations among the constraints contradict each other.",
             problem=problem,
         )
-    return SdpProgram.build(problem, scaling, coordinates, boxed)
+    return SdpProgram.build(problem, scaling, coordinates, bounds_included)
 
 
 @dataclass(frozen=True, eq=False)
-class Prepared:
-    """A program that takes other data. It holds no samples, and is small enough to be sent away.
+class ReusableProgram:
+    """A program that takes other data; it holds no samples, and is small enough to be sent away.
 
     Attributes
     ----------
@@ -61,11 +61,11 @@ class Prepared:
         From x to base parameters.
     origin : ndarray, shape (b,)
         The base parameters at x = 0.
-    believed, expected : ndarray, shapes (r, n) and (r,)
+    prior_matrix, prior_rhs : ndarray, shapes (r, n) and (r,)
         Squares of a prior, in units of the cost's root.
     lower, upper : ndarray, shape (p,)
         Bounds of theta.
-    held : ndarray of bool, shape (p,)
+    bounds_included : ndarray of bool, shape (p,)
         Parameters whose bounds the program has.
     cost : float
         The unit of the cost.
@@ -75,16 +75,16 @@ class Prepared:
     coordinates: Coordinates
     base: Array
     origin: Array
-    believed: Array
-    expected: Array
+    prior_matrix: Array
+    prior_rhs: Array
     lower: Array
     upper: Array
-    held: Mask
+    bounds_included: Mask
     cost: float
 
     @classmethod
-    def of(cls, program: SdpProgram) -> Prepared:
-        """Prepare a program."""
+    def of(cls, program: SdpProgram) -> ReusableProgram:
+        """Keep what a program needs to be solved for other data."""
         problem, unit = program.problem, float(np.sqrt(program.scaling.cost))
         matrix, count = problem.base.matrix, problem.base.count
         base = np.asarray(matrix @ program.coordinates.directions)
@@ -106,7 +106,7 @@ class Prepared:
         )
 
     def solve(
-        self, A: Array, rhs: Array, *, cost: float | None = None, regularisation: float
+        self, A: Array, rhs: Array, *, cost: float | None = None, regularization: float
     ) -> ConicSolution:
         """Solve with the cost ``‖A @ base − rhs‖²`` of other data.
 
@@ -116,19 +116,19 @@ class Prepared:
             Compressed data.
         cost : float, optional
             Another unit of the cost; not with a log-det prior.
-        regularisation : float
+        regularization : float
             Of Clarabel.
         """
         unit = float(np.sqrt(self.cost if cost is None else cost))
         squares = (
-            np.vstack([A @ self.base, self.believed]) / unit,
-            np.concatenate([A @ self.origin - rhs, self.expected]) / unit,
+            np.vstack([A @ self.base, self.prior_matrix]) / unit,
+            np.concatenate([A @ self.origin - rhs, self.prior_rhs]) / unit,
         )
-        return self.family.solve(squares=squares, regularisation=regularisation)
+        return self.family.solve(squares=squares, regularization=regularization)
 
     def inside(self, theta: Array) -> Mask:
         """Return which parameters (p,) are within their bounds, which the program need not have.
 
         Those that it has are met but for rounding.
         """
-        return np.asarray(self.held | ((theta >= self.lower) & (theta <= self.upper)))
+        return np.asarray(self.bounds_included | ((theta >= self.lower) & (theta <= self.upper)))

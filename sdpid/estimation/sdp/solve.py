@@ -170,7 +170,7 @@ class _Search:
         solution = solve_conic(
             program.conic,
             solver=attempt.solver,
-            regularisation=attempt.regularisation,
+            regularization=attempt.regularization,
             verbose=self.verbose,
         )
         self.status = f"{attempt.solver}: {solution.status}"
@@ -294,7 +294,7 @@ class _Attempt:
 
     Attributes
     ----------
-    regularisation : float
+    regularization : float
         Clarabel's.
     around : bool
         Whether it starts from what the attempt before found, links in units of theirs; otherwise
@@ -307,7 +307,7 @@ class _Attempt:
         Which solver.
     """
 
-    regularisation: float
+    regularization: float
     around: bool = False
     anchor: float = 0.0
     reach: float | None = None
