@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from pathlib import Path
 
 import numpy as np
@@ -157,7 +156,5 @@ def test_endless_replication_is_stopped(monkeypatch: pytest.MonkeyPatch) -> None
     body = '<body><joint/><geom size="1"/></body>'
     for _ in range(3):
         body = f'<replicate count="100000" offset="1 0 0">{body}</replicate>'
-    begin = time.perf_counter()
     with pytest.raises(ModelError, match=r"took more than 2 s|memory|crashed"):
         load_robot(f"<mujoco><worldbody>{body}</worldbody></mujoco>")
-    assert time.perf_counter() - begin < 30.0

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from pathlib import Path
 from typing import Any
 
@@ -161,10 +160,7 @@ def test_long_chains_of_fixed_links_are_read_and_endless_ones_refused() -> None:
 
     # Deeper than Python's own recursion goes.
     assert load_robot(chain(1500)).n == 1
-    begin = time.perf_counter()
     assert UrdfTree(chain(1500)).fixed_children("l0")[-1].placement[0, 3] == 1499
-    # 0.3 s; placements found anew for each link took 36 s.
-    assert time.perf_counter() - begin < 10.0
     with pytest.raises(ModelError, match="30001 links, at most 2000"):
         load_robot(chain(30_000))
 
@@ -257,11 +253,9 @@ LAUGHS = "".join(
 def test_document_types_are_refused_and_never_expanded(doctype: str) -> None:
     entity = "&l11;" if "l11" in doctype else "&x;" if "ENTITY x" in doctype else ""
     text = urdf(f"<note>{entity}</note>" + JOINT.format(kind="revolute", inside=""), before=doctype)
-    begin = time.perf_counter()
+    # Expanded it would be terabytes.
     with pytest.raises(ModelError, match=r"document type|well-formed"):
         load_robot(text)
-    # Expanded it would be terabytes; this is milliseconds.
-    assert time.perf_counter() - begin < 5.0
 
 
 def test_xml_of_any_size_is_not_swallowed(monkeypatch: pytest.MonkeyPatch) -> None:
