@@ -12,10 +12,10 @@ import typer
 from sdpid._common.signals import clean_up_when_ended
 from sdpid.cli.audit import audit
 from sdpid.cli.compare import compare
+from sdpid.cli.config import expand_groups
 from sdpid.cli.endings import Commands, open_standard_streams
 from sdpid.cli.identify import identify
 from sdpid.cli.info import info
-from sdpid.cli.options import expand_groups
 from sdpid.cli.payload import payload
 from sdpid.cli.simulate import simulate
 from sdpid.cli.validate import validate

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import json
 from dataclasses import dataclass
 from pathlib import Path
@@ -11,13 +12,15 @@ import typer
 
 import sdpid.cli.options as opt
 from sdpid.cli.endings import NO_ANSWER
+from sdpid.cli.printing import Printing
 from sdpid.errors import DataError, ExportError
 
 if TYPE_CHECKING:
     from sdpid.assurance.tables.audit import BaseAudit
 
-_TABLE = "Table of base parameters (.csv)"
-_DESCRIPTION = "Robot description (.urdf, .xml)"
+# Options under a title in the help.
+_table = functools.partial(typer.Option, rich_help_panel="Table of base parameters (.csv)")
+_description = functools.partial(typer.Option, rich_help_panel="Robot description (.urdf, .xml)")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -26,55 +29,38 @@ class TableOptions:
 
     robot: Annotated[
         str | None,
-        typer.Option(
+        _table(
             metavar="ROBOT",
             help="Robot whose base parameters they are: URDF file, or name of a bundled or "
             "example robot.",
-            rich_help_panel=_TABLE,
             autocompletion=opt.complete_robot,
         ),
     ] = None
     consistency: Annotated[
-        opt.Consistency,
-        typer.Option(
-            help="Physical consistency that every link must have.", rich_help_panel=_TABLE
-        ),
+        opt.Consistency, _table(help="Physical consistency that every link must have.")
     ] = opt.Consistency.pseudo_inertia
-    value: Annotated[
-        str, typer.Option(metavar="COLUMN", help="Column of values.", rich_help_panel=_TABLE)
-    ] = "value"
+    value: Annotated[str, _table(metavar="COLUMN", help="Column of values.")] = "value"
     halfwidth: Annotated[
         str | None,
-        typer.Option(
+        _table(
             metavar="X|COLUMN",
             help="Largest error of a value: a number, or a column. Default: the column halfwidth, "
             "or half a unit in the last printed place.",
-            rich_help_panel=_TABLE,
         ),
     ] = None
-    margin: Annotated[
-        float,
-        typer.Option(
-            metavar="X", help="Smallest margin of every link, kg.m2.", rich_help_panel=_TABLE
-        ),
-    ] = 0.0
-    mass_max: Annotated[
-        float,
-        typer.Option(metavar="X", help="Largest mass of a link, kg.", rich_help_panel=_TABLE),
-    ] = 100.0
+    margin: Annotated[float, _table(metavar="X", help="Smallest margin of every link, kg.m2.")] = (
+        0.0
+    )
+    mass_max: Annotated[float, _table(metavar="X", help="Largest mass of a link, kg.")] = 100.0
     friction: Annotated[
         list[str] | None,
-        typer.Option(
+        _table(
             metavar="TERM",
             help="Friction term of the table, by name; repeat for several. Default: those whose "
             "parameters the table names.",
-            rich_help_panel=_TABLE,
         ),
     ] = None
-    proof: Annotated[
-        Path | None,
-        typer.Option(help="JSON file for the proof, in exact numbers.", rich_help_panel=_TABLE),
-    ] = None
+    proof: Annotated[Path | None, _table(help="JSON file for the proof, in exact numbers.")] = None
 
 
 def audit(
@@ -85,11 +71,8 @@ def audit(
         ),
     ],
     table: TableOptions,
-    printing: opt.Printing,
-    repair: Annotated[
-        Path | None,
-        typer.Option(help="File for the repaired URDF.", rich_help_panel=_DESCRIPTION),
-    ] = None,
+    printing: Printing,
+    repair: Annotated[Path | None, _description(help="File for the repaired URDF.")] = None,
 ) -> None:
     """Check a URDF, MJCF or table of base parameters for physical consistency.
 
@@ -110,7 +93,7 @@ def audit(
         raise typer.Exit(NO_ANSWER)
 
 
-def _audit_table(source: Path, table: TableOptions, printing: opt.Printing) -> bool:
+def _audit_table(source: Path, table: TableOptions, printing: Printing) -> bool:
     """Audit a table of base parameters; return whether it is proven realisable."""
     from sdpid.assurance.tables.audit import audit_base_parameters
     from sdpid.assurance.tables.csv_table import read_base_table
@@ -153,7 +136,7 @@ def _write_proof(path: Path, result: BaseAudit) -> None:
     atomic_write_text(path, json.dumps(result.certificate.to_dict(), indent=1) + "\n")
 
 
-def _audit_description(source: Path, repair: Path | None, printing: opt.Printing) -> bool:
+def _audit_description(source: Path, repair: Path | None, printing: Printing) -> bool:
     """Audit a URDF or MJCF, repair it where asked to, and return whether it has no errors."""
     from sdpid.assurance.descriptions.audit import audit_urdf
     from sdpid.output.robots.repair import repair_urdf

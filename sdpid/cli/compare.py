@@ -8,6 +8,7 @@ from typing import Annotated
 import typer
 
 import sdpid.cli.options as opt
+from sdpid.cli.printing import Printing, listed
 
 
 def compare(
@@ -17,7 +18,7 @@ def compare(
     periods: opt.Periods,
     processing: opt.ProcessingOptions,
     estimation: opt.Estimation,
-    printing: opt.Printing,
+    printing: Printing,
     starts: Annotated[
         int, typer.Option(min=0, help="Number of random starts of each local solver.")
     ] = 20,
@@ -57,4 +58,4 @@ def compare(
         "rows": comparison.rows,
         "files": files,
     }
-    printing.show(content, "\n".join((text, opt.listed("files", files))) if files else text)
+    printing.show(content, "\n".join((text, listed("files", files))) if files else text)

@@ -1,27 +1,31 @@
-"""Values of options in a TOML file: ``--config run.toml`` reads them, a run writes its own.
+"""Options of commands: groups that share them, and files that hold their values.
 
+``--config run.toml`` reads the values of options, and a run writes its own.
 A key is the name of an option without dashes before it (``mass_max`` or ``mass-max``), or ``log``
 for the logs. Files are named relative to the folder of the TOML file.
 """
 
 from __future__ import annotations
 
+import functools
 import inspect
 import os
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, fields, is_dataclass
 from difflib import get_close_matches
 from enum import Enum
 from pathlib import Path
 from types import NoneType
-from typing import Annotated, Any, get_args, get_origin
+from typing import Annotated, Any, get_args, get_origin, get_type_hints
 
 import typer
 
+from sdpid._common.progress import hidden_progress
 from sdpid._common.toml import load_toml
 from sdpid.errors import DataError
 
-# Parameters of every command, by its name; `sdpid.cli.options.expand_groups` fills it in.
-PARAMETERS: dict[str, list[inspect.Parameter]] = {}
+# Parameters of every command, by its name.
+_PARAMETERS: dict[str, list[inspect.Parameter]] = {}
 
 # Options that a file does not repeat: where it is itself, and what is printed.
 _NOT_WRITTEN = ("config", "json", "quiet")
@@ -31,6 +35,42 @@ _PERHAPS_FILES = ("robot", "mapping")
 
 # Near names that a message lists.
 _NEAR = 3
+
+
+def expand_groups(function: Callable[..., None]) -> Callable[..., None]:
+    """Return a command whose parameters that are option groups are replaced by their options."""
+    parameters: list[inspect.Parameter] = []
+    groups: dict[str, Any] = {}
+    for parameter in inspect.signature(function, eval_str=True).parameters.values():
+        group = parameter.annotation
+        if not is_dataclass(group):
+            parameters.append(parameter.replace(kind=inspect.Parameter.KEYWORD_ONLY))
+            continue
+        groups[parameter.name] = group
+        types = get_type_hints(group, include_extras=True)
+        for field in fields(group):
+            option = inspect.Parameter(
+                field.name,
+                inspect.Parameter.KEYWORD_ONLY,
+                default=field.default,
+                annotation=types[field.name],
+            )
+            parameters.append(option)
+
+    _PARAMETERS[function.__name__] = parameters
+
+    @functools.wraps(function)
+    def command(**values: Any) -> None:
+        with hidden_progress(values["quiet"]):
+            for name, group in groups.items():
+                values[name] = group(**{each.name: values.pop(each.name) for each in fields(group)})
+            function(**values)
+
+    del command.__wrapped__
+    signature = inspect.Signature(parameters)
+    command.__signature__ = signature  # type: ignore[attr-defined]
+    command.__annotations__ = {each.name: each.annotation for each in parameters}
+    return command
 
 
 @dataclass(frozen=True)
@@ -46,7 +86,7 @@ class _Entry:
 def _entries(command: str) -> dict[str, _Entry]:
     """Return what may stand in a file for a command, by key."""
     entries = {}
-    for parameter in PARAMETERS[command]:
+    for parameter in _PARAMETERS[command]:
         if get_origin(parameter.annotation) is not Annotated or parameter.name == "config":
             continue
         kinds = {kind for kind in _flat(get_args(parameter.annotation)[0]) if kind is not NoneType}

@@ -13,6 +13,7 @@ from sdpid._common.extras import require
 from sdpid._common.text import printable
 from sdpid.cli.config import config_text
 from sdpid.cli.endings import OURS, command_line
+from sdpid.cli.printing import Printing, errors_table, listed
 
 
 def identify(
@@ -23,7 +24,7 @@ def identify(
     periods: opt.Periods,
     processing: opt.ProcessingOptions,
     estimation: opt.Estimation,
-    printing: opt.Printing,
+    printing: Printing,
     out: Annotated[Path, typer.Option(help="Folder for the results.")] = Path("sdpid-results"),
     validation: Annotated[
         list[Path] | None,
@@ -89,10 +90,10 @@ def identify(
     fits = {"constrained": result.training, "unconstrained": result.training_wls}
     if result.validation is not None:
         fits["validation"] = result.validation
-    parts = [result.summary(), opt.listed("notes", notes), opt.errors_table(fits)]
+    parts = [result.summary(), listed("notes", notes), errors_table(fits)]
     if result.cross_validation is not None:
         parts.append(result.cross_validation.table())
-    parts.append(opt.listed("files", files))
+    parts.append(listed("files", files))
     printing.show({**result.to_dict(), "notes": notes, "files": files}, "\n\n".join(parts))
     certificate = result.certificate
     if result.problem.consistency != "none" and not certificate.passed:

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import sdpid.cli.options as opt
+from sdpid.cli.printing import Printing, listed
 
 
 def info(
     log: opt.Log,
     reading: opt.Reading,
     periods: opt.Periods,
-    printing: opt.Printing,
+    printing: Printing,
     robot: opt.OptionalRobot = None,
 ) -> None:
     """Show what was understood of a log, and what is wrong with it."""
@@ -29,12 +30,12 @@ def info(
     width = max(map(len, shown))
     parts = [
         "\n".join(f"{key.replace('_', ' '):{width}}  {_text(each)}" for key, each in shown.items()),
-        opt.listed("read from", (f"{key}: {each}" for key, each in log_read.sources.items())),
+        listed("read from", (f"{key}: {each}" for key, each in log_read.sources.items())),
         Table(tuple(joints[0]), tuple(tuple(joint.values()) for joint in joints)).text(),
     ]
     if findings:
         parts.append(
-            opt.listed("findings", (f"{each['severity']}: {each['text']}" for each in findings))
+            listed("findings", (f"{each['severity']}: {each['text']}" for each in findings))
         )
     printing.show(content, "\n\n".join(parts))
 

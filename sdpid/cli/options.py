@@ -1,32 +1,27 @@
-"""Options that several commands have, declared once in groups, and how their values are read.
+"""Options that several commands have, declared once, in groups.
 
-A command names a group as the type of a parameter: `expand_groups` puts the group's options in
-the parameter's place. Every command has the group `Printing`, and with it ``--config``.
+A command names a group as the type of a parameter: `sdpid.cli.config.expand_groups` puts the
+group's options in the parameter's place.
 """
 
 from __future__ import annotations
 
 import functools
-import inspect
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass, fields, is_dataclass
+from dataclasses import dataclass
 from enum import Enum
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, get_type_hints
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from sdpid._common.files import PathLike, require_other_files
-from sdpid._common.progress import hidden_progress
-from sdpid._common.text import printable
-from sdpid.cli.config import PARAMETERS, read_config
-from sdpid.errors import DataError, ExportError, ModelError
+from sdpid.cli.values import friction_terms, numbers, pairs, split_list
+from sdpid.errors import ExportError
 
 if TYPE_CHECKING:
-    from sdpid.assurance.diagnostics.validation import Validation
     from sdpid.estimation.constraints.constraints import Constraints
     from sdpid.experiment.recording.recording import Recording
-    from sdpid.robot.friction.term import FrictionTerm
     from sdpid.robot.model.model import RobotModel
 
 
@@ -63,10 +58,10 @@ class IntervalMethod(str, Enum):
     bootstrap = "bootstrap"
 
 
-_READING = "Reading the log"
-_PROCESSING = "Processing"
-_ESTIMATION = "Estimation"
-_PRINTING = "Configuration and output"
+# Options under a title in the help.
+_reading = functools.partial(typer.Option, rich_help_panel="Reading the log")
+_processing = functools.partial(typer.Option, rich_help_panel="Processing")
+_estimation = functools.partial(typer.Option, rich_help_panel="Estimation")
 
 _FRICTION_TERMS = (
     *("coulomb", "asymmetric_coulomb", "viscous", "offset", "rotor_inertia"),
@@ -124,53 +119,42 @@ class Reading:
 
     column: Annotated[
         list[str] | None,
-        typer.Option(
+        _reading(
             metavar="QUANTITY=NAME",
             help="Name in the file, such as effort=tau_measured, effort=i1,i2,i3 or "
             "velocity=none. Quantities: time, position, velocity, effort, ... May be repeated.",
-            rich_help_panel=_READING,
         ),
     ] = None
     unit: Annotated[
         list[str] | None,
-        typer.Option(
+        _reading(
             metavar="QUANTITY=UNIT",
             help="Unit in the file where it is not SI, such as position=deg or time=ms. May be "
             "repeated.",
-            rich_help_panel=_READING,
         ),
     ] = None
     joint_names: Annotated[
         str | None,
-        typer.Option(
-            metavar="A,B,...",
-            help="Names of the joints, in the order of the columns.",
-            rich_help_panel=_READING,
-        ),
+        _reading(metavar="A,B,...", help="Names of the joints, in the order of the columns."),
     ] = None
     effort_scale: Annotated[
         str | None,
-        typer.Option(
+        _reading(
             metavar="X,Y,...",
             help="N.m per unit of effort of each joint: torque constant times gear ratio, for "
             "efforts in A.",
-            rich_help_panel=_READING,
         ),
     ] = None
     mapping: Annotated[
         str | None,
-        typer.Option(
+        _reading(
             metavar="FILE",
             help="TOML file with names, units and motors. Default: the one beside the log, "
             "run.toml for run.csv; 'none' ignores that too. Other options win over it.",
-            rich_help_panel=_READING,
         ),
     ] = None
     topic: Annotated[
-        str | None,
-        typer.Option(
-            metavar="NAME", help="Topic of a ROS bag that has several.", rich_help_panel=_READING
-        ),
+        str | None, _reading(metavar="NAME", help="Topic of a ROS bag that has several.")
     ] = None
 
     def arguments(self) -> dict[str, Any]:
@@ -206,20 +190,11 @@ class Reading:
 class Periods:
     """The periods of the motion."""
 
-    period: Annotated[
-        float | None,
-        typer.Option(metavar="S", help="Period of the motion, s.", rich_help_panel=_READING),
-    ] = None
+    period: Annotated[float | None, _reading(metavar="S", help="Period of the motion, s.")] = None
     start: Annotated[
-        float | None,
-        typer.Option(
-            metavar="S", help="Time at which the first period begins, s.", rich_help_panel=_READING
-        ),
+        float | None, _reading(metavar="S", help="Time at which the first period begins, s.")
     ] = None
-    periods: Annotated[
-        int | None,
-        typer.Option(metavar="N", help="Number of whole periods.", rich_help_panel=_READING),
-    ] = None
+    periods: Annotated[int | None, _reading(metavar="N", help="Number of whole periods.")] = None
 
     def arguments(self) -> dict[str, Any]:
         """Return the arguments of `read_recording`."""
@@ -232,42 +207,28 @@ class ProcessingOptions:
 
     cutoff: Annotated[
         float | None,
-        typer.Option(
-            metavar="HZ",
-            help="Cut-off frequency of the low-pass filter, Hz.",
-            rich_help_panel=_PROCESSING,
-        ),
+        _processing(metavar="HZ", help="Cut-off frequency of the low-pass filter, Hz."),
     ] = None
     order: Annotated[
-        int | None,
-        typer.Option(
-            metavar="N",
-            help="Order of the filter in one of its two passes.",
-            rich_help_panel=_PROCESSING,
-        ),
+        int | None, _processing(metavar="N", help="Order of the filter in one of its two passes.")
     ] = None
     velocity: Annotated[
         Velocity | None,
-        typer.Option(
-            help="Use the recorded velocity, or differentiate the position.",
-            rich_help_panel=_PROCESSING,
-        ),
+        _processing(help="Use the recorded velocity, or differentiate the position."),
     ] = None
     filter: Annotated[
         str | None,
-        typer.Option(
+        _processing(
             metavar="TYPE",
             help="Type of the low-pass filter: butterworth or bessel.",
-            rich_help_panel=_PROCESSING,
             autocompletion=_beginning(("butterworth", "bessel")),
         ),
     ] = None
     derivative: Annotated[
         str | None,
-        typer.Option(
+        _processing(
             metavar="SCHEME",
             help="central, central4, central6, savitzky_golay, or spectral (with periods).",
-            rich_help_panel=_PROCESSING,
             autocompletion=_beginning(
                 ("central", "central4", "central6", "savitzky_golay", "spectral")
             ),
@@ -291,59 +252,42 @@ class Estimation:
     """The problem that is solved."""
 
     consistency: Annotated[
-        Consistency,
-        typer.Option(
-            help="Physical consistency that every link must have.", rich_help_panel=_ESTIMATION
-        ),
+        Consistency, _estimation(help="Physical consistency that every link must have.")
     ] = Consistency.pseudo_inertia
     margin: Annotated[
-        float,
-        typer.Option(
-            metavar="X", help="Smallest margin of every link, kg.m2.", rich_help_panel=_ESTIMATION
-        ),
+        float, _estimation(metavar="X", help="Smallest margin of every link, kg.m2.")
     ] = 0.0
     mass_max: Annotated[
-        float | None,
-        typer.Option(
-            metavar="X",
-            help="Largest mass of a link, kg (default 100).",
-            rich_help_panel=_ESTIMATION,
-        ),
+        float | None, _estimation(metavar="X", help="Largest mass of a link, kg (default 100).")
     ] = None
     prior: Annotated[
         bool | None,
-        typer.Option(
+        _estimation(
             "--prior/--no-prior",
             help="Regularize towards the inertias in the robot's description. Default: for logs "
             "without periods.",
-            rich_help_panel=_ESTIMATION,
         ),
     ] = None
     friction: Annotated[
         list[str] | None,
-        typer.Option(
+        _estimation(
             metavar="TERM",
             help="coulomb, coulomb=0.02 (smooth within 0.02 rad/s), coulomb=fit (smooth within "
             "the speed that fits best), asymmetric_coulomb, viscous, offset, rotor_inertia, "
             "stribeck, sigmoid, square_root, or coupling=joint_5,joint_6. Repeat for each term.",
-            rich_help_panel=_ESTIMATION,
             autocompletion=_beginning(_FRICTION_TERMS),
         ),
     ] = None
     without_effort: Annotated[
         str | None,
-        typer.Option(
+        _estimation(
             metavar="A,B,...",
             help="Joints whose effort was not measured, or is wrong; only their motion is used.",
-            rich_help_panel=_ESTIMATION,
         ),
     ] = None
     weighting: Annotated[
         Weighting | None,
-        typer.Option(
-            help="Weighting of the residuals. Default: gls with periods, else residual.",
-            rich_help_panel=_ESTIMATION,
-        ),
+        _estimation(help="Weighting of the residuals. Default: gls with periods, else residual."),
     ] = None
 
     def arguments(self, robot: RobotModel) -> dict[str, Any]:
@@ -367,166 +311,6 @@ class Estimation:
         return Constraints.of_size(robot, margin=self.margin, **given)
 
 
-@dataclass(frozen=True, kw_only=True)
-class Printing:
-    """Where options come from, and what is printed."""
-
-    config: Annotated[
-        Path | None,
-        typer.Option(
-            metavar="FILE",
-            help="TOML file with values of options (cutoff = 10.0, friction = ['coulomb', "
-            "'viscous']) and of LOG (log = 'run.csv'); options given here win over it.",
-            is_eager=True,
-            callback=read_config,
-            rich_help_panel=_PRINTING,
-        ),
-    ] = None
-    json: Annotated[
-        bool,
-        typer.Option("--json", help="Print results as JSON.", rich_help_panel=_PRINTING),
-    ] = False
-    quiet: Annotated[
-        bool,
-        typer.Option("--quiet", "-q", help="Print nothing but errors.", rich_help_panel=_PRINTING),
-    ] = False
-
-    def show(self, values: Any, text: str) -> None:
-        """Print the values as JSON, or the text, or nothing, as was asked for."""
-        if self.quiet:
-            return
-        if self.json:
-            from sdpid._common.tables import json_text
-
-            typer.echo(json_text(values))
-        else:
-            typer.echo(printable(text, keep="\n"))
-
-
-def expand_groups(function: Callable[..., None]) -> Callable[..., None]:
-    """Return a command whose parameters that are option groups are replaced by their options."""
-    parameters: list[inspect.Parameter] = []
-    groups: dict[str, Any] = {}
-    for parameter in inspect.signature(function, eval_str=True).parameters.values():
-        group = parameter.annotation
-        if not is_dataclass(group):
-            parameters.append(parameter.replace(kind=inspect.Parameter.KEYWORD_ONLY))
-            continue
-        groups[parameter.name] = group
-        types = get_type_hints(group, include_extras=True)
-        for field in fields(group):
-            option = inspect.Parameter(
-                field.name,
-                inspect.Parameter.KEYWORD_ONLY,
-                default=field.default,
-                annotation=types[field.name],
-            )
-            parameters.append(option)
-
-    PARAMETERS[function.__name__] = parameters
-
-    @functools.wraps(function)
-    def command(**values: Any) -> None:
-        with hidden_progress(values["quiet"]):
-            for name, group in groups.items():
-                values[name] = group(**{each.name: values.pop(each.name) for each in fields(group)})
-            function(**values)
-
-    del command.__wrapped__
-    signature = inspect.Signature(parameters)
-    command.__signature__ = signature  # type: ignore[attr-defined]
-    command.__annotations__ = {each.name: each.annotation for each in parameters}
-    return command
-
-
-def pairs(values: Iterable[str] | None, option: str) -> dict[str, str]:
-    """Split ``key=value`` options.
-
-    Raises
-    ------
-    DataError
-        When one has no ``=``, or a key comes twice.
-    """
-    split: dict[str, str] = {}
-    for text in values or ():
-        key, equals, value = text.partition("=")
-        key, value = key.strip(), value.strip()
-        if not (equals and key and value):
-            raise DataError(f"{option} {text}: expected a quantity, '=' and a value.")
-        if key in split:
-            raise DataError(f"{option}: {key} is given twice: {split[key]} and {value}.")
-        split[key] = value
-    return split
-
-
-def split_list(text: str) -> list[str]:
-    """Split at commas."""
-    return [part.strip() for part in text.split(",")]
-
-
-def numbers(text: str, option: str) -> list[float]:
-    """Split numbers at commas.
-
-    Raises
-    ------
-    DataError
-        When one is not a number.
-    """
-    try:
-        return [float(part) for part in text.split(",")]
-    except ValueError:
-        raise DataError(f"{option} {text}: expected numbers with commas between them.") from None
-
-
-def friction_terms(texts: list[str] | None) -> list[str | FrictionTerm] | None:
-    """Return the terms of ``--friction``: names, or names with a speed or joints.
-
-    Raises
-    ------
-    DataError
-        When a speed is no number.
-    ModelError
-        When a term takes no value, or another number of them.
-    """
-    from sdpid.robot.friction.terms import (
-        AsymmetricCoulomb,
-        Coulomb,
-        Coupling,
-        SigmoidFriction,
-        Stribeck,
-    )
-
-    with_speed: dict[str, Callable[[float | None], FrictionTerm]] = {
-        "coulomb": lambda width: Coulomb(width=width),
-        "asymmetric_coulomb": lambda width: AsymmetricCoulomb(width=width),
-        "stribeck": lambda speed: Stribeck(velocity=speed),
-        "sigmoid": lambda speed: SigmoidFriction(velocity=speed),
-    }
-    terms: list[str | FrictionTerm] = []
-    for text in texts or ():
-        name, equals, value = text.partition("=")
-        if not equals:
-            terms.append(text)
-        elif name in with_speed:
-            speeds = [None] if value == "fit" else numbers(value, f"--friction {name}")
-            if len(speeds) != 1:
-                raise ModelError(
-                    f"--friction {text}: has {len(speeds)} speeds; give one, which holds for every "
-                    "joint, or fit, which chooses one for each."
-                )
-            terms.append(with_speed[name](speeds[0]))
-        elif name == "coupling" and value.count(",") == 1:
-            first, second = split_list(value)
-            terms.append(Coupling(first, second))
-        else:
-            raise ModelError(
-                f"--friction {text}: takes no value; with one there are coulomb=WIDTH, "
-                "asymmetric_coulomb=WIDTH, stribeck=SPEED, sigmoid=SPEED (a speed in rad/s, or "
-                "fit) and coupling=JOINT,JOINT."
-            )
-    return terms or None
-
-
 def require_folder(option: str, file: Path, inputs: Iterable[PathLike | None] = ()) -> None:
     """Refuse a file that cannot be written, before the work is done.
 
@@ -548,23 +332,3 @@ def require_folder(option: str, file: Path, inputs: Iterable[PathLike | None] = 
         what = "is a folder" if file.is_dir() else f"there is no folder {file.parent}"
         raise ExportError(f"cannot write {file}: {what}.")
     require_other_files(option, [file], inputs)
-
-
-def listed(title: str, lines: Iterable[object]) -> str:
-    """Return indented lines under a title; what would begin a line of its own is replaced."""
-    return "\n".join((f"{title}:", *(f"  {printable(str(line))}" for line in lines)))
-
-
-def errors_table(fits: dict[str, Validation]) -> str:
-    """Return the errors of every joint, a pair of columns for each fit."""
-    from sdpid._common.tables import Table
-
-    names = next(iter(fits.values())).joint_names
-    header = ["joint"]
-    columns: list[list[Any]] = [list(names)]
-    for label, fit in fits.items():
-        header += [f"{label} RMSE [N.m]", "NRMSE [%]"]
-        for values in (fit.rmse, 100.0 * fit.nrmse):
-            rows = fit.rows.tolist()
-            columns.append([x if k else None for x, k in zip(values.tolist(), rows, strict=True)])
-    return Table(tuple(header), tuple(zip(*columns, strict=True))).text(4)

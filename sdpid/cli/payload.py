@@ -8,13 +8,14 @@ from typing import Annotated
 import typer
 
 import sdpid.cli.options as opt
+from sdpid.cli.printing import Printing
 
 
 def payload(
     log: opt.Log,
     robot: opt.Robot,
     reading: opt.Reading,
-    printing: opt.Printing,
+    printing: Printing,
     without: Annotated[
         Path | None,
         typer.Option(

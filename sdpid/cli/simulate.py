@@ -9,6 +9,7 @@ import typer
 
 import sdpid.cli.options as opt
 from sdpid._common.extras import require
+from sdpid.cli.printing import Printing, listed
 from sdpid.errors import DataError, ExportError
 
 
@@ -18,7 +19,7 @@ def simulate(
         typer.Argument(help="URDF file, name of a robot, or a folder like that of a bundled one."),
     ],
     out: Annotated[Path, typer.Option(help="Parquet file for the recording.")],
-    printing: opt.Printing,
+    printing: Printing,
     trajectory: Annotated[
         Path | None,
         typer.Option(
@@ -88,4 +89,4 @@ def simulate(
         "notes": notes,
         "files": files,
     }
-    printing.show(content, "\n".join((*notes, repr(recording), opt.listed("files", files))))
+    printing.show(content, "\n".join((*notes, repr(recording), listed("files", files))))

@@ -10,6 +10,7 @@ import typer
 
 import sdpid.cli.options as opt
 from sdpid._common.extras import require
+from sdpid.cli.printing import Printing, errors_table, listed
 
 
 def validate(
@@ -18,7 +19,7 @@ def validate(
     reading: opt.Reading,
     periods: opt.Periods,
     processing: opt.ProcessingOptions,
-    printing: opt.Printing,
+    printing: Printing,
     figure: Annotated[Path | None, typer.Option(help="Image file for the plot.")] = None,
 ) -> None:
     """Predict a log's efforts with a URDF: its inertias, its damping and its friction.
@@ -50,11 +51,11 @@ def validate(
     notes = list(samples.notes)
     parts = [
         f"{model.name}: relative residual {100 * fit.relative:.2f} %\n"
-        + opt.listed("verdict", verdict),
-        opt.listed("notes", notes),
-        opt.errors_table({"prediction": fit}),
+        + listed("verdict", verdict),
+        listed("notes", notes),
+        errors_table({"prediction": fit}),
     ]
     if files:
-        parts.append(opt.listed("files", files))
+        parts.append(listed("files", files))
     content = {**fit.to_dict(), "verdict": verdict, "notes": notes, "files": files}
     printing.show(content, "\n\n".join(parts))

@@ -7,16 +7,16 @@ from typing import Annotated
 
 import typer
 
-import sdpid.cli.options as opt
 from sdpid._common.text import printable
 from sdpid.cli.endings import OURS
+from sdpid.cli.printing import Printing
 
 
 def verify(
     certificate: Annotated[
         Path, typer.Argument(metavar="FILE", help="Certificate that `sdpid identify` wrote.")
     ],
-    printing: opt.Printing,
+    printing: Printing,
 ) -> None:
     """Check a certificate in exact arithmetic, from its own numbers.
 

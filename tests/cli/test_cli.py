@@ -15,7 +15,7 @@ from typer.testing import CliRunner, Result
 
 import sdpid
 from sdpid import cli
-from sdpid.cli import endings, options
+from sdpid.cli import endings, printing, values
 from sdpid.experiment.plant.simulate import true_parameters
 from sdpid.robot.model.model import RobotModel
 from tests.helpers.arm_files import ARM_URDF, arm_log
@@ -133,12 +133,12 @@ def test_friction_options() -> None:
     from sdpid.robot.friction.terms import AsymmetricCoulomb, Coulomb, Coupling, Stribeck
 
     texts = ["coulomb=fit", "stribeck=0.2", "stribeck=fit", "asymmetric_coulomb=0.1"]
-    assert options.friction_terms([*texts, "sigmoid", "coupling=a,b"]) == [
+    assert values.friction_terms([*texts, "sigmoid", "coupling=a,b"]) == [
         *(Coulomb(width=None), Stribeck(0.2), Stribeck(), AsymmetricCoulomb(width=0.1)),
         *("sigmoid", Coupling("a", "b")),
     ]
     with pytest.raises(sdpid.errors.ModelError, match="viscous=1: takes no value"):
-        options.friction_terms(["viscous=1"])
+        values.friction_terms(["viscous=1"])
 
 
 def test_terms_with_chosen_speeds(log: Path, tmp_path: Path) -> None:
@@ -526,7 +526,7 @@ def test_what_a_terminal_would_obey_is_not_printed(
     assert "PROVEN." not in done.stdout.splitlines()
     assert len(done.stderr.splitlines()) == 1
     assert not set(done.output) & set("\x1b\u202e\x9b")
-    text = options.listed("notes", [HOSTILE])
+    text = printing.listed("notes", [HOSTILE])
     assert len(text.splitlines()) == 2
     assert not set(text) & set("\x1b\u202e\x9b")
 

@@ -1,0 +1,68 @@
+"""What commands print: the options for it, lists and tables."""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Iterable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from sdpid._common.text import printable
+from sdpid.cli.config import read_config
+
+if TYPE_CHECKING:
+    from sdpid.assurance.diagnostics.validation import Validation
+
+_printing = functools.partial(typer.Option, rich_help_panel="Configuration and output")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Printing:
+    """Where options come from, and what is printed."""
+
+    config: Annotated[
+        Path | None,
+        _printing(
+            metavar="FILE",
+            help="TOML file with values of options (cutoff = 10.0, friction = ['coulomb', "
+            "'viscous']) and of LOG (log = 'run.csv'); options given here win over it.",
+            is_eager=True,
+            callback=read_config,
+        ),
+    ] = None
+    json: Annotated[bool, _printing("--json", help="Print results as JSON.")] = False
+    quiet: Annotated[bool, _printing("--quiet", "-q", help="Print nothing but errors.")] = False
+
+    def show(self, values: Any, text: str) -> None:
+        """Print the values as JSON, or the text, or nothing, as was asked for."""
+        if self.quiet:
+            return
+        if self.json:
+            from sdpid._common.tables import json_text
+
+            typer.echo(json_text(values))
+        else:
+            typer.echo(printable(text, keep="\n"))
+
+
+def listed(title: str, lines: Iterable[object]) -> str:
+    """Return indented lines under a title; what would begin a line of its own is replaced."""
+    return "\n".join((f"{title}:", *(f"  {printable(str(line))}" for line in lines)))
+
+
+def errors_table(fits: dict[str, Validation]) -> str:
+    """Return the errors of every joint, a pair of columns for each fit."""
+    from sdpid._common.tables import Table
+
+    names = next(iter(fits.values())).joint_names
+    header = ["joint"]
+    columns: list[list[Any]] = [list(names)]
+    for label, fit in fits.items():
+        header += [f"{label} RMSE [N.m]", "NRMSE [%]"]
+        for values in (fit.rmse, 100.0 * fit.nrmse):
+            rows = fit.rows.tolist()
+            columns.append([x if k else None for x, k in zip(values.tolist(), rows, strict=True)])
+    return Table(tuple(header), tuple(zip(*columns, strict=True))).text(4)
