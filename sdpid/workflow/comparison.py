@@ -12,7 +12,7 @@ import numpy as np
 from sdpid._common.jobs import parallel
 from sdpid._common.progress import progress
 from sdpid._common.seeds import generator
-from sdpid._common.tables import Table
+from sdpid._common.tables import Table, facts_html
 from sdpid.assurance.certificate.certificate import Certificate, certify
 from sdpid.errors import DataError, SdpidError
 from sdpid.estimation.estimate import Estimate
@@ -32,18 +32,18 @@ class Row:
     Attributes
     ----------
     solver, start : str
-        Which solver, from where.
+        Name of the solver, and of the starting point.
     status, message : str
-        What happened.
+        How the run ended.
     cost : float or None
-        Its cost, None when it failed.
+        Cost that was reached; None when the run failed.
     gap : float or None
         (cost − proven lower bound) over the cost; negative below the bound, which only an
         infeasible point can be.
     worst_margin : float or None
         Smallest margin of a link, kg·m².
     violation : float or None
-        By how much the worst constraint is violated.
+        Largest violation of a constraint.
     iterations : int or None
         Iterations.
     seconds : float or None
@@ -77,34 +77,37 @@ class Comparison:
     Attributes
     ----------
     rows : tuple of Row
-        One a solver and start.
+        One for each solver and start.
     estimates : tuple of Estimate or None
-        What each run found, None where it failed.
+        Result of each run; None where it failed.
     certificate : Certificate
-        Of the global optimum; its bound is the one that gaps are taken to.
+        Certificate of the global optimum; its lower bound is the reference of the gaps.
     """
 
     rows: tuple[Row, ...]
     estimates: tuple[Estimate | None, ...]
     certificate: Certificate
 
+    def __repr__(self) -> str:
+        """Return the number of runs and the proven bound in a line."""
+        return f"Comparison({len(self.rows)} runs, lower_bound={self.certificate.lower_bound:.8g})"
+
+    def _repr_html_(self) -> str:
+        """Return the table for a notebook."""
+        facts = {"proven lower bound": self.certificate.lower_bound}
+        return facts_html("Comparison of solvers", facts, self._table())
+
     def table(self) -> str:
         """Return the rows as aligned text."""
-        header = ("solver", "start", "status", "cost", "gap", "margin", "iterations", "seconds")
-        rows = [
-            (
-                r.solver,
-                r.start,
-                r.status,
-                _text(r.cost, ".8g"),
-                _text(r.gap, ".1e"),
-                _text(r.worst_margin, ".2e"),
-                r.iterations,
-                _text(r.seconds, ".3g"),
-            )
-            for r in self.rows
-        ]
-        return Table(header, tuple(rows)).text()
+        return self._table().text()
+
+    def _table(self) -> Table:
+        """Return the rows without messages, under short names."""
+        shown = {"worst_margin": "margin"}
+        names = [name for name in _COLUMNS if name not in ("violation", "message")]
+        rows = tuple(tuple(getattr(row, name) for name in names) for row in self.rows)
+        formats = {"cost": ".8g", "gap": ".1e", "margin": ".2e", "seconds": ".3g"}
+        return Table(tuple(shown.get(name, name) for name in names), rows, formats)
 
     def to_frame(self) -> Any:
         """Return the rows as a pandas DataFrame (extra ``io``)."""
@@ -136,8 +139,8 @@ class Comparison:
         """
         from sdpid.output.plots.convergence import plot_convergence
 
-        own = [e for r, e in zip(self.rows, self.estimates, strict=True) if r.solver == solver]
-        histories = [e.history for e in own if e is not None and e.history]
+        runs = [e for r, e in zip(self.rows, self.estimates, strict=True) if r.solver == solver]
+        histories = [e.history for e in runs if e is not None and e.history]
         if not histories:
             raise DataError(f"plot: no start of {solver!r} has a history; compare it first.")
         best = self.certificate.estimate
@@ -146,7 +149,7 @@ class Comparison:
             self.certificate.lower_bound,
             {"SDP": (best.solve_time, best.cost)},
             against=against,
-            failed=len(own) - len(histories),
+            failed=len(runs) - len(histories),
             label=_LABELS.get(solver, solver),
             feasible=FEASIBLE_LOCAL,
             title=f"{_LABELS.get(solver, solver)}: cost above the proven bound",
@@ -155,10 +158,6 @@ class Comparison:
     def to_csv(self, path: str | os.PathLike[str]) -> None:
         """Write the rows, a missing value being an empty field."""
         Table(_COLUMNS, tuple(tuple(vars(row).values()) for row in self.rows)).write(path)
-
-
-def _text(value: float | None, form: str) -> str:
-    return "-" if value is None else format(value, form)
 
 
 def compare(
@@ -179,9 +178,9 @@ def compare(
     problem : Problem
         The problem, with a consistency.
     starts : int, optional
-        Random starts of the local solvers, the same for each.
+        Number of random starts; every local solver gets the same.
     seed : int, optional
-        Of the starts.
+        Random seed of the starts.
     extra_starts : sequence of (label, theta), optional
         Further starts.
     local : sequence of str, optional

@@ -1,17 +1,17 @@
-"""Cross-validation in blocks of time: what a model predicts of motion that it never saw."""
+"""Cross-validation: hold out blocks of time or recordings in turn, and predict each."""
 
 from __future__ import annotations
 
 import os
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Literal
+from typing import Any, Literal, cast
 
 import numpy as np
 
 from sdpid._common.arrays import Array, frozen
 from sdpid._common.progress import progress
-from sdpid._common.tables import Table
+from sdpid._common.tables import Table, facts_html, plain
 from sdpid.assurance.diagnostics.validation import Validation, validate
 from sdpid.errors import DataError, IdentifiabilityError
 from sdpid.estimation.compression.covariance import Weighting
@@ -39,20 +39,20 @@ By = Literal["time", "recording"]
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Fold:
-    """One fit, and what it predicts of what was held out from it.
+    """One fit, and its prediction of what was held out.
 
     Attributes
     ----------
     name : str
         What was held out, in words.
     processing : Processing
-        How all of it was processed; chosen from the training part alone.
+        Processing of all recordings of the fold; chosen from the training part alone.
     training : float
         Relative residual on the training rows.
     held_out : Validation
-        The estimate on what was held out.
+        Errors of the estimate on what was held out.
     unconstrained : Validation
-        The unconstrained fit there.
+        Errors of the unconstrained fit on what was held out.
     power : ndarray, shape (n,)
         Sum of the squared efforts held out, (N·m)².
     """
@@ -67,12 +67,12 @@ class Fold:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class CrossValidation:
-    """What several fits predict of what was held out from each.
+    """The errors of several fits, each on what was held out from it.
 
     Attributes
     ----------
     by : {"time", "recording"}
-        What was held out each time: a block of time, or a recording.
+        What is held out in each fold: a block of time, or a recording.
     folds : tuple of Fold
         The fits.
     joint_names : tuple of str
@@ -92,6 +92,14 @@ class CrossValidation:
     relative: float
     relative_unconstrained: float
 
+    def __repr__(self) -> str:
+        """Return the result in a line."""
+        return f"CrossValidation({self.summary()})"
+
+    def _repr_html_(self) -> str:
+        """Return the table for a notebook."""
+        return facts_html("Cross-validation", {"result": self.summary()}, self.as_table())
+
     @property
     def count(self) -> int:
         """Number of folds."""
@@ -99,7 +107,7 @@ class CrossValidation:
 
     @property
     def relatives(self) -> Array:
-        """Relative residual held out of each fold, (folds,)."""
+        """Relative residual on the held-out rows of each fold, (folds,)."""
         return np.array([fold.held_out.relative for fold in self.folds])
 
     @property
@@ -123,40 +131,38 @@ class CrossValidation:
         )
 
     def table(self) -> str:
-        """Return aligned text: a line for each fold and one for all.
-
-        Relative residuals are in %, those of the training rows first; then come the root mean
-        square errors of the joints on what was held out, N·m.
-        """
+        """Return `as_table` as aligned text under a title."""
         title = "held out in turn: relative residuals in %, RMSE of every joint in N.m"
         return f"{title}\n{self.as_table().text(3)}"
 
     def as_table(self) -> Table:
-        """Return relative residuals in % and root mean square errors in N·m, a row a fold."""
+        """Return a row a fold and one for all: relative residuals in %, RMSE of joints in N·m."""
         header = ("held out", "rows", "trained", "held out", "unconstrained", *self.joint_names)
-        rows: list[tuple[object, ...]] = []
-        for fold in self.folds:
-            fit = fold.held_out
-            shares = (fold.training, fit.relative, fold.unconstrained.relative)
-            percents = (100.0 * share for share in shares)
-            rows.append((fold.name, int(fit.rows.sum()), *percents, *fit.rmse.tolist()))
+        rows = [
+            (
+                fold.name,
+                int(fold.held_out.rows.sum()),
+                100.0 * fold.training,
+                100.0 * fold.held_out.relative,
+                100.0 * fold.unconstrained.relative,
+                *fold.held_out.rmse.tolist(),
+            )
+            for fold in self.folds
+        ]
         shares = (self.training, self.relative, self.relative_unconstrained)
-        count = sum(int(fold.held_out.rows.sum()) for fold in self.folds)
-        rows.append(("all", count, *(100.0 * share for share in shares), *self.rmse.tolist()))
-        return Table(header, tuple(rows))
+        total = ("all", sum(row[1] for row in rows), *(100.0 * share for share in shares))
+        return Table(header, (*rows, (*total, *self.rmse.tolist())))
 
     def to_dict(self) -> dict[str, Any]:
         """Return plain values for JSON."""
-        return {
+        content = {
             "by": self.by,
             "relative_residual": self.relative,
             "relative_residual_unconstrained": self.relative_unconstrained,
             "spread": self.spread,
             "training": self.training,
-            "rmse": dict(zip(self.joint_names, self.rmse.tolist(), strict=True)),
-            "rmse_unconstrained": dict(
-                zip(self.joint_names, self.rmse_unconstrained.tolist(), strict=True)
-            ),
+            "rmse": dict(zip(self.joint_names, self.rmse, strict=True)),
+            "rmse_unconstrained": dict(zip(self.joint_names, self.rmse_unconstrained, strict=True)),
             "folds": [
                 {
                     "held_out": fold.name,
@@ -168,6 +174,7 @@ class CrossValidation:
                 for fold in self.folds
             ],
         }
+        return cast(dict[str, Any], plain(content))
 
 
 def cross_validate(
@@ -185,35 +192,35 @@ def cross_validate(
     constraints: Constraints | None = None,
     prior: Prior | bool | None = None,
 ) -> CrossValidation:
-    """Hold out blocks of time in turn, and predict each by a fit to the rest.
+    """Hold out blocks of time or recordings in turn, and predict each by a fit to the rest.
 
-    Each fit is one of `identify`, from the raw recordings on. What is before and after the block
-    are recordings of their own, and so is the block: each is filtered alone, and where it was cut
-    its ends are trimmed like those of any record. So nothing of a block reaches the samples, the
-    processing, the friction speeds, the weights or the prior that it is judged by; and between
-    training and held-out rows there is a distance of twice what the filter remembers.
+    Each fit starts from the raw recordings, as in `identify`. A block, and what lies before and
+    after it, are processed as separate recordings, and the ends of each are trimmed. So no sample
+    of a block influences the samples, the processing, the friction speeds, the weights or the
+    prior of the fit that predicts it, and training and held-out rows lie twice the memory of the
+    filter apart.
 
     Parameters
     ----------
     robot : RobotModel, name or path
         The robot.
     log : Recording or path, or a sequence of these
-        The recordings, without periods: a record with periods repeats one motion, and its blocks
-        are not fresh to each other.
+        The recordings, without periods: a record with periods repeats one motion, so that its
+        blocks do not test each other.
     folds : int, optional
-        Blocks. Of several recordings each is cut into so many, and the blocks of the same number
-        are held out together.
+        Number of blocks. Every recording is cut into this number, and the blocks with the same
+        index are held out together.
     by : {"time", "recording"}, optional
         ``"recording"`` holds out one recording at a time (`folds` is then not used).
     processing : Processing or mapping, optional
-        By default, but for the settings in a mapping, it is chosen from the training part of each
-        fold as `identify` does.
+        By default it is chosen from the training part of each fold, as in `identify`; a mapping
+        changes some of its settings.
     without_effort : iterable of str, optional
-        As of `identify`.
+        As in `identify`.
     scored : Processing, optional
-        For what is held out; by default as the training part.
+        Processing of what is held out; by default that of the training part.
     friction, weighting, consistency, constraints, prior : optional
-        As of `identify`.
+        As in `identify`.
 
     Returns
     -------
@@ -222,7 +229,7 @@ def cross_validate(
     Raises
     ------
     SdpidError
-        A child, as of `identify`, that names the fold; a `DataError` when parts are too short.
+        A child, as in `identify`, that names the fold; a `DataError` when parts are too short.
     """
     model = robot if isinstance(robot, RobotModel) else load_robot(robot)
     logs = all_recordings(log)
@@ -235,7 +242,7 @@ def cross_validate(
         "prior": prior,
     }
     parts = list(_parts(logs, folds, by))
-    done: list[Fold] = []
+    fits: list[Fold] = []
     squares = []
     with progress(len(parts), "cross-validation") as advance:
         for name, kept, out in parts:
@@ -258,25 +265,26 @@ def cross_validate(
                 unconstrained=validate(free, fresh),
                 power=_power(fresh),
             )
-            done.append(fold)
-            fits = (fold.held_out, fold.unconstrained)
-            squares.append([fit.rows * fit.rmse**2 for fit in fits])
+            fits.append(fold)
+            errors = (fold.held_out, fold.unconstrained)
+            squares.append([each.rows * each.rmse**2 for each in errors])
             advance(1)
-    own, unconstrained = np.sum(squares, axis=0)
-    rows = np.maximum(np.sum([fold.held_out.rows for fold in done], axis=0), 1)
-    power = max(float(np.sum([fold.power for fold in done])), np.finfo(float).tiny)
+    constrained, unconstrained = np.sum(squares, axis=0)
+    rows = np.maximum(np.sum([fold.held_out.rows for fold in fits], axis=0), 1)
+    power = max(float(np.sum([fold.power for fold in fits])), np.finfo(float).tiny)
     return CrossValidation(
         by=by,
-        folds=tuple(done),
+        folds=tuple(fits),
         joint_names=model.joint_names,
-        rmse=frozen(np.sqrt(own / rows)),
+        rmse=frozen(np.sqrt(constrained / rows)),
         rmse_unconstrained=frozen(np.sqrt(unconstrained / rows)),
-        relative=float(np.sqrt(own.sum() / power)),
+        relative=float(np.sqrt(constrained.sum() / power)),
         relative_unconstrained=float(np.sqrt(unconstrained.sum() / power)),
     )
 
 
 def _power(samples: Samples) -> Array:
+    """Return the sum of the squared efforts of each joint over the rows that are not masked."""
     used = samples.effort if samples.mask is None else np.where(samples.mask, samples.effort, 0.0)
     return frozen(np.sum(used**2, axis=0))
 
@@ -284,7 +292,7 @@ def _power(samples: Samples) -> Array:
 def _parts(
     logs: Sequence[Recording], folds: int, by: By
 ) -> Iterator[tuple[str, list[Recording], list[Recording]]]:
-    """Yield a name, what is trained on and what is held out, for every fold."""
+    """Yield the name, the training part and the held-out part of every fold."""
     if by == "recording":
         if len(logs) < 2:
             raise DataError("cross-validation by='recording': needs at least two recordings.")
@@ -306,30 +314,30 @@ def _parts(
     if folds > shortest // 2:
         raise DataError(
             f"cross-validation: a recording of {shortest} samples is too short for {folds} blocks; "
-            f"use fewer folds."
+            "use fewer folds."
         )
     for k in range(folds):
         kept: list[Recording] = []
         out: list[Recording] = []
         for log in logs:
             first, last = (round(log.n_samples * i / folds) for i in (k, k + 1))
-            for own, a, b in ((kept, 0, first), (out, first, last), (kept, last, log.n_samples)):
+            for part, a, b in ((kept, 0, first), (out, first, last), (kept, last, log.n_samples)):
                 if b > a:
-                    own.append(_cut(log, a, b))
+                    part.append(_cut(log, a, b))
         yield f"block {k + 1} of {folds}", kept, out
 
 
 def _cut(log: Recording, first: int, last: int) -> Recording:
-    """Return the samples of a recording from first up to last."""
+    """Return the samples of a recording from `first` to before `last`."""
     if last - first < 2:
         raise DataError(
             f"cross-validation: a recording of {log.n_samples} samples is too short for blocks."
         )
-    own = slice(first, last)
+    rows = slice(first, last)
     return replace(
         log,
-        time=log.time[own],
-        position=log.position[own],
-        effort=log.effort[own],
-        velocity=None if log.velocity is None else log.velocity[own],
+        time=log.time[rows],
+        position=log.position[rows],
+        effort=log.effort[rows],
+        velocity=None if log.velocity is None else log.velocity[rows],
     )

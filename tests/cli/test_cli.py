@@ -235,6 +235,8 @@ def test_compare(log: Path, tmp_path: Path) -> None:
     found = json.loads(run(*arguments, "--starts", 0, "--json").stdout)
     assert found["certified"] is True
     assert [row["solver"] for row in found["rows"]] == ["wls", "sdp"]
+    header = done.stdout.splitlines()[0].split()
+    assert header == ["solver", "start", "status", "cost", "gap", "margin", "iterations", "seconds"]
 
 
 def test_verify(results: Path, tmp_path: Path) -> None:

@@ -81,10 +81,12 @@ def test_the_whole_is_the_sum_of_the_folds(crossed: CrossValidation) -> None:
     lines = crossed.table().splitlines()
     assert len(lines) == FOLDS + 3
     assert lines[-1].startswith("all")
-    told = crossed.to_dict()
-    assert told["relative_residual"] == crossed.relative
-    assert [fold["held_out"] for fold in told["folds"]][-1] == "block 4 of 4"
-    assert set(told["rmse"]) == set(arm().joint_names)
+    content = crossed.to_dict()
+    assert content["relative_residual"] == crossed.relative
+    assert [fold["held_out"] for fold in content["folds"]][-1] == "block 4 of 4"
+    assert set(content["rmse"]) == set(arm().joint_names)
+    assert len(repr(crossed)) < 150
+    assert "block 4 of 4" in crossed._repr_html_()
 
 
 def test_by_recording_and_in_blocks_of_several() -> None:
