@@ -19,6 +19,7 @@ import numpy as np
 from sdpid import __version__
 from sdpid._common.arrays import Array, frozen
 from sdpid._common.files import atomic_write_text
+from sdpid._common.tables import facts_html
 from sdpid._common.threads import one_thread
 from sdpid.assurance.certificate import verify as exact
 from sdpid.assurance.certificate.compression_error import compression_error, rows_digest
@@ -148,8 +149,25 @@ class Certificate:
         """Whether all that is claimed is proven, and the gap is no more than `GAP`."""
         return not self._proof.problems and self.gap <= GAP
 
+    def __repr__(self) -> str:
+        return (
+            f"Certificate(robot={self.problem.robot.name!r}, method={self.estimate.method!r}, "
+            f"cost={self.estimate.cost:.8g}, lower_bound={self.bound.value:.8g})"
+        )
+
+    def _repr_html_(self) -> str:
+        margins = [margin for margin in self.margins or () if margin is not None]
+        facts = {
+            "passed": "yes" if self.passed else "no",
+            "cost": self.cost,
+            "lower bound": self.lower_bound,
+            "relative gap": self.gap,
+            "smallest margin, kg·m²": min(margins, default=None),
+        }
+        return facts_html(f"Certificate of {self.problem.robot.name}", facts)
+
     def summary(self) -> str:
-        """Return in words what is shown."""
+        """Return what is proven, in words."""
         if not self.feasible:
             reason = "; ".join(self._proof.problems)
             return (

@@ -132,7 +132,7 @@ def log_bounds(value: Fraction) -> tuple[Fraction, Fraction]:
     """Return rationals with ``lower ≤ ln(value) ≤ upper``, value > 0.
 
     With value = m·2^e and 1/2 < m < 2, ln(value) = e·ln 2 + ln m. The logarithm rises, so m may be
-    replaced by neighbours with fewer digits. ln m = 2·atanh(z), z = (m − 1)/(m + 1), |z| < 1/3, and
+    replaced by neighbors with fewer digits. ln m = 2·atanh(z), z = (m − 1)/(m + 1), |z| < 1/3, and
     atanh z = z + z³/3 + z⁵/5 + …, whose rest after the term of z^(2n−1) has the sign of z and is
     at most |z|^(2n+1) / ((2n + 1)·(1 − z²)).
     """

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import os
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from sdpid._common.tables import Table, facts_html, plain
 from sdpid.assurance.descriptions.body_checks import (
     Finding,
     check_numbers,
@@ -43,19 +44,19 @@ class BodyAudit:
     mass : float or None
         kg.
     com : tuple of float or None
-        Centre of mass in the link's frame, m.
+        Center of mass in the link's frame, m.
     moments : tuple of float or None
-        Principal moments about the centre of mass, rising, kg·m².
+        Principal moments about the center of mass, rising, kg·m².
     second_moment : float or None
-        Smallest eigenvalue of the second moments about the centre of mass, kg·m²: the one of the
+        Smallest eigenvalue of the second moments about the center of mass, kg·m²: the one of the
         pseudo-inertia once its frame is moved there.
     triangle_ratio : float or None
         Largest principal moment over the sum of the others, at most 1 for a body; None where that
         sum is not positive.
     gyration : float or None
-        Radius of gyration about the centre of mass, m; None where it is not real.
+        Radius of gyration about the center of mass, m; None where it is not real.
     com_outside : float or None
-        Distance of the centre of mass from the hull of the collision geometry (of the visual one
+        Distance of the center of mass from the hull of the collision geometry (of the visual one
         where there is no other), m; negative inside.
     density : float or None
         Mass over the volume of the hull of all geometry, kg/m³: the least that it can be.
@@ -107,25 +108,39 @@ class UrdfAudit:
         """Whether there are no errors."""
         return not self.errors
 
+    def __repr__(self) -> str:
+        return (
+            f"UrdfAudit(name={self.name!r}, {len(self.bodies)} links, {len(self.errors)} errors, "
+            f"{len(self.warnings)} warnings)"
+        )
+
+    def _repr_html_(self) -> str:
+        header = ("severity", "link", "finding")
+        rows = tuple((f.severity, f.link, f.message) for f in self.findings)
+        facts = {"errors": len(self.errors), "warnings": len(self.warnings)}
+        return facts_html(f"Audit of {self.name}", facts, self._table(), Table(header, rows))
+
+    def _table(self) -> Table:
+        """Return one row a body; one that cannot exist is marked with an exclamation mark."""
+        bodies = self.bodies
+        return Table.of_columns(
+            {
+                "link": [b.link + (" !" if b.consistent is False else "") for b in bodies],
+                "mass": [b.mass for b in bodies],
+                "moments": [
+                    None if b.moments is None else " ".join(f"{x:.3g}" for x in b.moments)
+                    for b in bodies
+                ],
+                "second moment": [b.second_moment for b in bodies],
+                "triangle": [b.triangle_ratio for b in bodies],
+                "com outside": [b.com_outside for b in bodies],
+                "density": [b.density for b in bodies],
+            }
+        )
+
     def table(self) -> str:
         """Return the bodies as aligned text; ``-`` where a number does not exist."""
-        header = ("link", "mass", "moments", "second moment", "triangle", "com outside", "density")
-        lines: list[tuple[str, ...]] = [header]
-        for body in self.bodies:
-            moments = "-"
-            if body.moments is not None:
-                moments = " ".join(f"{x:.3g}" for x in body.moments)
-            numbers = (body.second_moment, body.triangle_ratio, body.com_outside, body.density)
-            mark = "" if body.consistent is not False else " !"
-            lines.append((body.link + mark, _cell(body.mass), moments, *map(_cell, numbers)))
-        widths = [max(len(line[k]) for line in lines) for k in range(len(header))]
-        return "\n".join(
-            "  ".join(
-                cell.ljust(w) if k == 0 else cell.rjust(w)
-                for k, (cell, w) in enumerate(zip(line, widths, strict=True))
-            )
-            for line in lines
-        )
+        return self._table().text(3)
 
     def describe(self) -> str:
         """Return the findings, one a line, and the count."""
@@ -142,12 +157,8 @@ class UrdfAudit:
 
     def to_dict(self) -> dict[str, Any]:
         """Return everything as plain values."""
-        return {
-            "name": self.name,
-            "passed": self.passed,
-            "bodies": [asdict(body) for body in self.bodies],
-            "findings": [asdict(finding) for finding in self.findings],
-        }
+        found: dict[str, Any] = {"passed": self.passed, **plain(self)}
+        return found
 
 
 def audit_urdf(
@@ -158,7 +169,7 @@ def audit_urdf(
     Errors are what no body can have, decided in exact arithmetic on the decimals of the file:
     tensors that violate the triangle inequality or are not positive, negative masses, inertia
     without mass, asymmetric tensors, numbers that are none, joints that move nothing. Warnings
-    are what is implausible: tensors without thickness, placeholders, copies, centres of mass,
+    are what is implausible: tensors without thickness, placeholders, copies, centers of mass,
     densities and radii of gyration that do not fit the geometry, units, the wrong point.
 
     Parameters
@@ -272,7 +283,3 @@ def _numbers(body: DescribedBody, shapes: _Shapes) -> BodyAudit:
         com_outside=outside,
         density=density,
     )
-
-
-def _cell(value: float | None) -> str:
-    return "-" if value is None else f"{value:.3g}"

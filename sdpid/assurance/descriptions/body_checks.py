@@ -27,7 +27,7 @@ DENSEST = 25e3
 LIGHTEST = 1.0
 # Simplified geometry may be smaller than the part by this share.
 SPREAD = 1.1
-# A centre of mass farther outside than this (m), or this share of the shape's radius, is not a
+# A center of mass farther outside than this (m), or this share of the shape's radius, is not a
 # matter of simplified geometry.
 OUTSIDE, OUTSIDE_SHARE = 2e-3, 0.02
 # Radius of gyration over the shape's radius: solids and shells have 0.3 to 0.8.
@@ -213,7 +213,7 @@ def _impossible(body: DescribedBody, tensor: Array, mass: float) -> Finding:
         lifted = tensor + mass * complement(np.outer(com, com))
         if np.linalg.eigvalsh(second_moment_from_inertia(lifted))[0] >= 0.0 and com.any():
             hints.append(
-                "it holds once the parallel-axis term of the centre of mass is added: perhaps "
+                "it holds once the parallel-axis term of the center of mass is added: perhaps "
                 "that was taken off twice, or the tensor belongs to another point"
             )
     hints.append("correct the tensor, or --repair writes the nearest that a body can have")
@@ -221,7 +221,7 @@ def _impossible(body: DescribedBody, tensor: Array, mass: float) -> Finding:
         severity="error",
         kind="negative_moment" if negative else "triangle",
         link=body.name,
-        message=f"{text}; smallest second moment about the centre of mass {least:.3g} kg·m² "
+        message=f"{text}; smallest second moment about the center of mass {least:.3g} kg·m² "
         f"(limit 0); {'; '.join(hints)}.",
         value=least,
         limit=0.0,
@@ -257,7 +257,7 @@ def check_shape(body: DescribedBody, collision: Shape, whole: Shape) -> list[Fin
     body : DescribedBody
         The body.
     collision : Shape
-        Hull of the collision geometry, in which the centre of mass should be.
+        Hull of the collision geometry, in which the center of mass should be.
     whole : Shape
         Hull of all geometry, into which the body should fit.
     """
@@ -275,7 +275,7 @@ def check_shape(body: DescribedBody, collision: Shape, whole: Shape) -> list[Fin
                 severity="note" if hidden else "warning",
                 kind="com_outside",
                 link=name,
-                message=f"the centre of mass is {outside:.3g} m outside the convex hull of the "
+                message=f"the center of mass is {outside:.3g} m outside the convex hull of the "
                 f"collision geometry (limit {limit:.2g} m)"
                 + (", inside the one with the visual geometry" if hidden else "")
                 + "; check the origin of the inertial"
@@ -346,7 +346,7 @@ def _check_spread(name: str, com: Array, covariance: Array, shape: Shape) -> lis
                 "wrong_point",
                 (
                     "it fits when it was given about the origin of the link: a URDF wants it about "
-                    "the centre of mass"
+                    "the center of mass"
                 ),
             )
         else:
@@ -359,7 +359,7 @@ def _check_spread(name: str, com: Array, covariance: Array, shape: Shape) -> lis
                 link=name,
                 message=f"the mass is spread {ratio:.3g} times as wide as the geometry allows "
                 f"(radius of gyration {gyration:.3g} m, geometry within {radius:.3g} m of the "
-                f"centre of mass); {advice}.",
+                f"center of mass); {advice}.",
                 value=ratio,
                 limit=SPREAD,
             )

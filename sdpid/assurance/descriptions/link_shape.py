@@ -77,7 +77,7 @@ class Shape:
         Parameters
         ----------
         com : ndarray, shape (3,)
-            Centre of mass, m.
+            Center of mass, m.
         covariance : ndarray, shape (3, 3)
             Second moments about it over the mass, m².
         slack : float, optional
@@ -86,7 +86,7 @@ class Shape:
         Returns
         -------
         float or None
-            None where the centre is not inside.
+            None where the center is not inside.
         """
         values, vectors = np.linalg.eigh(covariance)
         along = (self.corners - com) @ vectors

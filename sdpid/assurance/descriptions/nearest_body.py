@@ -1,6 +1,6 @@
 """The nearest body that can exist, in closed form, with a proof that checks exactly.
 
-A tensor I about the centre of mass belongs to some body exactly when its second moments
+A tensor I about the center of mass belongs to some body exactly when its second moments
 ``P = ½·tr(I)·E − I`` are positive semidefinite (with a positive mass); this is the triangle
 inequality of the principal moments together with their sign. The distance is the Frobenius norm
 ‖X − P‖ of second moments, which does not depend on the axes.

@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 
 from sdpid._common.arrays import Array, frozen
+from sdpid._common.tables import Table, facts_html, plain
 from sdpid.errors import DataError
 from sdpid.estimation.compression.covariance import JointRows
 from sdpid.estimation.conic.solve import ConicProgram, solve_conic
@@ -75,45 +76,54 @@ class CostOfConstraints:
         """What all constraints together add to the root mean square errors, N·m, shape (n,)."""
         return np.asarray(self.rmse - self.rmse_free)
 
+    def __repr__(self) -> str:
+        return (
+            f"CostOfConstraints({len(self.constraints)} constraints, cost={self.cost:.6g}, "
+            f"cost_free={self.cost_free:.6g})"
+        )
+
+    def _repr_html_(self) -> str:
+        facts = {"cost": self.cost, "without constraints": self.cost_free, "excess": self.excess}
+        return facts_html("Cost of constraints", facts, self._table())
+
+    def _table(self) -> Table:
+        """Return one row a constraint: what leaving it out saves of cost and joints' errors."""
+        rows: list[tuple[object, ...]] = [
+            ("unconstrained", self.cost_free, *self.rmse_free.tolist()),
+            ("all constraints", self.cost - self.cost_free, *self.total.tolist()),
+        ]
+        if self.excess > 0.0:
+            nothing: list[float | None] = [None] * len(self.joint_names)
+            rows.append(("estimate above the optimum", self.excess, *nothing))
+        for name, saved, increase in zip(
+            self.constraints, self.saved.tolist(), self.increase.tolist(), strict=True
+        ):
+            rows.append((name, saved, *increase))
+        return Table(("N.m of rmse", "cost", *self.joint_names), tuple(rows))
+
     def table(self) -> str:
         """Return aligned text: one line a constraint, one column a joint."""
-        lines = [("N.m of rmse", "cost", *self.joint_names)]
-        above = f"{self.excess:+.3g}", *("" for _ in self.joint_names)
-        for name, cost, values in (
-            ("unconstrained", self.cost_free, self.rmse_free),
-            ("all constraints", self.cost - self.cost_free, self.total),
-            *zip(self.constraints, self.saved.tolist(), self.increase, strict=True),
-        ):
-            sign = "" if name == "unconstrained" else "+"
-            cells = (f"{value:{sign}.3g}" for value in (cost, *values))
-            lines.append((name, *cells))
-        if self.excess > 0.0:
-            lines.append(("estimate above the optimum", *above))
-        widths = [max(map(len, column)) for column in zip(*lines, strict=True)]
-        return "\n".join(
-            "  ".join(
-                cell.ljust(width) if j == 0 else cell.rjust(width)
-                for j, (cell, width) in enumerate(zip(line, widths, strict=True))
-            )
-            for line in lines
-        )
+        return self._table().text(3)
 
     def to_dict(self) -> dict[str, Any]:
         """Return plain values for JSON."""
-        return {
-            "joints": list(self.joint_names),
-            "rmse": self.rmse.tolist(),
-            "rmse_unconstrained": self.rmse_free.tolist(),
-            "cost": self.cost,
-            "cost_unconstrained": self.cost_free,
-            "excess": self.excess,
-            "constraints": [
-                {"name": name, "cost": cost, "rmse": values}
-                for name, cost, values in zip(
-                    self.constraints, self.saved.tolist(), self.increase.tolist(), strict=True
-                )
-            ],
-        }
+        found: dict[str, Any] = plain(
+            {
+                "joints": self.joint_names,
+                "rmse": self.rmse,
+                "rmse_unconstrained": self.rmse_free,
+                "cost": self.cost,
+                "cost_unconstrained": self.cost_free,
+                "excess": self.excess,
+                "constraints": [
+                    {"name": name, "cost": saved, "rmse": increase}
+                    for name, saved, increase in zip(
+                        self.constraints, self.saved, self.increase, strict=True
+                    )
+                ],
+            }
+        )
+        return found
 
 
 def cost_of_constraints(estimate: Estimate) -> CostOfConstraints:

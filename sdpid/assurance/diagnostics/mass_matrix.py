@@ -11,7 +11,7 @@ of the links' velocities V, and N does not depend on q. So, whenever ``diag(I_1,
 
 and c bounds the smallest eigenvalue from below. For consistent links the largest such c is
 ``1/λ_max(N·diag(I_i^(-1))·N^T)``: in a chain of revolute joints it only asks for the inertias about
-the centres of mass. As M depends on the base parameters alone, any standard parameters that have
+the centers of mass. As M depends on the base parameters alone, any standard parameters that have
 them may stand for the links: those are taken that prove most, one semidefinite program.
 """
 
@@ -26,6 +26,7 @@ from numpy.typing import ArrayLike
 
 from sdpid._common.arrays import Array, frozen
 from sdpid._common.seeds import generator
+from sdpid._common.tables import plain
 from sdpid.errors import DataError
 from sdpid.estimation.conic.solve import ConicProgram, Matrix, solve_conic
 from sdpid.estimation.estimate import Estimate
@@ -86,16 +87,14 @@ class SmallestMassEigenvalue:
         """Whether the mass matrix is proven positive definite at every position."""
         return self.lower_bound is not None and self.lower_bound > 0.0
 
+    def __repr__(self) -> str:
+        bound = "none" if self.lower_bound is None else f"{self.lower_bound:.4g}"
+        return f"SmallestMassEigenvalue(value={self.value:.4g}, lower_bound={bound})"
+
     def to_dict(self) -> dict[str, Any]:
         """Return plain values for JSON."""
-        return {
-            "value": self.value,
-            "q": self.q.tolist(),
-            "lower_bound": self.lower_bound,
-            "reason": self.reason,
-            "positions": self.positions,
-            "bounds": self.bounds.tolist(),
-        }
+        found: dict[str, Any] = plain(self)
+        return found
 
 
 def smallest_mass_eigenvalue(

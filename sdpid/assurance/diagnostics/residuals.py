@@ -115,13 +115,13 @@ def _of_joint(
     name: str, error: Array, samples: Samples, j: int, kept: Mask, rate: float
 ) -> JointErrors:
     mean = float(error[kept].mean())
-    centred = np.where(kept, error - mean, 0.0)
+    centerd = np.where(kept, error - mean, 0.0)
     lags = int(max(min(_LAG_SHARE * len(error), _LAG_SECONDS * rate), 1)) + 1
-    paired = LaggedSums.of(centred[:, None], kept[:, None], samples.parts)
+    paired = LaggedSums.of(centerd[:, None], kept[:, None], samples.parts)
     correlation = paired.correlation[0, :lags]
     effort = samples.effort[:, j]
     densities = []
-    for signal in (np.where(kept, effort - effort[kept].mean(), 0.0), centred):
+    for signal in (np.where(kept, effort - effort[kept].mean(), 0.0), centerd):
         frequency, density = _density(signal, samples.parts, rate)
         # Rows that are not used are zero; the others carry all of the power.
         densities.append(np.sqrt(np.maximum(density, 0.0) * len(kept) / kept.sum()))

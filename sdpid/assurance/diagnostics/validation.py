@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from sdpid._common.arrays import Array, Indices, frozen, frozen_view
+from sdpid._common.tables import Table, facts_html, plain
 from sdpid.errors import DataError
 from sdpid.estimation.compression.rows import RowSource
 from sdpid.estimation.estimate import Estimate
@@ -49,20 +50,46 @@ class Validation:
     relative: float
     rows: Indices
 
+    def __repr__(self) -> str:
+        joints = len(self.joint_names)
+        return f"Validation({joints} joints, relative residual {100 * self.relative:.3g} %)"
+
+    def _repr_html_(self) -> str:
+        return facts_html("Validation", {"relative residual": self.relative}, self._table())
+
+    def _table(self) -> Table:
+        """Return one row a joint."""
+        return Table.of_columns(
+            {
+                "joint": self.joint_names,
+                "rmse, N.m": self.rmse.tolist(),
+                "nrmse": self.nrmse.tolist(),
+                "R2": self.r2.tolist(),
+                "rows": self.rows.tolist(),
+            }
+        )
+
+    def table(self) -> str:
+        """Return aligned text, one line a joint."""
+        return self._table().text()
+
     def to_dict(self) -> dict[str, object]:
         """Return the figures as plain values, without the predictions."""
-        return {
-            "relative_residual": self.relative,
-            "joints": {
-                name: {
-                    "rmse": float(self.rmse[j]) if self.rows[j] else None,
-                    "nrmse": float(self.nrmse[j]) if self.rows[j] else None,
-                    "r2": float(self.r2[j]) if self.rows[j] else None,
-                    "rows": int(self.rows[j]),
-                }
-                for j, name in enumerate(self.joint_names)
-            },
-        }
+        found: dict[str, object] = plain(
+            {
+                "relative_residual": self.relative,
+                "joints": {
+                    name: {
+                        "rmse": self.rmse[j],
+                        "nrmse": self.nrmse[j],
+                        "r2": self.r2[j],
+                        "rows": self.rows[j],
+                    }
+                    for j, name in enumerate(self.joint_names)
+                },
+            }
+        )
+        return found
 
 
 def validate(estimate: Estimate, samples: Samples | None = None) -> Validation:

@@ -69,7 +69,7 @@ class Resampled:
     seconds: float
 
     def quantiles(
-        self, functionals: Array, level: float, kind: Kind, centre: Array
+        self, functionals: Array, level: float, kind: Kind, center: Array
     ) -> tuple[Array, Array]:
         """Return the ends (k,) of intervals of functions (k, b) of the base parameters.
 
@@ -80,8 +80,8 @@ class Resampled:
         level : float
             Probability.
         kind : {"percentile", "basic"}
-            Quantiles of the draws, or mirrored about the centre.
-        centre : ndarray, shape (b,)
+            Quantiles of the draws, or mirrored about the center.
+        center : ndarray, shape (b,)
             The estimate.
         """
         if kind not in KINDS:
@@ -99,7 +99,7 @@ class Resampled:
         low, high = np.quantile(drawn, [tail, 1.0 - tail], axis=0, method="weibull")
         if kind == "percentile":
             return np.asarray(low), np.asarray(high)
-        middle = 2.0 * functionals @ centre
+        middle = 2.0 * functionals @ center
         return np.asarray(middle - high), np.asarray(middle - low)
 
 

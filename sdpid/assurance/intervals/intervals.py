@@ -13,13 +13,15 @@ Three kinds, each with its own question (see docs/intervals.md):
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
+from itertools import compress
 from typing import Any, Literal
 
 import numpy as np
 
 from sdpid._common.arrays import Array, Mask, frozen
+from sdpid._common.tables import Table, facts_html, plain
 from sdpid._common.threads import one_thread
 from sdpid.assurance.intervals.bootstrap import Kind, resampled
 from sdpid.assurance.intervals.parameters import ParameterFunctions
@@ -101,52 +103,57 @@ class Intervals:
         values = np.asarray(values, dtype=np.float64)
         return np.asarray((self.lower <= values) & (values <= self.upper))
 
-    def table(self) -> str:
-        """Return aligned text, one line a parameter; an asterisk marks ends at the largest mass."""
-        lines = [("parameter", "unit", "lower", "estimate", "upper", "label")]
-        for i, name in enumerate(self.names):
-            ends = [
-                f"{value:.5g}" + ("*" if rests else " ")
-                for value, rests in zip(
-                    (self.lower[i], self.upper[i]), self.by_mass[i].tolist(), strict=True
-                )
+    def __repr__(self) -> str:
+        return f"Intervals({len(self)} parameters, method={self.method!r}, level={self.level:g})"
+
+    def _repr_html_(self) -> str:
+        facts = {"method": self.method, "level": self.level, "independent": self.groups}
+        return facts_html("Intervals", facts, self._table())
+
+    def _table(self) -> Table:
+        """Return one row a parameter; the last column is left out where no end rests on a mass."""
+        columns: dict[str, Sequence[object]] = {
+            "parameter": self.names,
+            "unit": self.units,
+            "lower": self.lower.tolist(),
+            "estimate": self.estimate.tolist(),
+            "upper": self.upper.tolist(),
+            "label": self.label,
+        }
+        if self.by_mass.any():
+            columns["at mass_max"] = [
+                " and ".join(compress(("lower", "upper"), pair)) for pair in self.by_mass.tolist()
             ]
-            middle = f"{self.estimate[i]:.5g}"
-            lines.append((name, self.units[i], ends[0], middle, ends[1], self.label[i]))
-        widths = [max(map(len, column)) for column in zip(*lines, strict=True)]
-        out = []
-        for line in lines:
-            cells = zip(line, widths, strict=True)
-            out.append(
-                "  ".join(
-                    cell.rjust(width) if 2 <= j <= 4 else cell.ljust(width)
-                    for j, (cell, width) in enumerate(cells)
-                ).rstrip()
-            )
-        return "\n".join(out)
+        return Table.of_columns(columns)
+
+    def table(self) -> str:
+        """Return aligned text, one line a parameter."""
+        return self._table().text(5)
 
     def to_dict(self) -> dict[str, Any]:
         """Return plain values for JSON."""
-        return {
-            "method": self.method,
-            "level": self.level,
-            "groups": self.groups,
-            "seconds": self.seconds,
-            "solves": self.solves,
-            "parameters": [
-                {
-                    "name": name,
-                    "kind": self.kind[i],
-                    "unit": self.units[i],
-                    "lower": float(self.lower[i]),
-                    "estimate": float(self.estimate[i]),
-                    "upper": float(self.upper[i]),
-                    "label": self.label[i],
-                    "ends_at_largest_mass": self.by_mass[i].tolist(),
-                }
-                for i, name in enumerate(self.names)
-            ],
+        columns = {
+            "name": self.names,
+            "kind": self.kind,
+            "unit": self.units,
+            "lower": self.lower.tolist(),
+            "estimate": self.estimate.tolist(),
+            "upper": self.upper.tolist(),
+            "label": self.label,
+            "ends_at_largest_mass": self.by_mass.tolist(),
         }
+        rows = zip(*columns.values(), strict=True)
+        found: dict[str, Any] = plain(
+            {
+                "method": self.method,
+                "level": self.level,
+                "groups": self.groups,
+                "seconds": self.seconds,
+                "solves": self.solves,
+                "parameters": [dict(zip(columns, row, strict=True)) for row in rows],
+            }
+        )
+        return found
 
 
 @one_thread

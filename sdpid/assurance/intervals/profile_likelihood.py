@@ -1,6 +1,6 @@
 """The extremes of linear functions over all feasible parameters whose cost is within a level.
 
-    minimise, maximise c·theta  over feasible theta with ‖G·theta − h‖² ≤ ‖G·theta* − h‖² + rise
+    minimize, maximize c·theta  over feasible theta with ‖G·theta − h‖² ≤ ‖G·theta* − h‖² + rise
 
 One conic program each way; they share everything but the linear cost. What is returned does not
 rest on the solver's word: with its multipliers u of the residual, Z of the matrices (made positive
@@ -53,7 +53,7 @@ _TOGETHER = 8
 # The estimate itself is known to this share of its cost.
 _LEAST_RISE = 1e-6
 
-# Regularisations, tried until the bound proven is within this share of the point found.
+# Regularizations, tried until the bound proven is within this share of the point found.
 _REGULARIZATIONS = (1e-10, 1e-8, 1e-12)
 _CLOSE = 1e-3
 

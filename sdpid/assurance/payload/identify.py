@@ -1,4 +1,4 @@
-"""What is mounted on the last link: mass, centre of mass and inertia, with intervals."""
+"""What is mounted on the last link: mass, center of mass and inertia, with intervals."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from sdpid._common.arrays import Array, Indices, frozen
+from sdpid._common.tables import Table, facts_html, plain
 from sdpid._common.threads import one_thread
 from sdpid.assurance.payload.intervals import NOTHING, PayloadIntervals
 from sdpid.assurance.payload.program import (
@@ -62,20 +63,20 @@ class Payload:
     mass : float
         kg.
     com : ndarray, shape (3,)
-        Centre of mass in the frame, m; not finite without a mass.
+        Center of mass in the frame, m; not finite without a mass.
     inertia : ndarray, shape (3, 3)
-        About the centre of mass, along the axes of the frame, kg·m².
+        About the center of mass, along the axes of the frame, kg·m².
     theta : ndarray, shape (10,)
         The same as the ten parameters about the frame's origin.
     link, frame : str
         The link that carries it, and the frame that everything is given in.
     lower, upper : ndarray, shape (10,)
-        Ends of the intervals of mass, centre of mass, and inertia about it in the order of
+        Ends of the intervals of mass, center of mass, and inertia about it in the order of
         `names`; infinite where there is none.
     level : float
         Their probability.
     margin : float or None
-        Smallest second moment about the centre of mass, kg·m²; None without a mass.
+        Smallest second moment about the center of mass, kg·m²; None without a mass.
     cost, cost_without : float
         Weighted cost with this payload, and with none.
     invisible : int
@@ -112,42 +113,59 @@ class Payload:
 
     @property
     def values(self) -> Array:
-        """Mass, centre of mass and inertia about it, (10,), in the order of `names`."""
+        """Mass, center of mass and inertia about it, (10,), in the order of `names`."""
         return quantities(self.theta)
+
+    def __repr__(self) -> str:
+        return f"Payload(link={self.link!r}, mass={self.mass:.4g} kg, shown={self.shown})"
+
+    def _repr_html_(self) -> str:
+        facts = {"link": self.link, "frame": self.frame, "level": self.level, "shown": self.shown}
+        return facts_html("Payload", facts, self._table())
+
+    def _table(self) -> Table:
+        """Return one row a quantity."""
+        return Table.of_columns(
+            {
+                "quantity": QUANTITIES,
+                "unit": QUANTITY_UNITS,
+                "value": self.values.tolist(),
+                "lower": self.lower.tolist(),
+                "upper": self.upper.tolist(),
+            }
+        )
 
     def describe(self) -> str:
         """Return the payload in words and numbers, one quantity a line."""
         lines = [
-            f"payload of {self.link}, in the frame {self.frame}; inertia about the centre of mass "
+            f"payload of {self.link}, in the frame {self.frame}; inertia about the center of mass "
             f"({100.0 * self.level:g} % intervals)"
         ]
-        for name, unit, value, low, high in zip(
-            QUANTITIES, QUANTITY_UNITS, self.values, self.lower, self.upper, strict=True
-        ):
-            shown = f"{value:.5g}" if np.isfinite(value) else "-"
-            lines.append(f"{name:>6}  {shown:>10} {unit:<6}  {low:>10.4g} … {high:.4g}")
+        lines.append(self._table().text(5))
         return "\n".join([*lines, *self.notes])
 
     def to_dict(self) -> dict[str, Any]:
         """Return plain values for JSON."""
-        ends = np.stack([self.lower, self.upper], axis=1)
-        plain = [[float(x) if np.isfinite(x) else None for x in pair] for pair in ends]
-        return {
-            "link": self.link,
-            "frame": self.frame,
-            "mass": self.mass,
-            "centre_of_mass": self.com.tolist() if self.mass > 0.0 else None,
-            "inertia": self.inertia.tolist() if self.mass > 0.0 else None,
-            "level": self.level,
-            "intervals": dict(zip(QUANTITIES, plain, strict=True)),
-            "margin": self.margin,
-            "cost": self.cost,
-            "cost_without": self.cost_without,
-            "invisible_directions": self.invisible,
-            "shown": self.shown,
-            "status": self.status,
-            "notes": list(self.notes),
-        }
+        ends = np.stack([self.lower, self.upper], axis=1).tolist()
+        found: dict[str, Any] = plain(
+            {
+                "link": self.link,
+                "frame": self.frame,
+                "mass": self.mass,
+                "center_of_mass": self.com if self.mass > 0.0 else None,
+                "inertia": self.inertia if self.mass > 0.0 else None,
+                "level": self.level,
+                "intervals": dict(zip(QUANTITIES, ends, strict=True)),
+                "margin": self.margin,
+                "cost": self.cost,
+                "cost_without": self.cost_without,
+                "invisible_directions": self.invisible,
+                "shown": self.shown,
+                "status": self.status,
+                "notes": self.notes,
+            }
+        )
+        return found
 
 
 @one_thread

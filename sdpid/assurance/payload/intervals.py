@@ -6,12 +6,12 @@ variance that the recordings show for it (see `sdpid.assurance.intervals.profile
 linear f without active constraints it is Gauss-Markov's interval.
 
 * The mass is linear, one program each way.
-* The centre of mass h/m ≤ c means h − c·m ≤ 0; Dinkelbach's iteration on c finds the global
+* The center of mass h/m ≤ c means h − c·m ≤ 0; Dinkelbach's iteration on c finds the global
   extreme [dinkelbach1967]_.
-* A moment of inertia about the centre of mass is concave in pi: its largest value is one program,
+* A moment of inertia about the center of mass is concave in pi: its largest value is one program,
   with ``[[I − z, h^T], [h, m·E]]`` ⪰ 0 for a moment of at least z.
 * Its smallest value, and products of inertia, are local extremes, from several starts: moments
-  about the centre of mass are those about a fixed point, to first order.
+  about the center of mass are those about a fixed point, to first order.
 """
 
 from __future__ import annotations
@@ -35,13 +35,13 @@ _CLOSE = 1e-5
 # Errors are known to this share of the efforts' squares: rounding, where the data are exact.
 _EXACT = 1e-18
 
-# Centres of mass farther than this from the best one, m, are starts for local extremes.
+# Centers of mass farther than this from the best one, m, are starts for local extremes.
 _FAR = 0.03
 
 # Masses below, in kg, are none.
 NOTHING = 1e-9
 
-# The first moments that a moment of inertia about the centre of mass takes away.
+# The first moments that a moment of inertia about the center of mass takes away.
 _ACROSS = {4: (2, 3), 6: (1, 3), 9: (1, 2)}
 
 
@@ -69,7 +69,7 @@ class PayloadIntervals:
         self.starts: list[Array] = [theta]
 
     def ends(self) -> tuple[Array, Array]:
-        """Return lower and upper ends (10,) of mass, centre of mass, and inertia about it."""
+        """Return lower and upper ends (10,) of mass, center of mass, and inertia about it."""
         lower, upper = np.full(10, -np.inf), np.full(10, np.inf)
         lower[0] = 0.0
         for k in range(4):
@@ -82,7 +82,7 @@ class PayloadIntervals:
     def _linear(self, k: int, at: Array) -> Array:
         """Return a linear function of pi that is least or greatest where quantity k is, near `at`.
 
-        Of the centre of mass it is zero at `at`; moments are those about its centre of mass.
+        Of the center of mass it is zero at `at`; moments are those about its center of mass.
         """
         c = np.zeros(10)
         if k == 0:
@@ -111,10 +111,10 @@ class PayloadIntervals:
         return self._rise(np.asarray(moved, dtype=np.float64))
 
     def _extreme(self, k: int, sign: float, otherwise: float) -> float:
-        """Return the least (sign 1) or greatest (sign -1) mass or coordinate of the centre."""
+        """Return the least (sign 1) or greatest (sign -1) mass or coordinate of the center."""
         at = self.best
         if k > 0 and not at[0] > NOTHING:
-            return otherwise  # nothing has no centre of mass
+            return otherwise  # nothing has no center of mass
         rise = self._first_rise(self._linear(k, at))
         value = sign * float(quantities(at)[k])
         for _ in range(_ROUNDS):
@@ -152,7 +152,7 @@ class PayloadIntervals:
         return sign * value
 
     def _largest(self, k: int) -> float:
-        """Return the largest moment of inertia about the centre of mass."""
+        """Return the largest moment of inertia about the center of mass."""
         if not self.best[0] > NOTHING:
             return np.inf
         first, second = _ACROSS[k]

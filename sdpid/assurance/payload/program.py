@@ -33,7 +33,7 @@ QUANTITY_UNITS = ("kg", *("m",) * 3, *("kg.m2",) * 6)
 
 
 def quantities(theta: Array) -> Array:
-    """Return mass, centre of mass, and inertia about it (entries in theta's order), (10,)."""
+    """Return mass, center of mass, and inertia about it (entries in theta's order), (10,)."""
     mass, com, inertia = physical_parameters(theta)
     return np.concatenate([[float(mass)], com, tensor_entries(inertia)])
 

@@ -11,6 +11,7 @@ from typing import Any, Literal
 import numpy as np
 
 from sdpid._common.arrays import Array, frozen
+from sdpid._common.tables import facts_html
 from sdpid._common.threads import one_thread
 from sdpid.assurance.tables.proof_search import bound_margin, refute, strongest
 from sdpid.assurance.tables.question import base_question
@@ -76,6 +77,20 @@ class BaseAudit:
     change_bound: float | None = None
     changes: Mapping[str, float]
     units: Mapping[str, float]
+
+    def __repr__(self) -> str:
+        return f"BaseAudit(robot={self.robot!r}, verdict={self.verdict!r})"
+
+    def _repr_html_(self) -> str:
+        proof = self.certificate
+        facts = {
+            "verdict": self.verdict,
+            "largest margin found, kg·m²": self.margin,
+            "no margin above, kg·m²": self.margin_bound,
+            "proof": None if proof is None else proof.inequality(),
+            "change needed, halfwidths": self.change,
+        }
+        return facts_html(f"Audit of base parameters of {self.robot}", facts)
 
     @property
     def witness(self) -> Array | None:

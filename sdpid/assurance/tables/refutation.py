@@ -1,7 +1,7 @@
 """Proofs that no links have given base parameters, in rational arithmetic.
 
 A proof has one weight w_k for each parameter. With ``c = Σ w_k·row_k`` cut into links, each of
-them adds ``⟨C, I_g⟩ + m·q(r)`` to ``w·base``, r its centre of mass, q the quadratic polynomial of
+them adds ``⟨C, I_g⟩ + m·q(r)`` to ``w·base``, r its center of mass, q the quadratic polynomial of
 
     Q = [[tr(C)·E − C, ½·c_h], [½·c_h^T, c_m]],   C the coefficients of the tensor as a matrix.
 
@@ -336,4 +336,4 @@ def _reason(c: Sequence[Fraction], consistency: Consistency) -> str:
         if value:
             shown[f"Ig_{axes}"] = Fraction(f"{float(value):.6g}")
     tensor = f"{linear_text(shown)} >= 0 and, " if shown else ""
-    return f"{tensor}of its centre of mass, m*({polynomial}) >= 0"
+    return f"{tensor}of its center of mass, m*({polynomial}) >= 0"

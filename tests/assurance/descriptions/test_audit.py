@@ -124,7 +124,7 @@ def test_copies() -> None:
     assert kinds(chain(GOOD + box(0.3), GOOD + box(0.4))) == {"copied": "note"}
 
 
-def test_centre_of_mass_outside() -> None:
+def test_center_of_mass_outside() -> None:
     tensor = np.diag([0.0016] * 3)
     away = inertial(1.0, np.array([0.08, 0.0, 0.0]), tensor)
     (finding,) = audit_urdf(chain(away + box(0.1))).findings

@@ -87,7 +87,7 @@ def test_multipliers_of_the_numbers(
     others = (CenterOfMassInBox(LAST, (-0.01,) * 3, (0.01,) * 3),)
     problem = arm_problem(consistency=consistency, **{**numbers, field: value})
     if field == "mass_min":
-        # Heavy links cost something only where their centre of mass may not follow.
+        # Heavy links cost something only where their center of mass may not follow.
         problem = arm_problem(
             CenterOfMassInBox(FIRST, (0.1, 0.1, 0.1), (0.2, 0.2, 0.2)),
             *others,
@@ -241,7 +241,7 @@ def test_states_of_everything_in_turn() -> None:
         "total mass, at most 0.7",
         "m_2 fixed",
         "Fv1 fixed",
-        f"centre of mass of {LAST} in an ellipsoid",
+        f"center of mass of {LAST} in an ellipsoid",
     ]
     by_name = {state.name: state for state in states}
     assert estimate.margins is not None

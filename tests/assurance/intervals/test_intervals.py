@@ -238,7 +238,7 @@ def test_coverage_of_autocorrelated_noise() -> None:
             fit, method="gauss_markov", parameters=problem.base.names
         )
         held.append(found.contains(truth).mean())
-    # Neighbouring blocks share some noise, so it is a little less than the nominal 95 %.
+    # Neighboring blocks share some noise, so it is a little less than the nominal 95 %.
     error = np.std(held) / np.sqrt(len(held))
     assert 0.92 - 2.0 * error < np.mean(held) < 0.97 + 2.0 * error
 

@@ -38,8 +38,8 @@ def arm() -> RobotModel:
 def load(points: int = 8) -> Array:
     """Return a payload of some 1.6 kg in the last joint's frame."""
     rng = np.random.default_rng(11)
-    centres = rng.uniform(-0.08, 0.08, (points, 3)) + np.array([0.02, -0.01, 0.1])
-    return point_masses(rng.uniform(0.1, 0.3, points), centres)
+    centers = rng.uniform(-0.08, 0.08, (points, 3)) + np.array([0.02, -0.01, 0.1])
+    return point_masses(rng.uniform(0.1, 0.3, points), centers)
 
 
 def with_payload(theta: Array, payload: Array, link: int = 5) -> Array:
