@@ -7,7 +7,7 @@ A body is the vector ``(m, mx, my, mz, Ixx, Ixy, Iyy, Ixz, Iyz, Izz)``: mass, fi
 Two matrices are linear in the vector and decide whether a body can exist:
 
 * the 6×6 spatial inertia ``[[I_o, S(h)], [S(h)^T, m·E]]``: positive definite exactly when m > 0
-  and the inertia about the centre of mass is positive definite [yoshida2000]_;
+  and the inertia about the center of mass is positive definite [yoshida2000]_;
 * the 4×4 pseudo-inertia ``[[½·tr(I_o)·E − I_o, h], [h^T, m]]``: positive definite exactly when
   some mass distribution of positive density has these moments [wensing2018]_.
 """
@@ -101,7 +101,7 @@ def tensor_entries(tensor: Array) -> Array:
 
 
 def physical_parameters(theta: ArrayLike) -> tuple[Array, Array, Array]:
-    """Return mass (...,), centre of mass (..., 3) and inertia about it (..., 3, 3).
+    """Return mass (...,), center of mass (..., 3) and inertia about it (..., 3, 3).
 
     Only defined where the mass is not zero; elsewhere the entries are not finite.
     """
@@ -114,16 +114,16 @@ def physical_parameters(theta: ArrayLike) -> tuple[Array, Array, Array]:
 
 
 def theta_from_physical(mass: ArrayLike, com: ArrayLike, inertia: ArrayLike) -> Array:
-    """Return the parameter vector from mass, centre of mass and the inertia about it.
+    """Return the parameter vector from mass, center of mass and the inertia about it.
 
     Parameters
     ----------
     mass : array_like, shape (...,)
         Mass in kg.
     com : array_like, shape (..., 3)
-        Centre of mass in m.
+        Center of mass in m.
     inertia : array_like, shape (..., 3, 3)
-        Rotational inertia about the centre of mass in kg·m², along the axes of the frame.
+        Rotational inertia about the center of mass in kg·m², along the axes of the frame.
 
     Returns
     -------
@@ -184,7 +184,7 @@ def margin(theta: ArrayLike, consistency: Consistency) -> Array:
     """Return how far inside the consistent set each body is, in kg·m².
 
     The margin is the largest t for which the inequality holds with t·E taken off the inertia
-    about the centre of mass (``"spatial_inertia"``) or off the second moments about it
+    about the center of mass (``"spatial_inertia"``) or off the second moments about it
     (``"pseudo_inertia"``); by the Schur complement it is the smallest eigenvalue of that matrix.
     A margin t of the second moments implies a margin of 2·t of the inertia.
 

@@ -1,4 +1,4 @@
-"""Identified inertias, armature and friction, as an MJCF file for MuJoCo."""
+"""Write identified inertias, armature and friction into an MJCF file."""
 
 from __future__ import annotations
 
@@ -18,8 +18,7 @@ from sdpid.output.robots.urdf_tree import FixedChild, UrdfTree
 from sdpid.output.robots.written_bodies import (
     SEED,
     STATES,
-    add_shapes,
-    joint_numbers,
+    joint_attributes,
     lifted,
     require_consistent,
     require_same_efforts,
@@ -95,11 +94,10 @@ def write_mjcf(
     what = f"MJCF of '{robot.name}'"
     theta = standard_parameters(estimate, what, "MJCF")
     bodies = problem.feasible.bodies(theta)
-    # MuJoCo loads no others, whatever the problem asked for.
+    # MuJoCo loads no other bodies, whatever consistency the problem has.
     require_consistent(robot, bodies, "pseudo_inertia", what)
-    tail = theta[10 * robot.n_links :]
-    written, left_out = joint_numbers(problem.friction, tail, _PLACES, what)
-    left_out, notes = add_shapes(problem, tail, written, left_out, "frictionloss", "damping")
+    friction = joint_attributes(problem, theta, _PLACES, what)
+    written, notes = friction.values, friction.notes
     ours = True
     if source is None and robot.urdf is None:
         text, folder = mjcf_skeleton(robot, None)[0], None
@@ -139,7 +137,7 @@ def write_mjcf(
         links_changed=tuple(patch.changed),
         joints_changed=tuple(patch.joints_changed),
         lumped=tuple(patch.lumped),
-        left_out=left_out,
+        left_out=friction.left_out,
         kind="an MJCF",
         notes=notes,
     )
@@ -150,14 +148,14 @@ def _attributes(written: dict[str, dict[str, float]]) -> set[str]:
 
 
 def _folder(source: str | os.PathLike[str] | None) -> Path | None:
-    """Return the folder of a source that is a file."""
+    """Return the folder of a source file, None for text."""
     if source is None or is_xml(source):
         return None
     return Path(source).resolve().parent
 
 
 class _Compiled:
-    """A compiled MJCF text, its joints matched with a robot's."""
+    """A compiled MJCF text whose joints are matched with a robot's."""
 
     def __init__(
         self, robot: RobotModel, text: str, what: str, *, folder: Path | None, ours: bool
@@ -221,7 +219,7 @@ class _Compiled:
         return np.stack([joints[body.carrier] @ body.placement for body in self.bodies])
 
     def require_same_efforts(self, bodies: Array) -> None:
-        """Refuse a text whose rigid bodies need other efforts than identified ones.
+        """Refuse a text whose rigid bodies need other efforts than the identified ones.
 
         Raises
         ------

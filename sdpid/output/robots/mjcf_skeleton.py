@@ -1,4 +1,4 @@
-"""The MJCF of a robot that was described by a URDF: its bodies and joints, with room for numbers.
+"""Make the MJCF of a robot's kinematics, into which identified numbers are then written.
 
 MuJoCo loads URDF itself, but welds fixed links into what carries them and saves six digits. Here
 every link stays a body under its name, and every number is written in full.

@@ -1,4 +1,4 @@
-"""Repaired robot descriptions: the nearest inertias that bodies can have, all else untouched."""
+"""Repair a URDF: replace impossible inertias by the nearest possible ones."""
 
 from __future__ import annotations
 
@@ -42,13 +42,13 @@ from sdpid.robot.inertia import (
 
 # Entries that differ by less, relative to the largest, differ by rounding: they are not rewritten.
 _SAME = 1e-15
-# What moves must have a mass; this one changes efforts by some 1e-5 N. A ball of this radius.
+# Mass and radius of the ball that a moving link without mass gets; efforts change by 1e-5 N.
 TOKEN_MASS, TOKEN_RADIUS = 1e-6, 0.01  # kg, m
 
 
 @dataclass(frozen=True, kw_only=True)
 class RepairedBody:
-    """What was done to one body.
+    """The repair of one body.
 
     Attributes
     ----------
@@ -75,7 +75,7 @@ class RepairedBody:
 
 @dataclass(frozen=True, kw_only=True)
 class RepairReport:
-    """What was repaired, and what could not be.
+    """The repairs of a description, and the links that could not be repaired.
 
     Attributes
     ----------
@@ -129,10 +129,10 @@ class RepairReport:
 def repair_urdf(
     source: str | os.PathLike[str], *, target: str | os.PathLike[str] | None = None
 ) -> RepairReport:
-    """Write the nearest inertia that a body can have wherever a URDF has one that none can.
+    """Replace every impossible inertia of a URDF by the nearest possible one.
 
-    Nearest is meant in the Frobenius distance of second moments about the centre of mass, with
-    mass and centre kept, and every repair is proven nearest in exact arithmetic
+    Nearest is meant in the Frobenius distance of second moments about the center of mass, with
+    mass and center kept, and every repair is proven nearest in exact arithmetic
     (`sdpid.assurance.descriptions.nearest_body`). So that loaders accept the result in spite of
     rounding, repaired bodies have second moments of at least a millionth of the largest, those of a
     ball of 0.1 mm, and 1e-12 kg·m². What changes:
@@ -189,7 +189,7 @@ def repair_urdf(
 
 
 class _Repair:
-    """A document, its bodies as they stand, and what has been done to them."""
+    """A document, its bodies with the repairs so far, and these repairs."""
 
     def __init__(self, text: str, bodies: tuple[DescribedBody, ...]) -> None:
         self.document = Document(text)
@@ -201,7 +201,7 @@ class _Repair:
         self.left: list[str] = []
 
     def alone(self, body: DescribedBody) -> None:
-        """Repair what is wrong with a body by itself."""
+        """Repair a body that is impossible or thin by itself."""
         if body.problems or (body.mass is not None and body.mass < 0.0):
             self.left.append(body.name)
         elif consistent(body) is False:
@@ -213,7 +213,7 @@ class _Repair:
             self._write(body, "no thickness")
 
     def together(self, carrier: str) -> None:
-        """Repair what is wrong with bodies that move as one."""
+        """Repair bodies that are fixed together and have no mass or extent in sum."""
         group = carried(list(self.bodies.values()))[carrier]
         if any(body.name in self.left for body in group):
             return

@@ -1,4 +1,4 @@
-"""Identified inertias and friction, put back into the user's own URDF."""
+"""Write identified inertias and friction into a URDF."""
 
 from __future__ import annotations
 
@@ -20,8 +20,8 @@ from sdpid.output.robots.urdf_tree import FixedChild, UrdfTree
 from sdpid.output.robots.written_bodies import (
     SEED,
     STATES,
-    add_shapes,
-    joint_numbers,
+    JointAttributes,
+    joint_attributes,
     lifted,
     require_consistent,
     require_same_efforts,
@@ -31,6 +31,7 @@ from sdpid.output.robots.written_bodies import (
 from sdpid.robot.description.urdf import inertial_values
 from sdpid.robot.description.xml import encode_xml, read_description
 from sdpid.robot.description.xml_edits import Document, Element
+from sdpid.robot.friction.term import FrictionTerm
 from sdpid.robot.friction.terms import Coulomb, Viscous
 from sdpid.robot.inertia import margin
 from sdpid.robot.model.base_parameters import generic_states
@@ -43,7 +44,7 @@ Fixed: TypeAlias = Literal["keep", "merge"] | Mapping[str, ArrayLike]
 
 @dataclass(frozen=True, kw_only=True)
 class ExportReport:
-    """What was written, and what could not be.
+    """The links and joints that were written, and the parameters that were not.
 
     Attributes
     ----------
@@ -181,7 +182,7 @@ def write_urdf(
             flat.append(link)
         _write_inertial(document, tree.links[link], body)
         changed.append(link)
-    joints, left_out, notes = _write_friction(tree, problem, theta)
+    friction = _write_friction(tree, problem, theta)
     result = document.text()
     _read_back(robot, bodies, result)
     with atomic_path(target) as temporary:
@@ -189,11 +190,11 @@ def write_urdf(
     return ExportReport(
         path=Path(target),
         links_changed=tuple(changed),
-        joints_changed=joints,
+        joints_changed=tuple(friction.values),
         lumped=tuple(lumped),
-        left_out=left_out,
+        left_out=friction.left_out,
         triangle_violations=tuple(flat),
-        notes=notes,
+        notes=friction.notes,
     )
 
 
@@ -210,7 +211,7 @@ def _asked(children: Sequence[FixedChild], fixed: Fixed) -> list[FixedChild]:
 
 
 def _require_known(fixed: Fixed, names: Sequence[str]) -> None:
-    """Refuse what says nothing of a link that is fixed to a moving one."""
+    """Refuse an option `fixed` that names no link fixed to a moving one."""
     if isinstance(fixed, str):
         if fixed not in ("keep", "merge"):
             raise ExportError(
@@ -232,7 +233,7 @@ def _require_known(fixed: Fixed, names: Sequence[str]) -> None:
 
 
 def source_text(robot: RobotModel, source: str | os.PathLike[str] | None, what: str) -> str:
-    """Return the text that is to be changed: of a file, itself, or the robot's own.
+    """Return the text to change: of a file, the source itself, or the robot's own URDF.
 
     Raises
     ------
@@ -269,20 +270,13 @@ def _write_inertial(document: Document, link: Element, body: Array) -> None:
             document.set_attributes(element, values[tag])
 
 
-def _write_friction(
-    tree: UrdfTree, problem: Problem, theta: Array
-) -> tuple[tuple[str, ...], tuple[str, ...], tuple[str, ...]]:
-    """Write damping and friction; return joints changed, parameters left out, and notes."""
-    tail = theta[10 * problem.robot.n_links :]
-    written, left_out = joint_numbers(
-        problem.friction,
-        tail,
-        {Coulomb: "friction", Viscous: "damping"},
-        f"URDF of '{problem.robot.name}'",
-    )
-    left_out, notes = add_shapes(problem, tail, written, left_out, "friction", "damping")
+def _write_friction(tree: UrdfTree, problem: Problem, theta: Array) -> JointAttributes:
+    """Write damping and friction into the joints and return them."""
+    places: dict[type[FrictionTerm], str] = {Coulomb: "friction", Viscous: "damping"}
+    found = joint_attributes(problem, theta, places, f"URDF of '{problem.robot.name}'")
+    written = found.values
     for joint, source in tree.mimics.items():
-        # What was identified at the source joint holds the friction of its followers.
+        # The friction identified at the source joint includes that of its followers.
         if source in written and tree.joints[joint].find("dynamics") is not None:
             written[joint] = dict.fromkeys(written[source], 0.0)
     for name, numbers in written.items():
@@ -293,7 +287,7 @@ def _write_friction(
         else:
             line = "<dynamics " + " ".join(f'{k}="{v}"' for k, v in attributes.items()) + "/>"
             tree.document.insert_child(tree.joints[name], line, last=True)
-    return tuple(written), left_out, notes
+    return found
 
 
 def _read_back(robot: RobotModel, bodies: Array, text: str) -> None:

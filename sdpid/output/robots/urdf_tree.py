@@ -1,4 +1,4 @@
-"""A URDF as the tree that an export needs: moving links, what is fixed to them, and inertials."""
+"""The tree of a URDF for writing: moving links, the links fixed to them, and their elements."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ class FixedChild:
 
 
 class UrdfTree:
-    """Links and joints of a URDF, with their places in its text.
+    """Links and joints of a URDF, with their positions in its text.
 
     Parameters
     ----------
@@ -115,7 +115,7 @@ def _end(joint: Element, which: str) -> str:
 
 
 def _last(sources: dict[str, str], name: str) -> str:
-    """Return the joint that is followed in the end."""
+    """Return the joint at the end of a chain of mimic joints."""
     seen = {name}
     while name in sources and sources[name] not in seen:
         name = sources[name]

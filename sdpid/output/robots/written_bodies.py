@@ -1,8 +1,9 @@
-"""What every format of robot has in common: bodies that are written, and numbers of joints."""
+"""Bodies and joint attributes to be written, for every format of robot."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -12,9 +13,14 @@ from sdpid.estimation.estimate import Estimate
 from sdpid.estimation.problem import Problem
 from sdpid.output.robots.urdf_tree import FixedChild
 from sdpid.robot.consistent import raise_second_moments
-from sdpid.robot.friction.model import FrictionModel
 from sdpid.robot.friction.term import FrictionTerm
-from sdpid.robot.friction.terms import SigmoidFriction, SquareRootFriction, Stribeck
+from sdpid.robot.friction.terms import (
+    Coulomb,
+    SigmoidFriction,
+    SquareRootFriction,
+    Stribeck,
+    Viscous,
+)
 from sdpid.robot.inertia import (
     Consistency,
     margin,
@@ -22,7 +28,7 @@ from sdpid.robot.inertia import (
 )
 from sdpid.robot.model.model import RobotModel
 
-# Rounding in the inertia about the centre of mass, as a fraction of the size of the inertia that
+# Rounding in the inertia about the center of mass, as a fraction of the size of the inertia that
 # it is the difference of. A margin negative by no more than this is not negative.
 _ROUNDING = 1e-14
 # Readers reject a body that rounding has put on the edge (MuJoCo: principal moments below 1e-14
@@ -38,7 +44,7 @@ _FRICTION_ZERO = 1e-9
 
 
 def standard_parameters(estimate: Estimate, what: str, kind: str) -> Array:
-    """Return theta of an estimate that is to be written.
+    """Return theta of an estimate, or refuse an estimate without it.
 
     Raises
     ------
@@ -54,7 +60,7 @@ def standard_parameters(estimate: Estimate, what: str, kind: str) -> Array:
 
 
 def _rounding(bodies: Array) -> Array:
-    """Return the rounding error of the inertia about the centre of mass, in kg·m²."""
+    """Return the rounding error of the inertia about the center of mass, in kg·m²."""
     return np.asarray(_ROUNDING * np.abs(bodies[..., 4:]).max(axis=-1))
 
 
@@ -107,9 +113,9 @@ def possible(bodies: Array, consistency: Consistency) -> bool:
 
 
 def rest_of(body: Array, children: Sequence[FixedChild], consistency: Consistency) -> Array | None:
-    """Return what the moving link has of a body when its children keep theirs, None if nothing.
+    """Return a body minus its fixed children's bodies, None where that is impossible.
 
-    It does not work either when a child's own inertial is none that a body can have.
+    None also where a child's own inertial is impossible.
     """
     if not children:
         return body
@@ -127,118 +133,99 @@ def rest_of(body: Array, children: Sequence[FixedChild], consistency: Consistenc
 
 
 def lifted(body: Array, consistency: Consistency) -> Array:
-    """Return the body, moved off the edge of the consistent set if rounding has put it there."""
+    """Return the body, moved off the boundary of the consistent set by a few roundings."""
     return raise_second_moments(body, _INSIDE + _rounding(body), consistency=consistency)
 
 
-def joint_numbers(
-    friction: FrictionModel,
-    tail: Array,
-    places: Mapping[type[FrictionTerm], str],
-    what: str,
-) -> tuple[dict[str, dict[str, float]], tuple[str, ...]]:
-    """Return the attributes of every joint, and the parameters for which there is no place.
+# Functions of speed for which no format has an attribute.
+_CURVES = (SigmoidFriction, SquareRootFriction, Stribeck)
+
+
+@dataclass(frozen=True)
+class JointAttributes:
+    """Friction as attributes of joints.
+
+    Attributes
+    ----------
+    values : dict
+        Attributes and their numbers by joint name.
+    left_out : tuple of str
+        Parameters for which there is no attribute.
+    notes : tuple of str
+        Friction curves that were replaced by Coulomb and viscous friction, and how well they fit.
+    """
+
+    values: dict[str, dict[str, float]]
+    left_out: tuple[str, ...]
+    notes: tuple[str, ...]
+
+
+def joint_attributes(
+    problem: Problem, theta: Array, places: Mapping[type[FrictionTerm], str], what: str
+) -> JointAttributes:
+    """Return identified friction as attributes of joints.
+
+    Other functions of speed are added as the Coulomb and viscous friction that fit them best at
+    the speeds of the problem's samples; neither is negative.
 
     Parameters
     ----------
-    friction : FrictionModel
-        The terms.
-    tail : ndarray
-        Their parameters.
+    problem : Problem
+        Terms and samples.
+    theta : ndarray, shape (p,)
+        Standard parameters.
     places : mapping
-        The attribute that holds a term's parameter.
+        The attribute for the parameter of a term, with Coulomb and Viscous among them.
     what : str
-        What is written, for messages.
+        Name of the written robot in messages.
 
     Raises
     ------
     ExportError
         When a number is negative.
     """
-    at = 0
-    left_out: list[str] = []
-    numbers: dict[str, dict[str, float]] = {}
-    for term in friction.terms:
-        parameters = term.parameters(friction.joint_names)
-        values = tail[at : at + len(parameters)]
-        at += len(parameters)
-        attribute = places.get(type(term))
-        if attribute is None:
-            left_out += [p.name for p in parameters]
-            continue
-        for name, parameter, value in zip(friction.joint_names, parameters, values, strict=True):
-            if value < -_FRICTION_ZERO:
-                raise ExportError(
-                    f"{what}: {parameter.name} of joint '{name}' is {value:.3g} "
-                    f"{parameter.unit}, the least is 0; solve with "
-                    "Constraints(friction_nonnegative=True)."
-                )
-            numbers.setdefault(name, {})[attribute] = max(float(value), 0.0)
-    return numbers, tuple(left_out)
-
-
-# Functions of speed that no format has a place for.
-_SHAPES = (SigmoidFriction, SquareRootFriction, Stribeck)
-
-
-def add_shapes(
-    problem: Problem,
-    tail: Array,
-    numbers: dict[str, dict[str, float]],
-    left_out: tuple[str, ...],
-    coulomb: str,
-    viscous: str,
-) -> tuple[tuple[str, ...], tuple[str, ...]]:
-    """Add other functions of speed as the Coulomb and viscous friction that fit them best.
-
-    They fit at the speeds of the problem's samples; neither is negative.
-
-    Parameters
-    ----------
-    problem : Problem
-        Terms and samples.
-    tail : ndarray
-        The friction parameters.
-    numbers : dict
-        Attributes of every joint, to be added to.
-    left_out : tuple of str
-        Parameters for which there is no place.
-    coulomb, viscous : str
-        The attributes.
-
-    Returns
-    -------
-    left_out : tuple of str
-        What there is still no place for.
-    notes : tuple of str
-        What was added, and how well it fits.
-    """
-    from scipy.optimize import nnls
-
     friction, samples = problem.friction, problem.samples
-    names = friction.joint_names
+    names, at = friction.joint_names, 10 * problem.robot.n_links
     velocity = np.asarray(samples.velocity)[:, friction.first :]
     acceleration = np.asarray(samples.acceleration)[:, friction.first :]
-    effort, added, at = np.zeros_like(velocity), [], 0
+    numbers: dict[str, dict[str, float]] = {}
+    left_out: list[str] = []
+    curves: list[str] = []
+    effort = np.zeros_like(velocity)
     for term in friction.terms:
         parameters = term.parameters(names)
-        values = tail[at : at + len(parameters)]
+        values = theta[at : at + len(parameters)]
         at += len(parameters)
-        if isinstance(term, _SHAPES):
+        attribute = places.get(type(term))
+        if isinstance(term, _CURVES):
             effort += term.columns(velocity, acceleration, names) @ values
-            added += [p.name for p in parameters]
-    if not added:
-        return left_out, ()
+            curves += [p.name for p in parameters]
+        elif attribute is None:
+            left_out += [p.name for p in parameters]
+        else:
+            for name, parameter, value in zip(names, parameters, values, strict=True):
+                if value < -_FRICTION_ZERO:
+                    raise ExportError(
+                        f"{what}: {parameter.name} of joint '{name}' is {value:.3g} "
+                        f"{parameter.unit}, the least is 0; solve with "
+                        "Constraints(friction_nonnegative=True)."
+                    )
+                numbers.setdefault(name, {})[attribute] = max(float(value), 0.0)
+    if not curves:
+        return JointAttributes(numbers, tuple(left_out), ())
+    from scipy.optimize import nnls
+
     worst = 0.0
+    kinds: tuple[type[FrictionTerm], ...] = (Coulomb, Viscous)
     for j, name in enumerate(names):
         columns = np.column_stack([np.sign(velocity[:, j]), velocity[:, j]])
-        found, missed = nnls(columns, effort[:, j])
-        worst = max(worst, float(missed) / np.sqrt(len(effort)))
+        fit, residual = nnls(columns, effort[:, j])
+        worst = max(worst, float(residual) / np.sqrt(len(effort)))
         own = numbers.setdefault(name, {})
-        for attribute, value in zip((coulomb, viscous), found, strict=True):
-            own[attribute] = own.get(attribute, 0.0) + float(value)
+        for kind, value in zip(kinds, fit, strict=True):
+            own[places[kind]] = own.get(places[kind], 0.0) + float(value)
     note = (
-        f"{', '.join(added)} are written as the Coulomb and viscous friction that fit them best at "
-        f"the speeds of the samples, to {worst:.2g} N.m rms at the worst joint"
+        f"{', '.join(curves)} are written as the Coulomb and viscous friction that fit them best "
+        f"at the speeds of the samples, to {worst:.2g} N.m rms at the worst joint"
     )
-    return tuple(name for name in left_out if name not in added), (note,)
+    return JointAttributes(numbers, tuple(left_out), (note,))

@@ -1,1 +1,1 @@
-"""What the files that describe a robot say: URDF, MJCF, Denavit-Hartenberg tables."""
+"""Read robot descriptions: URDF, xacro, MJCF, Denavit-Hartenberg tables, and names of robots."""

@@ -1,9 +1,9 @@
-"""The bodies of a robot description as they are written, link by link, before anything is merged.
+"""Read the inertials of a URDF link by link, exactly as written and before links are merged.
 
-Loaders add up what is fixed together and turn a tensor into principal moments; what cannot exist
-is hidden by that or refused without a reason. Here every number is read as written, tensors also
-as exact fractions of the decimals in the text, and nothing is refused: what cannot be read is
-said in `DescribedBody.problems`.
+Loaders merge links that are fixed together and turn tensors into principal moments, which hides
+impossible bodies or refuses them without a reason. Here every number is read as written, tensors
+also as exact fractions, and nothing is refused: `DescribedBody.problems` lists what cannot be
+read.
 """
 
 from __future__ import annotations
@@ -26,13 +26,13 @@ from sdpid.robot.inertia import TENSOR_INDEX, theta_from_physical
 # In the order of `TENSOR_INDEX`.
 TENSOR_NAMES = ("ixx", "ixy", "iyy", "ixz", "iyz", "izz")
 
-# The lower triangle has no place in a URDF; some files have it all the same.
+# URDF defines the upper triangle only; some files write the lower one too.
 _TRANSPOSED = {"iyx": "ixy", "izx": "ixz", "izy": "iyz"}
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class DescribedBody:
-    """One body as described.
+    """The inertial of one link as described.
 
     Attributes
     ----------
@@ -48,11 +48,11 @@ class DescribedBody:
     mass : float or None
         kg; None where it is missing or no number.
     com : ndarray, shape (3,), or None
-        Centre of mass in the link's frame, m.
+        Center of mass in the link's frame, m.
     rotation : ndarray, shape (3, 3)
         Axes of the tensor in the link's frame.
     entries : tuple of Fraction, or None
-        The tensor about the centre of mass in the order of `TENSOR_INDEX`, exactly as written,
+        The tensor about the center of mass in the order of `TENSOR_INDEX`, exactly as written,
         kg·m².
     half_digit : float
         Half a unit in the last digit of the entry that is written most coarsely, kg·m²: by so
@@ -86,7 +86,7 @@ class DescribedBody:
 
     @property
     def tensor(self) -> Array | None:
-        """The inertia about the centre of mass along its own axes, shape (3, 3), kg·m²."""
+        """The inertia about the center of mass along its own axes, shape (3, 3), kg·m²."""
         if self.entries is None:
             return None
         tensor = np.empty((3, 3))
@@ -114,7 +114,7 @@ def exact_decimal(text: str) -> Fraction:
     value = float(text)
     if not math.isfinite(value):
         raise ValueError(text)
-    # Also keeps an exponent of millions from being expanded.
+    # An exponent of minus millions would be expanded into as many digits.
     if value == 0.0:
         return Fraction(0)
     return Fraction(text.strip().replace("_", "x"))
@@ -171,7 +171,7 @@ def read_urdf_bodies(text: str | bytes, what: str) -> tuple[Any, tuple[Described
 
 @dataclass(frozen=True)
 class _Place:
-    """What a link is fixed to, where it is in that link's frame, and what cannot be read."""
+    """The link that carries a link through fixed joints, and the placement in it."""
 
     carrier: str
     placement: Array
@@ -181,7 +181,7 @@ class _Place:
 def _find_place(
     name: str, parents: Mapping[str, Any], places: dict[str, _Place], what: str
 ) -> None:
-    """Find the place of a link and of those between it and its carrier, each once."""
+    """Store the places of a link and of the links between it and its carrier."""
     chain: list[str] = []
     while name not in places:
         joint = parents.get(name)

@@ -1,4 +1,4 @@
-"""Robots that can be loaded by name: bundled, of example-robot-data, of robot_descriptions."""
+"""Find robots by name: bundled, in example-robot-data, or in robot_descriptions."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from pathlib import Path
 
 from sdpid.errors import ModelError
 
-# Names that an error offers, and how alike they are at least (1: equal).
+# Number of near names that an error lists, and their least similarity (1: equal).
 _SHOWN, _ALIKE = 5, 0.6
 _LONGEST_NAME = 80
 

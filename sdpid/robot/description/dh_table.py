@@ -1,4 +1,4 @@
-"""Denavit-Hartenberg tables, modified and standard, and the URDF that says the same."""
+"""Denavit-Hartenberg tables, modified and standard, and their conversion to URDF."""
 
 from __future__ import annotations
 
@@ -315,7 +315,7 @@ def _origin(element: Any, transform: Array) -> None:
 
 
 def _limits(joint: DhJoint) -> dict[str, str]:
-    # URDF demands effort and velocity; where the table is silent this stands for 'no limit'.
+    # URDF demands effort and velocity; where the table has none, 1e9 means 'no limit'.
     limits = {"effort": joint.effort or 1e9, "velocity": joint.velocity or 1e9}
     if joint.lower is not None and joint.upper is not None:
         limits |= {"lower": joint.lower, "upper": joint.upper}

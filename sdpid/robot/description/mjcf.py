@@ -1,7 +1,7 @@
 """MJCF files, compiled by MuJoCo in a child process and turned into a Pinocchio model.
 
-MuJoCo's parser trusts its input: a file that includes itself ends the process, and a large
-``<replicate>`` never ends. Nothing of a stranger is therefore parsed in this process.
+MuJoCo's parser trusts its input: a file that includes itself crashes the process, and a large
+``<replicate>`` never ends. Untrusted files are therefore parsed in a child process with limits.
 """
 
 from __future__ import annotations
@@ -57,7 +57,7 @@ def _line(cause: Exception) -> str:
 
 
 def in_child(function: Callable[..., Any], *arguments: Any, what: str) -> Any:
-    """Return what a function of MJCF returns in a child process with limits.
+    """Call a function that reads MJCF in a child process with limits, and return its result.
 
     Raises
     ------
@@ -248,7 +248,7 @@ def _equalities(found: dict[str, Any]) -> tuple[tuple[Mimic, ...], tuple[str, ..
 
 
 class _Build:
-    """A model made body by body."""
+    """Builds a Pinocchio model body by body."""
 
     def __init__(self, found: dict[str, Any], what: str) -> None:
         import pinocchio as pin

@@ -1,4 +1,4 @@
-"""The bodies of an MJCF file as they are written, through MuJoCo's own parser."""
+"""Read the inertials of an MJCF file as written, by MuJoCo's parser."""
 
 from __future__ import annotations
 
@@ -72,7 +72,7 @@ def _bodies(text: str, path: str | None, what: str) -> list[dict[str, Any]]:
     return bodies
 
 
-# Carrier, the joint that moves it, and what is on that joint's other side.
+# Carrier, the joint that moves it, and that joint's parent body.
 _Place = tuple[str, str | None, str | None]
 
 
@@ -99,7 +99,7 @@ def _described(body: Mapping[str, Any]) -> DescribedBody:
     if not np.isfinite(values).all():
         problems.append("the inertia is missing or no finite numbers")
     if not np.isfinite([mass, *com]).all():
-        problems.append("mass or centre of mass are missing or no finite numbers")
+        problems.append("mass or center of mass are missing or no finite numbers")
     return DescribedBody(
         described=True,
         mass=mass if np.isfinite(mass) else None,

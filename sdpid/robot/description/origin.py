@@ -1,4 +1,4 @@
-"""Frames and numbers as URDF writes them: ``<origin xyz="…" rpy="…"/>``, read in one way."""
+"""Read and write frames and numbers of a URDF: ``<origin xyz="…" rpy="…"/>``."""
 
 from __future__ import annotations
 

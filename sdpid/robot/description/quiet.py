@@ -1,4 +1,4 @@
-"""What libraries print on their own, caught: messages belong into errors."""
+"""Catch what libraries print on standard error, to put it into error messages."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from collections.abc import Iterator
 # A process has one standard error: one thread at a time may hold it.
 _LOCK = threading.Lock()
 
-# Bytes of a message; more do not help.
+# Longest message, bytes.
 _LONGEST = 2000
 
 _STDERR = 2
@@ -32,7 +32,7 @@ class Caught:
 
 @contextlib.contextmanager
 def caught_stderr() -> Iterator[Caught]:
-    """Catch what a block prints on file descriptor 2, from whatever language.
+    """Catch what a block prints on file descriptor 2, from Python or from C.
 
     What was printed is in `text` when the block ends by an error; otherwise it is passed on to
     standard error as it is, since something of another thread may be in it. Where there is no

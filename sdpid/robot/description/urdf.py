@@ -1,4 +1,4 @@
-"""What sdpid itself reads from and writes into URDF; Pinocchio does the rest."""
+"""Check a URDF, convert it by Pinocchio, and read and write its joints and inertials."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ from sdpid.robot.description.quiet import Caught, caught_stderr
 from sdpid.robot.description.xml import parse_xml, undeclared
 from sdpid.robot.inertia import physical_parameters
 
-# Parsers go down a tree of links by recursion: some ten thousand end the process.
+# Parsers recurse into the tree of links: tens of thousands overflow the stack and end the process.
 MOST_LINKS = 2000
 
-# Where the numbers are that make a model: elements within links and joints, their attributes, how
-# many numbers each has, and whether it may be left out.
+# The numbers of a URDF that are checked: owner, path of the element, attributes, count of numbers
+# in each, and whether the attribute may be missing.
 _PLACES = (
     ("link", "inertial/origin", ("xyz", "rpy"), 3, True),
     ("link", "inertial/mass", ("value",), 1, False),
@@ -27,10 +27,10 @@ _PLACES = (
     ("joint", "origin", ("xyz", "rpy"), 3, True),
     ("joint", "axis", ("xyz",), 3, True),
 )
-# What the parser of URDF takes for a number; Python takes more.
+# The numbers that Pinocchio's parser accepts; Python accepts more.
 _NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?", re.ASCII)
 
-# Places in the parser's own source, which help nobody.
+# Line numbers of the parser's own source, taken out of its messages.
 _LINES = re.compile(r"\s*at line \d+ in \S+")
 
 # Entries of the tensor, in the order in which a URDF lists them.
@@ -130,23 +130,23 @@ def pinocchio_from_urdf(
 
     name, mimics = check_urdf(text, what, floating=floating)
     free = (pin.JointModelFreeFlyer(),) if floating else ()
-    said = Caught()
+    caught = Caught()
     try:
-        # The parser of URDF says what is wrong on standard error, not in its error.
-        with caught_stderr() as said:
+        # The parser prints the reason on standard error; its exception does not have it.
+        with caught_stderr() as caught:
             model = pin.buildModelFromXML(undeclared(text), *free)
     except (RuntimeError, ValueError) as cause:
         raise ModelError(
-            f"{what}: Pinocchio cannot read it ({_LINES.sub('', said.text) or cause})."
+            f"{what}: Pinocchio cannot read it ({_LINES.sub('', caught.text) or cause})."
         ) from None
     model.name = name
     return model, mimics
 
 
 def _check_numbers(root: Any, what: str) -> None:
-    """Refuse numbers that are none, missing or absurdly large.
+    """Refuse numbers that cannot be read, are missing or are absurdly large.
 
-    The parser only complains on standard error, and leaves out the whole inertia of such a link.
+    Pinocchio's parser only warns on standard error, and drops the whole inertia of such a link.
     """
     for kind, path, keys, count, optional in _PLACES:
         for owner in root.findall(kind):

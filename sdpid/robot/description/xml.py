@@ -1,4 +1,4 @@
-"""Robot descriptions as XML text: decoded as declared, parsed without trust, written back alike."""
+"""Read robot descriptions as XML: decode, parse safely, and encode them again."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from sdpid.errors import ModelError
 # The largest robot description seen in the wild is below 1 MB; this bounds a hostile one.
 MAX_BYTES = 64 * 2**20
 
-# Categories of characters that no name needs: names are printed, and would forge lines.
+# Unicode categories that names must not have: names are printed, and could forge lines.
 _CONTROLS = ("Cc", "Zl", "Zp")
 
 _BYTE_ORDER_MARK = "\ufeff"
@@ -25,7 +25,7 @@ _ENCODING = re.compile(r"\sencoding\s*=\s*[\"']([A-Za-z][\w.:-]*)[\"']", re.ASCI
 
 @dataclass(frozen=True)
 class Description:
-    """A robot description as it was given.
+    """The text of a robot description and its source.
 
     Attributes
     ----------

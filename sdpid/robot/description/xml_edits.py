@@ -1,7 +1,7 @@
-"""Edits of an XML text in place: what is not asked to change keeps every byte.
+"""Edit an XML text in place: all bytes that are not edited stay as they are.
 
-A serialiser would write the same document with other quotes, spaces and line breaks; a user who
-compares the result with the original wants to see the numbers that changed and nothing else.
+A serializer would change quotes, spaces and line breaks; a comparison with the original should
+show the changed numbers and nothing else.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ _ATTRIBUTE = re.compile(r"(\s)([^\s=>]+)(\s*=\s*)(\"[^\"]*\"|'[^']*')")
 
 @dataclass
 class Element:
-    """Where an element stands in the bytes of a document.
+    """An element and its position in the bytes of a document.
 
     Attributes
     ----------
@@ -58,7 +58,7 @@ class Element:
 
 
 class Document:
-    """An XML text and the edits to be made in it.
+    """An XML text and its pending edits.
 
     Parameters
     ----------
@@ -119,18 +119,18 @@ class Document:
     def set_attributes(self, element: Element, values: Mapping[str, str]) -> None:
         """Replace values of attributes where they stand; missing ones are added at the end."""
         tag = self._data[element.start : element.tag_end].decode("utf-8")
-        left = dict(values)
+        missing = dict(values)
 
         def replace(match: re.Match[str]) -> str:
             space, name, equals, old = match.groups()
-            if name not in left:
+            if name not in missing:
                 return match.group(0)
-            return f"{space}{name}{equals}{_quoted(left.pop(name), old[0])}"
+            return f"{space}{name}{equals}{_quoted(missing.pop(name), old[0])}"
 
         tag = _ATTRIBUTE.sub(replace, tag)
         close = "/>" if element.empty else ">"
         body = tag[: -len(close)]
-        for name, value in left.items():
+        for name, value in missing.items():
             stripped = body.rstrip()
             body = f"{stripped} {name}={quoteattr(value)}{body[len(stripped) :]}"
         self._edit(element.start, element.tag_end, body + close)
@@ -162,7 +162,7 @@ class Document:
         self._edit(at, at, block)
 
     def replace(self, element: Element, text: str) -> None:
-        """Put markup in the place of a whole element."""
+        """Replace a whole element by markup."""
         self._edit(element.start, element.end, text)
 
     def _edit(self, start: int, end: int, text: str) -> None:
@@ -179,6 +179,6 @@ class Document:
 
 
 def _quoted(value: str, quote: str) -> str:
-    """Quote a value the way the one it replaces was quoted."""
+    """Quote a value with the quotes of the value it replaces."""
     plain = quoteattr(value)[1:-1]
     return f"{quote}{plain}{quote}" if quote not in plain else quoteattr(value)

@@ -1,7 +1,7 @@
-"""Friction and drive terms: what a joint's effort holds beside the links' inertia.
+"""The friction model of a robot: its terms, their parameters and their columns.
 
-`FrictionModel` puts the terms of a robot together. What a term is stands in
-`sdpid.robot.friction.term`, the terms there are in `sdpid.robot.friction.terms`.
+The interface of a term is in `sdpid.robot.friction.term`, the terms themselves are in
+`sdpid.robot.friction.terms`.
 """
 
 from __future__ import annotations
@@ -93,7 +93,7 @@ class FrictionModel:
         return columns
 
     def characteristic_speeds(self) -> Array:
-        """Return speeds (k, number of joints) about which columns change their shape."""
+        """Return speeds (k, joints) at which the columns of each joint bend, such as widths."""
         n = len(self.joint_names)
         return np.concatenate([np.zeros((0, n)), *(t.characteristic_speeds(n) for t in self.terms)])
 

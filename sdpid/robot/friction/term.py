@@ -1,9 +1,9 @@
-"""What a friction term is: its parameters, their columns, and speeds that are still open.
+"""The interface of a friction term: its parameters, their columns, and its open speeds.
 
 A term names its parameters and gives their regressor columns from the joint velocities and
-accelerations. The effort it stands for is ``columns @ parameters``. The columns may depend on
-further numbers, such as the width of a smooth sign, in which the effort is not linear. Those
-that are not given are open: `sdpid.estimation.effects.choose` chooses them by the data.
+accelerations; its effort is ``columns @ parameters``. The columns may depend on further numbers
+in which the effort is not linear, such as the width of a smooth sign. Those that are None are
+open: `sdpid.estimation.effects.choose` fits them to the data.
 """
 
 from __future__ import annotations
@@ -18,9 +18,9 @@ import numpy as np
 from sdpid._common.arrays import Array
 from sdpid.errors import ModelError
 
-# A speed that is open lies above what a twentieth of the samples stay below: fewer could not tell
-# it from a smaller one. And at most at half of the top speed: beyond, the shapes are straight
-# lines (tanh) or constants (the Stribeck peak), which other terms have.
+# An open speed is searched from the 5 % quantile of the measured speeds, since fewer samples do not
+# determine it, to half of the top speed: beyond, the shapes are straight lines (tanh) or constants
+# (the Stribeck peak), which other terms have.
 _SLOW_SHARE = 0.05
 _MOST_OF_TOP = 0.5
 
@@ -56,7 +56,7 @@ class TermParameter:
 
 @dataclass(frozen=True)
 class OpenParameter:
-    """A number in which the effort is not linear, to be chosen by the data.
+    """A number in which the effort is not linear, to be fitted to the data.
 
     Attributes
     ----------
@@ -103,7 +103,7 @@ class FrictionTerm(ABC):
     def open_parameters(
         self, speeds: Sequence[Array], joint_names: Sequence[str]
     ) -> tuple[OpenParameter, ...]:
-        """Return what is to be chosen by the data before there are columns: nothing.
+        """Return the parameters to be fitted before the regressor exists. None by default.
 
         Parameters
         ----------
@@ -121,7 +121,7 @@ class FrictionTerm(ABC):
         return self
 
     def characteristic_speeds(self, n: int) -> Array:
-        """Return speeds (k, n) about which the columns of each joint change their shape: none.
+        """Return speeds (k, n) at which columns bend, such as widths. None by default.
 
         The scan for base parameters looks at states with such speeds too; a term that is all but
         zero or constant at other speeds would else be taken for dependent.
@@ -131,7 +131,7 @@ class FrictionTerm(ABC):
 
 @dataclass(frozen=True)
 class JointwiseTerm(FrictionTerm):
-    """A term with one parameter a joint, which acts on that joint alone.
+    """A term with one parameter per joint, which acts on that joint alone.
 
     Attributes
     ----------
@@ -184,7 +184,7 @@ class JointwiseTerm(FrictionTerm):
     def open_parameters(
         self, speeds: Sequence[Array], joint_names: Sequence[str]
     ) -> tuple[OpenParameter, ...]:
-        """Return one open parameter a joint for each speed field that is None."""
+        """Return one open parameter per joint for each speed field that is None."""
         return open_speeds(self, self.speed_fields, speeds)
 
     def with_values(self, values: Sequence[float]) -> FrictionTerm:
@@ -236,7 +236,7 @@ def joint_speeds(term: FrictionTerm, field: str, n: int) -> Array:
 def open_speeds(
     term: FrictionTerm, fields: Sequence[str], speeds: Sequence[Array]
 ) -> tuple[OpenParameter, ...]:
-    """Return one open parameter a joint for each field that is None, limits from the speeds."""
+    """Return one open parameter per joint for each field that is None, with its search limits."""
     return tuple(
         OpenParameter(f"{field}{j + 1}", *speed_limits(measured), "rad/s")
         for field in fields
@@ -246,7 +246,7 @@ def open_speeds(
 
 
 def speed_limits(measured: Array) -> tuple[float, float]:
-    """Return the least and the largest speed worth looking at, from measured speeds (K,)."""
+    """Return the lower and upper search limits of an open speed, from measured speeds (K,)."""
     top = float(measured.max(initial=0.0)) or _STANDING
     slow = float(np.quantile(measured, _SLOW_SHARE)) if measured.size else 0.0
     least, most = _LEAST_OF_TOP

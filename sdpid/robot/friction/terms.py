@@ -1,4 +1,4 @@
-"""The friction and drive terms there are."""
+"""Friction and drive terms: Coulomb, viscous, Stribeck, rotor inertia, coupling and others."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from sdpid.robot.friction.term import (
     open_speeds,
 )
 
-# A speed of a term: one for all joints, one a joint, or None for those that fit best.
+# A speed of a term: one for all joints, one per joint, or None to fit it to the data.
 Speed = float | tuple[float, ...] | None
 
 
@@ -70,7 +70,7 @@ class Coulomb(_SignTerm):
     ----------
     width : float, tuple of float, or None
         Where positive (rad/s), ``tanh(v / width)`` takes the place of the sign. One for all
-        joints, one a joint, or None for those that fit the data best.
+        joints, one per joint, or None to fit it to the data.
     dead_zone : float
         Speed (rad/s) below which the term is zero.
     """
@@ -78,7 +78,7 @@ class Coulomb(_SignTerm):
     symbol: ClassVar[str] = "Fs"
 
     def shape(self, velocity: Array, acceleration: Array) -> Array:
-        """Return the sign of the velocity, smoothed as asked."""
+        """Return the sign of the velocity, or its smooth or dead-zone variant."""
         return self._sign(velocity)
 
 
@@ -123,10 +123,9 @@ class RotorInertia(JointwiseTerm):
 
 @dataclass(frozen=True)
 class SquareRootFriction(JointwiseTerm):
-    """Friction that grows ever more slowly with speed, ``Fq·sign(v)·√|v|``.
+    """Square-root friction ``Fq·sign(v)·√|v|``.
 
-    Between Coulomb and viscous friction: harmonic drives and greased gears that both leave
-    unexplained.
+    Between Coulomb and viscous friction, for harmonic drives and greased gears.
     """
 
     symbol: ClassVar[str] = "Fq"
@@ -140,15 +139,15 @@ class SquareRootFriction(JointwiseTerm):
 
 @dataclass(frozen=True)
 class Stribeck(JointwiseTerm):
-    """What friction at rest exceeds Coulomb friction by, ``Fst·exp(−|v/vs|^exponent)·sign(v)``.
+    """Stribeck peak: friction above Coulomb's at low speed, ``Fst·exp(−|v/vs|^exponent)·sign(v)``.
 
     A companion of `Coulomb`: the sum is the Stribeck curve [armstrong1994]_.
 
     Attributes
     ----------
     velocity : float, tuple of float, or None
-        The speed vs (rad/s) at which the peak has fallen to 1/e: one for all joints, one a
-        joint, or None for those that fit the data best.
+        The speed vs (rad/s) at which the peak has fallen to 1/e: one for all joints, one per
+        joint, or None to fit it to the data.
     exponent : float
         2 for a Gaussian peak, 1 for an exponential one.
     width : float, tuple of float, or None
@@ -188,8 +187,7 @@ class SigmoidFriction(JointwiseTerm):
     Attributes
     ----------
     velocity : float, tuple of float, or None
-        The speed w (rad/s): one for all joints, one a joint, or None for those that fit the
-        data best.
+        The speed w (rad/s): one for all joints, one per joint, or None to fit it to the data.
     """
 
     velocity: Speed = None
@@ -261,11 +259,11 @@ class AsymmetricCoulomb(FrictionTerm):
     def open_parameters(
         self, speeds: Sequence[Array], joint_names: Sequence[str]
     ) -> tuple[OpenParameter, ...]:
-        """Return one width a joint, for both sides, when the width is None."""
+        """Return one open width per joint, for both sides, when the width is None."""
         return open_speeds(self, ("width",), speeds)
 
     def with_values(self, values: Sequence[float]) -> FrictionTerm:
-        """Return a copy with these widths, one a joint."""
+        """Return a copy with these widths, one per joint."""
         return close_speeds(self, ("width",), values)
 
     def characteristic_speeds(self, n: int) -> Array:
@@ -338,7 +336,7 @@ class Coupling(FrictionTerm):
     def open_parameters(
         self, speeds: Sequence[Array], joint_names: Sequence[str]
     ) -> tuple[OpenParameter, ...]:
-        """Return the width when it is None, looked for where the two joints' widths would be."""
+        """Return the open width when it is None, with search limits from both joints' speeds."""
         if self.width is not None:
             return ()
         i, j = self._joints(joint_names)

@@ -1,4 +1,4 @@
-"""Base parameters: the combinations of standard parameters that the motion can show.
+"""Base parameters: the independent combinations of standard parameters that determine the effort.
 
 They are a property of the robot, not of a recording: found from the regressor at generic states
 by one deterministic scan [gautier1990]_. Which of them a given recording excites is another
@@ -24,7 +24,7 @@ _FIELD_ORDER = tuple(
     for name in ("xx", "xy", "xz", "yy", "yz", "zz", "mx", "my", "mz", "m")
 )
 
-# A column counts as dependent when what the kept ones leave of it is below this fraction of it.
+# A column is dependent when its residual after projection on the kept columns is below this share.
 # Rounding leaves some 1e-13; descriptions that write pi/2 as 1.5708 leave up to 1e-5, although
 # their axes are meant to be parallel or perpendicular. The gap around it is reported.
 DEPENDENT = 2e-5
@@ -35,7 +35,7 @@ _NOTHING = 2e-11
 # Regrouping coefficients smaller than this (in the scaled columns) are zeros blurred by rounding.
 ZERO = 1e-9
 
-# Generic states: enough rows for the ten parameters of every link many times over.
+# Number of generic states: many times as many rows as parameters.
 _STATES = 120
 
 # Further ones for each speed that friction terms name: a few parameters a joint depend on it.
@@ -110,7 +110,7 @@ class BaseParameters:
         return " ".join(terms)
 
     def explain(self) -> str:
-        """Return in words how the rank was decided."""
+        """Return a sentence on how the rank was decided."""
         rank, total = self.count, len(self.theta_names)
         return (
             f"{rank} base parameters of {total} standard ones. Scanning the columns of the "
@@ -125,7 +125,7 @@ class BaseParameters:
 
 
 def generic_states(robot: RobotModel, count: int, seed: int) -> tuple[Array, Array, Array]:
-    """Return random states at which no accidental dependence holds.
+    """Return random states (q, v, a), at which columns are dependent only if they always are.
 
     Speeds and accelerations are of the size at which inertial and gravitational efforts are
     comparable on a robot of this length, so that the columns are well scaled.

@@ -1,4 +1,4 @@
-"""The coordinates of a Pinocchio model: which joints move, which mimic another, which links."""
+"""Coordinates of a Pinocchio model: names of joints and links, expansion of mimic joints."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Where a robot's links are: the points of their collision geometry, and their placements."""
+"""Geometry of a robot: points around each link's collision shapes, and placements of links."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""How the links move: velocities of all links at many positions, and how one joint drives its link.
+"""Jacobians: velocities of all links per joint velocity, and of joints per link velocity.
 
 Velocities are (angular, linear) in the frame of each link, at its origin, so that the kinetic
 energy of a link is half ``V^T·I·V`` with the 6×6 spatial inertia of `sdpid.robot.inertia`.
@@ -47,7 +47,7 @@ def link_jacobians(robot: RobotModel, q: ArrayLike) -> Array:
 
 
 def joint_rates(robot: RobotModel) -> Array:
-    """Return the matrix N (nv, 6·links) that reads joint velocities off the links' velocities.
+    """Return the matrix N (nv, 6·links) that maps link velocities to joint velocities.
 
     A joint's velocity is the component along its axis of what its link moves relative to the link
     before, ``S^T·(V − X·V_before)``. Turning the joint does not change its axis, in either frame,

@@ -1,4 +1,4 @@
-"""Robots from names, files and texts of URDF, MJCF and xacro, and Pinocchio models."""
+"""Load robots from names, files and texts of URDF, MJCF and xacro, and Pinocchio models."""
 
 from __future__ import annotations
 
