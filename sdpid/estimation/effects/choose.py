@@ -13,8 +13,7 @@ import numpy as np
 
 from sdpid._common.arrays import Array
 from sdpid.estimation.compression.rows import RowSource
-from sdpid.estimation.effects.open_terms import OpenTerm
-from sdpid.estimation.effects.variable_projection import ProfileSearch
+from sdpid.estimation.effects.variable_projection import OpenTerm, VariableProjection
 from sdpid.experiment.processing.samples import Samples
 from sdpid.robot.friction.model import FrictionModel
 from sdpid.robot.model.base_parameters import structural_base
@@ -104,7 +103,7 @@ def close_terms(
         return friction, ()
     middle = _closed(friction, opened)
     rows = RowSource(robot, middle, structural_base(robot, middle), thin)
-    ProfileSearch(rows, covariance(rows), opened).run()
+    VariableProjection(rows, covariance(rows), opened).run()
     chosen = tuple(
         Profiled(
             term=type(each.term).__name__,

@@ -1,31 +1,27 @@
-"""The descent of variable projection, one open parameter at a time.
+"""Variable projection: the least cost as a function of parameters that do not enter linearly.
 
-What of a column lies in the span of the columns of fixed shape makes no difference to the cost.
-That span is found once; then the cost of a value needs the products of the columns that it moves
-with all others, and a fit in the few open columns. All values of a grid are tried at once.
+For any values of the open parameters the other parameters are a linear least-squares problem
+[golub2003]_. The columns of fixed shape are projected out once. The cost of a value then needs the
+products of the columns that it moves with all others, and a signed fit of the few open columns.
 """
 
 from __future__ import annotations
 
-import itertools
-from collections.abc import Callable, Sequence
-from typing import NamedTuple
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from sdpid._common.arrays import Array, Indices, Mask
+from sdpid._common.arrays import Array, Indices
 from sdpid.estimation.compression.rows import RowSource
-from sdpid.estimation.compression.triangle import Triangle
 from sdpid.estimation.compression.whitening import weights
-from sdpid.estimation.effects.nonnegative_least_squares import least_squares_gain
-from sdpid.estimation.effects.open_terms import MovedColumns, OpenTerm
-from sdpid.robot.friction.term import OpenParameter
+from sdpid.robot.friction.term import FrictionTerm, JointwiseTerm, OpenParameter
+from sdpid.robot.friction.terms import Coulomb, SigmoidFriction, Stribeck
 
 # Values tried between the limits, evenly spaced by their logarithm: with limits a factor of 500
-# apart each is twice the one before, and a profile bends no faster than the shape does.
+# apart each is twice the one before, and the cost bends no faster than the shape does.
 _GRID = 9
 
-# Then the best one's neighbourhood is searched to 2 %, with at most so many tries.
+# Then the best one's neighborhood is searched to 2 %, with at most this many values.
 _ACCURACY = 0.02
 _TRIES = 8
 
@@ -40,48 +36,73 @@ FLAT = 0.01
 _NO_EFFECT = 1e-6
 
 # Directions of the columns of fixed shape that are this small beside the largest are none.
-# Coordinates along the others are rounded to 1e-16 over this.
 _DEPENDENT = 1e-8
 
-# Added to the unit diagonal of the columns' products, so that a column that others span takes
+# Added to the unit diagonal of the open columns' products, so that a column that others span takes
 # part in nothing, and the products stay positive definite when rounded.
 _RIDGE = 1e-9
 
-# The first rows folded are spread over the record, this many times as many as columns, so that
-# those after them bring little new.
-_FIRST = 4
+
+# Terms whose shape at a joint depends on that joint's motion and speeds alone. A subclass may know
+# which joint is which.
+_ALIKE: tuple[type[JointwiseTerm], ...] = (Coulomb, SigmoidFriction, Stribeck)
 
 
-class _Tried(NamedTuple):
-    """The open columns at g values of a parameter, and what the cost needs of them.
+@dataclass(eq=False)
+class OpenTerm:
+    """A term with open parameters, and their present values.
 
     Attributes
     ----------
-    places : slice or ndarray of int, shape (m,)
-        The open columns that move.
-    joints : ndarray of int, shape (w,)
-        The joints at which these are not zero.
-    columns : ndarray, shape (w, K, g, m)
-        They themselves there, whitened, of unit length.
-    inside : ndarray, shape (rank, g, m)
-        Their coordinates in the span of the columns of fixed shape.
-    products : ndarray, shape (g, c + 1, c + 1)
-        Inner products of what of all open columns and the effort is outside that span.
+    place : int
+        Its place among the robot's terms.
+    term : FrictionTerm
+        The term as given.
+    parameters : tuple of OpenParameter
+        The open parameters.
+    values : list of float
+        Present values; at first the middles of the limits.
+    flat : list of (float, float)
+        For each the range of values that are as good.
     """
 
-    places: Indices | slice
+    place: int
+    term: FrictionTerm
+    parameters: tuple[OpenParameter, ...]
+    values: list[float] = field(default_factory=list)
+    flat: list[tuple[float, float]] = field(default_factory=list)
+
+    def __post_init__(self) -> None:
+        self.values = [float(np.sqrt(p.lower * p.upper)) for p in self.parameters]
+        self.flat = [(p.lower, p.upper) for p in self.parameters]
+
+    @property
+    def closed(self) -> FrictionTerm:
+        """The term with the present values."""
+        return self.term.with_values(self.values)
+
+    def changed(self, i: int, value: float) -> FrictionTerm:
+        """Return the term with another value of parameter i."""
+        return self.term.with_values([*self.values[:i], value, *self.values[i + 1 :]])
+
+
+@dataclass(frozen=True, eq=False)
+class _Trial:
+    """Open columns at one value of a parameter, with the cost."""
+
+    cost: float
+    places: Indices
     joints: Indices
     columns: Array
     inside: Array
     products: Array
 
 
-class ProfileSearch:
-    """The least cost as a function of the open parameters, and its descent.
+class VariableProjection:
+    """The least cost as a function of the open parameters, searched one at a time.
 
-    Whitened columns are kept joint by joint, (n, K, columns): with independent joints a column
-    is zero at all joints but those that its term acts on. The f columns of fixed shape come
-    first, then the c open ones, then the effort.
+    Whitened columns are kept joint by joint, (n, K, columns): with independent joints a column is
+    zero at all joints but those that its term acts on.
 
     Parameters
     ----------
@@ -91,207 +112,191 @@ class ProfileSearch:
         Covariance of the effort.
     opened : sequence of OpenTerm
         The terms to close: their values are changed by `run`.
+
+    Attributes
+    ----------
+    cost : float
+        Least cost over all linear parameters at the present values; signs of open terms obeyed.
     """
 
-    def __init__(self, rows: RowSource, sigma: Array, opened: Sequence[OpenTerm]) -> None:
-        self.opened = opened
-        self.friction = friction = rows.friction
-        s = rows.samples
-        self.velocity = s.velocity[:, friction.first :]
-        self.acceleration = s.acceleration[:, friction.first :]
+    def __init__(self, rows: RowSource, sigma: Array, opened: list[OpenTerm]) -> None:
+        self._opened, self._friction, s = opened, rows.friction, rows.samples
+        first = rows.friction.first
+        self._velocity, self._acceleration = s.velocity[:, first:], s.acceleration[:, first:]
         powers, which = weights(sigma, rows.mask(slice(None)))
-        scale = np.diagonal(powers, axis1=1, axis2=2)
-        self.independent = np.array_equal(powers, scale[:, :, None] * np.eye(rows.robot.n))
-        self.weight = np.ascontiguousarray(scale[which].T) if self.independent else powers[which]
-        count = [len(t.parameters(friction.joint_names)) for t in friction.terms]
-        ends = np.cumsum([0, *count])
+        self._power, self._first = powers[which], first
+        self._independent = np.count_nonzero(powers) == np.count_nonzero(
+            np.diagonal(powers, axis1=1, axis2=2)
+        )
+        columns = rows.friction.columns(s.velocity, s.acceleration)
+        ends = np.cumsum([0, *(len(t.parameters(self._names)) for t in rows.friction.terms)])
         places = [np.arange(ends[each.place], ends[each.place + 1]) for each in opened]
         loose = np.concatenate(places)
-        columns = friction.columns(s.velocity, s.acceleration)
         # Friction comes last in the scan for base parameters: it does not change which of the
         # inertial columns are kept.
         inertial = rows.base.kept < 10 * rows.robot.n_links
         regressor = rows.regressor(slice(None))[:, :, inertial]
-        fixed = np.delete(columns, loose, axis=2)
-        self.fixed = regressor.shape[2] + fixed.shape[2]
-        whole = [regressor, fixed, columns[:, :, loose], s.effort[:, :, None]]
-        self.stacked = self._whiten(whole)
-        # Open columns have unit length, so that rounding and dependence are judged alike.
-        self.moving = self.stacked[:, :, self.fixed :]
-        squares = np.einsum("jkc,jkc->c", self.moving, self.moving)
-        self.moving[:, :, :-1] *= _inverse_root(squares[:-1])
-        self.span, self.inside, moving = _parted(self.stacked, self.fixed)
-        self.products: Array = moving.T @ moving - self.inside.T @ self.inside
-        self.ridge = _RIDGE * np.eye(len(loose))
-        self.products[:-1, :-1] += self.ridge
-        nonnegative = np.array([p.nonnegative for p in friction.parameters], dtype=bool)
-        self.free = ~nonnegative[loose]
+        fixed = np.concatenate([regressor, np.delete(columns, loose, axis=2)], axis=2)
+        self._basis = _orthonormal(self._whiten(fixed))
+        open_columns = np.concatenate([columns[:, :, loose], s.effort[:, :, None]], axis=2)
+        # The c open columns, and the effort as the last one.
+        self._loose = self._whiten(open_columns)
+        self._inside = np.einsum("nkr,nkc->rc", self._basis, self._loose, optimize=True)
+        own = np.einsum("nka,nkb->ab", self._loose, self._loose, optimize=True)
+        self._products: Array = own - self._inside.T @ self._inside
+        self._squares: Array = np.diagonal(own).copy()
+        nonnegative = np.array([p.nonnegative for p in rows.friction.parameters], dtype=bool)
+        self._free = np.flatnonzero(~nonnegative[loose])
+        self._lowest = np.where(nonnegative[loose], 0.0, -np.inf)
+        self._ridge = _RIDGE * np.eye(len(loose))
         starts = np.cumsum([0, *(len(place) for place in places)])
-        self.spans = [slice(a, b) for a, b in itertools.pairwise(starts)]
-        # Open columns that take part in the best fit: a guess for the next one.
-        self.used: Mask = np.ones(len(loose), dtype=bool)
-        costs, used = self._least(self.products[None])
-        self.cost, self.used = float(costs[0]), used[0]
+        self._starts = [int(start) for start in starts[:-1]]
+        self._moved: dict[tuple[int, int], Indices] = {}
+        self.cost = self._least(self._products, self._squares)
+
+    @property
+    def _names(self) -> tuple[str, ...]:
+        return self._friction.joint_names
 
     def run(self) -> None:
         """Search every open parameter in turn until the cost has settled."""
         for _ in range(_ROUNDS):
             before = self.cost
-            for each, span in zip(self.opened, self.spans, strict=True):
+            for t, each in enumerate(self._opened):
                 for i in range(len(each.parameters)):
-                    self._search(each, span, i)
+                    self._search(t, i)
             if self.cost >= (1.0 - _SETTLED) * before:
                 break
 
-    def _search(self, each: OpenTerm, span: slice, i: int) -> None:
+    def _search(self, t: int, i: int) -> None:
         """Put the best value of one parameter in its place."""
-        parameter = each.parameters[i]
-        names = self.friction.joint_names
-        columns = MovedColumns(each, i, self.velocity, self.acceleration, names)
-        index = _as_slice(np.arange(span.start, span.stop, dtype=np.intp)[columns.moved])
+        from scipy.optimize import minimize_scalar
+
+        parameter = self._opened[t].parameters[i]
         low, high = np.log(parameter.lower), np.log(parameter.upper)
-        grid = np.linspace(low, high, _GRID) if high > low else np.array([low])
-        found = self._try(columns, index, np.exp(grid))
-        costs, used = self._least(found.products)
-        tried: dict[float, float] = dict(zip(grid.tolist(), costs.tolist(), strict=True))
-        single: dict[float, _Tried] = {}
-        best = int(np.argmin(costs))
-        self.used = used[best]
+        tried: dict[float, _Trial] = {}
 
         def cost(log: float) -> float:
-            one = single[log] = self._try(columns, index, np.exp(np.array([log])))
-            tried[log] = float(self._least(one.products)[0][0])
-            return tried[log]
+            value = float(np.clip(np.exp(log), parameter.lower, parameter.upper))
+            tried[log] = self._try(t, i, value)
+            return tried[log].cost
 
+        grid = np.linspace(low, high, _GRID) if high > low else np.array([low])
+        costs = np.array([cost(float(log)) for log in grid])
+        best = int(np.argmin(costs))
         chosen = float(grid[best])
-        if costs.max() - costs.min() <= _NO_EFFECT * costs.min():
-            chosen = 0.5 * float(low + high)
+        if np.ptp(costs) <= _NO_EFFECT * costs.min():
+            chosen = float(0.5 * (low + high))
+            cost(chosen)
         elif len(grid) > 1:
-            _refine(cost, grid[max(best - 1, 0)], grid[min(best + 1, len(grid) - 1)])
-            chosen = min(tried, key=lambda x: (tried[x], x))
-        value = float(np.clip(np.exp(chosen), parameter.lower, parameter.upper))
-        self._put(single.get(chosen) or self._try(columns, index, np.array([value])))
-        each.values[i] = value
-        each.flat[i] = _flat_range(tried, parameter)
+            near = grid[max(best - 1, 0)], grid[min(best + 1, len(grid) - 1)]
+            options = {"xatol": _ACCURACY, "maxiter": _TRIES}
+            minimize_scalar(cost, bounds=near, method="bounded", options=options)
+            chosen = min(tried, key=lambda log: (tried[log].cost, log))
+        self._keep(tried[chosen])
+        each = self._opened[t]
+        each.values[i] = float(np.clip(np.exp(chosen), parameter.lower, parameter.upper))
+        each.flat[i] = _flat_range({log: one.cost for log, one in tried.items()}, parameter)
 
-    def _try(self, moved: MovedColumns, index: Indices | slice, values: Array) -> _Tried:
-        """Return what the cost needs of the open columns at values of a parameter."""
-        joints, columns = self._whiten_at(*moved.at(values))
-        own = np.einsum("wkga,wkgb->gab", columns, columns)
-        scale = _inverse_root(own.diagonal(axis1=1, axis2=2))
-        columns *= scale
-        own *= scale[:, :, None]
-        own *= scale[:, None, :]
-        w, count, g, m = columns.shape
-        with_all = np.zeros((self.stacked.shape[2], g * m))
-        for joint, each in zip(joints, columns.reshape(w, count, g * m), strict=True):
-            with_all += self.stacked[joint].T @ each
-        inside = self.span.T @ with_all[: self.fixed]
-        border = with_all[self.fixed :] - self.inside.T @ inside
-        inside = inside.reshape(len(inside), g, m)
-        border = border.reshape(len(border), g, m).transpose(1, 0, 2)
-        own += self.ridge[:m, :m]
-        border[:, index] = own - np.einsum("rga,rgb->gab", inside, inside)
-        products = self.products[None].repeat(g, axis=0)
-        products[:, :, index] = border
-        products[:, index] = border.transpose(0, 2, 1)
-        return _Tried(index, joints, columns, inside, products)
+    def _try(self, t: int, i: int, value: float) -> _Trial:
+        """Return the cost with another value of a parameter, and the columns that it moves."""
+        moved = self._moving(t, i)
+        joints, columns = self._whitened(self._opened[t].changed(i, value), moved)
+        places = self._starts[t] + moved
+        inside = np.zeros((self._basis.shape[2], len(moved)))
+        own, others = (
+            np.zeros((len(moved), len(moved))),
+            np.zeros((self._loose.shape[2], len(moved))),
+        )
+        for j, column in zip(joints, columns, strict=True):
+            inside += self._basis[j].T @ column
+            own += column.T @ column
+            others += self._loose[j].T @ column
+        others -= self._inside.T @ inside
+        others[places] = own - inside.T @ inside
+        products, squares = self._products.copy(), self._squares.copy()
+        products[:, places], products[places] = others, others.T
+        squares[places] = np.diagonal(own)
+        return _Trial(self._least(products, squares), places, joints, columns, inside, products)
 
-    def _put(self, tried: _Tried) -> None:
-        """Make columns at a single value the present ones."""
-        self.moving[:, :, tried.places] = 0.0
-        for joint, columns in zip(tried.joints, tried.columns, strict=True):
-            self.moving[joint][:, tried.places] = columns[:, 0]
-        self.inside[:, tried.places] = tried.inside[:, 0]
-        self.products = tried.products[0]
-        costs, used = self._least(tried.products)
-        self.cost, self.used = float(costs[0]), used[0]
+    def _keep(self, trial: _Trial) -> None:
+        """Make the columns of a trial the present ones."""
+        self._loose[:, :, trial.places] = 0.0
+        for j, column in zip(trial.joints, trial.columns, strict=True):
+            self._loose[j][:, trial.places] = column
+        self._inside[:, trial.places] = trial.inside
+        self._squares[trial.places] = np.einsum("nkc,nkc->c", trial.columns, trial.columns)
+        self._products, self.cost = trial.products, trial.cost
 
-    def _whiten(self, pieces: Sequence[Array]) -> Array:
-        """Return whitened columns (n, K, c) of all joints, from pieces (K, n, c') of them."""
-        count, n = pieces[0].shape[:2]
-        out = np.empty((n, count, sum(each.shape[2] for each in pieces)))
-        np.concatenate([np.swapaxes(each, 0, 1) for each in pieces], axis=2, out=out)
-        if self.independent:
-            out *= self.weight[:, :, None]
-            return out
-        return np.ascontiguousarray(np.swapaxes(self.weight @ np.swapaxes(out, 0, 1), 0, 1))
+    def _moving(self, t: int, i: int) -> Indices:
+        """Return which of a term's columns depend on one of its parameters."""
+        if (t, i) not in self._moved:
+            each, p = self._opened[t], self._opened[t].parameters[i]
+            low, high = (self._columns(each.changed(i, value)) for value in (p.lower, p.upper))
+            self._moved[t, i] = np.flatnonzero(np.any(low != high, axis=(0, 1)))
+        return self._moved[t, i]
 
-    def _whiten_at(self, joints: Indices, columns: Array) -> tuple[Indices, Array]:
-        """Return the joints at which columns (w, K, g, m) are not zero if whitened, and these."""
-        joints = self.friction.first + joints
-        if self.independent:
-            return joints, columns * self.weight[joints][:, :, None, None]
-        w, count, g, m = columns.shape
-        flat = np.swapaxes(columns.reshape(w, count, g * m), 0, 1)
-        whitened = np.swapaxes(self.weight[:, :, joints] @ flat, 0, 1)
-        return np.arange(len(whitened)), whitened.reshape(len(whitened), count, g, m)
+    def _columns(self, term: FrictionTerm) -> Array:
+        """Return a term's columns (K, joints, m)."""
+        return term.columns(self._velocity, self._acceleration, self._names)
 
-    def _least(self, products: Array) -> tuple[Array, Mask]:
-        """Return least costs (g,) over all linear parameters, signs of the open terms obeyed.
+    def _whitened(self, term: FrictionTerm, moved: Indices) -> tuple[Indices, Array]:
+        """Return the joints at which some columns of a term are not zero, and these (w, K, m)."""
+        if isinstance(term, JointwiseTerm) and type(term).columns is JointwiseTerm.columns:
+            # Diagonal in the joints.
+            joints, columns = moved, np.zeros((len(moved), len(self._velocity), len(moved)))
+            for at, joint in enumerate(moved):
+                columns[at, :, at] = self._shape(term, int(joint))
+        else:
+            found = np.swapaxes(self._columns(term)[:, :, moved], 0, 1)
+            joints = np.flatnonzero(found.any(axis=(1, 2)))
+            columns = found[joints]
+        joints = joints + self._first
+        if self._independent:
+            return joints, columns * self._power[:, joints, joints].T[:, :, None]
+        whitened = self._power[:, :, joints] @ np.swapaxes(columns, 0, 1)
+        return np.arange(len(self._basis)), np.ascontiguousarray(np.swapaxes(whitened, 0, 1))
 
-        And which open columns take part, (g, c).
-        """
-        H, b = products[:, :-1, :-1], products[:, :-1, -1]
-        gain, used = least_squares_gain(H, b, self.free, self.used)
-        return np.maximum(products[:, -1, -1] - gain, 0.0), used
+    def _shape(self, term: JointwiseTerm, joint: int) -> Array:
+        """Return the column (K,) of one joint."""
+        if type(term) not in _ALIKE:
+            return term.shape(self._velocity, self._acceleration)[:, joint]
+        own = {name: float(term.speed(name, len(self._names))[joint]) for name in term.speed_fields}
+        alone = slice(joint, joint + 1)
+        velocity, acceleration = self._velocity[:, alone], self._acceleration[:, alone]
+        return replace(term, **own).shape(velocity, acceleration)[:, 0]
+
+    def _whiten(self, columns: Array) -> Array:
+        """Return whitened columns (n, K, c) from columns (K, n, c)."""
+        return np.ascontiguousarray(np.swapaxes(self._power @ columns, 0, 1))
+
+    def _least(self, products: Array, squares: Array) -> float:
+        """Return the least cost over all linear parameters, from products of the open columns."""
+        from scipy.optimize import nnls
+
+        size = np.sqrt(np.where(squares[:-1] > 0.0, squares[:-1], 1.0))
+        H = products[:-1, :-1] / size / size[:, None] + self._ridge
+        b = products[:-1, -1] / size
+        u = np.linalg.solve(H, b)
+        gain = float(b @ u)
+        if (u < self._lowest).any():
+            # A column of any sign is two that are not negative, one the negative of the other.
+            root = np.linalg.cholesky(H)
+            rhs = np.linalg.solve(root, b)
+            rest = nnls(np.hstack([root.T, -root.T[:, self._free]]), rhs)[1]
+            gain = float(rhs @ rhs - rest**2)
+        return max(float(products[-1, -1]) - gain, 0.0)
 
 
-def _inverse_root(squares: Array) -> Array:
-    """Return what makes columns with these squared lengths unit ones, 1 for zeros."""
-    return np.asarray(1.0 / np.sqrt(np.where(squares > 0.0, squares, 1.0)))
-
-
-def _as_slice(index: Indices) -> Indices | slice:
-    """Return neighbouring places as a slice, which is read and written faster."""
-    if len(index) and np.array_equal(index, np.arange(index[0], index[0] + len(index))):
-        return slice(int(index[0]), int(index[0]) + len(index))
-    return index
-
-
-def _parted(stacked: Array, fixed: int) -> tuple[Array, Array, Array]:
-    """Part columns by the span of the first ones.
-
-    Parameters
-    ----------
-    stacked : ndarray, shape (n, K, c)
-    fixed : int
-        How many columns have that span.
-
-    Returns
-    -------
-    ndarray, shape (fixed, rank)
-        T such that the first columns times T are an orthonormal basis of the span.
-    ndarray, shape (rank, c - fixed)
-        Coordinates of the other columns in that basis.
-    ndarray, shape (c, c - fixed)
-        Columns with the same inner products with each other as these.
-    """
-    n, count, width = stacked.shape
-    step = max(1, count * n // (_FIRST * width))
-    first = stacked[:, ::step].copy()
-    triangle = Triangle(width)
-    triangle.add(first.reshape(-1, width))
-    # Their order makes no difference but to the speed.
-    stacked[:, ::step] = 0.0
-    triangle.add(stacked.reshape(-1, width))
-    stacked[:, ::step] = first
-    R = np.zeros((width, width))
-    R[: len(triangle.R)] = triangle.R
-    own, others = R[:fixed, :fixed], R[:, fixed:]
-    size = np.linalg.norm(own, axis=0)
-    size = np.where(size > 0.0, size, 1.0)
-    U, s, Vt = np.linalg.svd(own / size)
+def _orthonormal(columns: Array) -> Array:
+    """Return an orthonormal basis (n, K, rank) of the span of columns (n, K, c)."""
+    n, count, width = columns.shape
+    flat = columns.reshape(n * count, width)
+    size = np.linalg.norm(flat, axis=0)
+    Q, R = np.linalg.qr(flat / np.where(size > 0.0, size, 1.0))
+    U, s, _ = np.linalg.svd(R)
     rank = np.count_nonzero(s > _DEPENDENT * s.max(initial=0.0))
-    return (Vt[:rank].T / s[:rank]) / size[:, None], U[:, :rank].T @ others[:fixed], others
-
-
-def _refine(cost: Callable[[float], float], low: float, high: float) -> None:
-    """Try values between two logarithms, closing in on the least cost."""
-    from scipy.optimize import minimize_scalar
-
-    options = {"xatol": _ACCURACY, "maxiter": _TRIES}
-    minimize_scalar(cost, bounds=(low, high), method="bounded", options=options)
+    return np.asarray((Q @ U[:, :rank]).reshape(n, count, rank))
 
 
 def _flat_range(tried: dict[float, float], parameter: OpenParameter) -> tuple[float, float]:
