@@ -513,7 +513,7 @@ def test_what_a_terminal_would_obey_is_not_printed(
     results: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Names from files: escapes, a reversed line, and a line of its own that claims a proof."""
-    from sdpid.assurance.certificate.certificate import certificate
+    from sdpid.assurance.certificate import certificate
 
     forged = replace(
         certificate.verify(results / "certificate.json"),
