@@ -1,4 +1,4 @@
-"""Run a function in a child process with limits, for libraries that read files of strangers.
+"""Run a function in a child process with limits, for libraries that read foreign files.
 
 A damaged or hostile file can make a library hang, crash or ask for all memory. The child takes
 the harm; the parent gets a result or one error. The result comes back as JSON and plain NumPy
@@ -130,10 +130,10 @@ def memory_limit() -> int:
 
 def _clean_path() -> list[str]:
     """Return the parent's import path without the current folder, unless sdpid lies in it."""
-    here, own = Path.cwd().resolve(), Path(__file__).resolve().parents[2]
+    here, root = Path.cwd().resolve(), Path(__file__).resolve().parents[2]
     path = [entry for entry in sys.path if entry and Path(entry).resolve() != here]
-    known = any(Path(entry).resolve() == own for entry in path)
-    return path if known else [str(own), *path]
+    known = any(Path(entry).resolve() == root for entry in path)
+    return path if known else [str(root), *path]
 
 
 def _result(folder: Path, status: int, subject: str, error: type[SdpidError], limit: int) -> Any:
@@ -162,12 +162,10 @@ def _result(folder: Path, status: int, subject: str, error: type[SdpidError], li
             f"{subject}: needs more memory than the limit of {limit / 1e9:.3g} GB; the file is "
             "damaged, or should be cut into parts."
         )
-    own = getattr(errors, kind, None) if kind in errors.__all__ else None
-    raise (
-        own(answer["message"])
-        if own is not None
-        else error(f"{subject}: cannot be read ({answer['message']}).")
-    )
+    public = getattr(errors, kind, None) if kind in errors.__all__ else None
+    if public is not None:
+        raise public(answer["message"])
+    raise error(f"{subject}: cannot be read ({answer['message']}).")
 
 
 def _child(name: str) -> None:
@@ -181,8 +179,8 @@ def _child(name: str) -> None:
         value = getattr(importlib.import_module(module), function)(*request["arguments"])
         answer = {"result": _encoded(value, folder)}
     except SdpidError as cause:
-        public = next(kind for kind in type(cause).__mro__ if kind.__name__ in errors.__all__)
-        answer = {"error": public.__name__, "message": str(cause)}
+        kind = next(kind for kind in type(cause).__mro__ if kind.__name__ in errors.__all__)
+        answer = {"error": kind.__name__, "message": str(cause)}
     except MemoryError:
         answer = {"error": "MemoryError"}
     except Exception as cause:  # a damaged file makes a library raise almost anything

@@ -59,8 +59,8 @@ _UNIT_ENDINGS: dict[str, dict[str, str]] = {
     },
     "effort": {"nm": "N.m", "mnm": "mN.m"},
 }
-# What was asked of a robot is not what it did.
-_ASKED = re.compile(
+# Names of commanded quantities, which are not what the robot did.
+_COMMANDED = re.compile(
     r"(?:^|[_./\s-])(?:target|desired|des|cmd|command|commanded|ref|reference|setpoint|goal|err|error)"
     r"(?:$|[_./\s\d-])"
     # q_d_1 of a robot that also logs q_1.
@@ -189,7 +189,7 @@ class Columns:
         if given is not None and not isinstance(given, str):
             return self._stacked(quantity, list(given), None), None
         keys = self._keys(quantity) if given is None else [(given, None)]
-        found = self._found(quantity, keys, names, asked=given is not None)
+        found = self._found(quantity, keys, names, explicit=given is not None)
         if found is None and given is None:
             found = self._found_by_unit(quantity, names)
         if found is None and given is not None:
@@ -230,7 +230,7 @@ class Columns:
         keys: Sequence[tuple[str, str | None]],
         names: Sequence[str] | None,
         *,
-        asked: bool,
+        explicit: bool,
     ) -> tuple[NDArray[Any], tuple[str, ...] | None] | None:
         """Look for arrays of a name, then for columns that are named so and by joint."""
         for key, unit in keys:
@@ -262,10 +262,10 @@ class Columns:
             styles = (styles[1], styles[0], styles[2])
         for style, listed in styles:
             for key, unit in listed:
-                group = style(plain, key, names, asked)
-                if style is not _numbered and not asked:
+                group = style(plain, key, names, explicit)
+                if style is not _numbered and not explicit:
                     group = {k: name for k, name in group.items() if self._is_column(name)}
-                if group and (asked or style is _numbered or self._fits(group)):
+                if group and (explicit or style is _numbered or self._fits(group)):
                     return self._stacked(quantity, list(group.values()), unit), tuple(group)
         return None
 
@@ -285,10 +285,10 @@ class Columns:
             if group := _numbered(plain, key, names, False):
                 return self._stacked(quantity, list(group.values()), None), tuple(group)
         if quantity == "effort" and self._scaled:
-            found = self._found("effort", [(k, "A") for k in _CURRENT_NAMES], names, asked=False)
+            found = self._found("effort", [(k, "A") for k in _CURRENT_NAMES], names, explicit=False)
             if found is None:
                 ended = [(f"{key}_ma", "mA") for key in _CURRENT_NAMES]
-                found = self._found("effort", ended, names, asked=False)
+                found = self._found("effort", ended, names, explicit=False)
             return found
         return None
 
@@ -420,27 +420,31 @@ def _numbered(plain: dict[str, str], key: str, names: Sequence[str] | None, _: b
     return labels
 
 
-def _labelled(plain: dict[str, str], key: str, names: Sequence[str] | None, asked: bool) -> _Group:
+def _labelled(
+    plain: dict[str, str], key: str, names: Sequence[str] | None, explicit: bool
+) -> _Group:
     """Return the columns that are named `key` and a joint."""
     pattern = re.compile(_spelled(key) + r"[_./\s-](.+)", re.IGNORECASE)
     labelled: _Group = {}
     for name, text in plain.items():
         match = pattern.fullmatch(text) or pattern.fullmatch(text.rpartition("/")[2])
-        if match and (asked or not _ASKED.search(match[1]) or match[1] in (names or ())):
+        if match and (explicit or not _COMMANDED.search(match[1]) or match[1] in (names or ())):
             labelled.setdefault(match[1], name)
     if names is not None and all(name in labelled for name in names):
         return {name: labelled[name] for name in names}
     return labelled
 
 
-def _suffixed(plain: dict[str, str], key: str, names: Sequence[str] | None, asked: bool) -> _Group:
+def _suffixed(
+    plain: dict[str, str], key: str, names: Sequence[str] | None, explicit: bool
+) -> _Group:
     """Return the columns that are named a joint and `key`."""
     pattern = re.compile(r"(.+?)[_./\s-]" + _spelled(key), re.IGNORECASE)
     labelled: _Group = {}
     for name, text in plain.items():
         match = pattern.fullmatch(text)
         label = None if match is None else match[1].rpartition("/")[2]
-        if label and (asked or not _ASKED.search(label)):
+        if label and (explicit or not _COMMANDED.search(label)):
             labelled.setdefault(label, name)
     return _order(labelled, names)
 

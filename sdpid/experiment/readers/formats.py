@@ -1,4 +1,4 @@
-"""One loader for each file format: from a path to named arrays that are read when asked for."""
+"""One loader for each file format: from a path to named arrays, each read when it is needed."""
 
 from __future__ import annotations
 

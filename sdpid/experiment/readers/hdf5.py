@@ -1,4 +1,4 @@
-"""HDF5 files, and MATLAB's format 7.3, which is HDF5 with its own habits.
+"""HDF5 files, and MATLAB's format 7.3, which is HDF5 with reversed axes.
 
 Read in the sandbox only: on damaged files the library may hang or crash.
 """
@@ -23,7 +23,7 @@ __all__ = ["load_hdf5"]
 
 # What MATLAB says of an array that it wrote; such arrays have their axes reversed.
 _MATLAB = "MATLAB_class"
-# MATLAB keeps its own references here.
+# MATLAB keeps internal references here.
 _PRIVATE = ("#refs#", "#subsystem#")
 # More entries than this in one file are not a log.
 _MOST_ENTRIES = 10_000
@@ -85,7 +85,7 @@ def _attributes(found: dict[str, Any], prefix: str, node: Any) -> None:
             continue
         try:
             value = np.asarray(node.attrs[name])
-        except Exception:  # an attribute nobody asked for does no harm
+        except Exception:  # an unreadable attribute does no harm unless it is needed
             continue
         if value.dtype.kind in "OSU":
             value = _text(value.ravel())

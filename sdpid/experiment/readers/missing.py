@@ -30,7 +30,7 @@ def mend_missing(
     place: Callable[[int], str],
     how: str,
 ) -> tuple[NDArray[Any], _Tables, str | None]:
-    """Check that every value is a finite number, or mend what is missing as asked.
+    """Check that every value is a finite number, or mend what is missing by the rule given.
 
     Parameters
     ----------

@@ -58,12 +58,12 @@ def load_parquet(path: Path, *, stored: bool | None = None) -> Table:
     arrays: dict[str, Callable[[], NDArray[Any]]] = {}
     for name in file.kinds:
         arrays[name] = partial(_first, several, name) if name in plain else partial(file.any, name)
-    own = _own_arrays(path, file.metadata, plain, several)
+    recorded = _recorded_arrays(path, file.metadata, plain, several)
     return Table(
-        {**arrays, **own},
+        {**arrays, **recorded},
         columns=several,
         plain=frozenset(plain),
-        units={"time": "s"} if own else {},
+        units={"time": "s"} if recorded else {},
     )
 
 
@@ -170,7 +170,7 @@ def _values(column: Any) -> NDArray[Any]:
     return np.frombuffer(column.buffers()[1], dtype=kind)[begin : begin + len(column)]
 
 
-def _own_arrays(
+def _recorded_arrays(
     path: Path,
     raw: Mapping[bytes, bytes],
     plain: Sequence[str],

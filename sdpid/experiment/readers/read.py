@@ -3,37 +3,24 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, fields
-from functools import partial
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, TypeAlias, overload
 
-import numpy as np
-from numpy.typing import NDArray
-
-from sdpid._common.arrays import real_array
 from sdpid.errors import DataError
-from sdpid.experiment.readers.column_names import CONVENTIONS
+from sdpid.experiment.readers.arguments import Arguments, complete_arguments
+from sdpid.experiment.readers.conversion import convert
 from sdpid.experiment.readers.formats import LOADERS, load_frame
-from sdpid.experiment.readers.mapping import find_mapping, read_mapping
-from sdpid.experiment.readers.missing import MISSING, mend_missing
-from sdpid.experiment.readers.selection import Selection, read_selection, select
+from sdpid.experiment.readers.selection import read_selection, select
 from sdpid.experiment.readers.table import row_number
-from sdpid.experiment.readers.unit_names import UNITS, is_current
-from sdpid.experiment.recording.motor_side import MotorSide
 from sdpid.experiment.recording.recording import Recording
-from sdpid.experiment.recording.stored import transformed
-from sdpid.experiment.recording.timestamps import guess_time_unit
 
 __all__ = ["Reading", "read_described", "read_recording"]
 
 # A file, or a data frame of pandas or polars.
 Source: TypeAlias = "str | os.PathLike[str] | Any"
 
-# Larger stamps, in s, count from 1970. Finer units are then made relative before they are
-# converted, since seconds since 1970 in a double resolve 0.2 microseconds.
-_SINCE_1970 = 1e9
 # Formats whose loaders choose among topics and joints.
 _BAGS = (".db3", ".mcap", ".bag")
 
@@ -80,8 +67,8 @@ def read_recording(path: Any, **how: Any) -> Any:
     structs the last part of the path counts. Without time stamps, ``fs`` gives the sample rate in
     Hz. Nothing is ever unpickled or run.
 
-    What is named otherwise is said by arguments, or by a mapping: a small TOML file beside the
-    log, ``run.toml`` for ``run.csv``, with the same names as the arguments. Arguments win.
+    Other names are given by arguments, or by a mapping: a small TOML file beside the log,
+    ``run.toml`` for ``run.csv``, with the same names as the arguments. Arguments win.
 
     Parameters
     ----------
@@ -152,7 +139,7 @@ def read_described(
     stored: bool | None = None,
     **how: Any,
 ) -> Reading:
-    """Read a log, and tell where its quantities were found; see `read_recording`.
+    """Return a log with the names its quantities were found under; see `read_recording`.
 
     Raises
     ------
@@ -161,90 +148,30 @@ def read_described(
     """
     is_frame = hasattr(path, "columns") and not isinstance(path, (str, os.PathLike))
     file = Path("data frame") if is_frame else _checked_path(path)
-    options, mapped = _options(file, None if is_frame else file, mapping, how)
+    arguments, mapped = complete_arguments(None if is_frame else file, mapping, how)
+    place: Callable[[int], str] = row_number
     if is_frame:
-        selection = select(file, load_frame(path), **options.selection)
-        return _converted(file, selection, options, row_number, mapped)
-    suffix = _suffix(file)
-    choices: dict[str, Any] = {}
-    if suffix in _BAGS:
-        choices = {"topic": options.topic, "joint_names": options.joint_names}
-    elif options.topic is not None:
+        found = select(file, load_frame(path), **arguments.selection)
+    else:
+        suffix = _suffix(file)
+        choices = _choices(file, suffix, arguments, stored)
+        found, place = read_selection(file, suffix, choices, arguments.selection)
+    recording, sources = convert(file, found, arguments, place)
+    return Reading(recording=recording, file=str(file), mapping=mapped, sources=sources)
+
+
+def _choices(file: Path, suffix: str, arguments: Arguments, stored: bool | None) -> dict[str, Any]:
+    """Return the arguments that only the loader of one format takes."""
+    if arguments.topic is not None and suffix not in _BAGS:
         raise DataError(f"{file}: topic is for ROS bags; this is a file {suffix}.")
-    if suffix == ".parquet":
-        choices = {"stored": stored}
-    elif stored:
+    if stored and suffix != ".parquet":
         raise DataError(
             f"{file}: stored=True keeps the values of Parquet files on disk; this is a file "
             f"{suffix}. Write it as Parquet (Recording.to_parquet), or leave stored out."
         )
-    selection, place = read_selection(file, suffix, choices, options.selection)
-    return _converted(file, selection, options, place, mapped)
-
-
-@dataclass(kw_only=True)
-class _Options:
-    """The arguments of `read_recording`, completed by a mapping."""
-
-    columns: dict[str, Any] = field(default_factory=dict)
-    units: dict[str, Any] = field(default_factory=dict)
-    motors: MotorSide | None = None
-    joint_names: tuple[str, ...] | None = None
-    topic: str | None = None
-    rate_hz: float | None = None
-    missing: str = "refuse"
-    period: float | None = None
-    start: float | None = None
-    periods: int | None = None
-    effort_scale: Any = None
-
-    @property
-    def scaled(self) -> bool:
-        """Whether there are factors that turn currents into torques."""
-        constants = None if self.motors is None else self.motors.torque_constants
-        return self.effort_scale is not None or constants is not None
-
-    @property
-    def selection(self) -> dict[str, Any]:
-        """Arguments of `select`."""
-        return {
-            "columns": self.columns,
-            "wanted": self.joint_names,
-            "scaled": self.scaled,
-            "timeless": self.rate_hz is not None,
-        }
-
-
-def _options(
-    file: Path, log: Path | None, mapping: Any, how: Mapping[str, Any]
-) -> tuple[_Options, str | None]:
-    """Return the arguments, those of a mapping where none are given, and the mapping's path."""
-    known = [each.name for each in fields(_Options)]
-    if unknown := sorted(set(how) - set(known)):
-        raise DataError(
-            f"read_recording: {', '.join(unknown)} is no argument; known are path, mapping, "
-            f"stored, {', '.join(known)}."
-        )
-    beside = find_mapping(log) if log is not None and mapping in (None, True) else None
-    if mapping is True and beside is None:
-        raise DataError(f"{file}: there is no mapping beside it.")
-    stated: dict[str, Any] = {}
-    if beside is not None:
-        stated = read_mapping(beside)
-    elif mapping is not None and mapping is not False:
-        stated = read_mapping(mapping)
-        beside = None if isinstance(mapping, Mapping) else Path(mapping)
-    merged = {**stated, **{name: value for name, value in how.items() if value is not None}}
-    for name, allowed in (("columns", CONVENTIONS), ("units", UNITS)):
-        merged[name] = _known({**stated.get(name, {}), **(how.get(name) or {})}, allowed, name)
-    merged["columns"] = {q: _as_names(value) for q, value in merged["columns"].items()}
-    if isinstance(merged.get("motors"), Mapping):
-        merged["motors"] = MotorSide.from_mapping(merged["motors"])
-    merged["joint_names"] = _tuple(merged.get("joint_names"))
-    options = _Options(**merged)
-    if options.missing not in MISSING:
-        raise DataError(f"missing: is {options.missing!r}, expected one of {', '.join(MISSING)}.")
-    return options, None if beside is None else str(beside)
+    if suffix in _BAGS:
+        return {"topic": arguments.topic, "joint_names": arguments.joint_names}
+    return {"stored": stored} if suffix == ".parquet" else {}
 
 
 def _checked_path(path: Any) -> Path:
@@ -275,225 +202,3 @@ def _suffix(file: Path) -> str:
         what = "is no regular file" if file.exists() else "there is no such file"
         raise DataError(f"{file}: {what}.")
     return suffix
-
-
-def _converted(
-    file: Path,
-    found: Selection,
-    options: _Options,
-    place: Any,
-    mapped: str | None,
-) -> Reading:
-    """Turn what a log holds into a recording: joints picked, units converted, gaps mended."""
-    tables, motors = found.tables, options.motors
-    units = {**found.units, **options.units}
-    scale = found.numbers.get("effort_scale")
-    scale = scale if options.effort_scale is None else options.effort_scale
-    constants = None if motors is None else motors.torque_constants
-    if is_current(units.get("effort")) and scale is None and constants is None:
-        raise DataError(
-            f"{file}: effort in A needs effort_scale: torque constant times gear ratio, for each "
-            "joint, in N.m/A; or torque constants of motors."
-        )
-    if motors is not None and scale is not None and "effort" in motors.applies_to:
-        raise DataError(
-            f"{file}: effort_scale is of the joints' side, but motors says that efforts are of "
-            "the motors'; give torque_constants in motors instead."
-        )
-    labels = None if found.labels is None else tuple(found.labels)
-    names, order = _ordered(file, labels, options.joint_names, tables["position"].shape[1])
-    if order is not None and motors is None:
-        # Joints that are not wanted may lack values.
-        tables = {name: _picked(file, name, table, order) for name, table in tables.items()}
-    time, sources = _time(file, found, options, len(tables["position"]))
-    used = {name: _column_names(found, name, order, motors) for name in tables}
-    time, tables, note = mend_missing(file, time, tables, used, place, options.missing)
-    tables = {name: _scaled(table, name, units, order, motors) for name, table in tables.items()}
-    if motors is not None:
-        tables = {
-            name: transformed(table, partial(motors.to_joints, name))
-            for name, table in tables.items()
-        }
-        if order is not None:
-            tables = {name: _picked(file, name, table, order) for name, table in tables.items()}
-    if scale is not None:
-        if order is not None and options.effort_scale is None and np.size(scale) > max(order):
-            scale = np.asarray(scale)[order]
-        scale = _checked_scale(file, scale, tables["effort"].shape[1])
-        tables["effort"] = transformed(tables["effort"], lambda values: values * scale)
-    stated = {
-        name: value if (value := getattr(options, name)) is not None else found.numbers.get(name)
-        for name in ("period", "start", "periods")
-    }
-    try:
-        recording = Recording(
-            time=time,
-            position=tables["position"],
-            effort=tables["effort"],
-            velocity=tables.get("velocity"),
-            joint_names=names,
-            **{**stated, "periods": _whole(stated["periods"])},
-        )
-    except DataError as cause:
-        raise DataError(f"{file}: {cause}") from None
-    for quantity, names_read in found.used.items():
-        if quantity in sources:
-            continue
-        text = names_read[0] if len(names_read) == 1 else f"{names_read[0]} ... {names_read[-1]}"
-        unit = units.get(quantity)
-        text += "" if unit is None else f" in {unit if isinstance(unit, str) else '/'.join(unit)}"
-        if motors is not None and quantity in motors.applies_to:
-            text += ", motor side"
-        sources[quantity] = text
-    if note:
-        sources["missing values"] = note
-    return Reading(recording=recording, file=str(file), mapping=mapped, sources=sources)
-
-
-def _checked_scale(file: Path, scale: Any, count: int) -> NDArray[np.float64]:
-    """Return the factors from the unit of effort to N.m, one for each joint that is read."""
-    factors = np.atleast_1d(real_array(scale, f"{file}: effort_scale", ndim=np.ndim(scale)))
-    if factors.shape != (count,) or not factors.all():
-        raise DataError(
-            f"{file}: effort_scale: is {factors.tolist()}, expected {count} non-zero factors, one "
-            "for each joint."
-        )
-    return factors
-
-
-def _column_names(
-    found: Selection, quantity: str, order: list[int] | None, motors: MotorSide | None
-) -> list[str]:
-    """Return a name for each column of a table, for messages."""
-    used, count = list(found.used.get(quantity, [quantity])), found.tables[quantity].shape[1]
-    if len(used) != count:
-        labels = found.labels
-        used = [f"{used[0]} of joint {labels[j] if labels else j + 1}" for j in range(count)]
-    return used if order is None or motors is not None else [used[j] for j in order]
-
-
-def _as_names(value: Any) -> Any:
-    """Return the names of columns as texts; numbers stand for columns without names."""
-    if isinstance(value, (list, tuple)):
-        return [str(entry) for entry in value]
-    return value if value is None else str(value)
-
-
-def _tuple(names: Any) -> tuple[str, ...] | None:
-    """Return joint names as a tuple of texts."""
-    if names is None:
-        return None
-    if isinstance(names, str) or not all(isinstance(name, str) for name in names):
-        raise DataError(f"joint_names: is {names!r}, expected a sequence of names.")
-    return tuple(names)
-
-
-def _whole(count: Any) -> Any:
-    """Return a whole number of any numeric type as an int; `Recording` refuses the rest."""
-    if isinstance(count, float) and count.is_integer():
-        return int(count)
-    return count
-
-
-def _known(given: Mapping[str, Any], allowed: Mapping[str, Any], what: str) -> dict[str, Any]:
-    """Return a mapping whose keys are all allowed."""
-    unknown = sorted(set(given) - set(allowed))
-    if unknown:
-        raise DataError(
-            f"{what}: {', '.join(unknown)} is not a quantity; known are {', '.join(allowed)}."
-        )
-    return dict(given)
-
-
-def _ordered(
-    file: Path, own: tuple[str, ...] | None, wanted: tuple[str, ...] | None, n: int
-) -> tuple[tuple[str, ...] | None, list[int] | None]:
-    """Return the joints' names, and which columns to take where some are picked by name."""
-    if wanted is None or own is None or wanted == own:
-        return (own if wanted is None else wanted), None
-    common = set(own) & set(wanted)
-    if not common and len(wanted) == n:
-        return wanted, None
-    if common != set(wanted) or len(own) != n:
-        raise DataError(
-            f"{file}: joint_names are {', '.join(wanted)}, the file has {', '.join(own)} for "
-            f"{n} columns; give names that are all in the file, or a new one for each column."
-        )
-    return wanted, [own.index(name) for name in wanted]
-
-
-def _picked(file: Path, name: str, table: NDArray[Any], order: list[int]) -> NDArray[Any]:
-    """Return some columns of a table."""
-    if table.shape[1] <= max(order):
-        raise DataError(
-            f"{file}: {name} has {table.shape[1]} columns, too few for column {max(order) + 1}."
-        )
-    return transformed(table, lambda part: part[:, order])
-
-
-def _scaled(
-    values: NDArray[Any],
-    quantity: str,
-    units: Mapping[str, Any],
-    order: list[int] | None,
-    motors: MotorSide | None,
-) -> NDArray[Any]:
-    """Convert to SI."""
-    unit = units.get(quantity)
-    if unit is None:
-        return values
-    each = [unit] if isinstance(unit, str) else list(unit)
-    for one in each:
-        if one not in UNITS[quantity]:
-            raise DataError(
-                f"units: '{one}' is not known for {quantity}; known are "
-                f"{', '.join(UNITS[quantity])}."
-            )
-    factors = np.array([UNITS[quantity][one] for one in each])
-    if isinstance(unit, str):
-        if factors[0] == 1.0:
-            return values
-    elif order is not None and motors is None and len(each) > max(order):
-        factors = factors[order]
-    if not isinstance(unit, str) and len(factors) != values.shape[1]:
-        raise DataError(
-            f"units: {len(each)} units for {quantity}, which has the shape {values.shape}."
-        )
-    return transformed(values, lambda part: part * factors)
-
-
-def _time(
-    file: Path, found: Selection, options: _Options, count: int
-) -> tuple[NDArray[Any], dict[str, str]]:
-    """Return the time stamps in s, and where they come from if that is not plain."""
-    time = found.time
-    if time is None:
-        rate = found.rate if options.rate_hz is None else options.rate_hz
-        if isinstance(rate, bool) or not isinstance(rate, (int, float)) or not 0.0 < rate < np.inf:
-            raise DataError(f"{file}: the sample rate is {rate!r}, expected one positive number.")
-        return np.arange(count) / float(rate), {"time": f"sample rate, {rate:g} Hz"}
-    if time.ndim == 2 and 1 in time.shape:
-        time = time.ravel()
-    if time.ndim != 1:
-        raise DataError(f"{file}: time: has the shape {time.shape}, expected one stamp a sample.")
-    name = found.used["time"][0]
-    if time.dtype.kind in "Mm":
-        # Relative, since seconds since 1970 in a double resolve no microsecond.
-        return (time - time[:1]) / np.timedelta64(1, "ns") * 1e-9, {}
-    if time.dtype.kind not in "fiu":
-        raise DataError(f"{file}: time: holds {time.dtype}, expected numbers.")
-    unit = options.units.get("time", found.units.get("time"))
-    if unit is not None and unit not in UNITS["time"]:
-        raise DataError(
-            f"units: '{unit}' is not known for time; known are {', '.join(UNITS['time'])}."
-        )
-    note = {}
-    if unit is None:
-        unit = guess_time_unit(time)
-        if unit != "s":
-            note = {"time": f"{name}, taken for {unit} by the steps of its numbers"}
-    if unit == "s":
-        return time, note
-    if time.size and time[0] * UNITS["time"][unit] > _SINCE_1970:
-        time = time - time[0]
-    return time * UNITS["time"][unit], note

@@ -89,14 +89,14 @@ def select(
     labels: dict[str, tuple[str, ...]] = {}
     known = stored if wanted is None else tuple(wanted)
     for quantity in ("position", "effort", "velocity"):
-        found, own = log.table(quantity, labels.get("position", known))
+        found, label = log.table(quantity, labels.get("position", known))
         if found is None:
             if quantity == "velocity":
                 continue
             raise log.missing(quantity)
         tables[quantity] = _numbers(file, quantity, found)
-        if own is not None:
-            labels[quantity] = own
+        if label is not None:
+            labels[quantity] = label
     _align(file, tables, labels)
     names = labels.get("position")
     if names is None or all(name.isdigit() for name in names):
@@ -189,13 +189,13 @@ def _numbers(file: Path, quantity: str, table: NDArray[Any]) -> NDArray[Any]:
 
 def _align(file: Path, tables: dict[str, NDArray[Any]], labels: dict[str, tuple[str, ...]]) -> None:
     """Bring columns that carry labels into the order of the positions'."""
-    own = labels.get("position")
+    first = labels.get("position")
     for quantity, label in labels.items():
-        if own is None or label == own:
+        if first is None or label == first:
             continue
-        if set(label) != set(own):
+        if set(label) != set(first):
             raise DataError(
                 f"{file}: the columns of {quantity} are of joints {', '.join(label)}, those of "
-                f"position of joints {', '.join(own)}; give columns=."
+                f"position of joints {', '.join(first)}; give columns=."
             )
-        tables[quantity] = tables[quantity][:, [label.index(name) for name in own]]
+        tables[quantity] = tables[quantity][:, [label.index(name) for name in first]]

@@ -1,4 +1,4 @@
-"""What a log file holds: named arrays that are read when asked for."""
+"""The named arrays of a log file, each read when it is needed."""
 
 from __future__ import annotations
 

@@ -81,7 +81,7 @@ class _Layout:
 
 
 class _TextColumns:
-    """The values of a text file, read at once when the first column is asked for."""
+    """The values of a text file, all read when the first column is needed."""
 
     def __init__(self, path: Path, layout: _Layout) -> None:
         self._path, self._layout = path, layout

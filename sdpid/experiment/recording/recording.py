@@ -17,8 +17,7 @@ from sdpid.experiment.recording.timestamps import Stamps
 
 __all__ = ["LARGEST", "Recording"]
 
-# No robot moves, turns or pulls so much, in SI units, nor since 1970 have so many seconds passed;
-# squares of what is below are far from overflow.
+# Beyond any measured value in SI units, stamps since 1970 included; squares are far from overflow.
 LARGEST = 1e12
 # The end of the last period may be off by this many samples. A period that does not divide the
 # record is off by many; half a sample is where the nearest sample becomes another one.

@@ -1,4 +1,4 @@
-"""What one pass over the time stamps tells: whether they increase, their steps, lost samples."""
+"""Check time stamps, count lost samples, and guess the unit of stamps without one."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ __all__ = ["Stamps", "guess_time_unit"]
 
 # A step longer than this many median steps may hold a lost sample, or end with a late stamp.
 _LONG = 1.5
-# To tell the two apart, so many stamps on either side are averaged: a lost sample shifts them all.
+# To tell the two apart, stamps on either side are averaged: a lost sample shifts them all.
 _NEIGHBOURS = 8
 # No robot's controller steps faster, in s.
 _SHORTEST = 1e-9
@@ -72,7 +72,7 @@ class Stamps:
             When they do not increase, naming the first row that does not.
         """
         least, most, row, wrong = np.inf, -np.inf, 0, 0
-        said = ""
+        message = ""
         first = last = np.nan
         for begin, values in blocks(time, _BLOCK):
             # With the stamp before, so that no step between blocks is missed.
@@ -88,12 +88,14 @@ class Stamps:
                         k = int(np.argmax(steps <= 0.0))
                         at = k + values.size - steps.size
                         before = float(values[at - 1]) if at else last
-                        said = _wrong(begin + at, float(values[at]), before)
+                        message = _wrong(begin + at, float(values[at]), before)
                     wrong += int(np.count_nonzero(steps <= 0.0))
             first = first if begin else float(values[0])
             last = float(values[-1])
         if wrong:
-            raise DataError(f"{said} ({wrong} such rows); sort the rows or remove the duplicates.")
+            raise DataError(
+                f"{message} ({wrong} such rows); sort the rows or remove the duplicates."
+            )
         if last - first < _SHORTEST * (len(time) - 1):
             raise DataError(
                 f"time: {len(time)} samples within {last - first:.3g} s; say their unit."
@@ -112,8 +114,8 @@ class Stamps:
 def guess_time_unit(time: Any) -> str:
     """Return the unit of stamps that come without one: s, ms, us or ns.
 
-    Stamps that count from 1970 are told by their size, other whole numbers by their median step:
-    as seconds they would be a log at 1 Hz or less.
+    Stamps that count from 1970 are recognized by their size, other whole numbers by their median
+    step: as seconds they would be a log at 1 Hz or less.
 
     Parameters
     ----------

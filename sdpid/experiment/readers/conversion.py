@@ -1,0 +1,239 @@
+"""Convert what a log holds to a `Recording`: pick joints, mend gaps, convert units and motors."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sdpid._common.arrays import real_array
+from sdpid.errors import DataError
+from sdpid.experiment.readers.arguments import Arguments
+from sdpid.experiment.readers.missing import mend_missing
+from sdpid.experiment.readers.selection import Selection
+from sdpid.experiment.readers.unit_names import UNITS, is_current
+from sdpid.experiment.recording.recording import Recording
+from sdpid.experiment.recording.stored import transformed
+from sdpid.experiment.recording.timestamps import guess_time_unit
+
+__all__ = ["convert"]
+
+# Larger stamps, in s, count from 1970. Finer units are then made relative before they are
+# converted, since seconds since 1970 in a double resolve 0.2 microseconds.
+_SINCE_1970 = 1e9
+
+_Tables = dict[str, NDArray[Any]]
+
+
+def convert(
+    file: Path, found: Selection, arguments: Arguments, place: Callable[[int], str]
+) -> tuple[Recording, dict[str, str]]:
+    """Return the recording, and for each quantity what it was read from, in words.
+
+    Parameters
+    ----------
+    file : Path
+        For messages.
+    found : Selection
+        What the log holds.
+    arguments : Arguments
+        Of `read_recording`; they win over what the log says.
+    place : callable
+        Says where sample k stands in the file.
+
+    Raises
+    ------
+    DataError
+        When a unit is not known, currents have no factor, a value is missing or absurd, or the
+        arrays do not make a recording.
+    """
+    motors, units = arguments.motors, {**found.units, **arguments.units}
+    scale = _effort_scale(file, found, arguments, units)
+    labels = None if found.labels is None else tuple(found.labels)
+    count = found.tables["position"].shape[1]
+    names, order = _joint_order(file, labels, arguments.joint_names, count)
+    # Motors may be coupled, so joints are picked behind them; else before, since joints that are
+    # not wanted may lack values.
+    first = order if motors is None else None
+    tables = _picked(file, found.tables, first)
+    columns = {name: _column_names(found, name, first) for name in tables}
+    time, sources = _time(file, found, arguments, len(tables["position"]))
+    time, tables, mended = mend_missing(file, time, tables, columns, place, arguments.missing)
+    tables = {name: _in_si(name, table, units, first) for name, table in tables.items()}
+    if motors is not None:
+        joints = {n: transformed(t, partial(motors.to_joints, n)) for n, t in tables.items()}
+        tables = _picked(file, joints, order)
+    if scale is not None:
+        if arguments.effort_scale is None and order is not None and scale.size > max(order):
+            scale = scale[order]
+        tables["effort"] = _torques(file, tables["effort"], scale)
+    stated: dict[str, Any] = {
+        name: getattr(arguments, name) for name in ("period", "start", "periods")
+    }
+    stated = {n: found.numbers.get(n) if v is None else v for n, v in stated.items()}
+    stated["periods"] = _whole(stated["periods"])
+    try:
+        recording = Recording(time=time, joint_names=names, **{**tables, **stated})
+    except DataError as cause:
+        raise DataError(f"{file}: {cause}") from None
+    sources = {**_sources(found, units, arguments), **sources}
+    return recording, {**sources, "missing values": mended} if mended else sources
+
+
+def _effort_scale(
+    file: Path, found: Selection, arguments: Arguments, units: Mapping[str, Any]
+) -> NDArray[np.float64] | None:
+    """Return the factors from the unit of effort to N.m; None where there are none."""
+    given = found.numbers.get("effort_scale")
+    given = given if arguments.effort_scale is None else arguments.effort_scale
+    motors = arguments.motors
+    if given is None:
+        if is_current(units.get("effort")) and not arguments.scaled:
+            raise DataError(
+                f"{file}: effort in A needs effort_scale: torque constant times gear ratio, for "
+                "each joint, in N.m/A; or torque constants of motors."
+            )
+        return None
+    if motors is not None and "effort" in motors.applies_to:
+        raise DataError(
+            f"{file}: effort_scale is of the joints' side, but motors says that efforts are of "
+            "the motors'; give torque_constants in motors instead."
+        )
+    return np.atleast_1d(real_array(given, f"{file}: effort_scale", ndim=np.ndim(given)))
+
+
+def _torques(file: Path, efforts: NDArray[Any], scale: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return efforts times their factors to N.m."""
+    count = efforts.shape[1]
+    if scale.shape != (count,) or not scale.all():
+        raise DataError(
+            f"{file}: effort_scale: is {scale.tolist()}, expected {count} non-zero factors, one "
+            "for each joint."
+        )
+    return transformed(efforts, lambda values: values * scale)
+
+
+def _joint_order(
+    file: Path, labels: tuple[str, ...] | None, wanted: tuple[str, ...] | None, n: int
+) -> tuple[tuple[str, ...] | None, list[int] | None]:
+    """Return the joints' names, and which columns to take where some are picked by name."""
+    if wanted is None or labels is None or wanted == labels:
+        return (labels if wanted is None else wanted), None
+    common = set(labels) & set(wanted)
+    if not common and len(wanted) == n:
+        return wanted, None
+    if common != set(wanted) or len(labels) != n:
+        raise DataError(
+            f"{file}: joint_names are {', '.join(wanted)}, the file has {', '.join(labels)} for "
+            f"{n} columns; give names that are all in the file, or a new one for each column."
+        )
+    return wanted, [labels.index(name) for name in wanted]
+
+
+def _picked(file: Path, tables: Mapping[str, NDArray[Any]], order: list[int] | None) -> _Tables:
+    """Return some columns of every table."""
+    if order is None:
+        return dict(tables)
+    for name, table in tables.items():
+        if table.shape[1] <= max(order):
+            raise DataError(
+                f"{file}: {name} has {table.shape[1]} columns, too few for column {max(order) + 1}."
+            )
+    return {name: transformed(table, lambda rows: rows[:, order]) for name, table in tables.items()}
+
+
+def _column_names(found: Selection, quantity: str, order: list[int] | None) -> list[str]:
+    """Return a name for each column of a table, for messages."""
+    used, count = list(found.used.get(quantity, [quantity])), found.tables[quantity].shape[1]
+    if len(used) != count:
+        labels = found.labels
+        used = [f"{used[0]} of joint {labels[j] if labels else j + 1}" for j in range(count)]
+    return used if order is None else [used[j] for j in order]
+
+
+def _sources(found: Selection, units: Mapping[str, Any], arguments: Arguments) -> dict[str, str]:
+    """Return for each quantity what it was read from, in words."""
+    motors, sources = arguments.motors, {}
+    for quantity, names in found.used.items():
+        text = names[0] if len(names) == 1 else f"{names[0]} ... {names[-1]}"
+        unit = units.get(quantity)
+        text += "" if unit is None else f" in {unit if isinstance(unit, str) else '/'.join(unit)}"
+        if motors is not None and quantity in motors.applies_to:
+            text += ", motor side"
+        sources[quantity] = text
+    return sources
+
+
+def _whole(count: Any) -> Any:
+    """Return a whole number of any numeric type as an int; `Recording` refuses the rest."""
+    if isinstance(count, float) and count.is_integer():
+        return int(count)
+    return count
+
+
+def _in_si(
+    quantity: str, values: NDArray[Any], units: Mapping[str, Any], order: list[int] | None
+) -> NDArray[Any]:
+    """Convert a table to SI units; amperes stay amperes."""
+    unit = units.get(quantity)
+    if unit is None:
+        return values
+    each = [unit] if isinstance(unit, str) else list(unit)
+    for one in each:
+        if one not in UNITS[quantity]:
+            raise DataError(
+                f"units: '{one}' is not known for {quantity}; known are "
+                f"{', '.join(UNITS[quantity])}."
+            )
+    factors = np.array([UNITS[quantity][one] for one in each])
+    if isinstance(unit, str):
+        if factors[0] == 1.0:
+            return values
+    elif order is not None and len(each) > max(order):
+        factors = factors[order]
+    if not isinstance(unit, str) and len(factors) != values.shape[1]:
+        raise DataError(
+            f"units: {len(each)} units for {quantity}, which has the shape {values.shape}."
+        )
+    return transformed(values, lambda part: part * factors)
+
+
+def _time(
+    file: Path, found: Selection, arguments: Arguments, count: int
+) -> tuple[NDArray[Any], dict[str, str]]:
+    """Return the time stamps in s, and where they come from if that is not plain."""
+    time = found.time
+    if time is None:
+        rate = found.rate if arguments.rate_hz is None else arguments.rate_hz
+        if isinstance(rate, bool) or not isinstance(rate, (int, float)) or not 0.0 < rate < np.inf:
+            raise DataError(f"{file}: the sample rate is {rate!r}, expected one positive number.")
+        return np.arange(count) / float(rate), {"time": f"sample rate, {rate:g} Hz"}
+    if time.ndim == 2 and 1 in time.shape:
+        time = time.ravel()
+    if time.ndim != 1:
+        raise DataError(f"{file}: time: has the shape {time.shape}, expected one stamp a sample.")
+    name = found.used["time"][0]
+    if time.dtype.kind in "Mm":
+        # Relative, since seconds since 1970 in a double resolve no microsecond.
+        return (time - time[:1]) / np.timedelta64(1, "ns") * 1e-9, {}
+    if time.dtype.kind not in "fiu":
+        raise DataError(f"{file}: time: holds {time.dtype}, expected numbers.")
+    unit = arguments.units.get("time", found.units.get("time"))
+    if unit is not None and unit not in UNITS["time"]:
+        raise DataError(
+            f"units: '{unit}' is not known for time; known are {', '.join(UNITS['time'])}."
+        )
+    note = {}
+    if unit is None:
+        unit = guess_time_unit(time)
+        if unit != "s":
+            note = {"time": f"{name}, taken for {unit} by the steps of its numbers"}
+    if unit == "s":
+        return time, note
+    if time.size and time[0] * UNITS["time"][unit] > _SINCE_1970:
+        time = time - time[0]
+    return time * UNITS["time"][unit], note
