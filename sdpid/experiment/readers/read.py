@@ -11,7 +11,7 @@ from typing import Any, TypeAlias, overload
 from sdpid.errors import DataError
 from sdpid.experiment.readers.arguments import Arguments, complete_arguments
 from sdpid.experiment.readers.conversion import convert
-from sdpid.experiment.readers.formats import LOADERS, load_frame
+from sdpid.experiment.readers.formats.loaders import LOADERS, load_frame
 from sdpid.experiment.readers.selection import read_selection, select
 from sdpid.experiment.readers.table import row_number
 from sdpid.experiment.recording.recording import Recording

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from sdpid._common.sandbox import run_in_sandbox
 from sdpid.errors import DataError
 from sdpid.experiment.readers.column_names import Columns
-from sdpid.experiment.readers.formats import LOADERS, SANDBOXED
+from sdpid.experiment.readers.formats.loaders import LOADERS, SANDBOXED
 from sdpid.experiment.readers.table import Table, row_number
 
 __all__ = ["Selection", "read_selection", "select"]

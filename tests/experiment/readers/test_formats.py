@@ -15,7 +15,7 @@ import pytest
 from scipy.io import savemat
 
 from sdpid.errors import DataError, MissingExtraError
-from sdpid.experiment.readers.formats import LOADERS
+from sdpid.experiment.readers.formats.loaders import LOADERS
 from sdpid.experiment.readers.read import read_described, read_recording
 from sdpid.experiment.recording.recording import Recording
 from tests.helpers.bags import JOINTS, write_bag

@@ -17,7 +17,7 @@ import pytest
 from scipy.io import savemat
 
 from sdpid.errors import SdpidError
-from sdpid.experiment.readers.formats import SANDBOXED
+from sdpid.experiment.readers.formats.loaders import SANDBOXED
 from sdpid.experiment.readers.read import read_recording
 from sdpid.experiment.recording.recording import Recording
 from tests.helpers.bags import write_bag

@@ -10,7 +10,7 @@ import pyarrow.parquet as pq
 import pytest
 
 from sdpid.errors import DataError
-from sdpid.experiment.readers.formats import LOADERS
+from sdpid.experiment.readers.formats.loaders import LOADERS
 from sdpid.experiment.readers.read import read_recording
 from sdpid.experiment.recording.recording import Recording
 

@@ -22,7 +22,7 @@ from sdpid.experiment.processing import efforts
 from sdpid.experiment.processing import process as processing_module
 from sdpid.experiment.processing.efforts import Moments, in_threads
 from sdpid.experiment.processing.process import Processing, process
-from sdpid.experiment.readers import parquet_file
+from sdpid.experiment.readers.formats import parquet_file
 from sdpid.experiment.readers.read import read_recording
 from sdpid.experiment.recording import stored
 from sdpid.experiment.recording import timestamps as stamps

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sdpid.errors import DataError
-from sdpid.experiment.readers.hdf5 import load_hdf5
+from sdpid.experiment.readers.formats.hdf5 import load_hdf5
 from sdpid.experiment.readers.table import NoNumbersError, Table
 
 __all__ = ["load_mat"]

@@ -14,12 +14,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sdpid.errors import DataError
-from sdpid.experiment.readers.hdf5 import load_hdf5
-from sdpid.experiment.readers.matlab import load_mat
-from sdpid.experiment.readers.parquet_file import load_parquet
-from sdpid.experiment.readers.ros_bag import load_rosbag
+from sdpid.experiment.readers.formats.hdf5 import load_hdf5
+from sdpid.experiment.readers.formats.matlab import load_mat
+from sdpid.experiment.readers.formats.parquet_file import load_parquet
+from sdpid.experiment.readers.formats.ros_bag import load_rosbag
+from sdpid.experiment.readers.formats.text_file import load_text
 from sdpid.experiment.readers.table import NoNumbersError, Table
-from sdpid.experiment.readers.text_file import load_text
 from sdpid.experiment.recording.memory_budget import check_claim
 
 __all__ = ["LOADERS", "SANDBOXED"]
