@@ -129,7 +129,7 @@ def floating(x: Array, v: Array, a: Array) -> tuple[Array, Array, Array]:
 
 def true_bodies(robot: sdpid.RobotModel, rng: np.random.Generator) -> Array:
     """Return the description's inertias, repaired and then perturbed, shape (links, 10)."""
-    bodies, _ = repaired(robot.prior)
+    bodies = repaired(robot.prior)[0]
     for i in np.flatnonzero(bodies[:, 0] > 0.0):
         L = np.linalg.cholesky(pseudo_inertia(bodies[i]))
         L = L @ (np.eye(4) + SPREAD * rng.standard_normal((4, 4)))
@@ -197,7 +197,7 @@ def row(
     )
 
 
-def rows(names: Sequence[str], seed: int) -> Iterator[tuple[object, ...]]:
+def rows(names: Sequence[str], seed: int, priors: Sequence[bool]) -> Iterator[tuple[object, ...]]:
     """Yield the rows of every robot, base and prior."""
     for name in names:
         for base in BASES:
@@ -210,7 +210,7 @@ def rows(names: Sequence[str], seed: int) -> Iterator[tuple[object, ...]]:
             if base == BASES[-1] and robot.n == robot.n_base:
                 continue  # a rigid body with nothing measured
             samples = measure(robot, base, seed)
-            for believe in (False, True):
+            for believe in priors:
                 yield row(name, base, robot, samples, believe)
 
 
@@ -220,7 +220,8 @@ SHORT = {"IdentifiabilityError": "not identifiable", "SolverError": "no proof"}
 
 def markdown(done: Sequence[tuple[object, ...]]) -> str:
     """Return a line a robot: the proven gap, or what happened, by prior and base."""
-    head = [f"{prior}, {base}" for prior in ("default", "none") for base in BASES]
+    used = dict.fromkeys(str(cells[2]) for cells in done if cells[2])
+    head = [f"{prior}, {base}" for prior in sorted(used) for base in BASES]
     lines = ["| robot | joints | " + " | ".join(head) + " |", "|---" * (len(head) + 2) + "|"]
     for name in dict.fromkeys(str(cells[0]) for cells in done):
         own = [dict(zip(HEADER, cells, strict=True)) for cells in done if cells[0] == name]
@@ -246,13 +247,17 @@ def main() -> int:
     parser.add_argument("--out", type=Path, default=Path("results"))
     parser.add_argument("--robot", action="append", help="a robot (default all)")
     parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument(
+        "--prior", choices=("default", "none", "both"), default="both", help="which prior"
+    )
     parser.add_argument("--quick", action="store_true", help="a handful of small robots")
     options = parser.parse_args()
     options.out.mkdir(parents=True, exist_ok=True)
     names = options.robot or (QUICK if options.quick else tuple(example_robots()))
 
+    priors = {"default": (True,), "none": (False,), "both": (False, True)}[options.prior]
     done: list[tuple[object, ...]] = []
-    for cells in rows(names, options.seed):
+    for cells in rows(names, options.seed, priors):
         done.append(cells)
         print(Table(HEADER, (cells,)).text(3).splitlines()[1], flush=True)
         # Written as it goes: all robots take a while.
