@@ -60,7 +60,7 @@ def with_table_v(table: BaseTable) -> BaseTable:
             name = f"m_{row['link']}"
             values[name] = Fraction(row["mass_kg"])
             halfwidths[name] = half_unit(row["mass_kg"])
-    return BaseTable(values, halfwidths)
+    return BaseTable(values, halfwidths, frozenset(values))
 
 
 def with_sigma(table: BaseTable, times: int) -> BaseTable:
