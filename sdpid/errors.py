@@ -45,7 +45,7 @@ class SolverError(SdpidError):
     problem : object or None
         The problem that was being solved.
     found : object or None
-        What had been found when the solve ended.
+        Best result when the solve ended.
     """
 
     def __init__(self, message: str, *, problem: Any = None, found: Any = None) -> None:

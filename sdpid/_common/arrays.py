@@ -15,7 +15,7 @@ Indices = NDArray[np.intp]
 
 
 def frozen(values: Any) -> Array:
-    """Return `values` as a read-only float64 array that nobody else can write to."""
+    """Return a copy of `values` as a read-only float64 array."""
     array = np.array(values, dtype=np.float64, order="C")
     array.setflags(write=False)
     return array
@@ -34,7 +34,7 @@ def real_array(values: Any, name: str, *, ndim: int, error: type[Exception] = Da
     Parameters
     ----------
     values : array_like
-        What was given.
+        The values.
     name : str
         What it is called in the message.
     ndim : int

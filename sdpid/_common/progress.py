@@ -34,7 +34,7 @@ def progress(
     total : float
         Units of work in all.
     description : str
-        What is shown beside the bar.
+        Text beside the bar.
     enabled : bool, optional
         Show it or not; by default only when standard error is a terminal.
     """

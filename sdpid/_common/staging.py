@@ -37,20 +37,20 @@ def staged(folder: Path) -> Iterator[Path]:
         When another process keeps the folder locked.
     """
     made = [each for each in (folder, *folder.parents) if not each.exists()]
-    own = f"{_STAGE}{secrets.token_hex(6)}"
+    name = f"{_STAGE}{secrets.token_hex(6)}"
     try:
         folder.mkdir(parents=True, exist_ok=True)
         with _locked(folder) as alone:
-            pattern = f"{_STAGE}*" if alone else own
+            pattern = f"{_STAGE}*" if alone else name
             try:
                 _remove(folder, pattern)
-                (folder / own).mkdir()
-                yield folder / own
+                (folder / name).mkdir()
+                yield folder / name
             finally:
                 try:
                     _remove(folder, pattern)
                 finally:
-                    _remove(folder, own)  # a signal may have come in the midst of the first
+                    _remove(folder, name)  # a signal may have come in the midst of the first
     finally:
         with contextlib.suppress(OSError):
             for each in made:

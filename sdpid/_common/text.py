@@ -18,7 +18,7 @@ def printable(text: str, *, keep: str = "") -> str:
     Parameters
     ----------
     text : str
-        What is to be printed.
+        The text to print.
     keep : str, optional
         Characters that stay, such as line ends in text of several lines.
     """

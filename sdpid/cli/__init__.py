@@ -1,6 +1,6 @@
 """The command ``sdpid``: from a robot and a log file to files one can use.
 
-What is heavy is imported by the commands' functions, so that ``sdpid --help`` answers at once.
+Heavy libraries are imported inside the commands, so that ``sdpid --help`` answers at once.
 """
 
 from __future__ import annotations

@@ -35,7 +35,7 @@ _ARGUMENTS = "sdpid.arguments"
 
 
 class Commands(TyperGroup):
-    """The commands, with one way out for every error."""
+    """The group of commands: turns every error into a line on stderr and an exit status."""
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
         """Keep the arguments as they were given, for `command_line`."""
@@ -52,9 +52,9 @@ class Commands(TyperGroup):
             raise typer.Exit(INTERRUPTED) from None
         except Exception as error:
             end_if_signaled()  # what a signal interrupts may turn it into an error of its own
-            # Typer's own (usage, exit, abort) are Typer's to show; so is a closed pipe.
-            own = type(error).__module__.split(".")[0] in ("typer", "click")
-            if own or (isinstance(error, OSError) and error.errno == errno.EPIPE):
+            # Typer shows usage errors and handles exits, aborts and a closed pipe itself.
+            from_typer = type(error).__module__.split(".")[0] in ("typer", "click")
+            if from_typer or (isinstance(error, OSError) and error.errno == errno.EPIPE):
                 raise
             if ctx.params.get("debug"):
                 traceback.print_exception(error)
@@ -99,10 +99,10 @@ def exit_status(error: Exception) -> int:
 
 
 def message(error: Exception) -> str:
-    """Return what is said about an error."""
+    """Return the message of an error for the command line."""
     if isinstance(error, SdpidError):
         text = str(error)
-        # Messages speak Python; say how the same is said here.
+        # Messages name arguments of the library; add the options that set them.
         hints = [option for argument, option in _OPTIONS.items() if f"{argument}=" in text]
         return f"{text} On the command line: {', '.join(hints)}." if hints else text
     if isinstance(error, OSError):

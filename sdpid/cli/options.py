@@ -307,8 +307,8 @@ class Estimation:
         """Return bounds that follow the robot's size, but for those that were given."""
         from sdpid.estimation.constraints.constraints import Constraints
 
-        given = {} if self.mass_max is None else {"mass_max": self.mass_max}
-        return Constraints.of_size(robot, margin=self.margin, **given)
+        bounds = {} if self.mass_max is None else {"mass_max": self.mass_max}
+        return Constraints.of_size(robot, margin=self.margin, **bounds)
 
 
 def require_folder(option: str, file: Path, inputs: Iterable[PathLike | None] = ()) -> None:

@@ -37,7 +37,7 @@ class Printing:
     quiet: Annotated[bool, _printing("--quiet", "-q", help="Print nothing but errors.")] = False
 
     def show(self, values: Any, text: str) -> None:
-        """Print the values as JSON, or the text, or nothing, as was asked for."""
+        """Print the text, the values as JSON with ``--json``, or nothing with ``--quiet``."""
         if self.quiet:
             return
         if self.json:
@@ -49,7 +49,7 @@ class Printing:
 
 
 def listed(title: str, lines: Iterable[object]) -> str:
-    """Return indented lines under a title; what would begin a line of its own is replaced."""
+    """Return indented lines under a title, line ends within them replaced."""
     return "\n".join((f"{title}:", *(f"  {printable(str(line))}" for line in lines)))
 
 

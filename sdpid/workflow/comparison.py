@@ -126,7 +126,7 @@ class Comparison:
         solver : str, optional
             Which local solver.
         against : {"iterations", "seconds"}, optional
-            What the horizontal axis shows.
+            Quantity on the horizontal axis.
 
         Returns
         -------
@@ -244,7 +244,7 @@ def compare(
             )
     entries += [(solver, "-", f"{left_out[solver]}") for solver in local if solver not in able]
     return Comparison(
-        rows=tuple(_row(solver, label, found, certificate) for solver, label, found in entries),
+        rows=tuple(_row(solver, label, result, certificate) for solver, label, result in entries),
         estimates=tuple(None if isinstance(f, str) else f for _, _, f in entries),
         certificate=certificate,
     )
@@ -263,19 +263,20 @@ def _run(
         return f"{type(error).__name__}: {error}"
 
 
-def _row(solver: str, start: str, found: Estimate | str, certificate: Certificate) -> Row:
-    if isinstance(found, str):
-        return Row(solver=solver, start=start, status="error", message=found)
-    gap = certify(found, bound=certificate.bound).gap
+def _row(solver: str, start: str, result: Estimate | str, certificate: Certificate) -> Row:
+    """Return the row of a run: of its estimate, or of the message of its error."""
+    if isinstance(result, str):
+        return Row(solver=solver, start=start, status="error", message=result)
+    gap = certify(result, bound=certificate.bound).gap
     return Row(
         solver=solver,
         start=start,
-        status=found.status,
-        cost=found.cost,
+        status=result.status,
+        cost=result.cost,
         gap=gap,
-        worst_margin=found.worst_margin,
-        violation=found.violation,
-        iterations=found.iterations,
-        seconds=found.solve_time,
-        message=found.message,
+        worst_margin=result.worst_margin,
+        violation=result.violation,
+        iterations=result.iterations,
+        seconds=result.solve_time,
+        message=result.message,
     )

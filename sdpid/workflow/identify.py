@@ -70,8 +70,8 @@ def identify(
         By default `default_processing`; of several recordings that of the one with the median
         cut-off. A mapping changes some settings of the default, such as ``{"cutoff_hz": 10.0}``.
     without_effort : iterable of str, optional
-        Joints whose efforts nobody measured, or that are wrong. Their motion counts, their
-        efforts do not; their friction is then the prior's.
+        Joints whose effort was not measured, or is wrong. Only their motion is used; their
+        friction comes from the prior.
     friction : iterable, optional
         By default `default_friction`.
     weighting : str, optional

@@ -57,7 +57,7 @@ class Identification:
     notes : tuple of str
         The choices that were made, and the findings, in words.
     findings : tuple of Finding
-        What is wrong with the recordings (see `sdpid.inspect_recording`).
+        Findings of the inspection of the recordings (see `sdpid.inspect_recording`).
     """
 
     problem: Problem
@@ -147,7 +147,7 @@ class Identification:
             f"{100 * self.training_wls.relative:.2f} %)",
         ]
         if self.problem.prior is not None:
-            lines.append("the description's own inertias count as a weak belief beside the data")
+            lines.append("regularized towards the inertias in the description")
             lines += self.problem.prior.notes
         if self.validation is not None:
             lines.append(f"on the validation recording {100 * self.validation.relative:.2f} %")

@@ -50,7 +50,7 @@ NAMES = (
 
 
 class Result(Judged, Protocol):
-    """What is written of an `Identification`."""
+    """The part of an `Identification` that is written."""
 
     def to_dict(self) -> dict[str, Any]:
         """Return plain values for JSON."""
@@ -125,7 +125,7 @@ def _listed(folder: Path) -> dict[str, object]:
         listed = json.loads((folder / _RESULT).read_text(encoding="utf-8"))["files"]
         return {name: listed[name] for name in NAMES if name in listed}
     except (OSError, ValueError, LookupError, TypeError, RecursionError):
-        return {}  # no earlier run, or a file of somebody else
+        return {}  # no earlier run, or a file that none wrote
 
 
 def _left_by_earlier_run(
@@ -133,8 +133,8 @@ def _left_by_earlier_run(
 ) -> list[str]:
     """Return the files of an earlier run that this one does not replace.
 
-    They are those that its result.json lists, with the content that it wrote: a file that was
-    changed since is somebody's work and stays, and `note` is called with that.
+    They are the files that its result.json lists and that have not changed since; `note` is called
+    with the name of a file that has, which stays.
     """
     stale = []
     for name, written in _listed(folder).items():

@@ -10,7 +10,7 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -22,6 +22,8 @@ import sdpid
 from sdpid._common import files as _files
 from sdpid._common import signals as _signals
 from sdpid._common import staging
+from sdpid.output.plots.figures import save_figure
+from sdpid.output.plots.reconstruction import plot_fit
 from sdpid.workflow.result import Identification
 from sdpid.workflow.results_folder import NAMES
 from tests.helpers.runs import arm, recorded
@@ -182,6 +184,38 @@ def test_whatever_fails_all_or_none(
     else:
         pytest.fail("there was always another change")
     assert failures > 20
+
+
+@pytest.mark.parametrize("write", ["text", "parquet", "figure", "urdf"])
+def test_a_single_file_is_written_whole_or_not_at_all(
+    result: Identification, injector: Injector, tmp_path: Path, write: str
+) -> None:
+    """Every change of the disk fails once, and the file that was there before stays."""
+    pytest.importorskip("matplotlib")
+    writers: dict[str, Callable[[Path], object]] = {
+        "text": lambda path: _files.atomic_write_text(path, "new"),
+        "parquet": lambda path: recorded(1).to_parquet(path),
+        "figure": lambda path: save_figure(plot_fit(result.problem.samples, result.training), path),
+        "urdf": lambda path: sdpid.write_urdf(result.estimate, target=path),
+    }
+    suffix = {"text": ".txt", "parquet": ".parquet", "figure": ".png", "urdf": ".urdf"}[write]
+    target = tmp_path / f"file{suffix}"
+    for number in range(1, 20):
+        target.write_text("old")
+        injector.arm(tmp_path, number)
+        try:
+            writers[write](target)
+            saved = True
+        except sdpid.errors.ExportError:
+            saved = False
+        reached = injector.left <= 0
+        injector.arm(None)
+        assert [path.name for path in tmp_path.iterdir()] == [target.name]
+        assert saved == (target.read_bytes() != b"old")
+        if not reached:
+            break
+    assert saved
+    assert 2 < number < 19
 
 
 @pytest.mark.parametrize("limit", [0, 100, 3000, 20_000])
