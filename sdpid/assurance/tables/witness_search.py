@@ -203,7 +203,8 @@ def solved(objective: Any, constraints: list[Any]) -> bool:
         # What is found is checked in exact arithmetic: it need not be accurate.
         warnings.simplefilter("ignore")
         try:
-            program.solve(solver=cp.CLARABEL, **limits)
+            # Numbers are of order one as they are: scaled again they lose digits.
+            program.solve(solver=cp.CLARABEL, equilibrate_enable=False, **limits)
         except cp.error.SolverError:
             return False
     return all(variable.value is not None for variable in program.variables())

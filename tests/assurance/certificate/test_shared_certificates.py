@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import subprocess
 import sys
-import time
 from pathlib import Path
 from typing import Any
 
@@ -42,22 +41,17 @@ SETS: dict[str, tuple[str, str, tuple[Any, ...]]] = {
     ),
 }
 
-# Measured 0.06 to 0.12 s on arms of six or seven joints, and promised to be below 2.
-SECONDS = 2.0
-
 
 def proven_alone(certificate: Certificate, path: Path) -> None:
     """Write a certificate and have a bare Python check it."""
     assert certificate.passed, certificate.summary()
     certificate.to_json(path)
-    start = time.perf_counter()
     done = subprocess.run(
         [sys.executable, "-I", "-S", str(exact.__file__), str(path)],
         capture_output=True,
         text=True,
         timeout=60,
     )
-    assert time.perf_counter() - start < SECONDS
     assert done.returncode == 0, done.stdout + done.stderr
     assert done.stdout.splitlines()[-1] == "PROVEN."
     assert f"cost less than {certificate.lower_bound!r}." in done.stdout

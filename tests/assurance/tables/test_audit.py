@@ -96,6 +96,16 @@ def test_point_masses_are_realisable(kind: Consistency, data: st.DataObject) -> 
     assert np.abs(base.matrix @ found.witness - base.matrix @ theta).max() <= half + 1e-9
 
 
+@pytest.mark.parametrize("half", [0.0, 1e-4, 0.005])
+def test_the_largest_margin_is_no_less_than_one_that_exists(half: float) -> None:
+    robot, _ = arm("tree")
+    body = [0.3, 0.0, 0.0, 0.0, 5e-4, 0.0, 5e-4, 0.0, 0.0, 5e-4]
+    theta = whole_theta("tree", np.tile(body, (robot.n_links, 1)))
+    found = audit("tree", theta, half, "spatial_inertia")
+    assert found.margin is not None
+    assert found.margin >= 5e-4 - 1e-6
+
+
 def test_bodies_without_thickness_are_on_the_boundary() -> None:
     # Exactly known numbers of point masses: no room at all, and nothing to refute.
     robot, _ = arm("arm")
