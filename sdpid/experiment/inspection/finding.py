@@ -91,6 +91,11 @@ class Subject:
         return tuple((int(np.searchsorted(time, piece.time[0])), piece) for piece in pieces)
 
     @cached_property
+    def position_range(self) -> tuple[Array, Array]:
+        """Least and largest position of each joint, (n,) each."""
+        return np.asarray(self.log.position.min(axis=0)), np.asarray(self.log.position.max(axis=0))
+
+    @cached_property
     def rows(self) -> Any:
         """At most 400 rows, spread evenly, shape (rows,)."""
         rows = np.linspace(0, self.log.n_samples - 1, _ROWS).astype(np.intp)

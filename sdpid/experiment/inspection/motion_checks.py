@@ -38,7 +38,7 @@ _FACTOR_SLACK = 0.1
 def degrees(subject: Subject) -> Iterator[Finding]:
     """Find positions in degrees."""
     limits = None if subject.robot is None else subject.robot.position_limits
-    suspects = suspect_units(subject.log, limits)
+    suspects = suspect_units(subject.log, limits, subject.position_range)
     if suspects:
         yield Finding(
             severity="error",
@@ -52,7 +52,8 @@ def degrees(subject: Subject) -> Iterator[Finding]:
 def rest_and_jumps(subject: Subject) -> Iterator[Finding]:
     """Find joints that never move, and positions that jump."""
     log = subject.log
-    reach = np.asarray(log.position.max(axis=0) - log.position.min(axis=0))
+    low, high = subject.position_range
+    reach = high - low
     for j, name in enumerate(log.names):
         if reach[j] < _AT_REST:
             moved = "never moves" if reach[j] == 0.0 else f"moves by {reach[j]:.3g} rad only"

@@ -24,7 +24,11 @@ _SPAN_FACTOR = 1.5
 _FIT_FACTOR = 1.25
 
 
-def suspect_units(recording: Recording, position_limits: Any = None) -> tuple[str, ...]:
+def suspect_units(
+    recording: Recording,
+    position_limits: Any = None,
+    position_range: tuple[Array, Array] | None = None,
+) -> tuple[str, ...]:
     """Name the joints whose positions look like degrees.
 
     A joint with finite limits is named when its positions are far beyond them (more than two
@@ -40,6 +44,8 @@ def suspect_units(recording: Recording, position_limits: Any = None) -> tuple[st
         The log to look at.
     position_limits : (n, 2) array_like, optional
         Lower and upper limits in rad, infinite where there are none.
+    position_range : pair of (n,) ndarray, optional
+        Least and largest positions, where they are known.
 
     Returns
     -------
@@ -51,8 +57,9 @@ def suspect_units(recording: Recording, position_limits: Any = None) -> tuple[st
     DataError
         When the limits are of another shape.
     """
-    low = recording.position.min(axis=0)
-    high = recording.position.max(axis=0)
+    if position_range is None:
+        position_range = recording.position.min(axis=0), recording.position.max(axis=0)
+    low, high = position_range
     peak = np.maximum(np.abs(low), np.abs(high))
     beyond = peak > _TWO_TURNS
     limits = None
