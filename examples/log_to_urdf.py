@@ -36,7 +36,7 @@ def main() -> None:
     result = sdpid.identify(
         robot, options.out / "run.parquet", validation=options.out / "another_run.parquet"
     )
-    print(result.summary())
+    print(result.summary(), *result.verdict, sep="\n")
     for file in result.save(options.out):
         print(file)
 

@@ -27,7 +27,6 @@ from .experiment.recording.motor_side import MotorSide
 from .experiment.recording.recording import Recording
 from .experiment.trajectory.paper import Trajectory, paper_excitation
 from .output.report.report import write_report
-from .output.report.verdict import verdict
 from .output.robots.mjcf import write_mjcf
 from .output.robots.urdf import write_urdf
 from .output.tables.parameters_file import read_parameters, write_parameters
@@ -85,7 +84,6 @@ __all__ = [
     "solve_slsqp",
     "solve_wls",
     "validate",
-    "verdict",
     "verify",
     "write_mjcf",
     "write_parameters",

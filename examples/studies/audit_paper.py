@@ -67,7 +67,7 @@ def with_sigma(table: BaseTable, times: int) -> BaseTable:
     """Return a column whose halfwidths are the printed rounding and so many sigma."""
     sigma = read_base_table(FOLDER / "table_iv.csv", value="sigma").values
     wide = {name: half + times * sigma[name] for name, half in table.halfwidths.items()}
-    return BaseTable(table.values, wide)
+    return BaseTable(table.values, wide, table.mentioned)
 
 
 def stretched(factors: Mapping[str, float]) -> sdpid.RobotModel:

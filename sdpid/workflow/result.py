@@ -17,7 +17,7 @@ from sdpid.estimation.estimate import Estimate
 from sdpid.estimation.problem import Problem, describe
 from sdpid.experiment.inspection.finding import Finding
 from sdpid.experiment.processing.samples import Samples
-from sdpid.output.report.verdict import verdict
+from sdpid.output.report.verdict import verdict as verdict_on
 from sdpid.output.tables.intervals_shown import GivenIntervals, ends_of, in_words
 from sdpid.workflow.results_folder import save as save_results
 
@@ -102,8 +102,13 @@ class Identification:
                 "NRMSE": self.training.nrmse.tolist(),
             }
         )
-        words = Table(("verdict",), tuple((text,) for text in verdict(self)))
+        words = Table(("verdict",), tuple((text,) for text in self.verdict))
         return facts_html(f"Identification of {self.problem.robot.name}", facts, errors, words)
+
+    @property
+    def verdict(self) -> tuple[str, ...]:
+        """What the model can be trusted for, and what not: sentences, the most important first."""
+        return verdict_on(self)
 
     def to_dict(self) -> dict[str, Any]:
         """Return the result as plain values for JSON: None where a number is not finite."""
@@ -114,7 +119,7 @@ class Identification:
             "processing": list(self.problem.samples.notes),
             "notes": [*self.notes, *([self.intervals_note] if self.intervals_note else [])],
             "findings": [finding.to_dict() for finding in self.findings],
-            "verdict": list(verdict(self)),
+            "verdict": list(self.verdict),
             "status": estimate.status,
             "cost": estimate.cost,
             "cost_unconstrained": self.wls.cost,

@@ -107,7 +107,7 @@ def test_it_is_part_of_an_identification(log: sdpid.Recording) -> None:
     assert result.cross_validation.count == 3
     assert result.to_dict()["cross_validation"]["relative_residual"] > 0.0
     assert "3 blocks of time held out in turn" in result.summary()
-    said = " ".join(sdpid.verdict(result))
+    said = " ".join(result.verdict)
     assert "3 blocks of time held out in turn" in said
     assert "Nothing was held out" not in said
 
@@ -115,7 +115,7 @@ def test_it_is_part_of_an_identification(log: sdpid.Recording) -> None:
 def test_the_verdict_tells_when_blocks_are_not_predicted(log: sdpid.Recording) -> None:
     effort = np.array(log.effort)
     effort[: len(effort) // 3] *= 1.3
-    said = " ".join(sdpid.verdict(sdpid.identify(arm(), replace(log, effort=effort), folds=3)))
+    said = " ".join(sdpid.identify(arm(), replace(log, effort=effort), folds=3).verdict)
     assert "It does not predict what it has not seen" in said
 
 

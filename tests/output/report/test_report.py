@@ -197,7 +197,7 @@ def test_it_tells_the_whole_story(result: Identification, page: str) -> None:
         certificate.to_dict()["sha256"],
         f"{certificate.lower_bound:#.10g}",
         COMMAND,
-        *sdpid.verdict(result),
+        *result.verdict,
         *result.problem.base.names,
         *result.problem.base.theta_names,
         *(s.name for s in constraint_states(result.estimate) if s.active),

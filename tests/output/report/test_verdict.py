@@ -29,13 +29,13 @@ def good() -> Identification:
 
 def said(result: Identification, *words: str) -> str:
     """Return the one statement that has these words."""
-    found = [text for text in sdpid.verdict(result) if all(word in text for word in words)]
-    assert len(found) == 1, (words, sdpid.verdict(result))
+    found = [text for text in result.verdict if all(word in text for word in words)]
+    assert len(found) == 1, (words, result.verdict)
     return found[0]
 
 
 def unsaid(result: Identification, *words: str) -> None:
-    for text in sdpid.verdict(result):
+    for text in result.verdict:
         assert not all(word in text for word in words), text
 
 
@@ -298,4 +298,4 @@ def test_errors_are_looked_at_once(good: Identification, monkeypatch: pytest.Mon
     first = errors_of(fresh)
     monkeypatch.setattr("sdpid.output.report.verdict.joint_errors", None)
     assert errors_of(fresh) is first
-    assert sdpid.verdict(fresh) == sdpid.verdict(good)
+    assert fresh.verdict == good.verdict
