@@ -328,6 +328,9 @@ class _Build:
         joint = self.model.addJoint(
             parent, _joint_model(kind, axis), place * anchor * back, name, *map(np.array, limit)
         )
+        at = self.model.joints[joint].idx_v
+        self.model.damping[at] = found["dof"]["damping"][number]
+        self.model.friction[at] = found["dof"]["frictionloss"][number]
         return joint, anchor.inverse()
 
 

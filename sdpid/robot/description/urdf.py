@@ -26,6 +26,7 @@ _PLACES = (
     ("link", "inertial/inertia", ("ixx", "ixy", "ixz", "iyy", "iyz", "izz"), 1, False),
     ("joint", "origin", ("xyz", "rpy"), 3, True),
     ("joint", "axis", ("xyz",), 3, True),
+    ("joint", "dynamics", ("damping", "friction"), 1, True),
 )
 # The numbers that Pinocchio's parser accepts; Python accepts more.
 _NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?", re.ASCII)
@@ -178,35 +179,6 @@ def _check_numbers(root: Any, what: str) -> None:
                     f"{what}: link '{link.get('name', '?')}': its <inertial> has no <{name}>; add "
                     "it, or leave out the whole <inertial>."
                 )
-
-
-def joint_dynamics(text: str, what: str) -> dict[str, tuple[float, float]]:
-    """Return (damping, friction) of the joints of a URDF that have a ``<dynamics>`` element.
-
-    Raises
-    ------
-    ModelError
-        When one is not a number of at least 0.
-    """
-    found = {}
-    for joint in parse_xml(text, what).findall("joint"):
-        element = joint.find("dynamics")
-        if element is None:
-            continue
-        values = []
-        for key in ("damping", "friction"):
-            try:
-                value = float(element.get(key, "0"))
-            except ValueError:
-                value = float("nan")
-            if not 0.0 <= value <= LARGEST:
-                raise ModelError(
-                    f"{what}: joint '{joint.get('name', '?')}' has {key}="
-                    f"'{element.get(key)}'; give a number of at least 0, and at most {LARGEST:g}."
-                )
-            values.append(value)
-        found[joint.get("name", "?")] = (values[0], values[1])
-    return found
 
 
 def inertial_values(body: ArrayLike) -> dict[str, dict[str, str]]:

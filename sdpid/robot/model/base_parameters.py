@@ -43,7 +43,7 @@ _STATES_OF_SPEED = 30
 _SEED = 20210621
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class BaseParameters:
     """The base parameters of a robot with its friction terms.
 
@@ -77,6 +77,9 @@ class BaseParameters:
     tolerance: float
     smallest_kept: float
     largest_dropped: float
+
+    def __repr__(self) -> str:
+        return f"BaseParameters({self.count} of {len(self.theta_names)} standard parameters)"
 
     @property
     def count(self) -> int:

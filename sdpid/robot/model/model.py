@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 from sdpid._common.arrays import Array, Indices, frozen, real_array
 from sdpid.errors import DataError, ModelError
 from sdpid.robot.description.dh_table import DhTable
-from sdpid.robot.description.urdf import Mimic, joint_dynamics, pinocchio_from_urdf
+from sdpid.robot.description.urdf import Mimic, pinocchio_from_urdf
 from sdpid.robot.inertia import PARAMETER_NAMES, PARAMETER_UNITS
 from sdpid.robot.model import regressor_kernel as kernels
 from sdpid.robot.model.coordinates import coordinate_names, expand_mimics, link_names
@@ -238,13 +238,23 @@ class RobotModel:
         return limits
 
     def described_friction(self) -> tuple[Array, Array]:
-        """Return viscous and Coulomb friction of each coordinate from the URDF, (n,) each."""
-        given = {} if self.urdf is None else joint_dynamics(self.urdf, self.name)
-        names = list(self.pin_model.names)[1:]
-        values = np.array([given.get(name, (0.0, 0.0)) for name in names])
-        # Friction of a mimic joint is felt at its source, through the gear between them.
+        """Return viscous and Coulomb friction of each coordinate in the description, (n,) each.
+
+        Raises
+        ------
+        ModelError
+            When a number is negative.
+        """
+        damping, friction = np.array(self.pin_model.damping), np.array(self.pin_model.friction)
+        least = min(damping.min(), friction.min())
+        if not least >= 0.0:
+            raise ModelError(
+                f"'{self.name}': a joint's damping or friction is {least:g}, the least is 0; "
+                "correct the description."
+            )
+        # Friction of a mimic joint acts on its source through the gear between them.
         ratio = np.abs(self.expansion)
-        return np.asarray(values[:, 0] @ ratio**2), np.asarray(values[:, 1] @ ratio)
+        return np.asarray(damping @ ratio**2), np.asarray(friction @ ratio)
 
     def _rate_limits(self, values: Array) -> Array:
         limits = np.full(self.n, np.inf)

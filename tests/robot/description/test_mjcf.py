@@ -19,7 +19,7 @@ ARM = """<?xml version="1.0"?>
 <mujoco model="odd arm">
   <compiler angle="radian"/>
   <option gravity="1 -2 -9"/>
-  <default><joint armature="0.5" damping="3"/><geom density="700"/></default>
+  <default><joint armature="0.5" damping="3" frictionloss="1"/><geom density="700"/></default>
   <worldbody>
     <geom type="plane" size="1 1 1"/>
     <body name="base" pos="0.1 0.2 0.3" euler="0.3 -0.2 0.5">
@@ -89,6 +89,10 @@ def test_names_limits_and_bodies() -> None:
     assert np.isinf(robot.position_limits[1:]).all()
     np.testing.assert_array_equal(robot.effort_limits, [np.inf, np.inf, 5, np.inf])
     assert load_robot(FOLLOWER).joint_names == ("j1", "j2", "wrist_joint_2")
+    viscous, coulomb = load_robot(FOLLOWER).described_friction()
+    # Joint 4 turns twice as fast as joint 1 and hangs on it.
+    np.testing.assert_array_equal(viscous, [3 + 4 * 3, 3, 3])
+    np.testing.assert_array_equal(coulomb, [1 + 2 * 1, 1, 1])
 
 
 def test_a_free_joint_floats_the_base() -> None:

@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from sdpid._common.arrays import Array
-from sdpid.errors import DataError
+from sdpid.errors import DataError, ModelError
 from sdpid.robot.model.load import load_robot
 from sdpid.robot.model.model import RobotModel
 from tests.helpers.data import random_links
@@ -238,3 +238,14 @@ def test_bad_states_are_data_errors(denso: RobotModel, change: dict[str, Array],
 def test_no_samples_give_no_rows(denso: RobotModel, count: int) -> None:
     empty = np.zeros((count, 6))
     assert denso.regressor(empty, empty, empty).shape == (count, 6, 60)
+
+
+def test_friction_of_the_description() -> None:
+    text = TREE.replace("</joint>", '<dynamics damping="0.5" friction="2"/></joint>', 1)
+    viscous, coulomb = load_robot(text).described_friction()
+    assert sorted(viscous) == [0.0] * 5 + [0.5]
+    assert sorted(coulomb) == [0.0] * 5 + [2.0]
+    with pytest.raises(ModelError, match=r"damping or friction is -2, the least is 0"):
+        load_robot(text.replace('friction="2"', 'friction="-2"')).described_friction()
+    with pytest.raises(ModelError, match="damping of <dynamics> is 'much'"):
+        load_robot(text.replace('damping="0.5"', 'damping="much"'))
