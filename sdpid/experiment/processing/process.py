@@ -120,7 +120,7 @@ def process(
         processing = with_changes(default_processing(log), processing or {})
     if processing.velocity == "measured" and log.velocity is None:
         raise DataError(
-            "velocity: the recording has none, but velocity='measured' was asked for; use "
+            "velocity: the recording has none, but velocity is 'measured'; use "
             "velocity='differentiated'."
         )
     if processing.derivative == "spectral" and log.period is None:

@@ -134,7 +134,7 @@ def make_grid(recording: Recording, timing: Timing = "auto") -> Grid:
                 "error from the sample index"
             )
     else:
-        why = "as asked"
+        why = "as given"
     if timing == "nominal":
         note = f"{seen}; samples taken as regular, {1.0 / step:.6g} Hz ({why})"
         return Grid(origin=nominal.origin, step=step, count=time.size, note=note)

@@ -133,14 +133,14 @@ def test_what_an_average_takes_is_given_back(monkeypatch: pytest.MonkeyPatch) ->
 
 
 @pytest.mark.parametrize(
-    ("given_", "said"),
+    ("given_", "expected"),
     [
         ({"cutoff_hz": 5.0}, "cutoff_hz 5: as given, for "),
         ({"velocity": "measured"}, "velocity measured: as given, for differentiated"),
         ({"order": 2, "filter": "bessel", "derivative": "savitzky_golay"}, None),
     ],
 )
-def test_what_is_given_stays(given_: dict[str, Any], said: str | None) -> None:
+def test_what_is_given_stays(given_: dict[str, Any], expected: str | None) -> None:
     log, _ = sweep()
     log = replace(log, velocity=np.gradient(log.position, log.time, axis=0))
     choice = choose_processing(log, **given_)
@@ -148,11 +148,11 @@ def test_what_is_given_stays(given_: dict[str, Any], said: str | None) -> None:
     for name, value in given_.items():
         assert getattr(choice.processing, name) == value
     assert choice.processing == replace(plain.processing, **given_)
-    if said is None:
+    if expected is None:
         assert choice.reasons == plain.reasons
     else:
-        assert any(reason.startswith(said) for reason in choice.reasons)
-    # Changed afterwards, it is said as well.
+        assert any(reason.startswith(expected) for reason in choice.reasons)
+    # Notes have later changes as well.
     changed = replace(plain.processing, **given_)
     assert process(log, changed).notes[:2] == choice.reasons
 

@@ -40,7 +40,7 @@ def test_everything_given():
             joint_names=["a", "b"],
             periods=3,
             block=2,
-            notes=["said"],
+            notes=["filtered"],
             effort_periods=np.zeros((3, K, JOINTS)),
         )
     )
@@ -55,7 +55,7 @@ def test_a_free_flyer_has_more_positions():
 
 
 def test_a_joint_may_be_masked_altogether():
-    # The rows of a floating base: they are in the equation of motion, but nobody measures them.
+    # The rows of a floating base: they are in the equation of motion, but they are not measured.
     mask = np.tile([False, True], (K, 1))
     samples = Samples(**fields(mask=mask, position=np.zeros((K, 3))))
     assert samples.n_rows == K
@@ -128,7 +128,7 @@ def test_covariances_are_kept_sample_by_sample():
 
 
 @pytest.mark.parametrize(
-    ("change", "said"),
+    ("change", "message"),
     [
         ({"covariance": np.eye(2)}, "1 of 2 pieces have a covariance"),
         ({"joint_names": ("a", "b")}, "the joints of piece 2"),
@@ -136,8 +136,8 @@ def test_covariances_are_kept_sample_by_sample():
         ({"position": np.zeros((K, 3))}, "position of piece 2 has 3 columns"),
     ],
 )
-def test_what_does_not_belong_together_is_refused(change, said):
-    with pytest.raises(DataError, match=said):
+def test_what_does_not_belong_together_is_refused(change, message):
+    with pytest.raises(DataError, match=message):
         Samples.join([Samples(**fields()), Samples(**fields(**change))])
     with pytest.raises(DataError, match="none to join"):
         Samples.join([])
