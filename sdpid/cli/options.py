@@ -63,15 +63,17 @@ _reading = functools.partial(typer.Option, rich_help_panel="Reading the log")
 _processing = functools.partial(typer.Option, rich_help_panel="Processing")
 _estimation = functools.partial(typer.Option, rich_help_panel="Estimation")
 
-_FRICTION_TERMS = (
-    *("coulomb", "asymmetric_coulomb", "viscous", "offset", "rotor_inertia"),
-    *("stribeck", "sigmoid", "square_root"),
-)
-
 
 def _beginning(words: Iterable[str]) -> Callable[[str], list[str]]:
     """Return a function that completes what is typed to one of some words."""
     return lambda incomplete: [word for word in words if word.startswith(incomplete)]
+
+
+def _complete_friction(incomplete: str) -> list[str]:
+    """Complete the name of a friction term."""
+    from sdpid.robot.friction.terms import BY_NAME
+
+    return _beginning(BY_NAME)(incomplete)
 
 
 def complete_robot(incomplete: str) -> list[str]:
@@ -275,7 +277,7 @@ class Estimation:
             help="coulomb, coulomb=0.02 (smooth within 0.02 rad/s), coulomb=fit (smooth within "
             "the speed that fits best), asymmetric_coulomb, viscous, offset, rotor_inertia, "
             "stribeck, sigmoid, square_root, or coupling=joint_5,joint_6. Repeat for each term.",
-            autocompletion=_beginning(_FRICTION_TERMS),
+            autocompletion=_complete_friction,
         ),
     ] = None
     without_effort: Annotated[

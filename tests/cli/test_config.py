@@ -6,8 +6,9 @@ import json
 import os
 import subprocess
 import sys
+from enum import Enum
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 import numpy as np
 import pytest
@@ -210,3 +211,24 @@ def test_the_shell_completes() -> None:
     assert completed("sdpid identify --friction str") == ["stribeck"]
     # No robot begins so: the shell offers files.
     assert completed("sdpid identify --robot ./") == []
+
+
+def test_options_offer_what_the_library_knows() -> None:
+    from sdpid.assurance.intervals.intervals import Method
+    from sdpid.cli import options
+    from sdpid.estimation.compression import covariance
+    from sdpid.experiment.processing.derivatives import DERIVATIVES
+    from sdpid.experiment.processing.filters import FILTERS
+    from sdpid.robot import inertia
+    from sdpid.robot.friction.terms import BY_NAME
+
+    choices: tuple[tuple[type[Enum], Any], ...] = (
+        (options.Weighting, covariance.Weighting),
+        (options.Consistency, inertia.Consistency),
+        (options.IntervalMethod, Method),
+    )
+    for offered, known in choices:
+        assert {each.value for each in offered} == set(get_args(known))
+    shown = " ".join(run("identify", "--help").stdout.split())
+    for name in (*FILTERS, *DERIVATIVES, *BY_NAME):
+        assert name in shown
