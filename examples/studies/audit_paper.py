@@ -64,7 +64,7 @@ def with_table_v(table: BaseTable) -> BaseTable:
 
 
 def with_sigma(table: BaseTable, times: int) -> BaseTable:
-    """Return a column whose halfwidths are the printed rounding and so many sigma."""
+    """Return a column whose halfwidths are the printed rounding and `times` sigma."""
     sigma = read_base_table(FOLDER / "table_iv.csv", value="sigma").values
     wide = {name: half + times * sigma[name] for name, half in table.halfwidths.items()}
     return BaseTable(table.values, wide, table.mentioned)

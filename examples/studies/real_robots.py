@@ -49,7 +49,7 @@ DRIVES: dict[str, Terms] = {
 QUICK = ("panda_unisa", "ur10_unisa")
 QUICK_METHODS = ("description, friction fitted", "OLS", "SDP 4×4")
 
-# So many nats hold the links at the description.
+# Strength in nats that holds the links at the description.
 FIXED = 1e8
 
 DEFAULT = "SDP 4×4"

@@ -26,7 +26,7 @@ from sdpid.output.plots.figures import (
 
 # A violation (kg·m², kg, …) up to this counts as feasible: a local solver's own rounding.
 _FEASIBLE = 1e-9
-# The axis ends at so many times the largest gap of a start or of a feasible step.
+# The axis ends at this multiple of the largest gap of a start or of a feasible step.
 _HEADROOM = 3.0
 # Costs relatively closer to the bound than this are drawn at it: rounding of the cost itself.
 _LEAST_GAP = 1e-12

@@ -24,7 +24,7 @@ _BELOW, _WORDS = 1.0, 25.0
 # From a panel to the middle of the label on its left, points.
 _LABEL = 36.0
 
-# About so many ticks; each costs as much time as a line.
+# Approximate numbers of ticks; each tick costs as much time as a line.
 _TICKS_X, _TICKS_Y = 6, 4
 
 # Numbers beyond these powers of ten get a common factor, so that they fit on the left.
