@@ -165,6 +165,13 @@ def _check_numbers(root: Any, what: str) -> None:
                             f"<{element.tag}> is {given}, expected {count} number"
                             f"{'s' if count > 1 else ''} of at most {LARGEST:g}."
                         )
+    for joint in root.findall("joint"):
+        for key, text in () if joint.find("dynamics") is None else joint.find("dynamics").items():
+            if key in ("damping", "friction") and float(text) < 0.0:
+                raise ModelError(
+                    f"{what}: joint '{joint.get('name', '?')}': {key} is {text}, the least is 0; "
+                    "correct the description."
+                )
     for link in root.findall("link"):
         inertial = link.find("inertial")
         mass = None if inertial is None else inertial.find("mass")

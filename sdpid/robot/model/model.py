@@ -238,20 +238,8 @@ class RobotModel:
         return limits
 
     def described_friction(self) -> tuple[Array, Array]:
-        """Return viscous and Coulomb friction of each coordinate in the description, (n,) each.
-
-        Raises
-        ------
-        ModelError
-            When a number is negative.
-        """
+        """Return viscous and Coulomb friction of each coordinate in the description, (n,) each."""
         damping, friction = np.array(self.pin_model.damping), np.array(self.pin_model.friction)
-        least = min(damping.min(), friction.min())
-        if not least >= 0.0:
-            raise ModelError(
-                f"'{self.name}': a joint's damping or friction is {least:g}, the least is 0; "
-                "correct the description."
-            )
         # Friction of a mimic joint acts on its source through the gear between them.
         ratio = np.abs(self.expansion)
         return np.asarray(damping @ ratio**2), np.asarray(friction @ ratio)
