@@ -25,6 +25,7 @@ from sdpid.experiment.readers.unit_names import unit_of
 
 __all__ = ["load_text"]
 
+_UTF8 = "utf-8-sig"
 # A line is not longer than this.
 _LONGEST_LINE = 1 << 20
 # Kinds of columns, and the decimal mark, are decided by this many lines.
@@ -104,6 +105,8 @@ class _TextColumns:
 
     def place(self, sample: int) -> str:
         """Return the line of a sample, counted from 1 as editors do."""
+        for _ in self._lines():  # finds the lines to be skipped
+            pass
         line = self._layout.first + sample
         for skipped in self._skipped:
             line += skipped <= line
@@ -112,27 +115,41 @@ class _TextColumns:
     def _read(self) -> NDArray[Any]:
         """Read all numbers; the second try takes words for missing values."""
         layout = self._layout
+        if self._plain():
+            with contextlib.suppress(*_DAMAGE):
+                # A third faster than line by line; NumPy counts the fields of every line as well.
+                return self._table(self._path, {}, skiprows=layout.first - 1)
         with contextlib.suppress(*_DAMAGE):
-            return self._table(layout.converters)
+            return self._table(self._lines(), layout.converters)
         numbers = {
             k: partial(self._number, k)
             for k in range(len(layout.names))
             if k not in layout.converters
         }
         try:
-            return self._table({**numbers, **layout.converters})
+            return self._table(self._lines(), {**numbers, **layout.converters})
         except _DAMAGE as cause:
             raise DataError(f"{self._path}: cannot be read ({cause}).") from None
 
-    def _table(self, converters: dict[int, Any]) -> NDArray[Any]:
+    def _plain(self) -> bool:
+        """Tell whether the file holds plain numbers only, and surely fits into memory."""
+        layout = self._layout
+        # A value takes two bytes of text or more, and eight of memory.
+        size = 4 * self._path.stat().st_size
+        compressed = self._path.suffix.lower() == ".gz"
+        odd = layout.converters or layout.decimal_comma or layout.encoding != _UTF8 or compressed
+        return not odd and size <= memory_limit()
+
+    def _table(self, source: Any, converters: dict[int, Any], skiprows: int = 0) -> NDArray[Any]:
         table: NDArray[Any] = np.loadtxt(  # type: ignore[call-overload]
-            self._lines(),
+            source,
+            skiprows=skiprows,
             delimiter=self._layout.delimiter,
             converters=converters or None,
             ndmin=2,
             comments=None,
             quotechar='"',
-            encoding=None,
+            encoding=None if skiprows == 0 else _UTF8,
         )
         return table
 
@@ -312,7 +329,7 @@ def _encoding(path: Path) -> str:
     except UnicodeDecodeError as cause:
         if cause.start < len(start) - 8:
             return "cp1252"
-    return "utf-8-sig"
+    return _UTF8
 
 
 def _bounded(path: Path, stream: TextIO) -> Iterator[str]:
