@@ -28,6 +28,7 @@ _OPTIONS = {
     "joint_names": "--joint-names A,B,...",
     "mapping": "--mapping FILE (none: ignore the one beside the log)",
     "topic": "--topic NAME",
+    "missing": "--missing drop|interpolate",
 }
 
 # Where a context keeps its arguments.

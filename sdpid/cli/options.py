@@ -158,6 +158,14 @@ class Reading:
     topic: Annotated[
         str | None, _reading(metavar="NAME", help="Topic of a ROS bag that has several.")
     ] = None
+    missing: Annotated[
+        str | None,
+        _reading(
+            metavar="drop|interpolate",
+            help="What to do with samples that lack a value: leave them out, or interpolate over "
+            "gaps of at most 10. Default: refuse the log.",
+        ),
+    ] = None
 
     def arguments(self) -> dict[str, Any]:
         """Return the arguments of `read_recording`."""
@@ -174,6 +182,7 @@ class Reading:
             "effort_scale": None if scale is None else numbers(scale, "--effort-scale"),
             "mapping": False if self.mapping == "none" else self.mapping,
             "topic": self.topic,
+            "missing": self.missing,
         }
 
     def read(self, log: Path, **periods: Any) -> Recording:

@@ -342,6 +342,16 @@ def test_a_mapping_elsewhere(tmp_path: Path) -> None:
     refused(run("info", path), 2, "title", "--mapping FILE")
 
 
+def test_samples_without_a_value(tmp_path: Path) -> None:
+    path = csv_log(tmp_path / "log.csv", wave())
+    lines = path.read_text().splitlines()
+    first = lines[1].rpartition(",")
+    path.write_text("\n".join([lines[0], f"{first[0]},", *lines[2:]]))
+    refused(run("info", path, *READ), 2, "line 2", "has no value", "--missing drop|interpolate")
+    facts = json.loads(run("info", path, *READ, "--missing", "drop", "--json").stdout)
+    assert facts["read_from"]["missing values"] == f"1 of {len(lines) - 1} samples dropped"
+
+
 def test_a_topic_of_a_bag(tmp_path: Path) -> None:
     t = 0.01 * np.arange(50)
     table = np.random.default_rng(1).standard_normal((50, 2))
