@@ -38,8 +38,8 @@ class Validation:
     relative : float
         Norm of all errors over the norm of all efforts.
     rows : ndarray of int, shape (n,)
-        Rows that count. Where there are none, of a joint whose effort nobody measured, the
-        joint's figures say nothing: `rmse` and `nrmse` are 0, `r2` is 1.
+        Rows that count. Where there are none, of a joint whose effort was not measured,
+        the joint's figures say nothing: `rmse` and `nrmse` are 0, `r2` is 1.
     """
 
     joint_names: tuple[str, ...]
@@ -62,12 +62,19 @@ class Validation:
         return Table.of_columns(
             {
                 "joint": self.joint_names,
-                "rmse, N.m": self.rmse.tolist(),
-                "nrmse": self.nrmse.tolist(),
-                "R2": self.r2.tolist(),
+                "rmse, N.m": self._counted(self.rmse),
+                "nrmse": self._counted(self.nrmse),
+                "R2": self._counted(self.r2),
                 "rows": self.rows.tolist(),
             }
         )
+
+    def _counted(self, values: Array) -> list[float | None]:
+        """Return one value a joint, None where it has no rows."""
+        return [
+            value if rows else None
+            for value, rows in zip(values.tolist(), self.rows.tolist(), strict=True)
+        ]
 
     def table(self) -> str:
         """Return aligned text, one line a joint."""
@@ -75,20 +82,13 @@ class Validation:
 
     def to_dict(self) -> dict[str, object]:
         """Return the figures as plain values, without the predictions."""
-        found: dict[str, object] = plain(
-            {
-                "relative_residual": self.relative,
-                "joints": {
-                    name: {
-                        "rmse": self.rmse[j],
-                        "nrmse": self.nrmse[j],
-                        "r2": self.r2[j],
-                        "rows": self.rows[j],
-                    }
-                    for j, name in enumerate(self.joint_names)
-                },
-            }
-        )
+        figures = {name: self._counted(getattr(self, name)) for name in ("rmse", "nrmse", "r2")}
+        figures["rows"] = self.rows.tolist()
+        joints = {
+            joint: {name: values[j] for name, values in figures.items()}
+            for j, joint in enumerate(self.joint_names)
+        }
+        found: dict[str, object] = plain({"relative_residual": self.relative, "joints": joints})
         return found
 
 
