@@ -15,7 +15,7 @@ from .estimation.prior.prior import Prior
 from .estimation.problem import Problem, build_problem
 from .estimation.recursive import RecursiveEstimator
 from .estimation.robust.solve import RobustEstimate, solve_robust
-from .estimation.sdp.cvxpy_form import as_cvxpy
+from .estimation.sdp.cvxpy_form import to_cvxpy
 from .estimation.sdp.solve import solve_sdp
 from .estimation.wls import solve_wls
 from .experiment.inspection.inspect import inspect_recording
@@ -54,7 +54,6 @@ __all__ = [
     "Samples",
     "Trajectory",
     "__version__",
-    "as_cvxpy",
     "audit_base_parameters",
     "audit_urdf",
     "build_problem",
@@ -83,6 +82,7 @@ __all__ = [
     "solve_sdp",
     "solve_slsqp",
     "solve_wls",
+    "to_cvxpy",
     "validate",
     "verify",
     "write_mjcf",

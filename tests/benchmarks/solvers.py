@@ -18,7 +18,7 @@ from sdpid.estimation.local.slsqp import solve_slsqp
 from sdpid.estimation.local.starts import random_start
 from sdpid.estimation.prior.prior import Prior, prior_terms
 from sdpid.estimation.problem import Problem
-from sdpid.estimation.sdp.cvxpy_form import as_cvxpy
+from sdpid.estimation.sdp.cvxpy_form import to_cvxpy
 from sdpid.estimation.sdp.solve import solve_sdp
 from sdpid.estimation.wls import solve_wls
 from sdpid.robot.inertia import Consistency
@@ -125,6 +125,6 @@ def _measure(label: str, problem: Problem, repeats: int) -> Iterator[Row]:
 
 def _through_cvxpy(problem: Problem) -> Estimate:
     """Solve the program as CVXPY states it; nothing is repaired or proven."""
-    model, theta = as_cvxpy(problem)
+    model, theta = to_cvxpy(problem)
     model.solve(solver="CLARABEL")
     return Estimate.of_theta(problem, theta.value, method="sdp", status=str(model.status))

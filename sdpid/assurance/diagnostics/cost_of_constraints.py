@@ -190,8 +190,8 @@ def _without(estimate: Estimate) -> Iterator[tuple[str, Array]]:
     coordinates = Coordinates.of(problem, scaling.basis(), theta)
     if coordinates is None:
         return
-    boxed = np.ones(problem.n_theta, dtype=bool)
-    program = SdpProgram.build(problem, scaling, coordinates, boxed)
+    bounds_included = np.ones(problem.n_theta, dtype=bool)
+    program = SdpProgram.build(problem, scaling, coordinates, bounds_included)
     found = _solved(program.conic, None)
     if found is None:
         return
@@ -217,7 +217,7 @@ def _without_equations(
     """Yield the equations among the constraints, with the optimum without each."""
     problem = estimate.problem
     feasible = problem.feasible
-    boxed = np.ones(problem.n_theta, dtype=bool)
+    bounds_included = np.ones(problem.n_theta, dtype=bool)
     for j in np.flatnonzero(feasible.equations):
         lower, upper = feasible.row_lower.copy(), feasible.row_upper.copy()
         lower[j], upper[j] = -np.inf, np.inf
@@ -226,7 +226,7 @@ def _without_equations(
         )
         coordinates = Coordinates.of(other, scaling.basis(), theta)
         if coordinates is not None:
-            program = SdpProgram.build(other, scaling, coordinates, boxed)
+            program = SdpProgram.build(other, scaling, coordinates, bounds_included)
             yield from _relaxed(feasible.row_names[j], program.conic, program)
 
 

@@ -1,4 +1,4 @@
-"""The semidefinite program as a CVXPY problem: to be read, extended, or solved by other solvers.
+"""Write a problem as a CVXPY program, to inspect, extend, or give to another solver.
 
 `solve_sdp` hands the same program to its solvers directly (see `sdpid.estimation.conic.solve`), and
 repairs and proves what they find. This form is written from the definitions, in theta itself.
@@ -15,7 +15,7 @@ from sdpid.estimation.scaling import Scaling
 from sdpid.robot.inertia import pseudo_inertia
 
 
-def as_cvxpy(problem: Problem) -> tuple[Any, Any]:
+def to_cvxpy(problem: Problem) -> tuple[Any, Any]:
     """Return a problem's semidefinite program as a CVXPY problem.
 
     Parameters

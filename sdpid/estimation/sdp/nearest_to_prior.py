@@ -81,7 +81,9 @@ def nearest_on_face(problem: Problem, theta: Array) -> Iterator[tuple[Array, flo
     if coordinates is None:
         return
     for weight in _WEIGHTS:
-        program = SdpProgram.build(problem, scaling, coordinates, feasible.bounded, anchor=weight)
+        program = SdpProgram.build(
+            problem, scaling, coordinates, feasible.bounded, proximal_weight=weight
+        )
         solution = solve_conic(program.conic, regularization=_REGULARIZATION)
         seconds += solution.seconds
         if solution.x is not None:

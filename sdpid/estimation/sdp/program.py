@@ -159,7 +159,7 @@ class SdpProgram:
         From x to theta.
     bounded : ndarray of int
         The parameters whose bounds are part of the program.
-    own : ndarray of bool, shape (p,)
+    bounds_included : ndarray of bool, shape (p,)
         Those of them whose bounds are the problem's.
     moving : ndarray of int
         The matrix inequalities that x can change.
@@ -173,7 +173,7 @@ class SdpProgram:
     scaling: Scaling
     coordinates: Coordinates
     bounded: Indices
-    own: Mask
+    bounds_included: Mask
     moving: Indices
     inverses: Array
     conic: ConicProgram
@@ -184,10 +184,9 @@ class SdpProgram:
         problem: Problem,
         scaling: Scaling,
         coordinates: Coordinates,
-        boxed: Mask,
+        bounds_included: Mask,
         *,
-        anchor: float = 0.0,
-        reach: float | None = None,
+        proximal_weight: float = 0.0,
     ) -> SdpProgram:
         """Build a program.
 
@@ -199,32 +198,29 @@ class SdpProgram:
             Units.
         coordinates : Coordinates
             In those units.
-        boxed : ndarray of bool, shape (p,)
+        bounds_included : ndarray of bool, shape (p,)
             Parameters whose bounds are part of the program.
-        anchor : float, optional
+        proximal_weight : float, optional
             Weight of ‖x‖² beside the cost.
-        reach : float, optional
-            Largest size of bodies, in lengths of the robot.
         """
         feasible = problem.feasible
         x, origin = coordinates.directions, coordinates.origin
         unit = np.sqrt(scaling.cost)
         M, m = problem.squared.matrix @ x / unit, problem.squared.residual(origin) / unit
-        if anchor > 0.0:
-            M = np.vstack([M, np.sqrt(anchor) * np.eye(x.shape[1])])
+        if proximal_weight > 0.0:
+            M = np.vstack([M, np.sqrt(proximal_weight) * np.eye(x.shape[1])])
             m = np.concatenate([m, np.zeros(x.shape[1])])
-        limit = np.where(boxed, np.inf, _largest(problem, scaling, reach))
-        bounded = np.flatnonzero((boxed | np.isfinite(limit)) & np.any(x != 0.0, axis=1))
+        bounded = np.flatnonzero(bounds_included & np.any(x != 0.0, axis=1))
         size = scaling.theta[bounded]
         unequal = coordinates.limited(problem, scaling)
         rows, sizes = feasible.rows[unequal], scaling.row_sizes(feasible)[unequal]
         C = [x[bounded] / size[:, None], rows @ x / sizes[:, None]]
         lower = [
-            (np.maximum(feasible.lower, -limit) - origin)[bounded] / size,
+            (feasible.lower - origin)[bounded] / size,
             (feasible.row_lower[unequal] - rows @ origin) / sizes,
         ]
         upper = [
-            (np.minimum(feasible.upper, limit) - origin)[bounded] / size,
+            (feasible.upper - origin)[bounded] / size,
             (feasible.row_upper[unequal] - rows @ origin) / sizes,
         ]
         inverses = np.asarray(np.linalg.inv(scaling.block_roots(feasible)))
@@ -249,7 +245,7 @@ class SdpProgram:
             scaling,
             coordinates,
             bounded,
-            boxed,
+            bounds_included,
             np.array(moving, dtype=np.intp),
             inverses,
             conic,
@@ -271,9 +267,6 @@ class SdpProgram:
         included = np.zeros(problem.n_theta, dtype=bool)
         bounds[self.bounded] = scaling.cost * solution.rows[:count] / scaling.theta[self.bounded]
         included[self.bounded] = True
-        # Bounds that only an attempt has are none of the problem's.
-        included &= self.own
-        bounds[~included] = 0.0
         rows = np.zeros(len(feasible.rows))
         unequal = self.coordinates.limited(problem, scaling)
         rows[unequal] = scaling.cost * solution.rows[count:] / scaling.row_sizes(feasible)[unequal]
@@ -320,15 +313,3 @@ def _log_dets(
     )
     slope = term.trace_slope() / scaling.cost
     return slope @ coordinates.directions, tuple(matrices), 2.0 * term.strength / scaling.cost
-
-
-def _largest(problem: Problem, scaling: Scaling, reach: float | None) -> Array:
-    """Return the largest standard parameters of bodies of so many lengths, infinite if None."""
-    out = np.full(problem.n_theta, np.inf)
-    if reach is not None:
-        far = reach * scaling.length
-        units = np.array([1.0, *(far,) * 3, *(far**2,) * 6])
-        out[: scaling.bodies.size] = np.tile(
-            problem.constraints.mass_max * units, len(scaling.bodies)
-        )
-    return out

@@ -101,7 +101,7 @@ class ReusableProgram:
             conic.m[count:] * unit,
             problem.feasible.lower,
             problem.feasible.upper,
-            program.own,
+            program.bounds_included,
             program.scaling.cost,
         )
 
