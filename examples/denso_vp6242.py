@@ -156,7 +156,7 @@ def main() -> None:
     print(spatial.base.explain())
     wls = sdpid.solve_wls(spatial)
     wls_literal = sdpid.solve_wls(sdpid.build_problem(robot, samples_literal, base=spatial.base))
-    eigenvalue = np.linalg.eigvalsh(sdpid.mass_matrix(wls, samples.position[::97])).min()
+    eigenvalue = np.linalg.eigvalsh(wls.mass_matrix(samples.position[::97])).min()
     print(f"smallest eigenvalue of the mass matrix with WLS on the motion: {eigenvalue:.4g}")
     say(f"comparing solvers, local ones from {options.starts} starts under either consistency")
     comparisons = {

@@ -2,7 +2,7 @@ from . import constraints, errors, friction, plots
 from .assurance.certificate.certificate import certify, verify
 from .assurance.descriptions.audit import audit_urdf
 from .assurance.diagnostics.cost_of_constraints import cost_of_constraints
-from .assurance.diagnostics.mass_matrix import mass_matrix, smallest_mass_eigenvalue
+from .assurance.diagnostics.mass_matrix import smallest_mass_eigenvalue
 from .assurance.diagnostics.validation import validate
 from .assurance.intervals.intervals import confidence_intervals
 from .assurance.payload.identify import identify_payload
@@ -69,7 +69,6 @@ __all__ = [
     "identify_payload",
     "inspect_recording",
     "load_robot",
-    "mass_matrix",
     "paper_excitation",
     "plots",
     "process",

@@ -94,23 +94,22 @@ class Estimate:
         return self.problem.cost_of(self.theta)
 
     @cached_property
-    def margins(self) -> Array | None:
-        """Margin of each link, kg·m², under the problem's consistency; NaN where m ≤ 0.
+    def margins(self) -> tuple[float | None, ...] | None:
+        """Margin of each link, kg·m², under the problem's consistency; None where m ≤ 0.
 
-        None where the method has no standard parameters.
+        None altogether where the method has no standard parameters.
         """
         if self.theta is None:
             return None
-        return frozen(
-            margin(self.problem.feasible.bodies(self.theta), self.problem.feasible.consistency)
-        )
+        feasible = self.problem.feasible
+        found = margin(feasible.bodies(self.theta), feasible.consistency)
+        return tuple(float(each) if np.isfinite(each) else None for each in found)
 
     @property
     def worst_margin(self) -> float | None:
         """The smallest margin, None where a link has none."""
-        if self.margins is None or not np.all(np.isfinite(self.margins)):
-            return None
-        return float(np.min(self.margins))
+        found = [each for each in self.margins or () if each is not None]
+        return min(found) if self.margins and len(found) == len(self.margins) else None
 
     @cached_property
     def violation(self) -> float | None:
@@ -121,6 +120,25 @@ class Estimate:
     def feasible(self) -> bool:
         """Whether the standard parameters satisfy every constraint."""
         return self.violation is not None and self.violation <= FEASIBLE
+
+    def mass_matrix(self, q: ArrayLike) -> Array:
+        """Return the mass matrix at joint positions.
+
+        Base parameters determine it, so an estimate without standard parameters has one too.
+
+        Parameters
+        ----------
+        q : array_like, shape (n,) or (K, n)
+            Joint positions, rad or m.
+
+        Returns
+        -------
+        ndarray, shape (n, n) or (K, n, n)
+        """
+        theta = self.theta
+        if theta is None:
+            theta = np.linalg.pinv(self.problem.base.matrix) @ self.base
+        return self.problem.robot.mass_matrix(theta, q)
 
     @cached_property
     def covariance(self) -> Array:

@@ -337,24 +337,3 @@ def smallest_eigenvalues(estimate: Estimate, q: Sequence[Sequence[float]] | Arra
         theta = np.linalg.pinv(problem.base.matrix) @ estimate.base
     bodies = np.array(theta[: 10 * problem.robot.n_links]).reshape(-1, 10)
     return _eigenvalues(problem.robot, spatial_inertia(bodies), np.asarray(q, dtype=np.float64))
-
-
-def mass_matrix(estimate: Estimate, q: ArrayLike) -> Array:
-    """Return the mass matrix of an estimate.
-
-    Parameters
-    ----------
-    estimate : Estimate
-        With or without standard parameters: base parameters determine the mass matrix, so any
-        standard ones that have them will do.
-    q : array_like, shape (n,) or (K, n)
-        Joint positions.
-
-    Returns
-    -------
-    ndarray, shape (n, n) or (K, n, n)
-    """
-    problem = estimate.problem
-    if estimate.theta is not None:
-        return problem.robot.mass_matrix(estimate.theta, q)
-    return problem.robot.mass_matrix(np.linalg.pinv(problem.base.matrix) @ estimate.base, q)

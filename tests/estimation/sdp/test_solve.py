@@ -96,9 +96,9 @@ def test_an_optimum_is_feasible_certified_and_below_everything(
     assert certificate.gap <= gap
     assert certificate.passed == (gap == GAP)
     assert estimate.feasible
-    assert estimate.margins is not None
+    assert estimate.worst_margin is not None
     # What calls itself consistent has no negative margin, not even by rounding.
-    assert estimate.margins.min() >= margin
+    assert estimate.worst_margin >= margin
     assert np.all(np.asarray(estimate.theta) >= problem.feasible.lower)
     assert np.all(np.asarray(estimate.theta) <= problem.feasible.upper)
     # Where the free optimum is feasible and the floor is zero, both costs are rounding.

@@ -1,0 +1,78 @@
+"""The names that scripts outside the repository call, and no others, stand at the top level."""
+
+from __future__ import annotations
+
+import inspect
+
+import pytest
+
+import sdpid
+
+# The flow: robot, log, problem, estimate, proof, files.
+CONTRACT = {
+    "Constraints",
+    "Processing",
+    "Recording",
+    "RobotModel",
+    "Samples",
+    "audit_base_parameters",
+    "audit_urdf",
+    "build_problem",
+    "certify",
+    "compare",
+    "confidence_intervals",
+    "identify",
+    "identify_payload",
+    "inspect_recording",
+    "load_robot",
+    "paper_excitation",
+    "process",
+    "read_recording",
+    "simulate",
+    "solve_log_cholesky",
+    "solve_sdp",
+    "solve_slsqp",
+    "solve_wls",
+    "to_cvxpy",
+    "validate",
+    "verify",
+    "write_mjcf",
+    "write_urdf",
+}
+NAMESPACES = {"constraints", "errors", "friction", "plots"}
+# What goes with them often enough to stand beside them.
+BESIDE = {
+    "DhTable",
+    "MotorSide",
+    "Prior",
+    "RecursiveEstimator",
+    "Trajectory",
+    "cost_of_constraints",
+    "cross_validate",
+    "read_parameters",
+    "smallest_mass_eigenvalue",
+    "solve_robust",
+    "write_parameters",
+    "write_report",
+}
+
+
+def test_the_top_level_holds_the_contract_and_little_else() -> None:
+    assert set(sdpid.__all__) - {"__version__"} == CONTRACT | NAMESPACES | BESIDE
+
+
+@pytest.mark.parametrize(
+    ("name", "first"),
+    [
+        ("build_problem", ["robot", "samples"]),
+        ("identify", ["robot", "log"]),
+        ("identify_payload", ["robot", "with_load", "without_load"]),
+        ("inspect_recording", ["log", "robot"]),
+        ("process", ["log", "processing"]),
+        ("simulate", ["robot", "trajectory"]),
+        ("validate", ["estimate", "samples"]),
+        ("audit_base_parameters", ["robot", "values", "halfwidths"]),
+    ],
+)
+def test_functions_take_what_the_contract_says(name: str, first: list[str]) -> None:
+    assert list(inspect.signature(getattr(sdpid, name)).parameters)[: len(first)] == first
