@@ -259,7 +259,7 @@ def build_problem(
         None are chosen by the data (see `sdpid.estimation.effects.choose`).
     weighting : {"gls", "gls_per_sample", "eq9", "eq18", "residual"}
         ``gls`` whitens with one covariance pooled over the samples; ``gls_per_sample`` with the
-        covariance of each; ``eq9`` and ``eq18`` minimise the norm of the normal equations'
+        covariance of each; ``eq9`` and ``eq18`` minimize the norm of the normal equations'
         residual with Sigma^(-1/2) and Sigma^(-1), as printed in the paper; ``residual``
         estimates a variance for each joint from the residuals of the fit.
     consistency : {"pseudo_inertia", "spatial_inertia", "none"}

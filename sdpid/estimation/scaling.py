@@ -135,7 +135,7 @@ class Scaling:
 def thickened(bodies: Array, length: float) -> Array:
     """Return bodies made consistent and not too thin, for use as sizes only.
 
-    Centres of mass are kept within a few lengths of the robot, and eigenvalues of the second
+    Centers of mass are kept within a few lengths of the robot, and eigenvalues of the second
     moments about them between those of a tenth and of a few lengths.
     """
     mass = np.maximum(bodies[:, 0], _LIGHTEST)

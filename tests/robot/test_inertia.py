@@ -88,7 +88,7 @@ def test_tensor_entries_are_pinocchios(theta: Array) -> None:
     mass, com, about = physical_parameters(theta)
     assert_close(mass, np.float64(inertia.mass))
     assert_close(com, inertia.lever, 1e-11)
-    # The shift to the centre of mass can be much larger than what is left.
+    # The shift to the center of mass can be much larger than what is left.
     assert_close(about, inertia.inertia, 1e-10)
     assert_close(theta_from_physical(mass, com, about), inertia.toDynamicParameters(), 1e-10)
 

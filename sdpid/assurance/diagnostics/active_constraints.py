@@ -10,20 +10,18 @@ limit helps. Multipliers are those of the proof that comes with the estimate, in
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import asdict, dataclass
-from typing import Any, Literal
+from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
 from sdpid._common.arrays import Array
 from sdpid.assurance.diagnostics.provenance import ACTIVE
+from sdpid.estimation.constraints.named import Constraint, ConstraintKind, Side
 from sdpid.estimation.duality.bound import cost_scale
 from sdpid.estimation.estimate import Estimate
 from sdpid.estimation.scaling import Scaling
 from sdpid.robot.inertia import margin_shift
-
-ConstraintKind = Literal["consistency", "mass", "sign", "theta_max", "row", "cone"]
-Side = Literal["least", "most"]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -32,13 +30,8 @@ class ConstraintState:
 
     Attributes
     ----------
-    name : str
-        The constraint in words.
-    kind : {"consistency", "mass", "sign", "theta_max", "row", "cone"}
-        Consistency of a link, bound on a mass, sign of another parameter, the numerical bound
-        `theta_max`, or a linear row or cone of a further condition.
-    side : {"least", "most"} or None
-        Which limit of the quantity it is; None for consistency, equations and cones.
+    constraint : Constraint
+        Kind, name, link, side, limit and unit.
     slack : float or None
         How far the estimate is inside; of an equation minus the error. None where it means
         nothing: a link without a positive mass has no margin.
@@ -47,21 +40,44 @@ class ConstraintState:
         the limit is the link's margin, for a cone its least slack. None where the method has none.
     active : bool
         Whether it holds the estimate back (see `constraint_states`).
-    unit : str or None
-        Of slack and limit; None where a condition has none.
     """
 
-    name: str
-    kind: ConstraintKind
-    side: Side | None = None
+    constraint: Constraint
     slack: float | None
     multiplier: float | None
     active: bool
-    unit: str | None = None
+
+    @property
+    def name(self) -> str:
+        """The constraint in words."""
+        return self.constraint.name
+
+    @property
+    def kind(self) -> ConstraintKind:
+        """What kind of constraint it is."""
+        return self.constraint.kind
+
+    @property
+    def side(self) -> Side | None:
+        """Which limit of the quantity it is; None for consistency, equations and cones."""
+        return self.constraint.side
+
+    @property
+    def unit(self) -> str | None:
+        """Unit of slack and limit; None where a condition has none."""
+        return self.constraint.unit
 
     def to_dict(self) -> dict[str, Any]:
         """Return plain values for JSON."""
-        return asdict(self)
+        return {
+            "name": self.name,
+            "kind": self.kind,
+            "side": self.side,
+            "slack": self.slack,
+            "multiplier": self.multiplier,
+            "active": self.active,
+            "unit": self.unit,
+        }
 
 
 def constraint_states(estimate: Estimate) -> tuple[ConstraintState, ...]:
@@ -90,7 +106,14 @@ def constraint_states(estimate: Estimate) -> tuple[ConstraintState, ...]:
     if estimate.theta is None:
         return ()
     seen = _Seen.of(estimate, estimate.theta)
-    return (*seen.consistency(), *seen.bounds(), *seen.rows(), *seen.cones())
+    consistency = seen.consistency()
+    others = [
+        state
+        for constraint in estimate.problem.feasible.named
+        if constraint.kind != "consistency"
+        if (state := seen.state(constraint)).active or state.kind != "theta_max"
+    ]
+    return (*consistency, *others)
 
 
 @dataclass(frozen=True, eq=False)
@@ -120,29 +143,44 @@ class _Seen:
         scaling = Scaling.of(problem).around(np.array(theta))
         return cls(estimate, theta, scaling, max(estimate.cost, cost_scale(problem)))
 
-    def state(
-        self,
-        name: str,
-        kind: ConstraintKind,
-        side: Side | None,
-        slack: float,
-        size: float,
-        multiplier: float | None,
-        unit: str | None,
-    ) -> ConstraintState:
-        """Return the state of an inequality."""
-        near = slack / size
-        presses = 0.0 if multiplier is None else abs(multiplier) * size / self.cost
-        active = near <= ACTIVE or near < presses
+    def state(self, constraint: Constraint) -> ConstraintState:
+        """Return the state of a bound, a row or a cone."""
+        slack, size, multiplier = self._measured(constraint)
+        if constraint.kind == "row" and constraint.side is None:
+            active = True
+        else:
+            presses = 0.0 if multiplier is None else abs(multiplier) * size / self.cost
+            active = slack / size <= ACTIVE or slack / size < presses
         return ConstraintState(
-            name=name,
-            kind=kind,
-            side=side,
-            slack=float(slack),
-            multiplier=multiplier,
-            active=bool(active),
-            unit=unit,
+            constraint=constraint, slack=slack, multiplier=multiplier, active=bool(active)
         )
+
+    def _measured(self, constraint: Constraint) -> tuple[float, float, float | None]:
+        """Return slack, size and multiplier of a bound, a row or a cone."""
+        feasible, found = self.estimate.problem.feasible, self.estimate.multipliers
+        k, sign = constraint.index, constraint.sign
+        if constraint.kind == "cone":
+            # Taking t off both sides of ‖v‖ ≤ a − t takes t·E off the matrix.
+            trace = None if found is None else float(np.trace(found.Z[k]))
+            size = float(self.scaling.block_roots(feasible)[k, 0, 0]) ** 2
+            return float(feasible.rooms(self.theta)[k - feasible.n_own]), size, trace
+        limit = float(constraint.limit or 0.0)
+        if constraint.kind == "row":
+            size = float(self.scaling.row_sizes(feasible)[k])
+            slack = sign * (float(feasible.rows[k] @ self.theta) - limit)
+            multiplier = None if found is None else float(found.rows[k])
+            if constraint.side is None:
+                return 0.0 - abs(slack), size, multiplier
+        else:
+            wide = constraint.kind == "theta_max"
+            size = feasible.constraints.theta_max if wide else float(self.scaling.theta[k])
+            slack = sign * (float(self.theta[k]) - limit)
+            included = found is not None and bool(found.bounds_included[k])
+            multiplier = float(found.bounds[k]) if found is not None and included else None
+        if multiplier is not None:
+            # A multiplier belongs to the side that it presses to.
+            multiplier = sign * max(sign * multiplier, 0.0)
+        return slack, size, multiplier
 
     def consistency(self) -> Iterator[ConstraintState]:
         """Yield the links' consistency."""
@@ -157,7 +195,7 @@ class _Seen:
             inverses @ feasible.matrices(self.theta)[:own] @ transposed
         )
         margins = feasible.margins(self.theta) - feasible.constraints.margin
-        for i in range(own):
+        for i, constraint in enumerate(feasible.named[:own]):
             multiplier, presses = None, 0.0
             if found is not None:
                 multiplier = float(np.sum(found.Z[i] * shift))
@@ -167,93 +205,8 @@ class _Seen:
             least, largest = float(eigenvalues[i, 0]), max(float(eigenvalues[i, -1]), 0.0)
             slack = float(margins[i])
             yield ConstraintState(
-                name=feasible.block_names[i],
-                kind="consistency",
+                constraint=constraint,
                 slack=slack if np.isfinite(slack) else None,
                 multiplier=multiplier,
                 active=least <= ACTIVE * largest or least < presses,
-                unit="kg.m2",
             )
-
-    def bounds(self) -> Iterator[ConstraintState]:
-        """Yield masses and signs of friction, then what touches theta_max."""
-        problem, feasible = self.estimate.problem, self.estimate.problem.feasible
-        names, units = problem.base.theta_names, problem.base.theta_units
-        wide = feasible.constraints.theta_max
-        at_end = []
-        for k in (*np.flatnonzero(feasible.bounded), *np.flatnonzero(~feasible.bounded)):
-            value, size = float(self.theta[k]), float(self.scaling.theta[k])
-            sides: tuple[tuple[Side, Any, float], ...] = (
-                ("least", feasible.lower[k], 1.0),
-                ("most", feasible.upper[k], -1.0),
-            )
-            for side, limit, sign in sides:
-                multiplier = self._bound(int(k), sign)
-                slack = sign * (value - float(limit))
-                if abs(limit) >= wide:
-                    name = f"{names[k]} at {side} {limit:g}"
-                    state = self.state(name, "theta_max", side, slack, wide, multiplier, units[k])
-                    if state.active:
-                        at_end.append(state)
-                    continue
-                kind: ConstraintKind = "mass" if k < 10 * feasible.n_links else "sign"
-                if kind == "mass":
-                    name = f"mass of {problem.robot.link_names[k // 10]} at {side} {limit:g} kg"
-                else:
-                    name = f"{names[k]} at {side} {limit:g}"
-                yield self.state(name, kind, side, slack, size, multiplier, units[k])
-        yield from at_end
-
-    def _bound(self, k: int, sign: float) -> float | None:
-        """Return the multiplier of one side of a bound."""
-        found = self.estimate.multipliers
-        if found is None or not found.bounds_included[k]:
-            return None
-        return _side(float(found.bounds[k]), sign)
-
-    def rows(self) -> Iterator[ConstraintState]:
-        """Yield the linear rows, each of their limits a constraint."""
-        feasible, found = self.estimate.problem.feasible, self.estimate.multipliers
-        sizes = self.scaling.row_sizes(feasible)
-        for j, (name, row) in enumerate(zip(feasible.row_names, feasible.rows, strict=True)):
-            value = float(row @ self.theta)
-            lower, upper = float(feasible.row_lower[j]), float(feasible.row_upper[j])
-            multiplier = None if found is None else float(found.rows[j])
-            if lower == upper:
-                yield ConstraintState(
-                    name=name,
-                    kind="row",
-                    slack=0.0 - abs(value - lower),
-                    multiplier=multiplier,
-                    active=True,
-                )
-                continue
-            both = np.isfinite(lower) and np.isfinite(upper)
-            sides: tuple[tuple[Side, float, float], ...] = (
-                ("least", lower, 1.0),
-                ("most", upper, -1.0),
-            )
-            for side, limit, sign in sides:
-                if not np.isfinite(limit):
-                    continue
-                limited = f"{name}, at {side} {limit:g}" if both else name
-                part = None if multiplier is None else _side(multiplier, sign)
-                slack = sign * (value - limit)
-                yield self.state(limited, "row", side, slack, float(sizes[j]), part, None)
-
-    def cones(self) -> Iterator[ConstraintState]:
-        """Yield the cones of the further conditions."""
-        feasible, found = self.estimate.problem.feasible, self.estimate.multipliers
-        own = feasible.n_own
-        roots = self.scaling.block_roots(feasible)[own:]
-        for i, slack in enumerate(feasible.rooms(self.theta)):
-            # Taking t off both sides of ‖v‖ ≤ a − t takes t·E off the matrix.
-            multiplier = None if found is None else float(np.trace(found.Z[own + i]))
-            size = float(roots[i, 0, 0]) ** 2
-            name = feasible.block_names[own + i]
-            yield self.state(name, "cone", None, float(slack), size, multiplier, None)
-
-
-def _side(multiplier: float, sign: float) -> float:
-    """Return what of a multiplier is that of the lower (1) or the upper (−1) limit."""
-    return max(multiplier, 0.0) if sign > 0.0 else min(multiplier, 0.0)

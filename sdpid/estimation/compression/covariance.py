@@ -250,7 +250,7 @@ def correlation_time(rows: Rows, base: Array, joints: JointRows) -> float:
 def integrated_time(correlation: Array) -> float:
     """Return ``1 + 2·Σ rho``, the number of samples that are worth one independent one, at least 1.
 
-    The sum ends before the first pair of neighbouring lags, (0, 1), (2, 3), …, whose correlations
+    The sum ends before the first pair of neighboring lags, (0, 1), (2, 3), …, whose correlations
     do not add up to more than zero: Geyer's initial positive sequence [geyer1992]_. Noise at
     longer lags then does not add up, nor does one negative value end the sum.
 
@@ -273,7 +273,7 @@ class LaggedSums:
     Attributes
     ----------
     products : ndarray, shape (n, lags)
-        Of the centred signals, summed over the pairs of which both count.
+        Of the centerd signals, summed over the pairs of which both count.
     pairs : ndarray, shape (n, lags)
         How many pairs there are.
     """
@@ -282,12 +282,12 @@ class LaggedSums:
     pairs: Array
 
     @classmethod
-    def of(cls, centred: Array, mask: Mask, parts: Sequence[slice]) -> LaggedSums:
+    def of(cls, centerd: Array, mask: Mask, parts: Sequence[slice]) -> LaggedSums:
         """Sum over pairs within pieces, up to `_MOST_LAGS` apart.
 
         Parameters
         ----------
-        centred : ndarray, shape (K, n)
+        centerd : ndarray, shape (K, n)
             Signals less their mean.
         mask : ndarray of bool, shape (K, n)
             Which samples count.
@@ -295,12 +295,12 @@ class LaggedSums:
             Pieces without a break.
         """
         longest = min(max(part.stop - part.start for part in parts), _MOST_LAGS)
-        products, pairs = np.zeros((2, centred.shape[1], longest))
+        products, pairs = np.zeros((2, centerd.shape[1], longest))
         for part in parts:
             count = part.stop - part.start
             size = 1 << (2 * count - 1).bit_length()
             used = mask[part].T.astype(float)
-            for signals, sums in ((centred[part].T * used, products), (used, pairs)):
+            for signals, sums in ((centerd[part].T * used, products), (used, pairs)):
                 power = np.abs(np.fft.rfft(signals, size, axis=1)) ** 2
                 lags = min(count, longest)
                 sums[:, :lags] += np.fft.irfft(power, size, axis=1)[:, :lags]

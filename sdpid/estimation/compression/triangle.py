@@ -5,9 +5,9 @@ matrix ``Y^T·Y`` of ``Y = X·M`` is kept: Cholesky QR with a preconditioner. Wi
 to unit norm by D and the singular value decomposition ``U·diag(s)·V^T`` of what was seen,
 ``M = D·V·diag(1/s)``. As V is orthogonal, the rounding of a product ``X·D·V`` is of the size of the
 rows themselves, and dividing by s and multiplying again does not enlarge it: the error is that of
-an orthogonal factorisation, however ill-conditioned the rows are, while the Gram matrix is not.
+an orthogonal factorization, however ill-conditioned the rows are, while the Gram matrix is not.
 Where it would be, because rows bring what those before them did not have, M is made anew, or the
-rows are factorised as they are.
+rows are factorized as they are.
 """
 
 from __future__ import annotations

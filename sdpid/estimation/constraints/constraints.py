@@ -26,7 +26,7 @@ class Constraints:
         How far inside the consistent set every link must lie, kg·m² (see
         `sdpid.robot.inertia.margin`).
     mass_min, mass_max : float
-        Bounds on every link's mass, kg. A positive lower bound keeps the centre of mass defined;
+        Bounds on every link's mass, kg. A positive lower bound keeps the center of mass defined;
         a finite upper bound makes the optimum attained.
     theta_max : float
         Bound on the size of every standard parameter, in its unit. It is part of the problem so
@@ -54,7 +54,7 @@ class Constraints:
             raise DataError(f"Constraints: margin is {self.margin} kg.m2, the least is 0.")
         if not self.mass_min > 0.0:
             raise DataError(
-                f"Constraints: mass_min is {self.mass_min} kg; it must be positive, or the centre "
+                f"Constraints: mass_min is {self.mass_min} kg; it must be positive, or the center "
                 "of mass is not defined."
             )
         if self.mass_min > self.mass_max:

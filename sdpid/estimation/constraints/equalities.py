@@ -150,7 +150,7 @@ class MirrorSymmetry(Condition):
         point = np.asarray(self.point)
         height, along, across = (np.append(a, -a @ point) for a in (n, u, np.cross(n, u)))
         factors = {
-            "centre of mass": _unit(3, 4),
+            "center of mass": _unit(3, 4),
             "product of inertia 1": along,
             "product of inertia 2": across,
         }

@@ -92,7 +92,7 @@ class TotalMass(Condition):
 
 @dataclass(frozen=True, eq=False)
 class CenterOfMassInBox(Condition):
-    """The centre of mass of a link lies in a box along the axes of its joint frame.
+    """The center of mass of a link lies in a box along the axes of its joint frame.
 
     Attributes
     ----------
@@ -135,7 +135,7 @@ class CenterOfMassInBox(Condition):
         link = layout.link(self.link)
         lower, upper = np.asarray(self.lower), np.asarray(self.upper)
         for k, axis in enumerate(AXES):
-            name = f"centre of mass of {self.link}, {axis}"
+            name = f"center of mass of {self.link}, {axis}"
             row = np.zeros(10)
             row[1 + k] = 1.0
             if lower[k] == upper[k]:
@@ -187,14 +187,14 @@ class _Ellipsoid(Condition):
 
 @dataclass(frozen=True, eq=False)
 class CenterOfMassInEllipsoid(_Ellipsoid):
-    """The centre of mass of a link lies in an ellipsoid.
+    """The center of mass of a link lies in an ellipsoid.
 
     Attributes
     ----------
     link : str
         The link.
     center : array_like, shape (3,)
-        Its centre in the link's joint frame, m.
+        Its center in the link's joint frame, m.
     semi_axes : array_like, shape (3,)
         Half its lengths, m.
     rotation : array_like, shape (3, 3), optional
@@ -208,7 +208,7 @@ class CenterOfMassInEllipsoid(_Ellipsoid):
         axis[0] = 1.0
         vectors = np.zeros((3, 10))
         vectors[:, 1:4], vectors[:, 0] = T[:, :3], T[:, 3]
-        name = f"centre of mass of {self.link} in an ellipsoid"
+        name = f"center of mass of {self.link} in an ellipsoid"
         yield Cone(name, layout.link(self.link), frozen(axis), frozen(vectors))
 
 
@@ -227,7 +227,7 @@ class MassInEllipsoid(_Ellipsoid):
     link : str
         The link.
     center : array_like, shape (3,)
-        Its centre in the link's joint frame, m.
+        Its center in the link's joint frame, m.
     semi_axes : array_like, shape (3,)
         Half its lengths, m.
     rotation : array_like, shape (3, 3), optional
@@ -245,7 +245,7 @@ class MassInEllipsoid(_Ellipsoid):
 
 @dataclass(frozen=True, eq=False)
 class CenterOfMassInHull(Condition):
-    """The centre of mass of a link lies in the convex hull of points.
+    """The center of mass of a link lies in the convex hull of points.
 
     Attributes
     ----------
@@ -255,7 +255,7 @@ class CenterOfMassInHull(Condition):
         In the link's joint frame, m; by default those of the link's collision geometry and of
         what is fixed to it (see `sdpid.robot.model.geometry.collision_points`).
     tolerance : float
-        Facets are left out as long as the rest lets the centre of mass go no farther beyond one
+        Facets are left out as long as the rest lets the center of mass go no farther beyond one
         of them, m. Meshes have some 300 facets, one row each; a millimetre leaves about 130 of
         them, five leave 40. 0 takes all.
     package_dirs : sequence of paths
@@ -294,5 +294,5 @@ class CenterOfMassInHull(Condition):
         row = np.zeros(10)
         for i, (normal, offset) in enumerate(zip(normals, offsets, strict=True)):
             row[1:4], row[0] = normal, -offset
-            name = f"centre of mass of {self.link} in its hull, facet {i + 1}"
+            name = f"center of mass of {self.link} in its hull, facet {i + 1}"
             yield link_row(layout, link, name, row, -np.inf, 0.0)

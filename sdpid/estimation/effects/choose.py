@@ -67,7 +67,7 @@ def close_terms(
     open terms obey their signs, since a negative peak can imitate a smooth sign. Physical
     consistency of the links, priors and further constraints have no say. One parameter is
     searched at a time, on a logarithmic grid and then about its best point, in rounds; nothing
-    is random. Only the terms' columns change: all others are factorised once.
+    is random. Only the terms' columns change: all others are factorized once.
 
     Joint-wise terms have one value a joint, not one for the robot: speeds at which friction
     bends are those of a motor and its gear, and joints of one arm differ in both by factors.

@@ -25,7 +25,7 @@ from sdpid.robot.inertia import (
 )
 
 # Places of a link's coordinates: half the logarithm of the mass, three logarithms and three
-# entries above the diagonal of K, centre of mass.
+# entries above the diagonal of K, center of mass.
 _MASS, _DIAGONAL, _ABOVE, _COM = 0, slice(1, 4), slice(4, 7), slice(7, 10)
 _ROWS, _COLUMNS = np.array([0, 1, 2, 0, 0, 1]), np.array([0, 1, 2, 1, 2, 2])
 
@@ -64,7 +64,7 @@ class LogCholesky:
 
         m = exp(2a),   r = l·c,   N = m·l²·K·K^T + eps·E,
 
-    where N is what must exceed the margin eps: the second moments about the centre of mass, or
+    where N is what must exceed the margin eps: the second moments about the center of mass, or
     for the 6×6 inequality the inertia about it. In the first case
 
         J − eps·diag(1, 1, 1, 0) = U·U^T,   U = exp(a)·[[l·K, r], [0, 1]],
@@ -95,7 +95,7 @@ class LogCholesky:
         return cls(problem, scaling.length, frozen(scaling.friction))
 
     def _split(self, x: Array) -> tuple[Array, Array, Array]:
-        """Return masses (links,), l·K (links, 3, 3) and centres of mass (links, 3) in m."""
+        """Return masses (links,), l·K (links, 3, 3) and centers of mass (links, 3) in m."""
         links = self.problem.feasible.n_links
         each = x[: 10 * links].reshape(links, 10)
         K = np.zeros((links, 3, 3))
@@ -109,7 +109,7 @@ class LogCholesky:
         return out
 
     def _inertia(self, N: Array) -> Array:
-        """Return the inertia about the centre of mass of what must exceed the margin."""
+        """Return the inertia about the center of mass of what must exceed the margin."""
         return complement(N) if self.problem.consistency == "pseudo_inertia" else N
 
     def theta(self, x: Array) -> Array:
@@ -163,7 +163,7 @@ class LogCholesky:
     def curvatures(self, x: Array, gradient: Array) -> Array:
         """Return the second derivative of ``gradient·theta`` in each link's coordinates.
 
-        Shape (links, 10, 10). With L the gradient in N and C that in the moments of the centre
+        Shape (links, 10, 10). With L the gradient in N and C that in the moments of the center
         of mass, it is that of ``m·(g_m + g_h·r + tr(l²·K^T·L·K) + r^T·C·r)``.
         """
         mass, K, com = self._split(x)

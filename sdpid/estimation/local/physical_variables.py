@@ -1,4 +1,4 @@
-"""The paper's variables: mass, centre of mass and inertia about it, link by link.
+"""The paper's variables: mass, center of mass and inertia about it, link by link.
 
 The map from these to the standard parameters is a bijection where masses are positive
 (docs/theory.md). Six of the first link's variables have no influence on the effort when its
@@ -26,7 +26,7 @@ from sdpid.robot.inertia import (
     theta_from_physical,
 )
 
-# Order of a link's variables: inertia about the centre of mass (6, as in theta), centre of mass
+# Order of a link's variables: inertia about the center of mass (6, as in theta), center of mass
 # (3), mass (1).
 _TENSOR_BASIS = inertia_tensor(np.eye(10)[4:])
 
@@ -144,7 +144,7 @@ class PhysicalVariables:
     def inertias(self, x: Array) -> tuple[Array, Array]:
         """Return what must exceed the margin, (links, 3, 3), and its derivative by entry.
 
-        That is the inertia about the centre of mass, or for the 4×4 inequality the second
+        That is the inertia about the center of mass, or for the 4×4 inequality the second
         moments about it, with the derivative in the six tensor entries, (6, 3, 3).
         """
         links = self.problem.robot.n_links

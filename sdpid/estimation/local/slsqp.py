@@ -1,4 +1,4 @@
-"""The paper's way: a local nonlinear program in masses, centres of mass and inertias."""
+"""The paper's way: a local nonlinear program in masses, centers of mass and inertias."""
 
 from __future__ import annotations
 
@@ -48,10 +48,10 @@ def solve_slsqp(
 ) -> Estimate:
     """Minimize the cost locally by SciPy's SLSQP [kraft1988]_, as the paper does by fmincon.
 
-    The variables are the paper's: inertia about the centre of mass, centre of mass and mass of
+    The variables are the paper's: inertia about the center of mass, center of mass and mass of
     every link, and the friction terms (66 for the Denso). All derivatives are analytic. The
     constraints are smooth but for crossing eigenvalues: every eigenvalue of the inertia about
-    the centre of mass (for full consistency: of the second moments about it, which is the
+    the center of mass (for full consistency: of the second moments about it, which is the
     triangle inequality) is at least the margin. Further conditions are rows and cones in theta,
     equations among them.
 

@@ -16,7 +16,7 @@ def random_start(problem: Problem, rng: np.random.Generator) -> Array:
     """Return random standard parameters that satisfy margins, bounds on masses, and signs.
 
     Each link is a random ellipsoid: masses log-uniform within the bounds around the problem's
-    own scale, radii and centres of mass of the size of the robot. Further conditions are left to
+    own scale, radii and centers of mass of the size of the robot. Further conditions are left to
     the solver.
 
     Parameters

@@ -25,8 +25,8 @@ from sdpid.robot.model.base_parameters import characteristic_length
 
 PriorKind = Literal["euclidean", "scaled_euclidean", "pullback", "entropic"]
 
-# Second moments about the centre of mass of a believed body are at least those of a ball whose
-# points are 2 cm from its centre (rms, per axis): descriptions have links that are no bodies, and
+# Second moments about the center of mass of a believed body are at least those of a ball whose
+# points are 2 cm from its center (rms, per axis): descriptions have links that are no bodies, and
 # some that are points.
 _RADIUS = 0.02
 

@@ -224,7 +224,7 @@ class _Search:
         )
 
     def _program(self, attempt: _Attempt) -> SdpProgram:
-        """Return the problem in the units of an attempt, measured from its centre."""
+        """Return the problem in the units of an attempt, measured from its center."""
         scaling = self.around if attempt.warm_started else self.scaling
         center = self.reference if attempt.warm_started else self.described
         coordinates = Coordinates.of(self.problem, scaling.basis(), center)

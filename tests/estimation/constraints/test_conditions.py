@@ -165,9 +165,9 @@ class TestCenterOfMass:
         theta = theta_with({LINK: body})
         condition = CenterOfMassInBox(LINK, (0.2, 0.1, -np.inf), (0.2, np.inf, 0.6))
         assert [row.name for row in rows_of(condition)] == [
-            "centre of mass of left_arm, x known",
-            "centre of mass of left_arm, y at least",
-            "centre of mass of left_arm, z at most",
+            "center of mass of left_arm, x known",
+            "center of mass of left_arm, y at least",
+            "center of mass of left_arm, z at most",
         ]
         assert satisfied(condition, theta)
         assert not satisfied(CenterOfMassInBox(LINK, (0.3,) * 3, (0.3, 1, 1)), theta)

@@ -202,7 +202,7 @@ def test_what_the_coordinates_cannot_express_is_refused(planar: Problem) -> None
     others = (TotalMass(2.0), CenterOfMassInEllipsoid(name, (0.0, 0.0, 0.0), (0.3, 0.3, 0.3)))
     limits = planar.constraints.replace(others=others)
     problem = planar.constrained(constraints=limits)
-    with pytest.raises(DataError, match=f"total mass, centre of mass of {name} in an ellipsoid"):
+    with pytest.raises(DataError, match=f"total mass, center of mass of {name} in an ellipsoid"):
         solve_log_cholesky(problem)
     comparison = compare(problem, starts=1, n_jobs=1, max_iterations=200, show_progress=False)
     assert [row.solver for row in comparison.rows] == ["wls", "sdp", "slsqp", "log_cholesky"]

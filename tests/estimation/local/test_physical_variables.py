@@ -38,7 +38,7 @@ problems = st.sampled_from(sorted(PROBLEMS)).map(PROBLEMS.__getitem__)
 def test_the_denso_has_the_papers_66(denso: RobotModel) -> None:
     variables = PhysicalVariables.of(problem_of(denso))
     assert (variables.count, variables.axis) == (66, 2)
-    # All but zz of the first inertia, and z of the first centre of mass, are gone.
+    # All but zz of the first inertia, and z of the first center of mass, are gone.
     gone = sorted(set(range(72)) - set(variables.free.tolist()))
     assert gone == [0, 1, 2, 3, 4, 8]
 

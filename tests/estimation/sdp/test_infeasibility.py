@@ -223,8 +223,8 @@ def test_what_some_bodies_satisfy_is_never_refused(seed: int) -> None:
                 TotalMass(3.0),
             ),
             (
-                f"centre of mass of {LAST}, x at least",
-                f"centre of mass of {LAST} in an ellipsoid",
+                f"center of mass of {LAST}, x at least",
+                f"center of mass of {LAST} in an ellipsoid",
                 f"mass of {LAST} at least 0.001 kg",
             ),
         ),
