@@ -55,7 +55,7 @@ def identify(
 
     config = printing.config
     inputs = reading.files((*logs, *(validation or ())), robot)
-    require_writable(out, inputs, config=config)
+    require_writable(out, inputs, config=config, writes_config=True)
     draw = importlib.util.find_spec("matplotlib") is not None if figures is None else figures
     if draw:
         require("matplotlib", extra="plot")

@@ -57,7 +57,11 @@ class Result(Judged, Protocol):
 
 
 def require_writable(
-    folder: Path, inputs: Iterable[PathLike | None] = (), *, config: Path | None = None
+    folder: Path,
+    inputs: Iterable[PathLike | None] = (),
+    *,
+    config: Path | None = None,
+    writes_config: bool = False,
 ) -> None:
     """Refuse a folder that results cannot be written into, before the work is done.
 
@@ -68,13 +72,16 @@ def require_writable(
     inputs : iterable of path
         Files that the run reads: results must not replace them.
     config : Path, optional
-        The options of the run. Results replace it only where an earlier run wrote it.
+        The file that the options of the run were read from, if any.
+    writes_config : bool, optional
+        Whether run.toml is among the results. It replaces only one that an earlier run wrote:
+        people have files of that name, such as the mapping of run.csv.
 
     Raises
     ------
     ExportError
         When the folder is a file, one of the results is a folder or no regular file, or a result
-        would replace an input.
+        would replace an input, or a run.toml that no run wrote.
     """
     if folder.exists() and not folder.is_dir():
         raise ExportError(f"cannot write into {folder}: it is a file; name a folder.")
@@ -84,9 +91,15 @@ def require_writable(
                 f"cannot write {folder / name}: it is a folder or a device; move it away, or "
                 "choose another folder."
             )
-    if config is not None and config.is_file() and _listed(folder).get(_CONFIG) != digest(config):
+    written = _listed(folder).get(_CONFIG)
+    if config is not None and config.is_file() and written != digest(config):
         inputs = (*inputs, config)
     require_other_files("--out", (folder / name for name in NAMES), inputs)
+    existing = folder / _CONFIG
+    if writes_config and existing.is_file() and written != digest(existing):
+        raise ExportError(
+            f"--out: would write over {existing}, which no run wrote; choose another folder."
+        )
 
 
 def save(
@@ -102,7 +115,7 @@ def save(
     """Write an identification into a folder; arguments and errors are those of its `save`."""
     target = Path(folder)
     note = report or (lambda _: None)
-    require_writable(target)
+    require_writable(target, writes_config=config is not None)
     try:
         with staged(target) as stage:
             writer = _Writer(result, stage, intervals, note)

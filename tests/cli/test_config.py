@@ -232,3 +232,12 @@ def test_options_offer_what_the_library_knows() -> None:
     shown = " ".join(run("identify", "--help").stdout.split())
     for name in (*FILTERS, *DERIVATIVES, *BY_NAME):
         assert name in shown
+
+
+def test_a_file_of_another_that_is_called_run_toml_stays(folder: Path) -> None:
+    """Such as the mapping of a log run.csv that this run does not read."""
+    (folder / "run.toml").write_text("[columns]\n")
+    done = run("identify", folder / "log.npz", "--robot", folder / "arm.urdf", "--out", folder)
+    assert done.exit_code == 2
+    assert "run.toml, which no run wrote" in done.stderr
+    assert (folder / "run.toml").read_text() == "[columns]\n"
