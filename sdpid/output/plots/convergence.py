@@ -122,8 +122,8 @@ def plot_convergence(
         gap = max((cost - bound) / scale, floor)
         text = f"{name} (gap {(cost - bound) / scale:.1e}, {when:.3g} s)"
         if not timed:
-            colour = (RED, PURPLE, ORANGE, SKY)[i % 4]
-            axis.axhline(gap, color=colour, linewidth=1.4, linestyle="--", zorder=4, label=text)
+            color = (RED, PURPLE, ORANGE, SKY)[i % 4]
+            axis.axhline(gap, color=color, linewidth=1.4, linestyle="--", zorder=4, label=text)
             continue
         axis.plot(
             [max(when, earliest)],

@@ -16,7 +16,7 @@ from sdpid._common.extras import require
 from sdpid._common.files import atomic_path
 from sdpid.errors import DataError, ExportError
 
-# Okabe and Ito's palette, which readers with any colour vision can tell apart.
+# Okabe and Ito's palette, which readers with any color vision can tell apart.
 BLUE = "#0072B2"
 RED = "#D55E00"
 GREEN = "#009E73"
@@ -28,7 +28,7 @@ INK = "#1F2933"
 FAINT = "#E5E7EB"
 SHADE = "#D8DCE2"
 
-METHOD_COLOURS = (BLUE, RED, GREEN, PURPLE, ORANGE, SKY)
+METHOD_COLORS = (BLUE, RED, GREEN, PURPLE, ORANGE, SKY)
 METHOD_MARKERS = ("o", "s", "^", "D", "v", "P")
 
 SMALL, NORMAL, LARGE = 8.0, 9.5, 12.0
@@ -238,7 +238,7 @@ def shade(axis: Any, x: Array, flags: ArrayLike, **style: Any) -> None:
 def spans(x: Array, flags: ArrayLike) -> tuple[Array, Array]:
     """Return where the stretches of x begin and end in which a flag is set.
 
-    A sample stands for what is nearer to it than to its neighbours.
+    A sample stands for what is nearer to it than to its neighbors.
     """
     edges = np.concatenate([x[:1], 0.5 * (x[1:] + x[:-1]), x[-1:]])
     ends = np.array(runs(flags), dtype=np.int64).reshape(-1, 2)

@@ -138,12 +138,12 @@ def _spectrum(axis: Any, errors: JointErrors) -> None:
     if np.count_nonzero(positive) > 1:
         ends = float(f[positive][0]), float(f[-1])
     logarithmic(axis, ends, (_FLOOR * top, _TOP * top))
-    for density, colour, label in (
+    for density, color, label in (
         (errors.effort_density, BLUE, "measured effort"),
         (errors.error_density, RED, "error"),
     ):
         shown = positive & (density > 0.0)
-        _line(axis, f[shown], density[shown], color=colour, linewidth=0.8, label=label)
+        _line(axis, f[shown], density[shown], color=color, linewidth=0.8, label=label)
     keys(axis)
 
 

@@ -13,7 +13,7 @@ from sdpid.errors import DataError
 from sdpid.output.plots.figures import (
     GREY,
     INK,
-    METHOD_COLOURS,
+    METHOD_COLORS,
     METHOD_MARKERS,
     PLAIN,
     SMALL,
@@ -87,7 +87,7 @@ def plot_parameters(
                 yerr=spread,
                 linestyle="none",
                 marker=METHOD_MARKERS[k % 6],
-                color=METHOD_COLOURS[k % 6],
+                color=METHOD_COLORS[k % 6],
                 markersize=4,
                 elinewidth=1.0,
                 label=f"{method} ± 2σ" if spread is not None else method,

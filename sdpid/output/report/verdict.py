@@ -393,7 +393,7 @@ def _constraints(result: Judged) -> Iterator[Finding]:
         yield Finding(
             "caution",
             f"Masses are as large as is allowed: {listed(heavy)}. The data hardly tell them from "
-            "those of their neighbours; lower --mass-max to what the link can weigh, or use a "
+            "those of their neighbors; lower --mass-max to what the link can weigh, or use a "
             "prior.",
         )
 
