@@ -257,6 +257,12 @@ class _Patch(_Compiled):
         super().__init__(robot, text, what, folder=folder, ours=ours)
         self.document = Document(text)
         self.elements = self._elements()
+        for k in self.carriers:
+            if self.carriers.count(k) > 1:
+                raise ExportError(
+                    f"{what}: body '{self._name(k)}' has several joints, and the links between "
+                    "them have inertia; give each joint a body of its own, or leave source out."
+                )
         self.changed: list[str] = []
         self.lumped: list[str] = []
         self.joints_changed: list[str] = []
@@ -324,15 +330,17 @@ class _Patch(_Compiled):
                 values["armature"] = 0.0
                 self.cleared.append(name)
             if values:
-                joint = self._joint(carrier, name)
+                joint = self._joint(carrier, i)
                 text = {key: numbers([value]) for key, value in values.items()}
                 self.document.set_attributes(joint, text)
                 self.joints_changed.append(name)
 
-    def _joint(self, body: int, name: str) -> Element:
-        for element in _own(self.elements[body], "joint"):
-            if element.attributes.get("name") == name:
-                return element
+    def _joint(self, body: int, i: int) -> Element:
+        """Return the element of a joint, which need not have a name."""
+        name = str(self.robot.pin_model.names[i + 1])
+        elements = list(_own(self.elements[body], "joint"))
+        if len(elements) == 1 and elements[0].attributes.get("name", name) == name:
+            return elements[0]
         raise ExportError(f"{self.what}: joint '{name}' is not written where its body is.")
 
 

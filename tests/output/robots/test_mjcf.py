@@ -292,3 +292,27 @@ def test_a_source_that_mujoco_crashes_on_is_refused(tmp_path: Path) -> None:
     source.write_text(f'<mujoco><include file="{source}"/></mujoco>')
     with pytest.raises(ExportError, match="MJCF of 'arm'"):
         write_mjcf(estimate_of(problem, links), target=tmp_path / "o.xml", source=source)
+
+
+def test_a_file_that_the_robot_was_loaded_from_is_patched(tmp_path: Path) -> None:
+    source = tmp_path / "mine.xml"
+    source.write_text(USERS.replace('name="two" ', ""))  # joints need no names
+    problem = problem_of(load_robot(source), friction=FRICTION)
+    links = 30.0 * bodies(np.random.default_rng(5), 2)
+    write_mjcf(estimate_of(problem, links, NUMBER), source=source, target=tmp_path / "out.xml")
+    again = load_robot(tmp_path / "out.xml")
+    states = generic_states(again, 10, 3)
+    expected = problem.robot.inverse_dynamics(links, *states)
+    found = again.inverse_dynamics(again.prior, *states)
+    np.testing.assert_allclose(found, expected, rtol=0, atol=CLOSE * np.abs(expected).max())
+    np.testing.assert_array_equal(again.described_friction(), np.full((2, 2), NUMBER))
+
+
+def test_a_body_with_several_joints_is_refused(tmp_path: Path) -> None:
+    source = tmp_path / "mine.xml"
+    source.write_text(USERS.replace('<joint name="two"', '<joint name="mid"/><joint name="two"'))
+    problem = problem_of(load_robot(source), friction=FRICTION)
+    estimate = estimate_of(problem, 30.0 * bodies(np.random.default_rng(5), 3), NUMBER)
+    with pytest.raises(ExportError, match="body 'second' has several joints"):
+        write_mjcf(estimate, source=source, target=tmp_path / "out.xml")
+    assert write_mjcf(estimate, target=tmp_path / "out.xml").lumped == ()
