@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from sdpid._common.arrays import Array, frozen
+from sdpid._common.tables import Table, facts_html
 from sdpid.estimation.cluster_robust import covariance
 from sdpid.estimation.duality.multipliers import Multipliers
 from sdpid.estimation.problem import Problem
@@ -85,6 +86,21 @@ class Estimate:
             f"worst_margin={self.worst_margin}, iterations={self.iterations}, "
             f"solve_time={self.solve_time:.3g})"
         )
+
+    def _repr_html_(self) -> str:
+        base = self.problem.base
+        facts = {
+            "status": self.status,
+            "cost": self.cost,
+            "smallest margin, kg·m²": self.worst_margin,
+            "iterations": self.iterations,
+            "time in the solver, s": self.solve_time,
+        }
+        table = Table.of_columns(
+            {"base parameter": base.names, "unit": base.units, "value": self.base.tolist()}
+        )
+        title = f"Estimate of {self.problem.robot.name} by {self.method}"
+        return facts_html(title, facts, table)
 
     @cached_property
     def cost(self) -> float:

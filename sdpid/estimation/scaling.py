@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from sdpid._common.arrays import Array
+from sdpid.estimation.conic.standard_form import symmetric_basis
 from sdpid.estimation.constraints.feasible_set import FeasibleSet
 from sdpid.estimation.problem import Problem
 from sdpid.robot.consistent import raise_second_moments
@@ -16,7 +17,6 @@ from sdpid.robot.inertia import (
     inertia_tensor,
     pseudo_inertia,
     spatial_inertia,
-    symmetric_basis,
     theta_from_physical,
 )
 from sdpid.robot.model.base_parameters import characteristic_length

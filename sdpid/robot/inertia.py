@@ -237,12 +237,3 @@ def point_masses(masses: ArrayLike, positions: ArrayLike) -> Array:
     return from_pseudo_inertia(
         np.einsum("...k,...ki,...kj->...ij", masses, homogeneous, homogeneous)
     )
-
-
-def symmetric_basis(size: int) -> Array:
-    """Return an orthonormal basis of the symmetric matrices, (size·(size+1)/2, size, size)."""
-    pairs = [(i, j) for i in range(size) for j in range(i + 1)]
-    basis = np.zeros((len(pairs), size, size))
-    for k, (i, j) in enumerate(pairs):
-        basis[k, i, j] = basis[k, j, i] = 1.0 if i == j else np.sqrt(0.5)
-    return basis

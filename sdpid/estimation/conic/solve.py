@@ -25,7 +25,7 @@ from sdpid.estimation.conic.standard_form import (
     Matrix,
     Standard,
     standard_form,
-    vectoriser,
+    triangle_basis,
 )
 
 __all__ = [
@@ -51,7 +51,7 @@ Solver = Literal["clarabel", "scs"]
 
 @dataclass(frozen=True, eq=False)
 class ConicSolution:
-    """What a solver found; nothing in it is believed.
+    """The point where a solver stopped, with its multipliers; callers recompute what they use.
 
     Attributes
     ----------
@@ -245,7 +245,7 @@ def _read(
     # Blocks of one size in turn, of which there is seldom more than one.
     for size, run in groupby(block.constant.shape[0] for block in program.blocks):
         count = len(list(run))
-        basis = vectoriser(size, lower=lower)
+        basis = triangle_basis(size, lower=lower)
         found_there = dual[at : at + count * len(basis)].reshape(count, len(basis))
         blocks += list((found_there @ basis.reshape(len(basis), -1)).reshape(count, size, size))
         at += count * len(basis)

@@ -15,7 +15,6 @@ from typing import Any
 import numpy as np
 
 from sdpid._common.arrays import Array, Indices
-from sdpid.robot.inertia import symmetric_basis
 
 
 @dataclass(frozen=True, eq=False)
@@ -124,8 +123,17 @@ class Standard:
     ball: int = 0
 
 
+def symmetric_basis(size: int) -> Array:
+    """Return an orthonormal basis of the symmetric matrices, (size·(size+1)/2, size, size)."""
+    pairs = [(i, j) for i in range(size) for j in range(i + 1)]
+    basis = np.zeros((len(pairs), size, size))
+    for k, (i, j) in enumerate(pairs):
+        basis[k, i, j] = basis[k, j, i] = 1.0 if i == j else np.sqrt(0.5)
+    return basis
+
+
 @cache
-def vectoriser(size: int, *, lower: bool) -> Array:
+def triangle_basis(size: int, *, lower: bool) -> Array:
     """Return the orthonormal basis whose coordinates are a solver's vector of a matrix.
 
     Clarabel stacks the columns of the upper triangle, SCS those of the lower one.
@@ -169,7 +177,7 @@ def standard_form(program: ConicProgram, *, lower_triangle: bool) -> Standard:
     sizes = []
     for block in program.blocks:
         size = block.constant.shape[0]
-        basis = vectoriser(size, lower=lower_triangle)
+        basis = triangle_basis(size, lower=lower_triangle)
         flat = basis.reshape(len(basis), -1)
         rows.add(
             -flat @ block.linear.reshape(len(block.linear), -1).T,
@@ -216,7 +224,7 @@ def standard_form(program: ConicProgram, *, lower_triangle: bool) -> Standard:
 def _add_log_det(rows: _Rows, matrix: Matrix, triangle: Indices, lower: bool) -> int:
     """Add ``[[X, Z], [Z^T, diag(Z)]]`` ⪰ 0 with Z lower triangular: then det X ≥ Π z_jj."""
     size = int(matrix.constant.shape[0])
-    basis = vectoriser(2 * size, lower=lower)
+    basis = triangle_basis(2 * size, lower=lower)
     flat = basis.reshape(len(basis), -1)
     linear = np.zeros((len(matrix.index) + len(triangle), 2 * size, 2 * size))
     linear[: len(matrix.index), :size, :size] = matrix.linear

@@ -15,6 +15,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from sdpid._common.arrays import Array, Indices
+from sdpid.estimation.conic.standard_form import symmetric_basis
 from sdpid.estimation.duality.bound import (
     TARGET_GAP,
     Bound,
@@ -25,10 +26,10 @@ from sdpid.estimation.duality.bound import (
 from sdpid.estimation.duality.multipliers import Multipliers
 from sdpid.estimation.problem import Problem
 from sdpid.estimation.scaling import Scaling
-from sdpid.robot.inertia import pseudo_inertia, symmetric_basis
+from sdpid.robot.inertia import pseudo_inertia
 
 # How far the null space of a multiplier may take part in refining it, relative to its largest
-# eigenvalue: tried in turn, halved in each of so many rounds, until the gap is small enough.
+# eigenvalue: tried in turn, halved in each of `_ROUNDS` rounds, until the gap is small enough.
 _SMOOTHING = (1e-6, 1e-8, 1e-10, 1e-12, 1e-14, 1e-5, 1e-4)
 _ROUNDS = 8
 

@@ -276,9 +276,9 @@ def unsupported(problem: Problem) -> str | None:
     # Facets of a hull are many; a few names tell.
     names = [*feasible.row_names, *feasible.block_names[feasible.n_own :]]
     if names:
-        said = ", ".join(names[:_NAMED]) + (", …" if len(names) > _NAMED else "")
+        listed = ", ".join(names[:_NAMED]) + (", …" if len(names) > _NAMED else "")
         return (
-            f"its coordinates cannot express further conditions ({said}), only margins, masses "
+            f"its coordinates cannot express further conditions ({listed}), only margins, masses "
             "and signs; use solve_sdp or solve_slsqp."
         )
     if len(problem.log_det.links):

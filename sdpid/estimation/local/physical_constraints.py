@@ -139,13 +139,13 @@ class PhysicalConstraints:
     def zero(self, x: Array) -> Array:
         """Return what must vanish."""
         fixed = self.fixed
-        said = self.equations @ self.variables.theta(x) - self.values
-        return np.concatenate([said, (x - self.lower)[fixed]])
+        equations = self.equations @ self.variables.theta(x) - self.values
+        return np.concatenate([equations, (x - self.lower)[fixed]])
 
     def zero_jacobian(self, x: Array) -> Array:
         """Return the derivative of `zero`."""
-        said = self.equations @ self.variables.jacobian(x)
-        return np.vstack([said, np.eye(len(x))[self.fixed]])
+        equations = self.equations @ self.variables.jacobian(x)
+        return np.vstack([equations, np.eye(len(x))[self.fixed]])
 
     def along(self, x: Array, vectors: Array) -> Array:
         """Return ``u^T·(N − margin·E)·u`` of unit vectors (links, 3, k), scaled, (links·k,)."""

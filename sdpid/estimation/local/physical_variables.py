@@ -182,13 +182,15 @@ def _reducible_axis(problem: Problem) -> int | None:
         return None
     feasible = problem.feasible
     cones = feasible.block_basis[feasible.n_own :][feasible.block_links[feasible.n_own :] == 0]
-    asked = np.any(feasible.rows[:, :10] != 0.0, axis=0) | np.any(cones != 0.0, axis=(0, 2, 3))
+    conditioned = np.any(feasible.rows[:, :10] != 0.0, axis=0) | np.any(
+        cones != 0.0, axis=(0, 2, 3)
+    )
     B = problem.base.matrix[:, :10]
     seen = np.abs(B).max(axis=0) > _INVISIBLE * max(float(np.abs(problem.base.matrix).max()), 1.0)
     for axis in range(3):
         tensor = [pair == (axis, axis) for pair in TENSOR_INDEX]
         allowed = np.array([False, *(k != axis for k in range(3)), *tensor])
         kept = allowed | (np.arange(10) == 0)
-        if not np.any((seen & ~allowed) | (asked & ~kept)) and seen[4:][tensor].all():
+        if not np.any((seen & ~allowed) | (conditioned & ~kept)) and seen[4:][tensor].all():
             return axis
     return None

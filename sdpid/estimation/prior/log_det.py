@@ -16,8 +16,9 @@ from numpy.typing import ArrayLike
 
 from sdpid._common.arrays import Array, Indices, frozen
 from sdpid.errors import DataError
+from sdpid.estimation.conic.standard_form import symmetric_basis
 from sdpid.estimation.prior.cost_terms import CostTerm
-from sdpid.robot.inertia import from_pseudo_inertia, matrix_basis, pseudo_inertia, symmetric_basis
+from sdpid.robot.inertia import from_pseudo_inertia, matrix_basis, pseudo_inertia
 
 # The pseudo-inertia's coordinates: E_k with P(theta) = Σ theta_k·E_k.
 _UNITS = matrix_basis("pseudo_inertia")

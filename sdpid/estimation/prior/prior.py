@@ -11,16 +11,12 @@ import numpy as np
 from sdpid._common.arrays import Array, Indices, frozen, real_array
 from sdpid.errors import DataError
 from sdpid.estimation.compression.rows import CHUNK, Rows, RowSource
+from sdpid.estimation.conic.standard_form import symmetric_basis
 from sdpid.estimation.prior.cost_terms import CostTerm, SquaredTerm
 from sdpid.estimation.prior.evidence import STRONGEST, WEAKEST, strength_by_evidence
 from sdpid.estimation.prior.log_det import LogDetTerm
 from sdpid.robot.consistent import raise_second_moments
-from sdpid.robot.inertia import (
-    from_pseudo_inertia,
-    margin,
-    pseudo_inertia,
-    symmetric_basis,
-)
+from sdpid.robot.inertia import from_pseudo_inertia, margin, pseudo_inertia
 from sdpid.robot.model.base_parameters import characteristic_length
 
 PriorKind = Literal["euclidean", "scaled_euclidean", "pullback", "entropic"]

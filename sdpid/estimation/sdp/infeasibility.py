@@ -18,10 +18,10 @@ from sdpid.robot.inertia import pseudo_inertia
 # size: solvers are content with as much.
 _GIVES = 1e-7
 
-# Where theta_max is left out, so many times as much takes its place.
+# Where theta_max is left out, theta_max times this takes its place.
 _WIDER = 1e3
 
-# Nothing is looked for farther than so many sizes away: solvers lose their way there.
+# Parameters are searched up to this many sizes away: solvers lose their way farther out.
 _FAR = 1e6
 
 # Clarabel's, tried in turn.

@@ -1,4 +1,4 @@
-"""Which of the equally good parameters to hand back.
+"""Choose, among equally good parameters, those nearest to the robot's description.
 
 Directions of theta that the effort does not show are free: all feasible theta with the same base
 parameters cost the same. The rule: the one nearest to the robot's own description, and where a
@@ -19,9 +19,9 @@ from sdpid.estimation.problem import Problem
 from sdpid.estimation.scaling import Scaling
 from sdpid.estimation.sdp.program import Coordinates, SdpProgram
 
-# The face often has no interior: matrices may be so much below zero in the links' own scale, which
-# the caller repairs. Tried in turn: links in units of the reference or of the point itself, this
-# slack, and Clarabel's regularization.
+# The face often has no interior: matrices may be below zero by a slack, in the links' own scale,
+# which the caller repairs. Tried in turn: links in units of the reference or of the point itself,
+# the slack, and Clarabel's regularization.
 _TRIALS = ((False, 1e-10, 1e-8), (True, 1e-10, 1e-8))
 
 # Where that does not succeed the distance is weighed against the cost instead, in units in which

@@ -12,7 +12,7 @@ import pytest
 from sdpid._common.arrays import Array
 from sdpid.estimation.conic import solve as conic
 from sdpid.estimation.conic.solve import ConicFamily, ConicProgram, Matrix, Solver, solve_conic
-from sdpid.robot.inertia import symmetric_basis
+from sdpid.estimation.conic.standard_form import symmetric_basis
 
 BOTH: tuple[Solver, ...] = ("clarabel", "scs")
 

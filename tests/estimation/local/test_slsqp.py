@@ -205,6 +205,14 @@ def test_an_estimate_tells_how_it_came_about(planar: Problem) -> None:
     assert estimate.multipliers is None
 
 
+def test_an_estimate_is_shown_in_short(planar: Problem) -> None:
+    estimate = solve_slsqp(planar, seed=3, max_iterations=5)
+    assert len(repr(estimate)) < 200
+    shown = estimate._repr_html_()
+    assert f"Estimate of {planar.robot.name} by slsqp" in shown
+    assert all(name in shown for name in planar.base.names)
+
+
 def test_an_iteration_limit_is_no_optimum(planar: Problem) -> None:
     estimate = solve_slsqp(planar, seed=4, max_iterations=2)
     assert estimate.status in ("iteration limit", "infeasible")
