@@ -1,7 +1,7 @@
 """The covariance of the base parameters, from groups of rows that are independent of each other.
 
 It is the sandwich ``H^(-1)·Cov(score)·H^(-1)`` [white1980]_ of the unconstrained fit, as if no
-constraint were active and nothing were believed beside the data. The scores are taken at that
+constraint were active and there were no prior. The scores are taken at that
 fit, where they add up to zero. At an estimate that physics or a prior holds back they do not, and
 their squares would count the pull of the constraints as noise.
 
@@ -40,7 +40,7 @@ Groups = Literal["blocks", "periods"]
 # Fewer blocks than this say next to nothing about a variance.
 FEWEST_BLOCKS = 8
 
-# Where a group alone determines a direction its residual there is zero, and says nothing.
+# Where a group alone determines a direction its residual there is zero, and holds no information.
 _ALONE = 1e-9
 
 

@@ -1,4 +1,4 @@
-"""Which base parameters the given data excite: a question about a recording, not a robot."""
+"""Find out which base parameters the data of a problem determine, and how well."""
 
 from __future__ import annotations
 

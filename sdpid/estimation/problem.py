@@ -65,7 +65,7 @@ class Problem:
     feasible : FeasibleSet
         The constraints.
     prior : PriorTerms or None
-        What is believed beside the data, as further terms of the cost.
+        The prior, as further terms of the cost.
     profiled : tuple of Profiled
         Numbers of friction terms that were chosen by the data (see
         `sdpid.estimation.effects.choose`).
@@ -267,7 +267,7 @@ def build_problem(
     constraints : Constraints, optional
         Margins and bounds.
     prior : Prior, optional
-        What is believed beside the data (see `Prior`); none by default. With one
+        Prior knowledge beside the data; none by default. With one
         the data may leave base parameters undetermined.
     base : BaseParameters, optional
         Found before for the same robot and terms.
@@ -316,12 +316,12 @@ def build_problem(
     A, rhs = found.A, found.rhs
     known = weighting in ("gls", "gls_per_sample") and here.covariance is not None
     likelihood = (A, rhs) if weighting == "residual" or known else None
-    believed = None
+    terms = None
     if prior is not None:
-        believed = prior_terms(prior, rows, data=likelihood)
+        terms = prior_terms(prior, rows, data=likelihood)
         if likelihood is None:
             note = "prior: the samples have no covariance, so errors count in units of 1 N.m"
-            believed = replace(believed, notes=(*believed.notes, note))
+            terms = replace(terms, notes=(*terms.notes, note))
     problem = Problem(
         robot=robot,
         friction=model,
@@ -334,7 +334,7 @@ def build_problem(
         n_samples=rows.n_samples,
         n_rows=found.used,
         feasible=FeasibleSet.build(constraints or Constraints(), consistency, Layout(robot, model)),
-        prior=believed,
+        prior=terms,
         profiled=profiled,
         rows=rows,
     )

@@ -163,7 +163,7 @@ class _Seen:
             # Taking t off both sides of ‖v‖ ≤ a − t takes t·E off the matrix.
             trace = None if found is None else float(np.trace(found.Z[k]))
             size = float(self.scaling.block_roots(feasible)[k, 0, 0]) ** 2
-            return float(feasible.rooms(self.theta)[k - feasible.n_own]), size, trace
+            return float(feasible.slacks(self.theta)[k - feasible.n_own]), size, trace
         limit = float(constraint.limit or 0.0)
         if constraint.kind == "row":
             size = float(self.scaling.row_sizes(feasible)[k])

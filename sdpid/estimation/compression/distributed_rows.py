@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 
 T = TypeVar("T")
 
-# A cluster without a worker is looked at again after so many seconds, and then given up.
+# A cluster without a worker is looked at again after this many seconds, and then given up.
 _LONELY = 60.0
 
 # Samples that are brought here for plots, and for the speeds at which friction bends.

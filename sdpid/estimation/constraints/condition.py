@@ -1,6 +1,6 @@
 """Further conditions on the parameters, beside consistency, masses and signs.
 
-A condition is a small object that knows what it means for a robot and says it as linear rows and
+A condition is a small object that turns itself, for a robot, into linear rows and
 second-order cones in theta. All conditions are convex, so the optimum stays global and provable.
 """
 
@@ -25,7 +25,7 @@ class Row:
     Attributes
     ----------
     name : str
-        What it says, such as ``"total mass"``.
+        In words, such as ``"total mass"``.
     coefficients : ndarray, shape (p,)
     lower, upper : float
         Equal for an equation, infinite where there is no limit.
@@ -44,7 +44,7 @@ class Cone:
     Attributes
     ----------
     name : str
-        What it says.
+        In words.
     link : int
         Which link, from 0.
     axis : ndarray, shape (10,)
@@ -129,7 +129,7 @@ class Condition(ABC):
 
     @abstractmethod
     def compile(self, layout: Layout) -> Iterable[Row | Cone]:
-        """Return what the condition says of a robot's theta.
+        """Return the condition as rows and cones in a robot's theta.
 
         Raises
         ------

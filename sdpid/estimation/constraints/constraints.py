@@ -1,4 +1,4 @@
-"""What an estimate must satisfy, as its user states it."""
+"""Bounds and conditions that an estimate must satisfy."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ class Constraints:
         Bound on the size of every standard parameter, in its unit. It is part of the problem so
         that a lower bound on the cost covers everything that is feasible.
     friction_nonnegative : bool
-        Whether terms that physics says are not negative (Coulomb, viscous, rotor) are bound so.
+        Whether terms that cannot be negative (Coulomb, viscous, rotor) are bounded by zero.
     others : tuple of Condition
         Further conditions, such as a total mass (see `sdpid.estimation.constraints.mass`). A
         single one may be given as it is.
@@ -78,7 +78,7 @@ class Constraints:
     def of_size(cls, robot: RobotModel, **changes: Any) -> Constraints:
         """Return constraints whose widest bounds follow the size of a described robot.
 
-        No link is heavier than three times all links together are said to be, and no mass lies
+        No link is heavier than three times all links together in the description, and no mass lies
         farther from its joint than three times the way from the base to the farthest joint.
         Tighter bounds make stronger proofs: where the data are weak, what they leave open is only
         limited by them. Where no link has a mass the defaults stay.

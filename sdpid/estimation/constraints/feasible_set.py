@@ -40,7 +40,7 @@ class FeasibleSet:
     lower, upper : ndarray, shape (p,)
         Bounds on theta.
     block_names : tuple of str
-        What each of the N matrix inequalities says.
+        Name of each of the N matrix inequalities.
     block_links : ndarray of int, shape (N,)
         Whose parameters it is about.
     block_basis : ndarray, shape (N, 10, s, s)
@@ -48,7 +48,7 @@ class FeasibleSet:
     block_constants : ndarray, shape (N, s, s)
         F0.
     row_names : tuple of str
-        What each of the r linear rows says.
+        Name of each of the r linear rows.
     rows : ndarray, shape (r, p)
         The rows.
     row_lower, row_upper : ndarray, shape (r,)
@@ -91,10 +91,10 @@ class FeasibleSet:
             upper[: 10 * n_links : 10] = constraints.mass_max
         if constraints.friction_nonnegative and consistency != "none":
             lower[10 * n_links :][nonnegative] = 0.0
-        said = [part for other in constraints.others for part in other.compile(layout)]
-        said = _told_apart(said)
-        rows = [part for part in said if isinstance(part, Row)]
-        cones = [part for part in said if isinstance(part, Cone)]
+        compiled = [part for other in constraints.others for part in other.compile(layout)]
+        compiled = _numbered(compiled)
+        rows = [part for part in compiled if isinstance(part, Row)]
+        cones = [part for part in compiled if isinstance(part, Cone)]
         size = 6 if consistency == "spatial_inertia" else 4
         names = [cone.name for cone in cones]
         links = [cone.link for cone in cones]
@@ -248,7 +248,7 @@ class FeasibleSet:
         """Return every link's margin in kg·m², NaN where the mass is not positive."""
         return margin(self.bodies(theta), self.consistency)
 
-    def rooms(self, theta: Array) -> Array:
+    def slacks(self, theta: Array) -> Array:
         """Return by how much each cone of the further conditions holds, in its own unit."""
         F = self.matrices(theta)[self.n_own :]
         return np.asarray(F[:, -1, -1] - np.linalg.norm(F[:, -1, :-1], axis=1))
@@ -267,18 +267,18 @@ class FeasibleSet:
         values = self.rows @ theta
         outside = np.maximum(self.row_lower - values, values - self.row_upper)
         worst = max(worst, float(np.max(outside, initial=0.0)))
-        return max(worst, float(np.max(-self.rooms(theta), initial=0.0)))
+        return max(worst, float(np.max(-self.slacks(theta), initial=0.0)))
 
 
-def _told_apart(parts: list[Row | Cone]) -> list[Row | Cone]:
+def _numbered(parts: list[Row | Cone]) -> list[Row | Cone]:
     """Return rows and cones with a number behind names that occur more than once."""
     counts = Counter(part.name for part in parts)
-    seen: Counter[str] = Counter()
+    used: Counter[str] = Counter()
     out = []
     for part in parts:
-        seen[part.name] += 1
+        used[part.name] += 1
         several = counts[part.name] > 1
-        name = f"{part.name} ({seen[part.name]})" if several else part.name
+        name = f"{part.name} ({used[part.name]})" if several else part.name
         out.append(replace(part, name=name))
     return out
 

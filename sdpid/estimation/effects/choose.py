@@ -1,4 +1,4 @@
-"""Numbers in which friction is not linear, chosen by the data: variable projection.
+"""Choose by the data the numbers in which friction is not linear, by variable projection.
 
 For any values of the open parameters the other parameters are a linear least-squares problem,
 whose least cost is a function of the open parameters alone [golub2003]_. It is searched here.
@@ -82,7 +82,7 @@ def close_terms(
     samples : Samples
         The measurements to fit.
     covariance : callable
-        Returns the effort covariance, (n, n) or (K, n, n), of a `RowSource`. It is asked once,
+        Returns the effort covariance, (n, n) or (K, n, n), of a `RowSource`. It is called once,
         with the open parameters in the middle of their limits.
 
     Returns

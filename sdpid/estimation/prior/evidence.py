@@ -1,4 +1,4 @@
-"""The strength of a prior by the evidence: how probable it makes the data that were seen."""
+"""Choose the strength of a prior by the evidence, the marginal likelihood of the data."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ def negative_log_evidence(
 
     With normal noise and a normal prior it has a closed form:
     ``½·min_theta (‖G·theta − h‖² + λ‖R·theta − r‖² + ‖F·theta − f‖²) + ½·log det(G^T·G + λ·R^T·R
-    + F^T·F) − ½·rank(R)·log λ``; the determinant is that on the directions that some row knows.
+    + F^T·F) − ½·rank(R)·log λ``; the determinant is that on the directions that rows determine.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""What is believed before the data: the description's inertias, and friction of a likely size."""
+"""Priors: links near the inertias of the description, and friction of a likely size."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ PriorKind = Literal["euclidean", "scaled_euclidean", "pullback", "entropic"]
 # some that are points.
 _RADIUS = 0.02
 
-# A second moment short of the least by this share is short by rounding: nothing is said of it.
+# A second moment short of the least by this share is short by rounding: no note names it.
 _ROUNDED = 1e-6
 
 # Friction and offset terms are believed to move the joint's effort by this share of its rms.
@@ -34,8 +34,8 @@ _FRICTION_SHARE = 1.0 / 3.0
 
 
 # A link that the description gives no mass is believed to be a ball of the mean link's mass, its
-# radius of gyration this share of the robot's length; and that with a standard deviation so many
-# times larger than others. Enough to keep it from running off, and next to no belief.
+# radius of gyration this share of the robot's length; with a standard deviation this many
+# times larger than others. Enough to keep it from running off, and next to no information.
 _BALL = 0.5
 _VAGUE = 10.0
 
@@ -45,7 +45,7 @@ _AT_END = 0.02
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Prior:
-    """A belief about the parameters.
+    """Prior knowledge of the parameters.
 
     Each link is believed to be near a body P0 = L·L^T (pseudo-inertia). Being elsewhere costs
     ``strength·d`` nats, with d by kind:
@@ -182,9 +182,9 @@ def prior_terms(prior: Prior, rows: Rows, *, data: tuple[Array, Array] | None = 
     Raises
     ------
     DataError
-        When no link has a body to believe in, or a strength by evidence is asked without data.
+        When no link has a body, or a strength by evidence has no data.
     """
-    bodies, known, notes = _believed(prior, rows)
+    bodies, known, notes = _bodies(prior, rows)
     theta_size = 10 * rows.robot.n_links + len(rows.friction.parameters)
     R = np.zeros((bodies.size, theta_size))
     for i, body in enumerate(bodies):
@@ -215,7 +215,7 @@ def prior_terms(prior: Prior, rows: Rows, *, data: tuple[Array, Array] | None = 
     return PriorTerms((squared, *terms), tuple(notes), strength)
 
 
-def _believed(prior: Prior, rows: Rows) -> tuple[Array, Indices, list[str]]:
+def _bodies(prior: Prior, rows: Rows) -> tuple[Array, Indices, list[str]]:
     """Return bodies that can exist, the links that are described, and what was done to them."""
     robot = rows.robot
     given = robot.prior if prior.bodies is None else prior.bodies
@@ -244,7 +244,7 @@ def _believed(prior: Prior, rows: Rows) -> tuple[Array, Indices, list[str]]:
         ball = np.diag([size, size, size, 1.0]) * float(np.mean(given[known, 0]))
         bodies[unknown] = from_pseudo_inertia(ball)
         names = ", ".join(robot.link_names[i] for i in unknown)
-        notes.append(f"prior: next to nothing is believed of {names}, which have no mass")
+        notes.append(f"prior: next to no information about {names}, which have no mass")
     return bodies, known, notes
 
 

@@ -170,7 +170,7 @@ def explained(problem: Problem, theta: Array, best: Array) -> float:
             if np.isfinite(limit):
                 values = (sign * (float(row @ point) - limit) for point in (theta, best))
                 add(sign * row @ D, *values)
-    rooms, best_rooms = feasible.rooms(theta), feasible.rooms(best)
+    rooms, best_rooms = feasible.slacks(theta), feasible.slacks(best)
     for k, room in enumerate(rooms):
         F = feasible.block_basis[feasible.n_own + k]
         link = int(feasible.block_links[feasible.n_own + k])

@@ -174,7 +174,7 @@ def test_every_kind_repairs_first_and_hardly_believes_what_has_no_mass(kind):
         Prior(kind=kind, bodies=bodies, friction=False), rows_of(robot_of(bodies_of(1, 3)))
     )
     assert any("link_2 could not exist as described" in note for note in found.notes)
-    assert any("next to nothing is believed of link_3" in note for note in found.notes)
+    assert any("next to no information about link_3" in note for note in found.notes)
     squared, *others = found.terms
     theta = np.concatenate([repaired(bodies)[0].ravel(), np.ones(6)])
     theta[20:30] = np.linalg.lstsq(squared.matrix[-10:, 20:30], squared.rhs[-10:], rcond=None)[0]
