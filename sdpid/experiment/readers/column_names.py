@@ -1,4 +1,4 @@
-"""Where a log keeps its quantities: by the usual names, or by those that are given."""
+"""Find the quantities of a log by the usual names, or by those that are given."""
 
 from __future__ import annotations
 
@@ -279,7 +279,7 @@ class Columns:
     def _found_by_unit(
         self, quantity: str, names: Sequence[str] | None
     ) -> tuple[NDArray[Any], tuple[str, ...] | None] | None:
-        """Look for what only its unit tells, and for currents where they can be scaled."""
+        """Look for columns known by their unit only, and for currents where they can be scaled."""
         plain = {n: p for n, p in self._candidates(quantity).items() if n in self._units}
         for key in _BARE:
             if group := _numbered(plain, key, names, False):

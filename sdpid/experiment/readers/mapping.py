@@ -1,4 +1,4 @@
-"""A small TOML file beside a log that says what its columns are."""
+"""Read the mapping of a log: a TOML file beside it with names, units and motors."""
 
 from __future__ import annotations
 

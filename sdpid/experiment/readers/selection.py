@@ -1,4 +1,4 @@
-"""The quantities of a log, found among its arrays but not yet converted."""
+"""Select the quantities of a log among its arrays, in the units of the file."""
 
 from __future__ import annotations
 

@@ -21,7 +21,7 @@ _QUANTITIES = ("position", "velocity", "effort")
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class MotorSide:
-    """How what was logged at the motors becomes what happens at the joints.
+    """Gears, signs, offsets and couplings that convert motor-side logs to the joints.
 
     With the matrix R of motor turns a joint turn, joint positions are
     ``inv(R) @ motor_position + offsets``, velocities ``inv(R) @ motor_velocity``, and efforts
@@ -105,7 +105,7 @@ class MotorSide:
 
     @classmethod
     def from_mapping(cls, given: Mapping[str, Any]) -> MotorSide:
-        """Return what a table ``[motors]`` says.
+        """Return the motor side that a table ``[motors]`` describes.
 
         Keys are ``gear_ratios`` (and ``signs``) or ``position_matrix``, and ``effort_matrix``,
         ``offsets``, ``torque_constants``, ``applies_to``.

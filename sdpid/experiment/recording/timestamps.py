@@ -31,7 +31,7 @@ _BLOCK = 1 << 16
 
 @dataclass(frozen=True, kw_only=True)
 class Stamps:
-    """The time stamps of a record in numbers.
+    """First and last time stamp, shortest and longest step, and lost samples of a record.
 
     Attributes
     ----------
@@ -57,7 +57,7 @@ class Stamps:
 
     @staticmethod
     def of(time: Any) -> Stamps:
-        """Look at all stamps, block by block.
+        """Check all stamps, block by block.
 
         Where steps differ by half or more, lost samples are looked for.
 
@@ -136,7 +136,7 @@ def guess_time_unit(time: Any) -> str:
 
 
 def _wrong(row: int, stamp: float, before: float) -> str:
-    """Say which stamp does not come after the one before it."""
+    """Return a message about a stamp that does not come after the one before it."""
     how = "repeats" if stamp == before else "runs backwards"
     return f"time {how} at row {row + 1}: {stamp:.9g} s after {before:.9g} s"
 
