@@ -328,8 +328,8 @@ def test_a_mapping_elsewhere(tmp_path: Path) -> None:
     assert facts["mapping"] == str(mapping)
     assert facts["rate_hz"] == pytest.approx(100.0)
     # Options win over it; what it says of the other quantities stays.
-    said = ("--mapping", mapping, "--unit", "time=s")
-    assert json.loads(run("info", path, *said, "--json").stdout)["rate_hz"] == pytest.approx(0.1)
+    options = ("--mapping", mapping, "--unit", "time=s")
+    assert json.loads(run("info", path, *options, "--json").stdout)["rate_hz"] == pytest.approx(0.1)
     arguments = ("--robot", ROBOT, "--mapping", mapping, "--json")
     validated = run("validate", path, *arguments)
     assert validated.exit_code == 0, validated.output

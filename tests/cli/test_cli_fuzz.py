@@ -138,8 +138,8 @@ def test_damaged_files_end_well(kind: str, sound: Path, tmp_path: Path) -> None:
         for name in files:
             shutil.copy(sound / name, folder)
         if case >= 0:
-            own = damaged if rng.random() < 0.4 else misspelt
-            broken = damaged(content, rng, True) if own is damaged else own(content, rng)
+            change = damaged if rng.random() < 0.4 else misspelt
+            broken = damaged(content, rng, True) if change is damaged else change(content, rng)
             (folder / kind).write_bytes(broken)
         for command in commands(kind, case, folder):
             with warnings.catch_warnings():
@@ -220,16 +220,16 @@ def undamaged(done: Any, kind: str) -> str | None:
 
 def complaint(done: Any, folder: Path) -> str | None:
     """Say what is wrong with how a damaged file ended."""
-    said = done.stderr
-    if done.exit_code == 1 and "the certificate does not hold" in said:
+    stderr = done.stderr
+    if done.exit_code == 1 and "the certificate does not hold" in stderr:
         return None
     if done.exit_code not in (0, 2, 3):
-        return f"exit status {done.exit_code}: {said[:600]} {done.exception!r}"
-    if "Traceback" in done.output or "unexpected" in said:
-        return said[-600:]
+        return f"exit status {done.exit_code}: {stderr[:600]} {done.exception!r}"
+    if "Traceback" in done.output or "unexpected" in stderr:
+        return stderr[-600:]
     quiet = done.exit_code == 0 or (done.exit_code == 3 and done.stdout)
-    if not quiet and (not said.startswith("sdpid: ") or len(said.splitlines()) != 1):
-        return f"message is {said[:600]!r}"
+    if not quiet and (not stderr.startswith("sdpid: ") or len(stderr.splitlines()) != 1):
+        return f"message is {stderr[:600]!r}"
     out = folder / "out"
     if out.exists() and (
         done.exit_code != 0 or not {p.name for p in out.iterdir()} >= {"report.html", "result.json"}

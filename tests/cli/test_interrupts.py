@@ -49,8 +49,8 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     t, q, tau = arm_log(folder / "arm.urdf")
     np.savez(folder / "log.npz", t=t, q=q, tau=tau)
     run = identify(folder)
-    _, said = run.communicate(timeout=120)
-    assert run.returncode == 0, said
+    _, stderr = run.communicate(timeout=120)
+    assert run.returncode == 0, stderr
     return folder
 
 
@@ -67,9 +67,9 @@ def test_earlier_results_stay(folder: Path, number: signal.Signals, delay: float
         time.sleep(0.002)
     time.sleep(delay)
     run.send_signal(number)
-    _, said = run.communicate(timeout=60)
+    _, stderr = run.communicate(timeout=60)
     assert run.returncode == 128 + number
-    assert "Traceback" not in said
+    assert "Traceback" not in stderr
     assert contents(folder / "out") == before
 
 
@@ -82,9 +82,9 @@ def test_a_first_run_leaves_nothing(folder: Path) -> None:
         assert time.monotonic() < ends
         time.sleep(0.002)
     run.terminate()
-    _, said = run.communicate(timeout=60)
+    _, stderr = run.communicate(timeout=60)
     assert run.returncode == 128 + signal.SIGTERM
-    assert said == ""
+    assert stderr == ""
     assert not fresh.exists()
 
 

@@ -27,8 +27,8 @@ def crossed(log: sdpid.Recording) -> CrossValidation:
 
 
 def part(log: sdpid.Recording, first: int, last: int) -> sdpid.Recording:
-    own = slice(first, last)
-    return replace(log, time=log.time[own], position=log.position[own], effort=log.effort[own])
+    rows = slice(first, last)
+    return replace(log, time=log.time[rows], position=log.position[rows], effort=log.effort[rows])
 
 
 def test_a_fold_is_what_it_says(log: sdpid.Recording, crossed: CrossValidation) -> None:
@@ -107,16 +107,16 @@ def test_it_is_part_of_an_identification(log: sdpid.Recording) -> None:
     assert result.cross_validation.count == 3
     assert result.to_dict()["cross_validation"]["relative_residual"] > 0.0
     assert "3 blocks of time held out in turn" in result.summary()
-    said = " ".join(result.verdict)
-    assert "3 blocks of time held out in turn" in said
-    assert "Nothing was held out" not in said
+    words = " ".join(result.verdict)
+    assert "3 blocks of time held out in turn" in words
+    assert "Nothing was held out" not in words
 
 
 def test_the_verdict_tells_when_blocks_are_not_predicted(log: sdpid.Recording) -> None:
     effort = np.array(log.effort)
     effort[: len(effort) // 3] *= 1.3
-    said = " ".join(sdpid.identify(arm(), replace(log, effort=effort), folds=3).verdict)
-    assert "It does not predict what it has not seen" in said
+    words = " ".join(sdpid.identify(arm(), replace(log, effort=effort), folds=3).verdict)
+    assert "It does not predict what it has not seen" in words
 
 
 @pytest.mark.parametrize("folds", [0, 1, 2.5, True])

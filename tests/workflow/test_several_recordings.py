@@ -105,9 +105,9 @@ def test_intervals_come_by_default_and_are_written(result: Identification, tmp_p
             assert float(rows[name]["upper"]) == found.upper[i]
             assert rows[name]["label"] == found.label[i]
         assert all(rows[name]["lower"] == "" for name in set(names) - set(given))
-    told = json.loads((tmp_path / "result.json").read_text())
-    assert told["intervals"]["method"] == "gauss_markov"
-    assert len(told["intervals"]["parameters"]) == len(found)
+    content = json.loads((tmp_path / "result.json").read_text())
+    assert content["intervals"]["method"] == "gauss_markov"
+    assert len(content["intervals"]["parameters"]) == len(found)
     kept = json.loads((tmp_path / "parameters.json").read_text())
     assert kept["base"]["Fv1"]["interval"] == [
         found.lower[found.names.index("Fv1")],
@@ -167,11 +167,11 @@ def test_why_there_is_no_mjcf_is_said(
         raise sdpid.errors.ExportError("MuJoCo cannot hold it.")
 
     monkeypatch.setattr(mjcf, "write_mjcf", fail)
-    said: list[str] = []
-    files = {file.name for file in result.save(tmp_path, figures=False, report=said.append)}
+    notes: list[str] = []
+    files = {file.name for file in result.save(tmp_path, figures=False, report=notes.append)}
     assert "identified.urdf" in files
     assert "identified.xml" not in files
-    assert any("no identified.xml" in text and "cannot hold it" in text for text in said)
+    assert any("no identified.xml" in text and "cannot hold it" in text for text in notes)
 
 
 def test_no_line_is_drawn_across_a_join(result: Identification) -> None:

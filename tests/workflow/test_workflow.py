@@ -62,8 +62,8 @@ def test_a_periodic_experiment_is_certified(result: Identification) -> None:
 
 
 def test_everything_is_saved_and_loads(result: Identification, tmp_path: Path) -> None:
-    said: list[str] = []
-    files = result.save(tmp_path / "deep" / "out", report=said.append)
+    notes: list[str] = []
+    files = result.save(tmp_path / "deep" / "out", report=notes.append)
     assert {path.name for path in files} == {
         "base_parameters.csv",
         "parameters.csv",
@@ -81,7 +81,7 @@ def test_everything_is_saved_and_loads(result: Identification, tmp_path: Path) -
     assert sdpid.verify(folder / "certificate.json").passed
     assert json.loads((folder / "result.json").read_text())["certified"] is True
     loads_elsewhere(folder / "identified.urdf", 6)
-    assert said == []
+    assert notes == []
     assert "relative residual" in result.summary()
 
 
@@ -132,9 +132,9 @@ def test_ur10(data_folder: Path, tmp_path: Path) -> None:
     # The default believes in the description too, which costs a little there and pays elsewhere.
     assert found.training.relative <= 1.05 * UR10_RESIDUAL
     assert found.certificate.passed
-    said: list[str] = []
-    found.save(tmp_path, figures=False, report=said.append)
-    assert "Fo6" in said[0]
+    notes: list[str] = []
+    found.save(tmp_path, figures=False, report=notes.append)
+    assert "Fo6" in notes[0]
     loads_elsewhere(tmp_path / "identified.urdf", 6)
 
 
