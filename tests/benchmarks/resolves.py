@@ -22,7 +22,7 @@ import numpy as np
 
 from sdpid._common.arrays import Array
 from sdpid.assurance.certificate.certificate import certify
-from sdpid.assurance.intervals.bootstrap import resampled
+from sdpid.assurance.intervals.bootstrap import resample
 from sdpid.assurance.intervals.intervals import confidence_intervals
 from sdpid.estimation.constraints.constraints import Constraints
 from sdpid.estimation.estimate import Estimate
@@ -67,13 +67,13 @@ def _bootstrap(
     label: str, estimate: Estimate, repeats: int, resamples: int, jobs: int
 ) -> Iterator[Row]:
     whole, own, alone = (np.empty(repeats) for _ in range(3))
-    resampled(estimate, resamples=jobs, n_jobs=jobs)
+    resample(estimate, resamples=jobs, n_jobs=jobs)
     lost = 0
     for repeat in range(repeats):
         few = min(ALONE, resamples)
-        alone[repeat] = resampled(estimate, resamples=few, n_jobs=1).seconds * resamples / few
+        alone[repeat] = resample(estimate, resamples=few, n_jobs=1).seconds * resamples / few
         begin = time.perf_counter()
-        found = resampled(estimate, resamples=resamples, n_jobs=jobs)
+        found = resample(estimate, resamples=resamples, n_jobs=jobs)
         whole[repeat] = time.perf_counter() - begin
         own[repeat], lost = found.seconds, found.lost
     what, status = f"{resamples} resamples {label}", f"{lost} lost"

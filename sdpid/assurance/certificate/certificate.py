@@ -1,4 +1,4 @@
-"""Certificates: how good an estimate is at worst, from numbers that anyone can recompute.
+"""Certificates: proven bounds on how far an estimate is from the global optimum.
 
 What a certificate claims is proven in exact arithmetic by `sdpid.assurance.certificate.verify`,
 which needs nothing of this package.
@@ -75,7 +75,7 @@ class Certificate:
 
     @cached_property
     def _core(self) -> tuple[dict[str, Any], exact.Recomputed]:
-        """Problem, parameters, multipliers and claims; and what they prove."""
+        """Everything that the certificate states, and its exact evaluation."""
         problem, dual = self.problem, self.bound.multipliers
         feasible, theta = problem.feasible, self.theta
         limits = np.where(dual.rows > 0.0, feasible.row_lower, feasible.row_upper)
@@ -104,7 +104,7 @@ class Certificate:
 
     @cached_property
     def _proof(self) -> exact.Result:
-        """What the stand-alone check says."""
+        """The result of the stand-alone check."""
         return exact.prove(*self._core)
 
     @property
@@ -119,7 +119,7 @@ class Certificate:
 
     @property
     def lower_bound(self) -> float:
-        """No feasible parameters cost less; rounded down."""
+        """Lower bound on the cost of all feasible parameters, rounded down."""
         return float(self._claims["lower_bound"])
 
     @property
@@ -218,7 +218,7 @@ class Certificate:
 
 
 def _gap(cost: float, bound: float, found: exact.Recomputed) -> float:
-    """Return by how much a cost is above a bound, relative to it, rounded up."""
+    """Return (cost − bound) relative to the cost, rounded up."""
     scale = max(Fraction(cost), found.scale)
     return upward((Fraction(cost) - Fraction(bound)) / scale) if scale else 0.0
 
@@ -226,7 +226,7 @@ def _gap(cost: float, bound: float, found: exact.Recomputed) -> float:
 def _problem(problem: Problem) -> dict[str, Any]:
     """Return the problem as plain values."""
     feasible, squared, log_det = problem.feasible, problem.squared, problem.log_det
-    believed = slice(problem.base.count, None)
+    prior_rows = slice(problem.base.count, None)
     own = feasible.n_own
     rows = zip(
         feasible.row_names, feasible.rows, feasible.row_lower, feasible.row_upper, strict=True
@@ -245,8 +245,8 @@ def _problem(problem: Problem) -> dict[str, Any]:
         "base_matrix": problem.base.matrix.tolist(),
         "rhs": problem.rhs.tolist(),
         "floor": float(problem.floor),
-        "prior_matrix": squared.matrix[believed].tolist(),
-        "prior_rhs": squared.rhs[believed].tolist(),
+        "prior_matrix": squared.matrix[prior_rows].tolist(),
+        "prior_rhs": squared.rhs[prior_rows].tolist(),
         "lower": feasible.lower.tolist(),
         "upper": feasible.upper.tolist(),
         "rows": [
@@ -341,7 +341,7 @@ def certify(estimate: Estimate, *, bound: Bound | Estimate | None = None) -> Cer
 
 @dataclass(frozen=True, kw_only=True)
 class Verification:
-    """What checking a certificate file found, recomputed from its numbers.
+    """Result of checking a certificate file, recomputed from its numbers.
 
     Attributes
     ----------

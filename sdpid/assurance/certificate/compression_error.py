@@ -1,4 +1,4 @@
-"""Whether the few numbers of a compressed problem stand for its many rows."""
+"""Compare the compressed cost of a problem with the sum over its rows, and hash the samples."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ def _sums(rows: RowSource, sigma: Array, exponent: float, values: Array) -> tupl
 
 
 def compression_error(problem: Problem, base: ArrayLike) -> float | None:
-    """Return by how much the compressed cost of base parameters is off, relative to the sum.
+    """Return the relative error of the compressed cost of base parameters (b,).
 
     None where the rows were not kept.
     """

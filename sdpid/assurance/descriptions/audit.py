@@ -1,4 +1,4 @@
-"""An audit of a robot description: which bodies cannot exist, and which are implausible."""
+"""Audit a robot description: find bodies that cannot exist, and implausible ones."""
 
 from __future__ import annotations
 
@@ -77,7 +77,7 @@ class BodyAudit:
 
 @dataclass(frozen=True, kw_only=True)
 class UrdfAudit:
-    """What an audit found.
+    """Result of the audit of a robot description.
 
     Attributes
     ----------
@@ -95,12 +95,12 @@ class UrdfAudit:
 
     @property
     def errors(self) -> tuple[Finding, ...]:
-        """What no body can have."""
+        """Findings that no body can have."""
         return tuple(f for f in self.findings if f.severity == "error")
 
     @property
     def warnings(self) -> tuple[Finding, ...]:
-        """What is implausible."""
+        """Findings that are implausible."""
         return tuple(f for f in self.findings if f.severity == "warning")
 
     @property

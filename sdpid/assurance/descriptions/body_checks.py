@@ -1,4 +1,4 @@
-"""What can be wrong with the inertia of one described body, each check a finding in words."""
+"""Checks of the inertia of one body of a description."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ _DECADES = 0.7
 
 @dataclass(frozen=True, kw_only=True)
 class Finding:
-    """One thing that is wrong or strange.
+    """One error, warning or note about a description.
 
     Attributes
     ----------

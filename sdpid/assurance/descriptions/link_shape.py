@@ -1,4 +1,4 @@
-"""What the shape of a link says about the bodies that fit into it."""
+"""The convex hull of a link's geometry, and whether a mass distribution fits into it."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What can be wrong with a description as a whole: copied inertias, joints without mass."""
+"""Checks of a whole description: copied inertias, joints that move no mass."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def check_copies(
     for group in groups.values():
         first = group[0]
         if first.tensor is not None and np.array_equal(first.tensor, np.eye(3)):
-            continue  # said already
+            continue  # already reported as a placeholder
         masses = sorted({body.mass for body in group if body.mass is not None})
         if len(masses) > 1:
             found.append(
@@ -80,7 +80,7 @@ def check_moving(bodies: Sequence[DescribedBody]) -> list[Finding]:
     heavy = {
         carrier
         for carrier, group in groups.items()
-        # What is wrong or made from shapes counts as mass here: it is said elsewhere.
+        # What is wrong or made from shapes counts as mass here: it is reported elsewhere.
         if any(b.mass or b.inferred or b.problems or consistent(b) is False for b in group)
     }
     moved = set()

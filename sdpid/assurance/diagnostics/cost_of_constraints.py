@@ -182,7 +182,7 @@ def cost_of_constraints(estimate: Estimate) -> CostOfConstraints:
 
 
 def _without(estimate: Estimate) -> Iterator[tuple[str, Array]]:
-    """Yield the constraints that press, with the optimum without each."""
+    """Yield each constraint with a multiplier, and the optimum without it."""
     problem, theta = estimate.problem, np.array(estimate.theta)
     feasible = problem.feasible
     scaling = Scaling.of(problem)
@@ -214,7 +214,7 @@ def _without(estimate: Estimate) -> Iterator[tuple[str, Array]]:
 def _without_equations(
     estimate: Estimate, scaling: Scaling, theta: Array
 ) -> Iterator[tuple[str, Array]]:
-    """Yield the equations among the constraints, with the optimum without each."""
+    """Yield each equality constraint, and the optimum without it."""
     problem = estimate.problem
     feasible = problem.feasible
     bounds_included = np.ones(problem.n_theta, dtype=bool)
@@ -231,7 +231,7 @@ def _without_equations(
 
 
 def _relaxed(name: str, conic: ConicProgram, program: SdpProgram) -> Iterator[tuple[str, Array]]:
-    """Yield the optimum of a program with one constraint less, unless none is found."""
+    """Yield the optimum of a program with one constraint removed, unless none is found."""
     found = _solved(conic, program.problem.cost_of, program.coordinates.theta)
     if found is not None:
         yield name, program.coordinates.theta(found[0])
@@ -255,7 +255,7 @@ def _solved(
 
 
 def _bound_name(estimate: Estimate, k: int) -> str:
-    """Return what a bound on a parameter is called."""
+    """Return the name of the bound on parameter k."""
     problem, feasible = estimate.problem, estimate.problem.feasible
     if not feasible.bounded[k]:
         return f"theta_max of {problem.base.theta_names[k]}"

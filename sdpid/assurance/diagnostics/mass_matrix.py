@@ -1,4 +1,4 @@
-"""The worst mass matrix: where a robot's inertia is smallest, and a bound that needs no search.
+"""Smallest eigenvalue of the mass matrix over joint positions, and a bound that needs no search.
 
 **Search.** The smallest eigenvalue of ``M(q) = Σ J_i(q)^T·I_i·J_i(q)`` over a box, at many
 quasi-random positions at once, then by local descent from the lowest. It finds an upper bound on
@@ -256,10 +256,9 @@ def proven_bound(robot: RobotModel, theta: ArrayLike) -> float | None:
 
 
 def _proof(problem: Problem, theta: Array) -> tuple[float | None, str]:
-    """Return the best bound that can be had, and what it rests on."""
+    """Return the largest proven bound, and the reason for it."""
     robot = problem.robot
-    given = proven_bound(robot, theta)
-    best, reason = given, "the estimate's own links"
+    best, reason = proven_bound(robot, theta), "the estimate's own links"
     for bodies in _strongest(problem, theta):
         value = proven_bound(robot, bodies)
         if value is not None and (best is None or value > best):
@@ -273,7 +272,7 @@ def _proof(problem: Problem, theta: Array) -> tuple[float | None, str]:
 
 
 def _strongest(problem: Problem, theta: Array) -> list[Array]:
-    """Return links with theta's base parameters for which the bound is largest, some candidates."""
+    """Return candidate links with theta's base parameters, for which the bound is largest."""
     robot, feasible = problem.robot, problem.feasible
     links = 10 * robot.n_links
     scaling = Scaling.of(problem)

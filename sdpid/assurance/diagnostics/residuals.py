@@ -1,4 +1,4 @@
-"""What prediction errors look like: over frequency, over time lags, over velocity.
+"""Statistics of prediction errors: spectrum, autocorrelation, dependence on velocity.
 
 Errors of a model that lacks nothing are noise: a flat spectrum below the filter's cut-off, an
 autocorrelation that falls at once, and a mean of zero at every velocity. Where they are not, their
@@ -23,7 +23,7 @@ BINS = 16
 # Samples a piece of the spectrum (Welch's): a few hundred frequencies are what a plot shows.
 _PIECE = 1024
 
-# Lags of the autocorrelation that are kept: a tenth of the record, at most so many seconds.
+# Lags of the autocorrelation that are kept: a tenth of the record, at most this many seconds.
 _LAG_SHARE, _LAG_SECONDS = 0.1, 2.0
 
 
@@ -71,7 +71,7 @@ class JointErrors:
 
 
 def joint_errors(samples: Samples, fit: Validation) -> tuple[JointErrors, ...]:
-    """Return what the errors of every joint look like.
+    """Return the error statistics of every joint.
 
     Parameters
     ----------
@@ -97,7 +97,7 @@ def joint_errors(samples: Samples, fit: Validation) -> tuple[JointErrors, ...]:
 
 
 def used_rows(samples: Samples, joint: int) -> Mask:
-    """Return which rows (K,) of a joint count."""
+    """Return the mask (K,) of a joint's rows that are not masked."""
     if samples.mask is None:
         return np.ones(len(samples.effort), dtype=bool)
     return np.asarray(samples.mask[:, joint])

@@ -1,4 +1,4 @@
-"""How well an estimate predicts efforts, on the rows it was made from or on fresh ones."""
+"""Compare predicted with measured efforts, on the estimate's own rows or on fresh ones."""
 
 from __future__ import annotations
 

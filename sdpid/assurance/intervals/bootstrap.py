@@ -1,4 +1,4 @@
-"""How a constrained estimate scatters: its data drawn again, its problem solved again.
+"""Block bootstrap: resample the data of a constrained estimate and solve its problem again.
 
 Drawn are blocks of consecutive samples, as many as there are, each beginning anywhere (the record
 wraps around at its end) [politis1992]_: residuals of filtered signals are correlated, but hardly
@@ -52,7 +52,7 @@ _MOST_LOST = 0.02
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Resampled:
-    """Estimates of data that were drawn again.
+    """Estimates from resampled data.
 
     Attributes
     ----------
@@ -103,7 +103,7 @@ class Resampled:
         return np.asarray(middle - high), np.asarray(middle - low)
 
 
-def resampled(
+def resample(
     estimate: Estimate,
     *,
     resamples: int = 400,
@@ -111,7 +111,7 @@ def resampled(
     seed: int | np.random.Generator = 0,
     n_jobs: int | None = None,
 ) -> Resampled:
-    """Draw the data of an estimate again, and estimate every time.
+    """Resample the data of an estimate and estimate from every resample.
 
     Parameters
     ----------
@@ -151,7 +151,7 @@ def resampled(
         run = _PIECES if size > 1 else 1
     else:
         pieces, run = ScoreBlocks.of(problem, groups), 1
-    draws = _Draws(pieces, run, _whole(seed), Again.of(estimate))
+    draws = _Draws(pieces, run, _whole(seed), Refit.of(estimate))
     starts = range(0, resamples, _TOGETHER)
     tasks = (delayed(draws.solve)(range(i, min(i + _TOGETHER, resamples))) for i in starts)
     done = list(chain.from_iterable(parallel(n_jobs, threads=True)(tasks)))
@@ -174,7 +174,7 @@ def _whole(seed: int | np.random.Generator) -> int:
 
 @dataclass(frozen=True, eq=False)
 class _Draws:
-    """What is drawn, and what it is estimated with; small enough to be sent to other processes.
+    """Compressed pieces of the data and the program to solve; small enough to send to a worker.
 
     Attributes
     ----------
@@ -184,17 +184,17 @@ class _Draws:
         Consecutive pieces that are drawn together.
     seed : int
         Of all draws.
-    again : Again
+    refit : Refit
         The estimate.
     """
 
     pieces: ScoreBlocks
     run: int
     seed: int
-    again: Again
+    refit: Refit
 
     def times(self, number: int) -> Array:
-        """Return how often a draw has each piece, (G,)."""
+        """Return the weight of each piece in draw `number`, (G,)."""
         count = self.pieces.count
         rng = np.random.default_rng([self.seed, number])
         starts = rng.integers(0, count, max(round(count / self.run), 1))
@@ -216,13 +216,13 @@ class _Draws:
             times = self.times(number)
             information = np.einsum("g,gij->ij", times, pieces.information)
             target = np.einsum("g,gi->i", times, pieces.target)
-            found.append(self.again.solve(information, target))
+            found.append(self.refit.solve(information, target))
         return found
 
 
 @dataclass(frozen=True, eq=False)
-class Again:
-    """The problem of other data, about the estimate.
+class Refit:
+    """The estimate's problem, to be solved for other data.
 
     Attributes
     ----------
@@ -237,8 +237,8 @@ class Again:
     programs: tuple[ReusableProgram, ...]
 
     @classmethod
-    def of(cls, estimate: Estimate) -> Again:
-        """Prepare."""
+    def of(cls, estimate: Estimate) -> Refit:
+        """Put the programs into solver form once."""
         problem = estimate.problem
         printed = problem.weighting in ("eq9", "eq18")
         if estimate.method == "wls" or estimate.theta is None:
@@ -251,7 +251,7 @@ class Again:
         return cls(printed, tuple(ReusableProgram.of(program) for program in programs))
 
     def solve(self, information: Array, target: Array) -> tuple[Array | None, float]:
-        """Return the base parameters of some data, None where none are found, and the seconds."""
+        """Return the base parameters (b,) of some data, None without a solution, and seconds."""
         scale = np.sqrt(np.maximum(np.diagonal(information), np.finfo(float).tiny))
         if self.printed:
             A, rhs = information, target

@@ -1,4 +1,4 @@
-"""Intervals for base and standard parameters.
+"""Confidence intervals of base and standard parameters.
 
 Three kinds, each with its own question (see docs/intervals.md):
 
@@ -23,7 +23,7 @@ import numpy as np
 from sdpid._common.arrays import Array, Mask, frozen
 from sdpid._common.tables import Table, facts_html, plain
 from sdpid._common.threads import one_thread
-from sdpid.assurance.intervals.bootstrap import Kind, resampled
+from sdpid.assurance.intervals.bootstrap import Kind, resample
 from sdpid.assurance.intervals.parameters import ParameterFunctions
 from sdpid.assurance.intervals.profile_likelihood import End, ProfileLikelihood
 from sdpid.errors import DataError
@@ -41,7 +41,7 @@ FROM_PRIOR = "from the prior"
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Intervals:
-    """Intervals of some parameters.
+    """Confidence intervals of parameters.
 
     Attributes
     ----------
@@ -169,7 +169,7 @@ def confidence_intervals(
     seed: int | np.random.Generator = 0,
     n_jobs: int | None = None,
 ) -> Intervals:
-    """Return intervals of base and standard parameters.
+    """Return confidence intervals of base and standard parameters.
 
     Parameters
     ----------
@@ -218,17 +218,17 @@ def confidence_intervals(
             f"intervals: method is {method!r}; use 'profile', 'gauss_markov' or 'bootstrap'."
         )
     problem = estimate.problem
-    asked = (
+    requested = (
         None
         if parameters is None
         else tuple([parameters] if isinstance(parameters, str) else parameters)
     )
-    wanted = ParameterFunctions.of(problem, asked)
+    wanted = ParameterFunctions.of(problem, requested)
     if method == "profile":
         return _profile(estimate, wanted, level, groups, n_jobs)
     require_excitation(problem.excitation)
     open_ones = [n for n, seen in zip(wanted.names, wanted.determined, strict=True) if not seen]
-    if asked is not None and open_ones:
+    if requested is not None and open_ones:
         raise DataError(
             f"intervals: the data alone do not determine {', '.join(open_ones)}; use "
             "method='profile', which says what physics leaves of them."
@@ -265,7 +265,7 @@ def _bootstrap(
     seed: int | np.random.Generator,
     n_jobs: int | None,
 ) -> Intervals:
-    drawn = resampled(estimate, resamples=resamples, groups=groups, seed=seed, n_jobs=n_jobs)
+    drawn = resample(estimate, resamples=resamples, groups=groups, seed=seed, n_jobs=n_jobs)
     value = wanted.functionals @ estimate.base
     lower, upper = drawn.quantiles(wanted.functionals, level, kind, estimate.base)
     return _made(
@@ -296,13 +296,13 @@ def _profile(
         )
     problem, theta = estimate.problem, np.array(estimate.theta)
     bounds = ProfileLikelihood(problem, theta, ScoreBlocks.of(problem, groups), level)
-    asked: list[tuple[Array, Array | None]] = []
+    functions: list[tuple[Array, Array | None]] = []
     for function, functional, determined in zip(
         wanted.functions, wanted.functionals, wanted.determined, strict=True
     ):
         moved = bounds.expected(functional) if determined else None
-        asked += [(function, moved), (-function, moved)]
-    found = bounds.minima(asked, n_jobs)
+        functions += [(function, moved), (-function, moved)]
+    found = bounds.minima(functions, n_jobs)
     ends: list[tuple[End, End]] = list(zip(found[::2], found[1::2], strict=True))
     box = _box(bounds, wanted, ends)
     proven = np.array(
@@ -342,7 +342,7 @@ def _profile(
 
 def _label(ends: tuple[End, End]) -> str:
     """Return what bounds a parameter that the data leave open."""
-    if any(end.rests[0] or end.believed > 0.5 for end in ends):
+    if any(end.rests[0] or end.prior_share > 0.5 for end in ends):
         return FROM_PRIOR
     return FROM_PHYSICS
 

@@ -1,4 +1,4 @@
-"""Parameters by name, as linear functions: what each of them asks of theta and of the data."""
+"""Parameters by name, as linear functions of theta and of the base parameters."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ _OPEN = 1e-7
 
 @dataclass(frozen=True, eq=False)
 class ParameterFunctions:
-    """Some parameters as functions of theta and of the base parameters.
+    """Parameters as linear functions of theta and of the base parameters.
 
     Attributes
     ----------
@@ -64,14 +64,14 @@ class ParameterFunctions:
             or not np.allclose(functions[i], base.matrix[base.names.index(name)])
         ]
         if parameters is not None:
-            asked = [parameters] if isinstance(parameters, str) else list(parameters)
-            unknown = [name for name in asked if name not in names]
+            requested = [parameters] if isinstance(parameters, str) else list(parameters)
+            unknown = [name for name in requested if name not in names]
             if unknown:
                 raise DataError(
                     f"intervals: no parameter is called {', '.join(map(repr, unknown))}; there "
                     f"are {', '.join(names[i] for i in kept)}."
                 )
-            kept = [i for name in asked for i in kept if names[i] == name]
+            kept = [i for name in requested for i in kept if names[i] == name]
         scale = Scaling.of(problem).theta
         # Base parameters in units in which the rows of their matrix are of order one.
         size = np.linalg.norm(base.matrix * scale, axis=1)
@@ -95,7 +95,7 @@ class ParameterFunctions:
         )
 
     def only(self, chosen: Mask) -> ParameterFunctions:
-        """Return some of them."""
+        """Return the functions that a mask or index selects."""
         index = np.flatnonzero(chosen)
         return ParameterFunctions(
             names=tuple(self.names[i] for i in index),

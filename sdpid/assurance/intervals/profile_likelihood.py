@@ -64,7 +64,7 @@ _AT = 0.999
 
 @dataclass(frozen=True, eq=False)
 class End:
-    """One extreme, as a minimum: of c·theta at the lower end, of −c·theta at the upper one.
+    """One end of an interval: the minimum of c·theta (lower end) or of −c·theta (upper end).
 
     Attributes
     ----------
@@ -78,7 +78,7 @@ class End:
         The level at which it was found.
     rests : tuple of bool
         Whether it rests on theta_max, and on the largest mass.
-    believed : float
+    prior_share : float
         Share of the prior's rows in what holds it.
     seconds : float
         In the solver.
@@ -93,7 +93,7 @@ class End:
     rise: float
     solved: float
     rests: tuple[bool, bool]
-    believed: float
+    prior_share: float
     seconds: float = 0.0
     solves: int = 0
 
@@ -103,7 +103,7 @@ _NOTHING = End(0.0, _NONE, _NONE, _NONE, 0.0, 0.0, (False, False), 0.0)
 
 
 class ProfileLikelihood:
-    """The programs of one estimate.
+    """Profile likelihood of one estimate: minima of linear functions within a level of the cost.
 
     Parameters
     ----------
@@ -144,7 +144,7 @@ class ProfileLikelihood:
         self.family = ConicFamily(replace(self.program.conic, cost=None, radius=1.0))
 
     def _start(self) -> float:
-        """Return the rise of a typical direction."""
+        """Return the rise of the cost for a direction of average variance."""
         count = self.problem.base.count
         return max(4.0 * float(np.trace(self.noise[:count, :count])) / count, self.least)
 
@@ -190,7 +190,7 @@ class ProfileLikelihood:
     def minima(
         self, wanted: Sequence[tuple[Array, Array | None]], n_jobs: int | None = None
     ) -> list[End]:
-        """Return the least of several functions, as `minimum` does of each.
+        """Return the minimum of each of several linear functions.
 
         Parameters
         ----------
@@ -207,7 +207,7 @@ class ProfileLikelihood:
         return [end for each in found for end in each]
 
     def _some(self, wanted: Sequence[tuple[Array, Array | None]]) -> list[End]:
-        """Return the least of a few functions: solved one by one, their levels found together."""
+        """Return the minima of a few functions, whose levels are updated together."""
         levels = self.rises([moved for _, moved in wanted])
         ends: dict[int, End] = {}
         left = list(range(len(wanted)))
@@ -226,7 +226,7 @@ class ProfileLikelihood:
         return [ends[i] for i in range(len(wanted))]
 
     def minimum(self, c: Array, moved: Array | None = None) -> End:
-        """Return the least of c·theta.
+        """Return the minimum of c·theta.
 
         Parameters
         ----------
@@ -278,7 +278,7 @@ class ProfileLikelihood:
     def _end(
         self, c: Array, size: float, solution: ConicSolution, rise: float
     ) -> tuple[End, Array]:
-        """Read a solution, and how the residual has moved."""
+        """Return the end and the change of the residual that a solution gives."""
         problem, feasible, program = self.problem, self.problem.feasible, self.program
         theta = program.theta(solution)
         found = program.multipliers(solution, theta)
@@ -307,7 +307,9 @@ class ProfileLikelihood:
             np.sum(held[: 10 * feasible.n_links][feasible.bounded[: 10 * feasible.n_links]])
         )
         count = problem.base.count
-        believed = float(u[count:] @ u[count:]) / max(float(u @ u), 1e-300)
+        # Multipliers that hold next to nothing have no source.
+        counts = float(np.linalg.norm(u)) * self.unit > _RESTS * width
+        prior_share = float(u[count:] @ u[count:]) / float(u @ u) if counts else 0.0
         end = End(
             found=float(c @ theta),
             u=u,
@@ -316,19 +318,21 @@ class ProfileLikelihood:
             rise=rise,
             solved=rise,
             rests=(wide >= _RESTS * width, mass >= _RESTS * width),
-            believed=believed if float(np.linalg.norm(u)) * self.unit > _RESTS * width else 0.0,
+            prior_share=prior_share
+            if float(np.linalg.norm(u)) * self.unit > _RESTS * width
+            else 0.0,
         )
         return end, moved
 
     def _left(self, c: Array, u: Array, Z: Array, rows: Array) -> Array:
-        """Return what multipliers leave of the function."""
+        """Return c less what the multipliers account for, (p,): zero but for rounding."""
         feasible = self.problem.feasible
         return np.asarray(
             c - self.problem.squared.transposed(u) - feasible.adjoint(Z) - rows @ feasible.rows
         )
 
     def proven(self, c: Array, end: End, box: tuple[Any, Any], rise: float | None = None) -> float:
-        """Return a value that c·theta is not below, at a level (by default the end's own).
+        """Return the lower bound on c·theta that the multipliers prove at a level.
 
         Parameters
         ----------

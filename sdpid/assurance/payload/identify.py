@@ -1,4 +1,4 @@
-"""What is mounted on the last link: mass, center of mass and inertia, with intervals."""
+"""Identify a payload: mass, center of mass and inertia of what a link carries, with intervals."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ _INVISIBLE = 1e-9
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Payload:
-    """What is mounted on a link, as robot controllers ask for it.
+    """A payload and its intervals, in the form that robot controllers take.
 
     Attributes
     ----------
@@ -84,7 +84,7 @@ class Payload:
     shown : bool
         Whether the recordings tell it from no payload, with the intervals' probability.
     status : str
-        What the solver said.
+        Status of the solver.
     notes : tuple of str
         What was assumed, or is to be known.
     """
@@ -185,7 +185,7 @@ def identify_payload(
     extent: float = 1.0,
     level: float = 0.95,
 ) -> Payload:
-    """Identify what is mounted on a link.
+    """Identify the payload that a link carries.
 
     The payload is the body, of all that matter can have, with which the recordings together fit
     best: its parameters act where the link does and only in the recording with load; those of the
@@ -194,7 +194,7 @@ def identify_payload(
 
     * a recording without load, or an estimate made from one (of which the data are used, not the
       result, so that its uncertainty counts);
-    * nothing but the robot's description: with a `prior` it is believed within the prior's limits,
+    * nothing but the robot's description: with a `prior` the prior regularizes towards it,
       without one it is taken as exact and only friction is estimated.
 
     Parameters
@@ -211,7 +211,7 @@ def identify_payload(
         A frame fixed to that link, such as the flange's link in the URDF; by default the joint
         frame of the link.
     prior : Prior, optional
-        What is believed of the arm beside the data; of a quadratic kind.
+        Prior of the arm's parameters; of a quadratic kind.
     friction : iterable, optional
         Friction terms; by default those of the estimate, or as `identify` chooses them.
     separate : iterable of str, optional

@@ -37,7 +37,7 @@ NOTHING = 1e-9
 
 
 class PayloadIntervals:
-    """The programs of the extremes.
+    """Intervals of a payload's mass, center of mass and inertia.
 
     Parameters
     ----------

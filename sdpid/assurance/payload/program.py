@@ -1,4 +1,4 @@
-"""The payload of least cost among all that matter can have."""
+"""The semidefinite program of a payload: least cost over all bodies that can exist."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ def quantities(theta: Array) -> Array:
 
 
 class PayloadProgram:
-    """The semidefinite programs of one payload.
+    """The semidefinite program of one payload.
 
     Parameters
     ----------
@@ -81,7 +81,7 @@ class PayloadProgram:
         self.seconds, self.solves = 0.0, 0
 
     def solve(self) -> tuple[Array, str]:
-        """Return the payload (10,) of least cost, and what the solver said.
+        """Return the payload (10,) of least cost, and the status of the solver.
 
         Raises
         ------
@@ -101,7 +101,7 @@ class PayloadProgram:
         return float(residual @ residual) + self.rows.floor
 
     def shown(self, theta: Array, level: float) -> bool:
-        """Return whether the recordings show more than chance of a payload.
+        """Return whether the recordings distinguish the payload from none.
 
         No payload at all is the tip of the cone of what matter can be; the cost that it has more
         than the best one is, without any, at most distributed as chi-square of ten degrees.

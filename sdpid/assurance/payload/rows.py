@@ -1,4 +1,4 @@
-"""What recordings say of a payload once the arm is eliminated: ten columns, and their errors.
+"""Cost of a payload's ten parameters with the arm eliminated, and the errors in it.
 
 The arm's parameters theta and the payload's ten pi act together. With R and h what is known of the
 arm (rows of a recording without load, or of a prior), A and r the compressed rows of the recording
@@ -98,7 +98,7 @@ def rows_beside_recording(
 
 
 def rows_beside_prior(loaded: Problem, columns: Array) -> PayloadRows:
-    """Return the rows of a payload when the arm is believed to be near the problem's prior."""
+    """Return the rows of a payload when the arm is regularized by the problem's prior."""
     if len(loaded.log_det.links):
         raise DataError("payload: the prior of the arm must be a sum of squares, as 'pullback'.")
     squared, count = loaded.squared, loaded.base.count

@@ -1,4 +1,4 @@
-"""Audit of published base parameters: whether any links that exist can have them."""
+"""Audit published base parameters: decide whether links that can exist have them."""
 
 from __future__ import annotations
 
@@ -34,14 +34,14 @@ _BEYOND = 1e-4
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class BaseAudit:
-    """What an audit of base parameters found.
+    """Result of the audit of a table of base parameters.
 
     Attributes
     ----------
     robot : str
         Name of the robot.
     question : Question
-        What was asked, in exact numbers.
+        The table and the constraints, in exact numbers.
     verdict : {"realisable", "not realisable", "undecided"}
         The answer; the first two are proven in exact arithmetic.
     margin : float or None

@@ -1,4 +1,4 @@
-"""Tables of published parameters, as CSV: numbers as printed, and how exactly they are known."""
+"""Read tables of published parameters from CSV, with half a unit of the last printed place."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Weights of parameters that may prove something without bounds: an exact linear subspace.
+"""Facial reduction: the linear subspace of weights whose matrices can be positive definite.
 
 A point mass on an axis that nothing moves, and much else, adds nothing to any base parameter: the
 coefficients of such directions are zero whatever the weights. Where a matrix that is to be
@@ -25,7 +25,7 @@ _TENSOR = {pair: 4 + k for k, pair in enumerate(TENSOR_INDEX)}
 
 @dataclass(frozen=True, eq=False)
 class Face:
-    """Weights that satisfy the exact conditions.
+    """The subspace of weights that satisfy the linear conditions.
 
     Attributes
     ----------
@@ -88,12 +88,12 @@ class _Conditions:
 
 
 def find_face(question: Question, support: Iterable[int], *, mass_bound: bool) -> Face:
-    """Return the weights of a support that may prove something.
+    """Return the subspace of weights over a support that can make a refutation.
 
     Parameters
     ----------
     question : Question
-        What is asked.
+        The table and the constraints.
     support : iterable of int
         The parameters that may have a weight.
     mass_bound : bool

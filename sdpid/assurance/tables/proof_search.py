@@ -47,7 +47,7 @@ _MARGIN_ROOM = (1e-6, 1e-4, 1e-2)
 # Shares of the largest contradiction that the strongest refutation may keep.
 _STRONG_SHARES = (0.9999, 0.99, 0.9)
 
-# Digits of weights that nobody is to read.
+# Digits of weights in proofs that are not meant to be read.
 _MANY_DIGITS = (6, 9, 12, _DIGITS)
 
 
@@ -218,7 +218,7 @@ def _exact_proof(search: Search, support: Iterable[int], mass_bound: bool) -> Re
 def _rounded(
     question: Question, weights: Weights, digits: int, leader: int | None
 ) -> Refutation | None:
-    """Return weights rounded to so many digits, one of them made 1 if there is a leader."""
+    """Return weights rounded to `digits`, scaled so that the leader is 1 if there is one."""
     free = weights.free
     unit = float(np.abs(free).max()) if leader is None else abs(float(free[leader]))
     if not unit > 0.0:
@@ -252,7 +252,7 @@ def _definite(proof: Refutation, link: int) -> bool:
 
 
 def _round(value: float, digits: int, *, up: bool = False) -> Fraction:
-    """Return a decimal of so many significant digits, rounded away from zero if wanted."""
+    """Return a value rounded to `digits` significant digits, away from zero if `up`."""
     if value == 0.0:
         return Fraction(0)
     power = digits - 1 - int(np.floor(np.log10(abs(value))))
@@ -262,7 +262,7 @@ def _round(value: float, digits: int, *, up: bool = False) -> Fraction:
 
 
 def _with_slack(search: Search) -> Refutation | None:
-    """Return a refutation whose matrices are mended by what theta_max pays for."""
+    """Return a refutation that uses theta_max to make its matrices definite."""
     face = _whole(search)
     program = WeightProgram(search, face, mass_bound=True, norm=_sizes(search, face))
     found = program.most_contradicting()
@@ -273,7 +273,7 @@ def _with_slack(search: Search) -> Refutation | None:
 
 
 def _whole(search: Search) -> Face:
-    """Return all weights, whatever must vanish: rounding then leaves something of it."""
+    """Return the face of all weights, without any reduction."""
     question = search.question
     every = tuple(range(len(question.rows)))
     rows_C = [0, 1, 2] if question.consistency == "spatial_inertia" else []
@@ -281,7 +281,7 @@ def _whole(search: Search) -> Face:
 
 
 def _mended(question: Question, found: Weights) -> Refutation:
-    """Return weights with enough added to the diagonals that the matrices are definite."""
+    """Return a refutation with slack on the diagonals that makes its matrices definite."""
     unit = float(np.abs(found.free).max())
     named = {
         question.names[k]: _round(float(x) / unit, _DIGITS)

@@ -19,7 +19,7 @@ from sdpid.robot.inertia import Consistency
 from sdpid.robot.model.base_parameters import BaseParameters, structural_base
 from sdpid.robot.model.model import RobotModel
 
-# Regrouping coefficients that are within this share of a decimal of so many digits are that
+# Regrouping coefficients that are within this share of a decimal of this many digits are that
 # decimal: they come from a scan in floating point, which leaves some 1e-15 to 1e-13.
 _DIGITS = 9
 _ROUNDING = 1e-13
@@ -39,7 +39,7 @@ def base_question(
     friction_nonnegative: bool = True,
     base: BaseParameters | None = None,
 ) -> Question:
-    """Return the question; for the arguments see `sdpid.audit_base_parameters`.
+    """Return the question of a table; for the arguments see `sdpid.audit_base_parameters`.
 
     Raises
     ------

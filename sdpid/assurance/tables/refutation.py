@@ -271,7 +271,7 @@ class Refutation:
 
 
 def rounded(value: Fraction, digits: int, *, up: bool) -> Fraction:
-    """Return a decimal of so many significant digits, not below the value, or not above it."""
+    """Return a decimal of `digits` significant digits not below (`up`) or not above the value."""
     if value == 0:
         return value
     power = digits - len(str(int(abs(value)))) if abs(value) >= 1 else digits

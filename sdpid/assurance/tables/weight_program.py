@@ -5,6 +5,7 @@ Everything here is in floating point and only proposes; `Refutation` decides in 
 
 from __future__ import annotations
 
+import warnings
 from dataclasses import dataclass
 from typing import Any
 
@@ -13,7 +14,10 @@ import numpy as np
 from sdpid._common.arrays import Array
 from sdpid.assurance.tables.facial_reduction import Face
 from sdpid.assurance.tables.witness import coefficient_matrices
-from sdpid.assurance.tables.witness_search import Search, solved
+from sdpid.assurance.tables.witness_search import Search
+
+# Gap and residuals at which the solver stops.
+_TOLERANCE = 1e-10
 
 # C and Q of each of a link's ten coefficients, (10, 3, 3) and (10, 4, 4).
 _UNIT_MATRICES = tuple(
@@ -134,7 +138,7 @@ class WeightProgram:
         return self._solved(objective, self._violation >= least, self._interior == 0.0)
 
     def _solved(self, objective: Any, *constraints: Any) -> Weights | None:
-        if not solved(objective, [*self._cone, *constraints]):
+        if not _solves(objective, [*self._cone, *constraints]):
             return None
         masses = np.zeros(0) if self._masses is None else self._masses.value / self._mass
         return Weights(
@@ -143,3 +147,20 @@ class WeightProgram:
             np.maximum(masses, 0.0),
             float(self._violation.value),
         )
+
+
+def _solves(objective: Any, constraints: list[Any]) -> bool:
+    """Solve a CVXPY problem; return whether its variables have values, accurate or not."""
+    import cvxpy as cp
+
+    program = cp.Problem(objective, constraints)
+    limits = dict.fromkeys(("tol_gap_abs", "tol_gap_rel", "tol_feas"), _TOLERANCE)
+    with warnings.catch_warnings():
+        # What is found is checked in exact arithmetic: it need not be accurate.
+        warnings.simplefilter("ignore")
+        try:
+            # Numbers are of order one as they are: scaled again they lose digits.
+            program.solve(solver=cp.CLARABEL, equilibrate_enable=False, **limits)
+        except cp.error.SolverError:
+            return False
+    return all(variable.value is not None for variable in program.variables())

@@ -1,4 +1,4 @@
-"""Whether links that can exist have given base parameters: the question, and the answer yes.
+"""The question of a table in exact numbers, and the check of a witness.
 
 Every number here is a rational. A yes is a witness: standard parameters of links that obey every
 inequality. A no is a `sdpid.assurance.tables.refutation.Refutation`.
@@ -101,7 +101,7 @@ class Question:
         return [c.get(10 * link + k, _ZERO) for k in range(10)]
 
     def outside(self, theta: Sequence[Fraction]) -> dict[str, Fraction]:
-        """Return by how much parameters miss their box, those that do."""
+        """Return the excess beyond the box of each parameter that is outside it."""
         out = {}
         for name, row, value, half in zip(
             self.names, self.rows, self.values, self.halfwidths, strict=True
@@ -112,7 +112,7 @@ class Question:
         return out
 
     def is_witness(self, theta: Sequence[Fraction]) -> bool:
-        """Return whether theta answers the question with yes."""
+        """Return whether theta is in the box and satisfies every constraint."""
         if self.outside(theta) or any(abs(x) > self.theta_max for x in theta):
             return False
         if any(theta[j] < 0 for j in self.nonnegative):

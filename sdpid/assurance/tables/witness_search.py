@@ -5,15 +5,14 @@ Everything here is in floating point and only proposes; `sdpid.assurance.tables.
 
 from __future__ import annotations
 
-import warnings
 from dataclasses import dataclass
 from fractions import Fraction
-from typing import Any
 
 import numpy as np
 
 from sdpid._common.arrays import Array
 from sdpid.assurance.tables.witness import Question, rational
+from sdpid.estimation.conic.solve import ConicProgram, Matrix, solve_conic
 from sdpid.estimation.scaling import Scaling
 from sdpid.robot.inertia import (
     from_pseudo_inertia,
@@ -31,8 +30,8 @@ _INSIDE = 1e-7
 _SHARE = 1e-3
 _SMALL = 1e-6
 
-# Gap and residuals at which the solver stops.
-_TOLERANCE = 1e-10
+# Equations that are this close to dependent are.
+_DEPENDENT = 1e-11
 
 # Masses of scales, kg: beyond, they are no sizes.
 _MASSES = (1e-2, 1e3)
@@ -48,7 +47,7 @@ class Search:
     Attributes
     ----------
     question : Question
-        What is asked.
+        The table and the constraints.
     R : ndarray, shape (r, p)
         Rows.
     value, half : ndarray, shape (r,)
@@ -100,17 +99,11 @@ class Search:
 
     def most_interior(self) -> Array | None:
         """Return theta in the box with the largest margin, None where there is none."""
-        import cvxpy as cp
-
-        gain, x = cp.Variable(), cp.Variable(self.R.shape[1])
-        error, half = self._errors(x), (1.0 - _INSIDE) * self.half / self._size
-        exact = self.half == 0.0
-        inside = [cp.abs(error[~exact]) <= half[~exact], error[exact] == 0.0]
-        # A margin beyond theta_max makes no sense.
-        inside.append(gain <= float(self.question.theta_max) / self._body)
-        if not solved(cp.Maximize(gain), [*inside, *self._links(x, gain)]):
-            return None
-        return np.asarray(self.scaling.basis() @ x.value)
+        lower, upper = self._box()
+        found = self._theta_program(
+            np.zeros((len(self.R), 0)), lower, upper, gains_margin=True, cost=np.zeros(0)
+        )
+        return None if found is None else found[0]
 
     def smallest_changes(self, *, each: bool) -> tuple[Array, Array] | None:
         """Return (theta, changes beyond the box), the smallest for which theta exists.
@@ -121,54 +114,92 @@ class Search:
             Minimize the sum over the entries of what each one changes by, in units of `give`,
             instead of the largest.
         """
-        import cvxpy as cp
-
-        x = cp.Variable(self.R.shape[1])
-        changes = cp.Variable(len(self.R) if each else 1, nonneg=True)
-        beyond = cp.multiply(self.give / self._size, changes)
-        inside = [cp.abs(self._errors(x)) <= self.half / self._size + beyond]
-        if not solved(cp.Minimize(cp.sum(changes)), [*inside, *self._links(x, 0.0)]):
+        count = len(self.R)
+        extra = np.diag(self.give) if each else self.give[:, None]
+        cost = np.ones(count if each else 1)
+        found = self._theta_program(
+            extra, self.value - self.half, self.value + self.half, gains_margin=False, cost=cost
+        )
+        if found is None:
             return None
-        theta = np.asarray(self.scaling.basis() @ x.value)
-        return theta, np.maximum(np.abs(self.R @ theta - self.value) - self.half, 0.0)
+        theta = found[0]
+        beyond = np.maximum(np.abs(self.R @ theta - self.value) - self.half, 0.0)
+        return theta, beyond
 
-    @property
-    def _size(self) -> Array:
-        """The unit of each row."""
-        return np.asarray(self.scaling.mass * self.unit)
+    def _box(self) -> tuple[Array, Array]:
+        half = (1.0 - _INSIDE) * self.half
+        return self.value - half, self.value + half
 
-    @property
-    def _body(self) -> float:
-        """The unit of margins, kg·m²."""
-        return self.scaling.mass * self.scaling.length**2
-
-    def _errors(self, x: Any) -> Any:
-        """Return what the rows miss the values by, for scaled parameters x, in units of order 1."""
-        size = self._size
-        return (self.R @ self.scaling.basis() / size[:, None]) @ x - self.value / size
-
-    def _links(self, x: Any, gain: Any) -> list[Any]:
-        """Return the constraints on scaled parameters x, margins `gain` above the one asked for."""
-        import cvxpy as cp
-
+    def _theta_program(
+        self, extra: Array, lower: Array, upper: Array, *, gains_margin: bool, cost: Array
+    ) -> tuple[Array, Array] | None:
+        """Solve over (x, e, t): rows within the box but for ``extra·e``, margins at least t."""
         q, scaling = self.question, self.scaling
         basis = scaling.basis()
-        upper = np.full(len(basis), (1.0 - _INSIDE) * float(q.theta_max))
-        lower = -upper
+        n, more = basis.shape[1], extra.shape[1]
+        width = n + more + 1
+        size = scaling.mass * self.unit
+        body = scaling.mass * scaling.length**2
+        start = float(q.margin)
+        C, low, high = [], [], []
+
+        def add(rows: Array, extras: Array, below: Array, above: Array) -> None:
+            C.append(np.hstack([rows, extras, np.zeros((len(rows), 1))]))
+            low.append(below)
+            high.append(above)
+
+        rows = self.R @ basis / size[:, None]
+        none = np.full(len(rows), np.inf)
+        add(rows, extra / size[:, None], lower / size, none)
+        add(rows, -extra / size[:, None], -none, upper / size)
+        bounded = np.full(n, (1.0 - _INSIDE) * float(q.theta_max))
+        floor = -bounded.copy()
         room = _INSIDE * float(q.mass_max - q.mass_min)
-        lower[: 10 * q.n_links : 10] = float(q.mass_min) + room
-        upper[: 10 * q.n_links : 10] = float(q.mass_max) - room
-        lower[sorted(q.nonnegative)] = 0.0
-        theta = (basis / scaling.theta[:, None]) @ x
-        out = [theta >= lower / scaling.theta, theta <= upper / scaling.theta]
+        floor[: 10 * q.n_links : 10] = float(q.mass_min) + room
+        bounded[: 10 * q.n_links : 10] = float(q.mass_max) - room
+        floor[sorted(q.nonnegative)] = 0.0
+        add(
+            basis / scaling.theta[:, None],
+            np.zeros((n, more)),
+            floor / scaling.theta,
+            bounded / scaling.theta,
+        )
+        last = np.zeros((more + 1, width))
+        last[:, n:] = np.eye(more + 1)
+        C.append(last)
+        # The margin is counted from the one that is asked for, and not beyond all sense.
+        low.append(np.append(np.zeros(more), -np.inf if gains_margin else 0.0))
+        top = float(q.theta_max) / body if gains_margin else 0.0
+        high.append(np.append(np.full(more, np.inf), top))
         units, shift = matrix_basis(q.consistency), margin_shift(q.consistency)
+        blocks = []
         for link, root in enumerate(np.linalg.inv(scaling.roots(len(shift)))):
             own = slice(10 * link, 10 * link + 10)
-            linear = np.einsum("ka,kij->ija", basis[own, own], root @ units @ root.T)
+            linear = np.einsum("ka,kij->aij", basis[own, own], root @ units @ root.T)
             shifted = root @ shift @ root.T
-            matrix = cp.reshape(linear.reshape(-1, 10) @ x[own], shift.shape, order="C")
-            out.append(matrix - (self._body * gain + float(q.margin)) * shifted >> 0)
-        return out
+            blocks.append(
+                Matrix(
+                    np.append(np.arange(10 * link, 10 * link + 10), width - 1),
+                    np.concatenate([linear, -body * shifted[None]]),
+                    -start * shifted,
+                )
+            )
+        program = ConicProgram(
+            M=np.zeros((0, width)),
+            m=np.zeros(0),
+            cost=np.concatenate([np.zeros(n), cost, [-1.0 if gains_margin else 0.0]]),
+            C=np.vstack(C),
+            lower=np.concatenate(low),
+            upper=np.concatenate(high),
+            blocks=tuple(blocks),
+        )
+        if more:
+            x = _solved(program)
+        else:
+            known = np.flatnonzero(self.half == 0.0)
+            E = np.hstack([rows[known], np.zeros((len(known), width - n))])
+            x = _solved_along(program, E, (self.value / size)[known])
+        return None if x is None else (basis @ x[:n], x[n:])
 
     def margins(self, theta: Array) -> Array:
         """Return every link's margin, NaN where the mass is not positive."""
@@ -193,18 +224,45 @@ class Search:
         return out
 
 
-def solved(objective: Any, constraints: list[Any]) -> bool:
-    """Solve a CVXPY problem; return whether its variables have values, accurate or not."""
-    import cvxpy as cp
+def _solved(program: ConicProgram) -> Array | None:
+    """Return the solution of a program, None where there is none."""
+    solution = solve_conic(program)
+    return None if solution.x is None or "Infeasible" in solution.status else solution.x
 
-    program = cp.Problem(objective, constraints)
-    limits = dict.fromkeys(("tol_gap_abs", "tol_gap_rel", "tol_feas"), _TOLERANCE)
-    with warnings.catch_warnings():
-        # What is found is checked in exact arithmetic: it need not be accurate.
-        warnings.simplefilter("ignore")
-        try:
-            # Numbers are of order one as they are: scaled again they lose digits.
-            program.solve(solver=cp.CLARABEL, equilibrate_enable=False, **limits)
-        except cp.error.SolverError:
-            return False
-    return all(variable.value is not None for variable in program.variables())
+
+def _solved_along(program: ConicProgram, E: Array, target: Array) -> Array | None:
+    """Return the solution of a program along equations that its inequalities contain.
+
+    As pairs of inequalities they would leave it no interior, and solvers need one.
+    """
+    if not len(E):
+        return _solved(program)
+    U, singular, V = np.linalg.svd(E)
+    rank = int(np.count_nonzero(singular > _DEPENDENT * singular.max()))
+    origin = V[:rank].T @ ((U[:, :rank].T @ target) / singular[:rank])
+    along = V[rank:].T
+    along[np.abs(along) < _DEPENDENT] = 0.0
+    C = program.C @ along
+    # What the equations hold fixed is left to the check of what is found.
+    moves = np.abs(C).max(axis=1, initial=0.0) > _DEPENDENT
+    fixed = program.C @ origin
+    blocks = []
+    for block in program.blocks:
+        directions = along[block.index]
+        index = np.flatnonzero(np.any(directions != 0.0, axis=0))
+        linear = np.einsum("ka,kij->aij", directions[:, index], block.linear)
+        constant = block.constant + np.einsum("k,kij->ij", origin[block.index], block.linear)
+        blocks.append(Matrix(index, linear, constant))
+    assert program.cost is not None
+    z = _solved(
+        ConicProgram(
+            M=np.zeros((0, along.shape[1])),
+            m=np.zeros(0),
+            cost=program.cost @ along,
+            C=C[moves],
+            lower=(program.lower - fixed)[moves],
+            upper=(program.upper - fixed)[moves],
+            blocks=tuple(blocks),
+        )
+    )
+    return None if z is None else origin + along @ z

@@ -129,7 +129,7 @@ LIMITED = """<robot name="limited"><link name="base"/>
  izz="0.1"/></inertial></link>
 <joint name="elbow" type="revolute"><parent link="a"/><child link="b"/><axis xyz="0 0 1"/>
  <origin xyz="0.5 0 0"/><limit lower="0.5" upper="{upper}" velocity="1" effort="1"/></joint>
-<link name="b"><inertial><origin xyz="0.4 0 0" rpy="0 0 0"/><mass value="2"/>
+<link name="b"><inertial><origin xyz="0.4 0.4 0" rpy="0 0 0"/><mass value="2"/>
  <inertia ixx="0.01" ixy="0" ixz="0" iyy="0.01" iyz="0" izz="0.01"/></inertial></link>
 <joint name="slide" type="prismatic"><parent link="b"/><child link="c"/><axis xyz="1 0 0"/>
  {limit}</joint>

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import sdpid
-from sdpid.assurance.intervals.bootstrap import Again, resampled
+from sdpid.assurance.intervals.bootstrap import Refit, resample
 from sdpid.errors import DataError
 from sdpid.estimation.cluster_robust import ScoreBlocks
 from sdpid.estimation.problem import build_problem
@@ -22,7 +22,7 @@ def test_the_data_themselves_give_the_estimate() -> None:
     blocks = ScoreBlocks.of(problem)
     information, target = blocks.information.sum(axis=0), blocks.target.sum(axis=0)
     for estimate in (sdpid.solve_wls(problem), sdpid.solve_sdp(problem)):
-        found, _ = Again.of(estimate).solve(information, target)
+        found, _ = Refit.of(estimate).solve(information, target)
         assert found is not None
         np.testing.assert_allclose(found, estimate.base, atol=1e-5 * np.abs(estimate.base).max())
 
@@ -33,7 +33,7 @@ def test_a_draw_is_the_problem_of_the_samples_drawn() -> None:
     rng = np.random.default_rng(4)
     drawn = rng.integers(0, blocks.count, blocks.count)
     times = np.bincount(drawn, minlength=blocks.count).astype(float)
-    found, _ = Again.of(sdpid.solve_sdp(problem)).solve(
+    found, _ = Refit.of(sdpid.solve_sdp(problem)).solve(
         np.tensordot(times, blocks.information, 1), times @ blocks.target
     )
     s = problem.samples
@@ -54,7 +54,7 @@ def test_unconstrained_draws_scatter_as_standard_errors_say() -> None:
     theta = random_theta(ARM, rng)
     samples = make_samples(ARM, theta, rng, count=600, noise=0.2, block=4)
     fit = sdpid.solve_wls(build_problem(ARM, samples))
-    drawn = resampled(fit, resamples=800, seed=1)
+    drawn = resample(fit, resamples=800, seed=1)
     ratio = drawn.base.std(axis=0) / fit.standard_errors
     # 800 draws know a deviation to 2.5 %, and blocks drawn with leverage scatter a little more.
     assert np.all(np.abs(ratio - 1.0) < 0.15)
@@ -76,7 +76,7 @@ def test_periods_scatter_as_their_mean() -> None:
     np.testing.assert_allclose(
         blocks.covariance, expected, rtol=1e-6, atol=1e-9 * np.abs(expected).max()
     )
-    drawn = resampled(fit, resamples=800, groups="periods", seed=1)
+    drawn = resample(fit, resamples=800, groups="periods", seed=1)
     ratio = drawn.base.std(axis=0) / np.sqrt(np.diagonal(blocks.covariance))
     assert np.all(np.abs(ratio - 1.0) < 0.15)
 
@@ -107,7 +107,7 @@ def test_seeds_that_are_none_are_refused(seed: Any) -> None:
 def test_a_generator_is_a_seed() -> None:
     estimate = sdpid.solve_wls(arm_problem())
     first, second, third = (
-        resampled(estimate, resamples=5, seed=np.random.default_rng(i)).base for i in (0, 0, 1)
+        resample(estimate, resamples=5, seed=np.random.default_rng(i)).base for i in (0, 0, 1)
     )
     np.testing.assert_array_equal(first, second)
     assert not np.array_equal(first, third)
@@ -118,7 +118,7 @@ def test_too_few_draws_and_unknown_kinds_are_refused() -> None:
     with pytest.raises(DataError, match="at least 80"):
         sdpid.confidence_intervals(estimate, method="bootstrap", resamples=79)
     with pytest.raises(DataError, match="resamples"):
-        resampled(estimate, resamples=0)
+        resample(estimate, resamples=0)
     with pytest.raises(DataError, match="kind"):
         sdpid.confidence_intervals(
             estimate,
@@ -132,8 +132,8 @@ def test_bounds_that_are_left_out_at_first_change_no_draw() -> None:
     estimate = sdpid.solve_sdp(arm_problem(LIGHT))
     blocks = ScoreBlocks.of(estimate.problem)
     rng = np.random.default_rng(8)
-    again = Again.of(estimate)
-    boxed = Again(again.printed, again.programs[1:])
+    again = Refit.of(estimate)
+    boxed = Refit(again.printed, again.programs[1:])
     overstepped = 0
     for _ in range(20):
         drawn = rng.integers(0, blocks.count, blocks.count)
@@ -145,7 +145,7 @@ def test_bounds_that_are_left_out_at_first_change_no_draw() -> None:
         np.testing.assert_allclose(found, expected, atol=1e-5 * np.abs(expected).max())
         assert first > 0.0
         assert second > 0.0
-        alone = Again(again.printed, again.programs[:1]).solve(*data)[0]
+        alone = Refit(again.printed, again.programs[:1]).solve(*data)[0]
         overstepped += alone is None
     # Draws whose moments go beyond theta_max are among them, and draws whose do not.
     assert 0 < overstepped < 20

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import sdpid
-from sdpid.assurance.intervals.bootstrap import resampled
+from sdpid.assurance.intervals.bootstrap import resample
 from sdpid.assurance.intervals.intervals import Intervals
 from sdpid.errors import DataError
 from sdpid.estimation.estimate import Estimate
@@ -27,12 +27,12 @@ def profile(estimate: Estimate, n_jobs: int | None = None) -> Intervals:
 
 
 def test_draws_do_not_depend_on_the_jobs(estimate: Estimate) -> None:
-    one = resampled(estimate, resamples=60, n_jobs=1)
-    two = resampled(estimate, resamples=60, n_jobs=2)
+    one = resample(estimate, resamples=60, n_jobs=1)
+    two = resample(estimate, resamples=60, n_jobs=2)
     np.testing.assert_array_equal(one.base, two.base)
     # Nor on how many there are: the last job has whatever is left of 25.
     for count in (1, 29, 30):
-        fewer = resampled(estimate, resamples=count)
+        fewer = resample(estimate, resamples=count)
         np.testing.assert_array_equal(one.base[:count], fewer.base)
     assert one.lost == 0
     assert one.seconds > 0.0
@@ -48,7 +48,7 @@ def test_profile_intervals_do_not_depend_on_the_jobs(estimate: Estimate) -> None
 @pytest.mark.parametrize("n_jobs", [0, 1.5, True])
 def test_jobs_that_are_none_are_refused(estimate: Estimate, n_jobs: Any) -> None:
     with pytest.raises(DataError, match="n_jobs"):
-        resampled(estimate, resamples=5, n_jobs=n_jobs)
+        resample(estimate, resamples=5, n_jobs=n_jobs)
     with pytest.raises(DataError, match="n_jobs"):
         sdpid.compare(estimate.problem, starts=1, n_jobs=n_jobs)
 
@@ -61,7 +61,7 @@ def test_dask_serves_bootstrap_intervals_and_comparison(
     from joblib import parallel_config
     from joblib._dask import DaskDistributedBackend
 
-    here = resampled(estimate, resamples=60), profile(estimate)
+    here = resample(estimate, resamples=60), profile(estimate)
     options: dict[str, Any] = {"starts": 2, "max_iterations": 3, "show_progress": False}
     alone = sdpid.compare(estimate.problem, n_jobs=1, **options)
     submit, sent = DaskDistributedBackend.submit, []
@@ -72,7 +72,7 @@ def test_dask_serves_bootstrap_intervals_and_comparison(
 
     monkeypatch.setattr(DaskDistributedBackend, "submit", counted)
     with parallel_config(backend="dask"):
-        there = resampled(estimate, resamples=60), profile(estimate)
+        there = resample(estimate, resamples=60), profile(estimate)
         both = sdpid.compare(estimate.problem, **options)
     np.testing.assert_array_equal(here[0].base, there[0].base)
     np.testing.assert_array_equal(here[1].lower, there[1].lower)
