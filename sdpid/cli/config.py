@@ -12,7 +12,6 @@ import inspect
 import os
 from collections.abc import Callable
 from dataclasses import dataclass, fields, is_dataclass
-from difflib import get_close_matches
 from enum import Enum
 from pathlib import Path
 from types import NoneType
@@ -21,7 +20,6 @@ from typing import Annotated, Any, get_args, get_origin, get_type_hints
 import typer
 
 from sdpid._common.progress import hidden_progress
-from sdpid._common.toml import load_toml
 from sdpid.errors import DataError
 
 # Parameters of every command, by its name.
@@ -117,6 +115,10 @@ def read_config(ctx: typer.Context, value: Path | None) -> Path | None:
     """
     if value is None or ctx.resilient_parsing:
         return value
+    from difflib import get_close_matches
+
+    from sdpid._common.toml import load_toml
+
     entries = _entries(str(ctx.command.name))
     values: dict[str, Any] = {}
     for name, content in load_toml(value).items():
