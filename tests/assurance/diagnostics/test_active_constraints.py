@@ -241,7 +241,7 @@ def test_states_of_everything_in_turn() -> None:
         "total mass, at most 0.7",
         "m_2 fixed",
         "Fv1 fixed",
-        f"centre of mass of {LAST} in an ellipsoid",
+        f"center of mass of {LAST} in an ellipsoid",
     ]
     by_name = {state.name: state for state in states}
     assert estimate.margins is not None
