@@ -137,9 +137,9 @@ def _accelerations(log: sdpid.Recording) -> tuple[Array, Array, Array]:
     # White noise of the rate of the position and of the position, differenced once and twice.
     shape = (2.0 * np.sin(math.pi * frequency / log.rate_hz)) ** 2
     shapes = np.column_stack([np.add.reduceat(shape**k, bands) for k in (1, 2)])
-    centre = np.add.reduceat(frequency, bands) / lines
-    noise = _noise(shapes, seen, centre > _NOISE_ABOVE * log.rate_hz)
-    return centre, *_parted(seen, noise)
+    center = np.add.reduceat(frequency, bands) / lines
+    noise = _noise(shapes, seen, center > _NOISE_ABOVE * log.rate_hz)
+    return center, *_parted(seen, noise)
 
 
 def _parted(seen: Array, noise: Array) -> tuple[Array, Array]:

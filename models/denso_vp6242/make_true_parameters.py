@@ -3,12 +3,12 @@
 The published base parameters (Table IV, column CWLS) are not those of any real set of bodies, so
 the plant takes the nearest ones that are. Two convex problems, solved by Clarabel:
 
-1. **Base parameters.** Minimise ``Σ ((B·theta − cwls) / s)²`` over the 36 inertial base
+1. **Base parameters.** Minimize ``Σ ((B·theta − cwls) / s)²`` over the 36 inertial base
    parameters, where s is the table's own sigma column, but at least 0.005/√3 (the standard
    deviation of rounding to 0.01, which is what the printed CWLS values carry). Subject to full
-   physical consistency of every link: its second moments about the centre of mass are at least
+   physical consistency of every link: its second moments about the center of mass are at least
    `MARGIN` (4×4 pseudo-inertia minus MARGIN on its 3×3 block positive semidefinite), and its mass
-   lies between `MASS_MIN` and `MASS_MAX`. The minimiser is unique in the base parameters.
+   lies between `MASS_MIN` and `MASS_MAX`. The minimizer is unique in the base parameters.
 2. **Standard parameters.** 24 directions do not show in the effort. Of all sets with those base
    parameters take the nearest, in log-determinant divergence between pseudo-inertias, to a
    reference in which every link is a uniform ball of `BALL_MASS` and `BALL_RADIUS` about the
@@ -36,8 +36,8 @@ from sdpid.robot.model.model import RobotModel
 
 FOLDER = Path(__file__).resolve().parent
 
-# kg·m², of the second moments about the centre of mass. It implies 0.01 kg·m² on the inertia
-# about the centre of mass: the margin at which the authors ran (Table V).
+# kg·m², of the second moments about the center of mass. It implies 0.01 kg·m² on the inertia
+# about the center of mass: the margin at which the authors ran (Table V).
 MARGIN = 0.005
 # kg. The largest virtual mass of Table V is 38.45 kg.
 MASS_MIN, MASS_MAX = 0.5, 40.0

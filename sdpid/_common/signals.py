@@ -7,7 +7,7 @@ import sys
 from typing import Any
 
 # Added to a signal's number for the exit status, by the shells' convention.
-_SIGNALLED = 128
+_SIGNALED = 128
 
 # Signals that were to end this program.
 _ending: list[int] = []
@@ -16,13 +16,13 @@ _ending: list[int] = []
 def end_by(number: int, _frame: object = None) -> None:
     """Handle a signal by ending the program."""
     _ending.append(number)
-    raise SystemExit(_SIGNALLED + number)
+    raise SystemExit(_SIGNALED + number)
 
 
 def end_if_signaled() -> None:
     """End the program if `end_by` was called: some imports swallow even what it raises."""
     if _ending:
-        raise SystemExit(_SIGNALLED + _ending[0])
+        raise SystemExit(_SIGNALED + _ending[0])
 
 
 def clean_up_when_ended() -> None:

@@ -42,7 +42,7 @@ class Excitation:
 
     @classmethod
     def of(cls, A: Array, names: tuple[str, ...]) -> Excitation:
-        """Analyse a compressed regressor (b, b)."""
+        """Analyze a compressed regressor (b, b)."""
         norms = np.linalg.norm(A, axis=0)
         scaled = A / np.where(norms > 0.0, norms, 1.0)
         _, singular, directions = np.linalg.svd(scaled)

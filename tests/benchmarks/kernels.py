@@ -123,7 +123,7 @@ def compression(repeats: int) -> Iterator[Row]:
         for block in blocks:
             block.T @ block
 
-    def factorise() -> None:
+    def factorize() -> None:
         R = np.zeros((0, columns))
         for block in blocks:
             R = np.linalg.qr(np.vstack([R, block]), mode="r")
@@ -137,7 +137,7 @@ def compression(repeats: int) -> Iterator[Row]:
             (
                 multiply,
                 fold,
-                factorise,
+                factorize,
                 make,
                 lambda: compress(rows, sigma),
                 lambda: build_problem(robot, samples, friction=FRICTION, base=base),
@@ -146,12 +146,12 @@ def compression(repeats: int) -> Iterator[Row]:
         )
         / count
     )
-    multiplying, factorising = "X^T·X of its rows", "numpy QR of its rows, in chunks"
+    multiplying, factorizing = "X^T·X of its rows", "numpy QR of its rows, in chunks"
     yield Row.of("Triangle.add, per sample", folded, multiplying, product)
-    yield Row.of("Triangle.add, per sample", folded, factorising, plain)
+    yield Row.of("Triangle.add, per sample", folded, factorizing, plain)
     yield Row.of("whitened rows, per sample", made, multiplying, product)
-    yield Row.of("compress, per sample", all_in_one, factorising, plain)
-    yield Row.of("build_problem, base given, per sample", problem, factorising, plain)
+    yield Row.of("compress, per sample", all_in_one, factorizing, plain)
+    yield Row.of("build_problem, base given, per sample", problem, factorizing, plain)
 
 
 def measure(repeats: int) -> Iterator[Row]:

@@ -22,8 +22,8 @@ FRICTION: tuple[str | FrictionTerm, ...] = ("coulomb", "viscous")
 def random_links(rng: np.random.Generator, count: int, *, points: int = 8) -> Array:
     """Return consistent links (count, 10), each made of random point masses."""
     masses = rng.uniform(0.05, 0.5, (count, points))
-    centres = rng.uniform(-0.2, 0.2, (count, 1, 3))
-    positions = centres + rng.uniform(-0.15, 0.15, (count, points, 3))
+    centers = rng.uniform(-0.2, 0.2, (count, 1, 3))
+    positions = centers + rng.uniform(-0.15, 0.15, (count, points, 3))
     return point_masses(masses, positions)
 
 

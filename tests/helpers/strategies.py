@@ -18,7 +18,7 @@ from sdpid.robot.description.dh_table import DhJoint, DhTable
 from sdpid.robot.inertia import point_masses, transform
 
 # A core of six equal masses on the axes makes every body three-dimensional: its own second
-# moments about its centre are at least 2·CORE_MASS/6·CORE_RADIUS² in every direction, and no
+# moments about its center are at least 2·CORE_MASS/6·CORE_RADIUS² in every direction, and no
 # further point mass can take any of that away.
 CORE_MASS = 0.3
 CORE_RADIUS = 0.05
@@ -54,8 +54,8 @@ def bodies(draw: st.DrawFn, *, points: int = 4) -> Array:
     count = draw(st.integers(0, points))
     masses = draw(hnp.arrays(float, count, elements=reals(0.01, 3.0)))
     positions = draw(hnp.arrays(float, (count, 3), elements=reals(-0.4, 0.4)))
-    centre = draw(hnp.arrays(float, 3, elements=reals(-0.3, 0.3)))
-    whole = transform(core(), np.eye(3), centre)
+    center = draw(hnp.arrays(float, 3, elements=reals(-0.3, 0.3)))
+    whole = transform(core(), np.eye(3), center)
     if count:
         whole = whole + point_masses(masses, positions)
     return whole

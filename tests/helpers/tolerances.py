@@ -21,7 +21,7 @@ REGROUPING = 1e-8
 EXACT = 1e-6
 
 # Cost against a brute-force sum over raw rows, relative to the weighted squared efforts: the
-# factorisation loses a few hundred roundings.
+# factorization loses a few hundred roundings.
 COST = 1e-10
 
 # Costs of two solvers on the same problem, relative.

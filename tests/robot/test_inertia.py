@@ -145,7 +145,7 @@ def test_margin_is_the_schur_complement(body: Array, shift: float) -> None:
 
 
 @given(bodies())
-def test_margin_is_an_eigenvalue_about_the_centre_of_mass(body: Array) -> None:
+def test_margin_is_an_eigenvalue_about_the_center_of_mass(body: Array) -> None:
     _, _, inertia = physical_parameters(body)
     assert_close(margin(body, "spatial_inertia"), np.linalg.eigvalsh(inertia).min())
     moments = np.linalg.eigvalsh(inertia)

@@ -65,8 +65,8 @@ def test_settings_may_be_changed_one_by_one(logs: list[sdpid.Recording]) -> None
     assert processing.order == 2
     assert processing.cutoff_hz == default_processing(logs[1]).cutoff_hz
     assert why is not None
-    with pytest.raises(sdpid.errors.DataError, match="no setting colour"):
-        sdpid.identify(arm(), logs[0], processing={"colour": "red"})
+    with pytest.raises(sdpid.errors.DataError, match="no setting color"):
+        sdpid.identify(arm(), logs[0], processing={"color": "red"})
     with pytest.raises(sdpid.errors.DataError, match="order"):
         sdpid.identify(arm(), logs[0], processing={"order": 0})
 

@@ -34,7 +34,7 @@ def downward(value: Fraction) -> float:
 def semidefinite(Z: Array) -> Array:
     """Return matrices (N, s, s) that are exactly symmetric and, but for rounding, the same.
 
-    Where an exact factorisation finds one that is not positive semidefinite, its diagonal is
+    Where an exact factorization finds one that is not positive semidefinite, its diagonal is
     raised: by a share of itself, so that small entries beside large ones stay small, or else by a
     share of the largest entry. What is indefinite by more than rounding is left as it is.
     """

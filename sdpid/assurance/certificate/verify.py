@@ -95,7 +95,7 @@ def inner(a: Any, b: Any) -> Fraction:
     return dot([x for row in a for x in row], [x for row in b for x in row])
 
 
-def factorise(matrix: Any) -> tuple[bool, Fraction]:
+def factorize(matrix: Any) -> tuple[bool, Fraction]:
     """Return whether a matrix is symmetric and ⪰ 0, and then its determinant (else 0).
 
     Elimination without fractions (Bareiss): all divisions come out even, and pivots keep their
@@ -125,7 +125,7 @@ def factorise(matrix: Any) -> tuple[bool, Fraction]:
 
 def positive_semidefinite(matrix: Any) -> bool:
     """Return whether a matrix of ints, Fractions or floats is symmetric and ⪰ 0, exactly."""
-    return factorise(matrix)[0]
+    return factorize(matrix)[0]
 
 
 def log_bounds(value: Fraction) -> tuple[Fraction, Fraction]:
@@ -367,18 +367,18 @@ class Recomputed:
         inverses = numbers(prior["inverses"], len(links), 4, 4)
         tangents = [None] * len(links) if given is None else numbers(given, len(links), 4, 4)
         for number, inverse, W in zip(links, inverses, tangents, strict=True):
-            link, det = index(number, self.links), factorise(inverse)[1]
+            link, det = index(number, self.links), factorize(inverse)[1]
             if not (det > 0 and factor > 0):
                 raise MalformedError("a prior needs a positive strength and definite inverses")
             if (body := self.body(link)) is not None:
                 P = link_matrix(body, "pseudo_inertia")
-                if (at_body := factorise(P)[1]) > 0:
+                if (at_body := factorize(P)[1]) > 0:
                     self.cost += factor * (inner(inverse, P) - 4 - log_bounds(at_body * det)[0])
                 else:
                     self.broken.append(f"link {link} is not inside its cone: it costs infinity")
             if W is None:
                 continue
-            if (at_W := factorise(W)[1]) > 0:
+            if (at_W := factorize(W)[1]) > 0:
                 self.constant += factor * log_bounds(at_W / det)[0]
                 slopes = zip(*(adjoint(m, "pseudo_inertia") for m in (inverse, W)), strict=True)
                 self._add(10 * link, [factor * (a - b) for a, b in slopes])

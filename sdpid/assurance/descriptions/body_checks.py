@@ -279,7 +279,7 @@ def check_shape(body: DescribedBody, collision: Shape, whole: Shape) -> list[Fin
                 f"collision geometry (limit {limit:.2g} m)"
                 + (", inside the one with the visual geometry" if hidden else "")
                 + "; check the origin of the inertial"
-                + (" (millimetres?)." if outside > 100.0 * size else "."),
+                + (" (millimeters?)." if outside > 100.0 * size else "."),
                 value=outside,
                 limit=limit,
             )
@@ -314,7 +314,7 @@ def _check_density(name: str, mass: float, shape: Shape) -> list[Finding]:
             )
         ]
     advice = (
-        "is the geometry in millimetres (mesh scale)?"
+        "is the geometry in millimeters (mesh scale)?"
         if density < 1e-4
         else "check the mass and the geometry."
     )

@@ -1,6 +1,6 @@
 """Least squares over a cone: the one form that semidefinite programs are solved in.
 
-    minimise ‖M·x + m‖² + cost·x − Σ_i weight·log det(E_i0 + Σ x_k·E_ik)
+    minimize ‖M·x + m‖² + cost·x − Σ_i weight·log det(E_i0 + Σ x_k·E_ik)
     subject to lower ≤ C·x ≤ upper and F_i0 + Σ x_k·F_ik ⪰ 0
 
 With a radius the squares are no cost but a constraint, ``‖M·x + m‖ ≤ radius``.

@@ -1,6 +1,6 @@
 """Least squares over a cone, and the standard form of the solvers.
 
-    minimise ½·v·P·v + q·v   subject to   A·v + s = b,   s in a cone
+    minimize ½·v·P·v + q·v   subject to   A·v + s = b,   s in a cone
 
 over v = (x, residual, …): nothing is compiled, and the residual is a variable of its own, so that
 M is never squared.
@@ -108,7 +108,7 @@ class _Rows:
 
 @dataclass(frozen=True, eq=False)
 class Standard:
-    """``minimise ½·v·P·v + q·v, A·v + s = b``; the sizes of the cones in turn."""
+    """``minimize ½·v·P·v + q·v, A·v + s = b``; the sizes of the cones in turn."""
 
     P: Any
     q: Array

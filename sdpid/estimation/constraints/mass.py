@@ -256,7 +256,7 @@ class CenterOfMassInHull(Condition):
         what is fixed to it (see `sdpid.robot.model.geometry.collision_points`).
     tolerance : float
         Facets are left out as long as the rest lets the center of mass go no farther beyond one
-        of them, m. Meshes have some 300 facets, one row each; a millimetre leaves about 130 of
+        of them, m. Meshes have some 300 facets, one row each; a millimeter leaves about 130 of
         them, five leave 40. 0 takes all.
     package_dirs : sequence of paths
         Where meshes are looked up.

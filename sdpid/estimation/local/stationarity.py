@@ -125,7 +125,7 @@ def _gradient_eigenvectors(variables: PhysicalVariables, slope: Array) -> Array:
 
 
 def _multipliers(slopes: Array, values: Array, gradient: Array) -> Array:
-    """Return λ ≥ 0 that minimises ``½·‖gradient − slopes^T·λ‖² + λ·values``.
+    """Return λ ≥ 0 that minimizes ``½·‖gradient − slopes^T·λ‖² + λ·values``.
 
     The dual of a step of least distance, solved as nonnegative least squares [lawson1974]_:
     y = step + gradient is to be shortest with ``slopes·y ≥ slopes·gradient −

@@ -89,7 +89,7 @@ _AGAIN = (
 
 @one_thread
 def solve_sdp(problem: Problem, *, verbose: bool = False) -> Estimate:
-    """Minimise the cost over all consistent parameters: the global optimum.
+    """Minimize the cost over all consistent parameters: the global optimum.
 
     The parameters are measured from the robot's description, in units in which they are of order
     one, and what a solver makes of them is recomputed: it is moved inside every constraint, and

@@ -255,7 +255,7 @@ class Columns:
         # Numbers win over words, so that q_1 is not mixed with q_target_1, nor tau_J_1 with tau.
         styles: tuple[tuple[Callable[..., _Group], Sequence[tuple[str, str | None]]], ...] = (
             (_numbered, ordered),
-            (_labelled, ordered),
+            (_labeled, ordered),
             (_suffixed, longest),
         )
         if names is not None and not all(name.isdigit() for name in names):
@@ -420,19 +420,19 @@ def _numbered(plain: dict[str, str], key: str, names: Sequence[str] | None, _: b
     return labels
 
 
-def _labelled(
+def _labeled(
     plain: dict[str, str], key: str, names: Sequence[str] | None, explicit: bool
 ) -> _Group:
     """Return the columns that are named `key` and a joint."""
     pattern = re.compile(_spelled(key) + r"[_./\s-](.+)", re.IGNORECASE)
-    labelled: _Group = {}
+    labeled: _Group = {}
     for name, text in plain.items():
         match = pattern.fullmatch(text) or pattern.fullmatch(text.rpartition("/")[2])
         if match and (explicit or not _COMMANDED.search(match[1]) or match[1] in (names or ())):
-            labelled.setdefault(match[1], name)
-    if names is not None and all(name in labelled for name in names):
-        return {name: labelled[name] for name in names}
-    return labelled
+            labeled.setdefault(match[1], name)
+    if names is not None and all(name in labeled for name in names):
+        return {name: labeled[name] for name in names}
+    return labeled
 
 
 def _suffixed(
@@ -440,23 +440,23 @@ def _suffixed(
 ) -> _Group:
     """Return the columns that are named a joint and `key`."""
     pattern = re.compile(r"(.+?)[_./\s-]" + _spelled(key), re.IGNORECASE)
-    labelled: _Group = {}
+    labeled: _Group = {}
     for name, text in plain.items():
         match = pattern.fullmatch(text)
         label = None if match is None else match[1].rpartition("/")[2]
         if label and (explicit or not _COMMANDED.search(label)):
-            labelled.setdefault(label, name)
-    return _order(labelled, names)
+            labeled.setdefault(label, name)
+    return _order(labeled, names)
 
 
-def _order(labelled: _Group, names: Sequence[str] | None) -> _Group:
-    """Return labelled columns in the order of the names wanted, else as numbered at their ends."""
-    if names is not None and all(name in labelled for name in names):
-        return {name: labelled[name] for name in names}
-    parts = [re.fullmatch(r"(.*?)(\d+)", label) for label in labelled]
+def _order(labeled: _Group, names: Sequence[str] | None) -> _Group:
+    """Return labeled columns in the order of the names wanted, else as numbered at their ends."""
+    if names is not None and all(name in labeled for name in names):
+        return {name: labeled[name] for name in names}
+    parts = [re.fullmatch(r"(.*?)(\d+)", label) for label in labeled]
     if all(parts) and len({part[1] for part in parts if part}) == 1:
-        return {label: labelled[label] for label in sorted(labelled, key=_number)}
-    return labelled
+        return {label: labeled[label] for label in sorted(labeled, key=_number)}
+    return labeled
 
 
 def _number(label: str) -> int:

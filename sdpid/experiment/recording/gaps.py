@@ -23,7 +23,7 @@ _LARGEST_STEP = 1.0
 # it catch up by more than this part of it, the samples came late: none was lost.
 _CAUGHT_UP = 0.5
 # Stamps on either side that tell the two apart.
-_NEIGHBOURS = 50
+_NEIGHBORS = 50
 # Samples looked at together: what stays in the cache.
 _BLOCK = 1 << 14
 # So many steps before a gap tell the rate there.
@@ -187,7 +187,7 @@ def in_time(log: Recording) -> tuple[Recording, list[str]]:
     for row in (np.flatnonzero(np.diff(time) > limit) + 1).tolist():
         step = _step_before(log, row)
         gap = float(time[row] - time[row - 1]) - step
-        after = time[row : row + 2 * math.ceil(gap / step) + _NEIGHBOURS]
+        after = time[row : row + 2 * math.ceil(gap / step) + _NEIGHBORS]
         # How late each sample is by a regular clock that starts before the gap.
         late = after - time[row - 1] - step * np.arange(1, after.size + 1)
         least = max(float(late.min()), 0.0)
@@ -216,4 +216,4 @@ def _step_before(log: Recording, row: int) -> float:
     """Return the mean step before the gap that ends at a row: the rate of a log may change."""
     steps = np.diff(log.time[max(0, row - _BEFORE) : row])
     steps = steps[steps <= longest_gap(log.step)]
-    return float(steps.mean()) if steps.size >= _NEIGHBOURS else log.step
+    return float(steps.mean()) if steps.size >= _NEIGHBORS else log.step

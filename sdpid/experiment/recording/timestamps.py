@@ -16,7 +16,7 @@ __all__ = ["Stamps", "guess_time_unit"]
 # A step longer than this many median steps may hold a lost sample, or end with a late stamp.
 _LONG = 1.5
 # To tell the two apart, stamps on either side are averaged: a lost sample shifts them all.
-_NEIGHBOURS = 8
+_NEIGHBORS = 8
 # No robot's controller steps faster, in s.
 _SHORTEST = 1e-9
 # Steps of whole numbers, in the unit that makes a rate between 20 Hz and 20 kHz of them: each unit
@@ -148,7 +148,7 @@ def _lost_samples(time: Array) -> int:
     lost = 0
     for i in np.flatnonzero(steps > _LONG * median):
         # Late samples catch up within as many as the gap held.
-        around = max(_NEIGHBOURS, 2 * round(float(steps[i]) / median))
+        around = max(_NEIGHBORS, 2 * round(float(steps[i]) / median))
         width = min(around, int(i) + 1, time.size - 1 - int(i))
         before, after = time[i + 1 - width : i + 1], time[i + 1 : i + 1 + width]
         shift = float(np.median(after - before)) / median - width

@@ -69,8 +69,8 @@ def velocity_fit(log: Recording, joint: int) -> VelocityFit | None:
         return None
     span = time[stride:] - time[:-stride]
     rate = (position[stride:] - position[:-stride]) / span
-    travelled = np.cumsum((measured[1:] + measured[:-1]) / 2.0 * np.diff(time))
-    mean = np.diff(np.concatenate([[0.0], travelled])[::stride]) / np.diff(time[::stride])
+    traveled = np.cumsum((measured[1:] + measured[:-1]) / 2.0 * np.diff(time))
+    mean = np.diff(np.concatenate([[0.0], traveled])[::stride]) / np.diff(time[::stride])
     rate = rate[::stride][: mean.size]
     # A signal that is late by a little is itself less its derivative times the lag.
     slope = (rate[2:] - rate[:-2]) / (2.0 * step)

@@ -12,7 +12,7 @@ from sdpid._common.extras import require
 from sdpid.errors import DataError
 from sdpid.output.plots.figures import (
     BLUE,
-    GREY,
+    GRAY,
     INK,
     METHOD_MARKERS,
     ORANGE,
@@ -177,7 +177,7 @@ def _draw_run(
         linestyle="none",
         marker="o" if good[-1] else "X",
         markersize=5 if good[-1] else 6,
-        color=BLUE if good[-1] else GREY,
+        color=BLUE if good[-1] else GRAY,
         markeredgecolor="white",
         markeredgewidth=0.5,
         clip_on=False,
@@ -208,7 +208,7 @@ def _legend_of_runs(
         dot = Line2D([], [], color=BLUE, marker="o", markersize=5, linestyle="none")
         entries.append((dot, f"end of a start ({sum(ends)})"))
     if not all(ends):
-        cross = Line2D([], [], color=GREY, marker="X", markersize=6, linestyle="none")
+        cross = Line2D([], [], color=GRAY, marker="X", markersize=6, linestyle="none")
         entries.append((cross, f"end, infeasible ({len(ends) - sum(ends)})"))
     if failed:
         nothing = Line2D([], [], linestyle="none")

@@ -23,7 +23,7 @@ GREEN = "#009E73"
 ORANGE = "#E69F00"
 PURPLE = "#CC79A7"
 SKY = "#56B4E9"
-GREY = "#6B7280"
+GRAY = "#6B7280"
 INK = "#1F2933"
 FAINT = "#E5E7EB"
 SHADE = "#D8DCE2"
@@ -79,10 +79,10 @@ def dress(axis: Any, *, title: str | None = None, xlabel: str = "", ylabel: str 
     for side in ("top", "right"):
         axis.spines[side].set_visible(False)
     for side in ("left", "bottom"):
-        axis.spines[side].set_color(GREY)
+        axis.spines[side].set_color(GRAY)
     axis.grid(visible=True, color=FAINT, linewidth=0.7)
     axis.set_axisbelow(True)
-    axis.tick_params(labelsize=SMALL, color=GREY, labelcolor=INK)
+    axis.tick_params(labelsize=SMALL, color=GRAY, labelcolor=INK)
     axis.set_facecolor("white")
     if title:
         axis.set_title(title, fontsize=NORMAL, color=INK, loc="left", **PLAIN)

@@ -15,7 +15,7 @@ from sdpid.experiment.processing.stages import filter_stages
 from sdpid.experiment.recording.recording import Recording
 from sdpid.output.plots.figures import (
     BLUE,
-    GREY,
+    GRAY,
     INK,
     PLAIN,
     RED,
@@ -130,7 +130,7 @@ def plot_signals(
         long_line(left, t, y, color=BLUE, label="before filtering")
         long_line(left, t, z, color=RED, label="after filtering", linewidth=1.1)
         error = y - z
-        long_line(right, t, error, color=GREY)
+        long_line(right, t, error, color=GRAY)
         last = "time [s]" if i == len(names) - 1 else ""
         label = name[:1].upper() + name[1:]
         dress(left, ylabel=f"{label}{unit}", xlabel=last)

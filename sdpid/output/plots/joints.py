@@ -12,7 +12,7 @@ import numpy as np
 
 from sdpid._common.arrays import Array, Mask
 from sdpid.assurance.diagnostics.residuals import JointErrors
-from sdpid.output.plots.figures import BLUE, GREY, RED, SHADE, TimeLine, decimate, shade, stretch
+from sdpid.output.plots.figures import BLUE, GRAY, RED, SHADE, TimeLine, decimate, shade, stretch
 from sdpid.output.plots.panels import Panel, keys, logarithmic, stacked
 
 # Stretches along a line, of which the least and the greatest value are kept: more than a page shows
@@ -74,7 +74,7 @@ def plot_joint(
     _efforts(above, t, measured, predicted, used)
     keys(above)
     shade(below, t, ~used)
-    _line(below, t, error, color=GREY, linewidth=0.6)
+    _line(below, t, error, color=GRAY, linewidth=0.6)
     if near is not None:
         _efforts(more[0], t[near], measured[near], predicted[near], used[near])
     return figure
@@ -126,7 +126,7 @@ def plot_joint_errors(errors: JointErrors, *, timed: bool = True) -> Any:
         friction.plot(
             errors.velocity, errors.mean, color=RED, marker="o", markersize=2.5, linewidth=0.8
         )
-    friction.axhline(0.0, color=GREY, linewidth=0.6)
+    friction.axhline(0.0, color=GRAY, linewidth=0.6)
     return figure
 
 

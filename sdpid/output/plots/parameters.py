@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 from sdpid._common.arrays import real_array
 from sdpid.errors import DataError
 from sdpid.output.plots.figures import (
-    GREY,
+    GRAY,
     INK,
     METHOD_COLORS,
     METHOD_MARKERS,
@@ -93,7 +93,7 @@ def plot_parameters(
                 label=f"{method} ± 2σ" if spread is not None else method,
                 zorder=3,
             )
-        axis.axhline(0.0, color=GREY, linewidth=0.6, zorder=1)
+        axis.axhline(0.0, color=GRAY, linewidth=0.6, zorder=1)
         dress(axis, ylabel=unit)
         axis.set_xticks(at, [names[i] for i in rows], rotation=90, fontsize=SMALL, **PLAIN)
         axis.set_xlim(-0.7, widest - 0.3)

@@ -15,7 +15,7 @@ from sdpid.errors import DataError
 from sdpid.experiment.processing.samples import Samples
 from sdpid.output.plots.figures import (
     BLUE,
-    GREY,
+    GRAY,
     INK,
     NORMAL,
     PLAIN,
@@ -150,7 +150,7 @@ def plot_reconstruction(
         long_line(left, t, line.broken(y[:, j]), color=BLUE, label="measured", linewidth=1.8)
         long_line(left, t, line.broken(z[:, j]), color=RED, label="predicted", linewidth=0.9)
         error = y[:, j] - z[:, j]
-        long_line(right, t, line.broken(np.where(used[:, j], error, np.nan)), color=GREY)
+        long_line(right, t, line.broken(np.where(used[:, j], error, np.nan)), color=GRAY)
         last = line.label if j == n - 1 else ""
         size = sizes[j]
         share = f"  ({100.0 * errors[j] / size:.2g} % of RMS)" if size > 0.0 else ""
@@ -167,12 +167,12 @@ def plot_reconstruction(
     handles, labels = axes[0, 0].get_legend_handles_labels()
     if not used.all():
         patches = require("matplotlib.patches", extra="plot")
-        handles.append(patches.Patch(facecolor=SHADE, edgecolor=GREY, linewidth=0.5))
+        handles.append(patches.Patch(facecolor=SHADE, edgecolor=GRAY, linewidth=0.5))
         labels.append("rows not used")
     bottom_legend(figure, handles, labels, loc="lower center")
     if (each := stretch(len(t))) > 1:
         note = f"drawn: least and greatest value of each {each} samples"
-        figure.text(1.0 - _RIGHT / _WIDTH, 0.08 / height, note, ha="right", fontsize=SMALL, c=GREY)
+        figure.text(1.0 - _RIGHT / _WIDTH, 0.08 / height, note, ha="right", fontsize=SMALL, c=GRAY)
     return figure
 
 

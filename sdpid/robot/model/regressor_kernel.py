@@ -73,7 +73,7 @@ class Tree:
     turn : ndarray, shape (links, 3, 3, 3)
         Rotation of a joint's frame in its parent's: ``turn[0] cos + turn[1] sin + turn[2]``.
     place : ndarray, shape (links, 2, 3)
-        Origin of a joint's frame in its parent's, and what a metre of a prismatic joint adds.
+        Origin of a joint's frame in its parent's, and what a meter of a prismatic joint adds.
     axis : ndarray, shape (links, 3)
         Axes in the joints' own frames.
     gravity : ndarray, shape (3,)

@@ -44,7 +44,7 @@ def grams(draw: st.DrawFn) -> list[list[Fraction]]:
 
 @given(grams())
 def test_squares_are_positive_semidefinite(matrix: list[list[Fraction]]) -> None:
-    found, det = verify.factorise(matrix)
+    found, det = verify.factorize(matrix)
     assert found
     assert det == determinant(matrix)
 

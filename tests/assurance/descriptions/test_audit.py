@@ -135,8 +135,8 @@ def test_center_of_mass_outside() -> None:
 
 
 def test_units_are_named() -> None:
-    millimetres = chain(diagonal(1.0, 1667.0, 1667.0, 1667.0) + box(0.1))
-    assert "kg·mm²" in audit_urdf(millimetres).describe()
+    millimeters = chain(diagonal(1.0, 1667.0, 1667.0, 1667.0) + box(0.1))
+    assert "kg·mm²" in audit_urdf(millimeters).describe()
     grams = chain(diagonal(800.0, 1.3, 1.3, 1.3) + box(0.1))
     assert "grams" in audit_urdf(grams).describe()
 

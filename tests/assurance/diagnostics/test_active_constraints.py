@@ -138,7 +138,7 @@ def test_multipliers_of_rows(name: str, consistency: Consistency) -> None:
         def cost(step: float, row: str = row) -> float:
             return solve_sdp(limited(problem, *first, Shifted(condition, row, step))).cost
 
-        # Small beside a centimetre of a kilogram.
+        # Small beside a centimeter of a kilogram.
         step = 2e-4
         # Optimal costs are convex in the limits.
         rounding = SLOPE * step * abs(multiplier) + 1e-7 * estimate.cost

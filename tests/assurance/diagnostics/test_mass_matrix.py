@@ -157,7 +157,7 @@ def test_the_box_is_the_description_s_limits() -> None:
     assert worst.value < half.value
 
 
-def test_without_limits_a_joint_turns_once_or_slides_a_metre() -> None:
+def test_without_limits_a_joint_turns_once_or_slides_a_meter() -> None:
     slide = '<limit lower="-1e9" upper="1e9" velocity="1" effort="1"/>'
     estimate = estimate_from_description(LIMITED.format(upper=60.0, limit=slide))
     worst = sdpid.smallest_mass_eigenvalue(estimate)

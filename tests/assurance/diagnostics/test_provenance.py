@@ -29,7 +29,7 @@ from tests.helpers.strategies import SEEDS
 
 KINDS = ("euclidean", "scaled_euclidean", "pullback", "entropic")
 
-# Shares are ratios of variances, from factorisations that lose a few hundred roundings.
+# Shares are ratios of variances, from factorizations that lose a few hundred roundings.
 SHARE = 1e-6
 
 

@@ -36,7 +36,7 @@ EFFORT_SHARE = 0.03
 
 
 def autoregressive(rng: np.random.Generator, count: int, n: int, memory: float) -> Array:
-    """Return unit-variance AR(1) noise whose neighbours correlate by `memory`."""
+    """Return unit-variance AR(1) noise whose neighbors correlate by `memory`."""
     noise = rng.standard_normal((count, n))
     for k in range(1, count):
         noise[k] = memory * noise[k - 1] + np.sqrt(1.0 - memory**2) * noise[k]
@@ -44,7 +44,7 @@ def autoregressive(rng: np.random.Generator, count: int, n: int, memory: float) 
 
 
 def noisy(seed: int, memory: float, **fields: object) -> tuple[Samples, Array]:
-    """Return samples with coloured noise, and the variances that the weighting is to find."""
+    """Return samples with colored noise, and the variances that the weighting is to find."""
     rng = np.random.default_rng(seed)
     theta = random_theta(ARM, rng)
     noise = SPREAD * autoregressive(rng, COUNT, 3, memory)

@@ -16,7 +16,7 @@ from sdpid.estimation.compression import triangle as module
 from sdpid.estimation.compression.triangle import Triangle
 from tests.helpers.strategies import SEEDS
 
-# An orthogonal factorisation in double precision moves scaled rows by this many roundings at most;
+# An orthogonal factorization in double precision moves scaled rows by this many roundings at most;
 # here numpy moves them by 1 to 3, the triangle by 5 to 15.
 ROUNDINGS = 20
 
@@ -102,7 +102,7 @@ def folded(rows: Array, sizes: Any) -> Triangle:
 
 
 def check(found: Array, rows: Array) -> None:
-    """Hold a triangle to the accuracy of an orthogonal factorisation."""
+    """Hold a triangle to the accuracy of an orthogonal factorization."""
     reference = exact(rows)
     norms = np.sqrt((reference**2).sum(axis=0))
     scale = np.where(norms > 0, norms, 1)
@@ -239,7 +239,7 @@ def test_scaling_is_that_of_all_rows() -> None:
 
 
 @wide
-def test_where_the_new_matrix_is_not_near_rows_are_factorised(
+def test_where_the_new_matrix_is_not_near_rows_are_factorized(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     rng = np.random.default_rng(4)
@@ -267,7 +267,7 @@ def test_memory_does_not_grow_with_the_rows() -> None:
         assert peak < 3 * module.PIECE < rows.nbytes * 2
 
 
-def test_few_rows_are_factorised_as_they_are(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_few_rows_are_factorized_as_they_are(monkeypatch: pytest.MonkeyPatch) -> None:
     """Rows like those before them are only multiplied."""
     seen = []
     original = module._triangle

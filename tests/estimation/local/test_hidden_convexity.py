@@ -19,7 +19,7 @@ The right side is what the local end point fails to be stationary by: the residu
 of constraints with multipliers (C_i(theta*) ≥ 0, to rounding). (*) holds wherever a solver
 stops; it is checked with multipliers and derivatives computed here, from nothing but Phi.
 
-Minimised over λ for the worst w, the same inequality says that `stationarity_gap` is an upper
+Minimized over λ for the worst w, the same inequality says that `stationarity_gap` is an upper
 bound of the excess, but for the curvature that it adds to directions that the effort does not
 show (docs/theory.md, section 5).
 """

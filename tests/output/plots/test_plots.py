@@ -365,7 +365,7 @@ def test_panels_do_not_run_into_each_other(pieces: int) -> None:
 
 
 def drawn_points(figure: Any, color: str) -> np.ndarray:
-    """Return the points of the first line of a colour, in points from the upper left corner."""
+    """Return the points of the first line of a color, in points from the upper left corner."""
     path = re.search(rf'd="([^"]*)" [^>]*stroke: {color}', svg_text(figure).lower())
     assert path
     return np.array(re.findall(r"(-?[\d.]+) (-?[\d.]+)", path[1]), dtype=float)

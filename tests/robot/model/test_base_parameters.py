@@ -256,7 +256,7 @@ def test_a_vertical_first_axis_shows_its_moment_alone() -> None:
     assert first == ["zz_1"]
 
 
-def test_tilted_gravity_shows_the_first_links_centre_of_mass(denso: RobotModel) -> None:
+def test_tilted_gravity_shows_the_first_links_center_of_mass(denso: RobotModel) -> None:
     tilted = load_robot("denso_vp6242", gravity=(3.0, 0.0, -9.0))
     assert base_of(tilted).count == base_of(denso).count + 2
 

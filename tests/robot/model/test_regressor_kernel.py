@@ -148,7 +148,7 @@ def test_memory_of_the_wrong_shape_is_refused(denso: RobotModel) -> None:
         denso.regressor_columns(q, q, q, places=np.arange(1, 61), out=out)
 
 
-def test_samples_do_not_depend_on_their_neighbours(denso: RobotModel) -> None:
+def test_samples_do_not_depend_on_their_neighbors(denso: RobotModel) -> None:
     q, v, a = states(denso, np.random.default_rng(4), 20)
     whole = denso.regressor(q, v, a)
     np.testing.assert_array_equal(denso.regressor(q[7:9], v[7:9], a[7:9]), whole[7:9])
