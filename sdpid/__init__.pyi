@@ -8,13 +8,12 @@ from .assurance.intervals.intervals import confidence_intervals
 from .assurance.payload.identify import identify_payload
 from .assurance.tables.audit import audit_base_parameters
 from .estimation.constraints.constraints import Constraints
-from .estimation.estimate import Estimate
 from .estimation.local.log_cholesky import solve_log_cholesky
 from .estimation.local.slsqp import solve_slsqp
 from .estimation.prior.prior import Prior
-from .estimation.problem import Problem, build_problem
+from .estimation.problem import build_problem
 from .estimation.recursive import RecursiveEstimator
-from .estimation.robust.solve import RobustEstimate, solve_robust
+from .estimation.robust.solve import solve_robust
 from .estimation.sdp.cvxpy_form import to_cvxpy
 from .estimation.sdp.solve import solve_sdp
 from .estimation.wls import solve_wls
@@ -42,15 +41,12 @@ __version__: str
 __all__ = [
     "Constraints",
     "DhTable",
-    "Estimate",
     "MotorSide",
     "Prior",
-    "Problem",
     "Processing",
     "Recording",
     "RecursiveEstimator",
     "RobotModel",
-    "RobustEstimate",
     "Samples",
     "Trajectory",
     "__version__",

@@ -26,7 +26,9 @@ from typing import Literal
 import sdpid
 from sdpid._common.files import atomic_write_text
 from sdpid._common.tables import Table
+from sdpid.estimation.estimate import Estimate
 from sdpid.estimation.prior.prior import PriorKind
+from sdpid.estimation.problem import Problem
 from sdpid.experiment.preparation.for_robot import default_processing, prepare
 from sdpid.robot.inertia import Consistency
 from sdpid.workflow.formulate import formulate
@@ -194,12 +196,12 @@ def cases(
         )
 
 
-def solved(problem: sdpid.Problem, fresh: sdpid.Samples | None) -> tuple[object, ...]:
+def solved(problem: Problem, fresh: sdpid.Samples | None) -> tuple[object, ...]:
     """Return the cells of a row from the status on."""
     message = ""
     start = time.perf_counter()
     try:
-        estimate: sdpid.Estimate | None = sdpid.solve_sdp(problem)
+        estimate: Estimate | None = sdpid.solve_sdp(problem)
     except sdpid.errors.SolverError as error:
         # What was found all the same is shown.
         estimate, message = error.found, str(error)

@@ -30,6 +30,8 @@ from sdpid._common.arrays import Array, Mask
 from sdpid._common.files import atomic_write_text
 from sdpid._common.tables import Table
 from sdpid.estimation.compression.covariance import Weighting
+from sdpid.estimation.estimate import Estimate
+from sdpid.estimation.problem import Problem
 from sdpid.experiment.preparation.for_robot import (
     SMOOTH,
     default_friction,
@@ -39,7 +41,7 @@ from sdpid.experiment.preparation.for_robot import (
 from sdpid.robot.inertia import Consistency, margin
 
 Terms = tuple[str | sdpid.friction.FrictionTerm, ...]
-Solver = Callable[[sdpid.Problem], sdpid.Estimate]
+Solver = Callable[[Problem], Estimate]
 
 # What is known of a drive and stands in no log: the wrist's motors of the TX40 turn two joints.
 DRIVES: dict[str, Terms] = {
@@ -72,7 +74,7 @@ HEADER = (
 )
 
 
-def local(solver: Callable[..., sdpid.Estimate]) -> Solver:
+def local(solver: Callable[..., Estimate]) -> Solver:
     """Return a local solver from one random start."""
     return lambda problem: solver(problem, seed=0)
 
@@ -150,7 +152,7 @@ class Case:
         samples: sdpid.Samples,
         method: Method,
         terms: Iterable[str | sdpid.friction.FrictionTerm],
-    ) -> sdpid.Problem:
+    ) -> Problem:
         """Return the problem of a method, with the default bounds."""
         return sdpid.build_problem(
             self.robot,
@@ -199,7 +201,7 @@ def rows(case: Case, names: Iterable[str], said: list[str]) -> Iterator[tuple[ob
     for name in names:
         method = METHODS[name]
         message, gap = "", None
-        estimate: sdpid.Estimate | None = None
+        estimate: Estimate | None = None
         seconds = 0.0
         try:
             problem = case.problem(samples, method, closed)

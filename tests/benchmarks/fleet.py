@@ -31,6 +31,7 @@ import numpy as np
 import sdpid
 from sdpid._common.tables import Table
 from sdpid.estimation.compression import distributed_rows
+from sdpid.estimation.problem import Problem
 from sdpid.experiment.preparation.for_robot import default_friction, default_processing, prepare
 from tests.benchmarks.timing import Row, peak
 from tests.benchmarks.timing import table as ratios
@@ -133,7 +134,7 @@ def hour(file: str) -> dict[str, Any]:
     }
 
 
-def small_problem() -> sdpid.Problem:
+def small_problem() -> Problem:
     """Return a problem that loads all that is loaded on first use."""
     robot = sdpid.load_robot(ROBOT)
     rng = np.random.default_rng(SEED)
@@ -239,7 +240,7 @@ class Sent:
 
 def together(
     files: Sequence[Path], processing: sdpid.Processing, client: Any = None
-) -> sdpid.Problem:
+) -> Problem:
     """Return one problem from all pieces."""
     robot = sdpid.load_robot(ROBOT)
     return sdpid.build_problem(

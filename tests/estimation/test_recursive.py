@@ -14,6 +14,7 @@ import sdpid
 from sdpid._common.arrays import Array
 from sdpid.errors import DataError, IdentifiabilityError
 from sdpid.estimation import recursive as streaming
+from sdpid.estimation.estimate import Estimate
 from sdpid.estimation.problem import Problem, build_problem, describe
 from sdpid.estimation.recursive import RecursiveEstimator
 from sdpid.robot.inertia import theta_from_physical
@@ -154,7 +155,7 @@ def test_every_solve_is_proven_and_quick_ones_are_not_full(
 ) -> None:
     full: list[Problem] = []
 
-    def counted(problem: Problem) -> sdpid.Estimate:
+    def counted(problem: Problem) -> Estimate:
         full.append(problem)
         return sdpid.solve_sdp(problem)
 

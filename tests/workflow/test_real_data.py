@@ -9,6 +9,8 @@ import pytest
 
 import sdpid
 from sdpid.assurance.diagnostics.active_constraints import constraint_states
+from sdpid.estimation.estimate import Estimate
+from sdpid.estimation.problem import Problem
 from sdpid.robot.inertia import Consistency
 from sdpid.workflow.formulate import formulate
 from tests.helpers.tolerances import SAME_OPTIMUM
@@ -28,7 +30,7 @@ ONE_NAT_COST, ONE_NAT_RESIDUAL = 0.06, 0.03
 NEXT_TO_NOTHING = 1e-3
 
 
-def problem(folder: Path, consistency: Consistency, prior: sdpid.Prior | bool) -> sdpid.Problem:
+def problem(folder: Path, consistency: Consistency, prior: sdpid.Prior | bool) -> Problem:
     return formulate(
         sdpid.load_robot(folder / "staubli_tx40" / "tx40.urdf"),
         sdpid.read_recording(folder / "staubli_tx40" / "tx40_rows_0_24750.npz"),
@@ -38,7 +40,7 @@ def problem(folder: Path, consistency: Consistency, prior: sdpid.Prior | bool) -
     )
 
 
-def masses(estimate: sdpid.Estimate) -> np.ndarray:
+def masses(estimate: Estimate) -> np.ndarray:
     assert estimate.theta is not None
     return np.asarray(estimate.theta[: 10 * estimate.problem.robot.n_links : 10])
 
