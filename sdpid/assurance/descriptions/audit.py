@@ -12,18 +12,18 @@ import numpy as np
 
 from sdpid._common.tables import Table, facts_html, plain
 from sdpid.assurance.descriptions.body_checks import (
-    Finding,
     check_numbers,
     check_shape,
     check_without_shape,
     consistent,
+    least_second_moment,
 )
+from sdpid.assurance.descriptions.findings import GEOMETRY, Finding
 from sdpid.assurance.descriptions.link_shape import Shape
 from sdpid.assurance.descriptions.model_checks import check_copies, check_moving
 from sdpid.errors import ModelError
 from sdpid.robot.description.bodies import DescribedBody, read_urdf_bodies
 from sdpid.robot.description.xml import is_mjcf, read_description
-from sdpid.robot.inertia import second_moment_from_inertia
 from sdpid.robot.model.geometry import link_points
 
 _ORDER = {"error": 0, "warning": 1, "note": 2}
@@ -204,37 +204,35 @@ def audit_urdf(
         shapes, findings = _shapes(root, what, folders)
     for body in bodies:
         findings += check_numbers(body)
-        shape = shapes.get(body.name, _NO_SHAPE)
-        if shape.whole is not None:
-            findings += check_shape(body, shape.collision or shape.whole, shape.whole)
-        else:
+        shape = shapes.get(body.name)
+        if shape is None:
             findings += check_without_shape(body)
+        else:
+            findings += check_shape(body, shape.collision, shape.whole)
     findings += check_copies(bodies, {name: shape.whole for name, shape in shapes.items()})
     findings += check_moving(bodies)
     findings.sort(key=lambda finding: _ORDER[finding.severity])
     return UrdfAudit(
         name=what,
-        bodies=tuple(_numbers(body, shapes.get(body.name, _NO_SHAPE)) for body in bodies),
+        bodies=tuple(_numbers(body, shapes.get(body.name)) for body in bodies),
         findings=tuple(findings),
     )
 
 
 @dataclass(frozen=True)
 class _Shapes:
-    """The hull of a link's collision geometry, and that of everything it shows."""
+    """Hulls of a link's collision geometry (of all where it has none) and of all its geometry."""
 
-    collision: Shape | None = None
-    whole: Shape | None = None
-
-
-_NO_SHAPE = _Shapes()
+    collision: Shape
+    whole: Shape
 
 
 def _shapes(
     root: Any, what: str, folders: Sequence[Path]
 ) -> tuple[dict[str, _Shapes], list[Finding]]:
     """Return the hulls of the geometry by link, and what could not be read."""
-    shapes, failed, first = {}, 0, ""
+    shapes: dict[str, _Shapes] = {}
+    failed: list[str] = []
     for link in root.findall("link"):
         points = {}
         for kind in ("collision", "visual"):
@@ -242,34 +240,33 @@ def _shapes(
                 points[kind] = link_points(link, kind, what, folders)
             except ModelError as cause:
                 points[kind] = np.empty((0, 3))
-                failed += 1
-                first = first or str(cause)
-        shapes[link.get("name", "")] = _Shapes(
-            Shape.around(points["collision"]),
-            Shape.around(np.concatenate([points["collision"], points["visual"]])),
-        )
+                failed.append(str(cause))
+        whole = Shape.around(np.concatenate([points["collision"], points["visual"]]))
+        if whole is not None:
+            collision = Shape.around(points["collision"]) or whole
+            shapes[link.get("name", "")] = _Shapes(collision, whole)
     if not failed:
         return shapes, []
-    message = f"{failed} geometries cannot be read and are not compared; the first: {first}"
-    return shapes, [Finding(severity="note", kind="geometry", link="", message=message)]
+    return shapes, [GEOMETRY.found("", count=len(failed), first=failed[0])]
 
 
-def _numbers(body: DescribedBody, shapes: _Shapes) -> BodyAudit:
+def _numbers(body: DescribedBody, shapes: _Shapes | None) -> BodyAudit:
+    """Return the numbers of a body, as far as they exist."""
     tensor, mass = body.tensor, body.mass
     moments = second = ratio = gyration = outside = density = None
     if tensor is not None:
         values = np.linalg.eigvalsh(tensor)
         moments = tuple(float(x) for x in values)
-        second = float(np.linalg.eigvalsh(second_moment_from_inertia(tensor))[0])
+        second = least_second_moment(tensor)
         if values[0] + values[1] > 0.0:
             ratio = float(values[2] / (values[0] + values[1]))
         trace = float(np.trace(tensor))
         if mass is not None and mass > 0.0 and trace >= 0.0:
             gyration = float(np.sqrt(0.5 * trace / mass))
-    if shapes.whole is not None and mass is not None and mass > 0.0:
+    if shapes is not None and mass is not None and mass > 0.0:
         density = mass / shapes.whole.volume
         if body.com is not None:
-            outside = (shapes.collision or shapes.whole).distance(body.com)
+            outside = shapes.collision.distance(body.com)
     return BodyAudit(
         link=body.name,
         moving=body.moving,

@@ -2,19 +2,18 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from sdpid._common.arrays import Array
 from sdpid.assurance.certificate.verify import positive_semidefinite
+from sdpid.assurance.descriptions import findings
+from sdpid.assurance.descriptions.findings import Finding, Severity
 from sdpid.assurance.descriptions.link_shape import Shape
 from sdpid.robot.description.bodies import DescribedBody, exact_second_moment
 from sdpid.robot.inertia import complement, second_moment_from_inertia
-
-Severity = Literal["error", "warning", "note"]
 
 # Loaders refuse what rounding cannot tell from impossible: principal moments below 1e-14 kg·m²
 # (MuJoCo), or triangle inequalities missed by a rounding. Bodies with less than this, in kg·m² or
@@ -49,32 +48,6 @@ _INERTIA_UNITS = {
 _DECADES = 0.7
 
 
-@dataclass(frozen=True, kw_only=True)
-class Finding:
-    """One error, warning or note about a description.
-
-    Attributes
-    ----------
-    severity : {"error", "warning", "note"}
-        No body can have it; implausible; worth knowing.
-    kind : str
-        A short name, stable for programs.
-    link : str
-        The link, empty for the whole description.
-    message : str
-        What, the number against its limit, and what to do.
-    value, limit : float or None
-        The number and its limit.
-    """
-
-    severity: Severity
-    kind: str
-    link: str
-    message: str
-    value: float | None = None
-    limit: float | None = None
-
-
 def consistent(body: DescribedBody) -> bool | None:
     """Return whether some body has this mass and tensor, decided exactly; None if unreadable.
 
@@ -89,13 +62,17 @@ def consistent(body: DescribedBody) -> bool | None:
     return positive_semidefinite(exact_second_moment(body.entries))
 
 
+def least_second_moment(tensor: Array) -> float:
+    """Return the smallest second moment about the center of mass, kg·m²."""
+    return float(np.linalg.eigvalsh(second_moment_from_inertia(tensor))[0])
+
+
 def thin(body: DescribedBody) -> bool:
     """Return whether a consistent tensor that is not all zero is too flat for loaders."""
     tensor = body.tensor
     if tensor is None or body.mass is None or not body.mass > 0.0 or not tensor.any():
         return False
-    least = float(np.linalg.eigvalsh(second_moment_from_inertia(tensor))[0])
-    return least < thin_limit(tensor)
+    return least_second_moment(tensor) < thin_limit(tensor)
 
 
 def thin_limit(tensor: Array) -> float:
@@ -107,124 +84,71 @@ def check_numbers(body: DescribedBody) -> list[Finding]:
     """Check what needs no geometry: the text, the mass and the tensor."""
     name = body.name
     found = [
-        Finding(
-            severity="error",
-            kind="unreadable" if "symmetric" not in problem else "not_symmetric",
-            link=name,
-            message=f"{problem}; write the number that is meant.",
+        (findings.NOT_SYMMETRIC if "symmetric" in problem else findings.UNREADABLE).found(
+            name, problem=problem
         )
         for problem in body.problems
     ]
     mass, tensor, possible = body.mass, body.tensor, consistent(body)
-    if mass is None or tensor is None or possible is None or body.entries is None:
+    if mass is None or tensor is None or possible is None:
         return found
     if mass < 0.0:
-        found.append(
-            Finding(
-                severity="error",
-                kind="negative_mass",
-                link=name,
-                message=f"the mass is {mass:.4g} kg, the least is 0; give the true mass (it "
-                "cannot be repaired from the rest).",
-                value=mass,
-                limit=0.0,
-            )
-        )
+        found.append(findings.NEGATIVE_MASS.found(name, value=mass, limit=0.0))
     elif mass == 0.0 and not possible:
-        found.append(
-            Finding(
-                severity="error",
-                kind="massless_inertia",
-                link=name,
-                message=f"an inertia of up to {np.abs(tensor).max():.3g} kg·m² without any mass; "
-                "give the mass, or zeros for a frame that is no body.",
-                value=float(np.abs(tensor).max()),
-                limit=0.0,
-            )
-        )
+        largest = float(np.abs(tensor).max())
+        found.append(findings.MASSLESS_INERTIA.found(name, value=largest, limit=0.0))
     elif not possible:
         found.append(_impossible(body, tensor, mass))
     elif mass > 0.0 and not tensor.any():
-        found.append(
-            Finding(
-                severity="warning" if body.moving and body.carrier == name else "note",
-                kind="point",
-                link=name,
-                message=f"a mass of {mass:.4g} kg with no inertia at all, a point; give it the "
-                "inertia of its shape.",
-                value=0.0,
-                limit=0.0,
-            )
-        )
+        moves = body.moving and body.carrier == name
+        severity: Severity = "warning" if moves else "note"
+        found.append(findings.POINT.found(name, value=0.0, limit=0.0, severity=severity, mass=mass))
     elif thin(body):
-        moments = np.linalg.eigvalsh(tensor)
         found.append(
-            Finding(
-                severity="warning",
-                kind="no_thickness",
-                link=name,
-                message=f"a rod or plate without thickness: the principal moments "
-                f"{_triple(moments)} kg·m² are on the edge of what a body can have, and loaders "
-                "(MuJoCo) refuse it; give it its thickness, or --repair.",
-                value=float(np.linalg.eigvalsh(second_moment_from_inertia(tensor))[0]),
+            findings.NO_THICKNESS.found(
+                name,
+                value=least_second_moment(tensor),
                 limit=thin_limit(tensor),
+                moments=_triple(np.linalg.eigvalsh(tensor)),
             )
         )
     if np.array_equal(tensor, np.eye(3)):
-        found.append(
-            Finding(
-                severity="warning",
-                kind="identity",
-                link=name,
-                message=f"the inertia is the identity, 1 kg·m² about every axis: a placeholder "
-                f"(with its mass of {mass:.4g} kg a radius of gyration of "
-                f"{np.sqrt(1.5 / mass) if mass > 0.0 else np.inf:.3g} m); give the true one.",
-                value=1.0,
-            )
-        )
+        gyration = np.sqrt(1.5 / mass) if mass > 0.0 else np.inf
+        found.append(findings.IDENTITY.found(name, value=1.0, mass=mass, gyration=gyration))
     return found
 
 
 def _impossible(body: DescribedBody, tensor: Array, mass: float) -> Finding:
+    """Return the finding of a tensor that no body has, with what may explain it."""
     moments = np.linalg.eigvalsh(tensor)
-    least = float(np.linalg.eigvalsh(second_moment_from_inertia(tensor))[0])
+    largest = float(np.abs(moments).max())
     # Exactly it is negative; rounding may not see it.
-    least = min(least, -0.0)
-    negative = moments[0] < -1e-15 * float(np.abs(moments).max())
-    if negative:
-        text = f"the principal moments are {_triple(moments)} kg·m², the least a body can have is 0"
-    else:
-        excess = moments[2] / (moments[0] + moments[1]) if moments[0] + moments[1] > 0.0 else np.inf
-        text = (
-            f"the principal moments {_triple(moments)} kg·m² violate the triangle inequality: "
-            f"the largest is {excess:.6g} times the sum of the others (limit 1)"
-        )
+    least = min(least_second_moment(tensor), -0.0)
     hints = []
     # A change of every entry by h moves eigenvalues of the second moments by at most 4.5·h: 3·h by
     # the tensor, 1.5·h by half its trace.
-    if -least <= min(4.5 * body.half_digit, _ROUNDED_SHARE * float(np.abs(moments).max())):
+    if -least <= min(4.5 * body.half_digit, _ROUNDED_SHARE * largest):
         hints.append(
             "the rounding of the written digits can explain it: write more digits, or --repair"
         )
     if float(np.abs(tensor).max()) < THIN:
         hints.append("they are zero but for rounding: a point, which has no inertia")
-    elif body.com is not None:
+    elif body.com is not None and body.com.any():
         com = body.rotation.T @ body.com
-        lifted = tensor + mass * complement(np.outer(com, com))
-        if np.linalg.eigvalsh(second_moment_from_inertia(lifted))[0] >= 0.0 and com.any():
+        if least_second_moment(tensor + mass * complement(np.outer(com, com))) >= 0.0:
             hints.append(
                 "it holds once the parallel-axis term of the center of mass is added: perhaps "
                 "that was taken off twice, or the tensor belongs to another point"
             )
-    hints.append("correct the tensor, or --repair writes the nearest that a body can have")
-    return Finding(
-        severity="error",
-        kind="negative_moment" if negative else "triangle",
-        link=body.name,
-        message=f"{text}; smallest second moment about the center of mass {least:.3g} kg·m² "
-        f"(limit 0); {'; '.join(hints)}.",
+    others = moments[0] + moments[1]
+    negative = moments[0] < -1e-15 * largest
+    return (findings.NEGATIVE_MOMENT if negative else findings.TRIANGLE).found(
+        body.name,
         value=least,
         limit=0.0,
+        moments=_triple(moments),
+        excess=moments[2] / others if others > 0.0 else np.inf,
+        hints="".join(f"{hint}; " for hint in hints),
     )
 
 
@@ -236,17 +160,8 @@ def check_without_shape(body: DescribedBody) -> list[Finding]:
     gyration = float(np.sqrt(0.5 * np.trace(tensor) / mass))
     if gyration <= LARGEST_RADIUS:
         return []
-    return [
-        Finding(
-            severity="warning",
-            kind="too_wide",
-            link=body.name,
-            message=f"the radius of gyration is {gyration:.3g} m (limit {LARGEST_RADIUS:g} m; the "
-            "link has no geometry to compare with); check the units of mass and tensor.",
-            value=gyration,
-            limit=LARGEST_RADIUS,
-        )
-    ]
+    rule = findings.TOO_WIDE_WITHOUT_SHAPE
+    return [rule.found(body.name, value=gyration, limit=LARGEST_RADIUS)]
 
 
 def check_shape(body: DescribedBody, collision: Shape, whole: Shape) -> list[Finding]:
@@ -264,123 +179,81 @@ def check_shape(body: DescribedBody, collision: Shape, whole: Shape) -> list[Fin
     mass, com, tensor = body.mass, body.com, body.tensor
     if mass is None or com is None or tensor is None or not mass > 0.0:
         return []
-    name, found = body.name, []
-    outside = collision.distance(com)
-    size = collision.radius(collision.corners.mean(axis=0))
-    limit = OUTSIDE + OUTSIDE_SHARE * size
-    if outside > limit:
-        hidden = whole.distance(com) <= limit
-        found.append(
-            Finding(
-                severity="note" if hidden else "warning",
-                kind="com_outside",
-                link=name,
-                message=f"the center of mass is {outside:.3g} m outside the convex hull of the "
-                f"collision geometry (limit {limit:.2g} m)"
-                + (", inside the one with the visual geometry" if hidden else "")
-                + "; check the origin of the inertial"
-                + (" (millimeters?)." if outside > 100.0 * size else "."),
-                value=outside,
-                limit=limit,
-            )
-        )
-    found += _check_density(name, mass, whole)
-    P = second_moment_from_inertia(tensor)
+    found = _check_center(body.name, com, collision, whole)
+    found += _check_density(body.name, mass, whole)
     if tensor.any() and consistent(body):
+        P = second_moment_from_inertia(tensor)
         turned = body.rotation @ P @ body.rotation.T / mass
-        found += _check_spread(name, com, turned, whole)
+        found += _check_spread(body.name, com, turned, whole)
     return found
 
 
-def _check_density(name: str, mass: float, shape: Shape) -> list[Finding]:
-    density = mass / shape.volume
-    if LIGHTEST <= density <= DENSEST:
+def _check_center(name: str, com: Array, collision: Shape, whole: Shape) -> list[Finding]:
+    """Check that the center of mass is inside the collision geometry."""
+    outside = collision.distance(com)
+    size = collision.radius(collision.corners.mean(axis=0))
+    limit = OUTSIDE + OUTSIDE_SHARE * size
+    if outside <= limit:
         return []
-    if density > DENSEST:
-        grams = LIGHTEST * 100.0 < density * 1e-3 < DENSEST
-        text = (
-            f"the hull of the geometry would have {density:.3g} kg/m³, more than any metal "
-            f"(limit {DENSEST:.0f})"
-        )
-        advice = "is the mass in grams?" if grams else "check the mass and the geometry."
-        return [
-            Finding(
-                severity="warning",
-                kind="too_dense",
-                link=name,
-                message=f"{text}; {advice}",
-                value=density,
-                limit=DENSEST,
-            )
-        ]
-    advice = (
-        "is the geometry in millimeters (mesh scale)?"
-        if density < 1e-4
-        else "check the mass and the geometry."
-    )
+    hidden = whole.distance(com) <= limit
+    severity: Severity = "note" if hidden else "warning"
     return [
-        Finding(
-            severity="warning",
-            kind="too_light",
-            link=name,
-            message=f"the hull of the geometry would have {density:.3g} kg/m³, less than air or "
-            f"foam (limit {LIGHTEST:g}); {advice}",
-            value=density,
-            limit=LIGHTEST,
+        findings.COM_OUTSIDE.found(
+            name,
+            value=outside,
+            limit=limit,
+            severity=severity,
+            visual=", inside the one with the visual geometry" if hidden else "",
+            units=" (millimeters?)" if outside > 100.0 * size else "",
         )
     ]
 
 
+def _check_density(name: str, mass: float, shape: Shape) -> list[Finding]:
+    """Check that the mass over the volume of the hull is that of some material."""
+    density = mass / shape.volume
+    advice = "check the mass and the geometry."
+    if density > DENSEST:
+        if LIGHTEST * 100.0 < density * 1e-3 < DENSEST:
+            advice = "is the mass in grams?"
+        return [findings.TOO_DENSE.found(name, value=density, limit=DENSEST, advice=advice)]
+    if density < LIGHTEST:
+        if density < 1e-4:
+            advice = "is the geometry in millimeters (mesh scale)?"
+        return [findings.TOO_LIGHT.found(name, value=density, limit=LIGHTEST, advice=advice)]
+    return []
+
+
 def _check_spread(name: str, com: Array, covariance: Array, shape: Shape) -> list[Finding]:
+    """Check that the mass is spread neither wider nor far less than the geometry."""
     radius = shape.radius(com)
     gyration = float(np.sqrt(max(np.trace(covariance), 0.0)))
     slack = OUTSIDE + OUTSIDE_SHARE * radius
-    spread = shape.spread(com, covariance, slack=slack)
-    wide = spread is not None and spread > SPREAD
-    if wide or gyration > radius + slack:
+    spread = shape.spread(com, covariance, slack=slack) or 0.0
+    if spread > SPREAD or gyration > radius + slack:
         about = covariance - np.outer(com, com)
         other = shape.spread(com, about, slack=slack)
         possible = np.linalg.eigvalsh(about)[0] >= -1e-12 * float(np.trace(covariance))
-        if possible and other is not None and other <= 1.0:
-            kind, advice = (
-                "wrong_point",
-                (
-                    "it fits when it was given about the origin of the link: a URDF wants it about "
-                    "the center of mass"
-                ),
-            )
-        else:
-            kind, advice = "too_wide", _unit((gyration / (TYPICAL_RADIUS * radius)) ** 2)
-        ratio = max(spread or 0.0, gyration / radius)
+        fits = possible and other is not None and other <= 1.0
         return [
-            Finding(
-                severity="warning",
-                kind=kind,
-                link=name,
-                message=f"the mass is spread {ratio:.3g} times as wide as the geometry allows "
-                f"(radius of gyration {gyration:.3g} m, geometry within {radius:.3g} m of the "
-                f"center of mass); {advice}.",
-                value=ratio,
+            (findings.WRONG_POINT if fits else findings.TOO_WIDE).found(
+                name,
+                value=max(spread, gyration / radius),
                 limit=SPREAD,
+                gyration=gyration,
+                radius=radius,
+                advice=_unit((gyration / (TYPICAL_RADIUS * radius)) ** 2),
             )
         ]
     if gyration < CONCENTRATED * radius:
-        return [
-            Finding(
-                severity="warning",
-                kind="too_narrow",
-                link=name,
-                message=f"the radius of gyration is {gyration:.2g} m, {gyration / radius:.2g} of "
-                f"the geometry's radius (least {CONCENTRATED}): a placeholder, or moments over "
-                "mass too small by a unit; give the true inertia.",
-                value=gyration / radius,
-                limit=CONCENTRATED,
-            )
-        ]
+        share = gyration / radius
+        rule = findings.TOO_NARROW
+        return [rule.found(name, value=share, limit=CONCENTRATED, gyration=gyration)]
     return []
 
 
 def _unit(factor: float) -> str:
+    """Return the unit that makes the inertia too large by about this factor, as advice."""
     for unit, mistake in _INERTIA_UNITS.items():
         if abs(np.log10(factor / unit)) < _DECADES and factor > 300.0:
             return f"that is about {unit:.0e} times too much: {mistake}?"
@@ -388,4 +261,5 @@ def _unit(factor: float) -> str:
 
 
 def _triple(values: NDArray[np.floating[Any]]) -> str:
+    """Return three numbers as text."""
     return ", ".join(f"{float(x):.6g}" for x in values)

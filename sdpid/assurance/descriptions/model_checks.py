@@ -8,7 +8,9 @@ from typing import Any
 import numpy as np
 
 from sdpid._common.arrays import Array
-from sdpid.assurance.descriptions.body_checks import Finding, Severity, consistent
+from sdpid.assurance.descriptions import findings
+from sdpid.assurance.descriptions.body_checks import consistent
+from sdpid.assurance.descriptions.findings import Finding
 from sdpid.assurance.descriptions.link_shape import Shape
 from sdpid.robot.description.bodies import DescribedBody
 from sdpid.robot.inertia import transform
@@ -32,33 +34,21 @@ def check_copies(
         if first.tensor is not None and np.array_equal(first.tensor, np.eye(3)):
             continue  # already reported as a placeholder
         masses = sorted({body.mass for body in group if body.mass is not None})
+        others, count = _names(group[1:]), float(len(group))
         if len(masses) > 1:
+            least, most = masses[0], masses[-1]
             found.append(
-                Finding(
-                    severity="warning",
-                    kind="copied",
-                    link=first.name,
-                    message=f"the same inertia as {_names(group[1:])}, with masses from "
-                    f"{masses[0]:.4g} to {masses[-1]:.4g} kg: at most one of them is right; give "
-                    "each its own.",
-                    value=float(len(group)),
+                findings.COPIED.found(
+                    first.name, value=count, others=others, least=least, most=most
                 )
             )
         elif len(group) > 1 and _differ([shapes.get(b.name) for b in group]):
-            found.append(
-                Finding(
-                    severity="note",
-                    kind="copied",
-                    link=first.name,
-                    message=f"the same mass and inertia as {_names(group[1:])}, whose shape "
-                    "differs; check that they were not copied.",
-                    value=float(len(group)),
-                )
-            )
+            found.append(findings.COPIED_WITH_MASS.found(first.name, value=count, others=others))
     return found
 
 
 def _differ(shapes: Sequence[Shape | None]) -> bool:
+    """Return whether the shapes are not all of the same part or its mirror image."""
     extents = [np.sort(np.ptp(shape.corners, axis=0)) for shape in shapes if shape is not None]
     return any(not np.allclose(e, extents[0], rtol=_SAME_PART, atol=0.0) for e in extents[1:])
 
@@ -67,15 +57,7 @@ def check_moving(bodies: Sequence[DescribedBody]) -> list[Finding]:
     """Find joints that move nothing, directly or at all."""
     groups = carried(bodies)
     if groups and not any(b.described or b.inferred or b.problems for b in bodies):
-        return [
-            Finding(
-                severity="warning",
-                kind="no_inertials",
-                link="",
-                message="no link has an inertial: this describes kinematics only; identify the "
-                "inertias, or take them from the maker.",
-            )
-        ]
+        return [findings.NO_INERTIALS.found("")]
     carriers = {body.name: body.carrier for body in bodies}
     heavy = {
         carrier
@@ -93,25 +75,9 @@ def check_moving(bodies: Sequence[DescribedBody]) -> list[Finding]:
     for carrier, group in groups.items():
         if carrier in heavy:
             continue
-        joint = group[0].joint
-        what = "has no inertial" if not any(b.described for b in group) else "has no mass"
-        if carrier in moved:
-            severity: Severity = "warning"
-            text = "some loaders refuse it (MuJoCo), others invent a mass"
-        else:
-            severity = "error"
-            text = "neither is there any beyond it: the joint has no inertia, its acceleration none"
-        found.append(
-            Finding(
-                severity=severity,
-                kind="moving_without_mass" if carrier in moved else "moves_nothing",
-                link=carrier,
-                message=f"is moved by joint '{joint}' but {what}, and nothing with mass is fixed "
-                f"to it; {text}. Give it a mass, or --repair gives it a token one.",
-                value=0.0,
-                limit=0.0,
-            )
-        )
+        rule = findings.MOVING_WITHOUT_MASS if carrier in moved else findings.MOVES_NOTHING
+        lacks = "has no mass" if any(b.described for b in group) else "has no inertial"
+        found.append(rule.found(carrier, value=0.0, limit=0.0, joint=group[0].joint, lacks=lacks))
     return found
 
 
@@ -135,6 +101,7 @@ def carried_theta(group: Sequence[DescribedBody]) -> Array:
 
 
 def _names(bodies: Sequence[DescribedBody]) -> str:
+    """Return the names of bodies as text, shortened after three."""
     names = [body.name for body in bodies]
     if len(names) > 4:
         names[3:] = [f"{len(names) - 3} more"]
