@@ -20,7 +20,8 @@ from sdpid._common.arrays import Array, frozen
 from sdpid._common.tables import Table, facts_html, plain
 from sdpid.errors import DataError
 from sdpid.estimation.compression.covariance import JointRows
-from sdpid.estimation.conic.solve import ConicProgram, solve_conic
+from sdpid.estimation.conic.retry import solve_with_retries
+from sdpid.estimation.conic.solve import ConicProgram, ConicSolution, solve_conic
 from sdpid.estimation.estimate import Estimate
 from sdpid.estimation.scaling import Scaling
 from sdpid.estimation.sdp.program import Coordinates, SdpProgram
@@ -192,10 +193,10 @@ def _without(estimate: Estimate) -> Iterator[tuple[str, Array]]:
         return
     bounds_included = np.ones(problem.n_theta, dtype=bool)
     program = SdpProgram.build(problem, scaling, coordinates, bounds_included)
-    found = _solved(program.conic, None)
+    found = _cheapest(program.conic, lambda _: 0.0)
     if found is None:
         return
-    _, rows, duals = found
+    rows, duals = found.rows, found.blocks
     blocks = program.conic.blocks
     for at, (i, dual) in enumerate(zip(program.moving, duals, strict=True)):
         if float(np.trace(dual)) > _PRESSES:
@@ -232,26 +233,31 @@ def _without_equations(
 
 def _relaxed(name: str, conic: ConicProgram, program: SdpProgram) -> Iterator[tuple[str, Array]]:
     """Yield the optimum of a program with one constraint removed, unless none is found."""
-    found = _solved(conic, program.problem.cost_of, program.coordinates.theta)
+    found = _cheapest(conic, _cost(program))
     if found is not None:
-        yield name, program.coordinates.theta(found[0])
+        yield name, program.theta(found)
 
 
-def _solved(
-    conic: ConicProgram,
-    cost: Callable[[Array], float] | None,
-    theta: Callable[[Array], Array] | None = None,
-) -> tuple[Array, Array, tuple[Array, ...]] | None:
-    """Return point and multipliers of the cheapest of some attempts."""
-    best, least = None, np.inf
-    for regularization in _REGULARIZATIONS:
-        solution = solve_conic(conic, regularization=regularization)
-        if solution.x is None or "Infeasible" in solution.status:
-            continue
-        value = 0.0 if cost is None or theta is None else cost(theta(solution.x))
-        if value < least:
-            best, least = (solution.x, solution.rows, solution.blocks), value
-    return best
+def _cost(program: SdpProgram) -> Callable[[Array], float]:
+    """Return the cost of a point of a program."""
+    return lambda x: program.problem.cost_of(program.coordinates.theta(x))
+
+
+def _cheapest(conic: ConicProgram, cost: Callable[[Array], float]) -> ConicSolution | None:
+    """Return the solution of the least cost, a function of its point; None without one."""
+
+    def judge(x: Array, solution: ConicSolution) -> tuple[ConicSolution, float] | None:
+        value = cost(x)
+        if "Infeasible" in solution.status or not np.isfinite(value):
+            return None
+        return solution, value
+
+    return solve_with_retries(
+        lambda regularization: solve_conic(conic, regularization=regularization),
+        _REGULARIZATIONS,
+        judge,
+        enough=-np.inf,
+    ).value
 
 
 def _bound_name(estimate: Estimate, k: int) -> str:

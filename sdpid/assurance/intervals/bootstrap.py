@@ -24,6 +24,7 @@ from sdpid._common.jobs import parallel
 from sdpid._common.seeds import generator
 from sdpid.errors import DataError, SolverError
 from sdpid.estimation.cluster_robust import Groups, ScoreBlocks
+from sdpid.estimation.conic.retry import Retried, solve_with_retries
 from sdpid.estimation.estimate import Estimate
 from sdpid.estimation.sdp.reusable import ReusableProgram, program_about
 
@@ -266,12 +267,20 @@ class Refit:
             return np.asarray(np.linalg.solve(A / scale, rhs) / scale), 0.0
         seconds = 0.0
         for program in self.programs:
-            for regularization in _REGULARIZATIONS:
-                solution = program.solve(A, rhs, regularization=regularization)
-                seconds += solution.seconds
-                if solution.x is None or solution.error > _ACCURATE:
-                    continue
-                if np.all(program.inside(program.coordinates.theta(solution.x))):
-                    return np.asarray(program.origin + program.base @ solution.x), seconds
-                break
+            found = _solved(program, A, rhs)
+            seconds += found.seconds
+            if found.value is None or not found.accepted:
+                continue
+            if np.all(program.inside(program.coordinates.theta(found.value))):
+                return np.asarray(program.origin + program.base @ found.value), seconds
         return None, seconds
+
+
+def _solved(program: ReusableProgram, A: Array, rhs: Array) -> Retried[Array]:
+    """Return the most accurate point of a program with other data."""
+    return solve_with_retries(
+        lambda regularization: program.solve(A, rhs, regularization=regularization),
+        _REGULARIZATIONS,
+        lambda x, solution: (x, solution.error),
+        enough=_ACCURATE,
+    )

@@ -36,6 +36,7 @@ from sdpid._common.arrays import Array
 from sdpid._common.jobs import parallel
 from sdpid.errors import DataError, SolverError
 from sdpid.estimation.cluster_robust import ScoreBlocks
+from sdpid.estimation.conic.retry import solve_with_retries
 from sdpid.estimation.conic.solve import ConicFamily, ConicSolution
 from sdpid.estimation.duality.bound import clip_psd, cost_scale
 from sdpid.estimation.problem import Problem
@@ -248,29 +249,32 @@ class ProfileLikelihood:
         slope = directions.T @ c
         size = float(np.linalg.norm(slope)) or 1.0
         radius = self._radius(rise)
-        best: tuple[float, End, Array] | None = None
-        seconds, solves = 0.0, 0
         box = self.problem.feasible.lower, self.problem.feasible.upper
-        for regularization in _REGULARIZATIONS:
-            solution = self.family.solve(
-                slope / size, radius / self.unit, regularization=regularization
-            )
-            seconds, solves = seconds + solution.seconds, solves + 1
-            if solution.x is None or len(solution.ball) == 0:
-                continue
+
+        def judge(_: Array, solution: ConicSolution) -> tuple[tuple[End, Array], float] | None:
+            if len(solution.ball) == 0:
+                return None
             end, moved = self._end(c, size, solution, rise)
-            short = end.found - self.proven(c, end, box, rise)
-            if best is None or short < best[0]:
-                best = short, end, moved
-            if short <= _CLOSE * max(abs(end.found - float(c @ self.theta)), 1e-12):
-                break
-        if best is None:
+            width = max(abs(end.found - float(c @ self.theta)), 1e-12)
+            return (end, moved), (end.found - self.proven(c, end, box, rise)) / width
+
+        # One that is not as close will do: the interval ends at the bound that it proves.
+        best = solve_with_retries(
+            lambda regularization: self.family.solve(
+                slope / size, radius / self.unit, regularization=regularization
+            ),
+            _REGULARIZATIONS,
+            judge,
+            enough=_CLOSE,
+        )
+        if best.value is None:
             raise SolverError(
-                f"profile intervals: the solver found no extreme ({solution.status}); use "
+                f"profile intervals: the solver found no extreme ({best.status}); use "
                 "method='gauss_markov' or 'bootstrap'.",
                 problem=self.problem,
             )
-        return replace(best[1], seconds=seconds, solves=solves), best[2]
+        end, moved = best.value
+        return replace(end, seconds=best.seconds, solves=best.solves), moved
 
     def _radius(self, rise: float) -> float:
         return float(np.sqrt(self.residual @ self.residual + rise))

@@ -293,7 +293,11 @@ def _solved(
         )
     theta, status = program.solve()
     theta = _inside(theta)
-    lower, upper = PayloadIntervals(program, theta, level).ends()
+    intervals = PayloadIntervals(program, theta, level)
+    lower, upper = intervals.ends()
+    if intervals.unsolved:
+        names = ", ".join(dict.fromkeys(intervals.unsolved))
+        notes += (f"the solver stopped short of its tolerance at the intervals of {names}",)
     shown = program.shown(theta, level)
     if not shown:
         lower[0] = 0.0

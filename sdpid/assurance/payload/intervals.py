@@ -19,7 +19,8 @@ from dataclasses import replace
 import numpy as np
 
 from sdpid._common.arrays import Array
-from sdpid.assurance.payload.program import PayloadProgram
+from sdpid.assurance.payload.program import QUANTITIES, PayloadProgram
+from sdpid.estimation.conic.retry import Retried
 from sdpid.estimation.conic.solve import ConicFamily
 from sdpid.robot.inertia import transform
 
@@ -47,6 +48,11 @@ class PayloadIntervals:
         The payload of least cost.
     level : float
         Probability of each interval.
+
+    Attributes
+    ----------
+    unsolved : list of str
+        Quantities of which an end is only the best that the solver came to.
     """
 
     def __init__(self, program: PayloadProgram, theta: Array, level: float) -> None:
@@ -56,6 +62,7 @@ class PayloadIntervals:
         self.least = float(residual @ residual)
         conic = program.conic
         self.family = ConicFamily(replace(conic, M=conic.M[:10], m=conic.m[:10], radius=1.0))
+        self.unsolved: list[str] = []
 
     def ends(self) -> tuple[Array, Array]:
         """Return lower and upper ends (10,) of mass, center of mass, and inertia about it."""
@@ -101,7 +108,8 @@ class PayloadIntervals:
         rise = self._rise(np.asarray(moved, dtype=np.float64))
         for _ in range(_ROUNDS):
             c = self._linear(k, at)
-            found = self._at(sign * c * self.program.units, rise)
+            end = self._at(sign * c * self.program.units, rise)
+            found = end.value
             if found is None or not found[0] > NOTHING:
                 return otherwise
             rise, kept = self._updated(rise, found)
@@ -110,6 +118,8 @@ class PayloadIntervals:
             value, at = new, found
             if settled:
                 break
+        if not end.accepted:
+            self.unsolved.append(QUANTITIES[k])
         return sign * value
 
     def _updated(self, rise: float, found: Array) -> tuple[float, bool]:
@@ -121,17 +131,12 @@ class PayloadIntervals:
         kept = abs(new - rise) <= _SETTLED * rise
         return (rise if kept else new), kept
 
-    def _at(self, slope: Array, rise: float) -> Array | None:
+    def _at(self, slope: Array, rise: float) -> Retried[Array]:
         """Return the payload within a level that has the least of a linear function."""
         size = float(np.linalg.norm(slope)) or 1.0
         radius = float(np.sqrt(self.least + rise)) / self.program.cost_unit
-        best = None
-        for regularization in (1e-10, 1e-8):
-            solution = self.family.solve(slope / size, radius, regularization=regularization)
-            self.program.seconds += solution.seconds
-            self.program.solves += 1
-            if solution.x is not None:
-                best = np.asarray(solution.x * self.program.units)
-            if "Solved" in solution.status:
-                break
-        return best
+        return self.program.solved(
+            lambda regularization: self.family.solve(
+                slope / size, radius, regularization=regularization
+            )
+        )

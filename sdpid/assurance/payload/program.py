@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 
 from sdpid._common.arrays import Array
 from sdpid.assurance.payload.rows import PayloadRows
 from sdpid.errors import SolverError
-from sdpid.estimation.conic.solve import ConicProgram, Matrix, solve_conic
+from sdpid.estimation.conic.retry import Retried, solve_with_retries
+from sdpid.estimation.conic.solve import ConicProgram, ConicSolution, Matrix, solve_conic
 from sdpid.robot.inertia import matrix_basis, physical_parameters, tensor_entries
 
 # Numbers of order one: a payload's length, m, and its mass where the data have none, kg.
@@ -16,6 +19,9 @@ _LENGTH, _MASS = 0.1, 1.0
 # Pull towards a ball, in whitened units: it decides where the data say nothing, and changes what
 # they do say by less than a ten-thousandth of a standard deviation.
 _FAINT = 1e-4
+
+# Clarabel's regularizations, in turn until it calls a point solved.
+_REGULARIZATIONS = (1e-10, 1e-8)
 
 QUANTITIES = (
     "mass",
@@ -78,7 +84,6 @@ class PayloadProgram:
             upper=np.array([mass_max / mass, 0.0]),
             blocks=(Matrix(np.arange(10), basis, np.zeros((4, 4))),),
         )
-        self.seconds, self.solves = 0.0, 0
 
     def solve(self) -> tuple[Array, str]:
         """Return the payload (10,) of least cost, and the status of the solver.
@@ -88,12 +93,23 @@ class PayloadProgram:
         SolverError
             When it finds none.
         """
-        solution = solve_conic(self.conic, regularization=1e-10)
-        self.seconds += solution.seconds
-        self.solves += 1
-        if solution.x is None:
-            raise SolverError(f"payload: the solver found nothing ({solution.status}).")
-        return solution.x * self.units, solution.status
+        found = self.solved(
+            lambda regularization: solve_conic(self.conic, regularization=regularization)
+        )
+        if found.value is None:
+            raise SolverError(f"payload: the solver found nothing ({found.status}).")
+        return found.value, found.status
+
+    def solved(self, solve: Callable[[float], ConicSolution]) -> Retried[Array]:
+        """Return the payload (10,) that a solver finds with some regularization.
+
+        Where no point is called solved, it is the one of the least error.
+        """
+        return solve_with_retries(
+            solve,
+            _REGULARIZATIONS,
+            lambda x, solution: (x * self.units, 0.0 if solution.solved else solution.error),
+        )
 
     def cost(self, theta: Array) -> float:
         """Return the cost of a payload."""

@@ -85,6 +85,11 @@ class ConicSolution:
     error: float = np.inf
     residual: Array = field(default_factory=lambda: np.zeros(0))
 
+    @property
+    def solved(self) -> bool:
+        """Whether the solver calls the point a solution, if only to a looser tolerance."""
+        return self.status.startswith(("Solved", "AlmostSolved", "solved"))
+
 
 # Status, variables, multipliers, iterations, seconds and error.
 _Found = tuple[str, Array, Array, int, float, float]

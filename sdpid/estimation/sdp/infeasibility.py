@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from sdpid.errors import InfeasibleError
+from sdpid.estimation.conic.retry import solve_with_retries
 from sdpid.estimation.conic.solve import ConicProgram, Matrix, solve_conic
 from sdpid.estimation.constraints.named import Constraint
 from sdpid.estimation.problem import Problem
@@ -208,8 +209,9 @@ def _shortfall(problem: Problem, limits: list[_Limit]) -> float:
         upper=np.concatenate([upper, wide]),
         blocks=tuple(blocks),
     )
-    for regularization in _REGULARIZATIONS:
-        solution = solve_conic(program, regularization=regularization)
-        if solution.x is not None and solution.status in ("Solved", "AlmostSolved"):
-            return float(solution.x[-1])
-    return float("nan")
+    found = solve_with_retries(
+        lambda regularization: solve_conic(program, regularization=regularization),
+        _REGULARIZATIONS,
+        lambda x, solution: (float(x[-1]), 0.0) if solution.solved else None,
+    )
+    return float("nan") if found.value is None else found.value

@@ -8,33 +8,39 @@ pseudo-inertias with P0 = L·L^T the reference (the constant-pullback metric [le
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable
 from dataclasses import replace
+from typing import TypeVar
 
 import numpy as np
 
 from sdpid._common.arrays import Array
+from sdpid.estimation.conic.retry import solve_with_retries
 from sdpid.estimation.conic.solve import ConicProgram, ConicSolution, solve_conic
 from sdpid.estimation.problem import Problem
 from sdpid.estimation.scaling import Scaling
 from sdpid.estimation.sdp.program import Coordinates, SdpProgram
 
 # The face often has no interior: matrices may be below zero by a slack, in the links' own scale,
-# which the caller repairs. Tried in turn: links in units of the reference or of the point itself,
-# the slack, and Clarabel's regularization.
-_TRIALS = ((False, 1e-10, 1e-8), (True, 1e-10, 1e-8))
+# which the caller repairs. First in units of the reference's links, then of the point's own.
+_SLACK = 1e-10
+_IN_OWN_SCALE = (False, True)
 
 # Where that does not succeed the distance is weighed against the cost instead, in units in which
 # the cost is one: the stronger the nearer, the weaker the cheaper.
 _WEIGHTS = (1e-8, 1e-9, 1e-10, 1e-11, 1e-12)
 _REGULARIZATION = 1e-10
 
+T = TypeVar("T")
+
 # Null directions of the scaled base matrix: its singular values are of order one or rounding.
 _NULL = 1e-9
 
 
-def nearest_on_face(problem: Problem, theta: Array) -> Iterator[tuple[Array, float]]:
-    """Yield parameters with theta's base parameters, as near to the reference as was found.
+def nearest_on_face(
+    problem: Problem, theta: Array, accept: Callable[[Array], T | None]
+) -> tuple[T | None, float]:
+    """Find parameters with theta's base parameters, as near to the reference as will do.
 
     Parameters
     ----------
@@ -42,16 +48,17 @@ def nearest_on_face(problem: Problem, theta: Array) -> Iterator[tuple[Array, flo
         The problem, with a consistency.
     theta : ndarray, shape (p,)
         Feasible parameters.
+    accept : callable
+        Takes parameters (p,) that are nearer than theta and feasible but for rounding; returns what
+        it makes of them, or None where they are not good enough after all.
 
-    Yields
-    ------
-    theta : ndarray, shape (p,)
-        Nearer than before and feasible but for rounding, which the caller repairs; of several, the
-        first that is still good enough after that will do. Nothing where the solver finds none.
+    Returns
+    -------
+    found : object or None
+        What `accept` made of the first that are good enough.
     seconds : float
-        In the solver so far.
+        In the solver.
     """
-    seconds = 0.0
     feasible = problem.feasible
     links = 10 * feasible.n_links
     reference = Scaling.of(problem)
@@ -62,32 +69,39 @@ def nearest_on_face(problem: Problem, theta: Array) -> Iterator[tuple[Array, flo
     rank = int(np.count_nonzero(singular > _NULL * singular[0]))
     null = basis @ rows[rank:].T
     if null.shape[1] == 0:
-        yield theta, seconds
-        return
+        return accept(theta), 0.0
     goal = np.concatenate([reference.bodies.ravel(), theta[links:]])
     there = np.column_stack([null[:links], (theta - goal)[:links]])
     distance = np.linalg.solve(basis[:links, :links], there)
-    for own_scale, slack, regularization in _TRIALS:
+
+    def accepted(point: Array) -> tuple[T, float] | None:
+        made = accept(point)
+        return None if made is None else (made, 0.0)
+
+    def step(own_scale: bool) -> ConicSolution:
         scaling = reference.around(theta) if own_scale else reference
-        solution = _step(problem, theta, null, distance, scaling, slack, regularization)
-        seconds += solution.seconds
-        if solution.x is None:
-            continue
-        nearer = np.linalg.norm(distance[:, :-1] @ solution.x + distance[:, -1])
-        if nearer <= np.linalg.norm(distance[:, -1]):
-            yield np.asarray(theta + null @ solution.x), seconds
+        return _step(problem, theta, null, distance, scaling)
+
+    def nearer(x: Array, _: ConicSolution) -> tuple[T, float] | None:
+        left = np.linalg.norm(distance[:, :-1] @ x + distance[:, -1])
+        return accepted(theta + null @ x) if left <= np.linalg.norm(distance[:, -1]) else None
+
+    found = solve_with_retries(step, _IN_OWN_SCALE, nearer)
+    if found.value is not None:
+        return found.value, found.seconds
     scaling = replace(reference, cost=max(reference.cost, problem.cost_of(theta)))
     coordinates = Coordinates.of(problem, basis, goal)
     if coordinates is None:
-        return
-    for weight in _WEIGHTS:
+        return None, found.seconds
+
+    def weighed(weight: float) -> ConicSolution:
         program = SdpProgram.build(
             problem, scaling, coordinates, feasible.bounded, proximal_weight=weight
         )
-        solution = solve_conic(program.conic, regularization=_REGULARIZATION)
-        seconds += solution.seconds
-        if solution.x is not None:
-            yield program.theta(solution), seconds
+        return solve_conic(program.conic, regularization=_REGULARIZATION)
+
+    again = solve_with_retries(weighed, _WEIGHTS, lambda x, _: accepted(coordinates.theta(x)))
+    return again.value, found.seconds + again.seconds
 
 
 def _unit_rows(rows: Array) -> Array:
@@ -102,14 +116,12 @@ def _step(
     null: Array,
     distance: Array,
     scaling: Scaling,
-    slack: float,
-    regularization: float,
 ) -> ConicSolution:
     """Return the step along the null directions that brings theta nearest."""
     feasible = problem.feasible
     coordinates = Coordinates(theta, null)
     inverses = np.asarray(np.linalg.inv(scaling.block_roots(feasible)))
-    blocks = coordinates.inequalities(feasible, inverses, slack=slack)
+    blocks = coordinates.inequalities(feasible, inverses, slack=_SLACK)
     bounded = np.flatnonzero(feasible.bounded & (np.abs(null).max(axis=1) > 0.0))
     scale = scaling.theta[bounded][:, None]
     unequal = coordinates.limited(problem, scaling)
@@ -128,6 +140,5 @@ def _step(
             lower=np.minimum(lower - here, 0.0) / scale,
             upper=np.maximum(upper - here, 0.0) / scale,
             blocks=tuple(block for block in blocks if len(block.index)),
-        ),
-        regularization=regularization,
+        )
     )

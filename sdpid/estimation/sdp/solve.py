@@ -325,24 +325,22 @@ def _settled(estimate: Estimate, bound: Bound) -> Estimate:
         # Without matrix inequalities nothing says what is near; with a prior nothing is free.
         return estimate
     allowed = estimate.cost + _FACE * max(estimate.cost, cost_scale(problem))
-    spent = 0.0
-    for found, seconds in nearest_on_face(problem, np.array(estimate.theta)):
-        theta, spent = repair(problem, found), seconds
+
+    def moved_to(point: Array) -> Estimate | None:
+        theta = repair(problem, point)
         moved = replace(
             estimate,
-            solve_time=estimate.solve_time + seconds,
             theta=frozen(theta),
             base=frozen(problem.base_of(theta)),
             message=f"{estimate.message}; nearest to the description on the optimal face",
         )
         proven = relative_gap(problem, moved.cost, bound.value) <= PROVEN
-        if moved.feasible and moved.cost <= allowed and proven:
-            return moved
-    return replace(
-        estimate,
-        solve_time=estimate.solve_time + spent,
-        message=f"{estimate.message}; any point of the optimal face",
-    )
+        return moved if moved.feasible and moved.cost <= allowed and proven else None
+
+    moved, seconds = nearest_on_face(problem, np.array(estimate.theta), moved_to)
+    if moved is None:
+        moved = replace(estimate, message=f"{estimate.message}; any point of the optimal face")
+    return replace(moved, solve_time=estimate.solve_time + seconds)
 
 
 def repair(problem: Problem, theta: Array) -> Array:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -13,6 +14,12 @@ from sdpid._common.arrays import Array
 from sdpid.assurance.payload.identify import Payload, identify_payload
 from sdpid.assurance.payload.program import quantities
 from sdpid.errors import DataError, ModelError
+from sdpid.estimation.conic.solve import (
+    ConicFamily,
+    ConicProgram,
+    ConicSolution,
+    solve_conic,
+)
 from sdpid.estimation.estimate import Estimate
 from sdpid.estimation.prior.prior import Prior
 from sdpid.estimation.problem import build_problem
@@ -104,6 +111,41 @@ def test_a_point_is_found_at_the_edge_of_what_can_be(arm: RobotModel) -> None:
     assert found.margin is not None
     assert found.margin < 1e-4
     assert holds(found, point)[:4].all()
+
+
+def test_intervals_that_are_not_solved_are_named(
+    arm: RobotModel, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    loaded, bare, _ = pair(arm, load())
+    solve = ConicFamily.solve
+
+    def short(self: ConicFamily, *args: Any, **kwargs: Any) -> ConicSolution:
+        return replace(solve(self, *args, **kwargs), status="MaxIterations")
+
+    monkeypatch.setattr(ConicFamily, "solve", short)
+    found = identify_payload(arm, loaded, bare, friction=TERMS)
+    (note,) = found.notes
+    assert "stopped short" in note
+    assert "mass, com_x" in note
+
+
+def test_a_payload_that_is_not_solved_is_solved_again(
+    arm: RobotModel, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    loaded, bare, _ = pair(arm, load())
+    expected = identify_payload(arm, loaded, bare, friction=TERMS)
+
+    def far(program: ConicProgram, *, regularization: float) -> ConicSolution:
+        found = solve_conic(program, regularization=regularization)
+        if regularization > 1e-9:
+            return found
+        return replace(found, status="InsufficientProgress", x=2.0 * np.array(found.x), error=0.1)
+
+    monkeypatch.setattr("sdpid.assurance.payload.program.solve_conic", far)
+    again = identify_payload(arm, loaded, bare, friction=TERMS)
+    assert again.status == "Solved"
+    # Two solves of one program, each to 1e-11 of a cost that is flat at its minimum.
+    assert again.theta == pytest.approx(expected.theta, abs=1e-5)
 
 
 def test_the_arm_is_eliminated_exactly(arm: RobotModel) -> None:
