@@ -9,7 +9,7 @@ import numpy as np
 
 from sdpid._common.arrays import Array
 from sdpid.experiment.inspection.finding import Finding, Subject, check
-from sdpid.experiment.recording.stored import blocks
+from sdpid.experiment.recording.stored import blocks, extremes
 
 # Gravity below this (N.m, rms about its mean) says nothing about the efforts.
 _LEAST_GRAVITY = 1.0
@@ -26,7 +26,7 @@ _PERCENTILE = 99.0
 def signals(subject: Subject) -> Iterator[Finding]:
     """Find efforts that never change, and single values far beyond all others."""
     log = subject.log
-    low, high = np.asarray(log.effort.min(axis=0)), np.asarray(log.effort.max(axis=0))
+    low, high = extremes(log.effort)
     for j, name in enumerate(log.names):
         if not high[j] > low[j]:
             yield Finding(

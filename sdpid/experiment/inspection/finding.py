@@ -14,6 +14,7 @@ from sdpid._common.arrays import Array
 from sdpid.errors import DataError
 from sdpid.experiment.recording.gaps import continuous
 from sdpid.experiment.recording.recording import Recording
+from sdpid.experiment.recording.stored import extremes
 from sdpid.robot.model.model import RobotModel
 
 __all__ = ["CHECKS", "Check", "Finding", "Severity", "Subject", "check"]
@@ -79,12 +80,19 @@ class Subject:
     robot: RobotModel | None
 
     @cached_property
+    def continued(self) -> tuple[tuple[Recording, ...], list[str]] | DataError:
+        """The parts between gaps, angles continued, and notes on them; or why it is refused."""
+        try:
+            return continuous(self.log)
+        except DataError as refused:
+            return refused
+
+    @cached_property
     def pieces(self) -> tuple[tuple[int, Recording], ...]:
         """The parts between gaps, angles continued, each with its first row; empty if refused."""
-        try:
-            pieces, _ = continuous(self.log)
-        except DataError:
+        if isinstance(self.continued, DataError):
             return ()
+        pieces, _ = self.continued
         if pieces == (self.log,):
             return ((0, self.log),)
         time = np.asarray(self.log.time)
@@ -93,7 +101,7 @@ class Subject:
     @cached_property
     def position_range(self) -> tuple[Array, Array]:
         """Least and largest position of each joint, (n,) each."""
-        return np.asarray(self.log.position.min(axis=0)), np.asarray(self.log.position.max(axis=0))
+        return extremes(self.log.position)
 
     @cached_property
     def rows(self) -> Any:

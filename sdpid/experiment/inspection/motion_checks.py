@@ -10,7 +10,7 @@ import numpy as np
 from sdpid.experiment.inspection.finding import Finding, Subject, check
 from sdpid.experiment.recording.degrees import suspect_units
 from sdpid.experiment.recording.recording import Recording
-from sdpid.experiment.recording.stored import blocks
+from sdpid.experiment.recording.stored import ROWS, taken
 from sdpid.experiment.recording.velocities import velocity_fit
 
 # No joint of an arm turns faster (rad/s); the fastest reach some 15.
@@ -54,6 +54,10 @@ def rest_and_jumps(subject: Subject) -> Iterator[Finding]:
     log = subject.log
     low, high = subject.position_range
     reach = high - low
+    jumps: dict[int, tuple[float, float, int]] = {}
+    for first, piece in subject.pieces:
+        for j, speed, step, row in _fast_steps(first, piece):
+            jumps[j] = max(jumps.get(j, (0.0, 0.0, 0)), (speed, step, row))
     for j, name in enumerate(log.names):
         if reach[j] < _AT_REST:
             moved = "never moves" if reach[j] == 0.0 else f"moves by {reach[j]:.3g} rad only"
@@ -66,8 +70,7 @@ def rest_and_jumps(subject: Subject) -> Iterator[Finding]:
                 numbers={"range": reach[j], "limit": _AT_REST},
             )
             continue
-        steps = (each for first, piece in subject.pieces for each in _fastest(first, piece, j))
-        fastest, jump, row = max(steps, default=(0.0, 0.0, 0))
+        fastest, jump, row = jumps.get(j, (0.0, 0.0, 0))
         if fastest > _FASTEST:
             yield Finding(
                 severity="error",
@@ -82,17 +85,17 @@ def rest_and_jumps(subject: Subject) -> Iterator[Finding]:
             )
 
 
-def _fastest(first: int, piece: Recording, j: int) -> Iterator[tuple[float, float, int]]:
-    """Yield speed, size and row of the fastest step in every block of a joint's positions."""
-    time, last = piece.time, None
-    for begin, values in blocks(piece.position[:, j]):
-        steps = np.diff(values) if last is None else np.diff(values, prepend=last)
-        stop = begin + values.size
-        last = values[-1]
-        if steps.size:
-            speeds = np.abs(steps) / np.diff(time[stop - steps.size - 1 : stop])
-            k = int(np.argmax(speeds))
-            yield float(speeds[k]), float(steps[k]), first + stop - steps.size + k
+def _fast_steps(first: int, piece: Recording) -> Iterator[tuple[int, float, float, int]]:
+    """Yield joint, speed, size and row of its fastest step, in blocks with one over the limit."""
+    for begin in range(0, piece.n_samples - 1, ROWS):
+        stop = begin + ROWS + 1
+        steps = np.diff(taken(piece.position, begin, stop), axis=0)
+        durations = np.diff(piece.time[begin:stop])
+        if max(steps.max(), -steps.min()) <= _FASTEST * durations.min():
+            continue
+        speeds = np.abs(steps) / durations[:, None]
+        for j, k in enumerate(speeds.argmax(axis=0).tolist()):
+            yield j, float(speeds[k, j]), float(steps[k, j]), first + begin + k + 1
 
 
 @check

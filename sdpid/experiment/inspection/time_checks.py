@@ -8,7 +8,6 @@ import numpy as np
 
 from sdpid.errors import DataError
 from sdpid.experiment.inspection.finding import Finding, Subject, check
-from sdpid.experiment.recording.gaps import continuous
 
 # A row is repeated where no position and no effort changes. More repeats than these in a row are
 # rest; a logger that runs faster than the robot makes fewer, many times.
@@ -21,12 +20,10 @@ _COMPARED = 100_000
 @check
 def gaps_and_wraps(subject: Subject) -> Iterator[Finding]:
     """Find gaps and stamps that came late, and angles that wrap."""
-    try:
-        _, notes = continuous(subject.log)
-    except DataError as refused:
-        yield Finding(severity="error", kind="time_stamps", message=str(refused))
+    if isinstance(subject.continued, DataError):
+        yield Finding(severity="error", kind="time_stamps", message=str(subject.continued))
         return
-    for note in notes:
+    for note in subject.continued[1]:
         yield Finding(severity="note", kind="continued", message=note)
 
 

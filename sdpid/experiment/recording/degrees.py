@@ -10,6 +10,7 @@ import numpy as np
 from sdpid._common.arrays import Array
 from sdpid.errors import DataError
 from sdpid.experiment.recording.recording import Recording
+from sdpid.experiment.recording.stored import extremes
 
 __all__ = ["require_plausible_units", "suspect_units"]
 
@@ -58,7 +59,7 @@ def suspect_units(
         When the limits are of another shape.
     """
     if position_range is None:
-        position_range = recording.position.min(axis=0), recording.position.max(axis=0)
+        position_range = extremes(recording.position)
     low, high = position_range
     peak = np.maximum(np.abs(low), np.abs(high))
     beyond = peak > _TWO_TURNS

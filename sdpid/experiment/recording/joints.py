@@ -8,7 +8,7 @@ from functools import partial
 from itertools import takewhile
 
 from sdpid.errors import DataError
-from sdpid.experiment.recording.recording import Recording
+from sdpid.experiment.recording.recording import Recording, renamed
 from sdpid.experiment.recording.stored import transformed
 from sdpid.robot.model.model import RobotModel
 
@@ -48,10 +48,10 @@ def match_joints(robot: RobotModel, log: Recording) -> Recording:
             "others, the columns' joint_names."
         )
     if names is None or log.n == 1:
-        return replace(log, joint_names=robot.joint_names)
+        return renamed(log, robot.joint_names)
     order = joint_columns(robot, names)
     if order == list(range(log.n)):
-        return replace(log, joint_names=robot.joint_names)
+        return renamed(log, robot.joint_names)
     picked = partial(transformed, function=lambda values: values[:, order])
     return replace(
         log,

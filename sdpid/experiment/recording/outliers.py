@@ -8,7 +8,7 @@ import numpy as np
 
 from sdpid.errors import DataError
 from sdpid.experiment.recording.recording import Recording
-from sdpid.experiment.recording.stored import blocks
+from sdpid.experiment.recording.stored import blocks, extremes
 
 __all__ = ["require_no_outliers"]
 
@@ -30,7 +30,7 @@ def require_no_outliers(log: Recording) -> None:
     DataError
         Naming the joint, the row and the jump, and how many there are.
     """
-    low, high = log.position.min(axis=0), log.position.max(axis=0)
+    low, high = extremes(log.position)
     for j in np.flatnonzero(high - low > _LARGEST_STEP).tolist():
         count, first, last = 0, None, None
         for begin, values in blocks(log.position[:, j]):

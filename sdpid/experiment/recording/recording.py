@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Sequence
+from copy import copy
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -237,6 +238,15 @@ class Recording:
                 columns |= {f"{quantity}_{name}": table[:, j] for j, name in enumerate(self.names)}
         stated = ("n", "joint_names", "period", "start", "periods")
         write_columns(path, columns, {name: getattr(self, name) for name in stated})
+
+
+def renamed(log: Recording, names: tuple[str, ...]) -> Recording:
+    """Return a recording with other joint names; its arrays are not checked again."""
+    if log.joint_names == names:
+        return log
+    result = copy(log)
+    object.__setattr__(result, "joint_names", checked_names(names, log.n))
+    return result
 
 
 def checked_names(names: Any, n: int) -> tuple[str, ...]:

@@ -357,3 +357,13 @@ def test_noise_that_the_filter_removes_is_no_wrong_period(noise: float, repeats:
         return
     with pytest.raises(DataError, match=r"do not repeat: their positions spread by 0\.0"):
         process(replace(log, position=position), slow)
+
+
+@given(st.integers(1, 300), st.integers(1, 8), st.integers(0, 2**32 - 1))
+def test_extremes_are_those_of_each_column(count: int, n: int, seed: int):
+    # Lengths below, at and beyond multiples of the rows that are folded, in both layouts.
+    table = np.random.default_rng(seed).standard_normal((count, n))
+    for layout in (table, np.asfortranarray(table)):
+        low, high = stored.extremes(layout)
+        np.testing.assert_array_equal(low, table.min(axis=0))
+        np.testing.assert_array_equal(high, table.max(axis=0))
