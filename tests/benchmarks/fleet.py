@@ -238,9 +238,7 @@ class Sent:
             distributed_rows._gathered = gathered
 
 
-def together(
-    files: Sequence[Path], processing: sdpid.Processing, client: Any = None
-) -> Problem:
+def together(files: Sequence[Path], processing: sdpid.Processing, client: Any = None) -> Problem:
     """Return one problem from all pieces."""
     robot = sdpid.load_robot(ROBOT)
     return sdpid.build_problem(
