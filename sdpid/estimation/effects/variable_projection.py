@@ -152,7 +152,7 @@ class VariableProjection:
         starts = np.cumsum([0, *(len(place) for place in places)])
         self._starts = [int(start) for start in starts[:-1]]
         self._moved: dict[tuple[int, int], Indices] = {}
-        self.cost = self._least(self._products, self._squares)
+        self.cost = float(self._least(self._products[None], self._squares[None])[0])
 
     @property
     def _names(self) -> tuple[str, ...]:
@@ -176,13 +176,17 @@ class VariableProjection:
         low, high = np.log(parameter.lower), np.log(parameter.upper)
         tried: dict[float, _Trial] = {}
 
+        def costs_at(logs: Array) -> Array:
+            values = np.clip(np.exp(logs), parameter.lower, parameter.upper)
+            trials = self._try(t, i, values)
+            tried.update(zip(logs.tolist(), trials, strict=True))
+            return np.array([trial.cost for trial in trials])
+
         def cost(log: float) -> float:
-            value = float(np.clip(np.exp(log), parameter.lower, parameter.upper))
-            tried[log] = self._try(t, i, value)
-            return tried[log].cost
+            return float(costs_at(np.array([log]))[0])
 
         grid = np.linspace(low, high, _GRID) if high > low else np.array([low])
-        costs = np.array([cost(float(log)) for log in grid])
+        costs = costs_at(grid)
         best = int(np.argmin(costs))
         chosen = float(grid[best])
         if np.ptp(costs) <= _NO_EFFECT * costs.min():
@@ -198,26 +202,30 @@ class VariableProjection:
         each.values[i] = float(np.clip(np.exp(chosen), parameter.lower, parameter.upper))
         each.flat[i] = _flat_range({log: one.cost for log, one in tried.items()}, parameter)
 
-    def _try(self, t: int, i: int, value: float) -> _Trial:
-        """Return the cost with another value of a parameter, and the columns that it moves."""
+    def _try(self, t: int, i: int, values: Array) -> list[_Trial]:
+        """Return the cost at other values (g,) of a parameter, and the columns that it moves."""
         moved = self._moving(t, i)
-        joints, columns = self._whitened(self._opened[t].changed(i, value), moved)
+        terms = [self._opened[t].changed(i, float(value)) for value in values]
+        joints, columns = self._whitened(terms, moved)
         places = self._starts[t] + moved
-        inside = np.zeros((self._basis.shape[2], len(moved)))
-        own, others = (
-            np.zeros((len(moved), len(moved))),
-            np.zeros((self._loose.shape[2], len(moved))),
-        )
-        for j, column in zip(joints, columns, strict=True):
-            inside += self._basis[j].T @ column
-            own += column.T @ column
-            others += self._loose[j].T @ column
-        others -= self._inside.T @ inside
-        others[places] = own - inside.T @ inside
-        products, squares = self._products.copy(), self._squares.copy()
-        products[:, places], products[places] = others, others.T
-        squares[places] = np.diagonal(own)
-        return _Trial(self._least(products, squares), places, joints, columns, inside, products)
+        w, count, g, m = columns.shape
+        inside = np.zeros((self._basis.shape[2], g * m))
+        others = np.zeros((self._loose.shape[2], g * m))
+        for j, each in zip(joints, columns.reshape(w, count, g * m), strict=True):
+            inside += self._basis[j].T @ each
+            others += self._loose[j].T @ each
+        others = np.moveaxis((others - self._inside.T @ inside).reshape(len(others), g, m), 1, 0)
+        inside = np.moveaxis(inside.reshape(len(inside), g, m), 1, 0)
+        own = np.einsum("wkga,wkgb->gab", columns, columns)
+        others[:, places] = own - np.swapaxes(inside, 1, 2) @ inside
+        products = np.repeat(self._products[None], g, axis=0)
+        products[:, :, places], products[:, places] = others, np.swapaxes(others, 1, 2)
+        squares = np.repeat(self._squares[None], g, axis=0)
+        squares[:, places] = np.diagonal(own, axis1=1, axis2=2)
+        return [
+            _Trial(float(cost), places, joints, columns[:, :, k], inside[k], products[k])
+            for k, cost in enumerate(self._least(products, squares))
+        ]
 
     def _keep(self, trial: _Trial) -> None:
         """Make the columns of a trial the present ones."""
@@ -240,52 +248,59 @@ class VariableProjection:
         """Return a term's columns (K, joints, m)."""
         return term.columns(self._velocity, self._acceleration, self._names)
 
-    def _whitened(self, term: FrictionTerm, moved: Indices) -> tuple[Indices, Array]:
-        """Return the joints at which some columns of a term are not zero, and these (w, K, m)."""
-        if isinstance(term, JointwiseTerm) and type(term).columns is JointwiseTerm.columns:
-            # Diagonal in the joints.
-            joints, columns = moved, np.zeros((len(moved), len(self._velocity), len(moved)))
-            for at, joint in enumerate(moved):
-                columns[at, :, at] = self._shape(term, int(joint))
+    def _whitened(self, terms: list[FrictionTerm], moved: Indices) -> tuple[Indices, Array]:
+        """Return at which joints some columns of g terms are not zero, and these (w, K, g, m)."""
+        first = terms[0]
+        if isinstance(first, JointwiseTerm) and type(first) in _ALIKE and len(moved) == 1:
+            joints, columns = moved, self._shapes(terms, int(moved[0]))[None, :, :, None]
         else:
-            found = np.swapaxes(self._columns(term)[:, :, moved], 0, 1)
-            joints = np.flatnonzero(found.any(axis=(1, 2)))
-            columns = found[joints]
+            found = np.stack([self._columns(term)[:, :, moved] for term in terms], axis=2)
+            joints = np.flatnonzero(found.any(axis=(0, 2, 3)))
+            columns = np.swapaxes(found[:, joints], 0, 1)
         joints = joints + self._first
         if self._independent:
-            return joints, columns * self._power[:, joints, joints].T[:, :, None]
-        whitened = self._power[:, :, joints] @ np.swapaxes(columns, 0, 1)
-        return np.arange(len(self._basis)), np.ascontiguousarray(np.swapaxes(whitened, 0, 1))
+            return joints, columns * self._power[:, joints, joints].T[:, :, None, None]
+        w, count, g, m = columns.shape
+        flat = np.swapaxes(columns, 0, 1).reshape(count, w, g * m)
+        whitened = np.ascontiguousarray(np.swapaxes(self._power[:, :, joints] @ flat, 0, 1))
+        return np.arange(len(self._basis)), whitened.reshape(-1, count, g, m)
 
-    def _shape(self, term: JointwiseTerm, joint: int) -> Array:
-        """Return the column (K,) of one joint."""
-        if type(term) not in _ALIKE:
-            return term.shape(self._velocity, self._acceleration)[:, joint]
-        own = {name: float(term.speed(name, len(self._names))[joint]) for name in term.speed_fields}
-        alone = slice(joint, joint + 1)
-        velocity, acceleration = self._velocity[:, alone], self._acceleration[:, alone]
-        return replace(term, **own).shape(velocity, acceleration)[:, 0]
+    def _shapes(self, terms: list[FrictionTerm], joint: int) -> Array:
+        """Return the columns (K, g) of one joint, as if each term were that of another joint."""
+        alike = [term for term in terms if isinstance(term, JointwiseTerm)]
+        speeds = {
+            name: tuple(float(term.speed(name, len(self._names))[joint]) for term in alike)
+            for name in alike[0].speed_fields
+        }
+        same = [joint] * len(alike)
+        many = replace(alike[0], **speeds)
+        return many.shape(self._velocity[:, same], self._acceleration[:, same])
 
     def _whiten(self, columns: Array) -> Array:
         """Return whitened columns (n, K, c) from columns (K, n, c)."""
         return np.ascontiguousarray(np.swapaxes(self._power @ columns, 0, 1))
 
-    def _least(self, products: Array, squares: Array) -> float:
-        """Return the least cost over all linear parameters, from products of the open columns."""
+    def _least(self, products: Array, squares: Array) -> Array:
+        """Return the least costs (g,) over all linear parameters, from the open columns' products.
+
+        Products are (g, c + 1, c + 1), and the columns' squared lengths (g, c + 1).
+        """
         from scipy.optimize import nnls
 
-        size = np.sqrt(np.where(squares[:-1] > 0.0, squares[:-1], 1.0))
-        H = products[:-1, :-1] / size / size[:, None] + self._ridge
-        b = products[:-1, -1] / size
+        size = np.sqrt(np.where(squares[:, :-1] > 0.0, squares[:, :-1], 1.0))
+        H = products[:, :-1, :-1] / size[:, None, :] / size[:, :, None] + self._ridge
+        b = (products[:, :-1, -1] / size)[:, :, None]
         u = np.linalg.solve(H, b)
-        gain = float(b @ u)
-        if (u < self._lowest).any():
-            # A column of any sign is two that are not negative, one the negative of the other.
-            root = np.linalg.cholesky(H)
-            rhs = np.linalg.solve(root, b)
-            rest = nnls(np.hstack([root.T, -root.T[:, self._free]]), rhs)[1]
-            gain = float(rhs @ rhs - rest**2)
-        return max(float(products[-1, -1]) - gain, 0.0)
+        gain = np.einsum("gci,gci->g", b, u)
+        wrong = np.flatnonzero((u[:, :, 0] < self._lowest).any(axis=1))
+        # A column of any sign is two that are not negative, one the negative of the other.
+        root = np.linalg.cholesky(H[wrong])
+        rhs = np.linalg.solve(root, b[wrong])[:, :, 0]
+        upper = np.swapaxes(root, 1, 2)
+        both = np.concatenate([upper, -upper[:, :, self._free]], axis=2)
+        for k, columns, target in zip(wrong, both, rhs, strict=True):
+            gain[k] = target @ target - nnls(columns, target)[1] ** 2
+        return np.asarray(np.maximum(products[:, -1, -1] - gain, 0.0))
 
 
 def _orthonormal(columns: Array) -> Array:
