@@ -195,7 +195,10 @@ class _Seen:
             inverses @ feasible.matrices(self.theta)[:own] @ transposed
         )
         margins = feasible.margins(self.theta) - feasible.constraints.margin
-        for i, constraint in enumerate(feasible.named[:own]):
+        for constraint in feasible.named:
+            if constraint.kind != "consistency":
+                continue
+            i = constraint.index
             multiplier, presses = None, 0.0
             if found is not None:
                 multiplier = float(np.sum(found.Z[i] * shift))

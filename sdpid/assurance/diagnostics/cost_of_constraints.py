@@ -22,7 +22,9 @@ from sdpid.errors import DataError
 from sdpid.estimation.compression.covariance import JointRows
 from sdpid.estimation.conic.retry import solve_with_retries
 from sdpid.estimation.conic.solve import ConicProgram, ConicSolution, solve_conic
+from sdpid.estimation.constraints.named import Constraint
 from sdpid.estimation.estimate import Estimate
+from sdpid.estimation.problem import Problem
 from sdpid.estimation.scaling import Scaling
 from sdpid.estimation.sdp.program import Coordinates, SdpProgram
 from sdpid.estimation.sdp.solve import solve_sdp
@@ -185,57 +187,46 @@ def cost_of_constraints(estimate: Estimate) -> CostOfConstraints:
 def _without(estimate: Estimate) -> Iterator[tuple[str, Array]]:
     """Yield each constraint with a multiplier, and the optimum without it."""
     problem, theta = estimate.problem, np.array(estimate.theta)
-    feasible = problem.feasible
     scaling = Scaling.of(problem)
     scaling = replace(scaling, cost=max(scaling.cost, estimate.cost))
+    program = _program(problem, scaling, theta)
+    found = None if program is None else _cheapest(program.conic, lambda _: 0.0)
+    if program is None or found is None:
+        return
+    for constraint in _pressing(program, found):
+        relaxed = replace(problem, feasible=problem.feasible.without(constraint))
+        program = _program(relaxed, scaling, theta)
+        found = None if program is None else _cheapest(program.conic, _cost(program))
+        if program is not None and found is not None:
+            yield constraint.name, program.theta(found)
+
+
+def _program(problem: Problem, scaling: Scaling, theta: Array) -> SdpProgram | None:
+    """Return a problem about theta with all bounds; None where its equations contradict."""
     coordinates = Coordinates.of(problem, scaling.basis(), theta)
     if coordinates is None:
-        return
-    bounds_included = np.ones(problem.n_theta, dtype=bool)
-    program = SdpProgram.build(problem, scaling, coordinates, bounds_included)
-    found = _cheapest(program.conic, lambda _: 0.0)
-    if found is None:
-        return
-    rows, duals = found.rows, found.blocks
-    blocks = program.conic.blocks
-    for at, (i, dual) in enumerate(zip(program.moving, duals, strict=True)):
-        if float(np.trace(dual)) > _PRESSES:
-            conic = replace(program.conic, blocks=blocks[:at] + blocks[at + 1 :])
-            yield from _relaxed(feasible.block_names[i], conic, program)
-    names = [_bound_name(estimate, int(k)) for k in program.bounded]
-    names += [feasible.row_names[j] for j in coordinates.limited(problem, scaling)]
-    for j in np.flatnonzero(np.abs(rows) > _PRESSES):
-        lower, upper = program.conic.lower.copy(), program.conic.upper.copy()
-        lower[j], upper[j] = -np.inf, np.inf
-        conic = replace(program.conic, lower=lower, upper=upper)
-        yield from _relaxed(names[j], conic, program)
-    yield from _without_equations(estimate, scaling, theta)
+        return None
+    return SdpProgram.build(problem, scaling, coordinates, np.ones(problem.n_theta, dtype=bool))
 
 
-def _without_equations(
-    estimate: Estimate, scaling: Scaling, theta: Array
-) -> Iterator[tuple[str, Array]]:
-    """Yield each equality constraint, and the optimum without it."""
-    problem = estimate.problem
-    feasible = problem.feasible
-    bounds_included = np.ones(problem.n_theta, dtype=bool)
-    for j in np.flatnonzero(feasible.equations):
-        lower, upper = feasible.row_lower.copy(), feasible.row_upper.copy()
-        lower[j], upper[j] = -np.inf, np.inf
-        other = replace(
-            problem, feasible=replace(feasible, row_lower=frozen(lower), row_upper=frozen(upper))
-        )
-        coordinates = Coordinates.of(other, scaling.basis(), theta)
-        if coordinates is not None:
-            program = SdpProgram.build(other, scaling, coordinates, bounds_included)
-            yield from _relaxed(feasible.row_names[j], program.conic, program)
-
-
-def _relaxed(name: str, conic: ConicProgram, program: SdpProgram) -> Iterator[tuple[str, Array]]:
-    """Yield the optimum of a program with one constraint removed, unless none is found."""
-    found = _cheapest(conic, _cost(program))
-    if found is not None:
-        yield name, program.theta(found)
+def _pressing(program: SdpProgram, found: ConicSolution) -> Iterator[Constraint]:
+    """Yield the constraints with a multiplier in scaled units, and all equations."""
+    problem, feasible, count = program.problem, program.problem.feasible, len(program.bounded)
+    matrices, bounds = np.zeros(len(feasible.block_names)), np.zeros(problem.n_theta)
+    rows = np.zeros(len(feasible.rows))
+    matrices[program.moving] = [np.trace(dual) for dual in found.blocks]
+    bounds[program.bounded] = found.rows[:count]
+    rows[program.coordinates.limited(problem, program.scaling)] = found.rows[count:]
+    for constraint in feasible.named:
+        # A multiplier belongs to the side that it presses to.
+        if constraint.kind in ("consistency", "cone"):
+            size = matrices[constraint.index]
+        elif constraint.kind == "row":
+            size = np.inf if constraint.side is None else constraint.sign * rows[constraint.index]
+        else:
+            size = constraint.sign * bounds[constraint.index]
+        if size > _PRESSES:
+            yield constraint
 
 
 def _cost(program: SdpProgram) -> Callable[[Array], float]:
@@ -258,13 +249,3 @@ def _cheapest(conic: ConicProgram, cost: Callable[[Array], float]) -> ConicSolut
         judge,
         enough=-np.inf,
     ).value
-
-
-def _bound_name(estimate: Estimate, k: int) -> str:
-    """Return the name of the bound on parameter k."""
-    problem, feasible = estimate.problem, estimate.problem.feasible
-    if not feasible.bounded[k]:
-        return f"theta_max of {problem.base.theta_names[k]}"
-    if k < 10 * feasible.n_links:
-        return f"mass of {problem.robot.link_names[k // 10]}"
-    return f"sign of {problem.base.theta_names[k]}"

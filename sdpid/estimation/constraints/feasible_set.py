@@ -125,6 +125,52 @@ class FeasibleSet:
             row_upper=frozen([row.upper for row in rows]),
         )
 
+    def without(self, constraint: Constraint) -> FeasibleSet:
+        """Return the set that leaves out one constraint.
+
+        A parameter without its own bound still has theta_max. The sizes of matrices and rows stay;
+        only cones are taken out. Local solvers and `repair` keep every link consistent all the
+        same: solve such a set as a program.
+
+        Parameters
+        ----------
+        constraint : Constraint
+            One of `named`.
+        """
+        k = constraint.index
+        if constraint.kind == "cone":
+            rest = np.arange(len(self.block_names)) != k
+            links = self.block_links[rest]
+            links.setflags(write=False)
+            return replace(
+                self,
+                block_names=tuple(np.array(self.block_names)[rest].tolist()),
+                block_links=links,
+                block_basis=frozen(self.block_basis[rest]),
+                block_constants=frozen(self.block_constants[rest]),
+            )
+        if constraint.kind == "consistency":
+            # The unit matrix, whatever theta is.
+            basis, constants = self.block_basis.copy(), self.block_constants.copy()
+            basis[k], constants[k] = 0.0, np.eye(self.size)
+            return replace(self, block_basis=frozen(basis), block_constants=frozen(constants))
+        row = constraint.kind == "row"
+        lower, upper = (self.row_lower, self.row_upper) if row else (self.lower, self.upper)
+        lower, upper = lower.copy(), upper.copy()
+        wide = self.constraints.theta_max if constraint.kind in ("mass", "sign") else np.inf
+        if constraint.side != "most":
+            lower[k] = -wide
+        if constraint.side != "least":
+            upper[k] = wide
+        if row:
+            return replace(self, row_lower=frozen(lower), row_upper=frozen(upper))
+        return replace(self, lower=frozen(lower), upper=frozen(upper))
+
+    @cached_property
+    def required(self) -> Mask:
+        """Which links must be consistent: all, unless one was left out."""
+        return np.asarray(np.any(self.block_basis[: self.n_own] != 0.0, axis=(1, 2, 3)))
+
     @property
     def n_links(self) -> int:
         """Number of links."""
@@ -145,16 +191,19 @@ class FeasibleSet:
             for i, (name, link) in enumerate(
                 zip(self.block_names, self.block_links.tolist(), strict=True)
             )
+            if i >= self.n_own or self.required[i]
         ]
         bounds = [
             self._bound(k, side, limit)
             for k, limits in enumerate(zip(self.lower.tolist(), self.upper.tolist(), strict=True))
             for side, limit in zip(_SIDES, limits, strict=True)
+            if np.isfinite(limit)
         ]
         own = [bound for bound in bounds if bound.kind != "theta_max"]
         wide = [bound for bound in bounds if bound.kind == "theta_max"]
         rows = [row for j in range(len(self.rows)) for row in self._row(j)]
-        return (*matrices[: self.n_own], *own, *wide, *rows, *matrices[self.n_own :])
+        links = [matrix for matrix in matrices if matrix.kind == "consistency"]
+        return (*links, *own, *wide, *rows, *matrices[len(links) :])
 
     def _bound(self, k: int, side: Side, limit: float) -> Constraint:
         """Return one side of the bounds of a parameter."""
@@ -261,7 +310,7 @@ class FeasibleSet:
         """
         worst = float(np.max(np.maximum(self.lower - theta, theta - self.upper), initial=0.0))
         if self.consistency != "none":
-            margins = self.margins(theta)
+            margins = self.margins(theta)[self.required]
             short = self.constraints.margin - margins[np.isfinite(margins)]
             worst = max(worst, float(np.max(short, initial=0.0)))
         values = self.rows @ theta

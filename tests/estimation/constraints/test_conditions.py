@@ -5,6 +5,7 @@ from __future__ import annotations
 import pickle
 from collections import Counter
 from collections.abc import Sequence
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -30,7 +31,9 @@ from sdpid.constraints import (
 from sdpid.errors import DataError, ModelError
 from sdpid.estimation.constraints.condition import Condition, Cone, Layout, Row
 from sdpid.estimation.constraints.hull import hull_facets
+from sdpid.estimation.constraints.named import Constraint
 from sdpid.estimation.estimate import FEASIBLE
+from sdpid.estimation.problem import Problem
 from sdpid.estimation.sdp.solve import solve_sdp
 from sdpid.robot.friction.model import FrictionModel
 from sdpid.robot.inertia import margin, physical_parameters, point_masses, pseudo_inertia
@@ -609,3 +612,52 @@ def test_every_constraint_is_a_named_object() -> None:
     for c in found:
         if c.kind in ("mass", "sign", "theta_max"):
             assert c.sign * (theta[c.index] - c.limit) >= -FEASIBLE
+
+
+@given(SEEDS, st.data())
+def test_one_constraint_is_left_out_and_no_other(seed: int, data: st.DataObject) -> None:
+    def key(constraint: Constraint) -> tuple[object, ...]:
+        # Cones after one that is taken out move up.
+        where = constraint.name if constraint.kind == "cone" else constraint.index
+        return constraint.kind, where, constraint.side
+
+    problem = _every_kind()
+    feasible = problem.feasible
+    left_out = data.draw(st.sampled_from(feasible.named))
+    rest = feasible.without(left_out)
+    expected = {key(constraint) for constraint in feasible.named} - {key(left_out)}
+    if left_out.kind in ("mass", "sign"):
+        expected.add(("theta_max", left_out.index, left_out.side))
+    assert {key(constraint) for constraint in rest.named} == expected
+    theta = 3.0 * np.random.default_rng(seed).standard_normal(problem.n_theta)
+    assert rest.violation(theta) <= feasible.violation(theta)
+
+
+@pytest.mark.parametrize(
+    ("kind", "place", "value"),
+    [
+        ("consistency", 4, 0.0),  # Ixx of the first link
+        ("sign", 20, -0.5),
+        ("row", 0, 1.8),  # its mass: 2.8 kg in all
+        ("cone", 11, 0.05),  # 5 cm from the center, where 2 cm are allowed and 10 cm
+    ],
+)
+def test_what_one_constraint_alone_excludes_is_inside_without_it(
+    kind: str, place: int, value: float
+) -> None:
+    feasible = _every_kind().feasible
+    ball = [1.0, 0.0, 0.01, 0.0, 0.2, 0.0, 0.2, 0.0, 0.0, 0.2]
+    theta = np.concatenate([ball, ball, np.ones(len(feasible.lower) - 20)])
+    assert feasible.violation(theta) == 0.0
+    theta[place] = value
+    assert feasible.violation(theta) > FEASIBLE
+    inside = [each for each in feasible.named if feasible.without(each).violation(theta) == 0.0]
+    assert [each.kind for each in inside] == [kind]
+
+
+@cache
+def _every_kind() -> Problem:
+    """Return a problem with constraints of each kind, two cones among them."""
+    cone = CenterOfMassInEllipsoid(LAST, (0, 0.01, 0), (0.02, 0.05, 0.03))
+    wide = CenterOfMassInEllipsoid(LAST, (0, 0, 0), (0.1, 0.1, 0.1))
+    return arm_problem(TotalMass(2.0, tolerance=0.5), cone, wide, TotalMass(1.0, links=(LAST,)))
