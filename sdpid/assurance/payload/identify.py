@@ -36,14 +36,9 @@ from sdpid.experiment.processing.samples import Samples
 from sdpid.experiment.readers.read import read_recording
 from sdpid.experiment.recording.recording import Recording
 from sdpid.robot.consistent import raise_second_moments
-from sdpid.robot.friction.model import FrictionModel
 from sdpid.robot.friction.term import FrictionTerm
 from sdpid.robot.friction.terms import BY_NAME
-from sdpid.robot.inertia import (
-    margin,
-    physical_parameters,
-    transform,
-)
+from sdpid.robot.inertia import margin, physical_parameters, transform
 from sdpid.robot.model.load import load_robot
 from sdpid.robot.model.model import RobotModel
 
@@ -137,12 +132,11 @@ class Payload:
 
     def describe(self) -> str:
         """Return the payload in words and numbers, one quantity a line."""
-        lines = [
+        title = (
             f"payload of {self.link}, in the frame {self.frame}; inertia about the center of mass "
             f"({100.0 * self.level:g} % intervals)"
-        ]
-        lines.append(self._table().text(5))
-        return "\n".join([*lines, *self.notes])
+        )
+        return "\n".join([title, self._table().text(5), *self.notes])
 
     def to_dict(self) -> dict[str, Any]:
         """Return plain values for JSON."""
@@ -252,22 +246,21 @@ def identify_payload(
     model = _robot(robot, given)
     number = _link(model, link)
     rotation, translation, name = _frame(model, number, frame)
-    loaded, arm, notes = _problems(
-        model, with_load, without_load, prior, friction, processing, weighting
-    )
-    chosen, log = (loaded if arm is None else arm), loaded.samples
+    loaded, arm = _problems(model, with_load, without_load, prior, friction, processing, weighting)
     placed = transform(np.eye(10), rotation, translation).T
     columns = loaded.base.matrix[:, 10 * number : 10 * number + 10] @ placed
+    notes: tuple[str, ...] = ()
     if arm is not None:
-        rows = rows_beside_recording(loaded, arm, columns, _separate(chosen, separate))
+        rows = rows_beside_recording(loaded, arm, columns, _separate(arm, separate))
     elif prior is not None:
         rows = rows_beside_prior(loaded, columns)
     else:
         rows = rows_beside_known(loaded, columns, model.prior)
+        notes = ("the links of the arm are taken to be exactly as described",)
     if rows.short:
         notes += (
-            f"a recording is too short for blocks of {log.block} samples: the intervals trust the "
-            "weighting",
+            f"a recording is too short for blocks of {loaded.samples.block} samples: the intervals "
+            "trust the weighting",
         )
     return _solved(rows, model.link_names[number], name, mass_max, extent, level, notes)
 
@@ -281,6 +274,7 @@ def _solved(
     level: float,
     notes: tuple[str, ...],
 ) -> Payload:
+    """Return the payload of the rows, with its intervals."""
     program = PayloadProgram(rows, mass_max, extent)
     singular = np.linalg.svd(rows.matrix * program.units, compute_uv=False)
     invisible = int(np.count_nonzero(singular <= _INVISIBLE * max(singular[0], 1e-300)))
@@ -292,7 +286,8 @@ def _solved(
             "on what matter can be",
         )
     theta, status = program.solve()
-    theta = _inside(theta)
+    # Solvers leave second moments a little negative.
+    theta = raise_second_moments(theta) if theta[0] > NOTHING else np.zeros(10)
     intervals = PayloadIntervals(program, theta, level)
     lower, upper = intervals.ends()
     if intervals.unsolved:
@@ -324,14 +319,8 @@ def _solved(
     )
 
 
-def _inside(theta: Array) -> Array:
-    """Return a body with what a solver leaves negative of its second moments raised to zero."""
-    if not theta[0] > NOTHING:
-        return np.zeros(10)
-    return raise_second_moments(theta)
-
-
 def _robot(robot: RobotModel | str | os.PathLike[str], given: Estimate | None) -> RobotModel:
+    """Return the model of the robot, which must be that of a given estimate."""
     model = robot if isinstance(robot, RobotModel) else load_robot(robot)
     if given is not None and given.problem.robot is not model:
         raise DataError(
@@ -378,6 +367,7 @@ def _frame(robot: RobotModel, link: int, name: str | None) -> tuple[Array, Array
 
 
 def _samples(robot: RobotModel, log: Any, processing: Processing | None) -> Samples:
+    """Return the processed samples of a log."""
     if isinstance(log, Samples):
         return log
     if not isinstance(log, (Recording, str, os.PathLike)):
@@ -394,7 +384,7 @@ def _problems(
     friction: Iterable[str | FrictionTerm] | None,
     processing: Processing | None,
     weighting: Weighting | None,
-) -> tuple[Problem, Problem | None, tuple[str, ...]]:
+) -> tuple[Problem, Problem | None]:
     """Return the problems with and without load, compressed with the same base parameters."""
     if isinstance(with_load, (str, os.PathLike)):
         with_load = read_recording(with_load)
@@ -404,49 +394,35 @@ def _problems(
         if isinstance(with_load, Recording):
             friction = default_friction(with_load)
     terms = tuple(friction)
-    arm: Problem | None = None
-    notes: tuple[str, ...] = ()
-    if isinstance(without_load, Estimate):
-        arm = without_load.problem
-    elif without_load is not None:
-        bare = _samples(robot, without_load, processing)
-        arm = build_problem(
-            robot,
-            bare,
-            friction=terms,
-            weighting=_weighting(weighting, bare),
-            prior=prior,
-            check_excitation=False,
-        )
-    elif not np.all(robot.prior[:, 0] > 0.0) and prior is None:
+    if without_load is None and prior is None and not np.all(robot.prior[:, 0] > 0.0):
         raise ModelError(
             f"payload: the description of '{robot.name}' gives links no mass; give a recording "
             "without load."
         )
-    elif prior is None:
-        notes = ("the links of the arm are taken to be exactly as described",)
-    if arm is not None:
-        terms = arm.friction.terms
-    if prior is not None and prior.strength == "evidence" and arm is None:
+    if without_load is None and prior is not None and prior.strength == "evidence":
         raise DataError("payload: evidence would weigh the load as an error; give a strength.")
-    loaded = build_problem(
-        robot,
-        samples,
-        friction=terms,
-        weighting=_weighting(weighting, samples),
-        prior=prior if arm is None else None,
-        base=None if arm is None else arm.base,
+
+    def built(samples: Samples, **known: Any) -> Problem:
+        usual: Weighting = "residual" if samples.covariance is None else "gls"
         # The arm may move in ways that show the payload and not all of the arm.
-        check_excitation=False,
-    )
+        return build_problem(
+            robot, samples, weighting=weighting or usual, check_excitation=False, **known
+        )
+
+    arm: Problem | None = None
+    if isinstance(without_load, Estimate):
+        arm = without_load.problem
+    elif without_load is not None:
+        bare = _samples(robot, without_load, processing)
+        arm = built(bare, friction=terms, prior=prior)
+    if arm is None:
+        loaded = built(samples, friction=terms, prior=prior)
+    else:
+        loaded = built(samples, friction=arm.friction.terms, base=arm.base)
     for problem in (loaded, arm):
         if problem is not None and problem.weighting in ("eq9", "eq18"):
             raise DataError(f"payload: weighting '{problem.weighting}' is no likelihood; use gls.")
-    return loaded, arm, notes
-
-
-def _weighting(weighting: Weighting | None, samples: Samples) -> Weighting:
-    return weighting or ("residual" if samples.covariance is None else "gls")
+    return loaded, arm
 
 
 def _separate(problem: Problem, names: Iterable[str]) -> Indices:
@@ -459,11 +435,10 @@ def _separate(problem: Problem, names: Iterable[str]) -> Indices:
                 f"{', '.join(BY_NAME)}."
             )
         kinds.append(BY_NAME[name])
-    friction: FrictionModel = problem.friction
-    at = 10 * problem.robot.n_links
+    joints, at = problem.friction.joint_names, 10 * problem.robot.n_links
     out: list[int] = []
-    for term in friction.terms:
-        count = len(term.parameters(friction.joint_names))
+    for term in problem.friction.terms:
+        count = len(term.parameters(joints))
         if isinstance(term, tuple(kinds)):
             out += range(at, at + count)
         at += count

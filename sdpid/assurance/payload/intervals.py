@@ -100,36 +100,31 @@ class PayloadIntervals:
         return max(quantile**2 * variance, _EXACT * float(rows.rhs @ rows.rhs))
 
     def _extreme(self, k: int, sign: float, otherwise: float) -> float:
-        """Return the least (sign 1) or greatest (sign -1) value of quantity k."""
-        at, value = self.best, np.inf
-        c = self._linear(k, at)
+        """Return the least (sign 1) or greatest (sign -1) value of quantity k.
+
+        `otherwise` where the recordings leave it open.
+        """
+        matrix, of_center, value = self.program.rows.matrix, 0 < k < 4, np.inf
+        c = self._linear(k, self.best)
         # The rise of a linear function, were there no constraints.
-        moved = np.linalg.lstsq(self.program.rows.matrix.T, c, rcond=None)[0]
+        moved = np.linalg.lstsq(matrix.T, c, rcond=None)[0]
         rise = self._rise(np.asarray(moved, dtype=np.float64))
         for _ in range(_ROUNDS):
-            c = self._linear(k, at)
             end = self._at(sign * c * self.program.units, rise)
             found = end.value
             if found is None or not found[0] > NOTHING:
                 return otherwise
-            rise, kept = self._updated(rise, found)
-            new = sign * float(found[k] / found[0] if 0 < k < 4 else c @ found)
-            settled = kept and (not 0 < k < 4 or abs(new - value) <= _CLOSE * abs(value))
-            value, at = new, found
-            if settled:
+            before, value = value, sign * float(found[k] / found[0] if of_center else c @ found)
+            # A rise that is nearly the same is kept, so that iterations end.
+            new = self._rise(matrix @ (found - self.best))
+            if abs(new - rise) > _SETTLED * rise:
+                rise = new
+            elif not of_center or abs(value - before) <= _CLOSE * abs(before):
                 break
+            c = self._linear(k, found)
         if not end.accepted:
             self.unsolved.append(QUANTITIES[k])
         return sign * value
-
-    def _updated(self, rise: float, found: Array) -> tuple[float, bool]:
-        """Return the rise for the direction in which an extreme was found, and if it is the same.
-
-        One that is nearly the same is kept, so that iterations end.
-        """
-        new = self._rise(self.program.rows.matrix @ (found - self.best))
-        kept = abs(new - rise) <= _SETTLED * rise
-        return (rise if kept else new), kept
 
     def _at(self, slope: Array, rise: float) -> Retried[Array]:
         """Return the payload within a level that has the least of a linear function."""

@@ -23,18 +23,10 @@ _FAINT = 1e-4
 # Clarabel's regularizations, in turn until it calls a point solved.
 _REGULARIZATIONS = (1e-10, 1e-8)
 
-QUANTITIES = (
-    "mass",
-    "com_x",
-    "com_y",
-    "com_z",
-    "Ixx",
-    "Ixy",
-    "Iyy",
-    "Ixz",
-    "Iyz",
-    "Izz",
-)
+# Where Ixx, Iyy and Izz stand among the ten parameters.
+_DIAGONAL = [4, 6, 9]
+
+QUANTITIES = ("mass", "com_x", "com_y", "com_z", "Ixx", "Ixy", "Iyy", "Ixz", "Iyz", "Izz")
 QUANTITY_UNITS = ("kg", *("m",) * 3, *("kg.m2",) * 6)
 
 
@@ -65,15 +57,12 @@ class PayloadProgram:
         self.cost_unit = float(np.sqrt(max(rows.floor, 1e-7 * float(rows.rhs @ rows.rhs), 1e-300)))
         linear = rows.matrix * self.units
         # The mass, and its second moment about the origin, tr(Sigma) = tr(I) / 2.
-        second = np.zeros(10)
-        second[[4, 6, 9]] = 0.5
         C = np.zeros((2, 10))
         C[0, 0] = 1.0
-        C[1] = second
-        C[1, 0] -= (extent / _LENGTH) ** 2
-        reference = np.zeros(10)
-        reference[0] = 1.0
-        reference[[4, 6, 9]] = 0.4
+        C[1, 0] = -((extent / _LENGTH) ** 2)
+        C[1, _DIAGONAL] = 0.5
+        reference = C[0].copy()
+        reference[_DIAGONAL] = 0.4
         faint = _FAINT * np.eye(10)
         basis = matrix_basis("pseudo_inertia")
         self.conic = ConicProgram(
