@@ -119,7 +119,7 @@ class PayloadIntervals:
             new = self._rise(matrix @ (found - self.best))
             if abs(new - rise) > _SETTLED * rise:
                 rise = new
-            elif not of_center or abs(value - before) <= _CLOSE * abs(before):
+            elif not of_center or abs(value - before) <= _CLOSE * abs(value):
                 break
             c = self._linear(k, found)
         if not end.accepted:

@@ -9,10 +9,13 @@ from typing import Any
 
 import numpy as np
 import pytest
+from scipy.stats import norm
 
 from sdpid._common.arrays import Array
 from sdpid.assurance.payload.identify import Payload, identify_payload
-from sdpid.assurance.payload.program import quantities
+from sdpid.assurance.payload.intervals import PayloadIntervals
+from sdpid.assurance.payload.program import PayloadProgram, quantities
+from sdpid.assurance.payload.rows import PayloadRows
 from sdpid.errors import DataError, ModelError
 from sdpid.estimation.conic.solve import (
     ConicFamily,
@@ -218,6 +221,33 @@ def test_a_known_arm(arm: RobotModel) -> None:
     wrong = replace(arm, prior=1.1 * known.prior)
     worse = identify_payload(wrong, loaded, friction=TERMS)
     assert np.all((worse.upper - worse.lower)[:4] > 2.0 * (found.upper - found.lower)[:4])
+
+
+def test_ends_of_the_center_of_mass_are_fiellers() -> None:
+    """A ratio of two normal quantities, where no constraint is active: its interval is known."""
+    body = load() + np.array([0.0, 0.0, 0.0, 0.0, 0.1, 0.0, 0.1, 0.0, 0.0, 0.1])
+    sigma = np.array([0.1, *(1e-3,) * 3, *(1e-4,) * 6])
+    rows = PayloadRows(
+        matrix=np.diag(1.0 / sigma),
+        rhs=body / sigma,
+        floor=0.0,
+        sources=(),
+        unit=np.eye(10),
+        short=False,
+    )
+    lower, upper = PayloadIntervals(PayloadProgram(rows, 100.0, 1.0), body, 0.95).ends()
+    r2 = norm.ppf(0.975) ** 2
+    for k in (1, 2, 3):
+        # (h - c·m)² = r²·(var(h) + c²·var(m)), a quadratic equation in c.
+        ends = np.roots(
+            [
+                body[0] ** 2 - r2 * sigma[0] ** 2,
+                -2.0 * body[0] * body[k],
+                body[k] ** 2 - r2 * sigma[k] ** 2,
+            ]
+        )
+        # Iterations end at changes of 1e-5.
+        assert [lower[k], upper[k]] == pytest.approx(sorted(ends), rel=1e-5)
 
 
 def test_no_payload_is_none(arm: RobotModel) -> None:
