@@ -44,6 +44,12 @@ def with_validation(result: Identification, samples: Samples) -> Identification:
     return replace(result, validation=fit, validation_samples=samples)
 
 
+def trained_on(result: Identification, samples: Samples) -> Identification:
+    """Return the result as if these had been its training samples."""
+    problem = result.problem
+    return replace(result, problem=replace(problem, rows=replace(problem.rows, samples=samples)))
+
+
 def test_a_good_model_is_trusted(good: Identification) -> None:
     text = said(good, "Trust it for the effort of every joint")
     assert "not used for the fit" in text
@@ -235,9 +241,7 @@ def test_a_joint_that_moves_one_way_only_is_named(
 ) -> None:
     unsaid(good, "one direction only")
     samples = one_way(good.problem.samples, 0, sign)
-    result = replace(
-        good, problem=replace(good.problem, rows=replace(good.problem.rows, samples=samples))
-    )
+    result = trained_on(good, samples)
     text = said(result, "one direction only", "extrapolation", "Coulomb friction and an offset")
     assert f"{FIRST} ({word})" in text
     assert LAST not in text
@@ -252,24 +256,15 @@ def test_velocity_noise_is_no_motion_and_hidden_rows_do_not_count(
     v = np.array(samples.velocity)
     v[:5, 1] = -0.019
     noisy = replace(samples, velocity=v)
-    result = replace(
-        good, problem=replace(good.problem, rows=replace(good.problem.rows, samples=noisy))
-    )
+    result = trained_on(good, noisy)
     assert f"{LAST} (forwards)" in said(result, "one direction only")
     v[:5, 1] = -0.021
     samples = replace(samples, velocity=v)
-    unsaid(
-        replace(
-            good, problem=replace(good.problem, rows=replace(good.problem.rows, samples=samples))
-        ),
-        "one direction only",
-    )
+    unsaid(trained_on(good, samples), "one direction only")
     mask = np.ones(v.shape, dtype=bool)
     mask[:5, 1] = False
     samples = replace(samples, mask=mask)
-    result = replace(
-        good, problem=replace(good.problem, rows=replace(good.problem.rows, samples=samples))
-    )
+    result = trained_on(good, samples)
     assert f"{LAST} (forwards)" in said(result, "one direction only")
 
 
@@ -287,9 +282,7 @@ def test_all_pieces_count_for_directions(good: Identification) -> None:
     forwards, backwards = (one_way(moved(arm_theta(), 1), 0, s) for s in (1.0, -1.0))
     for pieces, named in (((forwards, backwards), False), ((forwards, forwards), True)):
         joined = Samples.join(pieces)
-        result = replace(
-            good, problem=replace(good.problem, rows=replace(good.problem.rows, samples=joined))
-        )
+        result = trained_on(good, joined)
         assert bool(list(_one_way(result))) is named
 
 
