@@ -14,6 +14,12 @@ from sdpid.errors import ExportError
 PathLike: TypeAlias = "str | os.PathLike[str]"
 
 
+def is_irregular(path: PathLike) -> bool:
+    """Return whether a path is there and no regular file: a folder, or what may never end."""
+    # os.path's, because they do not raise for a name that is too long to be one.
+    return os.path.exists(path) and not os.path.isfile(path)  # noqa: PTH110, PTH113
+
+
 @contextlib.contextmanager
 def atomic_path(path: str | os.PathLike[str]) -> Iterator[Path]:
     """Yield a temporary path beside `path` that replaces it when the block ends without error.

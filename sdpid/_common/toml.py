@@ -7,6 +7,7 @@ import sys
 from pathlib import Path
 from typing import Any
 
+from sdpid._common.files import is_irregular
 from sdpid.errors import DataError
 
 if sys.version_info >= (3, 11):
@@ -23,7 +24,7 @@ def load_toml(path: str | os.PathLike[str]) -> dict[str, Any]:
     DataError
         When the file cannot be read or is not TOML.
     """
-    if Path(path).exists() and not Path(path).is_file():
+    if is_irregular(path):
         raise DataError(f"cannot read {path}: it is no regular file.")
     try:
         with Path(path).open("rb") as file:

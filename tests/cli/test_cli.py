@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import subprocess
 import sys
 from dataclasses import replace
@@ -15,8 +16,11 @@ from typer.testing import CliRunner, Result
 
 import sdpid
 from sdpid import cli
+from sdpid.assurance.certificate import verify
 from sdpid.cli import endings, printing, values
+from sdpid.errors import ModelError
 from sdpid.experiment.plant.simulate import true_parameters
+from sdpid.robot.model.load import load_robot
 from sdpid.robot.model.model import RobotModel
 from tests.helpers.arm_files import ARM_URDF, arm_log
 from tests.helpers.bags import write_bag
@@ -561,6 +565,30 @@ def test_closed_standard_streams(folder_of_arm: Path, tmp_path: Path, closed: st
         ["sh", "-c", f"{sys.executable} -m sdpid info nowhere.csv {closed}"], cwd=tmp_path
     )
     assert refused.returncode == 2
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="this system has no FIFOs")
+@pytest.mark.parametrize("kind", ["pipe", "endless"])
+def test_what_may_never_end_is_not_read(tmp_path: Path, kind: str) -> None:
+    for name in ("proof.json", "table.csv", "arm.urdf"):
+        if kind == "pipe":
+            os.mkfifo(tmp_path / name)
+        else:
+            (tmp_path / name).symlink_to("/dev/zero")
+    proof, table, robot = (str(tmp_path / n) for n in ("proof.json", "table.csv", "arm.urdf"))
+    script = [sys.executable, verify.__file__, proof]
+    refusals = [
+        shell("verify", proof),
+        shell("audit", table, "--robot", "denso_vp6242"),
+        shell("audit", robot),
+        subprocess.run(script, capture_output=True, text=True, timeout=60),
+    ]
+    for done in refusals:
+        assert done.returncode == 2
+        assert len(done.stderr.splitlines()) == 1
+        assert "no regular file" in done.stderr
+    with pytest.raises(ModelError, match=r"arm\.urdf: it is no regular file"):
+        load_robot(robot)
 
 
 @pytest.fixture(scope="module")

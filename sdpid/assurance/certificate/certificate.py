@@ -11,7 +11,6 @@ import os
 from dataclasses import dataclass, field
 from fractions import Fraction
 from functools import cached_property
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -393,7 +392,7 @@ def verify(path: str | os.PathLike[str]) -> Verification:
         When the file is not a certificate of this version.
     """
     try:
-        data = exact.load(Path(path).read_text(encoding="utf-8"))
+        data = exact.read(path)
         result = exact.check(data)
         found = result.exact
         bound = downward(found.lower_bound)

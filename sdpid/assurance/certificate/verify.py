@@ -241,6 +241,14 @@ def load(text: str) -> dict[str, Any]:
     return data
 
 
+def read(path: Any) -> dict[str, Any]:
+    """Read a file; a pipe or a device, which may never end, is none."""
+    file = Path(path)
+    if file.exists() and not file.is_file():
+        raise MalformedError("it is no regular file")
+    return load(file.read_text(encoding="utf-8"))
+
+
 def digest(data: dict[str, Any]) -> str:
     """Return the SHA-256 of everything but descriptions, in one way of writing it down."""
     sealed = {key: value for key, value in data.items() if key not in UNSEALED}
@@ -476,8 +484,7 @@ def main(arguments: list[str]) -> int:
         print("usage: python verify.py certificate.json", file=sys.stderr)
         return 2
     try:
-        data = load(Path(arguments[0]).read_text(encoding="utf-8"))
-        result = check(data)
+        result = check(read(arguments[0]))
     except (OSError, *REFUSED) as cause:
         print(f"{arguments[0]}: not a certificate: {cause}", file=sys.stderr)
         return 2

@@ -11,6 +11,7 @@ from decimal import Decimal, InvalidOperation
 from fractions import Fraction
 from pathlib import Path
 
+from sdpid._common.files import is_irregular
 from sdpid.errors import DataError
 
 _NAMES = ("name", "parameter")
@@ -78,8 +79,10 @@ def read_base_table(
     Raises
     ------
     DataError
-        When a column is missing, a name comes twice, or a number is none.
+        When it is no regular file, a column is missing, a name comes twice, or a number is none.
     """
+    if is_irregular(path):
+        raise DataError(f"{path}: is no regular file; give a CSV file.")
     try:
         text = Path(path).read_text(encoding="utf-8-sig")
     except UnicodeDecodeError:

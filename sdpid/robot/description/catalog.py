@@ -8,6 +8,7 @@ import importlib.metadata
 from functools import cache
 from pathlib import Path
 
+from sdpid._common.files import is_irregular
 from sdpid.errors import ModelError
 
 # Number of near names that an error lists, and their least similarity (1: equal).
@@ -119,6 +120,11 @@ def find_robot(name: str) -> Path:
         return _download(name)
     if not matches:
         shown = name if len(name) <= 80 else name[:77] + "..."
+        if is_irregular(name):
+            raise ModelError(
+                f"cannot read {shown}: it is no regular file; give a URDF or MJCF file, or the "
+                "name of a robot."
+            )
         more = ""
         if name.endswith("_description") and not downloadable_robots():
             more = "; for names of robot_descriptions: pip install 'sdpid[descriptions]'"
