@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import errno
 import os
 import shlex
@@ -18,6 +19,8 @@ from sdpid.errors import IdentifiabilityError, InfeasibleError, SdpidError, Solv
 
 # Exit statuses.
 OURS, BAD_INPUT, NO_ANSWER, INTERRUPTED = 1, 2, 3, 130
+# Errors of a disk that takes no more.
+_FULL = (errno.ENOSPC, getattr(errno, "EDQUOT", errno.ENOSPC), errno.EFBIG, errno.EIO)
 # Characters of a message; more do not help.
 _LONGEST = 4000
 
@@ -41,7 +44,14 @@ class Commands(TyperGroup):
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
         """Keep the arguments as they were given, for `command_line`."""
         ctx.meta[_ARGUMENTS] = list(args)
-        return super().parse_args(ctx, args)
+        try:
+            return super().parse_args(ctx, args)
+        except OSError as error:  # of --help and --version, which print at once
+            if error.errno == errno.EPIPE:
+                raise
+            _drop_output()
+            _say(_lost(error))
+            raise typer.Exit(OURS) from None
 
     def invoke(self, ctx: Any) -> Any:
         """Run a command; turn an error into one line on stderr and an exit status."""
@@ -59,8 +69,45 @@ class Commands(TyperGroup):
                 raise
             if ctx.params.get("debug"):
                 traceback.print_exception(error)
-            typer.echo(f"sdpid: {_one_line(message(error))}", err=True)
+            if isinstance(error, OSError) and _is_output_full(error):
+                _drop_output()
+                _say(_lost(error))
+                raise typer.Exit(OURS) from None
+            _say(message(error))
             raise typer.Exit(exit_status(error)) from None
+
+
+def _say(text: str) -> None:
+    """Print one line on stderr."""
+    typer.echo(f"sdpid: {_one_line(text)}", err=True)
+
+
+def _lost(error: OSError) -> str:
+    return (
+        f"cannot write to standard output: {error.strerror or error}; make room, or send it "
+        "elsewhere."
+    )
+
+
+def _is_output_full(error: OSError) -> bool:
+    """Return whether an error is of standard output: of no file, and one more line fails too."""
+    if error.filename is not None or error.errno not in _FULL:
+        return False
+    try:
+        sys.stdout.write("\n")
+        sys.stdout.flush()
+    except OSError:
+        return True
+    return False
+
+
+def _drop_output() -> None:
+    """Drop what waits for standard output: else Python tries again when it ends."""
+    with contextlib.suppress(OSError):  # no file, as in tests
+        number = sys.stdout.fileno()
+        null = os.open(os.devnull, os.O_WRONLY)
+        os.dup2(null, number)
+        os.close(null)
 
 
 def _one_line(text: str) -> str:

@@ -567,6 +567,24 @@ def test_closed_standard_streams(folder_of_arm: Path, tmp_path: Path, closed: st
     assert refused.returncode == 2
 
 
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="this system has no full device")
+@pytest.mark.parametrize("arguments", ["--help", "--version", "verify --help", "audit " + ROBOT])
+@pytest.mark.parametrize("unbuffered", ["", "1"])
+def test_a_full_disk_takes_no_output(arguments: str, unbuffered: str) -> None:
+    with Path("/dev/full").open("w") as full:
+        done = subprocess.run(
+            [sys.executable, "-m", "sdpid", *arguments.split()],
+            stdout=full,
+            stderr=subprocess.PIPE,
+            text=True,
+            env={**os.environ, "PYTHONUNBUFFERED": unbuffered},
+            timeout=120,
+        )
+    assert done.returncode == 1
+    assert len(done.stderr.splitlines()) == 1
+    assert done.stderr.startswith("sdpid: cannot write to standard output: No space left")
+
+
 @pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="this system has no FIFOs")
 @pytest.mark.parametrize("kind", ["pipe", "endless"])
 def test_what_may_never_end_is_not_read(tmp_path: Path, kind: str) -> None:
