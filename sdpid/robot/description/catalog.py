@@ -14,6 +14,8 @@ from sdpid.errors import ModelError
 # Number of near names that an error lists, and their least similarity (1: equal).
 _SHOWN, _ALIKE = 5, 0.6
 _LONGEST_NAME = 80
+# Extensions that names are compared without, the last one first.
+_EXTENSIONS = (".xacro", ".urdf", ".xml", ".mjcf")
 
 _PACKAGE = Path(__file__).resolve().parents[2]
 
@@ -137,11 +139,24 @@ def find_robot(name: str) -> Path:
 def _near(name: str) -> str:
     """Return the known names that are most like one that is not known."""
     stems = {key.split("/")[-1]: key for key in robot_names()}
-    word = name.lower()[:_LONGEST_NAME]
-    near = [stem for stem in stems if word and (word in stem.lower() or stem.lower() in word)]
-    near += difflib.get_close_matches(word, stems, n=_SHOWN, cutoff=_ALIKE)
+    letters = {stem: _letters(stem) for stem in stems}
+    word = _letters(name[:_LONGEST_NAME])
+    near = [stem for stem, other in letters.items() if word and (word in other or other in word)]
+    alike = difflib.get_close_matches(word, letters.values(), n=_SHOWN, cutoff=_ALIKE)
+    near += [stem for other in alike for stem in stems if letters[stem] == other]
     found = list(dict.fromkeys(near))[:_SHOWN]
     if found:
         return "near it are " + ", ".join(found)
     some = ", ".join([*bundled_robots(), *list(example_robots())[-_SHOWN:]])
-    return f"{len(robot_names())} robots are known, such as {some}"
+    return (
+        f"{len(robot_names())} robots are known, such as {some}; "
+        "sdpid.robot.description.catalog.robot_names() lists them all"
+    )
+
+
+def _letters(name: str) -> str:
+    """Return what of a name is compared: small letters and digits, without an extension."""
+    stem = name.lower()
+    for extension in _EXTENSIONS:
+        stem = stem.removesuffix(extension)
+    return "".join(filter(str.isalnum, stem))

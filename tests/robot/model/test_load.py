@@ -87,6 +87,9 @@ def test_every_example_robot_loads_or_says_why(name: str) -> None:
         ("Panda_hand", "panda"),
         ("denso", "denso_vp6242"),
         ("ur5_robt", "ur5_robot"),
+        ("ur_5", "ur5_robot"),
+        ("ur5.urdf", "ur5_robot"),
+        ("UR5.urdf.xacro", "ur5_robot"),
     ],
 )
 def test_an_unknown_name_is_answered_with_near_ones(name: str, near: str) -> None:
@@ -97,8 +100,10 @@ def test_an_unknown_name_is_answered_with_near_ones(name: str, near: str) -> Non
 
 
 def test_a_name_like_no_other_shows_some_that_there_are() -> None:
-    with pytest.raises(ModelError, match=r"no robot 'xqz': .* robots are known, such as denso_vp"):
-        load_robot("xqz")
+    for name in ("xqz", "franka"):
+        words = rf"no robot '{name}': .* are known, such as denso_vp.*; .*robot_names\(\) lists"
+        with pytest.raises(ModelError, match=words):
+            load_robot(name)
 
 
 NEGATIVE = urdf().replace(
