@@ -29,9 +29,15 @@ def atomic_path(path: str | os.PathLike[str]) -> Iterator[Path]:
     Raises
     ------
     ExportError
-        When `path` is a folder or a device, its folder does not exist, or writing fails.
+        When `path` is a folder, a device or a link to itself, its folder does not exist, or
+        writing fails.
     """
     target = Path(os.path.realpath(path))
+    if target.is_symlink():  # what is left of a circle
+        raise ExportError(
+            f"cannot write {path}: it is a symbolic link that leads back to itself; remove it, or "
+            "choose another name."
+        )
     if target.exists() and not target.is_file():
         what = "a folder" if target.is_dir() else "no regular file"
         raise ExportError(f"cannot write {path}: it is {what}; choose another name.")

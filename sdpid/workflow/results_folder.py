@@ -86,6 +86,11 @@ def require_writable(
     if folder.exists() and not folder.is_dir():
         raise ExportError(f"cannot write into {folder}: it is a file; name a folder.")
     for name in NAMES:
+        if Path(os.path.realpath(folder / name)).is_symlink():  # what is left of a circle
+            raise ExportError(
+                f"cannot write {folder / name}: it is a symbolic link that leads back to itself; "
+                "remove it, or choose another folder."
+            )
         if (folder / name).exists() and not (folder / name).is_file():
             raise ExportError(
                 f"cannot write {folder / name}: it is a folder or a device; move it away, or "

@@ -25,7 +25,7 @@ from sdpid._common import staging
 from sdpid.output.plots.figures import save_figure
 from sdpid.output.plots.reconstruction import plot_fit
 from sdpid.workflow.result import Identification
-from sdpid.workflow.results_folder import NAMES
+from sdpid.workflow.results_folder import NAMES, require_writable
 from tests.helpers.runs import arm, recorded
 
 # Events of Python's audit that change a disk. "open" counts where it is for writing.
@@ -388,6 +388,19 @@ def test_what_no_file_can_replace(tmp_path: Path) -> None:
     with pytest.raises(sdpid.errors.ExportError, match="No such file"):
         _files.atomic_write_text(tmp_path / "no" / "file", "")
     assert [path.name for path in tmp_path.iterdir()] == ["pipe"]
+
+
+def test_a_link_to_itself_is_not_replaced(tmp_path: Path) -> None:
+    names = ("identified.urdf", "other")
+    for name, other in zip(names, reversed(names), strict=True):
+        (tmp_path / name).symlink_to(other)
+    (tmp_path / "own").symlink_to("own")
+    for name in (*names, "own"):
+        with pytest.raises(sdpid.errors.ExportError, match=rf"{name}: it is .* back to itself"):
+            _files.atomic_write_text(tmp_path / name, "")
+    with pytest.raises(sdpid.errors.ExportError, match=r"identified\.urdf: it is .* to itself"):
+        require_writable(tmp_path)
+    assert all(path.is_symlink() for path in tmp_path.iterdir())
 
 
 @pytest.mark.parametrize("error", [AttributeError("no mj_saveLastXML"), RuntimeError("boom")])
