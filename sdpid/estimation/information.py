@@ -40,6 +40,12 @@ class Excitation:
     directions: Array
     column_norms: Array
 
+    def __repr__(self) -> str:
+        return (
+            f"Excitation({len(self.names)} base parameters, {len(self.weak())} weak, condition "
+            f"number {self.condition_number:.3g})"
+        )
+
     @classmethod
     def of(cls, A: Array, names: tuple[str, ...]) -> Excitation:
         """Analyze a compressed regressor (b, b)."""

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 import sdpid
+from sdpid.estimation.duality.multipliers import Multipliers
 from tests.helpers.arm import ARM, LIGHT, arm_problem
 from tests.helpers.arm_files import ARM_URDF
 from tests.helpers.data import make_samples, random_theta
@@ -46,6 +47,23 @@ class Tags(HTMLParser):
 
     def handle_endtag(self, tag: str) -> None:
         assert self.open.pop() == tag
+
+
+def test_parts_are_shown_in_a_line() -> None:
+    arm = small_arm(2)
+    rng = np.random.default_rng(0)
+    samples = make_samples(arm, random_theta(arm, rng), rng, noise=0.1, block=2)
+    problem = sdpid.build_problem(arm, samples, friction=("coulomb", "viscous"))
+    parts = (
+        problem.feasible,
+        problem.excitation,
+        Multipliers.of_cost(problem, problem.rhs),
+        sdpid.paper_excitation("denso_vp6242", 5, periods=2, period=20.0),
+    )
+    for part in parts:
+        assert repr(part).startswith(type(part).__name__ + "(")
+        assert "\n" not in repr(part)
+        assert len(repr(part)) < LINE
 
 
 def test_results_are_shown_in_a_line_and_as_html() -> None:

@@ -71,6 +71,13 @@ class FeasibleSet:
     row_lower: Array
     row_upper: Array
 
+    def __repr__(self) -> str:
+        return (
+            f"FeasibleSet({len(self.theta_names)} parameters, {len(self.link_names)} links, "
+            f"{len(self.block_names)} matrices, {len(self.rows)} rows, "
+            f"consistency={self.consistency!r})"
+        )
+
     @classmethod
     def build(
         cls, constraints: Constraints, consistency: Consistency, layout: Layout

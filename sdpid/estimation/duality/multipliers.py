@@ -37,6 +37,13 @@ class Multipliers:
     bounds: Array
     bounds_included: Mask
 
+    def __repr__(self) -> str:
+        bounds = int(np.count_nonzero(self.bounds_included))
+        return (
+            f"Multipliers({len(self.y)} of the cost, {len(self.Z)} matrices, {len(self.rows)} "
+            f"rows, {bounds} of {len(self.bounds)} bounds, {len(self.W)} log-det)"
+        )
+
     @classmethod
     def of_cost(cls, problem: Problem, y: Array, W: Array | None = None) -> Multipliers:
         """Return multipliers of the cost's terms alone; those of the constraints are zero.

@@ -67,6 +67,12 @@ class Trajectory:
     velocity_limit: Array
     notes: tuple[str, ...] = ()
 
+    def __repr__(self) -> str:
+        return (
+            f"Trajectory({len(self.joint_names)} joints, {self.periods} periods of "
+            f"{self.series.period:g} s at {self.rate_hz:g} Hz)"
+        )
+
     def __post_init__(self) -> None:
         ranges = real_array(self.position_range, "position_range", ndim=2)
         limits = real_array(self.velocity_limit, "velocity_limit", ndim=1)
