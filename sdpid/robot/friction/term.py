@@ -28,6 +28,13 @@ _MOST_OF_TOP = 0.5
 # never above (a motion that always runs fast must leave something to choose).
 _LEAST_OF_TOP = (1e-3, 0.1)
 
+# Speeds of friction curves, rad/s or m/s; beyond these, curves overflow or are constant.
+SLOWEST, FASTEST = 1e-9, 1e9
+
+# A joint whose top speed is below this (rad/s, or m/s) does not move: limits that follow it would
+# fall below the slowest speed of a curve. Rounding of a filtered constant is far slower.
+_MOVES = SLOWEST / _LEAST_OF_TOP[0]
+
 # Top speed (rad/s) taken for a joint that does not move: any will do.
 _STANDING = 1.0
 
@@ -198,10 +205,6 @@ class JointwiseTerm(FrictionTerm):
         return np.reshape(kept, (len(kept), n))
 
 
-# Speeds of friction curves, rad/s or m/s; beyond these, curves overflow or are constant.
-SLOWEST, FASTEST = 1e-9, 1e9
-
-
 def check_speeds(term: FrictionTerm, fields: Sequence[str], *, positive: bool = False) -> None:
     """Raise `ModelError` unless the fields hold None, a speed, or a tuple of speeds."""
     for field in fields:
@@ -247,7 +250,9 @@ def open_speeds(
 
 def speed_limits(measured: Array) -> tuple[float, float]:
     """Return the lower and upper search limits of an open speed, from measured speeds (K,)."""
-    top = float(measured.max(initial=0.0)) or _STANDING
+    top = float(measured.max(initial=0.0))
+    if top < _MOVES:
+        top = _STANDING
     slow = float(np.quantile(measured, _SLOW_SHARE)) if measured.size else 0.0
     least, most = _LEAST_OF_TOP
     return float(np.clip(slow, least * top, most * top)), _MOST_OF_TOP * top

@@ -668,3 +668,16 @@ def test_real_logs(data_folder: Path, name: str):
     inner = slice(round(0.5 * rate), -round(0.5 * rate))
     error = samples.velocity - log.velocity[inner][: samples.n_samples]
     assert np.sqrt(np.mean(error**2)) < 0.1 * np.sqrt(np.mean(log.velocity**2))
+
+
+@pytest.mark.parametrize("place", [0.4, -3.0])
+def test_a_joint_that_stands_still_has_no_velocity(place: float) -> None:
+    log = periodic()
+    position = np.array(log.position)
+    position[:, 0] = place
+    standing = Recording(time=log.time, position=position, effort=log.effort)
+    samples = process(standing)
+    np.testing.assert_allclose(samples.position[:, 0], place, rtol=1e-9)
+    assert not samples.velocity[:, 0].any()
+    assert not samples.acceleration[:, 0].any()
+    assert samples.velocity[:, 1].any()

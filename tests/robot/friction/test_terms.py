@@ -222,6 +222,9 @@ def test_limits_follow_the_measured_speeds() -> None:
     assert (slow.lower, slow.upper) == pytest.approx((0.1, 1.0))
     assert (fast.lower, fast.upper) == pytest.approx((0.3, 1.5))
     assert 0.0 < standing.lower < standing.upper
+    rounding = [np.full(9, 6e-16), np.full(9, 1e-12), np.full(9, 9e-7)]
+    for p in SigmoidFriction().open_parameters(rounding, NAMES):
+        assert (p.lower, p.upper) == (standing.lower, standing.upper)
     nobody = Stribeck().open_parameters([np.zeros(0)] * 3, NAMES)
     assert all(0.0 < p.lower < p.upper for p in nobody)
 
