@@ -107,6 +107,7 @@ def effort_findings(samples: Samples, fit: Validation, where: str) -> Iterator[F
     """Yield which joints' efforts are predicted well, roughly or badly; `where` names the data."""
     joints: dict[Level, list[str]] = {"good": [], "caution": [], "bad": []}
     still: list[str] = []
+    flat: list[str] = []
     unmeasured = False
     for j, name in enumerate(fit.joint_names):
         if not np.any(used_rows(samples, j)):
@@ -114,10 +115,12 @@ def effort_findings(samples: Samples, fit: Validation, where: str) -> Iterator[F
             continue
         if not _moved(samples, j):
             still.append(name)
-        else:
-            joints[grade(samples, fit, j)].append(f"{name} ({_explained(fit, j)})")
+            continue
+        level = grade(samples, fit, j)
+        constant = level == "caution" and float(fit.r2[j]) < 0.0
+        (flat if constant else joints[level]).append(f"{name} ({_explained(fit, j)})")
     if joints["good"]:
-        every = not (joints["caution"] or joints["bad"] or still or unmeasured)
+        every = not (joints["caution"] or joints["bad"] or flat or still or unmeasured)
         which = "every joint" if every else "the joints"
         yield Finding(
             "good",
@@ -131,6 +134,13 @@ def effort_findings(samples: Samples, fit: Validation, where: str) -> Iterator[F
             f"Expect it to be roughly right, not exact, for {listed(joints['caution'], 99)}; "
             "feedback has to make up for the rest. In brackets: share of the effort's variance "
             f"explained on {where}.",
+        )
+    if flat:
+        yield Finding(
+            "caution",
+            f"Do not rely on it for how the effort varies of {listed(flat, 99)}: on {where} the "
+            f"effort is nearly constant. The error is small beside it (limit {percent(SMALL)}), "
+            "but its mean predicts better. Validate on a motion in which the effort varies.",
         )
     if joints["bad"]:
         yield Finding(

@@ -111,6 +111,8 @@ def test_worse_than_a_constant_is_never_trusted() -> None:
     (only,) = prediction_findings(samples, fit)
     assert only.level == "caution"
     assert "joint (worse than a constant, error 2 % of the effort)" in only.text
+    assert "roughly right" not in only.text
+    assert "Validate on a motion in which the effort varies" in only.text
     # An error that is large beside the effort as well is worse still.
     assert grade(*biased(10.0, 2.0), 0) == "bad"
 
