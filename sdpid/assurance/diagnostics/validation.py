@@ -176,14 +176,16 @@ def _errors(robot: RobotModel, samples: Samples, predicted: Array) -> Validation
     # An effort that is constant up to rounding has nothing to explain.
     varies = spread > count * np.finfo(float).eps * power
     unexplained = np.where(square > 0.0, np.inf, 0.0)
-    np.divide(square, spread, out=unexplained, where=varies)
+    # Beside an effort that is all but zero a share may exceed what a number holds.
+    with np.errstate(over="ignore"):
+        np.divide(square, spread, out=unexplained, where=varies)
     return Validation(
         joint_names=names,
         effort_predicted=frozen(predicted),
         rmse=frozen(np.sqrt(square / count)),
-        nrmse=frozen(np.sqrt(square / np.maximum(power, tiny))),
+        nrmse=frozen(np.sqrt(square) / np.sqrt(np.maximum(power, tiny))),
         r2=frozen(1.0 - unexplained),
-        relative=float(np.sqrt(square.sum() / max(power.sum(), tiny))),
+        relative=float(np.sqrt(square.sum()) / np.sqrt(max(power.sum(), tiny))),
         rows=frozen_view(rows),
     )
 
