@@ -80,7 +80,12 @@ def simulate(
     )
     recording.to_parquet(out)
     files = [str(file) for file in (out, write_trajectory) if file is not None]
-    notes = [*motion.velocity_report(), *motion.notes]
+    kinds = {
+        name: model.pin_model.joints[model.pin_model.getJointId(name)].shortname()
+        for name in model.joint_names[model.n_base :]
+    }
+    sliding = [name for name, kind in kinds.items() if kind.startswith("JointModelP")]
+    notes = [*motion.velocity_report(sliding), *motion.notes]
     content = {
         "samples": recording.n_samples,
         "duration_s": recording.duration,

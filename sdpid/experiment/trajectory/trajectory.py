@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+from collections.abc import Collection
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -161,16 +162,26 @@ class Trajectory:
         """Largest speed of each joint over a period, shape (n,), in rad/s."""
         return np.asarray(np.abs(self.velocity_period).max(axis=0))
 
-    def velocity_report(self) -> tuple[str, ...]:
-        """Return one line a joint: its largest speed against the limit."""
+    def velocity_report(self, sliding: Collection[str] = ()) -> tuple[str, ...]:
+        """Return one line a joint: its largest speed against the limit, in deg/s.
+
+        Parameters
+        ----------
+        sliding : collection of str, optional
+            Names of the prismatic joints, whose speeds are in m/s.
+        """
         lines = []
         for name, peak, limit in zip(
             self.joint_names, self.velocity_peak, self.velocity_limit, strict=True
         ):
             verdict = "within" if peak <= limit else "ABOVE"
+            if name in sliding:
+                speeds = f"{peak:.4g} m/s", f"{limit:.4g} m/s"
+            else:
+                speeds = f"{np.degrees(peak):.2f} deg/s", f"{np.degrees(limit):.2f} deg/s"
             lines.append(
-                f"{name}: peak velocity {np.degrees(peak):.2f} deg/s, {verdict} the limit of "
-                f"{np.degrees(limit):.2f} deg/s ({100.0 * peak / limit:.0f} %)"
+                f"{name}: peak velocity {speeds[0]}, {verdict} the limit of {speeds[1]} "
+                f"({100.0 * peak / limit:.0f} %)"
             )
         return tuple(lines)
 

@@ -98,6 +98,15 @@ def test_velocity_report(full: Trajectory) -> None:
     lines = full.velocity_report()
     assert len(lines) == 6
     assert all("within the limit" in line for line in lines)
+    assert all("deg/s" in line for line in lines)
+
+
+def test_velocities_of_sliding_joints_are_in_meters(full: Trajectory) -> None:
+    name, peak, limit = full.joint_names[1], full.velocity_peak[1], full.velocity_limit[1]
+    turning, slides, *_ = full.velocity_report([name])
+    assert "deg/s" in turning
+    assert f"{peak:.4g} m/s, within the limit of {limit:.4g} m/s" in slides
+    assert "deg" not in slides
 
 
 def test_with_periods_keeps_the_motion(full: Trajectory) -> None:
