@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from sdpid._common.seeds import generator
 from sdpid.errors import DataError, ModelError
 from sdpid.experiment.trajectory.fourier import FourierSeries
 from sdpid.experiment.trajectory.paper import filled, quiet_start
@@ -67,7 +68,7 @@ def default_motion(
             f"period: is {period:g} s; give at least {_SINUSOIDS / _HIGHEST:g} s, in which "
             f"{_SINUSOIDS} harmonics lie below {_HIGHEST:g} Hz."
         )
-    rng = np.random.default_rng(seed)
+    rng = generator(seed)
     low, high = robot.position_limits.T
     # Descriptions without limits write infinity, or zero for both.
     limited = np.isfinite(low) & np.isfinite(high) & (high > low)

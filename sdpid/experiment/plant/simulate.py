@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike
 
 from sdpid._common.arrays import Array, real_array
 from sdpid._common.progress import progress as progress_bar
+from sdpid._common.seeds import generator
 from sdpid.errors import DataError, ModelError
 from sdpid.experiment.plant.closed_loop import CHUNK, ClosedLoop, ExactMotion
 from sdpid.experiment.plant.default_motion import default_motion
@@ -112,7 +113,7 @@ def simulate(
     MissingExtraError
         When MuJoCo is not installed (extra ``sim``).
     """
-    rng = np.random.default_rng(seed)
+    rng = generator(seed)
     if trajectory is None:
         trajectory = default_motion(robot, rng)
     theta, drives = plant_parts(robot, trajectory, theta, drives)

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from sdpid._common.arrays import Array
+from sdpid._common.seeds import generator
 from sdpid._common.toml import load_toml
 from sdpid.errors import DataError
 from sdpid.experiment.trajectory.fourier import FourierSeries, quintic
@@ -83,7 +84,7 @@ def paper_excitation(
         raise DataError(f"{path}: {cause!r}: an entry is missing or not a number.") from None
     if not (np.isfinite(period) and period > 0.0):
         raise DataError(f"period: is {period}; give a positive time in s.")
-    rng = np.random.default_rng(seed)
+    rng = generator(seed)
     harmonics = np.zeros((len(axes), wanted), dtype=np.int64)
     phases = np.zeros((len(axes), wanted))
     notes = []
