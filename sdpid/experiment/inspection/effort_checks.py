@@ -95,12 +95,12 @@ def gravity(subject: Subject) -> Iterator[Finding]:
 
 
 def _row_of(column: Array, value: float) -> int:
-    """Return the first row of a column that has a value."""
+    """Return the first row of a column that has a value, counted from 1."""
     for begin, values in blocks(column):
         rows = np.flatnonzero(values == value)
         if rows.size:
-            return begin + int(rows[0])
-    return 0
+            return begin + int(rows[0]) + 1
+    return 1
 
 
 def _scale(x: Array, y: Array) -> tuple[float, float]:

@@ -86,7 +86,7 @@ def rest_and_jumps(subject: Subject) -> Iterator[Finding]:
 
 
 def _fast_steps(first: int, piece: Recording) -> Iterator[tuple[int, float, float, int]]:
-    """Yield joint, speed, size and row of its fastest step, in blocks with one over the limit."""
+    """Yield joint, speed, size and row, from 1, of its fastest step in blocks beyond the limit."""
     for begin in range(0, piece.n_samples - 1, ROWS):
         stop = begin + ROWS + 1
         steps = np.diff(taken(piece.position, begin, stop), axis=0)
@@ -95,7 +95,7 @@ def _fast_steps(first: int, piece: Recording) -> Iterator[tuple[int, float, floa
             continue
         speeds = np.abs(steps) / durations[:, None]
         for j, k in enumerate(speeds.argmax(axis=0).tolist()):
-            yield j, float(speeds[k, j]), float(steps[k, j]), first + begin + k + 1
+            yield j, float(speeds[k, j]), float(steps[k, j]), first + begin + k + 2
 
 
 @check

@@ -56,7 +56,7 @@ def continuous(log: Recording) -> tuple[tuple[Recording, ...], list[str]]:
         notes.append(
             f"split at {count} {'gap' if count == 1 else 'gaps'} of more than "
             f"{longest / log.step:.3g} steps of {log.step:.6g} s, the largest "
-            f"{log.stamps.most:.6g} s before row {log.stamps.row}: "
+            f"{log.stamps.most:.6g} s before row {log.stamps.row + 1}: "
             f"{log.duration - measured:.6g} s of {log.duration:.6g} s were not measured{lone}"
         )
     turned = [unwrapped(piece) for piece in pieces]
@@ -194,7 +194,7 @@ def in_time(log: Recording) -> tuple[Recording, list[str]]:
         if gap - least <= _CAUGHT_UP * gap:
             continue
         count = int(np.argmax(late <= least + step / 2.0))
-        where = f"after a gap of {gap + step:.6g} s before row {row}"
+        where = f"after a gap of {gap + step:.6g} s before row {row + 1}"
         if least <= step / 2.0:
             stop = row + count
             time[row - 1 : stop + 1] = np.linspace(time[row - 1], time[stop], count + 2)

@@ -115,7 +115,7 @@ def make_grid(recording: Recording, timing: Timing = "auto") -> Grid:
     if late > longest_gap(recording.step) - recording.step:
         row = stamps.row
         raise DataError(
-            f"time: gap of {late + recording.step:.6g} s before row {row} (from "
+            f"time: gap of {late + recording.step:.6g} s before row {row + 1} (from "
             f"{time[row - 1]:.9g} s to {time[row]:.9g} s), {late / recording.step + 1.0:.1f} "
             f"steps of {recording.step:.6g} s, more than "
             f"{longest_gap(recording.step) / recording.step:.3g}; without its period the record is "

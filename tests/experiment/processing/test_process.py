@@ -628,7 +628,7 @@ def test_lost_samples_are_bridged_and_gaps_are_not():
     keep[1495:1510] = False
     fields = {name: getattr(log, name)[keep] for name in ("time", "position", "effort")}
     with pytest.raises(
-        DataError, match=r"gap of 0.016 s before row 1494 \(from 8.494 s to 8.51 s\)"
+        DataError, match=r"gap of 0.016 s before row 1495 \(from 8.494 s to 8.51 s\)"
     ):
         process(replace(log, **fields), ALL_ROWS)
     keep = np.ones(log.n_samples, dtype=bool)

@@ -104,7 +104,7 @@ def test_the_notes_say_what_was_lost() -> None:
     pieces, notes = continuous(log)
     assert [piece.n_samples for piece in pieces] == [600, 3, 1246]
     assert notes == [
-        "split at 3 gaps of more than 5 steps of 0.01 s, the largest 0.54 s before row 604: "
+        "split at 3 gaps of more than 5 steps of 0.01 s, the largest 0.54 s before row 605: "
         "1.53 s of 19.99 s were not measured, 1 of the samples alone between gaps left out"
     ]
     samples = process(log, SETTING)
@@ -143,7 +143,7 @@ def test_periods_with_a_gap_are_refused() -> None:
     log = without(record(), (600, 650))
     whole = replace(log, period=5.0, start=5.0, periods=3)
     assert split_at_gaps(whole) == (whole,)
-    with pytest.raises(DataError, match=r"gap of 0.51 s before row 600 .* without its period"):
+    with pytest.raises(DataError, match=r"gap of 0.51 s before row 601 .* without its period"):
         process(whole, replace(SETTING, covariance=None))
 
 
