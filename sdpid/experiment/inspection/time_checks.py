@@ -15,6 +15,9 @@ _MOST_REPEATS = 20
 _SHARE = 0.02
 # Looked for among this many rows from the middle of the recording.
 _COMPARED = 100_000
+# Slower, in Hz, no controller logs; stamps in ms that are read as seconds do.
+_LEAST_RATE = 2.0
+_GIVE_UNIT = "give the unit: units={'time': 's'} (--unit time=s), or ms, us, ns"
 
 
 @check
@@ -25,6 +28,31 @@ def gaps_and_wraps(subject: Subject) -> Iterator[Finding]:
         return
     for note in subject.continued[1]:
         yield Finding(severity="note", kind="continued", message=note)
+
+
+@check
+def units_of_time(subject: Subject) -> Iterator[Finding]:
+    """Say where the unit of time was inferred, and find rates of no robot's logger."""
+    log = subject.log
+    for note in log.notes:
+        yield Finding(
+            severity="note",
+            kind="time_unit",
+            message=note,
+            remedy=f"where that is wrong, {_GIVE_UNIT}",
+            numbers={"rate": log.rate_hz},
+        )
+    if log.rate_hz < _LEAST_RATE:
+        yield Finding(
+            severity="warning",
+            kind="time_unit",
+            message=(
+                f"time: a sample every {log.step:.6g} s is a rate of {log.rate_hz:.3g} Hz, limit "
+                f"{_LEAST_RATE:g} Hz: the stamps may be in ms, us or ns"
+            ),
+            remedy=_GIVE_UNIT,
+            numbers={"rate": log.rate_hz, "limit": _LEAST_RATE},
+        )
 
 
 @check

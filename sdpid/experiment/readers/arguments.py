@@ -32,6 +32,7 @@ class Arguments:
     start: float | None = None
     periods: int | None = None
     effort_scale: Any = None
+    without_effort: tuple[str, ...] = ()
 
     @property
     def scaled(self) -> bool:
@@ -91,6 +92,7 @@ def complete_arguments(
     if isinstance(merged.get("motors"), Mapping):
         merged["motors"] = MotorSide.from_mapping(merged["motors"])
     merged["joint_names"] = _tuple(merged.get("joint_names"))
+    merged["without_effort"] = _tuple(merged.get("without_effort"), "without_effort") or ()
     arguments = Arguments(**merged)
     if arguments.missing not in MISSING:
         raise DataError(f"missing: is {arguments.missing!r}, expected one of {', '.join(MISSING)}.")
@@ -104,12 +106,12 @@ def _as_names(value: Any) -> Any:
     return value if value is None else str(value)
 
 
-def _tuple(names: Any) -> tuple[str, ...] | None:
+def _tuple(names: Any, argument: str = "joint_names") -> tuple[str, ...] | None:
     """Return joint names as a tuple of texts."""
     if names is None:
         return None
     if isinstance(names, str) or not all(isinstance(name, str) for name in names):
-        raise DataError(f"joint_names: is {names!r}, expected a sequence of names.")
+        raise DataError(f"{argument}: is {names!r}, expected a sequence of names.")
     return tuple(names)
 
 

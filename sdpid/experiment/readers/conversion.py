@@ -26,6 +26,9 @@ __all__ = ["convert"]
 # converted, since seconds since 1970 in a double resolve 0.2 microseconds.
 _SINCE_1970 = 1e9
 
+# What sources say of a unit of time that is not given.
+_INFERRED = "taken for"
+
 _Tables = dict[str, NDArray[Any]]
 
 
@@ -62,6 +65,9 @@ def convert(
     tables = _picked(file, found.tables, first)
     columns = {name: _column_names(found, name, first) for name in tables}
     time, sources = _time(file, found, arguments, len(tables["position"]))
+    if arguments.without_effort and "effort" in tables:
+        shown = labels if first is None else names
+        tables["effort"] = _zero_where_absent(tables["effort"], shown, arguments.without_effort)
     time, tables, mended = mend_missing(file, time, tables, columns, place, arguments.missing)
     tables = {name: _in_si(name, table, units, first) for name, table in tables.items()}
     if motors is not None:
@@ -76,8 +82,9 @@ def convert(
     }
     stated = {n: found.numbers.get(n) if v is None else v for n, v in stated.items()}
     stated["periods"] = _whole(stated["periods"])
+    notes = (f"time: {sources['time']}",) if _INFERRED in sources.get("time", "") else ()
     try:
-        recording = Recording(time=time, joint_names=names, **{**tables, **stated})
+        recording = Recording(time=time, joint_names=names, notes=notes, **{**tables, **stated})
     except DataError as cause:
         raise DataError(f"{file}: {cause}") from None
     sources = {**_sources(found, units, arguments), **sources}
@@ -144,6 +151,30 @@ def _picked(file: Path, tables: Mapping[str, NDArray[Any]], order: list[int] | N
                 f"{file}: {name} has {table.shape[1]} columns, too few for column {max(order) + 1}."
             )
     return {name: transformed(table, lambda rows: rows[:, order]) for name, table in tables.items()}
+
+
+def _zero_where_absent(
+    efforts: NDArray[Any], labels: tuple[str, ...] | None, joints: tuple[str, ...]
+) -> NDArray[Any]:
+    """Return efforts with zeros for those of some joints that have no value in any row."""
+    count = efforts.shape[1]
+    if efforts.dtype.kind != "f":
+        return efforts
+    called = [str(j + 1) for j in range(count)] if labels is None else list(labels)
+    absent = [
+        j
+        for j in range(min(count, len(called)))
+        if called[j] in joints and bool(np.isnan(efforts[:, j]).all())
+    ]
+    if not absent:
+        return efforts
+
+    def zeroed(rows: NDArray[Any]) -> NDArray[Any]:
+        rows = np.array(rows)
+        rows[:, absent] = 0.0
+        return rows
+
+    return transformed(efforts, zeroed)
 
 
 def _column_names(found: Selection, quantity: str, order: list[int] | None) -> list[str]:
@@ -231,7 +262,7 @@ def _time(
     if unit is None:
         unit = guess_time_unit(time)
         if unit != "s":
-            note = {"time": f"{name}, taken for {unit} by the steps of its numbers"}
+            note = {"time": f"{name}, {_INFERRED} {unit} by the steps of its numbers"}
     if unit == "s":
         return time, note
     if time.size and time[0] * UNITS["time"][unit] > _SINCE_1970:

@@ -112,10 +112,12 @@ def _bad_value(
         what = "not finite" if np.isinf(value) else f"more than {LARGEST:g}, which no robot has"
         return DataError(f"{where} is {value:.3g}, {what}; repair that sample, or name its unit.")
     if count == len(table):
-        return DataError(
-            f"{file}: {quantity}: '{name}' has no value in any row; leave that joint out with "
-            "joint_names=, or the quantity with columns=."
-        )
+        remedy = {
+            "effort": "leave a joint that the robot lacks out with joint_names=, and the effort of "
+            "one that it has with without_effort=",
+            "velocity": "leave the velocity out with columns={'velocity': None}",
+        }.get(quantity, f"name another column for the {quantity} with columns=")
+        return DataError(f"{file}: {quantity}: '{name}' has no value in any row; {remedy}.")
     return DataError(
         f"{where} has no value (NaN), as in {count} of {len(table)} rows; repair the file, or read "
         "it with missing='drop' or missing='interpolate'."

@@ -53,6 +53,8 @@ class Recording:
     periods : int, optional
         Number of whole periods from `start` on. By default as many as the record holds, which
         then must be a whole number.
+    notes : tuple of str
+        What a reader had to infer, in words.
 
     Attributes
     ----------
@@ -75,6 +77,7 @@ class Recording:
     period: float | None = None
     start: float | None = None
     periods: int | None = None
+    notes: tuple[str, ...] = ()
     stamps: Stamps = field(init=False)
 
     def __post_init__(self) -> None:

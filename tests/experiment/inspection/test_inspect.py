@@ -5,11 +5,13 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+import pandas as pd
 import pytest
 
 import sdpid
 from sdpid.experiment.inspection.inspect import inspect_recording, inspect_recordings
 from sdpid.experiment.preparation.overview import overview
+from sdpid.experiment.readers.read import read_recording
 from sdpid.experiment.recording.recording import Recording
 
 RATE = 200.0
@@ -106,8 +108,9 @@ def test_one_sample_that_jumps_is_named_with_its_row(log: Recording):
     position[700, 1] += 4.8
     (finding,) = inspect_recording(replace(log, position=position, velocity=None)).findings
     assert (finding.kind, finding.severity) == ("position_jumps", "error")
-    assert finding.numbers["row"] in (700, 701)
+    assert finding.numbers["row"] == 701
     assert "changes by 4.8" in finding.message
+    assert "at row 701," in finding.message
 
 
 def test_one_effort_far_beyond_all_others_is_named(log: Recording):
@@ -117,7 +120,7 @@ def test_one_effort_far_beyond_all_others_is_named(log: Recording):
     assert (finding.kind, finding.joint, finding.numbers["row"]) == (
         "effort_spike",
         log.names[2],
-        444.0,
+        445.0,
     )
 
 
@@ -207,3 +210,21 @@ def test_real_logs_raise_no_alarm(data_folder, name: str):
     robot = sdpid.load_robot(data_folder / name / f"{urdf}.urdf")
     inspection = inspect_recording(record, robot)
     assert inspection.ok, str(inspection)
+
+
+def test_an_inferred_unit_of_time_is_said(log: Recording):
+    columns = {"q1": log.position[:, 1], "tau1": log.effort[:, 1]}
+    for stamps in (np.arange(len(T)) * 10.0, np.arange(len(T)) * 1.0):
+        read = read_recording(pd.DataFrame({"t": stamps, **columns}))
+        (finding,) = [f for f in inspect_recording(read).findings if f.kind == "time_unit"]
+        assert finding.severity == "note"
+        assert "taken for ms" in finding.message
+        assert "units={'time': 's'} (--unit time=s)" in finding.remedy
+    # No whole numbers: nothing is inferred, and the rate is warned of.
+    jitter = np.random.default_rng(0).uniform(-0.1, 0.1, len(T))
+    read = read_recording(pd.DataFrame({"t": np.arange(len(T)) * 10.0 + jitter, **columns}))
+    (finding,) = [f for f in inspect_recording(read).findings if f.kind == "time_unit"]
+    assert finding.severity == "warning"
+    assert "0.1 Hz, limit 2 Hz" in finding.message
+    given = read_recording(pd.DataFrame({"t": T, **columns}), units={"time": "s"})
+    assert "time_unit" not in [f.kind for f in inspect_recording(given).findings]
