@@ -37,15 +37,16 @@ def compare(
     """Run every solver on one problem and measure them against the proven lower bound."""
     if out is not None:
         opt.require_folder("--out", out, reading.files((log,), robot, printing.config))
-    record = reading.read(log, **periods.arguments())
+    from sdpid.experiment.preparation.several import columns_without
     from sdpid.robot.model.load import load_robot
     from sdpid.workflow.comparison import compare as run
     from sdpid.workflow.formulate import formulate
 
     model = load_robot(robot)
-    problem = formulate(
-        model, record, processing=processing.changes(), **estimation.arguments(model)
-    )
+    formulation = estimation.arguments(model)
+    absent = columns_without(model, formulation["without_effort"])
+    record = reading.read(log, without_effort=absent, **periods.arguments())
+    problem = formulate(model, record, processing=processing.changes(), **formulation)
     comparison = run(problem, starts=starts, seed=seed, max_iterations=max_iterations, n_jobs=jobs)
     files = [] if out is None else [str(out)]
     if out is not None:

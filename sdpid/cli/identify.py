@@ -59,12 +59,15 @@ def identify(
     draw = importlib.util.find_spec("matplotlib") is not None if figures is None else figures
     if draw:
         require("matplotlib", extra="plot")
-    records = [reading.read(log, **periods.arguments()) for log in logs]
-    checks = [reading.read(log) for log in validation or ()]
+    from sdpid.experiment.preparation.several import columns_without
     from sdpid.robot.model.load import load_robot
     from sdpid.workflow.identify import identify as run
 
     model = load_robot(robot)
+    formulation = estimation.arguments(model)
+    absent = columns_without(model, formulation["without_effort"])
+    records = [reading.read(log, without_effort=absent, **periods.arguments()) for log in logs]
+    checks = [reading.read(log, without_effort=absent) for log in validation or ()]
     result = run(
         model,
         records,
@@ -72,7 +75,7 @@ def identify(
         processing=processing.changes(),
         intervals=interval_method.value if intervals else False,
         folds=folds,
-        **estimation.arguments(model),
+        **formulation,
     )
     notes = [*result.problem.samples.notes, *result.notes]
     if result.intervals_note:

@@ -23,6 +23,8 @@ from sdpid.experiment.preparation.several import (
     Logs,
     ProcessingOf,
     all_recordings,
+    columns_without,
+    joints_without,
     prepare_recordings,
 )
 from sdpid.experiment.processing.process import Processing
@@ -232,8 +234,8 @@ def cross_validate(
         A child, as in `identify`, that names the fold; a `DataError` when parts are too short.
     """
     model = robot if isinstance(robot, RobotModel) else load_robot(robot)
-    logs = all_recordings(log)
-    without_effort = tuple(without_effort)
+    without_effort = joints_without(without_effort)
+    logs = all_recordings(log, "log", without_effort=columns_without(model, without_effort))
     formulation: dict[str, Any] = {
         "friction": tuple_of_terms(friction),
         "weighting": weighting,

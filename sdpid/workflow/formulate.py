@@ -47,6 +47,20 @@ def tuple_of_terms(
         ) from None
 
 
+def check_kinds(constraints: object, prior: object) -> None:
+    """Refuse constraints and a prior of another kind.
+
+    Raises
+    ------
+    DataError
+        Naming the argument.
+    """
+    if constraints is not None and not isinstance(constraints, Constraints):
+        raise DataError(f"constraints: is {constraints!r:.80}; give sdpid.Constraints(...).")
+    if prior is not None and not isinstance(prior, (bool, np.bool_, Prior)):
+        raise DataError(f"prior: is {prior!r:.80}; give True, False or a Prior.")
+
+
 def formulate(
     robot: RobotModel | str | os.PathLike[str],
     log: Logs | Prepared,
@@ -63,6 +77,7 @@ def formulate(
 
     `log` may also be recordings that are prepared already (see `prepare_recordings`).
     """
+    check_kinds(constraints, prior)
     robot = robot if isinstance(robot, RobotModel) else load_robot(robot)
     friction = tuple_of_terms(friction)
     if not isinstance(log, Prepared):
@@ -73,7 +88,7 @@ def formulate(
         # Friction of a joint without effort is known from a prior or not at all.
         wanted = chosen == "residual" or (chosen == "gls" and bool(log.without_effort))
         prior = wanted and bool(np.any(robot.prior[:, 0] > 0.0))
-    if isinstance(prior, bool):
+    if isinstance(prior, (bool, np.bool_)):
         prior = Prior() if prior else None
     return build_problem(
         robot,

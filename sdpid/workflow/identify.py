@@ -28,7 +28,7 @@ from sdpid.robot.inertia import Consistency
 from sdpid.robot.model.load import load_robot
 from sdpid.robot.model.model import RobotModel
 from sdpid.workflow.cross_validation import cross_validate
-from sdpid.workflow.formulate import formulate, tuple_of_terms
+from sdpid.workflow.formulate import check_kinds, formulate, tuple_of_terms
 from sdpid.workflow.result import Identification
 
 # Profile intervals respect the constraints, but take several hundred solves, 5 to 9 s for arms of
@@ -108,6 +108,7 @@ def identify(
         raise DataError(
             f"intervals: is {intervals!r}; use True, False or one of {', '.join(get_args(Method))}."
         )
+    check_kinds(constraints, prior)
     model = robot if isinstance(robot, RobotModel) else load_robot(robot)
     prepared = prepare_recordings(model, log, processing, without_effort=without_effort)
     fresh = None if validation is None else prepared.others(validation)

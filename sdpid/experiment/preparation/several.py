@@ -17,7 +17,7 @@ from sdpid.experiment.preparation.for_robot import default_processing, prepare
 from sdpid.experiment.processing.choose import with_changes
 from sdpid.experiment.processing.process import Processing
 from sdpid.experiment.processing.samples import Samples
-from sdpid.experiment.readers.read import read_recording
+from sdpid.experiment.readers.read import is_frame, read_recording
 from sdpid.experiment.recording.recording import Recording
 from sdpid.robot.model.model import RobotModel
 
@@ -29,22 +29,39 @@ Piece: TypeAlias = "Samples | Recording | str | os.PathLike[str]"
 ProcessingOf: TypeAlias = "Processing | Mapping[str, Any] | None"
 
 
-def all_recordings(logs: Logs) -> tuple[Recording, ...]:
-    """Return recordings that are given as such or by their files.
+def all_recordings(
+    logs: Logs, name: str = "recordings", *, without_effort: Sequence[str] = ()
+) -> tuple[Recording, ...]:
+    """Return recordings that are given as such, as data frames or by their files.
+
+    Messages call them `name`; `without_effort` is as in `read_recording`.
 
     Raises
     ------
     DataError
         When there are none, or a file cannot be read.
     """
-    given = (logs,) if isinstance(logs, (Recording, str, os.PathLike)) else tuple(logs)
+    kinds = (Recording, str, os.PathLike)
+    alone = isinstance(logs, kinds) or is_frame(logs)
+    given = tuple(logs) if isinstance(logs, Iterable) and not alone else (logs,)
     if not given:
-        raise DataError("recordings: there are none; give at least one.")
-    return tuple(log if isinstance(log, Recording) else read_recording(log) for log in given)
+        raise DataError(f"{name}: there are none; give at least one.")
+    for log in given:
+        if not (isinstance(log, kinds) or is_frame(log)):
+            raise DataError(
+                f"{name}: is or holds {type(log).__name__} {log!r:.80}; give a Recording, the path "
+                "of a log, a data frame, or a list of these."
+            )
+    return tuple(
+        log if isinstance(log, Recording) else read_recording(log, without_effort=without_effort)
+        for log in given
+    )
 
 
-def recordings(logs: Logs) -> tuple[Recording, ...]:
-    """Return recordings that can be fitted together.
+def recordings(
+    logs: Logs, name: str = "recordings", *, without_effort: Sequence[str] = ()
+) -> tuple[Recording, ...]:
+    """Return recordings that can be fitted together; arguments are those of `all_recordings`.
 
     Raises
     ------
@@ -52,7 +69,7 @@ def recordings(logs: Logs) -> tuple[Recording, ...]:
         Beside that of `all_recordings`, when there are several and one of them has periods:
         averages of different motions have no common covariance.
     """
-    read = all_recordings(logs)
+    read = all_recordings(logs, name, without_effort=without_effort)
     periodic = [number for number, log in enumerate(read, 1) if log.period is not None]
     if len(read) > 1 and periodic:
         raise DataError(
@@ -165,7 +182,10 @@ class Prepared:
             By default as these.
         """
         chosen = replace(processing or self.processing, covariance=None)
-        others = prepare_recordings(self.robot, logs, chosen, without_effort=self.without_effort)
+        without = self.without_effort
+        others = prepare_recordings(
+            self.robot, logs, chosen, without_effort=without, name="validation"
+        )
         return replace(others, name="validation recording")
 
 
@@ -175,6 +195,7 @@ def prepare_recordings(
     processing: ProcessingOf = None,
     *,
     without_effort: Iterable[str] = (),
+    name: str = "log",
 ) -> Prepared:
     """Read, match, process and join recordings of a robot.
 
@@ -189,6 +210,8 @@ def prepare_recordings(
     without_effort : iterable of str, optional
         Joints of the robot whose efforts were not measured, or are wrong: their rows are masked,
         their motion is used.
+    name : str, optional
+        What messages call the argument that holds the recordings.
 
     Raises
     ------
@@ -196,10 +219,10 @@ def prepare_recordings(
         When a recording cannot be read, matched or processed, they cannot be fitted together, a
         joint does not exist, or no joint is left.
     """
-    read = recordings(logs)
+    without = joints_without(without_effort)
+    read = recordings(logs, name, without_effort=columns_without(robot, without))
     chosen, why = chosen_processing(read, processing)
     samples = Samples.join([prepare(robot, log, chosen) for log in read])
-    without = (without_effort,) if isinstance(without_effort, str) else tuple(without_effort)
     if without:
         samples = without_efforts(samples, robot, without)
     return Prepared(
@@ -210,6 +233,35 @@ def prepare_recordings(
         notes=() if why is None else (why,),
         without_effort=without,
     )
+
+
+def joints_without(given: Any) -> tuple[str, ...]:
+    """Return joints without effort as a tuple of names; a single name counts as one.
+
+    Raises
+    ------
+    DataError
+        When they are no names.
+    """
+    if isinstance(given, str):
+        return (given,)
+    names = tuple(given) if isinstance(given, Iterable) else (given,)
+    if not all(isinstance(name, str) for name in names):
+        raise DataError(f"without_effort: is {given!r:.80}; give names of joints.")
+    return names
+
+
+def columns_without(robot: RobotModel, joints: Iterable[str]) -> tuple[str, ...]:
+    """Return names of joints without effort, and their numbers from 1 for logs without names.
+
+    Raises
+    ------
+    DataError
+        When they are no names.
+    """
+    joints = joints_without(joints)
+    known = [str(robot.joint_names.index(name) + 1) for name in joints if name in robot.joint_names]
+    return (*joints, *known)
 
 
 def without_efforts(samples: Samples, robot: RobotModel, joints: Sequence[str]) -> Samples:
@@ -243,11 +295,12 @@ def as_pieces(given: object) -> tuple[Piece, ...]:
         When it is, or holds, something else.
     """
     kinds = (Samples, Recording, str, os.PathLike)
-    if isinstance(given, kinds):
-        return (given,)
+    if isinstance(given, kinds) or is_frame(given):
+        one: Any = given
+        return (one,)
     pieces = tuple(given) if isinstance(given, Iterable) else (given,)
     for piece in pieces:
-        if not isinstance(piece, kinds):
+        if not (isinstance(piece, kinds) or is_frame(piece)):
             raise DataError(
                 f"samples: hold {type(piece).__name__} {piece!r:.80}; give Samples (see "
                 "sdpid.process), recordings or paths of logs."

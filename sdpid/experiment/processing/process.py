@@ -118,6 +118,10 @@ def process(
         have a gap, the record (or every piece of it) is too short, periods are too few for a
         covariance or do not look alike, or a joint has no row left after masking.
     """
+    if not isinstance(log, Recording):
+        raise DataError(
+            f"log: is {log!r:.80}; give a Recording, such as sdpid.read_recording(path) returns."
+        )
     require_no_outliers(log)
     require_plausible_units(log, position_limits)
     if not isinstance(processing, Processing):

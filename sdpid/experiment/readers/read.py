@@ -16,7 +16,7 @@ from sdpid.experiment.readers.selection import read_selection, select
 from sdpid.experiment.readers.table import row_number
 from sdpid.experiment.recording.recording import Recording
 
-__all__ = ["Reading", "read_described", "read_recording"]
+__all__ = ["Reading", "is_frame", "read_described", "read_recording"]
 
 # A file, or a data frame of pandas or polars.
 Source: TypeAlias = "str | os.PathLike[str] | Any"
@@ -103,6 +103,10 @@ def read_recording(path: Any, **how: Any) -> Any:
     effort_scale : (n,) array_like, optional
         N·m per unit of effort, where efforts are currents on the joints' side: the torque constant
         times the gear ratio. Efforts are multiplied by it.
+    without_effort : sequence of str, optional
+        Joints whose effort may lack every value; it is then read as zero. Leave them out of the
+        fit too (``identify(..., without_effort=...)``, which reads files that way). Where the file
+        has no names, numbers from 1.
     stored : bool, optional
         Whether to keep the values of a Parquet file in temporary files that are mapped into
         memory, so that a log may be larger than memory; by default those of logs that would take
@@ -146,11 +150,11 @@ def read_described(
     DataError
         As `read_recording`; also when an argument is not known.
     """
-    is_frame = hasattr(path, "columns") and not isinstance(path, (str, os.PathLike))
-    file = Path("data frame") if is_frame else _checked_path(path)
-    arguments, mapped = complete_arguments(None if is_frame else file, mapping, how)
+    frame = is_frame(path)
+    file = Path("data frame") if frame else _checked_path(path)
+    arguments, mapped = complete_arguments(None if frame else file, mapping, how)
     place: Callable[[int], str] = row_number
-    if is_frame:
+    if frame:
         found = select(file, load_frame(path), **arguments.selection)
     else:
         suffix = _suffix(file)
@@ -158,6 +162,11 @@ def read_described(
         found, place = read_selection(file, suffix, choices, arguments.selection)
     recording, sources = convert(file, found, arguments, place)
     return Reading(recording=recording, file=str(file), mapping=mapped, sources=sources)
+
+
+def is_frame(source: Any) -> bool:
+    """Tell whether a log is a data frame of pandas or polars."""
+    return hasattr(source, "columns") and not isinstance(source, (str, os.PathLike))
 
 
 def _choices(file: Path, suffix: str, arguments: Arguments, stored: bool | None) -> dict[str, Any]:
