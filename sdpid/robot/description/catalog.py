@@ -121,12 +121,12 @@ def find_robot(name: str) -> Path:
     if not matches and name in downloadable_robots():
         return _download(name)
     if not matches:
-        shown = name if len(name) <= 80 else name[:77] + "..."
         if is_irregular(name):
             raise ModelError(
-                f"cannot read {shown}: it is no regular file; give a URDF or MJCF file, or the "
+                f"cannot read {name}: it is no regular file; give a URDF or MJCF file, or the "
                 "name of a robot."
             )
+        shown = name if len(name) <= 80 else name[:77] + "..."
         more = ""
         if name.endswith("_description") and not downloadable_robots():
             more = "; for names of robot_descriptions: pip install 'sdpid[descriptions]'"
