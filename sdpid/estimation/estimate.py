@@ -137,6 +137,13 @@ class Estimate:
         """Whether the standard parameters satisfy every constraint."""
         return self.violation is not None and self.violation <= FEASIBLE
 
+    @property
+    def some_theta(self) -> Array:
+        """Standard parameters with these base parameters: `theta`, or else the smallest, (p,)."""
+        if self.theta is not None:
+            return self.theta
+        return frozen(np.linalg.pinv(self.problem.base.matrix) @ self.base)
+
     def mass_matrix(self, q: ArrayLike) -> Array:
         """Return the mass matrix at joint positions.
 
@@ -151,10 +158,7 @@ class Estimate:
         -------
         ndarray, shape (n, n) or (K, n, n)
         """
-        theta = self.theta
-        if theta is None:
-            theta = np.linalg.pinv(self.problem.base.matrix) @ self.base
-        return self.problem.robot.mass_matrix(theta, q)
+        return self.problem.robot.mass_matrix(self.some_theta, q)
 
     @cached_property
     def covariance(self) -> Array:

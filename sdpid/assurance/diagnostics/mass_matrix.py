@@ -128,9 +128,7 @@ def smallest_mass_eigenvalue(
     robot = problem.robot
     box, rng = _box(robot, bounds), generator(seed)
     links = 10 * robot.n_links
-    theta = estimate.theta
-    if theta is None:
-        theta = np.linalg.pinv(problem.base.matrix) @ estimate.base
+    theta = estimate.some_theta
     # A prior-free estimate's mass matrix is that of its base parameters.
     inertias = spatial_inertia(np.array(theta[:links]).reshape(-1, 10))
     value, q, positions = _search(robot, inertias, box, rng)
@@ -331,8 +329,6 @@ def _strongest(problem: Problem, theta: Array) -> list[Array]:
 def smallest_eigenvalues(estimate: Estimate, q: Sequence[Sequence[float]] | Array) -> Array:
     """Return the smallest eigenvalue of the mass matrix at given positions (K, n), shape (K,)."""
     problem = estimate.problem
-    theta = estimate.theta
-    if theta is None:
-        theta = np.linalg.pinv(problem.base.matrix) @ estimate.base
+    theta = estimate.some_theta
     bodies = np.array(theta[: 10 * problem.robot.n_links]).reshape(-1, 10)
     return _eigenvalues(problem.robot, spatial_inertia(bodies), np.asarray(q, dtype=np.float64))
