@@ -25,6 +25,7 @@ from tests.output.robots.test_urdf import (
     MIMIC,
     assert_same_efforts,
     bodies,
+    efforts_of,
     estimate_of,
     mujoco_efforts,
     problem_of,
@@ -40,18 +41,7 @@ def efforts(path: Path, robot: RobotModel, states: tuple[np.ndarray, ...]) -> np
     """Return MuJoCo's own efforts, armature and damping included, on a fixed base."""
     model = mujoco.MjModel.from_xml_path(str(path))
     model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_CONSTRAINT)
-    data = mujoco.MjData(model)
-    joints = [model.joint(name) for name in list(robot.pin_model.names)[1:]]
-    dof = [j.dofadr[0] for j in joints]
-    at = [j.qposadr[0] for j in joints]
-    out = []
-    for q, v, a in zip(*states, strict=True):
-        data.qpos[at] = robot.expansion @ q + robot.offset
-        data.qvel[dof] = robot.expansion @ v
-        data.qacc[dof] = robot.expansion @ a
-        mujoco.mj_inverse(model, data)
-        out.append(robot.expansion.T @ data.qfrc_inverse[dof])
-    return np.array(out)
+    return efforts_of(model, robot, states)
 
 
 def assert_identified(problem: Problem, links: np.ndarray, path: Path) -> None:

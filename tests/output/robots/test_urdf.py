@@ -6,6 +6,7 @@ import difflib
 import re
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 from xml.etree import ElementTree
 
 import numpy as np
@@ -131,15 +132,10 @@ def assert_same_efforts(problem: Problem, links: np.ndarray, path: Path) -> Robo
     return written
 
 
-def mujoco_efforts(path: Path, robot: RobotModel, states: tuple[np.ndarray, ...]) -> np.ndarray:
-    mujoco = pytest.importorskip("mujoco")
-    # MuJoCo looks for mesh files, which a description without its package does not have.
-    text = re.sub(r"<(visual|collision)\b.*?</\1>", "", path.read_text(), flags=re.DOTALL)
-    text = re.sub(r"<gazebo.*?</gazebo>", "", text, flags=re.DOTALL)
-    model = mujoco.MjModel.from_xml_string(text)
-    model.opt.gravity = robot.gravity
-    model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_CONSTRAINT)
-    model.dof_damping[:] = 0.0
+def efforts_of(model: Any, robot: RobotModel, states: tuple[np.ndarray, ...]) -> np.ndarray:
+    """Return MuJoCo's own efforts at states of the robot, joint by joint."""
+    import mujoco
+
     data = mujoco.MjData(model)
     joints = [model.joint(name) for name in list(robot.pin_model.names)[1:]]
     dof = [j.dofadr[0] for j in joints]
@@ -152,6 +148,18 @@ def mujoco_efforts(path: Path, robot: RobotModel, states: tuple[np.ndarray, ...]
         mujoco.mj_inverse(model, data)
         out.append(robot.expansion.T @ data.qfrc_inverse[dof])
     return np.array(out)
+
+
+def mujoco_efforts(path: Path, robot: RobotModel, states: tuple[np.ndarray, ...]) -> np.ndarray:
+    mujoco = pytest.importorskip("mujoco")
+    # MuJoCo looks for mesh files, which a description without its package does not have.
+    text = re.sub(r"<(visual|collision)\b.*?</\1>", "", path.read_text(), flags=re.DOTALL)
+    text = re.sub(r"<gazebo.*?</gazebo>", "", text, flags=re.DOTALL)
+    model = mujoco.MjModel.from_xml_string(text)
+    model.opt.gravity = robot.gravity
+    model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_CONSTRAINT)
+    model.dof_damping[:] = 0.0
+    return efforts_of(model, robot, states)
 
 
 @pytest.mark.parametrize("points", [8, 3, 2])
