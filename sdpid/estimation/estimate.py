@@ -15,6 +15,7 @@ from sdpid.estimation.cluster_robust import covariance
 from sdpid.estimation.duality.multipliers import Multipliers
 from sdpid.estimation.problem import Problem
 from sdpid.robot.inertia import margin
+from sdpid.robot.model.dynamics import RobotDynamics
 
 Status = Literal["optimal", "infeasible", "iteration limit", "stalled", "failed"]
 
@@ -160,6 +161,18 @@ class Estimate:
         """
         return self.problem.robot.mass_matrix(self.some_theta, q)
 
+    def model(self) -> RobotDynamics:
+        """Return the identified robot, to compute with: inverse and forward dynamics, friction.
+
+        Of an estimate without standard parameters the links are any that have its base
+        parameters: efforts are right, and need not be those of bodies.
+        """
+        problem = self.problem
+        theta = self.some_theta
+        if self.theta is None:
+            theta = frozen(_with_masses(problem, theta))
+        return RobotDynamics(robot=problem.robot, terms=problem.friction, theta=theta)
+
     @cached_property
     def covariance(self) -> Array:
         """Covariance of the unconstrained fit's base parameters, (b, b).
@@ -197,3 +210,16 @@ class Estimate:
         if self.theta is None:
             return None
         return dict(zip(self.problem.base.theta_names, self.theta.tolist(), strict=True))
+
+
+def _with_masses(problem: Problem, theta: Array) -> Array:
+    """Return the standard parameters with the same base parameters whose masses are nearest 1 kg.
+
+    Pinocchio's bodies have centers of mass, and so need a mass.
+    """
+    from scipy.linalg import null_space
+
+    free = null_space(problem.base.matrix)
+    masses = 10 * np.arange(problem.robot.n_links)
+    moves = np.linalg.lstsq(free[masses], 1.0 - theta[masses], rcond=None)[0]
+    return np.asarray(theta + free @ moves)

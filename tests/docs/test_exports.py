@@ -44,11 +44,14 @@ def test_the_page(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     names: dict[str, Any] = {
         "sdpid": sdpid,
         "estimate": estimate,
+        **dict(zip("qva", rng.normal(size=(3, robot.n)), strict=True)),
         "without_load": bare,
         "with_load": make_samples(robot, loaded, rng, count=200, noise=0.02, block=5),
     }
     blocks = re.findall(r"^```python\n(.*?)^```", PAGE.read_text(), flags=re.M | re.S)
     exec(compile("\n".join(blocks), "docs/exports.md", "exec"), names)
+    state = names["q"], names["v"], names["a"]
+    np.testing.assert_allclose(names["tau"], names["model"].inverse_dynamics(*state))
     assert names["theta"] == estimate.named_theta()
     assert names["payload"].mass == pytest.approx(0.5, abs=0.05)
     for file in ("identified.urdf", "identified.xml", "mine.xml", "parameters.json"):

@@ -1,0 +1,168 @@
+"""The identified robot in use, against Pinocchio's own algorithms."""
+
+from __future__ import annotations
+
+import numpy as np
+import pinocchio as pin
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+import sdpid
+from sdpid._common.arrays import Array
+from sdpid.errors import DataError, ModelError
+from sdpid.friction import Coulomb, Coupling, Offset, RotorInertia, SigmoidFriction, Viscous
+from sdpid.robot.friction.term import FrictionTerm
+from sdpid.robot.model.dynamics import RobotDynamics
+from sdpid.robot.model.model import RobotModel
+from tests.helpers.data import friction_model, full_regressor, make_samples, random_theta
+from tests.helpers.robots import TREE, TREE_MIMIC, pendulum, small_arm
+from tests.helpers.strategies import SEEDS, random_states
+from tests.helpers.tolerances import DYNAMICS
+
+TERMS: tuple[FrictionTerm, ...] = (
+    Coulomb(width=0.1),
+    Viscous(),
+    Offset(),
+    SigmoidFriction(velocity=0.3),
+    RotorInertia(),
+)
+ROBOTS = {
+    "pendulum": pendulum(),
+    "arm": small_arm(4),
+    "tree": sdpid.load_robot(TREE),
+    "mimic": sdpid.load_robot(TREE_MIMIC),
+}
+
+
+def dynamics(
+    robot: RobotModel, seed: int, terms: tuple[FrictionTerm, ...] = TERMS
+) -> RobotDynamics:
+    theta = random_theta(robot, np.random.default_rng(seed), terms)
+    return RobotDynamics(robot=robot, terms=friction_model(robot, terms), theta=theta)
+
+
+def assert_same(actual: Array, expected: Array) -> None:
+    scale = max(1.0, float(np.abs(expected).max()))
+    np.testing.assert_allclose(actual, expected, rtol=0, atol=DYNAMICS * scale)
+
+
+@given(SEEDS, st.sampled_from(["pendulum", "arm", "tree"]))
+def test_it_is_pinocchio_plus_friction(seed: int, name: str) -> None:
+    robot = ROBOTS[name]
+    model = dynamics(robot, seed)
+    q, v, a = random_states(np.random.default_rng(seed), robot.n, 3)
+    full = model.to_pinocchio()
+    data = full.createData()
+    friction = model.friction(v)
+    for k, configuration in enumerate(robot.configuration(q)):
+        state = configuration, v[k]
+        upper = np.triu(pin.crba(full, data, configuration))
+        assert_same(model.mass_matrix(q[k]), upper + np.triu(upper, 1).T)
+        assert_same(
+            model.coriolis(q[k], v[k]) @ v[k] + model.gravity(q[k]),
+            pin.nonLinearEffects(full, data, *state),
+        )
+        assert_same(model.gravity(q[k]), pin.computeGeneralizedGravity(full, data, configuration))
+        effort = pin.rnea(full, data, *state, a[k]) + friction[k]
+        assert_same(model.inverse_dynamics(q[k], v[k], a[k]), effort)
+        assert_same(
+            model.forward_dynamics(q[k], v[k], effort),
+            pin.aba(full, data, *state, effort - friction[k]),
+        )
+
+
+@given(SEEDS, st.sampled_from(sorted(ROBOTS)))
+def test_the_laws_of_the_equations_of_motion(seed: int, name: str) -> None:
+    robot = ROBOTS[name]
+    n = robot.n
+    terms = (*TERMS, Coupling(robot.joint_names[0], robot.joint_names[1])) if n > 1 else TERMS
+    model = dynamics(robot, seed, terms)
+    states = q, v, a = random_states(np.random.default_rng(seed), n, 3)
+    effort = model.inverse_dynamics(q, v, a)
+    assert_same(effort, full_regressor(robot, states, terms) @ model.theta)
+    M, C = model.mass_matrix(q), model.coriolis(q, v)
+    parts = np.einsum("kij,kj->ki", M, a) + np.einsum("kij,kj->ki", C, v)
+    assert_same(parts + model.gravity(q) + model.friction(v), effort)
+    # Energy: the power of inertial forces is that of 2·C, whatever the velocity.
+    step = 1e-6
+    moved = (model.mass_matrix(q + step * v) - model.mass_matrix(q - step * v)) / (2.0 * step)
+    skew = moved - 2.0 * C
+    np.testing.assert_allclose(skew + skew.swapaxes(1, 2), 0.0, atol=1e-6 * np.abs(M).max())
+    # One state gives what the same state gives among many.
+    for k in range(3):
+        assert_same(model.inverse_dynamics(q[k], v[k], a[k]), effort[k])
+        assert_same(model.coriolis(q[k], v[k]), C[k])
+        assert_same(model.friction(v[k]), model.friction(v)[k])
+
+
+@given(SEEDS, st.sampled_from(sorted(ROBOTS)))
+def test_forward_undoes_inverse(seed: int, name: str) -> None:
+    robot = ROBOTS[name]
+    model = dynamics(robot, seed)
+    q, v, a = random_states(np.random.default_rng(seed), robot.n, 3)
+    found = model.forward_dynamics(q, v, model.inverse_dynamics(q, v, a))
+    worst = max(float(np.linalg.cond(M)) for M in model.mass_matrix(q))
+    np.testing.assert_allclose(found, a, atol=1e-13 * worst * (1.0 + np.abs(a).max()) + 1e-10)
+    assert model.forward_dynamics(q[0], v[0], model.gravity(q[0])).shape == (robot.n,)
+
+
+def test_a_floating_base() -> None:
+    robot = sdpid.load_robot(TREE, root="free_flyer")
+    model = dynamics(robot, 3)
+    rng = np.random.default_rng(4)
+    tangent, v, a = random_states(rng, robot.n, 2)
+    full = robot.pin_model
+    q = np.stack([pin.integrate(full, pin.neutral(full), x) for x in tangent])
+    effort = model.inverse_dynamics(q, v, a)
+    assert_same(effort, full_regressor(robot, (q, v, a), TERMS) @ model.theta)
+    np.testing.assert_array_equal(model.friction(v)[:, :6], 0.0)
+    np.testing.assert_allclose(model.forward_dynamics(q, v, effort), a, atol=1e-8)
+    assert model.gravity(q[0]).shape == (robot.n,)
+
+
+@pytest.mark.parametrize("solve", [sdpid.solve_sdp, sdpid.solve_wls])
+def test_an_estimate_gives_its_model(solve: object) -> None:
+    robot = small_arm(3)
+    rng = np.random.default_rng(5)
+    samples = make_samples(robot, random_theta(robot, rng, TERMS), rng, noise=0.01, friction=TERMS)
+    estimate = solve(sdpid.build_problem(robot, samples, friction=TERMS))  # type: ignore[operator]
+    model = estimate.model()
+    predicted = sdpid.validate(estimate).effort_predicted
+    found = model.inverse_dynamics(samples.position, samples.velocity, samples.acceleration)
+    assert_same(found, predicted)
+    if estimate.theta is not None:
+        np.testing.assert_array_equal(model.theta, estimate.theta)
+    assert "arm3" in repr(model)
+
+
+def test_rotor_inertia_is_pinocchios_armature_and_descriptions_have_no_say() -> None:
+    robot = ROBOTS["mimic"]
+    described = robot.pin_model.copy()
+    described.armature = np.full(described.nv, 7.0)
+    described.damping = np.full(described.nv, 7.0)
+    other = RobotModel.from_pinocchio(described)
+    model = dynamics(other, 6, (RotorInertia(), Viscous()))
+    n = other.n
+    full = model.to_pinocchio()
+    np.testing.assert_allclose(full.armature, model.theta[10 * other.n_links :][:n])
+    np.testing.assert_array_equal(full.damping, 0.0)
+    followers = dynamics(robot, 6, (RotorInertia(),)).to_pinocchio()
+    assert np.count_nonzero(followers.armature) == robot.n == followers.nv - 1
+
+
+def test_what_does_not_fit_is_refused() -> None:
+    model = dynamics(ROBOTS["arm"], 0)
+    q = np.zeros((3, 4))
+    with pytest.raises(DataError, match="velocity: 3 columns, the robot has 4 joints"):
+        model.friction(np.zeros(3))
+    with pytest.raises(DataError, match="velocity: 2 states, the positions have 3"):
+        model.coriolis(q, q[:2])
+    with pytest.raises(DataError, match="tau: 1 states, the positions have 3"):
+        model.forward_dynamics(q, q, q[0])
+    with pytest.raises(DataError, match="not a rectangular array"):
+        model.gravity([[0.0], [0.0, 1.0]])  # type: ignore[list-item]
+    axis = np.eye(10)[0]  # a point mass at the joint, which turns without effort
+    bare = RobotDynamics(robot=ROBOTS["pendulum"], terms=friction_model(pendulum(), ()), theta=axis)
+    with pytest.raises(ModelError, match="mass matrix is singular"):
+        bare.forward_dynamics([0.0], [0.0], [1.0])
