@@ -160,8 +160,15 @@ class Truth:
         return np.asarray(rigid + self.friction(v) + load * sign + self.offset + self.rotor * a)
 
     def theta(self, problem: Problem) -> Array:
-        """Return the parameters of a problem: NaN for those that the simulation does not have."""
+        """Return the parameters of a problem: NaN for those that the simulation does not have.
+
+        Beside a term of the same shape, such as a sigmoid, Coulomb friction has no truth of its
+        own: what counts is the curve (see `friction`).
+        """
         known = {"Fs": self.coulomb, "Fv": self.viscous, "Fo": self.offset, "Ia": self.rotor}
+        symbols = {p.name.rstrip("0123456789") for p in problem.friction.parameters}
+        if symbols - set(known):
+            del known["Fs"]
         tail = []
         for parameter in problem.friction.parameters:
             symbol = parameter.name.rstrip("0123456789")
