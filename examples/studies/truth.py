@@ -215,8 +215,8 @@ def summary(runs: Sequence[Run]) -> str:
             lines.append(f"| {speed:g} | {errors.size} | {middle:.2f} | {tail:.2f} | {bias:+.2f} |")
     lines += [
         "",
-        "| kind | parameters | error in stated errors, median, 90th percentile | intervals that hold "
-        "the truth, % | profile, % | worst parameter, default, profile, % |",
+        "| kind | parameters | error in stated errors, median, 90th percentile | intervals that "
+        "hold the truth, % | profile, % | worst parameter, default, profile, % |",
         "|---|---|---|---|---|---|",
     ]
     for kind in dict.fromkeys(row.kind for row in rows):
