@@ -220,7 +220,7 @@ def log_of(
     """
     rng = np.random.default_rng([seed, ROBOTS.index(conditions.robot), 1])
     robot = described(conditions.robot, data)
-    inertias = _perturbed(_described_inertias(conditions.robot, robot), conditions.perturbed, rng)
+    inertias = perturbed(_described_inertias(conditions.robot, robot), conditions.perturbed, rng)
     time, q, v, a = motion(robot, conditions, rng)
     rigid = robot.inverse_dynamics(inertias, q, v, a)
     rms = np.sqrt(np.mean(rigid**2, axis=0))
@@ -317,7 +317,7 @@ def _described_inertias(name: str, robot: sdpid.RobotModel) -> Array:
     return np.asarray(raise_second_moments(bodies, RADIUS**2 * bodies[:, 0]))
 
 
-def _perturbed(bodies: Array, size: float, rng: np.random.Generator) -> Array:
+def perturbed(bodies: Array, size: float, rng: np.random.Generator) -> Array:
     """Return bodies whose pseudo-inertias are L·exp(S)·L^T of P = L·L^T, S symmetric."""
     from scipy.linalg import expm
 
