@@ -10,14 +10,12 @@ import numpy as np
 from sdpid.experiment.inspection.finding import Finding, Subject, check
 from sdpid.experiment.recording.degrees import suspect_units
 from sdpid.experiment.recording.recording import Recording
+from sdpid.experiment.recording.rest import AT_REST
 from sdpid.experiment.recording.stored import ROWS, taken
 from sdpid.experiment.recording.velocities import velocity_fit
 
 # No joint of an arm turns faster (rad/s); the fastest reach some 15.
 _FASTEST = 40.0
-# A joint whose position stays within this (rad, or m) does not move: that is a hand's width of
-# encoder counts, and no motion that shows an inertia.
-_AT_REST = 1e-3
 # Two signals belong together when they correlate like this, and differ in their units when the
 # scale between them is off by this factor: filters explain less.
 _CORRELATED = 0.9
@@ -59,15 +57,15 @@ def rest_and_jumps(subject: Subject) -> Iterator[Finding]:
         for j, speed, step, row in _fast_steps(first, piece):
             jumps[j] = max(jumps.get(j, (0.0, 0.0, 0)), (speed, step, row))
     for j, name in enumerate(log.names):
-        if reach[j] < _AT_REST:
+        if reach[j] < AT_REST:
             moved = "never moves" if reach[j] == 0.0 else f"moves by {reach[j]:.3g} rad only"
             yield Finding(
                 severity="warning",
                 kind="joint_at_rest",
                 joint=name,
-                message=f"{name} {moved} (limit {_AT_REST:g} rad)",
+                message=f"{name} {moved} (limit {AT_REST:g} rad)",
                 remedy="its inertia and friction are unknown; excite it",
-                numbers={"range": reach[j], "limit": _AT_REST},
+                numbers={"range": reach[j], "limit": AT_REST},
             )
             continue
         fastest, jump, row = jumps.get(j, (0.0, 0.0, 0))

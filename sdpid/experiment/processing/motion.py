@@ -9,8 +9,10 @@ import numpy as np
 from sdpid._common.arrays import Array
 from sdpid.errors import DataError
 from sdpid.experiment.recording.recording import Recording
+from sdpid.experiment.recording.rest import AT_REST, moving
+from sdpid.experiment.recording.stored import extremes
 
-__all__ = ["MOTION_SHARE", "joint_frequencies", "motion_frequency"]
+__all__ = ["MOTION_SHARE", "band", "joint_frequencies", "motion_frequency", "spectrum"]
 
 # This share of a motion's power lies below its highest frequency.
 MOTION_SHARE = 0.95
@@ -23,7 +25,9 @@ _BLOCK = 1 << 14
 
 
 def motion_frequency(log: Recording) -> float:
-    """Return the frequency in Hz below which 95 % of the motion lies, the median over joints.
+    """Return the frequency in Hz below which 95 % of the motion lies.
+
+    The median over the joints that move: those at rest show nothing but noise.
 
     Raises
     ------
@@ -32,7 +36,9 @@ def motion_frequency(log: Recording) -> float:
     """
     highest = [each[1] for each in joint_frequencies(log) if each is not None]
     if not highest:
-        raise DataError("position: no joint moves; nothing can be identified.")
+        raise DataError(
+            f"position: no joint moves by more than {AT_REST:g} rad; nothing can be identified."
+        )
     return float(np.median(highest))
 
 
@@ -41,25 +47,30 @@ def joint_frequencies(log: Recording) -> list[tuple[float, float] | None]:
 
     The mean is removed and a Hann window applied. Of records of more than 2^18 samples positions
     are averaged over neighbors first, to a rate of at least 100 Hz, and the amplitudes that the
-    average takes are given back. None for a joint that does not move.
+    average takes are given back. None for a joint that does not move (see `moving`).
     """
-    found: list[tuple[float, float] | None] = []
-    for frequency, power in _spectra(log):
-        total = power.sum()
-        if not 0.0 < total < np.inf:
-            found.append(None)
-            continue
-        below = int(np.count_nonzero(np.cumsum(power / total) < MOTION_SHARE))
-        dominant = 1 + int(np.argmax(power[1:])) if power.size > 1 else 0
-        found.append((float(frequency[dominant]), float(frequency[below])))
-    return found
+    moves = moving(*extremes(log.position)).tolist()
+    return [
+        band(frequency, power) if moves_itself else None
+        for (frequency, power), moves_itself in zip(_spectra(log), moves, strict=True)
+    ]
+
+
+def band(frequency: Array, power: Array) -> tuple[float, float] | None:
+    """Return the dominant frequency and the one below which 95 % of the power lies, Hz."""
+    total = power.sum()
+    if not 0.0 < total < np.inf:
+        return None
+    below = int(np.count_nonzero(np.cumsum(power / total) < MOTION_SHARE))
+    dominant = 1 + int(np.argmax(power[1:])) if power.size > 1 else 0
+    return float(frequency[dominant]), float(frequency[below])
 
 
 def _spectra(log: Recording) -> Iterator[tuple[Array, Array]]:
     """Yield frequencies in Hz, and the power of the motion at them, for each joint."""
     if log.n_samples <= _LONG:
         for j in range(log.n):
-            yield _spectrum(np.asarray(log.position[:, j]), log.rate_hz, log.n_samples)
+            yield spectrum(np.asarray(log.position[:, j]), log.rate_hz, log.n_samples)
         return
     means, count = _averaged(log)
     # A product of small factors is transformed several times faster than any other length.
@@ -67,7 +78,7 @@ def _spectra(log: Recording) -> Iterator[tuple[Array, Array]]:
     length = -(-means.shape[1] // step) * step
     for position in means:
         # Of a joint that does not move nothing is left, not even rounding.
-        frequency, power = _spectrum(position - position[0], log.rate_hz / count, length)
+        frequency, power = spectrum(position - position[0], log.rate_hz / count, length)
         # The share of an oscillation's amplitude that the average over `count` samples leaves.
         angle = np.pi * frequency / log.rate_hz
         kept = np.ones_like(angle)
@@ -75,7 +86,7 @@ def _spectra(log: Recording) -> Iterator[tuple[Array, Array]]:
         yield frequency, power / kept**2
 
 
-def _spectrum(position: Array, rate_hz: float, length: int) -> tuple[Array, Array]:
+def spectrum(position: Array, rate_hz: float, length: int) -> tuple[Array, Array]:
     """Return frequencies, and the power of positions (N,) at them, zeros appended to `length`."""
     # A window, so that a record that does not end where it began does not look fast.
     centered = np.hanning(position.size) * (position - position.mean())

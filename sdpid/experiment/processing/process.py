@@ -31,6 +31,7 @@ from sdpid.experiment.recording.degrees import require_plausible_units
 from sdpid.experiment.recording.gaps import continuous
 from sdpid.experiment.recording.outliers import require_no_outliers
 from sdpid.experiment.recording.recording import Recording
+from sdpid.experiment.recording.rest import AT_REST
 from sdpid.experiment.recording.uniform_grid import Grid, make_grid
 
 __all__ = ["Processing", "process"]
@@ -55,10 +56,6 @@ _CHUNK = 1 << 18
 _RATE_OVER_CUTOFF = 10.0
 # A repeated effort that varies by less than this part of its rms is noise-free: rounding.
 _NOISE_FREE = 1e-9
-# A joint never faster than this (rad/s, or m/s) stood still: it would take a quarter of an hour for
-# 1e-3 rad. Rounding in the filter of a constant position is far below: 4e-10 at 6.28 rad, 10 kHz
-# and 1 Hz cut-off. Left in, it would be scaled up like any other motion.
-_MOVES = 1e-6
 
 
 class _TooShortError(DataError):
@@ -216,7 +213,8 @@ def _processed(log: Recording, processing: Processing, advance: Callable[[int], 
                 slow = near_standstill(fine, speed, reach, circular=window.circular)
                 mask[rows, j] = ~part.kept(slow)
             first = rows.stop
-        if np.abs(velocity[:, j]).max(initial=0.0) < _MOVES:
+        # Noise of a joint at rest would be scaled up like any other motion.
+        if np.ptp(position[:, j]) <= AT_REST:
             velocity[:, j] = acceleration[:, j] = 0.0
         advance(1)
 

@@ -120,6 +120,21 @@ def test_long_records_are_averaged_first(
         motion_frequency(quiet)
 
 
+def test_noise_of_joints_at_rest_has_no_say() -> None:
+    """Five joints of six hold still: encoder noise would put the cut-off where nothing moves."""
+    time = np.arange(4000) / 200.0
+    rng = np.random.default_rng(0)
+    moves = np.sin(2.0 * np.pi * 0.5 * time)
+    still = 0.3 + 1e-4 * rng.standard_normal((time.size, 4))
+    dragged = 5e-3 * moves[:, None] ** 9
+    position = np.column_stack([moves, still, dragged])
+    log = sdpid.Recording(time=time, position=position, effort=position)
+    assert motion_frequency(log) == pytest.approx(0.5, abs=0.1)
+    samples = process(log)
+    np.testing.assert_array_equal(samples.velocity[:, 1:5], 0.0)
+    assert samples.velocity[:, 5].any()
+
+
 def test_what_an_average_takes_is_given_back(monkeypatch: pytest.MonkeyPatch) -> None:
     """At 40 Hz an average over 10 ms leaves 0.76 of the amplitude: 0.57 of the power."""
     time = np.arange(40000) / 1000.0
