@@ -12,6 +12,7 @@ import numpy as np
 from sdpid._common.progress import progress
 from sdpid._common.threads import one_thread
 from sdpid.assurance.certificate.certificate import certify
+from sdpid.assurance.diagnostics.held_out import hold_out
 from sdpid.assurance.diagnostics.validation import validate
 from sdpid.assurance.intervals.intervals import Intervals, Method, confidence_intervals
 from sdpid.assurance.intervals.parameters import ParameterFunctions
@@ -91,8 +92,9 @@ def identify(
         some seconds. Where the data do not allow intervals, `Identification.intervals_note` says
         why.
     folds : int, optional
-        Number of blocks of the recordings to hold out in turn (see `sdpid.cross_validate`); by
-        default no cross-validation.
+        Number of blocks of the recordings to hold out in turn, with everything chosen anew without
+        each (see `sdpid.cross_validate`). By default the choices stay, and the parameters alone
+        are found anew (see `sdpid.assurance.diagnostics.held_out`).
 
     Returns
     -------
@@ -143,6 +145,7 @@ def identify(
             without_effort=prepared.without_effort,
             **formulation,
         )
+    predicted = None if fresh is None else validate(estimate, fresh.samples)
     return Identification(
         problem=problem,
         wls=wls,
@@ -150,8 +153,9 @@ def identify(
         certificate=certificate,
         training=validate(estimate),
         training_wls=validate(wls),
-        validation=None if fresh is None else validate(estimate, fresh.samples),
+        validation=predicted,
         validation_samples=None if fresh is None else fresh.samples,
+        held_out=hold_out(estimate, wls, None if fresh is None else fresh.samples, predicted),
         intervals=confidence,
         cross_validation=cross_validation,
         intervals_note=intervals_note,

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any, cast
 from sdpid._common.tables import Table, facts_html, plain
 from sdpid.assurance.certificate.certificate import Certificate
 from sdpid.assurance.diagnostics.active_constraints import constraint_states
+from sdpid.assurance.diagnostics.held_out import HeldOut
 from sdpid.assurance.diagnostics.validation import Validation
 from sdpid.assurance.intervals.intervals import Intervals
 from sdpid.estimation.estimate import Estimate
@@ -47,6 +48,9 @@ class Identification:
         Errors of `estimate` on the validation recording.
     validation_samples : Samples or None
         That recording, processed the same way.
+    held_out : HeldOut or None
+        Errors on what was not trained on, beside baselines: on the validation recording, else on
+        blocks of the training recording held out in turn. None where neither can be.
     intervals : Intervals or None
         Confidence intervals of the parameters; None where they were not asked for, or the data do
         not allow them (see `intervals_note`).
@@ -68,6 +72,7 @@ class Identification:
     training_wls: Validation
     validation: Validation | None = None
     validation_samples: Samples | None = None
+    held_out: HeldOut | None = None
     intervals: Intervals | None = None
     cross_validation: CrossValidation | None = None
     intervals_note: str | None = None
@@ -136,6 +141,7 @@ class Identification:
             "training": self.training.to_dict(),
             "training_unconstrained": self.training_wls.to_dict(),
             "validation": None if self.validation is None else self.validation.to_dict(),
+            "held_out": None if self.held_out is None else self.held_out.to_dict(),
             "cross_validation": (
                 None if self.cross_validation is None else self.cross_validation.to_dict()
             ),

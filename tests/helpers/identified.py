@@ -9,6 +9,7 @@ import numpy as np
 
 import sdpid
 from sdpid._common.arrays import Array
+from sdpid.assurance.diagnostics.held_out import hold_out
 from sdpid.estimation.problem import Problem, build_problem
 from sdpid.experiment.processing.samples import Samples
 from sdpid.workflow.result import Identification
@@ -34,9 +35,10 @@ def moved(
     speed: float = 1.0,
     amplitude: float = 1.0,
     robot: sdpid.RobotModel = ARM,
+    noise_seed: int | None = None,
     **fields: Any,
 ) -> Samples:
-    """Return samples of a smooth motion."""
+    """Return samples of a smooth motion; `noise_seed` changes the noise alone."""
     rng = np.random.default_rng(seed)
     t = np.arange(0.0, seconds, 1.0 / RATE)
     w = speed * rng.uniform(0.5, 4.0, (3, robot.n))
@@ -45,6 +47,8 @@ def moved(
     v = amplitude * (w * np.cos(angle)).sum(axis=1)
     a = -amplitude * (w**2 * np.sin(angle)).sum(axis=1)
     effort = full_regressor(robot, (q, v, a), FRICTION) @ theta
+    if noise_seed is not None:
+        rng = np.random.default_rng((seed, noise_seed))
     effort = effort + noise * rng.standard_normal(effort.shape)
     return Samples(position=q, velocity=v, acceleration=a, effort=effort, time=t, **fields)
 
@@ -68,4 +72,5 @@ def identified(
         training_wls=sdpid.validate(wls),
         validation=None if validation is None else sdpid.validate(estimate, validation),
         validation_samples=validation,
+        held_out=hold_out(estimate, wls, validation),
     )

@@ -2,15 +2,21 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import functools
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Any
 
 import numpy as np
 
-from sdpid._common.arrays import Array, Indices, frozen, frozen_view
+from sdpid._common.arrays import Array, Indices, Mask, frozen, frozen_view
 from sdpid._common.tables import Table, facts_html, plain
+from sdpid.assurance.diagnostics.bands import effort_band
+from sdpid.assurance.diagnostics.rest import resting, rows_in_use
 from sdpid.errors import DataError
-from sdpid.estimation.compression.rows import RowSource
 from sdpid.estimation.estimate import Estimate
+from sdpid.experiment.preparation.several import joints_without, without_efforts
 from sdpid.experiment.processing.samples import Samples
 from sdpid.robot.friction.terms import smooth_sign
 from sdpid.robot.model.model import RobotModel
@@ -20,15 +26,13 @@ _CHUNK = 20_000
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Validation:
-    """Prediction errors, joint by joint, on the rows that are not masked.
+class Errors:
+    """Prediction errors, joint by joint, on some of the rows.
 
     Attributes
     ----------
     joint_names : tuple of str
         The joints.
-    effort_predicted : ndarray, shape (K, n)
-        Predicted efforts at every sample, masked ones included, N·m.
     rmse : ndarray, shape (n,)
         Root mean square error, N·m.
     nrmse : ndarray, shape (n,)
@@ -43,19 +47,25 @@ class Validation:
     """
 
     joint_names: tuple[str, ...]
-    effort_predicted: Array
     rmse: Array
     nrmse: Array
     r2: Array
     relative: float
     rows: Indices
 
+    @classmethod
+    def of(cls, names: tuple[str, ...], effort: Array, predicted: Array, mask: Mask) -> Errors:
+        """Return how far predicted efforts (K, n) are off on the rows in a mask (K, n)."""
+        return cls(joint_names=names, **_figures(effort, predicted, mask))
+
     def __repr__(self) -> str:
         joints = len(self.joint_names)
-        return f"Validation({joints} joints, relative residual {100 * self.relative:.3g} %)"
+        residual = f"relative residual {100 * self.relative:.3g} %"
+        return f"{type(self).__name__}({joints} joints, {residual})"
 
     def _repr_html_(self) -> str:
-        return facts_html("Validation", {"relative residual": self.relative}, self._table())
+        title = type(self).__name__
+        return facts_html(title, {"relative residual": self.relative}, self._table())
 
     def _table(self) -> Table:
         """Return one row a joint."""
@@ -81,7 +91,7 @@ class Validation:
         return self._table().text()
 
     def to_dict(self) -> dict[str, object]:
-        """Return the figures as plain values, without the predictions."""
+        """Return the figures as plain values."""
         figures = {name: self._counted(getattr(self, name)) for name in ("rmse", "nrmse", "r2")}
         figures["rows"] = self.rows.tolist()
         joints = {
@@ -92,7 +102,68 @@ class Validation:
         return found
 
 
-def validate(estimate: Estimate, samples: Samples | None = None) -> Validation:
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class Validation(Errors):
+    """Predicted efforts, and their errors on the rows that are not masked.
+
+    Attributes
+    ----------
+    effort_predicted : ndarray, shape (K, n)
+        Predicted efforts at every sample, masked ones included, N·m.
+    moving : Errors
+        Errors on the rows in which the joint moves (see `sdpid.assurance.diagnostics.rest`).
+    resting : Errors or None
+        Errors on the rows in which the joint rests, those that are masked for slowness included:
+        stiction, which no function of the velocity explains. None where no joint rests.
+    """
+
+    effort_predicted: Array
+    moving: Errors
+    resting: Errors | None = None
+    _band: Callable[[], Array] | None = field(default=None, repr=False)
+
+    @classmethod
+    def of_prediction(
+        cls,
+        names: tuple[str, ...],
+        samples: Samples,
+        predicted: Array,
+        band: Callable[[], Array] | None = None,
+    ) -> Validation:
+        """Return the errors of predicted efforts (K, n) of samples."""
+        mask = rows_in_use(samples)
+        still = resting(samples) & mask.any(axis=0)
+        effort = samples.effort
+        return cls(
+            joint_names=names,
+            effort_predicted=frozen(predicted),
+            moving=Errors.of(names, effort, predicted, mask & ~still),
+            resting=Errors.of(names, effort, predicted, still) if still.any() else None,
+            _band=band,
+            **_figures(effort, predicted, mask),
+        )
+
+    @cached_property
+    def effort_band(self) -> Array | None:
+        """Half-width (K, n) of the 95 % band about `effort_predicted`, N·m.
+
+        See `sdpid.assurance.diagnostics.bands`. None for the prediction of a description, which
+        tells nothing of its errors.
+        """
+        return None if self._band is None else self._band()
+
+    def to_dict(self) -> dict[str, object]:
+        """Return the figures as plain values, without the predictions."""
+        return {
+            **super().to_dict(),
+            "moving": self.moving.to_dict(),
+            "resting": None if self.resting is None else self.resting.to_dict(),
+        }
+
+
+def validate(
+    estimate: Estimate, samples: Samples | None = None, *, without_effort: Iterable[str] = ()
+) -> Validation:
     """Predict efforts and compare them with measured ones.
 
     Parameters
@@ -101,6 +172,8 @@ def validate(estimate: Estimate, samples: Samples | None = None) -> Validation:
         The parameters.
     samples : Samples, optional
         Measurements; by default those of the estimate's own problem.
+    without_effort : iterable of str, optional
+        Joints whose effort was not measured, or is wrong: it is predicted and not compared.
 
     Returns
     -------
@@ -109,7 +182,7 @@ def validate(estimate: Estimate, samples: Samples | None = None) -> Validation:
     Raises
     ------
     DataError
-        When the samples' joints are not the robot's.
+        When the samples' joints are not the robot's, or a joint without effort is not one.
     """
     problem = estimate.problem
     samples = problem.samples if samples is None else samples
@@ -118,7 +191,14 @@ def validate(estimate: Estimate, samples: Samples | None = None) -> Validation:
             f"validate: samples have {samples.effort.shape[1]} joints, the robot "
             f"'{problem.robot.name}' has {problem.robot.n}."
         )
-    return _errors(problem.robot, samples, problem.predict(estimate.base, samples))
+    if without := joints_without(without_effort):
+        samples = without_efforts(samples, problem.robot, without)
+    return Validation.of_prediction(
+        problem.robot.joint_names,
+        samples,
+        problem.predict(estimate.base, samples),
+        band=functools.partial(effort_band, estimate, samples),
+    )
 
 
 def validate_robot(robot: RobotModel, samples: Samples, *, width: float = 0.0) -> Validation:
@@ -153,22 +233,32 @@ def validate_robot(robot: RobotModel, samples: Samples, *, width: float = 0.0) -
             f"has {robot.n}{' with its floating base' if robot.free_flyer else ''}."
         )
     v = samples.velocity
-    damping, friction = robot.described_friction()
-    predicted = damping * v + friction * smooth_sign(v, width, 0.0)
+    predicted = described_friction(robot, samples, width)
     for first in range(0, len(v), _CHUNK):
         part = slice(first, first + _CHUNK)
         states = samples.position[part], v[part], samples.acceleration[part]
         predicted[part] += robot.inverse_dynamics(robot.prior, *states)
-    return _errors(robot, samples, predicted)
+    return Validation.of_prediction(robot.joint_names, samples, predicted)
 
 
-def _errors(robot: RobotModel, samples: Samples, predicted: Array) -> Validation:
-    """Return how far predicted efforts (K, n) are off on the rows that are not masked."""
-    mask = np.ones(samples.effort.shape, dtype=bool) if samples.mask is None else samples.mask
-    names = robot.joint_names
+def described_friction(robot: RobotModel, samples: Samples, width: float) -> Array:
+    """Return the friction (K, n) that the description gives, ``damping·v + friction·sign(v)``.
+
+    Raises
+    ------
+    ModelError
+        When it is not understood.
+    """
+    damping, friction = robot.described_friction()
+    v = samples.velocity
+    return np.asarray(damping * v + friction * smooth_sign(v, width, 0.0))
+
+
+def _figures(effort: Array, predicted: Array, mask: Mask) -> dict[str, Any]:
+    """Return the figures of `Errors` on the rows in a mask."""
     rows = mask.sum(axis=0)
-    error = np.where(mask, samples.effort - predicted, 0.0)
-    effort = np.where(mask, samples.effort, 0.0)
+    error = np.where(mask, effort - predicted, 0.0)
+    effort = np.where(mask, effort, 0.0)
     count = np.maximum(rows, 1)
     square, power = (error**2).sum(axis=0), (effort**2).sum(axis=0)
     spread = power - effort.sum(axis=0) ** 2 / count
@@ -179,40 +269,10 @@ def _errors(robot: RobotModel, samples: Samples, predicted: Array) -> Validation
     # Beside an effort that is all but zero a share may exceed what a number holds.
     with np.errstate(over="ignore"):
         np.divide(square, spread, out=unexplained, where=varies)
-    return Validation(
-        joint_names=names,
-        effort_predicted=frozen(predicted),
-        rmse=frozen(np.sqrt(square / count)),
-        nrmse=frozen(np.sqrt(square) / np.sqrt(np.maximum(power, tiny))),
-        r2=frozen(1.0 - unexplained),
-        relative=float(np.sqrt(square.sum()) / np.sqrt(max(power.sum(), tiny))),
-        rows=frozen_view(rows),
-    )
-
-
-def implied_error(estimate: Estimate, samples: Samples) -> Array:
-    """Return the prediction error that the estimate's covariance implies, joint by joint.
-
-    Parameters
-    ----------
-    estimate : Estimate
-        With `covariance`.
-    samples : Samples
-        Where to predict; masked rows do not count.
-
-    Returns
-    -------
-    ndarray, shape (n,)
-        Root mean square over the rows of the standard deviation of the predicted effort, N·m.
-    """
-    problem = estimate.problem
-    total, rows = np.zeros(problem.robot.n), np.zeros(problem.robot.n)
-    factor = np.linalg.cholesky(
-        estimate.covariance + np.eye(len(estimate.base)) * np.finfo(float).tiny
-    )
-    source = RowSource(problem.robot, problem.friction, problem.base, samples)
-    for _, W, _, mask in source.chunks():
-        variance = np.sum((W @ factor) ** 2, axis=2)
-        total += np.where(mask, variance, 0.0).sum(axis=0)
-        rows += mask.sum(axis=0)
-    return np.asarray(np.sqrt(total / np.maximum(rows, 1.0)))
+    return {
+        "rmse": frozen(np.sqrt(square / count)),
+        "nrmse": frozen(np.sqrt(square) / np.sqrt(np.maximum(power, tiny))),
+        "r2": frozen(1.0 - unexplained),
+        "relative": float(np.sqrt(square.sum()) / np.sqrt(max(power.sum(), tiny))),
+        "rows": frozen_view(rows),
+    }

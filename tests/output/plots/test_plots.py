@@ -172,10 +172,7 @@ def test_a_recording_and_a_fit_are_drawn() -> None:
     samples = Samples(
         position=q, velocity=q, acceleration=q, effort=q, time=time, starts=(0, 1000, 3000)
     )
-    fit = Validation(
-        joint_names=("a", "b"), effort_predicted=q + 0.5, rmse=np.full(2, 0.5),
-        nrmse=np.ones(2), r2=np.zeros(2), relative=0.5, rows=np.full(2, 4000),
-    )  # fmt: skip
+    fit = Validation.of_prediction(("a", "b"), samples, q + 0.5)
     axis = plot_fit(samples, fit, count=2000, title="two pieces").axes[0]
     drawn = axis.get_lines()[0].get_ydata()
     assert np.isnan(drawn).sum() == 1

@@ -91,16 +91,7 @@ def biased(effort: float, error: float, *, moving: bool = True) -> tuple[Samples
     v = np.sin(t)[:, None] if moving else np.full((400, 1), 0.01)
     efforts = effort + 0.01 * np.cos(3.0 * t)[:, None]
     samples = Samples(position=v, velocity=v, acceleration=v, effort=efforts, time=t)
-    fit = Validation(
-        joint_names=("joint",),
-        effort_predicted=efforts - error,
-        rmse=np.array([error]),
-        nrmse=np.array([error / effort]),
-        r2=np.array([1.0 - error**2 / efforts.var()]),
-        relative=error / effort,
-        rows=np.array([400]),
-    )
-    return samples, fit
+    return samples, Validation.of_prediction(("joint",), samples, efforts - error)
 
 
 def test_worse_than_a_constant_is_never_trusted() -> None:

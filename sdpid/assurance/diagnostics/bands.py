@@ -1,0 +1,169 @@
+"""Bands for predicted efforts: what the parameters leave open, and what the model leaves out.
+
+The half-width of the band of joint j in state x is
+
+    1.96·sqrt((WIDER·s_j)² + Y_j(x)·C·Y_j(x)^T),
+
+with the covariance C of the constrained estimate's base parameters, the prior's knowledge
+included, the base regressor Y_j, and the rms error s_j of the joint while it moves, on blocks held
+out where that can be done, else on the training rows. It is about motion: at rest stiction holds
+what it will.
+"""
+
+from __future__ import annotations
+
+from weakref import WeakKeyDictionary
+
+import numpy as np
+
+from sdpid._common.arrays import Array, frozen
+from sdpid._common.threads import one_thread
+from sdpid.assurance.diagnostics.blocks import held_out_blocks, in_blocks, own, predicted_by
+from sdpid.assurance.diagnostics.rest import resting, rows_in_use
+from sdpid.estimation.compression.covariance import LaggedSums, integrated_time
+from sdpid.estimation.compression.rows import RowSource
+from sdpid.estimation.estimate import Estimate
+from sdpid.estimation.problem import Problem
+from sdpid.experiment.processing.samples import Samples
+
+# Of a normal error, 95 % lie within so many standard deviations.
+_QUANTILE = 1.96
+
+# Errors of the model on another motion over those on the training rows, where no blocks can be
+# held out (examples/studies/grades.py).
+WIDER = 1.2
+
+# Singular values below this share of the largest are rounding.
+_ROUNDING = 1e-12
+
+# States of a random motion: their mean square is known to a few per cent.
+_STATES = 400
+
+
+def effort_band(estimate: Estimate, samples: Samples) -> Array:
+    """Return the half-width (K, n) of the 95 % band about predicted efforts, N·m.
+
+    Parameters
+    ----------
+    estimate : Estimate
+        Its problem must have its rows.
+    samples : Samples
+        Where efforts are predicted.
+
+    Raises
+    ------
+    DataError
+        When the estimate's problem has no rows.
+    """
+    missed = _missed(estimate)
+    return frozen(_QUANTILE * np.sqrt(missed**2 + _left_open(estimate, samples) ** 2))
+
+
+def random_motion(estimate: Estimate) -> tuple[Array, Array]:
+    """Return how well other motion within the recorded range could be known.
+
+    States are drawn from the box of recorded positions, with velocities and accelerations of the
+    recorded sizes, joint by joint independently: other motion, which the recorded one need not
+    have shown.
+
+    Returns
+    -------
+    ndarray, shape (n,)
+        Root mean square of the standard deviation that the parameters leave of the effort, N·m.
+    ndarray, shape (K, n)
+        The predicted efforts.
+    """
+    problem = estimate.problem
+    seen = problem.samples
+    rng = np.random.default_rng(0)
+    low, high = seen.position.min(axis=0), seen.position.max(axis=0)
+    size = (_STATES, seen.n)
+    motion = [
+        np.sqrt(np.mean(each**2, axis=0)) * rng.standard_normal(size)
+        for each in (seen.velocity, seen.acceleration)
+    ]
+    states = Samples(
+        position=low + (high - low) * rng.random((_STATES, len(low))),
+        velocity=motion[0],
+        acceleration=motion[1],
+        effort=np.zeros(size),
+    )
+    deviation = np.sqrt(np.mean(_left_open(estimate, states) ** 2, axis=0))
+    return deviation, problem.predict(estimate.base, states)
+
+
+def parameter_root(estimate: Estimate) -> Array:
+    """Return L (b, r) whose L·L^T is the covariance of base parameters, the prior included.
+
+    It is that of the cost as twice a negative log-likelihood, the data's part scaled by the
+    residuals that were found. Inequalities narrow it further.
+    """
+    problem = estimate.problem
+    log_det = problem.log_det
+    matrix = problem.squared.matrix.copy()
+    # The rows of the data come first, then those of the prior, whose belief has its own scale.
+    matrix[: problem.base.count] /= _unit(estimate)
+    if len(log_det.links):
+        matrix = np.vstack([matrix, log_det.curvature_rows(log_det.center())])
+    scale = np.linalg.norm(matrix, axis=0)
+    scale = np.where(scale > 0.0, scale, 1.0)
+    _, singular, directions = np.linalg.svd(matrix / scale, full_matrices=False)
+    kept = singular > _ROUNDING * singular[0]
+    root = (directions[kept] / singular[kept, None]).T / scale[:, None]
+    return np.asarray(problem.base.matrix @ root)
+
+
+def _unit(estimate: Estimate) -> float:
+    """Return the standard deviation of a whitened error, correlated ones counted as few.
+
+    Weightings differ in what they take for one: no covariance, that of the noise alone, or a
+    variance from the residuals that has a floor. The residuals tell what it is.
+    """
+    problem, samples = estimate.problem, estimate.problem.samples
+    mask = rows_in_use(samples)
+    error = np.where(mask, samples.effort - problem.predict(estimate.base), 0.0)
+    rows = np.maximum(mask.sum(axis=0), 1)
+    error = np.where(mask, error - error.sum(axis=0) / rows, 0.0)
+    correlation = LaggedSums.of(error, mask, samples.parts).correlation[mask.any(axis=0)]
+    time = float(np.mean([integrated_time(each) for each in correlation]))
+    freedom = max(problem.n_rows - problem.base.count, 1)
+    found = float(np.sqrt(problem.floor / freedom * time))
+    return found if found > 0.0 else 1.0
+
+
+# Of problems that are still in use, each computed once: several recordings are predicted.
+_ROOTS: WeakKeyDictionary[Problem, Array] = WeakKeyDictionary()
+_MISSED: WeakKeyDictionary[Problem, Array] = WeakKeyDictionary()
+
+
+def _missed(estimate: Estimate) -> Array:
+    """Return the rms error (n,) of moving joints on what was held out of the training rows."""
+    problem = estimate.problem
+    if problem not in _MISSED:
+        blocks = held_out_blocks(problem)
+        samples, wider = problem.samples, 1.0 if blocks else WIDER
+        if blocks:
+            predicted = predicted_by(blocks, problem, {"": own})[""]
+        else:
+            predicted = problem.predict(estimate.base)
+        used = rows_in_use(samples)
+        if blocks:
+            used = used & in_blocks(blocks, samples.n_samples)[:, None]
+        moving = used & ~resting(samples)
+        # A joint that never moves is judged at rest.
+        counted = np.where(moving.any(axis=0), moving, used)
+        square = np.where(counted, (samples.effort - predicted) ** 2, 0.0).sum(axis=0)
+        _MISSED[problem] = wider * np.sqrt(square / np.maximum(counted.sum(axis=0), 1))
+    return _MISSED[problem]
+
+
+@one_thread
+def _left_open(estimate: Estimate, samples: Samples) -> Array:
+    """Return the standard deviation (K, n) that the parameters leave of predicted efforts."""
+    problem = estimate.problem
+    if problem not in _ROOTS:
+        _ROOTS[problem] = parameter_root(estimate)
+    root = _ROOTS[problem]
+    rows = RowSource(problem.robot, problem.friction, problem.base, samples)
+    pieces = [np.sqrt(np.sum((W @ root) ** 2, axis=2)) for _, W, _, _ in rows.chunks()]
+    return np.concatenate(pieces)

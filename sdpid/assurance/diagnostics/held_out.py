@@ -1,0 +1,197 @@
+"""Judge an estimate on what it was not trained on, beside what costs less than it.
+
+Held out is another recording where there is one, else blocks of the training recording in turn.
+The estimate stands beside three others that are trained on the same rows: the robot's description
+as it is, the description with friction fitted, and least squares.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Any, Literal
+
+import numpy as np
+
+from sdpid._common.arrays import Array
+from sdpid._common.tables import Table, plain
+from sdpid._common.threads import one_thread
+from sdpid.assurance.diagnostics.blocks import (
+    Block,
+    held_out_blocks,
+    in_blocks,
+    own,
+    predicted_by,
+)
+from sdpid.assurance.diagnostics.rest import rows_in_use
+from sdpid.assurance.diagnostics.validation import (
+    Errors,
+    Validation,
+    described_friction,
+    validate,
+)
+from sdpid.estimation.compression.rows import RowSource
+from sdpid.estimation.estimate import Estimate
+from sdpid.estimation.problem import Problem
+from sdpid.estimation.wls import solve_wls
+from sdpid.experiment.preparation.for_robot import SMOOTH
+from sdpid.experiment.processing.samples import Samples
+from sdpid.robot.model.model import RobotModel
+
+DESCRIPTION = "description as it is"
+FRICTION_FITTED = "description, friction fitted"
+LEAST_SQUARES = "least squares"
+OURS = "this estimate"
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class HeldOut:
+    """Predictions of what was not trained on.
+
+    Attributes
+    ----------
+    by : {"recording", "blocks"}
+        What was held out: other recordings, or blocks of the training recording in turn.
+    samples : Samples
+        What was predicted.
+    fit : Validation
+        The estimate's errors; of blocks those of the fits to the other rows.
+    baselines : dict of str to Errors
+        Errors of `DESCRIPTION` and `FRICTION_FITTED`, where the description has masses, and of
+        `LEAST_SQUARES`.
+    blocks : int
+        Number of blocks, 0 where other recordings were held out.
+    """
+
+    by: Literal["recording", "blocks"]
+    samples: Samples
+    fit: Validation
+    baselines: dict[str, Validation]
+    blocks: int = 0
+
+    @property
+    def every(self) -> dict[str, Validation]:
+        """The baselines, then the estimate, by name."""
+        return {**self.baselines, OURS: self.fit}
+
+    def as_table(self) -> Table:
+        """Return a row a model: relative residual in motion in %, RMSE in motion of each joint."""
+        moving: dict[str, Errors] = {name: fit.moving for name, fit in self.every.items()}
+        return Table(
+            ("model", "relative residual, %", *self.fit.joint_names),
+            tuple(
+                (name, 100.0 * each.relative, *each.rmse.tolist()) for name, each in moving.items()
+            ),
+        )
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return plain values for JSON."""
+        every = {name: fit.to_dict() for name, fit in self.every.items()}
+        found: dict[str, Any] = plain({"by": self.by, "blocks": self.blocks or None, **every})
+        return found
+
+
+def hold_out(
+    estimate: Estimate, wls: Estimate, fresh: Samples | None, fit: Validation | None = None
+) -> HeldOut | None:
+    """Predict other recordings, or blocks of the training recording in turn.
+
+    Parameters
+    ----------
+    estimate : Estimate
+        The constrained estimate.
+    wls : Estimate
+        The unconstrained fit to the same rows.
+    fresh : Samples or None
+        Other recordings.
+    fit : Validation, optional
+        The estimate's prediction of `fresh`, where it is known.
+
+    Returns
+    -------
+    HeldOut or None
+        None where there is no other recording and blocks cannot be held out (see
+        `held_out_blocks`).
+    """
+    problem = estimate.problem
+    robot = problem.robot
+    if fresh is not None:
+        bases = {name: way(estimate) for name, way in _ways(problem).items()}
+        predicted = _predicted(problem, fresh, {**bases, LEAST_SQUARES: wls.base})
+        fit = validate(estimate, fresh) if fit is None else fit
+        return HeldOut(
+            by="recording", samples=fresh, fit=fit, baselines=_judged(robot, fresh, predicted)
+        )
+    blocks = held_out_blocks(problem)
+    if not blocks:
+        return None
+    samples = _counted(problem.samples, blocks)
+    ways = {**_ways(problem), LEAST_SQUARES: _least_squares, OURS: own}
+    every = _judged(robot, samples, predicted_by(blocks, problem, ways))
+    fit = every.pop(OURS)
+    return HeldOut(by="blocks", samples=samples, fit=fit, baselines=every, blocks=len(blocks))
+
+
+def _ways(problem: Problem) -> dict[str, Callable[[Estimate], Array]]:
+    """Return how the baselines of the description find base parameters; none without masses."""
+    if not np.any(problem.robot.prior[:, 0] > 0.0):
+        return {}
+    return {DESCRIPTION: _description, FRICTION_FITTED: _friction_fitted}
+
+
+def _description(estimate: Estimate) -> Array:
+    """Return the base parameters (b,) of the description's links, without friction."""
+    problem = estimate.problem
+    theta = np.zeros(problem.n_theta)
+    theta[: problem.robot.prior.size] = problem.robot.prior.ravel()
+    return problem.base_of(theta)
+
+
+def _friction_fitted(estimate: Estimate) -> Array:
+    """Return the base parameters (b,) of the description's links with friction fitted."""
+    problem = estimate.problem
+    first = problem.robot.prior.size
+    columns = problem.A @ problem.base.matrix[:, first:]
+    scale = np.linalg.norm(columns, axis=0)
+    scale = np.where(scale > 0.0, scale, 1.0)
+    links = _description(estimate)
+    missing = problem.rhs - problem.A @ links
+    friction = np.linalg.lstsq(columns / scale, missing, rcond=None)[0] / scale
+    return np.asarray(links + problem.base.matrix[:, first:] @ friction)
+
+
+def _least_squares(estimate: Estimate) -> Array:
+    """Return the base parameters (b,) of least squares on a block's training rows."""
+    return solve_wls(replace(estimate.problem, prior=None)).base
+
+
+@one_thread
+def _predicted(problem: Problem, samples: Samples, bases: dict[str, Array]) -> dict[str, Array]:
+    """Return the efforts (K, n) that several base parameters predict, in one pass."""
+    every = np.stack(list(bases.values()), axis=1)
+    rows = RowSource(problem.robot, problem.friction, problem.base, samples)
+    found = np.concatenate([W @ every for _, W, _, _ in rows.chunks()])
+    return {name: found[:, :, k] for k, name in enumerate(bases)}
+
+
+def _judged(
+    robot: RobotModel, samples: Samples, predicted: dict[str, Array]
+) -> dict[str, Validation]:
+    """Return the errors of predictions; that of the description gets the description's friction."""
+    if DESCRIPTION in predicted:
+        width = 0.0 if samples.periods is not None else SMOOTH
+        friction = described_friction(robot, samples, width)
+        predicted = {**predicted, DESCRIPTION: predicted[DESCRIPTION] + friction}
+    return {
+        name: Validation.of_prediction(robot.joint_names, samples, effort)
+        for name, effort in predicted.items()
+    }
+
+
+def _counted(samples: Samples, blocks: tuple[Block, ...]) -> Samples:
+    """Return the samples with no row in use of recordings too short to be cut into blocks."""
+    inside = in_blocks(blocks, samples.n_samples)
+    if inside.all():
+        return samples
+    mask = rows_in_use(samples)
+    return replace(samples, mask=mask & inside[:, None])
