@@ -26,7 +26,7 @@ import numpy as np
 from data_sets import ROBOTS, SETS, TRAINED, part
 
 import sdpid
-from sdpid._common.arrays import Array, Mask
+from sdpid._common.arrays import Array
 from sdpid._common.files import atomic_write_text
 from sdpid._common.tables import Table
 from sdpid.estimation.compression.covariance import Weighting
@@ -168,20 +168,8 @@ class Case:
 def since(samples: sdpid.Samples, moment: float) -> sdpid.Samples:
     """Return the samples after a time."""
     assert samples.time is not None
-    return rows_of(samples, samples.time > moment)
-
-
-def rows_of(samples: sdpid.Samples, own: Mask) -> sdpid.Samples:
-    """Return some samples of a record without periods, none of whose rows are masked."""
-    assert samples.time is not None
-    return replace(
-        samples,
-        time=samples.time[own],
-        position=samples.position[own],
-        velocity=samples.velocity[own],
-        acceleration=samples.acceleration[own],
-        effort=samples.effort[own],
-    )
+    begin = int(np.searchsorted(samples.time, moment, side="right"))
+    return samples.between(begin, samples.n_samples)
 
 
 def rows(case: Case, names: Iterable[str], said: list[str]) -> Iterator[tuple[object, ...]]:

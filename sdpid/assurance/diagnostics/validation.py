@@ -250,8 +250,8 @@ def described_friction(robot: RobotModel, samples: Samples, width: float) -> Arr
         When it is not understood.
     """
     damping, friction = robot.described_friction()
-    v = samples.velocity
-    return np.asarray(damping * v + friction * smooth_sign(v, width, 0.0))
+    sign = samples.through_filter(lambda v, _: smooth_sign(v, width, 0.0), slice(None))
+    return np.asarray(damping * samples.velocity + friction * sign)
 
 
 def _figures(effort: Array, predicted: Array, mask: Mask) -> dict[str, Any]:

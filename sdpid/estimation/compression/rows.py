@@ -6,7 +6,7 @@ folded into a small triangular factor (`sdpid.estimation.compression.triangle`).
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Hashable, Iterator
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Protocol, TypeVar, runtime_checkable
@@ -16,6 +16,7 @@ import numpy as np
 from sdpid._common.arrays import Array, Indices, Mask
 from sdpid.experiment.processing.samples import Samples
 from sdpid.robot.friction.model import FrictionModel
+from sdpid.robot.friction.motion import Motion, OfMotion
 from sdpid.robot.friction.term import JointwiseTerm
 from sdpid.robot.model import regressor_kernel as kernels
 from sdpid.robot.model.base_parameters import BaseParameters
@@ -27,6 +28,9 @@ T = TypeVar("T")
 # chunks of 1 MiB, 2.8 in chunks of 4: what is done once for a chunk then no longer counts, and the
 # rows are still in a cache, if not the fastest, when they are whitened and folded.
 CHUNK_BYTES = 1 << 22
+
+# Methods of a term whose columns are diagonal in the joints.
+_DIAGONAL = JointwiseTerm.columns, JointwiseTerm.columns_in
 
 # Samples handled at a time by what does not look at the rows.
 CHUNK = 4096
@@ -199,22 +203,38 @@ class RowSource:
         self.robot.regressor_columns(
             s.position[part], v, a, places=self._places[:links], out=out, compiled=many
         )
-        self._add_friction(v, a, self._places[links:], out)
+        self._add_friction(self.motion(part), self._places[links:], out)
         return out
 
-    def _add_friction(self, v: Array, a: Array, places: Indices, out: Array) -> None:
+    def motion(self, part: slice) -> Motion:
+        """Return the motion of some samples, at which friction columns are evaluated."""
+        s, first = self.samples, self.friction.first
+
+        def through_filter(function: OfMotion, key: Hashable | None = None) -> Array:
+            return s.through_filter(function, part, key)
+
+        return Motion(
+            position=s.position[part],
+            velocity=s.velocity[part][:, first:],
+            acceleration=s.acceleration[part][:, first:],
+            robot=self.robot,
+            # A floating base is in no recording, and the filter's velocities are a recording's.
+            through_filter=None if s.wide is None or first else through_filter,
+        )
+
+    def _add_friction(self, motion: Motion, places: Indices, out: Array) -> None:
         friction = self.friction
         names, first, start = friction.joint_names, friction.first, 0
-        v, a = v[:, first:], a[:, first:]
         for term in friction.terms:
             count = len(term.parameters(names))
             to = places[start : start + count]
             start += count
-            if isinstance(term, JointwiseTerm) and type(term).columns is JointwiseTerm.columns:
-                # Diagonal in the joints: one entry a row.
-                shape = term.shape(v, a)
+            own = type(term).columns, type(term).columns_in
+            if isinstance(term, JointwiseTerm) and own == _DIAGONAL:
+                # One entry a row.
+                shape = term.shape_in(motion)
                 for j in np.flatnonzero(to >= 0):
                     out[:, first + j, to[j]] = shape[:, j]
             else:
                 kept = np.flatnonzero(to >= 0)
-                out[:, first:, to[kept]] = term.columns(v, a, names)[:, :, kept]
+                out[:, first:, to[kept]] = term.columns_in(motion, names)[:, :, kept]

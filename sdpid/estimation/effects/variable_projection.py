@@ -122,13 +122,13 @@ class VariableProjection:
     def __init__(self, rows: RowSource, sigma: Array, opened: list[OpenTerm]) -> None:
         self._opened, self._friction, s = opened, rows.friction, rows.samples
         first = rows.friction.first
-        self._velocity, self._acceleration = s.velocity[:, first:], s.acceleration[:, first:]
+        self._motion = rows.motion(slice(None))
         powers, which = weights(sigma, rows.mask(slice(None)))
         self._power, self._first = powers[which], first
         self._independent = np.count_nonzero(powers) == np.count_nonzero(
             np.diagonal(powers, axis1=1, axis2=2)
         )
-        columns = rows.friction.columns(s.velocity, s.acceleration)
+        columns = rows.friction.columns_in(self._motion)
         ends = np.cumsum([0, *(len(t.parameters(self._names)) for t in rows.friction.terms)])
         places = [np.arange(ends[each.place], ends[each.place + 1]) for each in opened]
         loose = np.concatenate(places)
@@ -246,7 +246,7 @@ class VariableProjection:
 
     def _columns(self, term: FrictionTerm) -> Array:
         """Return a term's columns (K, joints, m)."""
-        return term.columns(self._velocity, self._acceleration, self._names)
+        return term.columns_in(self._motion, self._names)
 
     def _whitened(self, terms: list[FrictionTerm], moved: Indices) -> tuple[Indices, Array]:
         """Return at which joints some columns of g terms are not zero, and these (w, K, g, m)."""
@@ -274,7 +274,7 @@ class VariableProjection:
         }
         same = [joint] * len(alike)
         many = replace(alike[0], **speeds)
-        return many.shape(self._velocity[:, same], self._acceleration[:, same])
+        return self._motion.filtered(lambda v, a: many.shape(v[:, same], a[:, same]))
 
     def _whiten(self, columns: Array) -> Array:
         """Return whitened columns (n, K, c) from columns (K, n, c)."""

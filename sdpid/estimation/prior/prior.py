@@ -29,8 +29,9 @@ _RADIUS = 0.02
 # A second moment short of the least by this share is short by rounding: no note names it.
 _ROUNDED = 1e-6
 
-# Friction and offset terms are believed to move the joint's effort by this share of its rms.
-_FRICTION_SHARE = 1.0 / 3.0
+# Friction and offset terms are believed to move the joint's effort by this share of its rms. Wrists
+# have little but friction: a third is a belief that their friction is less than it is.
+_FRICTION_SHARE = 1.0
 
 
 # A link that the description gives no mass is believed to be a ball of the mean link's mass, its
@@ -60,8 +61,8 @@ class Prior:
       in every frame and infinite at the boundary of what can exist, so that estimates stay
       strictly inside [lee2020]_.
 
-    Friction terms are believed to be zero with a standard deviation that moves the effort by a
-    third of its rms, whatever the strength. Nats are units of a log-likelihood; they mean what
+    Friction terms are believed to be zero with a standard deviation that moves the effort by
+    its rms, whatever the strength. Nats are units of a log-likelihood; they mean what
     they say when the weighting counts correlated samples as the few independent ones they are
     (``weighting="residual"``). With ``gls`` and ``gls_per_sample`` and samples without a covariance
     errors of every row are taken to have a variance of one (N·m)², and a note of the problem's
@@ -290,7 +291,7 @@ def _squares(rows: RowSource) -> tuple[Array, Array, Array]:
     terms = np.zeros((n, len(rows.friction.parameters)))
     for start in range(0, s.n_samples, CHUNK):
         part = slice(start, start + CHUNK)
-        columns = rows.friction.columns(s.velocity[part], s.acceleration[part])
+        columns = rows.friction.columns_in(rows.motion(part))
         mask = rows.mask(part)
         count += mask.sum(axis=0)
         efforts += (np.where(mask, s.effort[part], 0.0) ** 2).sum(axis=0)

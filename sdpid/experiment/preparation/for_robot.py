@@ -13,9 +13,9 @@ from sdpid.robot.model.model import RobotModel
 
 __all__ = ["default_friction", "default_processing", "prepare"]
 
-# Half-width of the smooth sign of real friction, rad/s: sensors' velocity noise makes the exact
-# sign flicker near standstill.
-SMOOTH = 0.02
+# Half-width of the smooth sign of real friction, rad/s. Its columns pass the filter of the efforts,
+# so it need not be as wide as the filter smears; wider friction is the sigmoid's business.
+SMOOTH = 0.005
 
 
 def default_friction(log: Recording) -> tuple[str | FrictionTerm, ...]:

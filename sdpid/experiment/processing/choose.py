@@ -19,8 +19,12 @@ __all__ = ["Choice", "choose_processing", "default_processing", "with_changes"]
 # motion lies (the paper's decade above the fastest motion, which reaches some three times as far),
 # and at most this share of the sampling rate, up to which differences of fourth order
 # lose no more than 2 % of a velocity.
-_CUTOFF_OVER_MOTION = 30.0
+_CUTOFF_OVER_MOTION = 25.0
 _CUTOFF_OVER_RATE = 1.0 / 7.5
+# Rows are masked this share of a period of the cut-off around slow motion; a longer mask costs rows
+# near reversals that other motion has. A joint that hardly moves is not masked.
+_MASKED_PERIODS = 0.1
+_KEPT_SHARE = 0.1
 # Below this rate differences of the position lose too much, and a recorded velocity is used.
 _RATE_OF_DIFFERENCES = 100.0
 
@@ -140,9 +144,10 @@ def _without_periods(log: Recording, motion: float) -> tuple[Processing, Sequenc
         cutoff_hz=min(_CUTOFF_OVER_MOTION * max(motion, slowest), highest),
         order=4,
         decimation=None,
-        reversal_time=None,
+        kept_share=_KEPT_SHARE,
         derivative="central4",
     )
+    processing = replace(processing, reversal_time=_MASKED_PERIODS / processing.cutoff_hz)
     lies = f"{100 * MOTION_SHARE:g} % of the motion lies below {motion:.4g} Hz"
     cap = f"2/15 of the rate of {rate:.6g} Hz"
     if processing.cutoff_hz == highest:

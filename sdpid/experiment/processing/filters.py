@@ -43,19 +43,19 @@ class ZeroPhaseFilter:
         return math.ceil(_FORGOTTEN * self.time_constant)
 
     def apply(self, signal: Array) -> Array:
-        """Filter a signal forward and backward.
+        """Filter signals forward and backward along their first axis.
 
         Either pass starts from the steady state of its first value. The ends are therefore only
         as good as that guess; the caller provides `reach` extra samples and cuts them off.
 
         Parameters
         ----------
-        signal : (N,) ndarray
-            The signal.
+        signal : (N,) or (N, c) ndarray
+            One signal, or c of them.
 
         Returns
         -------
-        (N,) ndarray
+        (N,) or (N, c) ndarray
         """
         from scipy.signal import sosfilt, sosfilt_zi
 
@@ -63,7 +63,8 @@ class ZeroPhaseFilter:
         sections = np.array(self.sections)
         steady = sosfilt_zi(sections)
         for _ in range(2):
-            signal, _state = sosfilt(sections, signal, zi=steady * signal[0])
+            first = steady[..., None] * signal[0] if signal.ndim == 2 else steady * signal[0]
+            signal, _state = sosfilt(sections, signal, axis=0, zi=first)
             signal = signal[::-1]
         return signal
 

@@ -26,6 +26,7 @@ from sdpid.experiment.processing.filters import ZeroPhaseFilter
 from sdpid.experiment.processing.period_mean import Chain, near_standstill
 from sdpid.experiment.processing.samples import Samples
 from sdpid.experiment.processing.settings import Processing
+from sdpid.experiment.processing.wide_velocity import wide_velocity
 from sdpid.experiment.processing.window import Window
 from sdpid.experiment.recording.degrees import require_plausible_units
 from sdpid.experiment.recording.gaps import continuous
@@ -138,6 +139,7 @@ def process(
     with _progress.progress(log.n * len(pieces), "processing", enabled=progress) as advance:
         samples = _joined(pieces, processing, advance)
     if samples.mask is not None:
+        samples = _unmasked(samples, processing)
         _check_rows(log, processing, samples.mask)
     reasons = [reason.in_words(processing) for reason in processing.reasons]
     return replace(samples, notes=(*reasons, *notes, *samples.notes))
@@ -219,6 +221,10 @@ def _processed(log: Recording, processing: Processing, advance: Callable[[int], 
         advance(1)
 
     in_threads(motion, range(n))
+    wide = None
+    if processing.filter_friction:
+        resting = np.asarray(~velocity.any(axis=0))
+        wide = (wide_velocity(log, chain, processing, resting),)
     wanted = log.period is not None and processing.covariance is not None
     efforts = Efforts.of(log, chain, covariance=wanted, chunk=_CHUNK)
     notes = _notes(log, processing, chain, grid, mask)
@@ -244,6 +250,7 @@ def _processed(log: Recording, processing: Processing, advance: Callable[[int], 
         block=min(block, K),
         notes=tuple(notes),
         effort_periods=efforts.periods,
+        wide=wide,
     )
 
 
@@ -327,8 +334,25 @@ def _check_period_count(log: Recording, processing: Processing) -> None:
         )
 
 
-def _check_rows(log: Recording, processing: Processing, mask: NDArray[np.bool_]) -> None:
+def _unmasked(samples: Samples, processing: Processing) -> Samples:
+    """Return the samples with all rows of each joint that the mask leaves next to none of."""
+    assert samples.mask is not None
+    share = samples.mask.mean(axis=0)
+    few = share < processing.kept_share
+    if not few.any():
+        return samples
+    names = ", ".join(f"{samples.names[j]} {100.0 * share[j]:.3g} %" for j in np.flatnonzero(few))
+    note = (
+        f"not masked, since less than {100.0 * processing.kept_share:.3g} % of the rows would "
+        f"stay: {names}"
+    )
+    return replace(samples, mask=samples.mask | few, notes=(*samples.notes, note))
+
+
+def _check_rows(log: Recording, processing: Processing, mask: NDArray[np.bool_] | None) -> None:
     """Raise when all rows of a joint are masked: a joint at rest cannot be identified."""
+    if mask is None:
+        return
     empty = [name for j, name in enumerate(log.names) if not mask[:, j].any()]
     if empty:
         raise DataError(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Hashable, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import Any
@@ -12,9 +12,14 @@ from numpy.typing import NDArray
 
 from sdpid._common.arrays import Array, frozen_view, real_array
 from sdpid.errors import DataError
+from sdpid.experiment.processing.wide_velocity import WideVelocity
 from sdpid.experiment.recording.recording import checked_names
 
 __all__ = ["Samples"]
+
+# Neighbors that `every` keeps together: the memory of the filter is some 80 samples on either side
+# at the default decimation, so that filtering a run costs less than twice its own number.
+_RUN = 256
 
 # A covariance may be this far from symmetric, relative to its largest entry: rounding of a sum of
 # products, with room for one that came through a text file.
@@ -55,6 +60,9 @@ class Samples:
         Effort of each period before averaging, in N·m.
     starts : sequence of int, optional
         First sample of each piece that was recorded without a break, in rising order from 0.
+    wide : sequence of WideVelocity, optional
+        One a piece: what friction columns need to pass the filter of the efforts. Without, friction
+        is that at `velocity`.
 
     Raises
     ------
@@ -76,6 +84,7 @@ class Samples:
     notes: tuple[str, ...] = ()
     effort_periods: Array | None = None
     starts: tuple[int, ...] = (0,)
+    wide: tuple[WideVelocity, ...] | None = None
 
     def __post_init__(self) -> None:
         effort = self._keep("effort", 2)
@@ -116,6 +125,7 @@ class Samples:
                 f"starts: are {self.starts}, expected rising sample numbers from 0, below {K}."
             )
         object.__setattr__(self, "starts", starts)
+        self._check_wide()
 
     @staticmethod
     def join(pieces: Sequence[Samples]) -> Samples:
@@ -187,6 +197,7 @@ class Samples:
                 for offset, piece in zip(offsets, pieces, strict=True)
                 for start in piece.starts
             ),
+            wide=_joined_wide(pieces),
         )
 
     @property
@@ -197,19 +208,83 @@ class Samples:
     @property
     def pieces(self) -> tuple[Samples, ...]:
         """The pieces, each by itself."""
-        return (self,) if len(self.starts) == 1 else tuple(self._picked(p) for p in self.parts)
+        if len(self.starts) == 1:
+            return (self,)
+        wide = self.wide or (None,) * len(self.starts)
+        return tuple(self._picked(p, w) for p, w in zip(self.parts, wide, strict=True))
+
+    def through_filter(
+        self,
+        function: Callable[[Array, Array], Array],
+        which: slice,
+        key: Hashable | None = None,
+    ) -> Array:
+        """Return a function of velocity and acceleration as it stands in some efforts.
+
+        Parameters
+        ----------
+        function : callable
+            Of velocities and accelerations (M, n), to values (M, ...).
+        which : slice
+            The samples, in rising order.
+        key : hashable, optional
+            Identifies the function: its values are kept for the next call.
+
+        Returns
+        -------
+        (k, ...) ndarray
+        """
+        start, stop, step = which.indices(self.n_samples)
+        if self.wide is None:
+            return function(self.velocity[which], self.acceleration[which])
+        found = [
+            wide.filtered(function, key)[max(start - part.start, 0) : stop - part.start]
+            for part, wide in zip(self.parts, self.wide, strict=True)
+            if part.start < stop and part.stop > start
+        ]
+        whole = found[0] if len(found) == 1 else np.concatenate(found)
+        return whole[::step]
+
+    def between(self, start: int, stop: int) -> Samples:
+        """Return the samples from `start` up to `stop`, with their pieces.
+
+        Raises
+        ------
+        DataError
+            When there are none.
+        """
+        found = []
+        for piece, part in zip(self.pieces, self.parts, strict=True):
+            first, last = max(start - part.start, 0), min(stop, part.stop) - part.start
+            if first < last:
+                wide = None if piece.wide is None else piece.wide[0].part(first, last)
+                found.append(piece._picked(slice(first, last), wide))
+        if not found:
+            raise DataError(f"samples: there are none from {start} to {stop} of {self.n_samples}.")
+        return Samples.join(found)
 
     def thinned(self, most: int) -> Samples:
         """Return about `most` samples (fewer than twice as many), evenly spread over all pieces."""
         return self.every(max(self.n_samples // most, 1))
 
     def every(self, step: int) -> Samples:
-        """Return one sample in `step`, beginning with the first of every piece."""
+        """Return one sample in `step`, beginning with the first of every piece.
+
+        Where friction columns have to be filtered, it is one run of neighbors in `step`.
+        """
         if step == 1:
             return self
-        return Samples.join([piece._picked(slice(None, None, step)) for piece in self.pieces])
+        if self.wide is None:
+            return Samples.join([piece._picked(slice(None, None, step)) for piece in self.pieces])
+        runs = []
+        for piece in self.pieces:
+            (wide,) = piece.wide or ()
+            for start in range(0, piece.n_samples, _RUN * step):
+                stop = min(start + _RUN, piece.n_samples)
+                runs.append(piece._picked(slice(start, stop), wide.part(start, stop)))
+        return Samples.join(runs)
 
-    def _picked(self, which: slice) -> Samples:
+    def _picked(self, which: slice, wide: WideVelocity | None = None) -> Samples:
         """Return some samples of one piece, without `periods` and the single periods' efforts."""
         covariance, time = self.covariance, self.time
         if covariance is not None and covariance.ndim == 3:
@@ -223,6 +298,7 @@ class Samples:
             time=None if time is None else time[which],
             joint_names=self.joint_names,
             block=self.block,
+            wide=None if wide is None else (wide,),
         )
         if self.mask is not None:
             # Unlike a whole, a part may have no row that is used.
@@ -304,6 +380,18 @@ class Samples:
                 f"its two variances by {excess:.3g}."
             )
 
+    def _check_wide(self) -> None:
+        """Check that there is a wide velocity for each piece, of its size."""
+        if self.wide is None:
+            return
+        object.__setattr__(self, "wide", tuple(self.wide))
+        sizes = [part.stop - part.start for part in self.parts]
+        given = [wide.count for wide in self.wide]
+        if sizes != given or any(w.velocity.shape[1] != self.n for w in self.wide):
+            raise DataError(
+                f"wide: is for pieces of {given} samples, expected {sizes}, of {self.n} joints."
+            )
+
     def _check_mask(self, K: int, n: int) -> None:
         """Check shape and type of the mask, and that it leaves something."""
         if self.mask is None:
@@ -342,6 +430,17 @@ def _joined_covariance(pieces: Sequence[Samples]) -> Array | None:
     n = pieces[0].n
     shapes = [(piece.n_samples, n, n) for piece in pieces]
     return np.concatenate([np.broadcast_to(c, s) for c, s in zip(given, shapes, strict=True)])
+
+
+def _joined_wide(pieces: Sequence[Samples]) -> tuple[WideVelocity, ...] | None:
+    """Return the wide velocities of all pieces, None where none has them."""
+    given = [piece.wide for piece in pieces if piece.wide is not None]
+    if given and len(given) < len(pieces):
+        raise DataError(
+            f"samples: {len(given)} of {len(pieces)} pieces have a wide velocity to filter "
+            "friction columns with; process all of them alike (Processing.filter_friction)."
+        )
+    return tuple(wide for own in given for wide in own) or None
 
 
 def _joined_notes(pieces: Sequence[Samples]) -> tuple[str, ...]:

@@ -26,6 +26,7 @@ _RANGES: dict[str, tuple[float, float]] = {
     "decimation": (1, 1e9),
     "reversal_speed": (0.0, 1e9),
     "reversal_time": (0.0, 1e6),
+    "kept_share": (0.0, 1.0),
     "shrinkage": (0.0, 1.0),
     "trim_s": (0.0, 1e9),
 }
@@ -84,6 +85,13 @@ class Processing:
         A joint's rows within `reversal_time` (s) of a sample slower than `reversal_speed` (rad/s,
         or m/s), or of a change of sign, are masked: there the filter has smeared the Coulomb
         step. None masks nothing.
+    kept_share : float
+        A joint of which less than this share of the rows would stay is not masked: a joint that
+        hardly moves shows what it can.
+    filter_friction : bool
+        Whether friction columns pass the filter of the efforts: they are then evaluated at a
+        velocity of four times the band. Else they are taken at the filtered velocity, although
+        the filter smears the Coulomb step in the efforts.
     covariance : {"period", "pooled", None}
         ``"period"``: Sigma_k of the paper's (11), one a sample, from the spread of the periods.
         ``"pooled"``: its mean over the samples, (n, n), which also works with few periods. None:
@@ -126,6 +134,8 @@ class Processing:
     filter_alike: bool = True
     reversal_speed: float = 0.02
     reversal_time: float | None = 0.1
+    kept_share: float = 0.0
+    filter_friction: bool = True
     covariance: Literal["period", "pooled"] | None = "period"
     shrinkage: float = 0.0
     derivative: Derivative = "central"
@@ -142,6 +152,7 @@ class Processing:
             "timing": ("auto", "nominal", "resample"),
             "derivative": DERIVATIVES,
             "filter": FILTERS,
+            "filter_friction": (True, False),
         }
         for name, allowed in choices.items():
             if getattr(self, name) not in allowed:
@@ -173,7 +184,13 @@ class Processing:
     @staticmethod
     def paper() -> Processing:
         """Return section III-C of the paper to the letter, the periods' covariance included."""
-        return Processing(cutoff_hz=10.0, order=1, filter_alike=False, reversal_time=None)
+        return Processing(
+            cutoff_hz=10.0,
+            order=1,
+            filter_alike=False,
+            reversal_time=None,
+            filter_friction=False,
+        )
 
 
 def _shown(value: Any) -> str:

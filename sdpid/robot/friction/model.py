@@ -13,6 +13,7 @@ import numpy as np
 
 from sdpid._common.arrays import Array
 from sdpid.errors import ModelError
+from sdpid.robot.friction.motion import Motion
 from sdpid.robot.friction.term import FrictionTerm, TermParameter
 from sdpid.robot.friction.terms import BY_NAME
 
@@ -82,12 +83,25 @@ class FrictionModel:
         return cls(tuple(objects), names, parameters, first)
 
     def columns(self, velocity: Array, acceleration: Array) -> Array:
-        """Return all columns, shape (K, n, number of parameters)."""
-        columns = np.zeros((*velocity.shape, len(self.parameters)))
+        """Return all columns at an instant, shape (K, n, number of parameters)."""
         v, a = velocity[:, self.first :], acceleration[:, self.first :]
+        return self._side_by_side(
+            len(v), (term.columns(v, a, self.joint_names) for term in self.terms)
+        )
+
+    def columns_in(self, motion: Motion) -> Array:
+        """Return all columns as they stand in filtered efforts, (K, n, number of parameters)."""
+        return self._side_by_side(
+            len(motion.velocity),
+            (term.columns_in(motion, self.joint_names) for term in self.terms),
+        )
+
+    def _side_by_side(self, count: int, blocks: Iterable[Array]) -> Array:
+        """Return the terms' columns in one array, zero for a floating base."""
+        n = self.first + len(self.joint_names)
+        columns = np.zeros((count, n, len(self.parameters)))
         start = 0
-        for term in self.terms:
-            block = term.columns(v, a, self.joint_names)
+        for block in blocks:
             columns[:, self.first :, start : start + block.shape[2]] = block
             start += block.shape[2]
         return columns

@@ -17,6 +17,7 @@ import numpy as np
 
 from sdpid._common.arrays import Array
 from sdpid.errors import ModelError
+from sdpid.robot.friction.motion import Motion
 
 # An open speed is searched from the 5 % quantile of the measured speeds, since fewer samples do not
 # determine it, to half of the top speed: beyond, the shapes are straight lines (tanh) or constants
@@ -89,7 +90,16 @@ class OpenParameter:
 
 
 class FrictionTerm(ABC):
-    """Base of every term: its parameters, and their columns."""
+    """Base of every term: its parameters, and their columns.
+
+    Attributes
+    ----------
+    linear : bool
+        Whether the columns are linear in velocity and acceleration, so that those of filtered
+        motion are the filtered columns.
+    """
+
+    linear: ClassVar[bool] = False
 
     @abstractmethod
     def parameters(self, joint_names: Sequence[str]) -> tuple[TermParameter, ...]:
@@ -106,6 +116,21 @@ class FrictionTerm(ABC):
         joint_names : sequence of str
             The n joints.
         """
+
+    def columns_in(self, motion: Motion, joint_names: Sequence[str]) -> Array:
+        """Return the columns (K, n, number of parameters) as they stand in filtered efforts.
+
+        Parameters
+        ----------
+        motion : Motion
+            States of K samples.
+        joint_names : sequence of str
+            The n joints.
+        """
+        if self.linear:
+            return self.columns(motion.velocity, motion.acceleration, joint_names)
+        names = tuple(joint_names)
+        return motion.filtered(lambda v, a: self.columns(v, a, names), (self, names))
 
     def open_parameters(
         self, speeds: Sequence[Array], joint_names: Sequence[str]
@@ -171,12 +196,19 @@ class JointwiseTerm(FrictionTerm):
 
     def columns(self, velocity: Array, acceleration: Array, joint_names: Sequence[str]) -> Array:
         """Return the columns: diagonal in the joints."""
-        shape = self.shape(velocity, acceleration)
-        count, n = shape.shape
-        columns = np.zeros((count, n, n))
-        joints = np.arange(n)
-        columns[:, joints, joints] = shape
-        return columns
+        return _diagonal(self.shape(velocity, acceleration))
+
+    def columns_in(self, motion: Motion, joint_names: Sequence[str]) -> Array:
+        """Return the columns as they stand in filtered efforts: diagonal in the joints."""
+        if type(self).columns is not JointwiseTerm.columns:
+            return FrictionTerm.columns_in(self, motion, joint_names)
+        return _diagonal(self.shape_in(motion))
+
+    def shape_in(self, motion: Motion) -> Array:
+        """Return the effort (K, n) of a unit parameter as it stands in filtered efforts."""
+        if self.linear:
+            return self.shape(motion.velocity, motion.acceleration)
+        return motion.filtered(self.shape, self)
 
     def speed(self, field: str, n: int) -> Array:
         """Return the values (n,) of a speed field.
@@ -203,6 +235,15 @@ class JointwiseTerm(FrictionTerm):
         rows = [joint_speeds(self, field, n) for field in self.speed_fields]
         kept = [row for row in rows if np.any(row > 0.0)]
         return np.reshape(kept, (len(kept), n))
+
+
+def _diagonal(shape: Array) -> Array:
+    """Return columns (K, n, n) of which each joint has its own, from their values (K, n)."""
+    count, n = shape.shape
+    columns = np.zeros((count, n, n))
+    joints = np.arange(n)
+    columns[:, joints, joints] = shape
+    return columns
 
 
 def check_speeds(term: FrictionTerm, fields: Sequence[str], *, positive: bool = False) -> None:

@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike
 
 from sdpid._common.arrays import Array
 from sdpid.errors import ModelError
+from sdpid.robot.friction.motion import Motion
 from sdpid.robot.friction.term import (
     FrictionTerm,
     JointwiseTerm,
@@ -89,6 +90,7 @@ class Viscous(JointwiseTerm):
     symbol: ClassVar[str] = "Fv"
     unit: ClassVar[str] = "N.m.s/rad"
     nonnegative: ClassVar[bool] = True
+    linear: ClassVar[bool] = True
 
     def shape(self, velocity: Array, acceleration: Array) -> Array:
         """Return the velocity."""
@@ -102,6 +104,7 @@ class Offset(JointwiseTerm):
     symbol: ClassVar[str] = "Fo"
     unit: ClassVar[str] = "N.m"
     nonnegative: ClassVar[bool] = False
+    linear: ClassVar[bool] = True
 
     def shape(self, velocity: Array, acceleration: Array) -> Array:
         """Return ones."""
@@ -115,6 +118,7 @@ class RotorInertia(JointwiseTerm):
     symbol: ClassVar[str] = "Ia"
     unit: ClassVar[str] = "kg.m2"
     nonnegative: ClassVar[bool] = True
+    linear: ClassVar[bool] = True
 
     def shape(self, velocity: Array, acceleration: Array) -> Array:
         """Return the acceleration."""
@@ -256,6 +260,11 @@ class AsymmetricCoulomb(FrictionTerm):
         sides = [side.columns(velocity, acceleration, joint_names) for side in self._sides()]
         return np.concatenate(sides, axis=2)
 
+    def columns_in(self, motion: Motion, joint_names: Sequence[str]) -> Array:
+        """Return the columns of the two sides as they stand in filtered efforts."""
+        sides = [side.columns_in(motion, joint_names) for side in self._sides()]
+        return np.concatenate(sides, axis=2)
+
     def open_parameters(
         self, speeds: Sequence[Array], joint_names: Sequence[str]
     ) -> tuple[OpenParameter, ...]:
@@ -296,6 +305,15 @@ class Coupling(FrictionTerm):
             raise ModelError(f"Coupling: width is {self.width}; give one number for the motor.")
         check_speeds(self, ("width",))
 
+    @property
+    def _width(self) -> float:
+        if self.width is None:
+            raise ModelError(
+                "Coupling: width is open; give it a value, or let build_problem choose it by the "
+                "data."
+            )
+        return self.width
+
     def _joints(self, joint_names: Sequence[str]) -> tuple[int, int]:
         for name in (self.first, self.second):
             if name not in joint_names:
@@ -318,19 +336,26 @@ class Coupling(FrictionTerm):
             TermParameter(f"Fs{pair}", "N.m", True, last),
         )
 
+    def columns_in(self, motion: Motion, joint_names: Sequence[str]) -> Array:
+        """Return the three columns as they stand in filtered efforts; two of them are linear."""
+        columns = self.columns(motion.velocity, motion.acceleration, joint_names)
+        i, j = self._joints(joint_names)
+        width = self._width
+        sign = motion.filtered(
+            lambda v, _: smooth_sign(v[:, i] + v[:, j], width, 0.0), (self, i, j)
+        )
+        columns[:, i, 2] = columns[:, j, 2] = sign
+        return columns
+
     def columns(self, velocity: Array, acceleration: Array, joint_names: Sequence[str]) -> Array:
         """Return the three columns, which act on both joints."""
-        if self.width is None:
-            raise ModelError(
-                "Coupling: width is open; give it a value, or let build_problem choose it by the "
-                "data."
-            )
+        width = self._width
         i, j = self._joints(joint_names)
         columns = np.zeros((*velocity.shape, 3))
         for own, other in ((i, j), (j, i)):
             columns[:, own, 0] = acceleration[:, other]
             columns[:, own, 1] = velocity[:, other]
-            columns[:, own, 2] = smooth_sign(velocity[:, i] + velocity[:, j], self.width, 0.0)
+            columns[:, own, 2] = smooth_sign(velocity[:, i] + velocity[:, j], width, 0.0)
         return columns
 
     def open_parameters(

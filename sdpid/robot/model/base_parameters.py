@@ -15,6 +15,7 @@ import numpy as np
 from sdpid._common.arrays import Array, Indices, Mask, frozen
 from sdpid.errors import IdentifiabilityError
 from sdpid.robot.friction.model import FrictionModel
+from sdpid.robot.friction.motion import Motion
 from sdpid.robot.inertia import PARAMETER_NAMES
 from sdpid.robot.model.model import RobotModel
 
@@ -182,7 +183,9 @@ def _generic_rows(robot: RobotModel, friction: FrictionModel, seed: int) -> Arra
         rng = np.random.default_rng(seed + 3)
         more[1][:, robot.n_base :] = speeds * rng.uniform(-1.5, 1.5, speeds.shape)
         q, v, a = (np.concatenate(pair) for pair in zip((q, v, a), more, strict=True))
-    columns = np.concatenate([robot.regressor(q, v, a), friction.columns(v, a)], axis=2)
+    first = friction.first
+    motion = Motion(position=q, velocity=v[:, first:], acceleration=a[:, first:], robot=robot)
+    columns = np.concatenate([robot.regressor(q, v, a), friction.columns_in(motion)], axis=2)
     return columns.reshape(-1, columns.shape[2])
 
 

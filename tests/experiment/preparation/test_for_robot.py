@@ -39,9 +39,9 @@ def first(log: sdpid.Recording, count: int) -> sdpid.Recording:
 def test_the_cut_off_follows_the_motion() -> None:
     slow = default_processing(sine(1000.0, 20.0, 0.5))
     # 95 % of a windowed sine lie below its frequency and one or two steps of the spectrum, 0.05 Hz.
-    assert 30.0 * 0.5 <= slow.cutoff_hz <= 30.0 * 0.61
+    assert 25.0 * 0.5 <= slow.cutoff_hz <= 25.0 * 0.61
     assert (slow.order, slow.derivative, slow.velocity) == (4, "central4", "differentiated")
-    assert slow.reversal_time is None
+    assert slow.reversal_time == pytest.approx(0.1 / slow.cutoff_hz)
     fast = default_processing(sine(1000.0, 20.0, 10.0))
     assert fast.cutoff_hz == pytest.approx(1000.0 / 7.5)
 
@@ -67,7 +67,7 @@ def test_friction_of_records_with_and_without_periods() -> None:
     log = sine(100.0, 10.0, 0.5)
     assert default_friction(replace(log, period=2.0)) == ("coulomb", "viscous")
     sign, sigmoid, *others = default_friction(log)
-    assert sign == sdpid.friction.Coulomb(width=0.02)
+    assert sign == sdpid.friction.Coulomb(width=0.005)
     assert sigmoid == sdpid.friction.SigmoidFriction(velocity=None)
     assert others == ["viscous", "offset"]
 
@@ -101,8 +101,7 @@ def test_held_out_motion_of_real_robots(data_folder: Path, case: str) -> None:
     fresh = prepare(robot, other, default_processing(log))
     if len(logs) == 1:
         assert fresh.time is not None
-        own = fresh.time > log.time[-1]
-        names = ("time", "position", "velocity", "acceleration", "effort")
-        fresh = replace(fresh, **{name: getattr(fresh, name)[own] for name in names})
+        begin = int(np.searchsorted(fresh.time, log.time[-1], side="right"))
+        fresh = fresh.between(begin, fresh.n_samples)
     assert result.certificate.passed
     assert 100.0 * sdpid.validate(result.estimate, fresh).relative <= target

@@ -22,15 +22,15 @@ from sdpid.experiment.processing.motion import motion_frequency
 from sdpid.experiment.processing.process import Processing, process
 
 # The default for five real robots, on which docs/real_robots.md rests: cut-off in Hz and velocity,
-# for the whole record. All have order 4 and "central4".
+# for the whole record. All have order 4, "central4" and a mask of a tenth of the cut-off's period.
 DEFAULTS = {
-    "ur10_unisa/ur10_exciting": (3.814298169275479, "differentiated"),
-    "panda_unisa/panda_exciting": (3.713883518518318, "measured"),
-    "kuka_lwr4plus/measurements_1": (3.5807409346766548, "differentiated"),
-    "kuka_lwr4plus/measurements_2": (3.580670408785199, "differentiated"),
-    "staubli_tx40/tx40_rows_0_24750": (27.27272727272727, "differentiated"),
-    "kinova_gen3_dynamapp/opti_traj_testing1": (12.655557899177388, "differentiated"),
-    "kinova_gen3_dynamapp/opti_traj_testing2": (26.155187445510023, "differentiated"),
+    "ur10_unisa/ur10_exciting": (3.178581807729566, "differentiated"),
+    "panda_unisa/panda_exciting": (3.0949029320985986, "measured"),
+    "kuka_lwr4plus/measurements_1": (2.983950778897212, "differentiated"),
+    "kuka_lwr4plus/measurements_2": (2.983892007320999, "differentiated"),
+    "staubli_tx40/tx40_rows_0_24750": (22.727272727272723, "differentiated"),
+    "kinova_gen3_dynamapp/opti_traj_testing1": (10.546298249314491, "differentiated"),
+    "kinova_gen3_dynamapp/opti_traj_testing2": (21.79598953792502, "differentiated"),
 }
 
 
@@ -53,15 +53,17 @@ def sweep(
 def test_the_default_of_five_real_robots(data_folder: Path, name: str) -> None:
     cutoff, velocity = DEFAULTS[name]
     log = sdpid.read_recording(data_folder / f"{name}.npz")
+    chosen = default_processing(log)
     expected = Processing(
-        cutoff_hz=default_processing(log).cutoff_hz,
+        cutoff_hz=chosen.cutoff_hz,
         order=4,
         decimation=None,
-        reversal_time=None,
+        reversal_time=0.1 / chosen.cutoff_hz,
+        kept_share=0.1,
         derivative="central4",
         velocity="measured" if velocity == "measured" else "differentiated",
     )
-    assert default_processing(log) == expected
+    assert chosen == expected
     assert expected.cutoff_hz == pytest.approx(cutoff, rel=1e-12)
 
 
@@ -81,7 +83,7 @@ def test_the_choice_says_why() -> None:
     assert choice.motion_hz == motion_frequency(log)
     assert choice.rate_hz == pytest.approx(200.0)
     cutoff, velocity = choice.reasons
-    assert cutoff.startswith(f"cutoff_hz {choice.processing.cutoff_hz:.4g}: 30 × motion, below")
+    assert cutoff.startswith(f"cutoff_hz {choice.processing.cutoff_hz:.4g}: 25 × motion, below")
     assert f"below {choice.motion_hz:.4g} Hz" in cutoff
     assert velocity == "velocity differentiated: none was recorded"
     # The bound by the rate, and that by the length.
@@ -89,7 +91,7 @@ def test_the_choice_says_why() -> None:
     fast = choose_processing(sweep(rate=20.0)[0])
     assert fast.processing.cutoff_hz == pytest.approx(20.0 / 7.5)
     assert fast.reasons[0].startswith(
-        "cutoff_hz 2.667: 2/15 of the rate of 20 Hz, below 30 × motion"
+        "cutoff_hz 2.667: 2/15 of the rate of 20 Hz, below 25 × motion"
     )
     assert choose_processing(slow).motion_hz == pytest.approx(choice.motion_hz / 10.0)
     # They end up in the notes of the samples.

@@ -1,0 +1,179 @@
+"""The velocity at a wider band than the efforts', and their filter, for friction columns."""
+
+from __future__ import annotations
+
+from collections import OrderedDict
+from collections.abc import Callable, Hashable
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+
+from sdpid._common.arrays import Array, Mask, frozen_view
+from sdpid.experiment.processing.efforts import in_threads
+from sdpid.experiment.processing.filters import ZeroPhaseFilter, low_pass
+from sdpid.experiment.processing.period_mean import Chain
+from sdpid.experiment.processing.settings import Processing
+from sdpid.experiment.recording.recording import Recording
+
+__all__ = ["LEAD", "WideVelocity", "wide_velocity"]
+
+# Samples before the first kept one and behind the last, in time constants of the filter: exp(-20)
+# is 2e-9 of what the guess at the ends would be off.
+LEAD = 20.0
+
+# The band of the velocity, in cut-offs of the efforts' filter, and the least rate at which it is
+# sampled: 20 samples a period of its own cut-off. Four times the band leaves a reversal at its time
+# and an encoder's noise out.
+_BAND = 4.0
+_RATE_OVER_CUTOFF = 80.0
+# Differences of fourth order lose no more than 2 % of a velocity up to this share of the rate.
+_BAND_OVER_RATE = 2.0 / 15.0
+
+# Samples of a record without periods that are filtered at a time.
+_CHUNK = 1 << 18
+
+# Results that are kept: those of the terms of a model, with room for those tried beside them.
+_KEPT = 12
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class WideVelocity:
+    """Velocities of one piece of a recording, at more samples and of wider band than those kept.
+
+    Friction is steep in the velocity, and its effort has passed a filter. What stands in the
+    filtered efforts is the filtered friction, not friction at the filtered velocity.
+
+    Attributes
+    ----------
+    velocity : (M, n) ndarray
+        In rad/s, with neighbors on either side of the kept samples.
+    step : float
+        Distance of two samples, in s.
+    low_pass : ZeroPhaseFilter
+        The filter of the efforts, for this step.
+    first, stride, count : int
+        The kept samples are ``first + stride·k`` for k below count.
+    """
+
+    velocity: Array
+    step: float
+    low_pass: ZeroPhaseFilter
+    first: int
+    stride: int
+    count: int
+    _found: OrderedDict[Hashable, Array] = field(default_factory=OrderedDict, repr=False)
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Return the fields without the results kept."""
+        return {**self.__dict__, "_found": OrderedDict()}
+
+    def filtered(
+        self, function: Callable[[Array, Array], Array], key: Hashable | None = None
+    ) -> Array:
+        """Return values (count, ...) of a function of the velocity, filtered.
+
+        Parameters
+        ----------
+        function : callable
+            Of velocities and accelerations (M, n), to values (M, ...).
+        key : hashable, optional
+            Identifies the function: its result is kept for the next call.
+        """
+        if key is not None and (known := self._found.get(key)) is not None:
+            return known
+        velocity = self.velocity
+        acceleration = np.gradient(velocity, self.step, axis=0)
+        values = function(velocity, acceleration)
+        flat = self.low_pass.apply(values.reshape(len(values), -1))
+        kept = np.ascontiguousarray(flat[self.first :: self.stride][: self.count])
+        result: Array = frozen_view(kept.reshape(self.count, *values.shape[1:]))
+        if key is not None:
+            self._found[key] = result
+            while len(self._found) > _KEPT:
+                self._found.popitem(last=False)
+        return result
+
+    def part(self, start: int, stop: int) -> WideVelocity:
+        """Return that of neighboring kept samples, from `start` up to `stop`."""
+        lead = lead_samples(self.low_pass)
+        low = max(0, self.first + self.stride * start - lead)
+        high = self.first + self.stride * (stop - 1) + lead + 1
+        return replace(
+            self,
+            velocity=self.velocity[low:high],
+            first=self.first + self.stride * start - low,
+            count=stop - start,
+            _found=OrderedDict(),
+        )
+
+
+def wide_velocity(
+    log: Recording, chain: Chain, processing: Processing, resting: Mask
+) -> WideVelocity:
+    """Return the wide velocity of a record without gaps.
+
+    Parameters
+    ----------
+    log : Recording
+        The record.
+    chain : Chain
+        Window, filter and decimation of its samples.
+    processing : Processing
+        Cut-off, filter, and where velocities are from.
+    resting : (n,) ndarray of bool
+        Joints that do not move: the sign of their noise is nothing.
+    """
+    window, grid = chain.window, chain.window.grid
+    rate = 1.0 / grid.step
+    cutoff = min(_BAND * processing.cutoff_hz, max(_BAND_OVER_RATE * rate, processing.cutoff_hz))
+    step = _fine_step(chain.decimation, rate / (_RATE_OVER_CUTOFF * processing.cutoff_hz))
+    filter_of_efforts = processing.low_pass(rate / step)
+    lead = lead_samples(filter_of_efforts)
+    more = 0 if window.circular else lead * step
+    wide = replace(
+        chain,
+        window=replace(window, first=window.first - more, length=window.length + 2 * more),
+        low_pass=low_pass(processing.filter, cutoff, processing.order, rate),
+        decimation=step,
+        passes=1,
+        margin=chain.stencil.margin,
+    )
+    velocity = np.empty((len(range(0, wide.window.length, step)), log.n))
+    measured = log.velocity if processing.velocity == "measured" else None
+
+    def one(j: int) -> None:
+        first = 0
+        for part in wide.parts(_CHUNK):
+            if measured is None:
+                signal, _, _ = part.mean(log.position[:, j])
+                fine = chain.stencil.velocity(signal, grid.step)
+            else:
+                signal, _, _ = part.mean(measured[:, j])
+                fine = chain.stencil.inner(signal)
+            kept = part.kept(fine)
+            velocity[first : first + kept.size, j] = kept
+            first += kept.size
+
+    in_threads(one, range(log.n))
+    velocity[:, resting] = 0.0
+    if window.circular:
+        velocity = np.pad(velocity, ((lead, lead), (0, 0)), mode="wrap")
+    return WideVelocity(
+        velocity=frozen_view(velocity),
+        step=grid.step * step,
+        low_pass=filter_of_efforts,
+        first=lead,
+        stride=chain.decimation // step,
+        count=len(range(0, window.length, chain.decimation)),
+    )
+
+
+def _fine_step(decimation: int, most: float) -> int:
+    """Return the largest divisor of the decimation that is at most `most`, at least 1."""
+    return max(d for d in range(1, decimation + 1) if decimation % d == 0 and d <= max(most, 1.0))
+
+
+def lead_samples(low_pass: ZeroPhaseFilter) -> int:
+    """Return how many samples on either side of the kept ones the filter needs."""
+    return int(np.ceil(LEAD * low_pass.time_constant))
