@@ -27,6 +27,7 @@ from typing import Any
 
 import numpy as np
 from data_sets import SETS, TRAINED, part
+from real_robots import DRIVES
 
 import sdpid
 from sdpid._common.arrays import Mask
@@ -35,9 +36,6 @@ from sdpid._common.tables import Table
 from sdpid.estimation.estimate import Estimate
 from sdpid.experiment.preparation.for_robot import default_friction, prepare
 from sdpid.experiment.preparation.several import chosen_processing
-
-# What is known of a drive and stands in no log: the wrist's motors of the TX40 turn two joints.
-WRIST = ("rotor_inertia", sdpid.friction.Coupling("joint_5", "joint_6", width=0.05))
 
 # De Luca's gains of another UR10, N·m/A (docs/data.md).
 GAINS = (14.87, 13.26, 11.13, 10.62, 11.03, 11.47)
@@ -188,7 +186,7 @@ READERS: tuple[tuple[str, Callable[[Path], Iterator[Case]]], ...] = (
     ("panda_unisa", partial(halves, "panda_unisa", 4.0, 1.75, ())),
     ("kuka_lwr4plus", partial(pairs, "kuka_lwr4plus", 3.58, 2.25, "tau")),
     ("staubli_tx40", partial(halves, "staubli_tx40", 25.3, 10.0, ())),
-    ("staubli_tx40", partial(halves, "staubli_tx40", 25.3, 6.0, WRIST)),
+    ("staubli_tx40", partial(halves, "staubli_tx40", 25.3, 6.0, DRIVES["staubli_tx40"])),
     ("kinova_gen3_dynamapp", partial(pairs, "kinova_gen3_dynamapp", 12.66, 14.5, "tau")),
     ("kinova_gen3_dynamapp", partial(pairs, "kinova_gen3_dynamapp", 12.66, None, "tau_current")),
     ("ur10e_innopolis", ur10e),
