@@ -44,6 +44,7 @@ ROOMS = {
         "problem",
         "scaling",
         "cluster_robust",
+        "noise_spectrum",
         "duality",
         "estimate",
         "wls",

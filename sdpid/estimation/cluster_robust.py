@@ -32,7 +32,7 @@ from sdpid.errors import DataError
 from sdpid.estimation.compression.covariance import whitener
 from sdpid.estimation.compression.rows import RowSource
 from sdpid.estimation.compression.whitening import whitened_chunks
-from sdpid.estimation.information import UNDETERMINED, require_excitation
+from sdpid.estimation.information import information_root, require_excitation
 from sdpid.estimation.problem import Problem
 
 Groups = Literal["blocks", "periods"]
@@ -125,13 +125,7 @@ class ScoreBlocks:
     @cached_property
     def root(self) -> Array:
         """T (b, r) with ``T·T^T = H^(-1)`` on what the data determine."""
-        H = self.information.sum(axis=0)
-        scale = np.sqrt(np.diagonal(H))
-        scale = np.where(scale > 0.0, scale, 1.0)
-        values, vectors = np.linalg.eigh(H / np.outer(scale, scale))
-        # Eigenvalues are squares of singular values, and their rounding is that of the largest.
-        kept = values > max(UNDETERMINED**2, len(H) * np.finfo(float).eps) * values[-1]
-        return np.asarray(vectors[:, kept] / np.sqrt(values[kept]) / scale[:, None])
+        return information_root(self.information.sum(axis=0))
 
     @cached_property
     def fit(self) -> Array:

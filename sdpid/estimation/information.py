@@ -72,6 +72,22 @@ class Excitation:
         )
 
 
+def information_root(H: Array) -> Array:
+    """Return T (b, r) with ``T·T^T = H^(-1)`` on what the data determine.
+
+    Parameters
+    ----------
+    H : ndarray, shape (b, b)
+        Information: sum of ``X^T·X`` over whitened rows X.
+    """
+    scale = np.sqrt(np.diagonal(H))
+    scale = np.where(scale > 0.0, scale, 1.0)
+    values, vectors = np.linalg.eigh(H / np.outer(scale, scale))
+    # Eigenvalues are squares of singular values, and their rounding is that of the largest.
+    kept = values > max(UNDETERMINED**2, len(H) * np.finfo(float).eps) * values[-1]
+    return np.asarray(vectors[:, kept] / np.sqrt(values[kept]) / scale[:, None])
+
+
 def require_excitation(excitation: Excitation) -> None:
     """Raise when the data leave a base parameter undetermined.
 

@@ -172,7 +172,9 @@ def test_there_is_one_covariance(weighting: Weighting) -> None:
         ARM, random_theta(ARM, rng), rng, count=200, noise=1.0, covariance=sigma, block=10
     )
     estimate = solve_wls(build_problem(ARM, samples, weighting=weighting, base=BASE))
-    found = confidence_intervals(estimate, method="gauss_markov", parameters=BASE.names)
+    found = confidence_intervals(
+        estimate, method="gauss_markov", groups="blocks", parameters=BASE.names
+    )
     blocks = ScoreBlocks.of(estimate.problem)
     quantiles = t.ppf(0.975, blocks.freedom(np.eye(BASE.count)))
     half = 0.5 * (found.upper - found.lower)

@@ -269,6 +269,16 @@ def test_residual_sigma_is_what_its_estimator_says() -> None:
     np.testing.assert_array_equal(problem.sigma, sigma)
 
 
+@pytest.mark.parametrize("noise", [0.01, 1.0])
+def test_residuals_over_their_sigma_have_a_variance_of_one(noise: float) -> None:
+    """However little of the effort they are: a prior would count too much or too little else."""
+    rng = np.random.default_rng(21)
+    samples = make_samples(ARM, random_theta(ARM, rng), rng, count=600, noise=noise)
+    problem = build_problem(ARM, samples, weighting="residual")
+    # The correlation time, which is found with some noise, divides it.
+    assert 0.6 < problem.floor / (problem.n_rows - problem.base.count) < 1.1
+
+
 @pytest.mark.parametrize(
     ("arguments", "says"),
     [

@@ -5,8 +5,8 @@ Three kinds, each with its own question (see docs/intervals.md):
 * ``profile``: what feasible parameters have a cost that the data do not rule out? Extremes over
   all of them, proven from multipliers (see `sdpid.assurance.intervals.profile_likelihood`). It is
   the only one that says something of parameters that the data leave open and physics bounds.
-* ``gauss_markov``: how far is the unconstrained fit from the truth? Standard errors from blocks of
-  samples, corrected for leverage (see `sdpid.estimation.cluster_robust`).
+* ``gauss_markov``: how far is the estimate from the truth? Standard errors from the spectrum of the
+  residuals and from the prior, about the estimate (see `sdpid.assurance.intervals.posterior`).
 * ``bootstrap``: how would the constrained estimate scatter? Blocks of samples are drawn again,
   and the constrained problem is solved every time (see `sdpid.assurance.intervals.bootstrap`).
 """
@@ -25,12 +25,13 @@ from sdpid._common.tables import Table, facts_html, plain
 from sdpid._common.threads import one_thread
 from sdpid.assurance.intervals.bootstrap import Kind, resample
 from sdpid.assurance.intervals.parameters import ParameterFunctions
+from sdpid.assurance.intervals.posterior import Groups, Posterior, fit_errors
 from sdpid.assurance.intervals.profile_likelihood import End, ProfileLikelihood
 from sdpid.errors import DataError
-from sdpid.estimation.cluster_robust import Groups, ScoreBlocks
+from sdpid.estimation.cluster_robust import Groups as DrawnGroups
+from sdpid.estimation.constraints.feasible_set import FeasibleSet
 from sdpid.estimation.estimate import Estimate
 from sdpid.estimation.information import require_excitation
-from sdpid.estimation.problem import Problem
 
 Method = Literal["profile", "gauss_markov", "bootstrap"]
 
@@ -54,11 +55,11 @@ class Intervals:
     lower, upper : ndarray, shape (k,)
         The ends.
     estimate : ndarray, shape (k,)
-        What they are about: the estimate, with ``gauss_markov`` the unconstrained fit.
+        What they are about. No interval excludes it.
     label : tuple of str
         What bounds each: ``"from data"``, bounded by the data with the physics switched off;
         ``"from physics"``, bounded only with consistency, signs and masses; ``"from the prior"``,
-        bounded only by theta_max or by a prior.
+        bounded only by theta_max, or mostly by a prior.
     by_mass : ndarray of bool, shape (k, 2)
         Ends that rest on the largest mass allowed (Constraints.mass_max).
     level : float
@@ -66,7 +67,7 @@ class Intervals:
     method : str
         How they were made.
     groups : str
-        What was taken as independent: ``"blocks"`` or ``"periods"``.
+        What was taken as independent: ``"frequencies"``, ``"blocks"`` or ``"periods"``.
     slack : ndarray, shape (k, 2), or None
         Of profile intervals: how far each end, which is proven, is outside of what is attained.
     seconds : float
@@ -163,7 +164,7 @@ def confidence_intervals(
     level: float = 0.95,
     parameters: Iterable[str] | None = None,
     method: Method = "profile",
-    groups: Groups = "blocks",
+    groups: Groups | None = None,
     resamples: int = 400,
     kind: Kind = "percentile",
     seed: int | np.random.Generator = 0,
@@ -180,13 +181,14 @@ def confidence_intervals(
     parameters : iterable of str, optional
         Names of base or standard parameters; by default all. Only profile intervals can say
         something of standard parameters that the data leave open: the others leave them out, or
-        raise where they are asked for by name.
+        raise where they are asked for by name. Of base parameters that the data leave open
+        Gauss-Markov intervals say what a prior does.
     method : {"profile", "gauss_markov", "bootstrap"}, optional
         See `sdpid.assurance.intervals.intervals`.
-    groups : {"blocks", "periods"}, optional
-        What is independent: blocks of `samples.block` samples, whose residuals include what the
-        model does not explain; or whole periods, where the samples keep them, which only vary by
-        what does not repeat.
+    groups : {"frequencies", "blocks", "periods"}, optional
+        What is independent: the Fourier coefficients of the residuals, which need no long record;
+        blocks of `samples.block` samples; or whole periods, where the samples keep them, which
+        only vary by what does not repeat. By default frequencies, with the bootstrap blocks.
     resamples : int, optional
         Of the bootstrap.
     kind : {"percentile", "basic"}, optional
@@ -206,8 +208,8 @@ def confidence_intervals(
     DataError
         When a name or number makes no sense, or the record is too short.
     IdentifiabilityError
-        When Gauss-Markov or bootstrap intervals are asked of data that leave base parameters
-        undetermined.
+        When data without a prior leave base parameters undetermined and Gauss-Markov intervals are
+        asked for, or with any prior bootstrap intervals.
     SolverError
         When a program cannot be solved.
     """
@@ -223,43 +225,77 @@ def confidence_intervals(
         if parameters is None
         else tuple([parameters] if isinstance(parameters, str) else parameters)
     )
+    if method == "gauss_markov":
+        return _gauss_markov(estimate, requested, level, groups or "frequencies")
     wanted = ParameterFunctions.of(problem, requested)
     if method == "profile":
-        return _profile(estimate, wanted, level, groups, n_jobs)
+        return _profile(estimate, wanted, level, groups or "frequencies", n_jobs)
+    if groups == "frequencies":
+        raise DataError("intervals: the bootstrap draws groups='blocks' or 'periods'.")
     require_excitation(problem.excitation)
-    open_ones = [n for n, seen in zip(wanted.names, wanted.determined, strict=True) if not seen]
-    if requested is not None and open_ones:
-        raise DataError(
-            f"intervals: the data alone do not determine {', '.join(open_ones)}; use "
-            "method='profile', which says what physics leaves of them."
-        )
-    wanted = wanted.only(wanted.determined)
-    if method == "gauss_markov":
-        return _gauss_markov(problem, wanted, level, groups)
-    return _bootstrap(estimate, wanted, level, groups, resamples, kind, seed, n_jobs)
+    wanted = _answered(wanted, wanted.determined, requested)
+    return _bootstrap(estimate, wanted, level, groups or "blocks", resamples, kind, seed, n_jobs)
 
 
 def _gauss_markov(
-    problem: Problem, wanted: ParameterFunctions, level: float, groups: Groups
+    estimate: Estimate, names: tuple[str, ...] | None, level: float, groups: Groups
 ) -> Intervals:
-    """Return the unconstrained fit and quantiles of its standard errors either way."""
-    from scipy.stats import t
+    """Return the estimate and quantiles of its errors either way, cut off at declared limits."""
+    from scipy.special import stdtrit
 
-    blocks = ScoreBlocks.of(problem, groups)
-    scale = np.linalg.norm(problem.A, axis=0)
-    fit = np.linalg.lstsq(problem.A / scale, problem.rhs, rcond=None)[0] / scale
-    value = wanted.functionals @ fit
-    variance = np.einsum("ki,ij,kj->k", wanted.functionals, blocks.covariance, wanted.functionals)
-    quantile = t.ppf(0.5 * (1.0 + level), blocks.freedom(wanted.functionals))
-    half = quantile * np.sqrt(np.maximum(variance, 0.0))
-    return _made(wanted, value - half, value + half, value, level, "gauss_markov", groups)
+    problem = estimate.problem
+    with_prior = estimate.theta is not None and problem.prior is not None
+    if not with_prior:
+        require_excitation(problem.excitation)
+    wanted = ParameterFunctions.of(problem, names)
+    base = np.array([kind == "base" for kind in wanted.kind])
+    wanted = _answered(wanted, wanted.determined | (base & with_prior), names)
+    value = (
+        wanted.functionals @ estimate.base
+        if estimate.theta is None
+        else wanted.functions @ estimate.theta
+    )
+    variance, prior_share, freedom = Posterior.of(estimate, groups).spread(wanted.functions)
+    half = stdtrit(freedom, 0.5 * (1.0 + level)) * np.sqrt(variance)
+    lower, upper = value - half, value + half
+    if estimate.method != "wls":
+        least, most = _limits(problem.feasible, wanted.functions)
+        # The estimate itself may be outside of a limit, by rounding.
+        lower = np.minimum(np.maximum(lower, least), value)
+        upper = np.maximum(np.minimum(upper, most), value)
+    labels = tuple(FROM_PRIOR if share > 0.5 else FROM_DATA for share in prior_share)
+    return _made(wanted, lower, upper, value, level, "gauss_markov", groups, label=labels)
+
+
+def _answered(
+    wanted: ParameterFunctions, chosen: Mask, requested: tuple[str, ...] | None
+) -> ParameterFunctions:
+    """Return the chosen parameters; raise where others were asked for by name."""
+    others = tuple(compress(wanted.names, ~chosen))
+    if requested is not None and others:
+        raise DataError(
+            f"intervals: the data alone do not determine {', '.join(others)}; use "
+            "method='profile', which says what physics leaves of them."
+        )
+    return wanted.only(chosen)
+
+
+def _limits(feasible: FeasibleSet, functions: Array) -> tuple[Array, Array]:
+    """Return the declared limits (k,) of functions (k, p) that are multiples of one parameter."""
+    least, most = np.full((2, len(functions)), np.inf)
+    least = -least
+    for k in np.flatnonzero(np.count_nonzero(functions, axis=1) == 1):
+        index = int(np.flatnonzero(functions[k])[0])
+        ends = functions[k, index] * np.array([feasible.lower[index], feasible.upper[index]])
+        least[k], most[k] = ends.min(), ends.max()
+    return least, most
 
 
 def _bootstrap(
     estimate: Estimate,
     wanted: ParameterFunctions,
     level: float,
-    groups: Groups,
+    groups: DrawnGroups,
     resamples: int,
     kind: Kind,
     seed: int | np.random.Generator,
@@ -295,7 +331,7 @@ def _profile(
             "method='gauss_markov', or an estimate of a constrained solver."
         )
     problem, theta = estimate.problem, np.array(estimate.theta)
-    bounds = ProfileLikelihood(problem, theta, ScoreBlocks.of(problem, groups), level)
+    bounds = ProfileLikelihood(problem, theta, fit_errors(problem, groups), level)
     functions: list[tuple[Array, Array | None]] = []
     for function, functional, determined in zip(
         wanted.functions, wanted.functionals, wanted.determined, strict=True

@@ -16,7 +16,7 @@ one, then the one of the bounds found so, at the highest of all levels.
 it one, a rise of z² would make an interval. Where the extreme is taken, theta has moved away from
 the estimate by a residual d = G·(theta − theta*), and to first order it is this combination of the
 data, d·h, that decides how far. So the rise is t²·(d^T·N·d)/(d^T·d) with N the covariance of h that
-the blocks show (the prior's rows count as stated: variance one), and t the quantile of Student's t
+the residuals show (the prior's rows count as stated: variance one), t the quantile of Student's t
 with the degrees of freedom of that combination. For a base parameter of a problem without active
 constraints that is Gauss-Markov's interval; where a constraint is active only the directions count
 along which it lets theta move. d is known when the program is solved: it is solved again where the
@@ -34,8 +34,8 @@ import numpy as np
 
 from sdpid._common.arrays import Array
 from sdpid._common.jobs import parallel
+from sdpid.assurance.intervals.posterior import FitErrors
 from sdpid.errors import DataError, SolverError
-from sdpid.estimation.cluster_robust import ScoreBlocks
 from sdpid.estimation.conic.retry import solve_with_retries
 from sdpid.estimation.conic.solve import ConicFamily, ConicSolution
 from sdpid.estimation.duality.bound import clip_psd, cost_scale
@@ -112,22 +112,22 @@ class ProfileLikelihood:
         The problem; no log-det prior.
     theta : ndarray, shape (p,)
         The estimate.
-    blocks : ScoreBlocks
+    errors : FitErrors
         What is known of the errors.
     level : float
         Of the intervals, such as 0.95.
     """
 
-    def __init__(self, problem: Problem, theta: Array, blocks: ScoreBlocks, level: float) -> None:
+    def __init__(self, problem: Problem, theta: Array, errors: FitErrors, level: float) -> None:
         if len(problem.log_det.links):
             raise DataError(
                 "profile intervals: a log-det prior makes the cost more than squares; use "
                 "method='bootstrap'."
             )
-        self.problem, self.theta, self.blocks, self.level = problem, theta, blocks, level
+        self.problem, self.theta, self.fit, self.level = problem, theta, errors, level
         self.residual = problem.squared.residual(theta)
         self.least = _LEAST_RISE * max(float(self.residual @ self.residual), cost_scale(problem))
-        data = problem.A @ blocks.covariance @ problem.A.T
+        data = problem.A @ errors.covariance @ problem.A.T
         self.noise = np.eye(len(self.residual))
         self.noise[: len(data), : len(data)] = data
         # The size of the level sets, for numbers of order one.
@@ -163,7 +163,7 @@ class ProfileLikelihood:
         if not known:
             return out
         D = np.array([moved[i] for i in known])
-        freedom = self.blocks.freedom(D[:, :count] @ self.problem.A)
+        freedom = self.fit.freedom(D[:, :count] @ self.problem.A)
         quantiles = stdtrit(freedom, 0.5 * (1.0 + self.level))
         variances = np.einsum("ki,ki->k", D @ self.noise, D)
         for i, quantile, variance in zip(known, quantiles, variances, strict=True):

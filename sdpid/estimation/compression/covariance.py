@@ -91,6 +91,10 @@ def whitener(covariance: Array, mask: Mask, exponent: float) -> Array:
 # mean), and the friction of wrists, which 0.03 leaves to the prior, is six times as near the truth.
 _EFFORT_SHARE = 0.01
 
+# Residuals' variance is taken to be at least this share of the one with that share of the effort
+# added: a standard deviation of 0.03 % of the effort, less than any sensor's.
+_LEAST_NOISE = 1e-3
+
 # An effort whose variance is below this share of the mean squared effort of all joints is constant.
 _SILENT = 1e-12
 
@@ -185,10 +189,22 @@ class JointRows:
         Each joint gives up degrees of freedom in proportion to its rows, and gets a small share
         of the overall effort added.
         """
+        return self._residual_variance(base, rank) + self._least_variance
+
+    def _residual_variance(self, base: Array, rank: int) -> Array:
         error = np.append(base, -1.0)
         residual = np.array([np.sum((t.R @ error) ** 2) for t in self.triangles])
         freedom = np.maximum(self.used * (1.0 - rank / self.used.sum()), 1.0)
-        return np.asarray(residual / freedom + self._least_variance)
+        return np.asarray(residual / freedom)
+
+    def noise_share(self, base: Array, rank: int, variance: Array) -> float:
+        """Return how large squared residuals are beside given variances (n,), on average.
+
+        Variances that include a share of the effort give joints their weights; multiplied by this
+        number they have the size of the residuals too.
+        """
+        share = self._residual_variance(base, rank) / variance
+        return max(float(share @ self.used / self.used.sum()), _LEAST_NOISE)
 
     @property
     def _least_variance(self) -> Array:
@@ -206,9 +222,11 @@ def residual_covariance(rows: Rows, joints: JointRows | None = None) -> Array:
 
     Each joint has one variance, found by iteration: fit, take the residuals' variance with the
     degrees of freedom that the fit used up, fit again. A small share of the overall effort is
-    added, since residuals are model error too. The result is multiplied by the number of samples
-    over the number of independent ones, found from the residuals' autocorrelation, so that the
-    cost counts correlated samples as the few independent ones they are.
+    added, so that a quiet joint does not outweigh all others. The result is scaled so that the
+    weighted residuals have a variance of one on average, and multiplied by the number of samples
+    over the number of independent ones, found from the residuals' autocorrelation: the cost then
+    counts correlated samples as the few independent ones they are, and a prior beside it weighs
+    what it says.
 
     Parameters
     ----------
@@ -239,6 +257,7 @@ def residual_covariance(rows: Rows, joints: JointRows | None = None) -> Array:
         variance = updated
         if settled:
             break
+    variance *= joints.noise_share(base, rank, variance)
     return np.diag(variance * correlation_time(rows, base, joints))
 
 

@@ -9,7 +9,7 @@ import numpy as np
 
 _ABOUT = {
     "profile": "the values of physically possible parameters that the data do not rule out",
-    "gauss_markov": "how far the unconstrained fit may be from the truth; parameters that the data "
+    "gauss_markov": "how far the estimate may be from the truth; standard parameters that the data "
     "alone do not determine have none",
     "bootstrap": "how the constrained estimate scatters when blocks of the data are drawn again",
 }

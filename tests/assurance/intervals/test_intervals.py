@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
@@ -11,11 +12,13 @@ from scipy.stats import t
 import sdpid
 from sdpid._common.arrays import Array
 from sdpid.assurance.intervals.intervals import FROM_DATA, FROM_PHYSICS, FROM_PRIOR
+from sdpid.assurance.intervals.posterior import Groups
 from sdpid.assurance.intervals.profile_likelihood import ProfileLikelihood
 from sdpid.errors import DataError
 from sdpid.estimation.cluster_robust import ScoreBlocks
 from sdpid.estimation.conic.solve import ConicFamily, ConicProgram, Solver, solve_conic
 from sdpid.estimation.estimate import Estimate
+from sdpid.estimation.noise_spectrum import NoiseSpectrum
 from sdpid.estimation.problem import Problem, build_problem
 from sdpid.robot.inertia import Consistency
 from sdpid.robot.model.model import RobotModel
@@ -243,18 +246,48 @@ def test_coverage_of_autocorrelated_noise() -> None:
     assert 0.92 - 2.0 * error < np.mean(held) < 0.97 + 2.0 * error
 
 
-def test_gauss_markov_is_students_t_about_the_unconstrained_fit() -> None:
+def test_gauss_markov_is_students_t_about_the_estimate() -> None:
     estimate = pressed()
     found = sdpid.confidence_intervals(
         estimate, method="gauss_markov", level=0.8, parameters=("Fv1",)
     )
-    fit = sdpid.solve_wls(estimate.problem)
-    blocks = ScoreBlocks.of(estimate.problem)
+    errors = NoiseSpectrum.of(estimate.problem)
     at = estimate.problem.base.names.index("Fv1")
-    unit = np.eye(len(fit.base))[at]
-    half = t.ppf(0.9, blocks.freedom(unit[None])[0]) * np.sqrt(blocks.covariance[at, at])
-    assert found.estimate[0] == pytest.approx(fit.base[at])
+    unit = np.eye(len(estimate.base))[at]
+    half = t.ppf(0.9, errors.freedom(unit[None])[0]) * np.sqrt(errors.covariance[at, at])
+    assert found.estimate[0] == pytest.approx(estimate.base[at])
     assert found.upper[0] - found.estimate[0] == pytest.approx(half)
+
+
+@pytest.mark.parametrize("groups", ["frequencies", "blocks"])
+def test_gauss_markov_intervals_hold_the_estimate_and_end_at_limits(groups: Groups) -> None:
+    problem = arm_problem(LIGHT)
+    names = ("Fs1", "Fs2", *problem.base.names)
+    for each in (problem, replace(problem, rhs=-problem.rhs)):
+        # Of efforts of the wrong sign all friction is zero.
+        estimate = sdpid.solve_sdp(each)
+        found = sdpid.confidence_intervals(
+            estimate, method="gauss_markov", parameters=names, groups=groups
+        )
+        assert found.contains(found.estimate).all()
+        assert np.all(found.lower[:2] >= -1e-9)
+    assert found.lower[:2] == pytest.approx(0.0, abs=1e-6)
+
+
+def test_gauss_markov_takes_a_log_det_prior(denso: RobotModel) -> None:
+    """A firm belief bounds what the data leave open."""
+    rng = np.random.default_rng(9)
+    samples = make_samples(denso, random_theta(denso, rng), rng, count=6, noise=0.1)
+    bodies = random_links(rng, 6)
+    found = {}
+    for strength in (1.0, 1e4):
+        belief = sdpid.Prior(bodies=bodies, kind="entropic", strength=strength)
+        problem = build_problem(denso, samples, prior=belief)
+        found[strength] = sdpid.confidence_intervals(
+            sdpid.solve_sdp(problem), method="gauss_markov", parameters=problem.base.names
+        )
+    assert FROM_PRIOR in found[1e4].label
+    assert np.median(found[1e4].width / found[1.0].width) < 0.1
 
 
 def test_text_and_plain_values() -> None:
@@ -273,6 +306,7 @@ def test_text_and_plain_values() -> None:
         ({"parameters": ["m_9"]}, "m_9"),
         ({"parameters": ["m_1"], "method": "gauss_markov"}, "m_1"),
         ({"method": "gauss_markov", "groups": "periods"}, "periods"),
+        ({"method": "bootstrap", "groups": "frequencies"}, "blocks"),
     ],
 )
 def test_arguments_that_make_no_sense_are_named(arguments: dict[str, object], said: str) -> None:

@@ -241,7 +241,7 @@ def test_a_strong_prior_wins_and_a_weak_one_does_not():
     options = {"weighting": "residual"}
     free = solve_wls(build_problem(robot, samples, **options))
     believed = repaired(robot.prior)[0]
-    strong = solve_sdp(build_problem(robot, samples, prior=Prior(strength=1e9), **options))
+    strong = solve_sdp(build_problem(robot, samples, prior=Prior(strength=1e11), **options))
     assert np.allclose(strong.theta[:20], believed.ravel(), atol=1e-3)
     weak = solve_sdp(build_problem(robot, samples, prior=Prior(strength=1e-6), **options))
     assert weak.problem.cost(weak.base) <= 1.01 * free.cost

@@ -1,0 +1,160 @@
+"""How far an estimate is from the truth: the errors of its data and of its prior.
+
+Where no inequality is active, an estimate is the least-squares solution of the data's rows
+``A·B·theta = h`` and of the prior's rows ``R·theta = r``. So its error is ``L·(errors of h and r)``
+with L the pseudoinverse of both. The errors of h are those that the residuals show, whatever the
+weights say (see `sdpid.estimation.noise_spectrum`); those of the prior's rows have a variance of
+one, as stated. An active inequality can only bring an estimate nearer to the truth, all in all: it
+is not counted, which errs on the wide side.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal, Protocol
+
+import numpy as np
+
+from sdpid._common.arrays import Array
+from sdpid.errors import SolverError
+from sdpid.estimation.cluster_robust import ScoreBlocks
+from sdpid.estimation.estimate import Estimate
+from sdpid.estimation.noise_spectrum import NoiseSpectrum
+from sdpid.estimation.problem import Problem
+from sdpid.estimation.scaling import Scaling
+from sdpid.estimation.sdp.program import Coordinates
+
+# What is independent of each other: Fourier coefficients, blocks of samples, or whole periods.
+Groups = Literal["frequencies", "blocks", "periods"]
+
+# Directions of theta that data and prior together see this little are open, but for rounding.
+_OPEN = 1e-12
+
+# A function of which more than this share lies in open directions is open: the rest is rounding.
+_LOST = 1e-7
+
+
+class FitErrors(Protocol):
+    """What is known of the errors of the unconstrained fit."""
+
+    @property
+    def covariance(self) -> Array:
+        """Covariance of the unconstrained fit, (b, b)."""
+
+    def freedom(self, functionals: Array) -> Array:
+        """Return the degrees of freedom of the variance of each functional (k, b) of the fit."""
+
+
+def fit_errors(problem: Problem, groups: Groups) -> FitErrors:
+    """Return the errors of a problem's unconstrained fit.
+
+    Raises
+    ------
+    DataError
+        When the problem has no rows, or too few groups.
+    """
+    if groups == "frequencies":
+        return NoiseSpectrum.of(problem)
+    return ScoreBlocks.of(problem, groups)
+
+
+@dataclass(frozen=True, eq=False)
+class Posterior:
+    """The errors of an estimate.
+
+    Attributes
+    ----------
+    errors : FitErrors
+        Of the unconstrained fit.
+    from_fit : ndarray, shape (p, b)
+        How theta moves with the unconstrained fit.
+    from_prior : ndarray, shape (p, rows)
+        How theta moves with the prior's rows.
+    seen, unseen : ndarray, shape (p, r) and (p, k)
+        Directions in which they move it, and in which neither does, scaled.
+    """
+
+    errors: FitErrors
+    from_fit: Array
+    from_prior: Array
+    seen: Array
+    unseen: Array
+
+    @classmethod
+    def of(cls, estimate: Estimate, groups: Groups = "frequencies") -> Posterior:
+        """Gather the errors of an estimate; without standard parameters it is the fit itself.
+
+        Raises
+        ------
+        DataError
+            When the problem has no rows, or too few groups.
+        SolverError
+            When the equations among the constraints contradict each other.
+        """
+        problem = estimate.problem
+        errors = fit_errors(problem, groups)
+        A, B = problem.A, problem.base.matrix
+        basis = Scaling.of(problem).basis()
+        R = np.zeros((0, problem.n_theta))
+        if estimate.theta is not None:
+            theta = np.array(estimate.theta)
+            terms = () if problem.prior is None else problem.prior.terms
+            R = np.vstack([R, *(term.curvature_rows(theta) for term in terms)])
+            if estimate.method != "wls":
+                basis = _along_equations(problem, basis, theta)
+        rows = np.vstack([A @ (B @ basis), R @ basis])
+        U, singular, V = np.linalg.svd(rows, full_matrices=True)
+        rank = int(np.count_nonzero(singular > _OPEN * singular.max(initial=0.0)))
+        seen, unseen = basis @ V[:rank].T, basis @ V[rank:].T
+        L = (seen / singular[:rank]) @ U[:, :rank].T
+        return cls(errors, L[:, : len(A)] @ A, L[:, len(A) :], seen, unseen)
+
+    def covariance(self, functions: Array) -> Array:
+        """Return the covariance (k, k) of functions (k, p) of theta, of what data and prior see."""
+        data, prior = functions @ self.from_fit, functions @ self.from_prior
+        return np.asarray(data @ self.errors.covariance @ data.T + prior @ prior.T)
+
+    def spread(self, functions: Array) -> tuple[Array, Array, Array]:
+        """Return what is known of the errors of functions (k, p) of theta.
+
+        Returns
+        -------
+        variance : ndarray, shape (k,)
+            Infinite where neither data nor prior say anything.
+        prior_share : ndarray, shape (k,)
+            Share of the prior's rows in it.
+        freedom : ndarray, shape (k,)
+            Degrees of freedom of the variance: that of the prior's rows is known.
+        """
+        data, prior = functions @ self.from_fit, functions @ self.from_prior
+        own = np.maximum(np.einsum("ki,ij,kj->k", data, self.errors.covariance, data), 0.0)
+        total = own + np.sum(prior**2, axis=1)
+        share = np.divide(own, total, out=np.ones_like(own), where=total > 0.0)
+        freedom = self.errors.freedom(data) / np.maximum(share, np.finfo(float).eps) ** 2
+        seen, unseen = (np.linalg.norm(functions @ d, axis=1) for d in (self.seen, self.unseen))
+        lost = unseen > _LOST * np.hypot(seen, unseen)
+        return np.where(lost, np.inf, total), np.where(lost, 1.0, 1.0 - share), freedom
+
+
+def _along_equations(problem: Problem, basis: Array, theta: Array) -> Array:
+    """Return the directions (p, k) of theta that equations among the constraints leave free."""
+    found = Coordinates.of(problem, basis, theta)
+    if found is None:
+        raise SolverError(
+            "intervals: the equations among the constraints contradict each other.",
+            problem=problem,
+        )
+    return found.directions
+
+
+def constrained_covariance(estimate: Estimate) -> Array:
+    """Return the covariance (b, b) of an estimate's base parameters, its prior's share included.
+
+    Inequalities are not counted, equations among the constraints are.
+
+    Raises
+    ------
+    DataError
+        When the problem has no rows.
+    """
+    return Posterior.of(estimate).covariance(estimate.problem.base.matrix)
