@@ -24,14 +24,14 @@ def validate(
 ) -> None:
     """Predict a log's efforts with a URDF: its inertias, its damping and its friction.
 
-    Offsets and rotor inertias have no place in a URDF and are not predicted.
+    An MJCF's armature counts too. Offsets have no place in either and are not predicted.
     """
     if figure is not None:
         require("matplotlib", extra="plot")
         opt.require_folder("--figure", figure, reading.files((log,), robot, printing.config))
     record = reading.read(log, **periods.arguments())
     from sdpid.assurance.diagnostics.validation import validate_robot
-    from sdpid.experiment.preparation.for_robot import SMOOTH, prepare
+    from sdpid.experiment.preparation.for_robot import prepare
     from sdpid.experiment.preparation.several import chosen_processing
     from sdpid.output.report.prediction_verdict import prediction_findings
     from sdpid.robot.model.load import load_robot
@@ -39,7 +39,7 @@ def validate(
     model = load_robot(robot)
     chosen, _ = chosen_processing([record], processing.changes())
     samples = prepare(model, record, replace(chosen, covariance=None))
-    fit = validate_robot(model, samples, width=0.0 if record.period is not None else SMOOTH)
+    fit = validate_robot(model, samples)
     files = []
     if figure is not None:
         from sdpid.output.plots.figures import save_figure

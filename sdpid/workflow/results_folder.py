@@ -6,7 +6,7 @@ import importlib.util
 import json
 import os
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
 
@@ -19,7 +19,7 @@ from sdpid.output.report.verdict import Judged
 from sdpid.output.tables.intervals_shown import GivenIntervals
 
 if TYPE_CHECKING:
-    from sdpid.output.robots.urdf import ExportReport
+    from sdpid.output.robots.export_report import ExportReport
 
 # Stands for the kind of a file while statements are compared.
 _KIND = "\0"
@@ -126,7 +126,8 @@ def save(
             writer = _Writer(result, stage, intervals, note)
             names = writer.write(figures=figures, command=command, config=config)
             digests = {name: digest(stage / name) for name in names}
-            content = {**result.to_dict(), "files": digests}
+            exports = [export.to_dict() for export in writer.exports]
+            content = {**result.to_dict(), "exports": exports, "files": digests}
             (stage / _RESULT).write_text(json_text(content) + "\n", encoding="utf-8")
             new = [*names, _RESULT]
             exchange(stage, target, new, _left_by_earlier_run(target, new, note))
@@ -173,6 +174,7 @@ class _Writer:
     folder: Path
     intervals: GivenIntervals | None
     note: Callable[[str], None]
+    exports: list[ExportReport] = field(default_factory=list)
 
     def write(self, *, figures: bool, command: str | None, config: str | None) -> list[str]:
         """Write all files but result.json, and return their names."""
@@ -235,6 +237,9 @@ class _Writer:
                 raise
             known = isinstance(reason, SdpidError)
             missing = str(reason) if known else f"MuJoCo failed: {type(reason).__name__}: {reason}"
+        if (fresh := self.result.validation_samples) is not None:
+            exports = [export.with_validation(fresh) for export in exports]
+        self.exports.extend(exports)
         for statement in _statements(exports):
             self.note(statement)
         if missing is not None:

@@ -435,7 +435,8 @@ def test_numbers_that_json_cannot_hold_are_null(tmp_path: Path) -> None:
 
     content = json.loads((tmp_path / "result.json").read_text(), parse_constant=refuse)
     assert content["training"]["joints"]["b"]["r2"] is None
-    assert content == found.to_dict() | {"files": content["files"]}
+    assert {*content} == {*found.to_dict(), "files", "exports"}
+    assert content == found.to_dict() | {key: content[key] for key in ("files", "exports")}
 
 
 def test_results_are_short_in_a_console_and_whole_in_a_notebook(

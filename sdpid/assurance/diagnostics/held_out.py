@@ -23,18 +23,17 @@ from sdpid.assurance.diagnostics.blocks import (
     own,
     predicted_by,
 )
+from sdpid.assurance.diagnostics.described import described_friction
 from sdpid.assurance.diagnostics.rest import rows_in_use
 from sdpid.assurance.diagnostics.validation import (
     Errors,
     Validation,
-    described_friction,
     validate,
 )
 from sdpid.estimation.compression.rows import RowSource
 from sdpid.estimation.estimate import Estimate
 from sdpid.estimation.problem import Problem
 from sdpid.estimation.wls import solve_wls
-from sdpid.experiment.preparation.for_robot import SMOOTH
 from sdpid.experiment.processing.samples import Samples
 from sdpid.robot.model.model import RobotModel
 
@@ -179,8 +178,7 @@ def _judged(
 ) -> dict[str, Validation]:
     """Return the errors of predictions; that of the description gets the description's friction."""
     if DESCRIPTION in predicted:
-        width = 0.0 if samples.periods is not None else SMOOTH
-        friction = described_friction(robot, samples, width)
+        friction = described_friction(robot, samples)
         predicted = {**predicted, DESCRIPTION: predicted[DESCRIPTION] + friction}
     return {
         name: Validation.of_prediction(robot.joint_names, samples, effort)

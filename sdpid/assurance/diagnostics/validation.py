@@ -13,16 +13,14 @@ import numpy as np
 from sdpid._common.arrays import Array, Indices, Mask, frozen, frozen_view
 from sdpid._common.tables import Table, facts_html, plain
 from sdpid.assurance.diagnostics.bands import effort_band
+from sdpid.assurance.diagnostics.described import described_dynamics, predicted_efforts
 from sdpid.assurance.diagnostics.rest import resting, rows_in_use
 from sdpid.errors import DataError
 from sdpid.estimation.estimate import Estimate
 from sdpid.experiment.preparation.several import joints_without, without_efforts
 from sdpid.experiment.processing.samples import Samples
-from sdpid.robot.friction.terms import smooth_sign
+from sdpid.robot.model.dynamics import RobotDynamics
 from sdpid.robot.model.model import RobotModel
-
-# Samples a piece: the regressor of a piece stays below some 100 MB for an arm.
-_CHUNK = 20_000
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -201,7 +199,7 @@ def validate(
     )
 
 
-def validate_robot(robot: RobotModel, samples: Samples, *, width: float = 0.0) -> Validation:
+def validate_robot(robot: RobotModel, samples: Samples) -> Validation:
     """Predict efforts from a robot's own description and compare them with measured ones.
 
     The links' inertias are those of the description. Friction is what its ``<dynamics>``
@@ -212,9 +210,8 @@ def validate_robot(robot: RobotModel, samples: Samples, *, width: float = 0.0) -
     robot : RobotModel
         On a fixed base.
     samples : Samples
-        Measurements.
-    width : float, optional
-        With a positive width (rad/s), ``tanh(v / width)`` takes the place of the sign.
+        Measurements. Where they are no average of periods, a narrow tanh takes the place of the
+        sign.
 
     Returns
     -------
@@ -224,34 +221,19 @@ def validate_robot(robot: RobotModel, samples: Samples, *, width: float = 0.0) -
     ------
     DataError
         When the samples' joints are not the robot's.
-    ModelError
-        When the description's friction is not understood.
     """
     if samples.effort.shape[1] != robot.n or robot.free_flyer:
         raise DataError(
             f"validate: samples have {samples.effort.shape[1]} joints, the robot '{robot.name}' "
             f"has {robot.n}{' with its floating base' if robot.free_flyer else ''}."
         )
-    v = samples.velocity
-    predicted = described_friction(robot, samples, width)
-    for first in range(0, len(v), _CHUNK):
-        part = slice(first, first + _CHUNK)
-        states = samples.position[part], v[part], samples.acceleration[part]
-        predicted[part] += robot.inverse_dynamics(robot.prior, *states)
-    return Validation.of_prediction(robot.joint_names, samples, predicted)
+    return validate_dynamics(described_dynamics(robot, samples), samples)
 
 
-def described_friction(robot: RobotModel, samples: Samples, width: float) -> Array:
-    """Return the friction (K, n) that the description gives, ``damping·v + friction·sign(v)``.
-
-    Raises
-    ------
-    ModelError
-        When it is not understood.
-    """
-    damping, friction = robot.described_friction()
-    sign = samples.through_filter(lambda v, _: smooth_sign(v, width, 0.0), slice(None))
-    return np.asarray(damping * samples.velocity + friction * sign)
+def validate_dynamics(model: RobotDynamics, samples: Samples) -> Validation:
+    """Predict efforts with the parameters of a model and compare them with measured ones."""
+    predicted = predicted_efforts(model, samples)
+    return Validation.of_prediction(model.robot.joint_names, samples, predicted)
 
 
 def _figures(effort: Array, predicted: Array, mask: Mask) -> dict[str, Any]:

@@ -208,19 +208,7 @@ class RowSource:
 
     def motion(self, part: slice) -> Motion:
         """Return the motion of some samples, at which friction columns are evaluated."""
-        s, first = self.samples, self.friction.first
-
-        def through_filter(function: OfMotion, key: Hashable | None = None) -> Array:
-            return s.through_filter(function, part, key)
-
-        return Motion(
-            position=s.position[part],
-            velocity=s.velocity[part][:, first:],
-            acceleration=s.acceleration[part][:, first:],
-            robot=self.robot,
-            # A floating base is in no recording, and the filter's velocities are a recording's.
-            through_filter=None if s.wide is None or first else through_filter,
-        )
+        return motion_of(self.robot, self.samples, part, first=self.friction.first)
 
     def _add_friction(self, motion: Motion, places: Indices, out: Array) -> None:
         friction = self.friction
@@ -238,3 +226,19 @@ class RowSource:
             else:
                 kept = np.flatnonzero(to >= 0)
                 out[:, first:, to[kept]] = term.columns_in(motion, names)[:, :, kept]
+
+
+def motion_of(robot: RobotModel, samples: Samples, part: slice, *, first: int = 0) -> Motion:
+    """Return the motion of some samples, of the joints from `first` on that have friction."""
+
+    def through_filter(function: OfMotion, key: Hashable | None = None) -> Array:
+        return samples.through_filter(function, part, key)
+
+    return Motion(
+        position=samples.position[part],
+        velocity=samples.velocity[part][:, first:],
+        acceleration=samples.acceleration[part][:, first:],
+        robot=robot,
+        # A floating base is in no recording, and the filter's velocities are a recording's.
+        through_filter=None if samples.wide is None or first else through_filter,
+    )

@@ -12,13 +12,15 @@ from sdpid._common.arrays import Array
 from sdpid._common.files import atomic_path
 from sdpid.errors import ExportError, ModelError
 from sdpid.estimation.estimate import Estimate
+from sdpid.output.robots.export_report import ExportReport, Written
+from sdpid.output.robots.joint_friction import joint_attributes
 from sdpid.output.robots.mjcf_skeleton import inertial_markup, mjcf_skeleton
-from sdpid.output.robots.urdf import ExportReport, source_text
+from sdpid.output.robots.places import Kind
+from sdpid.output.robots.urdf import source_text
 from sdpid.output.robots.urdf_tree import FixedChild, UrdfTree
 from sdpid.output.robots.written_bodies import (
     SEED,
     STATES,
-    joint_attributes,
     lifted,
     require_consistent,
     require_same_efforts,
@@ -29,14 +31,13 @@ from sdpid.robot.description.mjcf import read_mjcf
 from sdpid.robot.description.origin import numbers, relative
 from sdpid.robot.description.xml import encode_xml, is_mjcf, is_xml, parse_xml
 from sdpid.robot.description.xml_edits import Document, Element
-from sdpid.robot.friction.term import FrictionTerm
 from sdpid.robot.friction.terms import Coulomb, RotorInertia, Viscous
 from sdpid.robot.inertia import transform
 from sdpid.robot.model.base_parameters import generic_states
 from sdpid.robot.model.geometry import link_placements, neutral
 from sdpid.robot.model.model import RobotModel
 
-_PLACES: dict[type[FrictionTerm], str] = {
+_PLACES: dict[Kind, str] = {
     Coulomb: "frictionloss",
     Viscous: "damping",
     RotorInertia: "armature",
@@ -56,7 +57,8 @@ def write_mjcf(
     ``damping`` (viscous friction) and ``frictionloss`` (Coulomb friction) change, and of these
     only what the problem has a term for; all other bytes stay as they are. One exception: where
     the problem has no rotor inertia the links hold that of the rotors, so that an ``armature`` of
-    the source becomes zero.
+    the source becomes zero. As in `write_urdf`, the three are fitted anew where the problem has
+    terms without a place.
 
     Bodies fixed to moving ones are treated as `write_urdf` does: they keep their own inertials,
     and the moving one takes the rest; where no body can be the rest it takes all, and theirs
@@ -124,7 +126,9 @@ def write_mjcf(
     patch.joints(written, clear_armature="armature" not in _attributes(written))
     result = patch.document.text()
     # It has compiled in a child process; only numbers have changed since.
-    _Compiled(robot, result, what, folder=folder, ours=True).require_same_efforts(bodies)
+    compiled = _Compiled(robot, result, what, folder=folder, ours=True)
+    compiled.require_same_efforts(bodies)
+    file = Written(estimate, compiled.attributes())
     with atomic_path(target) as temporary:
         temporary.write_bytes(encode_xml(result))
     if patch.cleared:
@@ -140,6 +144,8 @@ def write_mjcf(
         left_out=friction.left_out,
         kind="an MJCF",
         notes=notes,
+        training=file.errors(),
+        _written=file,
     )
 
 
@@ -212,6 +218,23 @@ class _Compiled:
             for target, rate in zip(out[1:], rates, strict=True):
                 target[:, to.idx_v : to.idx_v + to.nv] = rate[:, joint.idx_v : joint.idx_v + to.nv]
         return out
+
+    def attributes(self) -> tuple[Array, Array, Array]:
+        """Return dry friction, damping and armature (n,) of the robot's coordinates."""
+        robot = self.robot
+        found = {key: np.zeros(robot.pin_model.nv) for key in _PLACES.values()}
+        for i, name in enumerate(list(robot.pin_model.names)[1:], start=1):
+            joint = robot.pin_model.joints[i]
+            if joint.nv == 1:
+                for key, values in found.items():
+                    values[joint.idx_v] = self.values[name][key]
+        # Those of a joint that mimics another act on that one through the gear between them.
+        ratio = np.abs(robot.expansion)
+        return (
+            found["frictionloss"] @ ratio,
+            found["damping"] @ ratio**2,
+            found["armature"] @ ratio**2,
+        )
 
     def _placements(self, position: Array) -> Array:
         """Return the placements (bodies, 4, 4) in the world at a position (nq,)."""

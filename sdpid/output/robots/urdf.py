@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Literal, TypeAlias
 
@@ -16,12 +16,13 @@ from sdpid._common.files import atomic_path
 from sdpid.errors import ExportError, ModelError
 from sdpid.estimation.estimate import Estimate
 from sdpid.estimation.problem import Problem
+from sdpid.output.robots.export_report import ExportReport, Written
+from sdpid.output.robots.joint_friction import JointAttributes, joint_attributes
+from sdpid.output.robots.places import Kind
 from sdpid.output.robots.urdf_tree import FixedChild, UrdfTree
 from sdpid.output.robots.written_bodies import (
     SEED,
     STATES,
-    JointAttributes,
-    joint_attributes,
     lifted,
     require_consistent,
     require_same_efforts,
@@ -31,7 +32,6 @@ from sdpid.output.robots.written_bodies import (
 from sdpid.robot.description.urdf import inertial_values
 from sdpid.robot.description.xml import encode_xml, read_description
 from sdpid.robot.description.xml_edits import Document, Element
-from sdpid.robot.friction.term import FrictionTerm
 from sdpid.robot.friction.terms import Coulomb, Viscous
 from sdpid.robot.inertia import margin
 from sdpid.robot.model.base_parameters import generic_states
@@ -40,61 +40,6 @@ from sdpid.robot.model.model import RobotModel
 
 # How a body is split among a moving link and those fixed to it.
 Fixed: TypeAlias = Literal["keep", "merge"] | Mapping[str, ArrayLike]
-
-
-@dataclass(frozen=True, kw_only=True)
-class ExportReport:
-    """The links and joints that were written, and the parameters that were not.
-
-    Attributes
-    ----------
-    path : Path
-        The file.
-    links_changed : tuple of str
-        Links whose inertial was written, those whose inertial was set to zero included.
-    joints_changed : tuple of str
-        Joints whose damping or friction was written.
-    lumped : tuple of str
-        Moving links that took over the inertia of the links fixed to them, because what was left
-        of the identified body without these, or one of these, could not exist.
-    left_out : tuple of str
-        Parameters for which URDF has no place, such as ``Fo1`` or ``Ia3``.
-    triangle_violations : tuple of str
-        Moving links whose principal moments violate the triangle inequality. Readers that ask for
-        it (MuJoCo) reject them; estimates under ``consistency="pseudo_inertia"`` have none.
-    kind : str
-        What was written.
-    notes : tuple of str
-        What else there is to say.
-    """
-
-    path: Path
-    links_changed: tuple[str, ...]
-    joints_changed: tuple[str, ...] = ()
-    lumped: tuple[str, ...] = ()
-    left_out: tuple[str, ...] = ()
-    triangle_violations: tuple[str, ...] = ()
-    kind: str = "a URDF"
-    notes: tuple[str, ...] = ()
-
-    def describe(self) -> str:
-        """Return the report in words, one statement a line."""
-        lines = [f"{self.path}: wrote the inertia of {len(self.links_changed)} links"]
-        if self.joints_changed:
-            lines[0] += f" and the friction of {len(self.joints_changed)} joints"
-        if self.lumped:
-            lines.append(
-                "with the links fixed to them counted in, whose own inertials are now zero: "
-                + ", ".join(self.lumped)
-            )
-        if self.left_out:
-            lines.append(f"no place in {self.kind}: " + ", ".join(self.left_out))
-        if self.triangle_violations:
-            lines.append(
-                "triangle inequality violated (MuJoCo will not load it): "
-                + ", ".join(self.triangle_violations)
-            )
-        return "\n".join([*lines, *self.notes])
 
 
 def write_urdf(
@@ -108,7 +53,9 @@ def write_urdf(
 
     Only the ``<inertial>`` of moving links and the damping and friction of joints change, and of
     joints only what the problem has: damping with a viscous term (N·m·s/rad, N·s/m for sliding
-    joints), friction with a Coulomb term (N·m, N). All other bytes stay as they are.
+    joints), friction with a Coulomb term (N·m, N), both with a curve such as the sigmoid. All other
+    bytes stay as they are. Where the problem has terms that a URDF has no place for, damping and
+    friction are fitted to its rows anew, with the identified links held.
 
     An identified body is what moves with a joint: a link and the links fixed to it. Those keep
     their inertials and the moving link takes the rest. Where no body can be the rest, or one of
@@ -184,7 +131,8 @@ def write_urdf(
         changed.append(link)
     friction = _write_friction(tree, problem, theta)
     result = document.text()
-    _read_back(robot, bodies, result)
+    damping, dry = _read_back(robot, bodies, result).described_friction()
+    file = Written(estimate, (dry, damping, np.zeros(robot.n)))
     with atomic_path(target) as temporary:
         temporary.write_bytes(encode_xml(result))
     return ExportReport(
@@ -195,6 +143,8 @@ def write_urdf(
         left_out=friction.left_out,
         triangle_violations=tuple(flat),
         notes=friction.notes,
+        training=file.errors(),
+        _written=file,
     )
 
 
@@ -272,7 +222,7 @@ def _write_inertial(document: Document, link: Element, body: Array) -> None:
 
 def _write_friction(tree: UrdfTree, problem: Problem, theta: Array) -> JointAttributes:
     """Write damping and friction into the joints and return them."""
-    places: dict[type[FrictionTerm], str] = {Coulomb: "friction", Viscous: "damping"}
+    places: dict[Kind, str] = {Coulomb: "friction", Viscous: "damping"}
     found = joint_attributes(problem, theta, places, f"URDF of '{problem.robot.name}'")
     written = found.values
     for joint, source in tree.mimics.items():
@@ -290,8 +240,8 @@ def _write_friction(tree: UrdfTree, problem: Problem, theta: Array) -> JointAttr
     return found
 
 
-def _read_back(robot: RobotModel, bodies: Array, text: str) -> None:
-    """Check that the written text is the identified robot, by its efforts at generic states.
+def _read_back(robot: RobotModel, bodies: Array, text: str) -> RobotModel:
+    """Return the robot of the written text, which must need the efforts of the identified one.
 
     Raises
     ------
@@ -317,3 +267,4 @@ def _read_back(robot: RobotModel, bodies: Array, text: str) -> None:
         "the source's joints are placed differently. Give the URDF that the robot was identified "
         "with.",
     )
+    return written

@@ -1,26 +1,16 @@
-"""Bodies and joint attributes to be written, for every format of robot."""
+"""Bodies to be written, for every format of robot."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Sequence
 
 import numpy as np
 
 from sdpid._common.arrays import Array
 from sdpid.errors import ExportError
 from sdpid.estimation.estimate import Estimate
-from sdpid.estimation.problem import Problem
 from sdpid.output.robots.urdf_tree import FixedChild
 from sdpid.robot.consistent import raise_second_moments
-from sdpid.robot.friction.term import FrictionTerm
-from sdpid.robot.friction.terms import (
-    Coulomb,
-    SigmoidFriction,
-    SquareRootFriction,
-    Stribeck,
-    Viscous,
-)
 from sdpid.robot.inertia import (
     Consistency,
     margin,
@@ -39,8 +29,6 @@ _INSIDE = 1e-13
 # largest one.
 _READ_BACK = 1e-10
 STATES, SEED = 8, 20240229
-# Friction negative by no more than this (N·m, N·m·s/rad) is zero with a solver's rounding.
-_FRICTION_ZERO = 1e-9
 
 
 def standard_parameters(estimate: Estimate, what: str, kind: str) -> Array:
@@ -135,97 +123,3 @@ def rest_of(body: Array, children: Sequence[FixedChild], consistency: Consistenc
 def lifted(body: Array, consistency: Consistency) -> Array:
     """Return the body, moved off the boundary of the consistent set by a few roundings."""
     return raise_second_moments(body, _INSIDE + _rounding(body), consistency=consistency)
-
-
-# Functions of speed for which no format has an attribute.
-_CURVES = (SigmoidFriction, SquareRootFriction, Stribeck)
-
-
-@dataclass(frozen=True)
-class JointAttributes:
-    """Friction as attributes of joints.
-
-    Attributes
-    ----------
-    values : dict
-        Attributes and their numbers by joint name.
-    left_out : tuple of str
-        Parameters for which there is no attribute.
-    notes : tuple of str
-        Friction curves that were replaced by Coulomb and viscous friction, and how well they fit.
-    """
-
-    values: dict[str, dict[str, float]]
-    left_out: tuple[str, ...]
-    notes: tuple[str, ...]
-
-
-def joint_attributes(
-    problem: Problem, theta: Array, places: Mapping[type[FrictionTerm], str], what: str
-) -> JointAttributes:
-    """Return identified friction as attributes of joints.
-
-    Other functions of speed are added as the Coulomb and viscous friction that fit them best at
-    the speeds of the problem's samples; neither is negative.
-
-    Parameters
-    ----------
-    problem : Problem
-        Terms and samples.
-    theta : ndarray, shape (p,)
-        Standard parameters.
-    places : mapping
-        The attribute for the parameter of a term, with Coulomb and Viscous among them.
-    what : str
-        Name of the written robot in messages.
-
-    Raises
-    ------
-    ExportError
-        When a number is negative.
-    """
-    friction, samples = problem.friction, problem.samples
-    names, at = friction.joint_names, 10 * problem.robot.n_links
-    velocity = np.asarray(samples.velocity)[:, friction.first :]
-    acceleration = np.asarray(samples.acceleration)[:, friction.first :]
-    numbers: dict[str, dict[str, float]] = {}
-    left_out: list[str] = []
-    curves: list[str] = []
-    effort = np.zeros_like(velocity)
-    for term in friction.terms:
-        parameters = term.parameters(names)
-        values = theta[at : at + len(parameters)]
-        at += len(parameters)
-        attribute = places.get(type(term))
-        if isinstance(term, _CURVES):
-            effort += term.columns(velocity, acceleration, names) @ values
-            curves += [p.name for p in parameters]
-        elif attribute is None:
-            left_out += [p.name for p in parameters]
-        else:
-            for name, parameter, value in zip(names, parameters, values, strict=True):
-                if value < -_FRICTION_ZERO:
-                    raise ExportError(
-                        f"{what}: {parameter.name} of joint '{name}' is {value:.3g} "
-                        f"{parameter.unit}, the least is 0; solve with "
-                        "Constraints(friction_nonnegative=True)."
-                    )
-                numbers.setdefault(name, {})[attribute] = max(float(value), 0.0)
-    if not curves:
-        return JointAttributes(numbers, tuple(left_out), ())
-    from scipy.optimize import nnls
-
-    worst = 0.0
-    kinds: tuple[type[FrictionTerm], ...] = (Coulomb, Viscous)
-    for j, name in enumerate(names):
-        columns = np.column_stack([np.sign(velocity[:, j]), velocity[:, j]])
-        fit, residual = nnls(columns, effort[:, j])
-        worst = max(worst, float(residual) / np.sqrt(len(effort)))
-        own = numbers.setdefault(name, {})
-        for kind, value in zip(kinds, fit, strict=True):
-            own[places[kind]] = own.get(places[kind], 0.0) + float(value)
-    note = (
-        f"{', '.join(curves)} are written as the Coulomb and viscous friction that fit them best "
-        f"at the speeds of the samples, to {worst:.2g} N.m rms at the worst joint"
-    )
-    return JointAttributes(numbers, tuple(left_out), (note,))

@@ -331,6 +331,7 @@ class _Build:
         at = self.model.joints[joint].idx_v
         self.model.damping[at] = found["dof"]["damping"][number]
         self.model.friction[at] = found["dof"]["frictionloss"][number]
+        self.model.armature[at] = found["dof"]["armature"][number]
         return joint, anchor.inverse()
 
 

@@ -188,8 +188,7 @@ class RobotDynamics:
     def _links(self) -> Any:
         """Pinocchio's model with these links, without armature and friction."""
         model = self.robot.with_inertias(self.theta)
-        for field in ("armature", "damping", "friction"):
-            setattr(model, field, np.zeros(model.nv))
+        model.damping = model.friction = np.zeros(model.nv)
         return model
 
     @cached_property

@@ -244,6 +244,10 @@ class RobotModel:
         ratio = np.abs(self.expansion)
         return np.asarray(damping @ ratio**2), np.asarray(friction @ ratio)
 
+    def described_armature(self) -> Array:
+        """Return the rotor inertia of each coordinate in the description, (n,); a URDF has none."""
+        return np.asarray(self.pin_model.armature @ self.expansion**2)
+
     def _rate_limits(self, values: Array) -> Array:
         limits = np.full(self.n, np.inf)
         for column, joint in self._single_joints():
@@ -422,13 +426,14 @@ class RobotModel:
         return self.regressor(q, v, a) @ theta[: 10 * self.n_links]
 
     def with_inertias(self, theta: ArrayLike) -> Any:
-        """Return a copy of the Pinocchio model whose links have the given parameters."""
+        """Return a copy of the Pinocchio model, without armature, whose links have parameters."""
         import pinocchio as pin
 
         bodies = np.asarray(theta, dtype=np.float64).reshape(-1)[: 10 * self.n_links]
         model = self.pin_model.copy()
         for i, body in enumerate(bodies.reshape(self.n_links, 10)):
             model.inertias[i + 1] = pin.Inertia.FromDynamicParameters(body)
+        model.armature = np.zeros(model.nv)
         return model
 
     def mass_matrix(self, theta: ArrayLike, q: ArrayLike) -> Array:

@@ -12,6 +12,7 @@ import pytest
 
 from sdpid.errors import ExportError, ModelError
 from sdpid.estimation.problem import Problem
+from sdpid.output.robots.joint_friction import LeftOut
 from sdpid.output.robots.mjcf import write_mjcf
 from sdpid.output.robots.urdf import write_urdf
 from sdpid.robot.friction.terms import RotorInertia
@@ -214,10 +215,10 @@ def test_a_source_with_armature_that_the_links_hold(tmp_path: Path) -> None:
 
 def test_a_robot_without_a_description(tmp_path: Path) -> None:
     robot = load_robot(load_robot(TREE).pin_model)
-    problem = problem_of(robot, friction=(*FRICTION, "offset"))
+    problem = problem_of(robot, friction=(*FRICTION, "offset")).without_rows()
     links = bodies(np.random.default_rng(1), robot.n_links)
     report = write_mjcf(estimate_of(problem, links, NUMBER), target=tmp_path / "out.xml")
-    assert report.left_out == tuple(f"Fo{i + 1}" for i in range(robot.n))
+    assert report.left_out == (LeftOut("Offset", tuple(f"Fo{i + 1}" for i in range(robot.n))),)
     assert "no place in an MJCF: Fo1" in report.describe()
     assert_identified(problem, links, tmp_path / "out.xml")
 

@@ -7,7 +7,6 @@ import re
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
-from xml.etree import ElementTree
 
 import numpy as np
 import pytest
@@ -16,16 +15,15 @@ from sdpid.errors import ExportError, ModelError
 from sdpid.estimation.estimate import Estimate
 from sdpid.estimation.problem import Problem, build_problem
 from sdpid.experiment.processing.samples import Samples
+from sdpid.output.robots.joint_friction import LeftOut
 from sdpid.output.robots.urdf import write_urdf
 from sdpid.robot.description.bodies import read_urdf_bodies
 from sdpid.robot.description.xml import undeclared
 from sdpid.robot.friction.model import FrictionModel
-from sdpid.robot.friction.terms import SigmoidFriction
 from sdpid.robot.inertia import margin, point_masses
 from sdpid.robot.model.base_parameters import generic_states
 from sdpid.robot.model.load import load_robot
 from sdpid.robot.model.model import RobotModel
-from tests.helpers.robots import small_arm
 
 # Efforts of the written robot, relative to the largest one.
 CLOSE = 1e-9
@@ -227,13 +225,13 @@ def test_friction_appears_where_there_was_none(tmp_path: Path, arm: Problem) -> 
 
 
 def test_friction_of_followers_counts_at_their_source(tmp_path: Path) -> None:
-    problem = problem_of(load_robot(MIMIC), friction=("viscous", "offset"))
+    problem = problem_of(load_robot(MIMIC), friction=("viscous", "offset")).without_rows()
     links = bodies(np.random.default_rng(0), 3)
     report = write_urdf(estimate_of(problem, links), target=tmp_path / "out.urdf")
     out = (tmp_path / "out.urdf").read_text()
     assert '<dynamics damping="0.0"/>' in out
     assert "damping='0.75' friction=\"0.25\"" in out  # no Coulomb term: friction stays
-    assert report.left_out == ("Fo1", "Fo2")
+    assert report.left_out == (LeftOut("Offset", ("Fo1", "Fo2")),)
     assert "Fo1, Fo2" in report.describe()
 
 
@@ -379,29 +377,3 @@ def test_refusals(tmp_path: Path, arm: Problem) -> None:
     with pytest.raises(ExportError, match="as source"):
         write_urdf(estimate_of(nameless, links), target=target)
     assert list(tmp_path.iterdir()) == []
-
-
-def test_other_friction_becomes_what_fits_best(tmp_path: Path) -> None:
-    """A sigmoid that saturates at once is Coulomb friction; a wide one is viscous."""
-    robot = small_arm(2)
-    rng = np.random.default_rng(0)
-    velocity = rng.uniform(-2.0, 2.0, (200, 2))
-    terms = ("viscous", SigmoidFriction(velocity=(1e-9, 1e3)))
-    body = [1.0, 0.0, 0.0, 0.0, 0.1, 0.0, 0.1, 0.0, 0.0, 0.1]
-    theta = np.array([*body, *body, 0.5, 0.5, 3.0, 4e3])
-    position = rng.uniform(-1.0, 1.0, (200, 2))
-    samples = Samples(
-        position=position,
-        velocity=velocity,
-        acceleration=velocity[::-1],
-        effort=rng.standard_normal((200, 2)),
-    )
-    problem = build_problem(robot, samples, friction=terms)
-    estimate = Estimate.of_theta(problem, theta, method="sdp", status="optimal")
-    report = write_urdf(estimate, target=tmp_path / "arm.urdf")
-    assert report.left_out == ()
-    assert "Fsg1" in report.describe()
-    joints = ElementTree.parse(tmp_path / "arm.urdf").iter("joint")
-    found = [joint.find("dynamics") for joint in joints]
-    numbers = [(float(d.get("friction")), float(d.get("damping"))) for d in found if d is not None]
-    np.testing.assert_allclose(numbers, [(3.0, 0.5), (0.0, 4.5)], atol=0.01)

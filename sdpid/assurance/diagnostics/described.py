@@ -1,0 +1,103 @@
+"""The efforts that a robot with known parameters predicts, and a description's parameters."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from sdpid._common.arrays import Array, frozen
+from sdpid.estimation.compression.rows import motion_of
+from sdpid.experiment.preparation.for_robot import SMOOTH
+from sdpid.experiment.processing.samples import Samples
+from sdpid.robot.friction.model import FrictionModel
+from sdpid.robot.friction.terms import Coulomb, RotorInertia, Viscous
+from sdpid.robot.model.dynamics import RobotDynamics
+from sdpid.robot.model.model import RobotModel
+
+# Samples a piece: the regressor of a piece stays below some 100 MB for an arm.
+_CHUNK = 20_000
+
+
+def described_coulomb(samples: Samples) -> Coulomb:
+    """Return the Coulomb friction that a description means, as samples show it.
+
+    The exact sign where periods are averaged; else a smooth one, as velocities are noisy.
+    """
+    return Coulomb(width=SMOOTH if samples.periods is None else 0.0)
+
+
+def described_dynamics(
+    robot: RobotModel,
+    samples: Samples,
+    *,
+    bodies: Array | None = None,
+    attributes: tuple[Array, Array, Array] | None = None,
+) -> RobotDynamics:
+    """Return the dynamics that a description holds: links, dry friction, damping, armature.
+
+    Parameters
+    ----------
+    robot : RobotModel
+        On a fixed base or a floating one.
+    samples : Samples
+        What is to be predicted, which decides how sharp the sign of dry friction is.
+    bodies : ndarray, shape (links, 10), optional
+        By default those of the robot's own description.
+    attributes : tuple of ndarray, shape (n,) each, optional
+        Dry friction, damping and armature of the coordinates; by default the description's.
+
+    Returns
+    -------
+    RobotDynamics
+    """
+    if attributes is None:
+        damping, friction = robot.described_friction()
+        attributes = friction, damping, robot.described_armature()
+    links = np.asarray(robot.prior if bodies is None else bodies).ravel()
+    terms = described_coulomb(samples), Viscous(), RotorInertia()
+    return RobotDynamics(
+        robot=robot,
+        terms=FrictionModel.from_terms(terms, robot.joint_names, first=robot.n_base),
+        theta=frozen(np.concatenate([links, *(each[robot.n_base :] for each in attributes)])),
+    )
+
+
+def described_friction(robot: RobotModel, samples: Samples) -> Array:
+    """Return the efforts (K, n) of the friction and armature in a robot's description."""
+    model = described_dynamics(robot, samples)
+    return predicted_efforts(model, samples, links=False)
+
+
+def predicted_efforts(model: RobotDynamics, samples: Samples, *, links: bool = True) -> Array:
+    """Return the efforts (K, n) of samples, friction as it stands in filtered efforts."""
+    robot, terms = model.robot, model.terms
+    found = np.zeros(samples.effort.shape)
+    if links:
+        found = rigid_efforts(robot, model.theta, samples)
+    values = model.theta[10 * robot.n_links :]
+    found[:, terms.first :] += efforts_of_terms(robot, terms, values, samples, first=terms.first)
+    return found
+
+
+def rigid_efforts(robot: RobotModel, bodies: Array, samples: Samples) -> Array:
+    """Return the efforts (K, n) of links (the first of `bodies`), without friction."""
+    states = samples.position, samples.velocity, samples.acceleration
+    parts = [
+        robot.inverse_dynamics(bodies, *(each[part] for each in states)) for part in _parts(samples)
+    ]
+    return np.concatenate(parts)
+
+
+def efforts_of_terms(
+    robot: RobotModel, terms: FrictionModel, values: Array, samples: Samples, *, first: int
+) -> Array:
+    """Return the efforts (K, joints) of friction terms, as they stand in filtered efforts."""
+    parts = [
+        terms.columns_in(motion_of(robot, samples, part, first=first))[:, terms.first :] @ values
+        for part in _parts(samples)
+    ]
+    return np.concatenate(parts)
+
+
+def _parts(samples: Samples) -> list[slice]:
+    count = samples.n_samples
+    return [slice(k, min(k + _CHUNK, count)) for k in range(0, count, _CHUNK)]

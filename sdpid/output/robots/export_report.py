@@ -1,0 +1,158 @@
+"""What writing a robot's file says: links and joints written, terms left out, what that costs."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+from sdpid._common.arrays import Array
+from sdpid._common.tables import plain
+from sdpid.assurance.diagnostics.described import described_dynamics
+from sdpid.assurance.diagnostics.validation import validate, validate_dynamics
+from sdpid.estimation.estimate import Estimate
+from sdpid.experiment.processing.samples import Samples
+from sdpid.output.robots.joint_friction import LeftOut
+
+# Relative difference of two errors that are the same but for rounding and a solver's tolerance.
+_SAME = 1e-3
+
+
+@dataclass(frozen=True)
+class Errors:
+    """Norm of the errors of predicted efforts over the norm of the efforts.
+
+    Attributes
+    ----------
+    file : float
+        As the written file predicts them.
+    estimate : float
+        As the estimate predicts them.
+    """
+
+    file: float
+    estimate: float
+
+    def __str__(self) -> str:
+        return f"to {100.0 * self.file:.2f} %, the estimate to {100.0 * self.estimate:.2f} %"
+
+    @property
+    def differ(self) -> bool:
+        """Whether the file predicts otherwise than the estimate, beyond rounding."""
+        return abs(self.file - self.estimate) > _SAME * self.estimate
+
+
+@dataclass(frozen=True, kw_only=True)
+class ExportReport:
+    """The links and joints that were written, the parameters that were not, and what that costs.
+
+    Attributes
+    ----------
+    path : Path
+        The file.
+    links_changed : tuple of str
+        Links whose inertial was written, those whose inertial was set to zero included.
+    joints_changed : tuple of str
+        Joints whose damping, friction or armature was written.
+    lumped : tuple of str
+        Moving links that took over the inertia of the links fixed to them, because what was left
+        of the identified body without these, or one of these, could not exist.
+    left_out : tuple of LeftOut
+        Terms for which the file has no place, such as offsets.
+    triangle_violations : tuple of str
+        Moving links whose principal moments violate the triangle inequality. Readers that ask for
+        it (MuJoCo) reject them; estimates under ``consistency="pseudo_inertia"`` have none.
+    kind : str
+        What was written.
+    notes : tuple of str
+        What else there is to say.
+    training : Errors or None
+        Errors on the rows that the estimate was fitted to; None where they were not kept.
+    validation : Errors or None
+        Errors on other rows (see `with_validation`).
+    """
+
+    path: Path
+    links_changed: tuple[str, ...]
+    joints_changed: tuple[str, ...] = ()
+    lumped: tuple[str, ...] = ()
+    left_out: tuple[LeftOut, ...] = ()
+    triangle_violations: tuple[str, ...] = ()
+    kind: str = "a URDF"
+    notes: tuple[str, ...] = ()
+    training: Errors | None = None
+    validation: Errors | None = None
+    _written: Written | None = field(default=None, repr=False)
+
+    def with_validation(self, samples: Samples) -> ExportReport:
+        """Return the report with the errors on other samples."""
+        assert self._written is not None
+        return replace(self, validation=self._written.errors(samples))
+
+    def describe(self) -> str:
+        """Return the report in words, one statement a line."""
+        lines = [f"{self.path}: wrote the inertia of {len(self.links_changed)} links"]
+        if self.joints_changed:
+            lines[0] += f" and the friction of {len(self.joints_changed)} joints"
+        if self.training is not None and self.training.differ:
+            lines.append(f"predicts the recorded efforts {self.training}")
+        if self.validation is not None and self.validation.differ:
+            lines.append(f"predicts the efforts of the validation recording {self.validation}")
+        lines += [f"no place in {self.kind}: {lost}" for lost in self.left_out]
+        if self.lumped:
+            lines.append(
+                "with the links fixed to them counted in, whose own inertials are now zero: "
+                + ", ".join(self.lumped)
+            )
+        if self.triangle_violations:
+            lines.append(
+                "triangle inequality violated (MuJoCo will not load it): "
+                + ", ".join(self.triangle_violations)
+            )
+        return "\n".join([*lines, *self.notes])
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return plain values for JSON."""
+        content = {
+            "file": self.path.name,
+            "training": None if self.training is None else asdict(self.training),
+            "validation": None if self.validation is None else asdict(self.validation),
+            "left_out": [asdict(lost) for lost in self.left_out],
+            "lumped": list(self.lumped),
+            "triangle_violations": list(self.triangle_violations),
+            "notes": list(self.notes),
+        }
+        found: dict[str, Any] = plain(content)
+        return found
+
+
+@dataclass(frozen=True, eq=False)
+class Written:
+    """The estimate, and the numbers of the file that was written from it.
+
+    Attributes
+    ----------
+    estimate : Estimate
+        What was written.
+    attributes : tuple of ndarray, shape (n,) each
+        Dry friction, damping and armature of the robot's coordinates, read back from the file.
+    """
+
+    estimate: Estimate
+    attributes: tuple[Array, Array, Array]
+
+    def errors(self, samples: Samples | None = None) -> Errors | None:
+        """Return errors on samples, by default on the problem's own, if there are any."""
+        problem, theta = self.estimate.problem, self.estimate.theta
+        assert theta is not None
+        if samples is None:
+            if problem.rows is None:
+                return None
+            samples = problem.samples
+        bodies = theta[: 10 * problem.robot.n_links]
+        model = described_dynamics(
+            problem.robot, samples, bodies=bodies, attributes=self.attributes
+        )
+        return Errors(
+            validate_dynamics(model, samples).relative, validate(self.estimate, samples).relative
+        )

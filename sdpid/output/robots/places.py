@@ -1,0 +1,141 @@
+"""Places of identified friction terms in a robot's file: attributes of joints."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from sdpid._common.arrays import Array
+from sdpid.errors import ExportError
+from sdpid.estimation.problem import Problem
+from sdpid.experiment.preparation.for_robot import SMOOTH
+from sdpid.robot.friction.term import FrictionTerm, JointwiseTerm
+from sdpid.robot.friction.terms import (
+    AsymmetricCoulomb,
+    Coulomb,
+    SigmoidFriction,
+    SquareRootFriction,
+    Stribeck,
+    Viscous,
+)
+
+Kind = type[JointwiseTerm]
+
+# Functions of speed that dry friction and damping stand in for.
+_CURVES = (SigmoidFriction, SquareRootFriction, Stribeck, AsymmetricCoulomb)
+
+# Friction negative by no more than this (N·m, N·m·s/rad) is zero with a solver's rounding.
+_FRICTION_ZERO = 1e-9
+
+# Speeds, rad/s or m/s, up to which a curve is fitted where no recording says otherwise.
+_NOMINAL = 1.0
+
+
+@dataclass(frozen=True, eq=False)
+class Part:
+    """A term, the names of its parameters, and their values."""
+
+    term: FrictionTerm
+    names: tuple[str, ...]
+    values: Array
+
+
+class Places:
+    """The terms of a problem by what a file can hold of them.
+
+    Attributes
+    ----------
+    exact : dict of term to ndarray, shape (n,)
+        Terms that have an attribute, and their values.
+    curves : list of Part
+        Functions of speed that dry friction and damping stand in for.
+    lost : list of Part
+        Terms for which there is no place.
+    kinds : list
+        The terms whose attributes are written.
+
+    Parameters
+    ----------
+    problem : Problem
+        Terms and samples.
+    theta : ndarray, shape (p,)
+        Standard parameters.
+    attributes : mapping
+        The attribute for the parameter of a term, with Coulomb and Viscous among them.
+    what : str
+        Name of the written robot in messages.
+
+    Raises
+    ------
+    ExportError
+        When a value that has an attribute is negative.
+    """
+
+    def __init__(
+        self, problem: Problem, theta: Array, attributes: Mapping[Kind, str], what: str
+    ) -> None:
+        self.joints = problem.friction.joint_names
+        self.attributes = attributes
+        self.exact: dict[Kind, Array] = {}
+        self.curves: list[Part] = []
+        self.lost: list[Part] = []
+        at = 10 * problem.robot.n_links
+        for term in problem.friction.terms:
+            names = tuple(p.name for p in term.parameters(self.joints))
+            part = Part(term, names, theta[at : at + len(names)])
+            at += len(names)
+            if isinstance(term, _CURVES) or (isinstance(term, Coulomb) and not _sharp(term)):
+                self.curves.append(part)
+            elif isinstance(term, JointwiseTerm) and type(term) in attributes:
+                self._require_nonnegative(part, term.unit, what)
+                self.exact[type(term)] = np.maximum(part.values, 0.0)
+            else:
+                self.lost.append(part)
+        stand_in = {Coulomb, Viscous} if self.curves else set()
+        self.kinds = [kind for kind in attributes if kind in self.exact or kind in stand_in]
+
+    def _require_nonnegative(self, part: Part, unit: str, what: str) -> None:
+        for joint, name, value in zip(self.joints, part.names, part.values, strict=True):
+            if value < -_FRICTION_ZERO:
+                raise ExportError(
+                    f"{what}: {name} of joint '{joint}' is {value:.3g} {unit}, the least is 0; "
+                    "solve with Constraints(friction_nonnegative=True)."
+                )
+
+    def by_joint(self, values: Mapping[Kind, Array]) -> dict[str, dict[str, float]]:
+        """Return values (n,) of terms by joint and attribute."""
+        return {
+            joint: {self.attributes[kind]: float(numbers[j]) for kind, numbers in values.items()}
+            for j, joint in enumerate(self.joints)
+            if values
+        }
+
+    def at_nominal_speeds(self) -> dict[Kind, Array]:
+        """Return values (n,) for the attributes, without a look at recorded efforts.
+
+        Curves become the dry friction and damping, none negative, that fit them best at speeds up
+        to a nominal one.
+        """
+        from scipy.optimize import nnls
+
+        found = {kind: np.zeros(len(self.joints)) for kind in self.kinds} | self.exact
+        if not self.curves:
+            return found
+        speeds = np.linspace(-_NOMINAL, _NOMINAL, 101)
+        v = np.tile(speeds[:, None], (1, len(self.joints)))
+        effort = np.zeros_like(v)
+        for part in self.curves:
+            effort += part.term.columns(v, np.zeros_like(v), self.joints) @ part.values
+        columns = np.column_stack([np.sign(speeds), speeds])
+        fits = np.array([nnls(columns, effort[:, j])[0] for j in range(len(self.joints))])
+        found[Coulomb] = found[Coulomb] + fits[:, 0]
+        found[Viscous] = found[Viscous] + fits[:, 1]
+        return found
+
+
+def _sharp(term: Coulomb) -> bool:
+    """Return whether Coulomb friction is as sharp as that of a description."""
+    widths = np.atleast_1d(np.asarray(term.width, dtype=np.float64))
+    return term.dead_zone == 0.0 and bool(np.all(widths <= SMOOTH))
