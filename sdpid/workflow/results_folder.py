@@ -271,6 +271,7 @@ class _Writer:
             command=command,
             intervals=self.intervals,
             figures=figures,
+            exports=self.exports,
             sha256=certificate_digest(self.folder / "certificate.json"),
         )
 

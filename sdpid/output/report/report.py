@@ -9,7 +9,7 @@ from __future__ import annotations
 import importlib.util
 import json
 import os
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from importlib.resources import files
 from pathlib import Path
 from typing import Any
@@ -30,6 +30,7 @@ from sdpid.output.plots.inline_svg import image_source
 from sdpid.output.plots.joints import COLUMNS, plot_joint, plot_joint_errors
 from sdpid.output.report.prediction_verdict import grade
 from sdpid.output.report.verdict import Judged, errors_of, findings, judged
+from sdpid.output.robots.export_report import ExportReport
 from sdpid.output.tables.intervals_shown import Ends, GivenIntervals, ends_of, in_words
 from sdpid.output.tables.parameter_tables import base_table
 
@@ -54,6 +55,7 @@ def write_report(
     intervals: GivenIntervals | None = None,
     figures: bool | None = None,
     sha256: str | None = None,
+    exports: Sequence[ExportReport] = (),
 ) -> Path:
     """Write a self-contained HTML report on an identification, whole or not at all.
 
@@ -72,6 +74,8 @@ def write_report(
     sha256 : str, optional
         The certificate's digest, where it is known; else the certificate is written out once
         more to find it.
+    exports : sequence of ExportReport, optional
+        Files of the robot that were written.
 
     Returns
     -------
@@ -87,7 +91,12 @@ def write_report(
         When the file cannot be written.
     """
     text = report_html(
-        identification, command=command, intervals=intervals, figures=figures, sha256=sha256
+        identification,
+        command=command,
+        intervals=intervals,
+        figures=figures,
+        sha256=sha256,
+        exports=exports,
     )
     atomic_write_text(target, text)
     return Path(target)
@@ -100,6 +109,7 @@ def report_html(
     intervals: GivenIntervals | None = None,
     figures: bool | None = None,
     sha256: str | None = None,
+    exports: Sequence[ExportReport] = (),
 ) -> str:
     """Return the page that `write_report` writes, with the same arguments and errors."""
     jinja2 = require("jinja2", extra="report")
@@ -116,7 +126,12 @@ def report_html(
         sha256 = str(identification.certificate.to_dict()["sha256"])
     shown = _context(identification, drawable if figures is None else figures, intervals)
     page = environment.from_string(template).render(
-        **shown, command=command, sha256=sha256, version=__version__, drawable=drawable
+        **shown,
+        exports=exports,
+        command=command,
+        sha256=sha256,
+        version=__version__,
+        drawable=drawable,
     )
     return str(page)
 

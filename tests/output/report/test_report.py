@@ -365,6 +365,18 @@ def test_save_writes_it_with_the_digest_of_the_certificate(
     assert COMMAND in words(text)
 
 
+def test_what_the_written_files_predict_is_shown(result: Identification, tmp_path: Path) -> None:
+    result.save(tmp_path, figures=False)
+    shown = words((tmp_path / "report.html").read_text(encoding="utf-8"))
+    content = json.loads((tmp_path / "result.json").read_text(encoding="utf-8"))
+    assert "As the written files predict it" in shown
+    for export in content["exports"]:
+        both = [f"{100.0 * export[kind]['file']:#.3g} %" for kind in ("validation", "training")]
+        share = f"{100.0 * export['left_out'][0]['share']:.2g} %"
+        assert f"{export['file']} {both[0]}{both[1]} Offset {share}" in shown
+    assert "As the written files" not in words(report_html(result, figures=False))
+
+
 def test_save_goes_on_without_the_extra(
     result: Identification, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
