@@ -17,7 +17,7 @@ import typer
 
 from sdpid._common.files import PathLike, require_other_files
 from sdpid.cli.values import friction_terms, numbers, pairs, split_list
-from sdpid.errors import ExportError
+from sdpid.errors import DataError, ExportError
 
 if TYPE_CHECKING:
     from sdpid.estimation.constraints.constraints import Constraints
@@ -246,16 +246,52 @@ class ProcessingOptions:
         ),
     ] = None
 
+    mask: Annotated[
+        bool | None,
+        _processing(
+            "--mask/--no-mask",
+            help="Leave out rows near reversals and at rest, or keep all. Default: leave them out.",
+        ),
+    ] = None
+    mask_speed: Annotated[
+        float | None,
+        _processing(metavar="X", help="Speed below which rows are left out, rad/s (default 0.02)."),
+    ] = None
+    mask_time: Annotated[
+        float | None,
+        _processing(metavar="S", help="Rows this near to a slower one are left out too, s."),
+    ] = None
+    filter_friction: Annotated[
+        bool | None,
+        _processing(
+            "--filter-friction/--no-filter-friction",
+            help="Let friction columns pass the filter of the efforts (default), or take friction "
+            "at the filtered velocity.",
+        ),
+    ] = None
+
     def changes(self) -> dict[str, Any]:
-        """Return the settings that were given, by their names in `Processing`."""
+        """Return the settings that were given, by their names in `Processing`.
+
+        Raises
+        ------
+        DataError
+            When rows are to be kept and a time or speed to leave them out is given.
+        """
+        if self.mask is False and not (self.mask_speed is None and self.mask_time is None):
+            raise DataError("mask: is off, but mask-speed or mask-time is given; leave one out.")
         settings: dict[str, Any] = {
             "cutoff_hz": self.cutoff,
             "order": self.order,
             "velocity": None if self.velocity is None else self.velocity.value,
             "filter": self.filter,
             "derivative": self.derivative,
+            "reversal_speed": self.mask_speed,
+            "reversal_time": self.mask_time,
+            "filter_friction": self.filter_friction,
         }
-        return {name: value for name, value in settings.items() if value is not None}
+        changed = {name: value for name, value in settings.items() if value is not None}
+        return {**changed, "reversal_time": None} if self.mask is False else changed
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -387,6 +387,7 @@ def test_a_topic_of_a_bag(tmp_path: Path) -> None:
         (("--robot", ROBOT, "--friction", "glue", "--unit", "position=deg"), ("glue",)),
         (("--robot", ROBOT, "--friction", "viscous=1"), ("viscous=1",)),
         (("--robot", ROBOT, "--margin", "-1"), ("margin",)),
+        (("--robot", ROBOT, "--no-mask", "--mask-time", "0.1"), ("mask-time", "leave one out")),
         (("--robot", ROBOT, "--period", "0.77"), ("does not divide",)),
     ],
 )

@@ -1,0 +1,32 @@
+"""What options of the command line become."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+
+from sdpid.cli.options import ProcessingOptions
+from sdpid.errors import DataError
+
+
+@pytest.mark.parametrize(
+    ("given", "expected"),
+    [
+        ({}, {}),
+        ({"mask": True}, {}),
+        ({"mask": False}, {"reversal_time": None}),
+        (
+            {"mask_speed": 0.05, "mask_time": 0.0, "cutoff": 8.0},
+            {"reversal_speed": 0.05, "reversal_time": 0.0, "cutoff_hz": 8.0},
+        ),
+        ({"filter_friction": False}, {"filter_friction": False}),
+    ],
+)
+def test_the_processing(given: dict[str, Any], expected: dict[str, Any]) -> None:
+    assert ProcessingOptions(**given).changes() == expected
+
+
+def test_a_mask_that_is_off_has_no_size() -> None:
+    with pytest.raises(DataError, match="mask-speed"):
+        ProcessingOptions(mask=False, mask_speed=0.1).changes()
