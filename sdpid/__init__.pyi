@@ -32,6 +32,7 @@ from .output.tables.parameters_file import read_parameters, write_parameters
 from .robot.description.dh_table import DhTable
 from .robot.model.load import load_robot
 from .robot.model.model import RobotModel
+from .workflow.adapt import adapt
 from .workflow.comparison import compare
 from .workflow.cross_validation import cross_validate
 from .workflow.identify import identify
@@ -50,6 +51,7 @@ __all__ = [
     "Samples",
     "Trajectory",
     "__version__",
+    "adapt",
     "audit_base_parameters",
     "audit_urdf",
     "build_problem",

@@ -4,6 +4,7 @@
 term objects. A term of your own is a `JointwiseTerm` with its own ``shape``, or a `FrictionTerm`.
 """
 
+from sdpid.robot.friction.posed import LoadFriction, Tilt
 from sdpid.robot.friction.term import FrictionTerm, JointwiseTerm, OpenParameter, TermParameter
 from sdpid.robot.friction.terms import (
     AsymmetricCoulomb,
@@ -23,6 +24,7 @@ __all__ = [
     "Coupling",
     "FrictionTerm",
     "JointwiseTerm",
+    "LoadFriction",
     "Offset",
     "OpenParameter",
     "RotorInertia",
@@ -30,5 +32,6 @@ __all__ = [
     "SquareRootFriction",
     "Stribeck",
     "TermParameter",
+    "Tilt",
     "Viscous",
 ]

@@ -49,6 +49,7 @@ ROOMS = {
         "estimate",
         "wls",
         "sdp",
+        "selection",
         "local",
         "robust",
         "recursive",

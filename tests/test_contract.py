@@ -15,6 +15,7 @@ CONTRACT = {
     "Recording",
     "RobotModel",
     "Samples",
+    "adapt",
     "audit_base_parameters",
     "audit_urdf",
     "build_problem",
@@ -64,6 +65,7 @@ def test_the_top_level_holds_the_contract_and_little_else() -> None:
 @pytest.mark.parametrize(
     ("name", "first"),
     [
+        ("adapt", ["estimate", "log"]),
         ("build_problem", ["robot", "samples"]),
         ("identify", ["robot", "log"]),
         ("identify_payload", ["robot", "with_load", "without_load"]),

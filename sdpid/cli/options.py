@@ -71,7 +71,7 @@ def _beginning(words: Iterable[str]) -> Callable[[str], list[str]]:
 
 def _complete_friction(incomplete: str) -> list[str]:
     """Complete the name of a friction term."""
-    from sdpid.robot.friction.terms import BY_NAME
+    from sdpid.robot.friction.model import BY_NAME
 
     return _beginning(BY_NAME)(incomplete)
 
@@ -321,10 +321,19 @@ class Estimation:
             metavar="TERM",
             help="coulomb, coulomb=0.02 (smooth within 0.02 rad/s), coulomb=fit (smooth within "
             "the speed that fits best), asymmetric_coulomb, viscous, offset, rotor_inertia, "
-            "stribeck, sigmoid, square_root, or coupling=joint_5,joint_6. Repeat for each term.",
+            "stribeck, sigmoid, square_root, load, tilt, or coupling=joint_5,joint_6. Repeat for "
+            "each term.",
             autocompletion=_complete_friction,
         ),
     ] = None
+    effects: Annotated[
+        str,
+        _estimation(
+            metavar="auto|none|A,B,...",
+            help="Effects beside the friction terms: those that the log shows, none, or some of "
+            "tilt, load, rotor_inertia, coupling, falling.",
+        ),
+    ] = "auto"
     without_effort: Annotated[
         str | None,
         _estimation(
@@ -348,6 +357,9 @@ class Estimation:
             "consistency": self.consistency.value,
             "constraints": self._constraints(robot),
             "prior": self.prior,
+            "effects": self.effects
+            if self.effects in ("auto", "none")
+            else tuple(split_list(self.effects)),
         }
 
     def _constraints(self, robot: RobotModel) -> Constraints:

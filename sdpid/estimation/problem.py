@@ -20,6 +20,7 @@ from sdpid.estimation.constraints.condition import Layout
 from sdpid.estimation.constraints.constraints import Constraints
 from sdpid.estimation.constraints.feasible_set import FeasibleSet
 from sdpid.estimation.effects.choose import Profiled, close_terms
+from sdpid.estimation.effects.tried import Tried
 from sdpid.estimation.information import Excitation, require_excitation
 from sdpid.estimation.prior.cost_terms import SquaredTerm
 from sdpid.estimation.prior.log_det import LogDetTerm
@@ -69,6 +70,9 @@ class Problem:
     profiled : tuple of Profiled
         Numbers of friction terms that were chosen by the data (see
         `sdpid.estimation.effects.choose`).
+    effects : tuple of Tried
+        Effects that were chosen by the data, and those that were tried and left out (see
+        `sdpid.estimation.selection.choose`).
     rows : Rows or None
         The rows that the cost is made of, here or on a cluster; None where they were not kept.
         Solvers do not need them, standard errors and residuals do.
@@ -87,6 +91,7 @@ class Problem:
     feasible: FeasibleSet
     prior: PriorTerms | None = None
     profiled: tuple[Profiled, ...] = ()
+    effects: tuple[Tried, ...] = ()
     rows: Rows | None = None
 
     def __repr__(self) -> str:
@@ -372,5 +377,6 @@ def describe(problem: Problem) -> dict[str, Any]:
         "prior": problem.prior is not None,
         "friction_terms": problem.friction.described(),
         "profiled": [asdict(each) for each in problem.profiled],
+        "effects": [asdict(each) for each in problem.effects],
         "condition_number": problem.excitation.condition_number,
     }

@@ -34,7 +34,7 @@ from sdpid.robot.friction.term import FrictionTerm
 from sdpid.robot.inertia import Consistency
 from sdpid.robot.model.load import load_robot
 from sdpid.robot.model.model import RobotModel
-from sdpid.workflow.formulate import formulate, tuple_of_terms
+from sdpid.workflow.formulate import Effects, formulate, tuple_of_terms
 
 By = Literal["time", "recording"]
 
@@ -193,6 +193,7 @@ def cross_validate(
     consistency: Consistency = "pseudo_inertia",
     constraints: Constraints | None = None,
     prior: Prior | bool | None = None,
+    effects: Effects = "auto",
 ) -> CrossValidation:
     """Hold out blocks of time or recordings in turn, and predict each by a fit to the rest.
 
@@ -221,8 +222,8 @@ def cross_validate(
         As in `identify`.
     scored : Processing, optional
         Processing of what is held out; by default that of the training part.
-    friction, weighting, consistency, constraints, prior : optional
-        As in `identify`.
+    friction, weighting, consistency, constraints, prior, effects : optional
+        As in `identify`; effects by the data are chosen anew for every fit.
 
     Returns
     -------
@@ -242,6 +243,7 @@ def cross_validate(
         "consistency": consistency,
         "constraints": constraints,
         "prior": prior,
+        "effects": effects if isinstance(effects, str) else tuple(effects),
     }
     parts = list(_parts(logs, folds, by))
     fits: list[Fold] = []

@@ -4,14 +4,17 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterable
+from typing import Literal
 
 import numpy as np
 
 from sdpid.errors import DataError
 from sdpid.estimation.compression.covariance import Weighting
 from sdpid.estimation.constraints.constraints import Constraints
+from sdpid.estimation.effects.kinds import EFFECTS
 from sdpid.estimation.prior.prior import Prior
 from sdpid.estimation.problem import Problem, build_problem
+from sdpid.estimation.selection.choose import with_chosen_effects, with_effects
 from sdpid.experiment.preparation.for_robot import default_friction
 from sdpid.experiment.preparation.several import (
     Logs,
@@ -23,6 +26,35 @@ from sdpid.robot.friction.term import FrictionTerm
 from sdpid.robot.inertia import Consistency
 from sdpid.robot.model.load import load_robot
 from sdpid.robot.model.model import RobotModel
+
+# Effects beside the friction terms: by the data, none, or by name.
+Effects = Literal["auto", "none"] | Iterable[str]
+
+# Their cost is no likelihood, so that a fall of it is no evidence.
+_NO_LIKELIHOOD = ("eq9", "eq18")
+
+
+def names_of_effects(effects: Effects) -> tuple[str, ...] | None:
+    """Return the names of the effects that are asked for; None leaves the choice to the data.
+
+    Raises
+    ------
+    DataError
+        For an unknown name.
+    """
+    if effects == "auto":
+        return None
+    if effects == "none":
+        return ()
+    known = [effect.name for effect in EFFECTS]
+    names = (effects,) if isinstance(effects, str) else tuple(effects)
+    for name in names:
+        if name not in known:
+            raise DataError(
+                f"effects: no effect is called {name!r}; use 'auto', 'none' or some of "
+                f"{', '.join(known)}."
+            )
+    return names
 
 
 def tuple_of_terms(
@@ -72,6 +104,7 @@ def formulate(
     consistency: Consistency = "pseudo_inertia",
     constraints: Constraints | None = None,
     prior: Prior | bool | None = None,
+    effects: Effects = "auto",
 ) -> Problem:
     """Build the problem that `identify` solves; arguments and errors are those of `identify`.
 
@@ -90,12 +123,24 @@ def formulate(
         prior = wanted and bool(np.any(robot.prior[:, 0] > 0.0))
     if isinstance(prior, (bool, np.bool_)):
         prior = Prior() if prior else None
-    return build_problem(
-        robot,
-        samples,
-        friction=default_friction(log.logs[0]) if friction is None else friction,
-        weighting=chosen,
-        consistency=consistency,
-        constraints=Constraints.of_size(robot) if constraints is None else constraints,
-        prior=prior,
-    )
+    asked = names_of_effects(effects)
+    given = default_friction(log.logs[0]) if friction is None else friction
+    constraints = Constraints.of_size(robot) if constraints is None else constraints
+
+    def build(terms: tuple[str | FrictionTerm, ...]) -> Problem:
+        return build_problem(
+            robot,
+            samples,
+            friction=terms,
+            weighting=chosen,
+            consistency=consistency,
+            constraints=constraints,
+            prior=prior,
+        )
+
+    problem = build(given)
+    if asked is not None:
+        return with_effects(problem, given, asked, build)
+    if chosen in _NO_LIKELIHOOD:
+        return problem
+    return with_chosen_effects(problem, given, prior, build)

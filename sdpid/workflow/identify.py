@@ -10,6 +10,7 @@ from typing import Any, get_args
 from sdpid._common.progress import progress
 from sdpid._common.threads import one_thread
 from sdpid.assurance.certificate.certificate import certify
+from sdpid.assurance.diagnostics.collinear_friction import collinear_friction, in_words
 from sdpid.assurance.diagnostics.held_out import hold_out
 from sdpid.assurance.diagnostics.validation import validate
 from sdpid.assurance.intervals.intervals import Intervals, Method, confidence_intervals
@@ -26,7 +27,7 @@ from sdpid.robot.inertia import Consistency
 from sdpid.robot.model.load import load_robot
 from sdpid.robot.model.model import RobotModel
 from sdpid.workflow.cross_validation import cross_validate
-from sdpid.workflow.formulate import check_kinds, formulate, tuple_of_terms
+from sdpid.workflow.formulate import Effects, check_kinds, formulate, tuple_of_terms
 from sdpid.workflow.result import Identification
 
 # Profile intervals respect the constraints, but take several hundred solves, 2 to 10 s for arms of
@@ -50,6 +51,7 @@ def identify(
     consistency: Consistency = "pseudo_inertia",
     constraints: Constraints | None = None,
     prior: Prior | bool | None = None,
+    effects: Effects = "auto",
     intervals: bool | Method = True,
     folds: int | None = None,
 ) -> Identification:
@@ -83,6 +85,11 @@ def identify(
         Regularization towards the inertias in the robot's description. By default a `Prior` with
         a strength of one nat for records without periods, where the description has masses; none
         otherwise.
+    effects : {"auto", "none"} or iterable of str, optional
+        Effects beside the friction terms: by default those that the training data show (see
+        `sdpid.estimation.selection.choose`), of ``"tilt"`` (gravity's direction), ``"load"``
+        (friction that grows with load), ``"rotor_inertia"``, ``"coupling"`` (of the last two
+        joints) and ``"falling"`` (Stribeck). Names put these into the model whatever the data say.
     intervals : bool or str, optional
         Method for the intervals of the parameters (see `sdpid.confidence_intervals`): True is
         ``"gauss_markov"``, which takes a moment; ``"profile"`` respects the constraints and takes
@@ -121,8 +128,12 @@ def identify(
         "consistency": consistency,
         "constraints": constraints,
         "prior": prior,
+        "effects": effects if isinstance(effects, str) else tuple(effects),
     }
     problem = formulate(model, prepared, **formulation)
+    notes += [each.words for each in problem.effects if each.chosen]
+    if (alike := in_words(collinear_friction(problem))) is not None:
+        notes.append(alike)
     with progress(_STEPS, "estimating") as advance:
         wls = solve_wls(replace(problem, prior=None))
         advance(1)

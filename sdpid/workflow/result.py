@@ -14,6 +14,7 @@ from sdpid.assurance.diagnostics.active_constraints import constraint_states
 from sdpid.assurance.diagnostics.held_out import HeldOut
 from sdpid.assurance.diagnostics.validation import Validation
 from sdpid.assurance.intervals.intervals import Intervals
+from sdpid.estimation.effects.tried import Tried
 from sdpid.estimation.estimate import Estimate
 from sdpid.estimation.problem import Problem, describe
 from sdpid.experiment.inspection.finding import Finding
@@ -109,6 +110,11 @@ class Identification:
         )
         words = Table(("verdict",), tuple((text,) for text in self.verdict))
         return facts_html(f"Identification of {self.problem.robot.name}", facts, errors, words)
+
+    @property
+    def effects(self) -> tuple[Tried, ...]:
+        """Effects that were chosen by the data, and those that were tried and left out."""
+        return self.problem.effects
 
     @property
     def verdict(self) -> tuple[str, ...]:

@@ -37,6 +37,7 @@ def problem(folder: Path, consistency: Consistency, prior: sdpid.Prior | bool) -
         friction=TERMS,
         consistency=consistency,
         prior=prior,
+        effects="none",
     )
 
 

@@ -242,6 +242,15 @@ def residual_covariance(rows: Rows, joints: JointRows | None = None) -> Array:
     """
     if joints is None:
         joints = JointRows.merged(rows.map(JointRows.of))
+    variance, time = residual_noise(rows, joints)
+    return np.diag(variance * time)
+
+
+def residual_noise(rows: Rows, joints: JointRows) -> tuple[Array, float]:
+    """Return every joint's variance (n,) of residuals and their correlation time, in samples.
+
+    They are the factors of `residual_covariance`, with its arguments and errors.
+    """
     if not joints.squares.sum() > 0.0:
         raise DataError(
             f"samples: all {int(joints.used.sum())} efforts that count are zero, so residuals have "
@@ -258,7 +267,7 @@ def residual_covariance(rows: Rows, joints: JointRows | None = None) -> Array:
         if settled:
             break
     variance *= joints.noise_share(base, rank, variance)
-    return np.diag(variance * correlation_time(rows, base, joints))
+    return variance, correlation_time(rows, base, joints)
 
 
 def correlation_time(rows: Rows, base: Array, joints: JointRows) -> float:

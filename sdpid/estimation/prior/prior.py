@@ -281,7 +281,9 @@ def _friction_weights(rows: Rows) -> Array:
     effort = np.maximum(effort, 1e-3 * float(effort.max()) or 1.0)
     # Size of a term's effect relative to the effort of each joint that it acts on.
     share = np.sqrt((terms / count[:, None] / effort[:, None] ** 2).max(axis=0))
-    return np.asarray(share / _FRICTION_SHARE)
+    believed = [p.deviation for p in rows.friction.parameters]
+    own = [1.0 / deviation if deviation else 0.0 for deviation in believed]
+    return np.where(np.array(own) > 0.0, own, share / _FRICTION_SHARE)
 
 
 def _squares(rows: RowSource) -> tuple[Array, Array, Array]:

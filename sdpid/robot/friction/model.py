@@ -14,8 +14,11 @@ import numpy as np
 from sdpid._common.arrays import Array
 from sdpid.errors import ModelError
 from sdpid.robot.friction.motion import Motion
+from sdpid.robot.friction.posed import LoadFriction, Tilt
 from sdpid.robot.friction.term import FrictionTerm, TermParameter
-from sdpid.robot.friction.terms import BY_NAME
+from sdpid.robot.friction.terms import BY_NAME as OF_MOTION
+
+BY_NAME: dict[str, type[FrictionTerm]] = {**OF_MOTION, "load": LoadFriction, "tilt": Tilt}
 
 
 @dataclass(frozen=True)
@@ -49,7 +52,7 @@ class FrictionModel:
         ----------
         terms : iterable of str or FrictionTerm
             Names are coulomb, viscous, offset, asymmetric_coulomb, rotor_inertia, stribeck,
-            sigmoid, square_root.
+            sigmoid, square_root, load, tilt.
         joint_names : sequence of str
             The robot's velocity coordinates.
         first : int, optional
@@ -83,10 +86,20 @@ class FrictionModel:
         return cls(tuple(objects), names, parameters, first)
 
     def columns(self, velocity: Array, acceleration: Array) -> Array:
-        """Return all columns at an instant, shape (K, n, number of parameters)."""
+        """Return all columns at an instant, shape (K, n, number of parameters).
+
+        Those of terms that depend on the position too are zero: `columns_in` has them.
+        """
         v, a = velocity[:, self.first :], acceleration[:, self.first :]
+        names = self.joint_names
         return self._side_by_side(
-            len(v), (term.columns(v, a, self.joint_names) for term in self.terms)
+            len(v),
+            (
+                np.zeros((*v.shape, len(term.parameters(names))))
+                if term.posed
+                else term.columns(v, a, names)
+                for term in self.terms
+            ),
         )
 
     def columns_in(self, motion: Motion) -> Array:

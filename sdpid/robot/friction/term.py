@@ -54,12 +54,16 @@ class TermParameter:
         Whether physics forbids negative values.
     joint : int
         Index of the joint after whose link it is listed.
+    deviation : float or None
+        Standard deviation about zero that it is believed to have, in its unit; None for one that
+        follows the size of the efforts (see `sdpid.estimation.prior`).
     """
 
     name: str
     unit: str
     nonnegative: bool
     joint: int
+    deviation: float | None = None
 
 
 @dataclass(frozen=True)
@@ -97,9 +101,12 @@ class FrictionTerm(ABC):
     linear : bool
         Whether the columns are linear in velocity and acceleration, so that those of filtered
         motion are the filtered columns.
+    posed : bool
+        Whether the columns depend on the position, so that only `columns_in` can give them.
     """
 
     linear: ClassVar[bool] = False
+    posed: ClassVar[bool] = False
 
     @abstractmethod
     def parameters(self, joint_names: Sequence[str]) -> tuple[TermParameter, ...]:

@@ -425,6 +425,37 @@ class RobotModel:
         theta = np.asarray(theta, dtype=np.float64).reshape(-1)
         return self.regressor(q, v, a) @ theta[: 10 * self.n_links]
 
+    def efforts_of_bodies(
+        self,
+        bodies: Array,
+        q: ArrayLike,
+        v: ArrayLike,
+        a: ArrayLike,
+        *,
+        gravity: ArrayLike | None = None,
+    ) -> Array:
+        """Return the efforts (K, n) of consistent bodies, as `inverse_dynamics` does, but sooner.
+
+        Parameters
+        ----------
+        bodies : ndarray, shape (links, 10)
+            Links with mass; rows of zeros are none.
+        q, v, a : array_like
+            As for `regressor`.
+        gravity : array_like, shape (3,), optional
+            In the base link, m/s²; by default the robot's.
+        """
+        import pinocchio as pin
+
+        q, v, a = self._states(q, v, a)
+        model = self.with_inertias(bodies)
+        if gravity is not None:
+            model.gravity.linear = np.asarray(gravity, dtype=np.float64)
+        data, out = model.createData(), np.empty((len(q), model.nv))
+        for k, state in enumerate(zip(q, v, a, strict=True)):
+            out[k] = pin.rnea(model, data, *state)
+        return out @ self.expansion if self._mimics else out
+
     def with_inertias(self, theta: ArrayLike) -> Any:
         """Return a copy of the Pinocchio model, without armature, whose links have parameters."""
         import pinocchio as pin
@@ -432,7 +463,9 @@ class RobotModel:
         bodies = np.asarray(theta, dtype=np.float64).reshape(-1)[: 10 * self.n_links]
         model = self.pin_model.copy()
         for i, body in enumerate(bodies.reshape(self.n_links, 10)):
-            model.inertias[i + 1] = pin.Inertia.FromDynamicParameters(body)
+            model.inertias[i + 1] = (
+                pin.Inertia.FromDynamicParameters(body) if np.any(body) else pin.Inertia.Zero()
+            )
         model.armature = np.zeros(model.nv)
         return model
 

@@ -11,7 +11,16 @@ from hypothesis import strategies as st
 import sdpid
 from sdpid._common.arrays import Array
 from sdpid.errors import DataError, ModelError
-from sdpid.friction import Coulomb, Coupling, Offset, RotorInertia, SigmoidFriction, Viscous
+from sdpid.friction import (
+    Coulomb,
+    Coupling,
+    LoadFriction,
+    Offset,
+    RotorInertia,
+    SigmoidFriction,
+    Tilt,
+    Viscous,
+)
 from sdpid.robot.friction.term import FrictionTerm
 from sdpid.robot.model.dynamics import RobotDynamics
 from sdpid.robot.model.model import RobotModel
@@ -166,3 +175,28 @@ def test_what_does_not_fit_is_refused() -> None:
     bare = RobotDynamics(robot=ROBOTS["pendulum"], terms=friction_model(pendulum(), ()), theta=axis)
     with pytest.raises(ModelError, match="mass matrix is singular"):
         bare.forward_dynamics([0.0], [0.0], [1.0])
+
+
+@given(SEEDS)
+def test_tilt_and_friction_of_the_load_are_in_it(seed: int) -> None:
+    robot = ROBOTS["arm"]
+    rng = np.random.default_rng(seed)
+    theta = np.concatenate([random_theta(robot, rng, ())[:40], [0.03, -0.02], np.full(4, 0.1)])
+    bodies = tuple(tuple(float(x) for x in body) for body in theta[:40].reshape(4, 10))
+    terms = (Tilt(bodies), LoadFriction(bodies))
+    model = RobotDynamics(robot=robot, terms=friction_model(robot, terms), theta=theta)
+    q, v, a = random_states(rng, robot.n, 3)
+    links = robot.inverse_dynamics(theta, q, v, a)
+    rest = np.zeros_like(v)
+    upright = robot.inverse_dynamics(theta, q, rest, rest)
+    tilt = model.gravity(q) - upright
+    gravity = robot.gravity + np.cross([0.03, -0.02, 0.0], robot.gravity)
+    tilted = RobotModel.from_pinocchio(robot.pin_model, gravity=gravity.tolist())
+    assert_same(tilt, tilted.inverse_dynamics(theta, q, v, a) - links)
+    expected = links + tilt + 0.1 * np.abs(links) * np.sign(v)
+    effort = model.inverse_dynamics(q, v, a)
+    assert_same(effort, expected)
+    assert_same(model.inverse_dynamics(q[0], v[0], a[0]), expected[0])
+    # Friction follows the acceleration that it slows down.
+    again = model.inverse_dynamics(q, v, model.forward_dynamics(q, v, effort))
+    assert_same(again, effort)

@@ -1,0 +1,181 @@
+"""The effects beside a robot's friction terms that the data may choose.
+
+Each is a small object: its term, whose parameters are the tail of theta and hold its belief (their
+deviation), its rule, and its words. `sdpid.estimation.selection` tries them.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import ClassVar
+
+import numpy as np
+
+from sdpid._common.arrays import Array
+from sdpid.robot.friction.posed import LoadFriction, PosedTerm, Tilt
+from sdpid.robot.friction.term import FrictionTerm
+from sdpid.robot.friction.terms import Coulomb, Coupling, RotorInertia, Stribeck
+from sdpid.robot.model.model import RobotModel
+
+# A base that stands askew by more than this is seen by eye, degrees.
+_SEEN = 5.0
+
+
+class Effect(ABC):
+    """An effect that may be added to a model.
+
+    Attributes
+    ----------
+    name : str
+        What it is called in options and results.
+    title : str
+        What it is called in sentences.
+    least_fall : float
+        Share by which it must lower the cost of the training data to be chosen.
+    meaning : str
+        What it says of the robot where it is chosen.
+    """
+
+    name: ClassVar[str]
+    title: ClassVar[str]
+    least_fall: ClassVar[float]
+    meaning: ClassVar[str]
+
+    @abstractmethod
+    def term(self, robot: RobotModel, terms: Sequence[FrictionTerm]) -> FrictionTerm | None:
+        """Return the term to be added to others, or None where it has no place among them."""
+
+    def size(self, parameters: Mapping[str, float]) -> str:
+        """Return in words how large the estimated effect is; empty where that says little."""
+        return ""
+
+    def doubt(self, parameters: Mapping[str, float]) -> str:
+        """Return in words why an effect of the estimated size is not believed, empty if it is."""
+        return ""
+
+
+@dataclass(frozen=True)
+class TiltedBase(Effect):
+    """Gravity that is not quite where the description says."""
+
+    name: ClassVar[str] = "tilt"
+    title: ClassVar[str] = "a tilted base"
+    least_fall: ClassVar[float] = 0.04
+    meaning: ClassVar[str] = "the base does not stand as described"
+
+    def term(self, robot: RobotModel, terms: Sequence[FrictionTerm]) -> FrictionTerm | None:
+        """Return the two angles of gravity."""
+        if robot.free_flyer or not np.any(robot.gravity) or _holds(terms, Tilt):
+            return None
+        return Tilt()
+
+    def size(self, parameters: Mapping[str, float]) -> str:
+        """Return both angles in degrees."""
+        x, y = (np.degrees(parameters[name]) for name in ("Gx", "Gy"))
+        return f"gravity is turned by {x:.2f}° about x and {y:.2f}° about y"
+
+    def doubt(self, parameters: Mapping[str, float]) -> str:
+        """Doubt angles that anybody would see."""
+        angle = float(np.degrees(np.hypot(parameters["Gx"], parameters["Gy"])))
+        if angle <= _SEEN:
+            return ""
+        return (
+            f"at {angle:.1f}° it would be seen, so something else is wrong; if the base does stand "
+            "like that, say so (load_robot(gravity=...))"
+        )
+
+
+@dataclass(frozen=True)
+class FrictionOfLoad(Effect):
+    """Coulomb friction that grows with the load of the gears."""
+
+    name: ClassVar[str] = "load"
+    title: ClassVar[str] = "friction of the load"
+    least_fall: ClassVar[float] = 0.04
+    meaning: ClassVar[str] = "gears rub more where they carry more"
+
+    def term(self, robot: RobotModel, terms: Sequence[FrictionTerm]) -> FrictionTerm | None:
+        """Return friction in proportion to the links' efforts, with the Coulomb term's sign."""
+        if robot.free_flyer or _holds(terms, LoadFriction):
+            return None
+        widths = [term.width for term in terms if isinstance(term, Coulomb)]
+        width = widths[0] if widths else 0.0
+        return LoadFriction(width=0.0 if width is None else width)
+
+    def size(self, parameters: Mapping[str, float]) -> str:
+        """Return the range of the joints' shares."""
+        shares = [100.0 * x for name, x in parameters.items() if name.startswith("Fl")]
+        return f"{min(shares):.1f} to {max(shares):.1f} % of the load"
+
+
+@dataclass(frozen=True)
+class RotorsInertia(Effect):
+    """Inertia of the motors' rotors, felt where the effort is measured at the motor."""
+
+    name: ClassVar[str] = "rotor_inertia"
+    title: ClassVar[str] = "rotor inertia"
+    least_fall: ClassVar[float] = 0.3
+    meaning: ClassVar[str] = "efforts are on the motor side"
+
+    def term(self, robot: RobotModel, terms: Sequence[FrictionTerm]) -> FrictionTerm | None:
+        """Return an inertia a joint."""
+        return None if _holds(terms, RotorInertia) else RotorInertia()
+
+
+@dataclass(frozen=True)
+class CoupledWrist(Effect):
+    """One motor that turns the last two joints together."""
+
+    name: ClassVar[str] = "coupling"
+    title: ClassVar[str] = "a coupled wrist"
+    least_fall: ClassVar[float] = 0.3
+    meaning: ClassVar[str] = "one motor turns the last two joints together"
+
+    def term(self, robot: RobotModel, terms: Sequence[FrictionTerm]) -> FrictionTerm | None:
+        """Return the coupling of the last two joints."""
+        names = robot.joint_names[robot.n_base :]
+        if len(names) < 2 or _holds(terms, Coupling) or not _holds(terms, RotorInertia):
+            return None
+        widths = [term.width for term in terms if isinstance(term, Coulomb)]
+        width = widths[0] if widths and isinstance(widths[0], float) else 0.0
+        return Coupling(names[-2], names[-1], width=width)
+
+
+@dataclass(frozen=True)
+class FallingFriction(Effect):
+    """Friction that falls with speed before it rises (Stribeck)."""
+
+    name: ClassVar[str] = "falling"
+    title: ClassVar[str] = "falling friction"
+    least_fall: ClassVar[float] = 0.35
+    meaning: ClassVar[str] = "friction falls with speed at first"
+
+    def term(self, robot: RobotModel, terms: Sequence[FrictionTerm]) -> FrictionTerm | None:
+        """Return a peak of friction about standstill, whose speed the data choose."""
+        if _holds(terms, Stribeck):
+            return None
+        widths = [term.width for term in terms if isinstance(term, Coulomb)]
+        width = widths[0] if widths else 0.0
+        return Stribeck(width=0.0 if width is None else width)
+
+
+EFFECTS: tuple[Effect, ...] = (
+    TiltedBase(),
+    FrictionOfLoad(),
+    RotorsInertia(),
+    CoupledWrist(),
+    FallingFriction(),
+)
+
+
+def at_bodies(term: FrictionTerm, bodies: Array) -> FrictionTerm:
+    """Return a term with its columns taken at other links' parameters (links, 10)."""
+    if not isinstance(term, PosedTerm):
+        return term
+    return replace(term, bodies=tuple(tuple(float(x) for x in body) for body in bodies))
+
+
+def _holds(terms: Sequence[FrictionTerm], kind: type[FrictionTerm]) -> bool:
+    return any(isinstance(term, kind) for term in terms)

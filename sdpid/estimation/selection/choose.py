@@ -1,0 +1,273 @@
+"""Choose by the data which effects a model needs beside its friction terms.
+
+Effects are added one at a time, the one first that lowers the cost most by its own measure, until
+none is left that the data show. Every trial is the semidefinite program with its prior, so that an
+effect is not taken for what an impossible body would explain.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+
+from sdpid._common.arrays import Array
+from sdpid.errors import IdentifiabilityError
+from sdpid.estimation.compression.covariance import pooled
+from sdpid.estimation.effects.choose import close_terms
+from sdpid.estimation.effects.kinds import EFFECTS, Effect, at_bodies
+from sdpid.estimation.effects.tried import Tried
+from sdpid.estimation.estimate import Estimate
+from sdpid.estimation.prior.prior import Prior
+from sdpid.estimation.problem import Problem
+from sdpid.estimation.sdp.solve import solve_sdp
+from sdpid.estimation.selection.trials import Trials
+from sdpid.robot.friction.model import FrictionModel
+from sdpid.robot.friction.posed import PosedTerm
+from sdpid.robot.friction.term import FrictionTerm
+
+# An effect is chosen where a fall of the cost as large as its own has at most this probability if
+# it is absent: several are tried, and of twenty logs without any at most one may show one. On
+# recordings, what is there has 1e-5 or less.
+BY_CHANCE = 0.01
+
+# Samples that the numbers of effects are fitted to, evenly spread.
+_MOST_SAMPLES = 2048
+
+# Builds the problem with other terms, some of them with open parameters.
+Rebuild = Callable[[tuple[str | FrictionTerm, ...]], Problem]
+
+
+@dataclass(frozen=True)
+class _Trial:
+    """An effect beside the present terms."""
+
+    effect: Effect
+    term: FrictionTerm
+    estimate: Estimate
+    fall: float
+    probability: float
+
+    @property
+    def parameters(self) -> int:
+        return len(self.term.parameters(self.estimate.problem.friction.joint_names))
+
+    @property
+    def shown(self) -> bool:
+        """Whether the data show the effect, and its size is believed."""
+        enough = self.fall >= self.effect.least_fall and self.probability <= BY_CHANCE
+        return enough and not self.doubt
+
+    @property
+    def doubt(self) -> str:
+        return self.effect.doubt(_named(self.estimate))
+
+    def told(self, chosen: bool, words: str) -> Tried:
+        return Tried(
+            name=self.effect.name,
+            chosen=chosen,
+            words=words,
+            fall=self.fall,
+            least_fall=self.effect.least_fall,
+            probability=self.probability,
+            parameters=self.parameters,
+        )
+
+
+def with_chosen_effects(
+    problem: Problem,
+    given: tuple[str | FrictionTerm, ...],
+    prior: Prior | None,
+    rebuild: Rebuild,
+) -> Problem:
+    """Add the effects that the data show to a problem.
+
+    Parameters
+    ----------
+    problem : Problem
+        Without effects, its rows here.
+    given : tuple of str or FrictionTerm
+        Its terms, those with open parameters as they were.
+    prior : Prior or None
+        What its prior was made of.
+    rebuild : callable
+        Returns the problem with given terms in place of its own.
+
+    Returns
+    -------
+    Problem
+        With `effects` filled in: what was chosen, and what was tried and left out.
+    """
+    taken, left_out = _greedy(problem, prior)
+    while taken:
+        try:
+            effects = [trial.effect for trial in taken]
+            final = _built(problem, given, effects, taken[-1].estimate, rebuild)
+        except IdentifiabilityError:
+            # Without a prior what the data show may still not be determined joint by joint.
+            last = taken.pop()
+            left_out.append(last)
+            continue
+        found = _named(solve_sdp(final))
+        told = [
+            trial.told(
+                True,
+                f"{trial.effect.title} lowers the cost by {100.0 * trial.fall:.0f} %: "
+                f"{trial.effect.meaning}{_in_brackets(trial.effect.size(found))}",
+            )
+            for trial in taken
+        ]
+        return replace(final, effects=(*told, *map(_left_out, left_out)))
+    return replace(problem, effects=tuple(map(_left_out, left_out)))
+
+
+def with_effects(
+    problem: Problem,
+    given: tuple[str | FrictionTerm, ...],
+    names: Sequence[str],
+    rebuild: Rebuild,
+) -> Problem:
+    """Add effects by name, whatever the data say; those that the terms hold already are left out.
+
+    Parameters
+    ----------
+    problem, given, rebuild
+        As for `with_chosen_effects`.
+    names : sequence of str
+        Names of `EFFECTS`.
+    """
+    terms: tuple[FrictionTerm, ...] = problem.friction.terms
+    asked = []
+    for effect in EFFECTS:
+        term = effect.term(problem.robot, terms) if effect.name in names else None
+        if term is not None:
+            asked.append(effect)
+            terms = (*terms, term)
+    if not asked:
+        return problem
+    final = _built(problem, given, asked, solve_sdp(problem), rebuild)
+    found = _named(solve_sdp(final))
+    told = (
+        Tried(
+            name=effect.name,
+            chosen=True,
+            words=f"{effect.title}: in the model as asked{_in_brackets(effect.size(found))}",
+        )
+        for effect in asked
+    )
+    return replace(final, effects=tuple(told))
+
+
+def _greedy(problem: Problem, prior: Prior | None) -> tuple[list[_Trial], list[_Trial]]:
+    """Return the trials that were taken, and those of the last round, which were not."""
+    terms, estimate = problem.friction.terms, solve_sdp(problem)
+    taken: list[_Trial] = []
+    closed: dict[Effect, FrictionTerm] = {}
+    while True:
+        bodies = _bodies(estimate)
+        terms = tuple(at_bodies(term, bodies) for term in terms)
+        candidates = _candidates(problem, terms, closed, bodies)
+        if not candidates:
+            return taken, []
+        trials = Trials.of(problem, (*terms, *candidates.values()), prior)
+        before = solve_sdp(trials.with_terms(terms))
+        tried = [
+            _tried(effect, term, before, trials.with_terms((*terms, term)), trials.independent)
+            for effect, term in candidates.items()
+        ]
+        shown = [trial for trial in tried if trial.shown]
+        if not shown:
+            return taken, tried
+        best = max(shown, key=lambda trial: trial.fall / trial.effect.least_fall)
+        taken.append(best)
+        terms, estimate = (*terms, best.term), best.estimate
+
+
+def _tried(
+    effect: Effect, term: FrictionTerm, before: Estimate, problem: Problem, independent: float
+) -> _Trial:
+    """Solve with an effect, and compare."""
+    from scipy.special import fdtrc
+
+    after = solve_sdp(problem)
+    saved = max(before.cost - after.cost, 0.0)
+    count = len(term.parameters(problem.friction.joint_names))
+    probability = 1.0
+    if independent >= 1.0:
+        noise = problem.cost(after.base) / independent
+        probability = float(fdtrc(count, independent, saved / count / noise))
+    return _Trial(effect, term, after, saved / before.cost, probability)
+
+
+def _candidates(
+    problem: Problem,
+    terms: tuple[FrictionTerm, ...],
+    closed: dict[Effect, FrictionTerm],
+    bodies: Array,
+) -> dict[Effect, FrictionTerm]:
+    """Return the terms of effects that have a place beside others, their open numbers closed.
+
+    Numbers are closed once, and kept in `closed`: they are chosen again with the final terms.
+    """
+    found = {}
+    for effect in EFFECTS:
+        term = effect.term(problem.robot, terms)
+        if term is None:
+            continue
+        if effect not in closed:
+            closed[effect] = _closed(problem, terms, term)
+        found[effect] = at_bodies(closed[effect], bodies)
+    return found
+
+
+def _closed(problem: Problem, terms: tuple[FrictionTerm, ...], term: FrictionTerm) -> FrictionTerm:
+    """Return a term with its open numbers fitted beside others."""
+    names, sigma = problem.robot.joint_names, pooled(problem.sigma)
+    model = FrictionModel.from_terms((*terms, term), names, first=problem.robot.n_base)
+    samples = problem.samples.thinned(_MOST_SAMPLES)
+    return close_terms(model, problem.robot, samples, lambda _: sigma)[0].terms[-1]
+
+
+def _built(
+    problem: Problem,
+    given: tuple[str | FrictionTerm, ...],
+    effects: Sequence[Effect],
+    estimate: Estimate,
+    rebuild: Rebuild,
+) -> Problem:
+    """Return the problem with effects: linear about its own estimate, where they are products."""
+    terms: list[FrictionTerm] = []
+    for effect in effects:
+        term = effect.term(problem.robot, (*problem.friction.terms, *terms))
+        assert term is not None
+        terms.append(at_bodies(term, _bodies(estimate)))
+    built = rebuild((*given, *terms))
+    if not any(isinstance(term, PosedTerm) for term in terms):
+        return built
+    bodies = _bodies(solve_sdp(built))
+    closed = tuple(at_bodies(term, bodies) for term in built.friction.terms)
+    return replace(rebuild(closed), profiled=built.profiled)
+
+
+def _left_out(trial: _Trial) -> Tried:
+    reason = trial.doubt or (
+        f"{100.0 * trial.effect.least_fall:.0f} % and a probability of {BY_CHANCE:g} at most are "
+        "asked"
+    )
+    return trial.told(
+        False,
+        f"{trial.effect.title} would lower the cost by {100.0 * trial.fall:.1f} % (probability by "
+        f"chance {trial.probability:.1g}): {reason}",
+    )
+
+
+def _bodies(estimate: Estimate) -> Array:
+    assert estimate.theta is not None
+    return estimate.problem.feasible.bodies(estimate.theta)
+
+
+def _named(estimate: Estimate) -> Mapping[str, float]:
+    return estimate.named_theta() or {}
+
+
+def _in_brackets(words: str) -> str:
+    return f" ({words})" if words else ""

@@ -1,0 +1,162 @@
+"""Terms that depend on where the robot stands: a tilt of gravity, friction that grows with load.
+
+Their efforts are products of two unknowns: an angle or a coefficient, and the inertia of the links.
+The columns take the links from given bodies, so that the effort is linear in the first alone.
+`sdpid.estimation.effects` takes the bodies from an estimate, and from the next one again.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+
+from sdpid._common.arrays import Array
+from sdpid.errors import ModelError
+from sdpid.robot.friction.motion import Motion
+from sdpid.robot.friction.term import FrictionTerm, TermParameter, check_speeds, joint_speeds
+from sdpid.robot.friction.terms import smooth_sign
+
+# Inertial parameters of every link, ten each about its joint's frame.
+Bodies = tuple[tuple[float, ...], ...]
+
+# Robots are set up by spirit level and by eye: most stand upright within some degrees.
+_UPRIGHT = 0.03  # rad
+
+# Gears lose some percent of the load that they carry.
+_LOSS = 0.1
+
+
+@dataclass(frozen=True)
+class PosedTerm(FrictionTerm):
+    """A term whose columns depend on the position and on the links' inertia.
+
+    Attributes
+    ----------
+    bodies : tuple of tuple of float, optional
+        Inertial parameters of the links at which the columns are taken; by default those of the
+        robot's description.
+    """
+
+    bodies: Bodies | None = None
+    posed: ClassVar[bool] = True
+
+    def columns(self, velocity: Array, acceleration: Array, joint_names: Sequence[str]) -> Array:
+        """Refuse: velocities and accelerations alone do not determine the columns.
+
+        Raises
+        ------
+        ModelError
+            Always; `columns_in` takes the whole motion.
+        """
+        raise ModelError(
+            f"{type(self).__name__}: its effort depends on the position; evaluate it with "
+            "columns_in(Motion(...), joint_names)."
+        )
+
+    def _bodies(self, motion: Motion) -> Array:
+        """Return the links' parameters (links, 10)."""
+        robot = motion.robot
+        bodies = robot.prior if self.bodies is None else np.asarray(self.bodies)
+        if bodies.shape != robot.prior.shape:
+            raise ModelError(
+                f"{type(self).__name__}: bodies have shape {bodies.shape}, the robot "
+                f"'{robot.name}' needs {robot.prior.shape}."
+            )
+        if robot.free_flyer:
+            raise ModelError(
+                f"{type(self).__name__}: the base of '{robot.name}' floats; leave this term out."
+            )
+        return np.asarray(bodies)
+
+
+@dataclass(frozen=True)
+class Tilt(PosedTerm):
+    """Gravity's direction in the base, as two small angles Gx and Gy.
+
+    Gravity is turned by Gx about the first and by Gy about the second of two horizontal axes:
+    those of the base where gravity is along its z axis. The base stands tilted the other way.
+    """
+
+    def parameters(self, joint_names: Sequence[str]) -> tuple[TermParameter, ...]:
+        """Return the two angles."""
+        return tuple(
+            TermParameter(name, "rad", False, 0, deviation=_UPRIGHT) for name in ("Gx", "Gy")
+        )
+
+    def columns_in(self, motion: Motion, joint_names: Sequence[str]) -> Array:
+        """Return how the gravitational efforts of the bodies change with the angles."""
+        bodies, robot = self._bodies(motion), motion.robot
+        zero = np.zeros_like(motion.velocity)
+        turned = [np.cross(axis, robot.gravity) for axis in horizontal_axes(robot.gravity)]
+        columns = [
+            robot.efforts_of_bodies(bodies, motion.position, zero, zero, gravity=gravity)
+            for gravity in turned
+        ]
+        return np.stack(columns, axis=2)
+
+
+@dataclass(frozen=True)
+class LoadFriction(PosedTerm):
+    """Coulomb friction that grows with the load of the gear, ``Fl·abs(load)·sign(v)``.
+
+    The load is the effort that moves and carries the links.
+
+    Attributes
+    ----------
+    width : float or tuple of float
+        Width (rad/s) of the sign, as for `Coulomb`: one for all joints, or one per joint.
+    """
+
+    width: float | tuple[float, ...] = 0.0
+    symbol: ClassVar[str] = "Fl"
+
+    def __post_init__(self) -> None:
+        check_speeds(self, ("width",))
+
+    def parameters(self, joint_names: Sequence[str]) -> tuple[TermParameter, ...]:
+        """Return one share of the load a joint."""
+        return tuple(
+            TermParameter(f"{self.symbol}{j + 1}", "1", True, j, deviation=_LOSS)
+            for j in range(len(joint_names))
+        )
+
+    def columns_in(self, motion: Motion, joint_names: Sequence[str]) -> Array:
+        """Return the bodies' efforts times the filtered sign: they vary slowly beside it."""
+        load = np.abs(
+            motion.robot.efforts_of_bodies(
+                self._bodies(motion), motion.position, motion.velocity, motion.acceleration
+            )
+        )
+        width = joint_speeds(self, "width", load.shape[1])
+        sign = motion.filtered(lambda v, _: smooth_sign(v, width, 0.0), ("sign", self.width))
+        joints = np.arange(load.shape[1])
+        columns = np.zeros((*load.shape, len(joints)))
+        columns[:, joints, joints] = load * sign
+        return columns
+
+
+def horizontal_axes(gravity: Array) -> Array:
+    """Return two unit vectors (2, 3) across gravity: x and y turned as z is turned to point up.
+
+    Raises
+    ------
+    ModelError
+        Without gravity.
+    """
+    size = float(np.linalg.norm(gravity))
+    if not size > 0.0:
+        raise ModelError("Tilt: the robot has no gravity whose direction could be found.")
+    up = -np.asarray(gravity) / size
+    z = np.array([0.0, 0.0, 1.0])
+    if up[2] < 0.0:
+        # The least turn of z is not continuous about a robot that hangs: start from below.
+        z, up = -z, up
+    axis, cosine = np.cross(z, up), float(z @ up)
+    # Rodrigues' formula for the least turn of z into the vertical.
+    turned = [
+        e * cosine + np.cross(axis, e) + axis * (axis @ e) / (1.0 + cosine) for e in np.eye(3)
+    ]
+    return np.array(turned[:2])

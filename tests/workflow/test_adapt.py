@@ -1,0 +1,48 @@
+"""Friction is refitted to another recording, and the rigid part stays."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import sdpid
+from sdpid.errors import DataError
+from tests.helpers.runs import arm, recorded
+
+LINKS = 20
+
+
+def test_only_friction_moves_and_the_result_is_proven() -> None:
+    first = sdpid.identify(arm(), recorded(1), intervals=False).estimate
+    warm = recorded(2, damping=0.8)
+    adapted = sdpid.adapt(first, warm)
+    assert adapted.theta is not None
+    assert first.theta is not None
+    np.testing.assert_allclose(adapted.theta[:LINKS], first.theta[:LINKS], rtol=0.0, atol=1e-12)
+    found, old = adapted.named_theta(), first.named_theta()
+    assert found is not None
+    assert old is not None
+    for joint in ("1", "2"):
+        assert old[f"Fv{joint}"] == pytest.approx(0.4, abs=0.05)
+        assert found[f"Fv{joint}"] == pytest.approx(0.8, abs=0.05)
+    assert sdpid.certify(adapted).passed
+    samples = adapted.problem.samples
+    before, after = (sdpid.validate(each, samples).relative for each in (first, adapted))
+    assert after < 0.5 * before
+
+
+def test_rotors_and_gravity_stay_too() -> None:
+    log = recorded(3)
+    first = sdpid.identify(arm(), log, effects=("rotor_inertia", "tilt"), intervals=False).estimate
+    adapted = sdpid.adapt(first, recorded(4))
+    old, new = first.named_theta(), adapted.named_theta()
+    assert old is not None
+    assert new is not None
+    for name in ("Gx", "Gy", "Ia1", "Ia2"):
+        assert new[name] == pytest.approx(old[name], abs=1e-9)
+
+
+def test_an_estimate_without_links_is_refused() -> None:
+    result = sdpid.identify(arm(), recorded(1), intervals=False)
+    with pytest.raises(DataError, match="no standard parameters"):
+        sdpid.adapt(result.wls, recorded(2))

@@ -1,0 +1,42 @@
+"""The option of effects, and where the choice is told."""
+
+from __future__ import annotations
+
+import pytest
+
+import sdpid
+from sdpid.errors import DataError
+from sdpid.workflow.formulate import formulate, names_of_effects
+from tests.helpers.runs import arm, recorded
+
+
+def test_the_option() -> None:
+    assert names_of_effects("auto") is None
+    assert names_of_effects("none") == ()
+    assert names_of_effects("tilt") == ("tilt",)
+    assert names_of_effects(["load", "falling"]) == ("load", "falling")
+    with pytest.raises(DataError, match=r"'wind'.*tilt, load, rotor_inertia"):
+        names_of_effects(["tilt", "wind"])
+
+
+def test_an_arm_without_effects_gets_none() -> None:
+    problem = formulate(arm(), recorded(1))
+    assert not any(each.chosen for each in problem.effects)
+    assert problem.effects
+    plain = formulate(arm(), recorded(1), effects="none")
+    assert plain.effects == ()
+    assert plain.base.names == problem.base.names
+
+
+def test_what_was_chosen_is_told_and_stands_in_the_result() -> None:
+    result = sdpid.identify(arm(), recorded(1), effects=("rotor_inertia",), intervals=False)
+    (told,) = result.effects
+    assert told.chosen
+    assert told.words in result.notes
+    assert result.to_dict()["problem"]["effects"][0]["name"] == "rotor_inertia"
+    assert any(name.startswith("Ia") for name in result.problem.base.names)
+
+
+def test_costs_that_are_no_likelihood_choose_nothing() -> None:
+    problem = formulate(arm(), recorded(1), weighting="eq9")
+    assert problem.effects == ()
