@@ -21,13 +21,14 @@ from sdpid.robot.friction.terms import Coulomb, SigmoidFriction, Stribeck
 # apart each is twice the one before, and the cost bends no faster than the shape does.
 _GRID = 9
 
-# Then the best one's neighborhood is searched to 2 %, with at most this many values.
-_ACCURACY = 0.02
-_TRIES = 8
+# Then the best one's neighborhood is searched to 0.2 %, with at most this many values: clean
+# records determine a speed to a percent.
+_ACCURACY = 0.002
+_TRIES = 20
 
 # Rounds over all open parameters; they stop when one brings less than this share of the cost.
 _ROUNDS = 8
-_SETTLED = 1e-3
+_SETTLED = 1e-5
 
 # Values whose cost exceeds the least by less than this share are as good: the range reported.
 FLAT = 0.01

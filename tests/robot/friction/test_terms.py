@@ -219,7 +219,7 @@ def test_limits_follow_the_measured_speeds() -> None:
     speeds = [np.linspace(0.0, 2.0, 101), np.full(9, 3.0), np.zeros(4)]
     slow, fast, standing = Coulomb(width=None).open_parameters(speeds, NAMES)
     assert (slow.name, slow.unit) == ("width1", "rad/s")
-    assert (slow.lower, slow.upper) == pytest.approx((0.1, 1.0))
+    assert (slow.lower, slow.upper) == pytest.approx((0.01, 1.0))
     assert (fast.lower, fast.upper) == pytest.approx((0.3, 1.5))
     assert 0.0 < standing.lower < standing.upper
     rounding = [np.full(9, 6e-16), np.full(9, 1e-12), np.full(9, 9e-7)]
