@@ -28,8 +28,8 @@ ROOMS = {
     "experiment": [
         "recording",
         "readers",
-        "inspection",
         "processing",
+        "inspection",
         "preparation",
         "trajectory",
         "plant",

@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 import sdpid.cli.options as opt
-from sdpid.cli.printing import Printing, listed
+from sdpid.cli.printing import Printing, findings_listed, listed
 
 
 def compare(
@@ -18,6 +18,7 @@ def compare(
     periods: opt.Periods,
     processing: opt.ProcessingOptions,
     estimation: opt.Estimation,
+    acceptance: opt.Acceptance,
     printing: Printing,
     starts: Annotated[
         int, typer.Option(min=0, help="Number of random starts of each local solver.")
@@ -37,7 +38,7 @@ def compare(
     """Run every solver on one problem and measure them against the proven lower bound."""
     if out is not None:
         opt.require_folder("--out", out, reading.files((log,), robot, printing.config))
-    from sdpid.experiment.preparation.several import columns_without
+    from sdpid.experiment.preparation.several import columns_without, prepare_recordings
     from sdpid.robot.model.load import load_robot
     from sdpid.workflow.comparison import compare as run
     from sdpid.workflow.formulate import formulate
@@ -46,14 +47,24 @@ def compare(
     formulation = estimation.arguments(model)
     absent = columns_without(model, formulation["without_effort"])
     record = reading.read(log, without_effort=absent, **periods.arguments())
-    problem = formulate(model, record, processing=processing.changes(), **formulation)
+    prepared = prepare_recordings(
+        model,
+        record,
+        processing.changes(),
+        without_effort=formulation.pop("without_effort"),
+        **acceptance.arguments(),
+    )
+    problem = formulate(model, prepared, **formulation)
     comparison = run(problem, starts=starts, seed=seed, max_iterations=max_iterations, n_jobs=jobs)
     files = [] if out is None else [str(out)]
     if out is not None:
         comparison.to_csv(out)
     certificate = comparison.certificate
     text = f"{comparison.table()}\n\nsdp: {certificate.summary()}"
+    if prepared.findings:
+        text = f"{findings_listed(prepared.findings)}\n\n{text}"
     content = {
+        "findings": [finding.to_dict() for finding in prepared.findings],
         "lower_bound": certificate.lower_bound,
         "certified": certificate.passed,
         "rows": comparison.rows,

@@ -32,6 +32,7 @@ _OPTIONS = {
     "mapping": "--mapping FILE (none: ignore the one beside the log)",
     "topic": "--topic NAME",
     "missing": "--missing drop|interpolate",
+    "accept": "--accept KIND",
 }
 
 # Where a context keeps its arguments.

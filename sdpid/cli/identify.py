@@ -13,7 +13,7 @@ from sdpid._common.extras import require
 from sdpid._common.text import printable
 from sdpid.cli.config import config_text
 from sdpid.cli.endings import OURS, command_line
-from sdpid.cli.printing import Printing, errors_table, listed
+from sdpid.cli.printing import Printing, errors_table, findings_listed, listed
 
 
 def identify(
@@ -24,6 +24,7 @@ def identify(
     periods: opt.Periods,
     processing: opt.ProcessingOptions,
     estimation: opt.Estimation,
+    acceptance: opt.Acceptance,
     printing: Printing,
     out: Annotated[Path, typer.Option(help="Folder for the results.")] = Path("sdpid-results"),
     validation: Annotated[
@@ -75,9 +76,14 @@ def identify(
         processing=processing.changes(),
         intervals=interval_method.value if intervals else False,
         folds=folds,
+        **acceptance.arguments(),
         **formulation,
     )
-    notes = [*result.problem.samples.notes, *result.notes]
+    findings = {str(finding) for finding in result.findings}
+    notes = [
+        *result.problem.samples.notes,
+        *(each for each in result.notes if each not in findings),
+    ]
     if result.intervals_note:
         notes.append(result.intervals_note)
     saved = result.save(
@@ -94,6 +100,9 @@ def identify(
     if result.validation is not None:
         fits["validation"] = result.validation
     parts = [result.summary(), listed("notes", notes), errors_table(fits)]
+    told = [finding for finding in result.findings if finding.kind != "continued"]
+    if told:
+        parts.insert(1, findings_listed(told))
     if result.cross_validation is not None:
         parts.append(result.cross_validation.table())
     parts.append(listed("files", files))

@@ -76,6 +76,13 @@ def _complete_friction(incomplete: str) -> list[str]:
     return _beginning(BY_NAME)(incomplete)
 
 
+def _complete_kind(incomplete: str) -> list[str]:
+    """Complete the kind of a finding."""
+    from sdpid.experiment.inspection.accept import REFUSED
+
+    return _beginning(REFUSED)(incomplete)
+
+
 def complete_robot(incomplete: str) -> list[str]:
     """Complete the name of a robot; where none begins so, the shell completes files."""
     from sdpid.robot.description.catalog import robot_names
@@ -292,6 +299,25 @@ class ProcessingOptions:
         }
         changed = {name: value for name, value in settings.items() if value is not None}
         return {**changed, "reversal_time": None} if self.mask is False else changed
+
+
+@dataclass(frozen=True, kw_only=True)
+class Acceptance:
+    """Findings that do not refuse a log."""
+
+    accept: Annotated[
+        list[str] | None,
+        _reading(
+            metavar="KIND",
+            help="Use a log that is refused for a finding of this kind, such as effort_sign. "
+            "Repeat for each kind.",
+            autocompletion=_complete_kind,
+        ),
+    ] = None
+
+    def arguments(self) -> dict[str, Any]:
+        """Return the arguments of `identify`."""
+        return {"accept": tuple(self.accept or ())}
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -15,6 +15,7 @@ def payload(
     log: opt.Log,
     robot: opt.Robot,
     reading: opt.Reading,
+    acceptance: opt.Acceptance,
     printing: Printing,
     without: Annotated[
         Path | None,
@@ -52,5 +53,6 @@ def payload(
         link=link,
         prior=None if strength is None else Prior(strength=strength),
         level=level,
+        **acceptance.arguments(),
     )
     printing.show(result.to_dict(), result.describe())

@@ -15,6 +15,7 @@ from sdpid.cli.config import read_config
 
 if TYPE_CHECKING:
     from sdpid.assurance.diagnostics.validation import Validation
+    from sdpid.experiment.inspection.finding import Finding
 
 _printing = functools.partial(typer.Option, rich_help_panel="Configuration and output")
 
@@ -51,6 +52,11 @@ class Printing:
 def listed(title: str, lines: Iterable[object]) -> str:
     """Return indented lines under a title, line ends within them replaced."""
     return "\n".join((f"{title}:", *(f"  {printable(str(line))}" for line in lines)))
+
+
+def findings_listed(findings: Iterable[Finding]) -> str:
+    """Return what is wrong with recordings, a line each."""
+    return listed("findings", (f"{each.severity}: {each}" for each in findings))
 
 
 def errors_table(fits: dict[str, Validation]) -> str:

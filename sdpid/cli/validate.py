@@ -10,7 +10,7 @@ import typer
 
 import sdpid.cli.options as opt
 from sdpid._common.extras import require
-from sdpid.cli.printing import Printing, errors_table, listed
+from sdpid.cli.printing import Printing, errors_table, findings_listed, listed
 
 
 def validate(
@@ -19,6 +19,7 @@ def validate(
     reading: opt.Reading,
     periods: opt.Periods,
     processing: opt.ProcessingOptions,
+    acceptance: opt.Acceptance,
     printing: Printing,
     figure: Annotated[Path | None, typer.Option(help="Image file for the plot.")] = None,
 ) -> None:
@@ -32,11 +33,12 @@ def validate(
     record = reading.read(log, **periods.arguments())
     from sdpid.assurance.diagnostics.validation import validate_robot
     from sdpid.experiment.preparation.for_robot import prepare
-    from sdpid.experiment.preparation.several import chosen_processing
+    from sdpid.experiment.preparation.several import chosen_processing, inspected
     from sdpid.output.report.prediction_verdict import prediction_findings
     from sdpid.robot.model.load import load_robot
 
     model = load_robot(robot)
+    findings = inspected(model, [record], **acceptance.arguments())
     chosen, _ = chosen_processing([record], processing.changes())
     samples = prepare(model, record, replace(chosen, covariance=None))
     fit = validate_robot(model, samples)
@@ -55,7 +57,16 @@ def validate(
         listed("notes", notes),
         errors_table({"prediction": fit}),
     ]
+    if findings:
+        parts.insert(1, findings_listed(findings))
     if files:
         parts.append(listed("files", files))
-    content = {**fit.to_dict(), "verdict": verdict, "notes": notes, "files": files}
+    found = [finding.to_dict() for finding in findings]
+    content = {
+        **fit.to_dict(),
+        "findings": found,
+        "verdict": verdict,
+        "notes": notes,
+        "files": files,
+    }
     printing.show(content, "\n\n".join(parts))

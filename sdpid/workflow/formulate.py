@@ -15,6 +15,7 @@ from sdpid.estimation.effects.kinds import EFFECTS
 from sdpid.estimation.prior.prior import Prior
 from sdpid.estimation.problem import Problem, build_problem
 from sdpid.estimation.selection.choose import with_chosen_effects, with_effects
+from sdpid.experiment.inspection.accept import kinds_accepted
 from sdpid.experiment.preparation.for_robot import default_friction
 from sdpid.experiment.preparation.several import (
     Logs,
@@ -99,6 +100,7 @@ def formulate(
     *,
     processing: ProcessingOf = None,
     without_effort: Iterable[str] = (),
+    accept: str | Iterable[str] = (),
     friction: Iterable[str | FrictionTerm] | None = None,
     weighting: Weighting | None = None,
     consistency: Consistency = "pseudo_inertia",
@@ -114,7 +116,9 @@ def formulate(
     robot = robot if isinstance(robot, RobotModel) else load_robot(robot)
     friction = tuple_of_terms(friction)
     if not isinstance(log, Prepared):
-        log = prepare_recordings(robot, log, processing, without_effort=without_effort)
+        log = prepare_recordings(
+            robot, log, processing, without_effort=without_effort, accept=kinds_accepted(accept)
+        )
     samples = log.samples
     chosen: Weighting = weighting or ("residual" if samples.covariance is None else "gls")
     if prior is None:

@@ -21,6 +21,7 @@ from sdpid.estimation.estimate import Estimate
 from sdpid.estimation.prior.prior import Prior
 from sdpid.estimation.sdp.solve import solve_sdp
 from sdpid.estimation.wls import solve_wls
+from sdpid.experiment.inspection.accept import kinds_accepted
 from sdpid.experiment.preparation.several import Logs, ProcessingOf, prepare_recordings
 from sdpid.robot.friction.term import FrictionTerm
 from sdpid.robot.inertia import Consistency
@@ -46,6 +47,7 @@ def identify(
     validation: Logs | None = None,
     processing: ProcessingOf = None,
     without_effort: Iterable[str] = (),
+    accept: str | Iterable[str] = (),
     friction: Iterable[str | FrictionTerm] | None = None,
     weighting: Weighting | None = None,
     consistency: Consistency = "pseudo_inertia",
@@ -72,6 +74,9 @@ def identify(
     without_effort : iterable of str, optional
         Joints whose effort was not measured, or is wrong. Only their motion is used; their
         friction comes from the prior.
+    accept : str or iterable of str, optional
+        Kinds of findings that make a recording worthless in general, but are as they should be
+        here, such as ``"effort_sign"`` (see `sdpid.inspect_recording`).
     friction : iterable, optional
         By default `default_friction`.
     weighting : str, optional
@@ -116,8 +121,11 @@ def identify(
         )
     check_kinds(constraints, prior)
     model = robot if isinstance(robot, RobotModel) else load_robot(robot)
-    prepared = prepare_recordings(model, log, processing, without_effort=without_effort)
-    fresh = None if validation is None else prepared.others(validation)
+    kinds = kinds_accepted(accept)
+    prepared = prepare_recordings(
+        model, log, processing, without_effort=without_effort, accept=kinds
+    )
+    fresh = None if validation is None else prepared.others(validation, accept=kinds)
     findings = prepared.findings + (() if fresh is None else fresh.findings)
     # Gaps and wrapped angles stand in the notes of the samples.
     notes = [str(finding) for finding in findings if finding.kind != "continued"]

@@ -372,7 +372,7 @@ def test_a_topic_of_a_bag(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("options", "words"),
     [
-        (("--robot", ROBOT), ("looks like degrees", "--unit QUANTITY=UNIT")),
+        (("--robot", ROBOT), ("look like degrees", "--unit QUANTITY=UNIT")),
         (("--robot", "panda"), ("6 joints", "has 8")),
         (("--robot", "nobody"), ("no robot 'nobody'",)),
         (("--robot", ROBOT, "--unit", "position"), ("--unit position", "'='")),

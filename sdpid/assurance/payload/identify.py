@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -30,7 +30,9 @@ from sdpid.estimation.compression.covariance import Weighting
 from sdpid.estimation.estimate import Estimate
 from sdpid.estimation.prior.prior import Prior
 from sdpid.estimation.problem import Problem, build_problem
+from sdpid.experiment.inspection.finding import Finding
 from sdpid.experiment.preparation.for_robot import default_friction, prepare
+from sdpid.experiment.preparation.several import inspected
 from sdpid.experiment.processing.process import Processing
 from sdpid.experiment.processing.samples import Samples
 from sdpid.experiment.readers.read import read_recording
@@ -82,6 +84,8 @@ class Payload:
         Status of the solver.
     notes : tuple of str
         What was assumed, or is to be known.
+    findings : tuple of Finding
+        What is wrong with the recordings (see `sdpid.inspect_recording`).
     """
 
     mass: float
@@ -100,6 +104,7 @@ class Payload:
     shown: bool
     status: str
     notes: tuple[str, ...] = ()
+    findings: tuple[Finding, ...] = ()
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -136,7 +141,8 @@ class Payload:
             f"payload of {self.link}, in the frame {self.frame}; inertia about the center of mass "
             f"({100.0 * self.level:g} % intervals)"
         )
-        return "\n".join([title, self._table().text(5), *self.notes])
+        found = [f"{each.severity}: {each}" for each in self.findings]
+        return "\n".join([title, self._table().text(5), *self.notes, *found])
 
     def to_dict(self) -> dict[str, Any]:
         """Return plain values for JSON."""
@@ -157,6 +163,7 @@ class Payload:
                 "shown": self.shown,
                 "status": self.status,
                 "notes": self.notes,
+                "findings": [finding.to_dict() for finding in self.findings],
             }
         )
         return found
@@ -178,6 +185,7 @@ def identify_payload(
     mass_max: float = 100.0,
     extent: float = 1.0,
     level: float = 0.95,
+    accept: str | Iterable[str] = (),
 ) -> Payload:
     """Identify the payload that a link carries.
 
@@ -223,6 +231,8 @@ def identify_payload(
         recordings leave open.
     level : float, optional
         Probability of the intervals.
+    accept : str or iterable of str, optional
+        As for `identify`: kinds of findings that do not refuse a recording.
 
     Returns
     -------
@@ -244,6 +254,11 @@ def identify_payload(
         raise DataError(f"payload: level is {level}; give a probability between 0 and 1.")
     given = without_load if isinstance(without_load, Estimate) else None
     model = _robot(robot, given)
+    findings: tuple[Finding, ...] = ()
+    with_load, without_load = _read(with_load), _read(without_load)
+    for log, name in ((with_load, "log"), (without_load, "without_load")):
+        if isinstance(log, Recording):
+            findings += inspected(model, [log], accept, name=name)
     number = _link(model, link)
     rotation, translation, name = _frame(model, number, frame)
     loaded, arm = _problems(model, with_load, without_load, prior, friction, processing, weighting)
@@ -262,7 +277,8 @@ def identify_payload(
             f"a recording is too short for blocks of {loaded.samples.block} samples: the intervals "
             "trust the weighting",
         )
-    return _solved(rows, model.link_names[number], name, mass_max, extent, level, notes)
+    found = _solved(rows, model.link_names[number], name, mass_max, extent, level, notes)
+    return replace(found, findings=findings)
 
 
 def _solved(
@@ -319,6 +335,11 @@ def _solved(
     )
 
 
+def _read(log: Any) -> Any:
+    """Return the recording of a path, and anything else as it is."""
+    return read_recording(log) if isinstance(log, (str, os.PathLike)) else log
+
+
 def _robot(robot: RobotModel | str | os.PathLike[str], given: Estimate | None) -> RobotModel:
     """Return the model of the robot, which must be that of a given estimate."""
     model = robot if isinstance(robot, RobotModel) else load_robot(robot)
@@ -370,10 +391,9 @@ def _samples(robot: RobotModel, log: Any, processing: Processing | None) -> Samp
     """Return the processed samples of a log."""
     if isinstance(log, Samples):
         return log
-    if not isinstance(log, (Recording, str, os.PathLike)):
+    if not isinstance(log, Recording):
         raise DataError(f"payload: got {type(log).__name__}; give a recording, samples or a path.")
-    record = log if isinstance(log, Recording) else read_recording(log)
-    return prepare(robot, record, processing)
+    return prepare(robot, log, processing)
 
 
 def _problems(
@@ -386,8 +406,6 @@ def _problems(
     weighting: Weighting | None,
 ) -> tuple[Problem, Problem | None]:
     """Return the problems with and without load, compressed with the same base parameters."""
-    if isinstance(with_load, (str, os.PathLike)):
-        with_load = read_recording(with_load)
     samples = _samples(robot, with_load, processing)
     if friction is None:
         friction = ("coulomb", "viscous", "offset")

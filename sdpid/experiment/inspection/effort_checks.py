@@ -1,25 +1,27 @@
-"""Checks of the efforts: channels without a signal, spikes, and the gravity that they must bear."""
+"""Checks of single efforts: channels without a signal, spikes, and clipped values."""
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator
 
 import numpy as np
 
 from sdpid._common.arrays import Array
 from sdpid.experiment.inspection.finding import Finding, Subject, check
+from sdpid.experiment.recording.rest import moving
 from sdpid.experiment.recording.stored import blocks, extremes
 
-# Gravity below this (N.m, rms about its mean) says nothing about the efforts.
-_LEAST_GRAVITY = 1.0
-# Effort and gravity belong together when they correlate like this. Beyond this ratio either way
-# they differ in their units: payloads and drives explain less.
-_CORRELATED = 0.9
-_GRAVITY_SCALE = 5.0
 # A value this many times the 99th percentile of all deviations from the median stands alone.
 _SPIKE = 30.0
 _PERCENTILE = 99.0
+# A channel is clipped where it stays at its very largest value for this many samples in a row,
+# this many times, in this share of all rows.
+_PLATEAU, _PLATEAUS, _CLIPPED = 5, 2, 0.002
+# Of a signal in coarse steps the step below the largest is as long: clipped ones are this many
+# times as long there as on it.
+_LONGER = 3.0
+# Looked for among this many rows from the middle of the recording.
+_COMPARED = 200_000
 
 
 @check
@@ -58,40 +60,53 @@ def signals(subject: Subject) -> Iterator[Finding]:
 
 
 @check
-def gravity(subject: Subject) -> Iterator[Finding]:
-    """Find efforts of the wrong sign or size, by the gravity of the description's masses."""
-    if subject.gravity is None:
-        return
-    for j, name in enumerate(subject.log.names):
-        expected = subject.gravity[:, j]
-        if expected.std() < _LEAST_GRAVITY:
+def clipped(subject: Subject) -> Iterator[Finding]:
+    """Find efforts and velocities that stop at a largest value while the joint moves."""
+    log = subject.log
+    low, high = subject.position_range
+    begin = max(0, (log.n_samples - _COMPARED) // 2)
+    part = slice(begin, begin + _COMPARED)
+    for quantity, remedy in (
+        ("effort", "leave those rows out, or move more gently: what the drive gave is unknown"),
+        ("velocity", "leave the velocity out (velocity=none): it is then had from the position"),
+    ):
+        table = getattr(log, quantity)
+        if table is None:
             continue
-        scale, correlation = _scale(expected, subject.torque[:, j])
-        if abs(correlation) < _CORRELATED:
-            continue
-        numbers = {"scale": scale, "correlation": correlation}
-        if scale < 0.0:
-            yield Finding(
-                severity="error",
-                kind="effort_sign",
-                joint=name,
-                message=f"effort of {name} has the sign opposite to the gravity it should bear",
-                remedy="flip the sign of this joint's position or effort",
-                numbers=numbers,
-            )
-        elif not 1.0 / _GRAVITY_SCALE < scale < _GRAVITY_SCALE:
-            yield Finding(
-                severity="warning",
-                kind="effort_scale",
-                joint=name,
-                message=(
-                    f"effort of {name} is {scale:.3g} times the gravity it should bear, limit "
-                    f"{1.0 / _GRAVITY_SCALE:g} to {_GRAVITY_SCALE:g}: currents, motor side, or "
-                    "another unit"
-                ),
-                remedy="give the unit or the scale of the efforts",
-                numbers=numbers,
-            )
+        for j in np.flatnonzero(moving(low, high)).tolist():
+            values = np.asarray(table[part, j])
+            for limit in (values.max(), values.min()):
+                rows = _plateaus(values, float(limit))
+                if limit == 0.0 or rows < _CLIPPED * values.size:
+                    continue
+                yield Finding(
+                    severity="warning",
+                    kind=f"{quantity}_clipped",
+                    joint=log.names[j],
+                    message=(
+                        f"{quantity} of {log.names[j]} stays at {limit:.5g} in {rows} of "
+                        f"{values.size} rows ({100 * rows / values.size:.2g} %, limit "
+                        f"{100 * _CLIPPED:g} %): it is clipped"
+                    ),
+                    remedy=remedy,
+                    numbers={"value": limit, "rows": rows, "limit": _CLIPPED},
+                )
+
+
+def _plateaus(values: Array, limit: float) -> int:
+    """Return the number of rows in plateaus at the largest or least value, 0 if not clipped."""
+    edges = np.flatnonzero(np.diff((values == limit).astype(np.int8), prepend=0, append=0))
+    lengths = edges[1::2] - edges[::2]
+    lengths = lengths[lengths >= _PLATEAU]
+    if lengths.size < _PLATEAUS:
+        return 0
+    others = values[values != limit]
+    if others.size:
+        nearest = others.max() if limit >= others.max() else others.min()
+        # A coarse signal holds its last but one value as long as its last.
+        if lengths.sum() < _LONGER * np.count_nonzero(values == nearest):
+            return 0
+    return int(lengths.sum())
 
 
 def _row_of(column: Array, value: float) -> int:
@@ -101,13 +116,3 @@ def _row_of(column: Array, value: float) -> int:
         if rows.size:
             return begin + int(rows[0]) + 1
     return 1
-
-
-def _scale(x: Array, y: Array) -> tuple[float, float]:
-    """Return how many times x is y, and their correlation; zeros where either is constant."""
-    x, y = x - x.mean(), y - y.mean()
-    xx, yy, xy = float(x @ x), float(y @ y), float(x @ y)
-    if not xx * yy > 0.0:
-        return 0.0, 0.0
-    # The size from both, since noise in x alone would make the slope of y over x too small.
-    return math.copysign(math.sqrt(yy / xx), xy), xy / math.sqrt(xx * yy)

@@ -12,6 +12,8 @@ import numpy as np
 
 from sdpid._common.arrays import Array
 from sdpid.errors import DataError
+from sdpid.experiment.inspection.corrections import CorrectedLog, corrected
+from sdpid.experiment.inspection.rows import Rows, low_passed
 from sdpid.experiment.recording.gaps import continuous
 from sdpid.experiment.recording.recording import Recording
 from sdpid.experiment.recording.stored import extremes
@@ -19,9 +21,9 @@ from sdpid.robot.model.model import RobotModel
 
 __all__ = ["CHECKS", "Check", "Finding", "Severity", "Subject", "check"]
 
-Severity = Literal["error", "warning", "note"]
+Severity = Literal["refuse", "warning", "note"]
 
-# Rows on which efforts are compared with a model: enough to tell, cheap on long records.
+# Rows on which single values are looked at: enough to tell, cheap on long records.
 _ROWS = 400
 
 
@@ -31,8 +33,9 @@ class Finding:
 
     Attributes
     ----------
-    severity : {"error", "warning", "note"}
-        An error makes parameters from this recording wrong, a warning may, a note does not.
+    severity : {"refuse", "warning", "note"}
+        What is to be refused makes a result meaningless; a warning may make it wrong; a note does
+        not.
     kind : str
         Name of the kind of defect, such as ``"effort_sign"``.
     message : str
@@ -74,10 +77,13 @@ class Subject:
         With its joints named and ordered as the robot's, where there is one.
     robot : RobotModel or None
         None too where its joints could not be matched.
+    without : frozenset of str
+        Joints whose effort is not used.
     """
 
     log: Recording
     robot: RobotModel | None
+    without: frozenset[str] = frozenset()
 
     @cached_property
     def continued(self) -> tuple[tuple[Recording, ...], list[str]] | DataError:
@@ -110,24 +116,17 @@ class Subject:
         return np.unique(rows)
 
     @cached_property
-    def gravity(self) -> Array | None:
-        """Effort that the description's masses need at rest at `rows`, N·m, shape (rows, n)."""
-        robot = self.robot
-        if robot is None or robot.n_base > 0:
-            return None
-        position = np.asarray(self.log.position[self.rows])
-        rest = np.zeros_like(position)
-        # So few rows are not worth loading the compiled loop, half a second.
-        count = 10 * robot.n_links
-        regressor = np.empty((*position.shape, count))
-        places = np.arange(count)
-        robot.regressor_columns(position, rest, rest, places=places, out=regressor, compiled=False)
-        return np.asarray(regressor @ np.ravel(robot.prior))
+    def low_passed(self) -> Rows | None:
+        """Motion and efforts at a few times, filtered alike; None where nothing moves."""
+        pieces = [piece for _, piece in self.pieces]
+        return low_passed(pieces, self.without) if pieces else None
 
     @cached_property
-    def torque(self) -> Array:
-        """Recorded effort at `rows` in N·m, shape (rows, n)."""
-        return np.asarray(self.log.effort[self.rows])
+    def corrected(self) -> CorrectedLog | None:
+        """The changes that make efforts follow from motion; None without masses to compare with."""
+        if self.robot is None or self.low_passed is None:
+            return None
+        return corrected(self.robot, self.low_passed)
 
 
 Check: TypeAlias = Callable[[Subject], Iterator[Finding]]

@@ -2,12 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
 from sdpid.errors import DataError
-from sdpid.experiment.inspection import effort_checks, motion_checks, time_checks
+from sdpid.experiment.inspection import (
+    delay_checks,
+    dynamics_checks,
+    effort_checks,
+    motion_checks,
+    time_checks,
+)
 from sdpid.experiment.inspection.finding import CHECKS, Finding, Subject
 from sdpid.experiment.recording.joints import joint_columns, match_joints
 from sdpid.experiment.recording.recording import Recording
@@ -16,7 +22,16 @@ from sdpid.robot.model.model import RobotModel
 __all__ = ["Inspection", "inspect_recording", "inspect_recordings"]
 
 # Importing a file of checks adds them to the list. A new check is a function in one of these.
-_FILES = (time_checks, motion_checks, effort_checks)
+_FILES = (time_checks, motion_checks, effort_checks, dynamics_checks, delay_checks)
+
+# Wrong units of position or time make the dynamics meaningless: they are told alone.
+_DROWNS = ("position_in_degrees", "position_jumps", "time_unit")
+_DROWNED = (
+    dynamics_checks.wrong_channels,
+    dynamics_checks.scales,
+    dynamics_checks.unlike_the_description,
+    delay_checks.late_efforts,
+)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -26,14 +41,14 @@ class Inspection:
     Attributes
     ----------
     findings : tuple of Finding
-        Errors first, then warnings, then notes.
+        What is to be refused first, then warnings, then notes.
     """
 
     findings: tuple[Finding, ...]
 
     @property
     def ok(self) -> bool:
-        """Whether there is no error and no warning."""
+        """Whether there is nothing to refuse and no warning."""
         return all(finding.severity == "note" for finding in self.findings)
 
     def __str__(self) -> str:
@@ -53,39 +68,73 @@ def inspect_recording(log: Recording, robot: RobotModel | None = None) -> Inspec
     log : Recording
         What was measured.
     robot : RobotModel, optional
-        Whose joints these are: its names, its limits and the gravity of its masses are then
-        compared with the recording.
+        Whose joints these are: names, limits, and the efforts that the description's bodies need
+        for this motion are then compared with the recording.
 
     Returns
     -------
     Inspection
     """
+    return Inspection(findings=_sorted(_findings(log, robot)))
+
+
+def inspect_recordings(
+    logs: Sequence[Recording],
+    robot: RobotModel | None = None,
+    *,
+    name: str = "",
+    without_effort: Iterable[str] = (),
+) -> tuple[Finding, ...]:
+    """Return the findings of recordings, and of what does not fit between them.
+
+    Parameters
+    ----------
+    logs : sequence of Recording
+        What is to be used together.
+    robot : RobotModel, optional
+        Whose joints these are.
+    name : str, optional
+        Messages begin with it and, of several recordings, a number.
+    without_effort : iterable of str, optional
+        Joints whose effort is not used: what is wrong with it is not told.
+    """
+    without = frozenset(without_effort)
+    if len(logs) == 1 and not name:
+        return _sorted(_findings(logs[0], robot, without))
+    name = name or "recording"
+    each = [
+        replace(finding, message=f"{name} {number}: {finding.message}")
+        for number, log in enumerate(logs, 1)
+        for finding in _sorted(_findings(log, robot, without))
+    ]
+    return tuple(each)
+
+
+def _findings(
+    log: Recording, robot: RobotModel | None, without: frozenset[str] = frozenset()
+) -> list[Finding]:
+    """Return the findings of one recording."""
     findings: list[Finding] = []
     if robot is not None:
-        log, robot, matching = _matched(log, robot)
-        findings += matching
-    subject = Subject(log=log, robot=robot)
-    findings += [finding for each in CHECKS for finding in each(subject)]
+        log, robot, findings = _matched(log, robot)
+    subject = Subject(log=log, robot=robot, without=without)
+    for each in CHECKS:
+        if each not in _DROWNED:
+            findings += each(subject)
+    if not any(finding.kind in _DROWNS for finding in findings):
+        for each in _DROWNED:
+            findings += each(subject)
     if any(finding.kind == "position_in_degrees" for finding in findings):
         # Positions in degrees raise most of the other alarms as well.
         alone = ("position_in_degrees", "joints", "joints_unknown")
         findings = [finding for finding in findings if finding.kind in alone]
-    ranks = ("error", "warning", "note")
-    return Inspection(findings=tuple(sorted(findings, key=lambda f: ranks.index(f.severity))))
+    return [f for f in findings if not (f.kind.startswith("effort") and f.joint in without)]
 
 
-def inspect_recordings(
-    logs: Sequence[Recording], robot: RobotModel | None = None, *, name: str = ""
-) -> tuple[Finding, ...]:
-    """Return the findings of recordings; messages begin with `name` and, of several, a number."""
-    if len(logs) == 1 and not name:
-        return inspect_recording(logs[0], robot).findings
-    name = name or "recording"
-    return tuple(
-        replace(finding, message=f"{name} {number}: {finding.message}")
-        for number, log in enumerate(logs, 1)
-        for finding in inspect_recording(log, robot).findings
-    )
+def _sorted(findings: Iterable[Finding]) -> tuple[Finding, ...]:
+    """Return findings, what is to be refused first."""
+    ranks = ("refuse", "warning", "note")
+    return tuple(sorted(findings, key=lambda finding: ranks.index(finding.severity)))
 
 
 def _matched(
@@ -95,7 +144,7 @@ def _matched(
     try:
         matched = match_joints(robot, log)
     except DataError as cause:
-        return log, None, [Finding(severity="error", kind="joints_unknown", message=str(cause))]
+        return log, None, [Finding(severity="refuse", kind="joints_unknown", message=str(cause))]
     names = log.joint_names
     if names is None or set(robot.joint_names) <= set(names):
         left_out = () if names is None else sorted(set(names) - set(robot.joint_names))

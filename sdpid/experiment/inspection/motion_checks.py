@@ -1,4 +1,4 @@
-"""Checks of positions and velocities: units, jumps, joints at rest, wrong velocities."""
+"""Checks of positions and velocities: units, jumps, rest, directions, wrong velocities."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import numpy as np
 from sdpid.experiment.inspection.finding import Finding, Subject, check
 from sdpid.experiment.recording.degrees import suspect_units
 from sdpid.experiment.recording.recording import Recording
-from sdpid.experiment.recording.rest import AT_REST
+from sdpid.experiment.recording.rest import AT_REST, moving
 from sdpid.experiment.recording.stored import ROWS, taken
 from sdpid.experiment.recording.velocities import velocity_fit
 
@@ -30,6 +30,11 @@ _FACTORS = {
     1.0 / (2.0 * math.pi): "turns instead of rad",
 }
 _FACTOR_SLACK = 0.1
+# A joint that moves less than this part of its way back moves in one direction.
+_BACK = 0.02
+# The whole robot rests below this speed (rad/s, or m/s); a longer part of a recording at rest
+# weighs in a fit as motion does, though stiction decides its efforts.
+_RESTING, _LONGEST_REST = 0.005, 0.3
 
 
 @check
@@ -39,10 +44,10 @@ def degrees(subject: Subject) -> Iterator[Finding]:
     suspects = suspect_units(subject.log, limits, subject.position_range)
     if suspects:
         yield Finding(
-            severity="error",
+            severity="refuse",
             kind="position_in_degrees",
             message=f"positions look like degrees, not radians: {', '.join(suspects)}",
-            remedy="convert them, or read the file with the unit deg",
+            remedy="convert them, or read the file with units={'position': 'deg'}",
         )
 
 
@@ -71,7 +76,7 @@ def rest_and_jumps(subject: Subject) -> Iterator[Finding]:
         fastest, jump, row = jumps.get(j, (0.0, 0.0, 0))
         if fastest > _FASTEST:
             yield Finding(
-                severity="error",
+                severity="refuse",
                 kind="position_jumps",
                 joint=name,
                 message=(
@@ -81,6 +86,43 @@ def rest_and_jumps(subject: Subject) -> Iterator[Finding]:
                 remedy="remove that sample, or give the unit",
                 numbers={"jump": jump, "row": row, "speed": fastest, "limit": _FASTEST},
             )
+
+
+@check
+def directions_and_rest(subject: Subject) -> Iterator[Finding]:
+    """Find joints that move in one direction only, and recordings that mostly stand still."""
+    rows = subject.low_passed
+    if rows is None:
+        return
+    names = subject.log.names
+    forth, back = (np.maximum(sign * rows.velocity, 0.0).sum(axis=0) for sign in (1.0, -1.0))
+    shares = np.minimum(forth, back) / np.maximum(forth + back, 1e-300)
+    one_way = np.flatnonzero(moving(*subject.position_range) & (shares < _BACK)).tolist()
+    if one_way:
+        share = float(shares[one_way].max())
+        yield Finding(
+            severity="warning",
+            kind="one_direction",
+            joint=names[one_way[0]] if len(one_way) == 1 else None,
+            message=(
+                f"{', '.join(names[j] for j in one_way)} moves in one direction only: "
+                f"{100 * share:.2g} % of the way goes back, limit {100 * _BACK:g} %"
+            ),
+            remedy="move both ways: friction looks like an offset else, or like gravity",
+            numbers={"share": share, "limit": _BACK},
+        )
+    resting = float(np.mean(np.abs(rows.velocity).max(axis=1) < _RESTING))
+    if resting > _LONGEST_REST:
+        yield Finding(
+            severity="warning",
+            kind="long_rest",
+            message=(
+                f"the robot stands still in {100 * resting:.2g} % of the recording (no joint "
+                f"faster than {_RESTING:g} rad/s), limit {100 * _LONGEST_REST:g} %"
+            ),
+            remedy="cut the rest off: stiction decides the efforts there, not the dynamics",
+            numbers={"share": resting, "limit": _LONGEST_REST},
+        )
 
 
 def _fast_steps(first: int, piece: Recording) -> Iterator[tuple[int, float, float, int]]:

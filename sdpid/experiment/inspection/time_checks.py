@@ -1,4 +1,4 @@
-"""Checks of the time stamps: gaps, and rows that only repeat the row before."""
+"""Checks of the time stamps: units, gaps, jitter, and rows that repeat the row before."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ import numpy as np
 
 from sdpid.errors import DataError
 from sdpid.experiment.inspection.finding import Finding, Subject, check
+from sdpid.experiment.recording.uniform_grid import MAX_GAP_STEPS
 
 # A row is repeated where no position and no effort changes. More repeats than these in a row are
 # rest; a logger that runs faster than the robot makes fewer, many times.
@@ -15,8 +16,13 @@ _MOST_REPEATS = 20
 _SHARE = 0.02
 # Looked for among this many rows from the middle of the recording.
 _COMPARED = 100_000
-# Slower, in Hz, no controller logs; stamps in ms that are read as seconds do.
-_LEAST_RATE = 2.0
+# Slower or faster, in Hz, no controller logs; stamps in ms that are read as seconds do, and stamps
+# in seconds that are read as ms. The fastest logs of drives have 20 kHz.
+_LEAST_RATE, _FASTEST_RATE = 2.0, 25e3
+# Stamps that are off a regular clock by this part of a step jitter.
+_JITTER = 0.05
+# More than this share of lost samples is no accident.
+_LOST = 0.05
 _GIVE_UNIT = "give the unit: units={'time': 's'} (--unit time=s), or ms, us, ns"
 
 
@@ -24,7 +30,7 @@ _GIVE_UNIT = "give the unit: units={'time': 's'} (--unit time=s), or ms, us, ns"
 def gaps_and_wraps(subject: Subject) -> Iterator[Finding]:
     """Find gaps and stamps that came late, and angles that wrap."""
     if isinstance(subject.continued, DataError):
-        yield Finding(severity="error", kind="time_stamps", message=str(subject.continued))
+        yield Finding(severity="refuse", kind="time_stamps", message=str(subject.continued))
         return
     for note in subject.continued[1]:
         yield Finding(severity="note", kind="continued", message=note)
@@ -42,16 +48,53 @@ def units_of_time(subject: Subject) -> Iterator[Finding]:
             remedy=f"where that is wrong, {_GIVE_UNIT}",
             numbers={"rate": log.rate_hz},
         )
-    if log.rate_hz < _LEAST_RATE:
+    if not _LEAST_RATE <= log.rate_hz <= _FASTEST_RATE:
+        slow = log.rate_hz < _LEAST_RATE
         yield Finding(
-            severity="warning",
+            severity="refuse",
             kind="time_unit",
             message=(
                 f"time: a sample every {log.step:.6g} s is a rate of {log.rate_hz:.3g} Hz, limit "
-                f"{_LEAST_RATE:g} Hz: the stamps may be in ms, us or ns"
+                f"{_LEAST_RATE:g} to {_FASTEST_RATE:g} Hz: the stamps may be in "
+                f"{'ms, us or ns' if slow else 's, and were read as ms, us or ns'}"
             ),
             remedy=_GIVE_UNIT,
-            numbers={"rate": log.rate_hz, "limit": _LEAST_RATE},
+            numbers={"rate": log.rate_hz, "limit": _LEAST_RATE if slow else _FASTEST_RATE},
+        )
+
+
+@check
+def jitter_and_losses(subject: Subject) -> Iterator[Finding]:
+    """Find stamps off a regular clock, and samples that were lost."""
+    log = subject.log
+    begin = max(0, (log.n_samples - _COMPARED) // 2)
+    steps = np.diff(np.asarray(log.time[begin : begin + _COMPARED])) / log.step
+    jitter = float(np.sqrt(np.mean((steps - np.rint(steps)) ** 2)))
+    if jitter > _JITTER:
+        yield Finding(
+            severity="note",
+            kind="jitter",
+            message=(
+                f"time stamps jitter by {100 * jitter:.3g} % of a step of {log.step:.4g} s (rms), "
+                f"limit {100 * _JITTER:g} %"
+            ),
+            remedy="stamp samples where they are measured",
+            numbers={"jitter": jitter, "limit": _JITTER},
+        )
+    # Longer steps are gaps, at which the recording is split.
+    few = np.rint(steps[steps < MAX_GAP_STEPS])
+    missing = int(np.maximum(few - 1.0, 0.0).sum())
+    lost = missing / (steps.size + missing)
+    if lost > _LOST:
+        yield Finding(
+            severity="warning",
+            kind="lost_samples",
+            message=(
+                f"{missing} of {steps.size + missing} samples ({100 * lost:.3g} %) are missing "
+                f"between the others, limit {100 * _LOST:g} %"
+            ),
+            remedy="log with a larger buffer, or at a lower rate",
+            numbers={"lost": missing, "share": lost, "limit": _LOST},
         )
 
 

@@ -55,7 +55,7 @@ def overview(recording: Recording, robot: RobotModel | None = None) -> dict[str,
         del processing["reasons"]
         reasons = "; ".join(choice.reasons)
     except DataError as cause:
-        findings.append(Finding(severity="error", kind="processing", message=str(cause)))
+        findings.append(Finding(severity="refuse", kind="processing", message=str(cause)))
     steps = np.diff(matched.time) / matched.step
     layout = matched.period_layout
     return {

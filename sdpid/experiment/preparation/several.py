@@ -5,12 +5,12 @@ from __future__ import annotations
 import os
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
 from typing import Any, TypeAlias
 
 import numpy as np
 
 from sdpid.errors import DataError
+from sdpid.experiment.inspection.accept import kinds_accepted, require_accepted
 from sdpid.experiment.inspection.finding import Finding
 from sdpid.experiment.inspection.inspect import inspect_recordings
 from sdpid.experiment.preparation.for_robot import default_processing, prepare
@@ -145,8 +145,8 @@ class Prepared:
         How the processing was chosen, where there were several.
     without_effort : tuple of str
         Joints whose efforts are not used.
-    name : str
-        What messages call the recordings.
+    findings : tuple of Finding
+        What is wrong with the recordings (see `inspect_recording`), where they were inspected.
     """
 
     robot: RobotModel
@@ -155,21 +155,18 @@ class Prepared:
     processing: Processing
     notes: tuple[str, ...] = ()
     without_effort: tuple[str, ...] = ()
-    name: str = ""
+    findings: tuple[Finding, ...] = ()
 
     def __repr__(self) -> str:
         return f"Prepared({len(self.logs)} recordings of '{self.robot.name}', {self.samples!r})"
 
-    @cached_property
-    def findings(self) -> tuple[Finding, ...]:
-        """What is wrong with the recordings (see `inspect_recording`)."""
-        return tuple(
-            finding
-            for finding in inspect_recordings(self.logs, self.robot, name=self.name)
-            if not (finding.kind.startswith("effort") and finding.joint in self.without_effort)
-        )
-
-    def others(self, logs: Logs, processing: Processing | None = None) -> Prepared:
+    def others(
+        self,
+        logs: Logs,
+        processing: Processing | None = None,
+        *,
+        accept: Iterable[str] | None = None,
+    ) -> Prepared:
         """Prepare other recordings in the same way, to be predicted.
 
         They have no covariance, which prediction does not need: any number of periods will do.
@@ -180,13 +177,14 @@ class Prepared:
             The others.
         processing : Processing, optional
             By default as these.
+        accept : iterable of str, optional
+            As for `prepare_recordings`.
         """
         chosen = replace(processing or self.processing, covariance=None)
         without = self.without_effort
-        others = prepare_recordings(
-            self.robot, logs, chosen, without_effort=without, name="validation"
+        return prepare_recordings(
+            self.robot, logs, chosen, without_effort=without, accept=accept, name="validation"
         )
-        return replace(others, name="validation recording")
 
 
 def prepare_recordings(
@@ -195,6 +193,7 @@ def prepare_recordings(
     processing: ProcessingOf = None,
     *,
     without_effort: Iterable[str] = (),
+    accept: Iterable[str] | None = None,
     name: str = "log",
 ) -> Prepared:
     """Read, match, process and join recordings of a robot.
@@ -210,17 +209,21 @@ def prepare_recordings(
     without_effort : iterable of str, optional
         Joints of the robot whose efforts were not measured, or are wrong: their rows are masked,
         their motion is used.
+    accept : iterable of str, optional
+        The recordings are inspected, and refused where a finding makes every result meaningless,
+        but for findings of these kinds. By default they are not inspected.
     name : str, optional
         What messages call the argument that holds the recordings.
 
     Raises
     ------
     DataError
-        When a recording cannot be read, matched or processed, they cannot be fitted together, a
-        joint does not exist, or no joint is left.
+        When a recording cannot be read, matched or processed, or is refused, they cannot be fitted
+        together, a joint does not exist, or no joint is left.
     """
     without = joints_without(without_effort)
     read = recordings(logs, name, without_effort=columns_without(robot, without))
+    findings = () if accept is None else inspected(robot, read, accept, without, name)
     chosen, why = chosen_processing(read, processing)
     samples = Samples.join([prepare(robot, log, chosen) for log in read])
     if without:
@@ -232,7 +235,42 @@ def prepare_recordings(
         processing=chosen,
         notes=() if why is None else (why,),
         without_effort=without,
+        findings=findings,
     )
+
+
+def inspected(
+    robot: RobotModel,
+    logs: Sequence[Recording],
+    accept: Iterable[str] = (),
+    without_effort: Sequence[str] = (),
+    name: str = "log",
+) -> tuple[Finding, ...]:
+    """Return what is wrong with recordings of a robot.
+
+    Parameters
+    ----------
+    robot : RobotModel
+        The robot.
+    logs : sequence of Recording
+        What is to be used together.
+    accept : iterable of str, optional
+        Kinds of findings that do not refuse a recording.
+    without_effort : sequence of str, optional
+        Joints whose effort is not used: what is wrong with it does not matter.
+    name : str, optional
+        Messages name recordings of another argument than ``log`` by it.
+
+    Raises
+    ------
+    DataError
+        When a finding that makes every result meaningless is not accepted.
+    """
+    kinds = kinds_accepted(accept)
+    called = "" if name == "log" else f"{name} recording"
+    findings = inspect_recordings(logs, robot, name=called, without_effort=without_effort)
+    require_accepted(findings, kinds)
+    return findings
 
 
 def joints_without(given: Any) -> tuple[str, ...]:

@@ -170,7 +170,7 @@ def findings(
 def _recordings(identification: Judged) -> Iterator[Finding]:
     """Yield what the inspection of the recordings found."""
     for each in identification.findings:
-        if each.severity == "error":
+        if each.severity == "refuse":
             yield Finding("bad", f"The recording is not what it says: {each}.")
 
 

@@ -9,6 +9,7 @@ import pandas as pd
 import pytest
 
 import sdpid
+from sdpid.errors import DataError
 from sdpid.experiment.inspection.inspect import inspect_recording, inspect_recordings
 from sdpid.experiment.preparation.overview import overview
 from sdpid.experiment.readers.read import read_recording
@@ -78,9 +79,9 @@ def test_what_is_right_raises_no_alarm(log: Recording, robot: sdpid.RobotModel):
         ("velocity", 30.0 / np.pi, "velocity_scale", "(rpm instead of rad/s)"),
         ("velocity", -1.0, "velocity_scale", "velocity of {} has the sign opposite"),
         ("velocity", 1e3, "velocity_scale", "(a factor of 1000: time or velocity in thousandths)"),
-        ("effort", 1e-2, "effort_scale", "effort of {} is 0.0119 times the gravity"),
-        ("effort", 1e3, "effort_scale", "times the gravity it should bear"),
-        ("effort", -1.0, "effort_sign", "effort of {} has the sign opposite to the gravity"),
+        ("effort", 1e-2, "effort_scale", "effort of {} is 0.0102 times what the description's"),
+        ("effort", 1e3, "effort_scale", "as at the other joints, limit 0.2 to 5: N·mm or mN·m"),
+        ("effort", -1.0, "effort_sign", "effort of {} has the wrong sign: gravity, inertia and"),
         ("effort", 0.0, "effort_constant", "effort of {} never changes: it is 0"),
         ("position", 0.0, "joint_at_rest", "{} never moves"),
         ("position", 1e-5, "joint_at_rest", "{} moves by 1e-05 rad only"),
@@ -99,7 +100,7 @@ def test_wrong_signals_are_named(
     (finding,) = [each for each in found if each.joint == log.names[1]]
     assert words.format(log.names[1]) in finding.message
     assert finding.remedy
-    assert finding.severity in ("error", "warning")
+    assert finding.severity in ("refuse", "warning")
     assert not inspect_recording(wrong, robot).ok
 
 
@@ -107,7 +108,7 @@ def test_one_sample_that_jumps_is_named_with_its_row(log: Recording):
     position = log.position.copy()
     position[700, 1] += 4.8
     (finding,) = inspect_recording(replace(log, position=position, velocity=None)).findings
-    assert (finding.kind, finding.severity) == ("position_jumps", "error")
+    assert (finding.kind, finding.severity) == ("position_jumps", "refuse")
     assert finding.numbers["row"] == 701
     assert "changes by 4.8" in finding.message
     assert "at row 701," in finding.message
@@ -136,7 +137,7 @@ def test_a_gap_is_no_outlier(log: Recording):
 def test_wrapped_angles_are_continued_not_alarmed_about(log: Recording):
     turning = np.angle(np.exp(1j * 4.0 * np.pi * 0.2 * T))[:, None]
     wrapped = Recording(time=T, position=turning, effort=log.effort[:, 1:2])
-    (finding,) = inspect_recording(wrapped).findings
+    finding, _ = sorted(inspect_recording(wrapped).findings, key=lambda each: each.kind)
     assert finding.severity == "note"
     assert "angles that wrap continued" in finding.message
 
@@ -172,8 +173,8 @@ def test_findings_are_data(log: Recording, robot: sdpid.RobotModel):
     first, second = inspect_recordings((log, wrong), robot), inspect_recordings((wrong,), robot)
     assert [str(each) for each in first] == [f"recording 2: {each}" for each in second]
     entry = second[0].to_dict()
-    assert entry["severity"] == "error"
-    assert entry["numbers"]["scale"] < 0.0
+    assert entry["severity"] == "refuse"
+    assert entry["numbers"]["unexplained_mended"] < 0.05
     assert entry["text"] == f"{entry['message']}; {entry['remedy']}"
 
 
@@ -183,7 +184,11 @@ def test_identify_says_what_info_finds(log: Recording, robot: sdpid.RobotModel):
     position = log.position.copy()
     position[:, 5] = 0.3
     wrong = replace(log, effort=effort, position=position, velocity=None)
-    result = sdpid.identify(robot, wrong, validation=wrong, friction=(), intervals=False)
+    with pytest.raises(DataError, match=r"effort_sign: effort of .* accept=\['effort_sign'\]"):
+        sdpid.identify(robot, wrong, friction=(), intervals=False)
+    result = sdpid.identify(
+        robot, wrong, validation=wrong, friction=(), intervals=False, accept="effort_sign"
+    )
     found = inspect_recording(wrong, robot).findings
     assert {"effort_sign", "joint_at_rest"} <= {each.kind for each in found}
     assert result.findings[: len(found)] == found
@@ -203,13 +208,20 @@ ROBOTS = {
 }
 
 
+# Three joints of the Gen3 turn one way only; recorded velocities of the LWR 4+ are late by 31 ms.
+TRUE_OF_THEM = {
+    "kinova_gen3_dynamapp": {"one_direction"},
+    "kuka_lwr4plus": {"velocity_late"},
+}
+
+
 @pytest.mark.parametrize("name", ROBOTS)
 def test_real_logs_raise_no_alarm(data_folder, name: str):
     log, urdf = ROBOTS[name]
     record = sdpid.read_recording(data_folder / name / f"{log}.npz")
     robot = sdpid.load_robot(data_folder / name / f"{urdf}.urdf")
-    inspection = inspect_recording(record, robot)
-    assert inspection.ok, str(inspection)
+    warned = [each for each in inspect_recording(record, robot).findings if each.severity != "note"]
+    assert {each.kind for each in warned} == TRUE_OF_THEM.get(name, set()), warned
 
 
 def test_an_inferred_unit_of_time_is_said(log: Recording):
@@ -224,7 +236,7 @@ def test_an_inferred_unit_of_time_is_said(log: Recording):
     jitter = np.random.default_rng(0).uniform(-0.1, 0.1, len(T))
     read = read_recording(pd.DataFrame({"t": np.arange(len(T)) * 10.0 + jitter, **columns}))
     (finding,) = [f for f in inspect_recording(read).findings if f.kind == "time_unit"]
-    assert finding.severity == "warning"
-    assert "0.1 Hz, limit 2 Hz" in finding.message
+    assert finding.severity == "refuse"
+    assert "0.1 Hz, limit 2 to 25000 Hz" in finding.message
     given = read_recording(pd.DataFrame({"t": T, **columns}), units={"time": "s"})
     assert "time_unit" not in [f.kind for f in inspect_recording(given).findings]

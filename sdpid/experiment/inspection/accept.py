@@ -1,0 +1,78 @@
+"""Refuse recordings from which no result means anything, unless a finding is overruled by name."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from difflib import get_close_matches
+
+from sdpid.errors import DataError
+from sdpid.experiment.inspection.finding import Finding
+
+__all__ = ["REFUSED", "kinds_accepted", "require_accepted"]
+
+# Kinds of findings that may be of severity 'refuse', and that one may overrule.
+REFUSED = (
+    "axis_sign",
+    "effort_order",
+    "effort_scale",
+    "effort_sign",
+    "gravity_direction",
+    "joint_order",
+    "payload_differs",
+    "position_in_degrees",
+    "position_jumps",
+    "position_sign",
+    "position_zero",
+    "time_unit",
+)
+# Refused by what processes a log as well, whatever is accepted.
+_FINAL = ("joints_unknown", "time_stamps", "processing")
+
+
+def kinds_accepted(accept: str | Iterable[str]) -> tuple[str, ...]:
+    """Return the kinds of findings that are accepted, checked.
+
+    Raises
+    ------
+    DataError
+        When one is no kind that is ever refused.
+    """
+    kinds = (accept,) if isinstance(accept, str) else tuple(accept)
+    for kind in kinds:
+        if kind not in REFUSED:
+            near = get_close_matches(str(kind), REFUSED, n=1)
+            meant = f"did you mean {near[0]}? " if near else ""
+            raise DataError(
+                f"accept: {kind!r} is no kind of finding that is refused; {meant}There are "
+                f"{', '.join(REFUSED)}."
+            )
+    return kinds
+
+
+def require_accepted(findings: Sequence[Finding], accept: str | Iterable[str] = ()) -> None:
+    """Raise when a finding of severity ``"refuse"`` is not accepted.
+
+    Parameters
+    ----------
+    findings : sequence of Finding
+        Of the inspection.
+    accept : str or iterable of str, optional
+        Kinds of findings that are overruled.
+
+    Raises
+    ------
+    DataError
+        With the findings, their remedies, and the kinds that would have to be accepted.
+    """
+    kinds = kinds_accepted(accept)
+    refused = [each for each in findings if each.severity == "refuse" and each.kind not in kinds]
+    if not refused:
+        return
+    listed = ". ".join(f"{each.kind}: {each}" for each in refused)
+    names = dict.fromkeys(each.kind for each in refused)
+    overruled = [name for name in names if name not in _FINAL]
+    asked = ", ".join(repr(name) for name in overruled)
+    rest = f" If that is as it should be, accept=[{asked}] overrules it." if overruled else ""
+    raise DataError(
+        f"the log is refused, for no result from it would mean anything. {listed}.{rest}"
+    )

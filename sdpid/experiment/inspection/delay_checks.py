@@ -1,0 +1,150 @@
+"""Checks of channels that are late against each other."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from sdpid._common.arrays import Array
+from sdpid.experiment.inspection.finding import Finding, Subject, check
+from sdpid.experiment.inspection.rows import Rows
+from sdpid.experiment.recording.velocities import velocity_fit
+from sdpid.robot.model.model import RobotModel
+
+# Delays below this (s), and below this many samples, are the drives' own and those of filters: of
+# 17 good recordings the efforts seem late by -13 to 12 ms.
+_LEAST_DELAY, _LEAST_STEPS = 0.02, 1.5
+# A delay counts from this many of its standard errors on, ...
+_SURE = 5.0
+# ... in which the joints' spread counts too, and where it takes this share of the residual.
+_TAKES = 0.1
+# Rows slower than tanh of one width and a half are left out: stiction has delays of its own.
+_MOVES = 0.9
+# One joint alone may have a delay for other reasons, such as backlash.
+_LEAST_JOINTS = 2
+# Directions of the regressor with less than this share of the largest singular value are noise.
+_RANK = 1e-3
+_BLOCKS = 12
+_CORRELATED = 0.9
+
+
+@check
+def late_velocities(subject: Subject) -> Iterator[Finding]:
+    """Find recorded velocities that are late, or early, against the rate of the positions."""
+    if subject.log.velocity is None or not subject.pieces:
+        return
+    _, longest = max(subject.pieces, key=lambda each: each[1].n_samples)
+    limit = max(_LEAST_DELAY, _LEAST_STEPS * longest.step)
+    fits = {name: velocity_fit(longest, j) for j, name in enumerate(longest.names)}
+    lags = {
+        name: fit.lag
+        for name, fit in fits.items()
+        if fit is not None and fit.correlation >= _CORRELATED and abs(fit.lag) >= limit
+    }
+    if not lags:
+        return
+    worst = max(lags.values(), key=abs)
+    yield Finding(
+        severity="warning",
+        kind="velocity_late",
+        joint=next(iter(lags)) if len(lags) == 1 else None,
+        message=(
+            f"velocity of {', '.join(lags)} is {_late(worst)} by up to {1e3 * abs(worst):.3g} ms "
+            f"against the rate of the position, limit {1e3 * limit:.3g} ms"
+        ),
+        remedy="shift it, or leave the velocity out (velocity=none)",
+        numbers={"delay": worst, "limit": limit},
+    )
+
+
+@check
+def late_efforts(subject: Subject) -> Iterator[Finding]:
+    """Find efforts that are late, or early, against the motion."""
+    rows, robot = subject.low_passed, subject.robot
+    if robot is None or robot.n_base or rows is None:
+        return
+    if subject.corrected is not None and subject.corrected.steps:
+        return  # With a wrong sign or order nothing can be said of delays.
+    found = effort_delay(robot, rows)
+    limit = max(_LEAST_DELAY, _LEAST_STEPS * rows.step)
+    if found is None or abs(found[0]) < limit or abs(found[0]) < _SURE * found[1]:
+        return
+    delay, error = found
+    yield Finding(
+        severity="warning",
+        kind="effort_late",
+        message=(
+            f"efforts are {_late(delay)} by {1e3 * abs(delay):.3g} ms (standard error "
+            f"{1e3 * error:.2g} ms) against the motion, limit {1e3 * limit:.3g} ms"
+        ),
+        remedy="shift the efforts, or take both from one clock",
+        numbers={"delay": delay, "error": error, "limit": limit},
+    )
+
+
+def effort_delay(robot: RobotModel, rows: Rows) -> tuple[float, float] | None:
+    """Return by how much the efforts are late against the motion, and its standard error, s.
+
+    An effort that is late by a little is the effort of the motion less its derivative times the
+    delay. What the regressor and friction leave of either is compared, joint by joint.
+
+    Returns
+    -------
+    tuple of float or None
+        None where a delay would explain next to nothing, or joints move too little.
+    """
+    Y = robot.regressor(rows.position, rows.velocity, rows.acceleration)
+    delays, errors, left, taken = [], [], 0.0, 0.0
+    for j in np.flatnonzero(rows.usable).tolist():
+        keep = np.abs(rows.sign[:, j]) > _MOVES
+        friction = (rows.sign[:, j], rows.velocity[:, j], rows.acceleration[:, j])
+        columns = np.column_stack([Y[:, j], *friction, np.ones(len(Y))])[keep]
+        basis = _basis(columns)
+        if len(columns) < 2 * basis.shape[1] + 2 * _BLOCKS:
+            continue
+        effort, rate = (
+            each - basis @ (basis.T @ each)
+            for each in (rows.effort[keep, j], rows.effort_rate[keep, j])
+        )
+        power, size = float(rate @ rate), float(effort @ effort)
+        if not power * size > 0.0:
+            continue
+        delay = -float(effort @ rate) / power
+        rest = effort + delay * rate
+        scores = np.array([part.sum() for part in np.array_split(rest * rate, _BLOCKS)])
+        delays.append(delay)
+        errors.append(float(np.sqrt(scores @ scores)) / power)
+        left += 1.0
+        taken += 1.0 - float(rest @ rest) / size
+    if len(delays) < _LEAST_JOINTS or taken < _TAKES * left:
+        return None
+    return _pooled(np.array(delays), np.array(errors))
+
+
+def _pooled(values: Array, errors: Array) -> tuple[float, float]:
+    """Return the mean of values with errors, and its error, in which their spread counts."""
+    errors = np.maximum(errors, 1e-3 * np.abs(values).max(initial=1e-9))
+    spread = 0.0
+    for _ in range(20):
+        weights = 1.0 / (errors**2 + spread)
+        mean = float(weights @ values / weights.sum())
+        # The spread between joints that makes the deviations as large as their errors say.
+        excess = float(weights @ (values - mean) ** 2) - (len(values) - 1)
+        if excess <= 0.0 and spread == 0.0:
+            break
+        spread = max(0.0, spread + excess / float(weights.sum()))
+    return mean, float(1.0 / np.sqrt(weights.sum()))
+
+
+def _basis(columns: Array) -> Array:
+    """Return an orthonormal basis of columns, without directions that are noise."""
+    size = np.linalg.norm(columns, axis=0)
+    scaled = columns[:, size > 0.0] / size[size > 0.0]
+    values, vectors = np.linalg.eigh(scaled.T @ scaled)
+    kept = values > _RANK**2 * values[-1]
+    return np.asarray(scaled @ (vectors[:, kept] / np.sqrt(values[kept])))
+
+
+def _late(delay: float) -> str:
+    return "late" if delay > 0.0 else "early"

@@ -1,0 +1,215 @@
+"""Checks of efforts against the dynamics of the description: signs, order, zeros, scale."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+
+import numpy as np
+
+from sdpid.experiment.inspection.corrections import CorrectedLog, Correction, Step
+from sdpid.experiment.inspection.dynamics import gains, misfit, placeholders
+from sdpid.experiment.inspection.finding import Finding, Severity, Subject, check
+
+# Efforts beyond this many times the description's, either way, are in another unit: of six real
+# arms they are 0.7 to 2.3 times.
+_SCALE = 5.0
+# The correlation with which one joint's efforts must follow, if its scale alone is to be told.
+_FOLLOWS = 0.9
+# Beyond this many times that of the other joints, a joint's scale is no matter of its description.
+_FAR_SCALE = 20.0
+# Units that are met, with the effort of 1 N·m in them.
+_UNITS = {1000.0: "N·mm or mN·m", 100.0: "N·cm", 10.2: "kgf·cm or per cent", 0.001: "kN·m"}
+_UNIT_SLACK = 2.5
+# More than this share of the effort of a joint that carries its links, unexplained by the
+# description, is no model of that joint: at most 0.4 on good recordings of real arms.
+_UNLIKE = 0.6
+_CARRIES = 0.05
+
+
+@check
+def wrong_channels(subject: Subject) -> Iterator[Finding]:
+    """Find wrong signs, zeros and orders of columns: what must be changed to make efforts fit."""
+    log = subject.corrected
+    if log is None:
+        return
+    order = np.arange(log.robot.n)
+    for step in log.steps:
+        change = step.change
+        if change.kind == "joint_order":
+            order = order[np.array(change.value, dtype=np.intp)]
+    ordered = False
+    for step in log.steps:
+        if step.change.kind == "joint_order":
+            if not ordered:
+                value = tuple(float(i) for i in order)
+                yield _finding(log, step, Correction(kind="joint_order", value=value))
+            ordered = True
+        else:
+            yield _finding(log, step, step.change)
+
+
+@check
+def scales(subject: Subject) -> Iterator[Finding]:
+    """Find efforts of the wrong scale, of all joints or of one."""
+    log = subject.corrected
+    if log is None:
+        return
+    found = gains(log.rows, log.rigid)
+    names = log.robot.joint_names
+    common = found.common
+    if common is None:
+        return
+    sizes = np.abs(found.gain)
+    if not 1.0 / _SCALE < common < _SCALE:
+        each = ", ".join(f"{names[j]} {sizes[j]:.3g}" for j in np.flatnonzero(found.shows))
+        yield Finding(
+            severity="warning" if placeholders(log.robot) else "refuse",
+            kind="effort_scale",
+            message=(
+                f"efforts are {common:.3g} times what the description's bodies need ({each}), "
+                f"limit {1.0 / _SCALE:g} to {_SCALE:g}: {_unit(common)}"
+            ),
+            remedy=_scale_remedy(common),
+            numbers={"scale": common, "limit": _SCALE},
+        )
+    for j in np.flatnonzero(found.shows):
+        ratio = sizes[j] / common
+        if 1.0 / _SCALE < ratio < _SCALE or abs(found.correlation[j]) < _FOLLOWS:
+            continue
+        far = not 1.0 / _FAR_SCALE < ratio < _FAR_SCALE
+        yield Finding(
+            severity="refuse" if far and not placeholders(log.robot) else "warning",
+            kind="effort_scale",
+            joint=names[j],
+            message=(
+                f"effort of {names[j]} is {sizes[j]:.3g} times what the description's bodies "
+                f"need, {ratio:.3g} times as much as at the other joints, limit {1.0 / _SCALE:g} "
+                f"to {_SCALE:g}: {_unit(ratio)}"
+            ),
+            remedy=_scale_remedy(ratio),
+            numbers={"scale": sizes[j], "ratio": ratio, "limit": _SCALE},
+        )
+
+
+@check
+def unlike_the_description(subject: Subject) -> Iterator[Finding]:
+    """Find efforts that the description does not explain, whatever is changed."""
+    log = subject.corrected
+    if log is None:
+        return
+    size = np.where(log.rows.usable, log.rigid.std(axis=0), 0.0)
+    mended = {finding.joint for finding in scales(subject)}
+    for j in np.flatnonzero((size > _CARRIES * size.max(initial=0.0)) & (log.shares > _UNLIKE)):
+        name = log.robot.joint_names[j]
+        if name in mended:
+            continue
+        share = min(float(log.shares[j]), 1.0)
+        yield Finding(
+            severity="warning",
+            kind="effort_unlike_description",
+            joint=name,
+            message=(
+                f"effort of {name} does not follow from the motion: the description and friction "
+                f"leave {100 * share:.3g} % of its variance unexplained, limit {100 * _UNLIKE:g} %"
+            ),
+            remedy="check the columns, the units, the mounting and the description of this joint",
+            numbers={"unexplained": share, "limit": _UNLIKE},
+        )
+
+
+def _finding(log: CorrectedLog, step: Step, change: Correction) -> Finding:
+    """Return the finding of one change that makes the efforts follow from the motion."""
+    names = log.robot.joint_names
+    gained = misfit(step.before) - misfit(step.after)
+    numbers = {"gained": gained}
+    if change.joint is None:
+        joints = [name for name, usable in zip(names, log.rows.usable, strict=True) if usable]
+        before, after = (
+            float(np.mean(each[log.rows.usable])) for each in (step.before, step.after)
+        )
+        of = f"the efforts' variance, the mean of {len(joints)} joints"
+    else:
+        worst = int(np.argmax(np.log(step.before + 0.01) - np.log(step.after + 0.01)))
+        before, after = float(step.before[worst]), float(step.after[worst])
+        of = f"the variance of the effort of {names[worst]}"
+    numbers |= {"unexplained": before, "unexplained_mended": after}
+    what, remedy = _words(change, names)
+    same = dict.fromkeys(_words(each, names)[0] for each in step.alike)
+    others = [each for each in same if each != what][:3]
+    also = f"; as good: {', or '.join(others)}" if others else ""
+    # Signs of efforts are told by friction too, which takes power whatever the masses are.
+    sure = change.kind in ("effort_sign", "position_sign") or not placeholders(log.robot)
+    severity: Severity = "refuse" if sure else "warning"
+    return Finding(
+        severity=severity,
+        kind=change.kind,
+        joint=None if change.joint is None else names[change.joint],
+        message=(
+            f"{what}: gravity, inertia and friction leave {100 * min(before, 1.0):.3g} % of {of}, "
+            f"unexplained, with that mended {100 * after:.2g} %{also}"
+        ),
+        remedy=remedy,
+        numbers=numbers,
+    )
+
+
+def _words(change: Correction, names: tuple[str, ...]) -> tuple[str, str]:
+    """Return what is wrong, and the remedy."""
+    of = "all joints" if change.joint is None else names[change.joint]
+    if change.kind == "effort_sign":
+        return f"effort of {of} has the wrong sign", "flip its sign"
+    if change.kind == "position_sign":
+        return f"position of {of} has the wrong sign", "flip its sign, and that of its velocity"
+    if change.kind == "axis_sign":
+        return (
+            f"position and effort of {of} count the other way round than the description's axis",
+            "flip the signs of both, or turn the axis in the description",
+        )
+    if change.kind == "position_zero":
+        degrees = math.degrees(change.value[0])
+        return (
+            f"position of {of} has another zero than the description",
+            f"add {degrees:+.0f}° ({change.value[0]:+.4f} rad)",
+        )
+    if change.kind == "position_in_degrees":
+        return "positions look like degrees, not radians", "read with units={'position': 'deg'}"
+    if change.kind == "gravity_direction":
+        x, y, z = change.value
+        return (
+            f"gravity acts along ({x:.3g}, {y:.3g}, {z:.3g}) m/s² of the base, not as described",
+            "give gravity= to load_robot, or mount the description's base as the robot's",
+        )
+    if change.kind == "joint_order":
+        # Column k holds the joint whose place it takes when the order is put right.
+        held = [names[list(change.value).index(k)] for k in range(len(names))]
+        return (
+            f"columns are in the order {', '.join(held)}",
+            "name the columns so (joint_names), or put them in the robot's order",
+        )
+    held = [names[list(change.value).index(k)] for k in range(len(names))]
+    return (
+        f"columns of the efforts are in the order {', '.join(held)}",
+        "name the effort columns one by one (columns)",
+    )
+
+
+def _unit(scale: float) -> str:
+    """Return which unit makes efforts so many times too large."""
+    for factor, unit in _UNITS.items():
+        if 1.0 / _UNIT_SLACK < scale / factor < _UNIT_SLACK:
+            return f"{unit} instead of N·m"
+    if scale < 1.0:
+        return "currents (A), torques of the motors before their gears, or another unit"
+    return "another unit"
+
+
+def _scale_remedy(scale: float) -> str:
+    """Return how to give the unit of the efforts."""
+    for factor, unit in ((1000.0, "mN.m"),):
+        if 1.0 / _UNIT_SLACK < scale / factor < _UNIT_SLACK:
+            return f"give the unit: units={{'effort': '{unit}'}} (--unit effort={unit})"
+    return (
+        "give N·m per unit of effort of each joint, torque constant times gear ratio: "
+        f"effort_scale (--effort-scale), about {1.0 / scale:.3g} here"
+    )
