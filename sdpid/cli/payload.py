@@ -21,7 +21,8 @@ def payload(
         Path | None,
         typer.Option(
             metavar="LOG",
-            help="Recording without the payload. Default: take the URDF's inertias as the robot's.",
+            help="Recording without the payload. Default: rely on the URDF's inertias, whose "
+            "errors end up in the payload.",
         ),
     ] = None,
     frame: Annotated[
@@ -36,7 +37,7 @@ def payload(
         typer.Option(
             metavar="NATS",
             help="Strength of the regularization towards the URDF's inertias. Default: they are "
-            "exact where there is no recording without the payload.",
+            "taken as they are where there is no recording without the payload.",
         ),
     ] = None,
     level: Annotated[float, typer.Option(help="Probability of the intervals.")] = 0.95,

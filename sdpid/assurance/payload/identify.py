@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterable
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -17,11 +17,13 @@ from sdpid.assurance.payload.program import (
     QUANTITIES,
     QUANTITY_UNITS,
     PayloadProgram,
+    least_second_moment,
     quantities,
 )
 from sdpid.assurance.payload.rows import (
+    Description,
     PayloadRows,
-    rows_beside_known,
+    rows_beside_description,
     rows_beside_prior,
     rows_beside_recording,
 )
@@ -45,6 +47,11 @@ from sdpid.robot.model.load import load_robot
 from sdpid.robot.model.model import RobotModel
 
 Log = Recording | Samples | str | os.PathLike[str]
+
+_AT_THE_EDGE = (
+    "the recordings ask for a body smaller than matter can be: it has the least second moments, "
+    "those of a ball of the densest matter, and its inertia is no measurement"
+)
 
 # Directions in which a unit payload moves the cost by less than this share of the strongest one
 # are invisible, but for rounding.
@@ -86,6 +93,10 @@ class Payload:
         What was assumed, or is to be known.
     findings : tuple of Finding
         What is wrong with the recordings (see `sdpid.inspect_recording`).
+    described : Description or None
+        What was granted to the description, where the arm's links are taken from it: the intervals
+        then have their probability only if it deserves that. None where the arm is known from a
+        recording, or believed in by a prior.
     """
 
     mass: float
@@ -105,6 +116,7 @@ class Payload:
     status: str
     notes: tuple[str, ...] = ()
     findings: tuple[Finding, ...] = ()
+    described: Description | None = None
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -137,9 +149,13 @@ class Payload:
 
     def describe(self) -> str:
         """Return the payload in words and numbers, one quantity a line."""
+        intervals = f"{100.0 * self.level:g} % intervals"
+        if self.described is not None:
+            share = f"{100.0 * self.described.tolerance:.2g} %"
+            intervals += f" if the described links are right to {share}"
         title = (
             f"payload of {self.link}, in the frame {self.frame}; inertia about the center of mass "
-            f"({100.0 * self.level:g} % intervals)"
+            f"({intervals})"
         )
         found = [f"{each.severity}: {each}" for each in self.findings]
         return "\n".join([title, self._table().text(5), *self.notes, *found])
@@ -162,6 +178,7 @@ class Payload:
                 "invisible_directions": self.invisible,
                 "shown": self.shown,
                 "status": self.status,
+                "described": None if self.described is None else asdict(self.described),
                 "notes": self.notes,
                 "findings": [finding.to_dict() for finding in self.findings],
             }
@@ -196,8 +213,9 @@ def identify_payload(
 
     * a recording without load, or an estimate made from one (of which the data are used, not the
       result, so that its uncertainty counts);
-    * nothing but the robot's description: with a `prior` the prior regularizes towards it,
-      without one it is taken as exact and only friction is estimated.
+    * nothing but the robot's description: with a `prior` the prior regularizes towards it, without
+      one its links are taken as they are and only friction is estimated. The intervals then allow
+      for links that are off by 10 to 30 %, as much as the recording suggests.
 
     Parameters
     ----------
@@ -265,20 +283,21 @@ def identify_payload(
     placed = transform(np.eye(10), rotation, translation).T
     columns = loaded.base.matrix[:, 10 * number : 10 * number + 10] @ placed
     notes: tuple[str, ...] = ()
+    described: Description | None = None
     if arm is not None:
         rows = rows_beside_recording(loaded, arm, columns, _separate(arm, separate))
     elif prior is not None:
         rows = rows_beside_prior(loaded, columns)
     else:
-        rows = rows_beside_known(loaded, columns, model.prior)
-        notes = ("the links of the arm are taken to be exactly as described",)
+        rows, described = rows_beside_description(loaded, columns, model.prior)
+        notes = (described.note(),)
     if rows.short:
         notes += (
             f"a recording is too short for blocks of {loaded.samples.block} samples: the intervals "
             "trust the weighting",
         )
     found = _solved(rows, model.link_names[number], name, mass_max, extent, level, notes)
-    return replace(found, findings=findings)
+    return replace(found, described=described, findings=findings)
 
 
 def _solved(
@@ -302,8 +321,14 @@ def _solved(
             "on what matter can be",
         )
     theta, status = program.solve()
-    # Solvers leave second moments a little negative.
-    theta = raise_second_moments(theta) if theta[0] > NOTHING else np.zeros(10)
+    if theta[0] > NOTHING:
+        if margin(theta, "pseudo_inertia") < least_second_moment(theta[0]):
+            theta, status = program.solve(least_second_moment(theta[0]))
+            notes += (_AT_THE_EDGE,)
+        # Solvers stop a little short of the least.
+        theta = raise_second_moments(theta, least_second_moment(theta[0]))
+    else:
+        theta = np.zeros(10)
     intervals = PayloadIntervals(program, theta, level)
     lower, upper = intervals.ends()
     if intervals.unsolved:
@@ -312,7 +337,7 @@ def _solved(
     shown = program.shown(theta, level)
     if not shown:
         lower[0] = 0.0
-        notes += ("no payload at all explains the recordings within their errors",)
+        notes += ("no payload at all explains the recordings within the errors",)
     mass, com, inertia = physical_parameters(theta)
     value = float(margin(theta, "pseudo_inertia"))
     return Payload(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 
@@ -23,11 +24,24 @@ _FAINT = 1e-4
 # Clarabel's regularizations, in turn until it calls a point solved.
 _REGULARIZATIONS = (1e-10, 1e-8)
 
+# Of osmium, kg/m³: nothing is denser.
+_DENSITY = 22_590.0
+
 # Where Ixx, Iyy and Izz stand among the ten parameters.
 _DIAGONAL = [4, 6, 9]
 
 QUANTITIES = ("mass", "com_x", "com_y", "com_z", "Ixx", "Ixy", "Iyy", "Ixz", "Iyz", "Izz")
 QUANTITY_UNITS = ("kg", *("m",) * 3, *("kg.m2",) * 6)
+
+
+def least_second_moment(mass: float) -> float:
+    """Return the second moment, kg·m², that no body of a mass in kg can have less of everywhere.
+
+    That of a ball of the densest matter: a body may be thinner in one direction and wider in
+    others, as a plate is, but tools and workpieces are not.
+    """
+    radius = float(np.cbrt(3.0 * mass / (4.0 * np.pi * _DENSITY)))
+    return mass * radius**2 / 5.0
 
 
 def quantities(theta: Array) -> Array:
@@ -64,26 +78,39 @@ class PayloadProgram:
         reference = C[0].copy()
         reference[_DIAGONAL] = 0.4
         faint = _FAINT * np.eye(10)
-        basis = matrix_basis("pseudo_inertia")
+        self.mass = mass
         self.conic = ConicProgram(
             M=np.vstack([linear, faint]) / self.cost_unit,
             m=-np.concatenate([rows.rhs, faint @ reference]) / self.cost_unit,
             C=C,
             lower=np.array([0.0, -np.inf]),
             upper=np.array([mass_max / mass, 0.0]),
-            blocks=(Matrix(np.arange(10), basis, np.zeros((4, 4))),),
+            blocks=(self._bodies(0.0),),
         )
 
-    def solve(self) -> tuple[Array, str]:
+    def _bodies(self, least: float) -> Matrix:
+        """Return the bodies whose second moments about their centers of mass are no less."""
+        shift = least / (self.mass * _LENGTH**2)
+        return Matrix(
+            np.arange(10), matrix_basis("pseudo_inertia"), -np.diag([shift, shift, shift, 0.0])
+        )
+
+    def solve(self, least: float = 0.0) -> tuple[Array, str]:
         """Return the payload (10,) of least cost, and the status of the solver.
+
+        Parameters
+        ----------
+        least : float, optional
+            Least second moment about the center of mass in any direction, kg·m².
 
         Raises
         ------
         SolverError
             When it finds none.
         """
+        program = replace(self.conic, blocks=(self._bodies(least),))
         found = self.solved(
-            lambda regularization: solve_conic(self.conic, regularization=regularization)
+            lambda regularization: solve_conic(program, regularization=regularization)
         )
         if found.value is None:
             raise SolverError(f"payload: the solver found nothing ({found.status}).")

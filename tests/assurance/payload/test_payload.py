@@ -14,8 +14,8 @@ from scipy.stats import norm
 from sdpid._common.arrays import Array
 from sdpid.assurance.payload.identify import Payload, identify_payload
 from sdpid.assurance.payload.intervals import PayloadIntervals
-from sdpid.assurance.payload.program import PayloadProgram, quantities
-from sdpid.assurance.payload.rows import PayloadRows
+from sdpid.assurance.payload.program import PayloadProgram, least_second_moment, quantities
+from sdpid.assurance.payload.rows import Description, PayloadRows
 from sdpid.errors import DataError, ModelError
 from sdpid.estimation.conic.solve import (
     ConicFamily,
@@ -114,6 +114,11 @@ def test_a_point_is_found_at_the_edge_of_what_can_be(arm: RobotModel) -> None:
     assert found.margin is not None
     assert found.margin < 1e-4
     assert holds(found, point)[:4].all()
+    # No smaller than matter of this mass can be, and the best fit of those: a ball of osmium.
+    assert found.margin == pytest.approx(least_second_moment(found.mass), rel=1e-3)
+    mass = 22_590.0 * 4.0 / 3.0 * np.pi * 0.03**3
+    assert least_second_moment(mass) == pytest.approx(mass * 0.03**2 / 5.0)
+    assert any("no measurement" in note for note in found.notes)
 
 
 def test_intervals_that_are_not_solved_are_named(
@@ -212,15 +217,39 @@ def test_a_known_arm(arm: RobotModel) -> None:
     known = replace(arm, prior=theta[:60].reshape(6, 10))
     found = identify_payload(known, loaded, friction=TERMS)
     assert holds(found, load()).all()
-    assert any("exactly as described" in note for note in found.notes)
-    believed = identify_payload(known, loaded, friction=TERMS, prior=Prior(strength=100.0))
+    assert found.described == Description(
+        tolerance=pytest.approx(0.1, rel=1e-2), contradicted=False
+    )
+    assert "95 % intervals if the described links are right to 10 %" in found.describe()
+    assert "--without" in found.notes[0]
+    assert found.to_dict()["described"]["contradicted"] is False
+    believed = identify_payload(known, loaded, friction=TERMS, prior=Prior(strength=1e4))
     assert holds(believed, load()).all()
-    # What is not known exactly leaves more room.
-    assert np.all((believed.upper - believed.lower)[:4] > (found.upper - found.lower)[:4])
-    # An arm that is not as described shows in wider intervals.
-    wrong = replace(arm, prior=1.1 * known.prior)
-    worse = identify_payload(wrong, loaded, friction=TERMS)
-    assert np.all((worse.upper - worse.lower)[:4] > 2.0 * (found.upper - found.lower)[:4])
+    assert believed.described is None
+    # What is known better leaves less room.
+    assert np.all((believed.upper - believed.lower)[:4] < (found.upper - found.lower)[:4])
+
+
+@pytest.mark.parametrize("off", [0.1, 0.2])
+def test_intervals_allow_for_a_description_that_is_off(arm: RobotModel, off: float) -> None:
+    """The scatter of the recording alone is far too small; the scatter of links is not."""
+    inside = []
+    for seed in range(8):
+        loaded, _, theta = pair(arm, load(), seed=seed)
+        links = theta[:60].reshape(6, 10)
+        scale = np.exp(off * np.random.default_rng(seed).standard_normal((6, 1)))
+        described = replace(arm, prior=links / scale)
+        found = identify_payload(described, loaded, friction=TERMS)
+        inside.append(holds(found, load())[0])
+    assert sum(inside) >= 7
+
+
+def test_a_description_that_the_recording_contradicts_is_told(arm: RobotModel) -> None:
+    loaded, _, theta = pair(arm, load())
+    links = theta[:60].reshape(6, 10) * np.array([[3.0], [0.3], [3.0], [0.3], [1.0], [1.0]])
+    found = identify_payload(replace(arm, prior=links), loaded, friction=TERMS)
+    assert found.described == Description(tolerance=0.3, contradicted=True)
+    assert "contradicts" in found.notes[0]
 
 
 def test_ends_of_the_center_of_mass_are_fiellers() -> None:
@@ -319,8 +348,11 @@ def test_the_load_of_the_gen3(data_folder: Path) -> None:
     for payload in found:
         assert payload.shown
         assert 1.1 < payload.mass < 1.45
-        # Behind the flange, within the wrist: it is rather the description's masses that are off.
-        assert payload.upper[3] < 0.0
+        # Behind the flange, within the wrist: it is rather the description's masses that are off,
+        # as the recording says.
+        assert payload.com[2] < -0.05
+        assert payload.described is not None
+        assert payload.described.contradicted
     # Published masses of the arm, which in this description stand one link too far up.
     published = np.array([1.3773, 1.1636, 1.1636, 0.9302, 0.6781, 0.6781, 0.5])
     corrected = replace(robot, prior=robot.prior / robot.prior[:, :1] * published[:, None])
@@ -330,7 +362,6 @@ def test_the_load_of_the_gen3(data_folder: Path) -> None:
             payload = identify_payload(
                 corrected, gen3(data_folder, run, effort), frame="end_effector_link"
             )
-            assert payload.shown
             assert 0.5 < payload.mass < 0.8
             ends.append((payload.lower[0], payload.upper[0]))
     # All four agree.
