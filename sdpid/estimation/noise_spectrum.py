@@ -13,6 +13,11 @@ frequencies of the motion. A group has ``n_g`` real Fourier coefficients and the
 ``tr(H^(-1)·H_g)`` of them: what is left divides the residual's power. Neighboring bands are
 joined until enough are left. The variance of a function of the parameters is a sum of such
 estimates, and the degrees of freedom of its Student's t are Satterthwaite's.
+
+**Speeds that the data chose.** Numbers in which friction is not linear (see
+`sdpid.estimation.effects`) are parameters too: to first order they are further columns of X, and
+the covariance is that of the base parameters beside them. Where friction does not depend on such a
+number, it is known no better than before: between the limits of the search.
 """
 
 from __future__ import annotations
@@ -25,7 +30,8 @@ import numpy as np
 
 from sdpid._common.arrays import Array, frozen
 from sdpid.estimation.compression.rows import RowSource
-from sdpid.estimation.compression.whitening import whitened_chunks
+from sdpid.estimation.compression.whitening import whiten
+from sdpid.estimation.effects.bending import Bending
 from sdpid.estimation.information import information_root
 from sdpid.estimation.problem import Problem
 
@@ -39,6 +45,9 @@ _OCTAVES = 18
 # uncertain by 45 %, and a function's variance is a sum over dozens of groups.
 _LEAST_ROOM = 10.0
 
+# A speed is never known better than this beforehand, relative: where its limits meet.
+_LEAST_DEVIATION = 1e-3
+
 # Bytes of whitened rows that are transformed together; longer pieces are cut in equal parts. Of an
 # arm of seven joints that is 20 000 samples, minutes.
 _TOGETHER = 1 << 26
@@ -50,21 +59,36 @@ class NoiseSpectrum:
 
     Attributes
     ----------
-    information : ndarray, shape (G, b, b)
-        H_g.
+    information : ndarray, shape (G, c, c)
+        H_g of the b base parameters, and of d speeds that the data chose.
     power : ndarray, shape (G,)
         Power of the unconstrained fit's residual.
     room : ndarray, shape (G,)
         Real Fourier coefficients less those that the fit spends; at least one.
+    known : ndarray, shape (c,)
+        What is known of the parameters beforehand, as the diagonal of an information: nothing of
+        base parameters.
+    base_count : int
+        b.
     """
 
     information: Array
     power: Array
     room: Array
+    known: Array
+    base_count: int
 
     @classmethod
-    def of(cls, problem: Problem) -> NoiseSpectrum:
+    def of(cls, problem: Problem, theta: Array | None = None) -> NoiseSpectrum:
         """Transform the rows of a problem.
+
+        Parameters
+        ----------
+        problem : Problem
+            The problem.
+        theta : ndarray, shape (p,), optional
+            The estimate, whose friction depends on speeds that the data chose; by default these
+            are taken to be known.
 
         Raises
         ------
@@ -75,10 +99,17 @@ class NoiseSpectrum:
         norms = problem.excitation.column_norms
         scale = np.where(norms > 0.0, norms, 1.0)
         fit = np.linalg.lstsq(problem.A / scale, problem.rhs, rcond=None)[0] / scale
-        found = rows.map(_bands, 0.5 * problem.score_exponent, fit, sigma=problem.sigma)
+        friction = rows.friction
+        tail = np.zeros(0) if theta is None else theta[problem.n_theta - len(friction.parameters) :]
+        bending = Bending.of(friction, () if theta is None else problem.profiled, tail)
+        found = rows.map(_bands, 0.5 * problem.score_exponent, fit, bending, sigma=problem.sigma)
         products, count = (np.sum(each, axis=0) for each in zip(*found, strict=True))
         H = products[:, :, :-1, :-1]
-        root = information_root(H.sum(axis=(0, 1)))
+        # A weighted row's variance, about one unless weights are no variances.
+        size = products[:, :, -1, -1].sum() / max(count.sum() - problem.base.count, 1.0)
+        least = np.maximum(bending.deviations, _LEAST_DEVIATION)
+        known = np.concatenate([np.zeros(problem.base.count), size / least**2])
+        root = information_root(H.sum(axis=(0, 1)) + np.diag(known))
         spent = np.einsum("ar,jmab,br->jm", root, H, root, optimize=True)
         room = np.maximum(count - spent, 0.0)
         groups = [(j, own) for j, each in enumerate(room) for own in _joined(each)]
@@ -86,6 +117,8 @@ class NoiseSpectrum:
             frozen(np.array([H[j, own].sum(axis=0) for j, own in groups])),
             frozen(np.array([products[j, own, -1, -1].sum() for j, own in groups])),
             frozen(np.array([max(room[j, own].sum(), 1.0) for j, own in groups])),
+            frozen(known),
+            problem.base.count,
         )
 
     @property
@@ -95,23 +128,31 @@ class NoiseSpectrum:
 
     @cached_property
     def root(self) -> Array:
-        """T (b, r) with ``T·T^T = H^(-1)`` on what the data determine."""
-        return information_root(self.information.sum(axis=0))
+        """T (c, r) with ``T·T^T = H^(-1)`` on what the data determine."""
+        return information_root(self.information.sum(axis=0) + np.diag(self.known))
 
     @cached_property
     def _shares(self) -> Array:
-        """H_g in the coordinates of `root`, (G, r, r): they add up to E."""
+        """H_g in the coordinates of `root`, (G, r, r): with what is known they add up to E."""
         return np.asarray(self.root.T @ self.information @ self.root)
 
-    @cached_property
+    @property
     def covariance(self) -> Array:
         """Covariance of the unconstrained fit, (b, b)."""
+        return self.whole_covariance[: self.base_count, : self.base_count]
+
+    @cached_property
+    def whole_covariance(self) -> Array:
+        """Covariance (c, c) of the fit and of the logarithms of speeds that the data chose."""
         scores = np.einsum("g,gij->ij", self.density, self._shares)
+        # What is known beforehand is as uncertain as stated.
+        size = float(self.power.sum() / self.room.sum())
+        scores += size * (self.root.T * self.known) @ self.root
         return np.asarray(self.root @ scores @ self.root.T)
 
     def freedom(self, functionals: Array) -> Array:
         """Return the degrees of freedom of the variance of each functional (k, b) of the fit."""
-        directions = functionals @ self.root
+        directions = functionals @ self.root[: self.base_count]
         parts = np.einsum("kg,g->kg", _quadratic(self._shares, directions), self.density)
         total = parts.sum(axis=1)
         spread = np.maximum((parts**2 / self.room).sum(axis=1), np.finfo(float).tiny)
@@ -136,20 +177,27 @@ def _joined(room: Array) -> list[slice]:
     return [slice(start, stop) for start, stop in pairwise([0, *ends])]
 
 
-def _bands(rows: RowSource, sigma: Array, exponent: float, fit: Array) -> tuple[Array, Array]:
+def _bands(
+    rows: RowSource, sigma: Array, exponent: float, fit: Array, bending: Bending
+) -> tuple[Array, Array]:
     """Return products of rows, the residual last, and the count of coefficients of each band.
 
     Returns
     -------
-    ndarray, shape (n, bands, b + 1, b + 1)
+    ndarray, shape (n, bands, c + 1, c + 1)
     ndarray, shape (n, bands)
     """
-    K, n, columns = rows.n_samples, rows.robot.n, rows.base.count + 1
+    K, n, base = rows.n_samples, rows.robot.n, rows.base.count
+    columns = base + len(bending.deviations) + 1
     pieces = -(-K * n * columns * 8 // _TOGETHER)
     products = np.zeros((n, _OCTAVES * _BANDS_PER_OCTAVE + 1, columns, columns))
     count = np.zeros(products.shape[:2])
-    for _, weighted, mask in whitened_chunks(rows, sigma, exponent, size=-(-K // pieces)):
-        weighted[:, :, -1] -= weighted[:, :, :-1] @ fit
+    for part in rows.parts(-(-K // pieces)):
+        mask, own = rows.mask(part), rows.rows(part)
+        residual = own[:, :, -1:] - own[:, :, :-1] @ fit[:, None]
+        slopes = bending.columns(rows.motion(part))
+        stacked = np.concatenate([own[:, :, :-1], slopes, residual], axis=2)
+        weighted = whiten(stacked, sigma if sigma.ndim == 2 else sigma[part], mask, exponent)
         used = mask.mean(axis=0)
         for j in range(n):
             seen = np.flatnonzero(np.any(weighted[:, j] != 0.0, axis=0))

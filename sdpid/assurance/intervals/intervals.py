@@ -331,7 +331,7 @@ def _profile(
             "method='gauss_markov', or an estimate of a constrained solver."
         )
     problem, theta = estimate.problem, np.array(estimate.theta)
-    bounds = ProfileLikelihood(problem, theta, fit_errors(problem, groups), level)
+    bounds = ProfileLikelihood(problem, theta, fit_errors(estimate, groups), level)
     functions: list[tuple[Array, Array | None]] = []
     for function, functional, determined in zip(
         wanted.functions, wanted.functionals, wanted.determined, strict=True

@@ -45,8 +45,8 @@ class FitErrors(Protocol):
         """Return the degrees of freedom of the variance of each functional (k, b) of the fit."""
 
 
-def fit_errors(problem: Problem, groups: Groups) -> FitErrors:
-    """Return the errors of a problem's unconstrained fit.
+def fit_errors(estimate: Estimate, groups: Groups) -> FitErrors:
+    """Return the errors of the unconstrained fit of an estimate's problem.
 
     Raises
     ------
@@ -54,8 +54,8 @@ def fit_errors(problem: Problem, groups: Groups) -> FitErrors:
         When the problem has no rows, or too few groups.
     """
     if groups == "frequencies":
-        return NoiseSpectrum.of(problem)
-    return ScoreBlocks.of(problem, groups)
+        return NoiseSpectrum.of(estimate.problem, estimate.theta)
+    return ScoreBlocks.of(estimate.problem, groups)
 
 
 @dataclass(frozen=True, eq=False)
@@ -92,7 +92,7 @@ class Posterior:
             When the equations among the constraints contradict each other.
         """
         problem = estimate.problem
-        errors = fit_errors(problem, groups)
+        errors = fit_errors(estimate, groups)
         A, B = problem.A, problem.base.matrix
         basis = Scaling.of(problem).basis()
         R = np.zeros((0, problem.n_theta))
