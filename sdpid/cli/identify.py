@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import importlib.util
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -14,6 +14,9 @@ from sdpid._common.text import printable
 from sdpid.cli.config import config_text
 from sdpid.cli.endings import OURS, command_line
 from sdpid.cli.printing import Printing, errors_table, findings_listed, listed
+
+if TYPE_CHECKING:
+    from sdpid.workflow.result import Identification
 
 
 def identify(
@@ -96,18 +99,43 @@ def identify(
     files = [str(path) for path in saved]
     if figures is None and not draw:
         notes.append("no figures: matplotlib is not installed (pip install 'sdpid[plot]')")
-    fits = {"constrained": result.training, "unconstrained": result.training_wls}
-    if result.validation is not None:
-        fits["validation"] = result.validation
-    parts = [result.summary(), listed("notes", notes), errors_table(fits)]
-    told = [finding for finding in result.findings if finding.kind != "continued"]
-    if told:
-        parts.insert(1, findings_listed(told))
-    if result.cross_validation is not None:
-        parts.append(result.cross_validation.table())
-    parts.append(listed("files", files))
+    details = []
+    if printing.verbose:
+        fits = {"constrained": result.training, "unconstrained": result.training_wls}
+        if result.held_out is not None:
+            fits["held out"] = result.held_out.fit
+        details = [result.summary(), *_findings(result, "note"), listed("notes", notes)]
+        details.append(errors_table(fits))
+        if result.cross_validation is not None:
+            details.append(result.cross_validation.table())
+        if result.held_out is not None:
+            details.append(result.held_out.table())
+        details += [listed("verdict", result.verdict), listed("files", files)]
+    else:
+        details = [_short(result, out, files, notes), *_findings(result)]
+    lines = (*result.headline.lines, f"certificate: {result.certificate.summary()}")
+    parts = [*details, "\n".join(printable(line) for line in lines)]
     printing.show({**result.to_dict(), "notes": notes, "files": files}, "\n\n".join(parts))
     certificate = result.certificate
     if result.problem.consistency != "none" and not certificate.passed:
         typer.echo(printable(f"sdpid: not certified: {certificate.summary()}"), err=True)
         raise typer.Exit(OURS)
+
+
+def _short(result: Identification, out: Path, files: list[str], notes: list[str]) -> str:
+    """Return what was read and written."""
+    problem = result.problem
+    names = ", ".join(Path(file).name for file in files)
+    lines = (
+        f"{problem.robot.name}: {problem.base.count} base parameters from {problem.n_rows} rows",
+        f"written to {out}: {names}",
+        f"{len(notes)} notes on choices and findings: with -v, in report.html and result.json",
+    )
+    return "\n".join(printable(line) for line in lines)
+
+
+def _findings(result: Identification, *more: str) -> list[str]:
+    """Return what is wrong with the recordings: warnings and worse, and more severities."""
+    shown = ("refuse", "warning", *more)
+    told = [f for f in result.findings if f.severity in shown and f.kind != "continued"]
+    return [findings_listed(told)] if told else []

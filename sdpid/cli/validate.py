@@ -49,7 +49,7 @@ def validate(
 
         save_figure(plot_fit(samples, fit), figure)
         files.append(str(figure))
-    verdict = [finding.text for finding in prediction_findings(samples, fit)]
+    verdict = [finding.text for finding in prediction_findings(model, samples, fit)]
     notes = list(samples.notes)
     parts = [
         f"{model.name}: relative residual {100 * fit.relative:.2f} %\n"

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
 
@@ -19,6 +19,8 @@ from sdpid.estimation.estimate import Estimate
 from sdpid.estimation.problem import Problem, describe
 from sdpid.experiment.inspection.finding import Finding
 from sdpid.experiment.processing.samples import Samples
+from sdpid.output.report.headline import Headline, headline
+from sdpid.output.report.judged import grades_of
 from sdpid.output.report.verdict import verdict as verdict_on
 from sdpid.output.tables.intervals_shown import GivenIntervals, ends_of, in_words
 from sdpid.workflow.results_folder import save as save_results
@@ -121,6 +123,11 @@ class Identification:
         """What the model can be trusted for, and what not: sentences, the most important first."""
         return verdict_on(self)
 
+    @property
+    def headline(self) -> Headline:
+        """The verdict in short: the error, the worst joint, the next step, and the baseline."""
+        return headline(self)
+
     def to_dict(self) -> dict[str, Any]:
         """Return the result as plain values for JSON: None where a number is not finite."""
         estimate = self.estimate
@@ -131,6 +138,11 @@ class Identification:
             "notes": [*self.notes, *([self.intervals_note] if self.intervals_note else [])],
             "findings": [finding.to_dict() for finding in self.findings],
             "verdict": list(self.verdict),
+            "headline": asdict(self.headline),
+            "grades": {
+                self.training.joint_names[each.joint]: {"level": each.level, "shown": each.shown}
+                for each in grades_of(self)
+            },
             "status": estimate.status,
             "cost": estimate.cost,
             "cost_unconstrained": self.wls.cost,

@@ -15,7 +15,7 @@ from sdpid._common.progress import progress
 from sdpid._common.staging import digest, exchange, staged
 from sdpid._common.tables import json_text
 from sdpid.errors import ExportError, MissingExtraError, SdpidError
-from sdpid.output.report.verdict import Judged
+from sdpid.output.report.judged import Judged
 from sdpid.output.tables.intervals_shown import GivenIntervals
 
 if TYPE_CHECKING:

@@ -106,10 +106,26 @@ def test_identify_prints_and_writes(results: Path, log: Path) -> None:
     done = run("identify", log, "--robot", ROBOT, "--out", out, "--validation", log)
     assert done.exit_code == 0
     assert done.stderr == ""
-    for text in ("relative residual", "joint_6", "NRMSE", "zero-phase", "validation", "files:"):
-        assert text in done.stdout
+    # The verdict in three lines, what it stands beside before them, and the certificate last.
+    last = [line.split(":")[0] for line in done.stdout.splitlines()[-5:]]
+    assert last == ["beside", "error", "worst joint", "next step", "certificate"]
+    assert "on recordings that were not fitted" in done.stdout
+    assert str(out) in done.stdout
+    assert "NRMSE" not in done.stdout
+    assert len(done.stdout.splitlines()) < 15
     assert (out / "training.png").is_file()
     assert (out / "validation.png").is_file()
+
+
+def test_identify_with_details(log: Path, tmp_path: Path) -> None:
+    done = run("identify", log, "--robot", ROBOT, "--out", tmp_path / "out", "--no-figures", "-v")
+    assert done.exit_code == 0
+    for text in (
+        *("relative residual", "joint_6", "NRMSE", "zero-phase", "notes:", "files:", "verdict:"),
+        *("5 blocks, held out, in motion", "least squares", "held out RMSE"),
+    ):
+        assert text in done.stdout
+    assert done.stdout.splitlines()[-1].startswith("certificate: feasible")
 
 
 def test_identify_as_json(log: Path, tmp_path: Path) -> None:
@@ -561,7 +577,7 @@ def test_closed_standard_streams(folder_of_arm: Path, tmp_path: Path, closed: st
     )
     assert done.returncode == 0, done.stderr
     assert (tmp_path / "out" / "identified.urdf").read_text().endswith("</robot>\n")
-    assert ("relative residual" in done.stdout) == ("1>&-" not in closed)
+    assert ("worst joint:" in done.stdout) == ("1>&-" not in closed)
     refused = subprocess.run(
         ["sh", "-c", f"{sys.executable} -m sdpid info nowhere.csv {closed}"], cwd=tmp_path
     )

@@ -60,7 +60,7 @@ def test_several_logs(folder: Path) -> None:
 def test_in_words_and_without_intervals(folder: Path) -> None:
     done = run(
         *("identify", folder / "run1.csv", "--robot", folder / "arm.urdf", "--out", folder / "b"),
-        *("--no-figures", "--no-intervals", "--folds", 2, "--derivative", "central6"),
+        *("--no-figures", "--no-intervals", "--folds", 2, "--derivative", "central6", "-v"),
     )
     assert done.exit_code == 0, done.output
     assert "2 blocks of time held out in turn" in done.stdout

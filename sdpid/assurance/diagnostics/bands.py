@@ -2,12 +2,12 @@
 
 The half-width of the band of joint j in state x is
 
-    1.96·sqrt((WIDER·s_j)² + Y_j(x)·C·Y_j(x)^T),
+    1.96·sqrt(s_j² + Y_j(x)·C·Y_j(x)^T),
 
-with the covariance C of the constrained estimate's base parameters, the prior's knowledge
-included, the base regressor Y_j, and the rms error s_j of the joint while it moves, on blocks held
-out where that can be done, else on the training rows. It is about motion: at rest stiction holds
-what it will.
+with the covariance C of the constrained estimate's base parameters (see
+`sdpid.assurance.intervals.posterior`), the base regressor Y_j, and the rms error s_j of the joint
+while it moves, on blocks held out where that can be done, else on the training rows. It is about
+motion: at rest stiction holds what it will.
 """
 
 from __future__ import annotations
@@ -19,8 +19,8 @@ import numpy as np
 from sdpid._common.arrays import Array, frozen
 from sdpid._common.threads import one_thread
 from sdpid.assurance.diagnostics.blocks import held_out_blocks, in_blocks, own, predicted_by
-from sdpid.assurance.diagnostics.rest import resting, rows_in_use
-from sdpid.estimation.compression.covariance import LaggedSums, integrated_time
+from sdpid.assurance.diagnostics.rest import moving_rows, rows_in_use
+from sdpid.assurance.intervals.posterior import constrained_covariance
 from sdpid.estimation.compression.rows import RowSource
 from sdpid.estimation.estimate import Estimate
 from sdpid.estimation.problem import Problem
@@ -33,8 +33,8 @@ _QUANTILE = 1.96
 # held out (examples/studies/grades.py).
 WIDER = 1.2
 
-# Singular values below this share of the largest are rounding.
-_ROUNDING = 1e-12
+# Eigenvalues below this share of the largest, parameters scaled to unit deviations, are rounding.
+_ROUNDING = 1e-13
 
 # States of a random motion: their mean square is known to a few per cent.
 _STATES = 400
@@ -93,42 +93,12 @@ def random_motion(estimate: Estimate) -> tuple[Array, Array]:
 
 
 def parameter_root(estimate: Estimate) -> Array:
-    """Return L (b, r) whose L·L^T is the covariance of base parameters, the prior included.
-
-    It is that of the cost as twice a negative log-likelihood, the data's part scaled by the
-    residuals that were found. Inequalities narrow it further.
-    """
-    problem = estimate.problem
-    log_det = problem.log_det
-    matrix = problem.squared.matrix.copy()
-    # The rows of the data come first, then those of the prior, whose belief has its own scale.
-    matrix[: problem.base.count] /= _unit(estimate)
-    if len(log_det.links):
-        matrix = np.vstack([matrix, log_det.curvature_rows(log_det.center())])
-    scale = np.linalg.norm(matrix, axis=0)
-    scale = np.where(scale > 0.0, scale, 1.0)
-    _, singular, directions = np.linalg.svd(matrix / scale, full_matrices=False)
-    kept = singular > _ROUNDING * singular[0]
-    root = (directions[kept] / singular[kept, None]).T / scale[:, None]
-    return np.asarray(problem.base.matrix @ root)
-
-
-def _unit(estimate: Estimate) -> float:
-    """Return the standard deviation of a whitened error, correlated ones counted as few.
-
-    Weightings differ in what they take for one: no covariance, that of the noise alone, or a
-    variance from the residuals that has a floor. The residuals tell what it is.
-    """
-    problem, samples = estimate.problem, estimate.problem.samples
-    mask = rows_in_use(samples)
-    error = np.where(mask, samples.effort - problem.predict(estimate.base), 0.0)
-    rows = np.maximum(mask.sum(axis=0), 1)
-    error = np.where(mask, error - error.sum(axis=0) / rows, 0.0)
-    correlation = LaggedSums.of(error, mask, samples.parts).correlation[mask.any(axis=0)]
-    time = float(np.mean([integrated_time(each) for each in correlation]))
-    freedom = max(problem.n_rows - problem.base.count, 1)
-    found = float(np.sqrt(problem.floor / freedom * time))
-    return found if found > 0.0 else 1.0
+    """Return L (b, r) whose L·L^T is the covariance of the estimate's base parameters."""
+    covariance = constrained_covariance(estimate)
+    scale = np.sqrt(np.maximum(np.diag(covariance), np.finfo(float).tiny))
+    values, vectors = np.linalg.eigh(covariance / np.outer(scale, scale))
+    kept = values > _ROUNDING * max(float(values[-1]), 0.0)
+    return np.asarray(scale[:, None] * vectors[:, kept] * np.sqrt(values[kept]))
 
 
 # Of problems that are still in use, each computed once: several recordings are predicted.
@@ -146,12 +116,11 @@ def _missed(estimate: Estimate) -> Array:
             predicted = predicted_by(blocks, problem, {"": own})[""]
         else:
             predicted = problem.predict(estimate.base)
-        used = rows_in_use(samples)
-        if blocks:
-            used = used & in_blocks(blocks, samples.n_samples)[:, None]
-        moving = used & ~resting(samples)
+        used, moving = rows_in_use(samples), moving_rows(samples)
         # A joint that never moves is judged at rest.
         counted = np.where(moving.any(axis=0), moving, used)
+        if blocks:
+            counted = counted & in_blocks(blocks, samples.n_samples)[:, None]
         square = np.where(counted, (samples.effort - predicted) ** 2, 0.0).sum(axis=0)
         _MISSED[problem] = wider * np.sqrt(square / np.maximum(counted.sum(axis=0), 1))
     return _MISSED[problem]

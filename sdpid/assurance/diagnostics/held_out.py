@@ -83,6 +83,12 @@ class HeldOut:
             ),
         )
 
+    def table(self) -> str:
+        """Return `as_table` as aligned text under a title."""
+        where = "other recordings" if self.by == "recording" else f"{self.blocks} blocks"
+        title = f"on {where}, held out, in motion: relative residual, RMSE of every joint in N.m"
+        return f"{title}\n{self.as_table().text(3)}"
+
     def to_dict(self) -> dict[str, Any]:
         """Return plain values for JSON."""
         every = {name: fit.to_dict() for name, fit in self.every.items()}

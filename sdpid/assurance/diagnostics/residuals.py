@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from sdpid._common.arrays import Array, Mask, frozen
+from sdpid.assurance.diagnostics.rest import rows_in_use
 from sdpid.assurance.diagnostics.validation import Validation
 from sdpid.estimation.compression.covariance import LaggedSums, integrated_time
 from sdpid.experiment.processing.samples import Samples
@@ -98,9 +99,7 @@ def joint_errors(samples: Samples, fit: Validation) -> tuple[JointErrors, ...]:
 
 def used_rows(samples: Samples, joint: int) -> Mask:
     """Return the mask (K,) of a joint's rows that are not masked."""
-    if samples.mask is None:
-        return np.ones(len(samples.effort), dtype=bool)
-    return np.asarray(samples.mask[:, joint])
+    return rows_in_use(samples)[:, joint]
 
 
 def period(samples: Samples) -> float:
@@ -144,6 +143,11 @@ def _of_joint(
         with_sign=_squared_correlation(np.sign(v), e),
         with_velocity=_squared_correlation(v, e),
     )
+
+
+def density(signal: Array, samples: Samples) -> Array:
+    """Return the power density of a signal (K,) of samples, at the frequencies of `JointErrors`."""
+    return _density(signal, samples.parts, 1.0 / period(samples))[1]
 
 
 def _density(signal: Array, parts: tuple[slice, ...], rate: float) -> tuple[Array, Array]:

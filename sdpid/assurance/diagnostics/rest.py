@@ -1,7 +1,8 @@
 """Tell rest from motion, joint by joint.
 
 At rest a joint's effort is anything that stiction holds, and no function of the velocity explains
-it; an error there says little of the model, and must not be mixed with that in motion.
+it; an error there says little of the model, and must not be mixed with that in motion. Rows around
+reversals belong to the motion, although a fit may leave them out.
 """
 
 from __future__ import annotations
@@ -24,6 +25,43 @@ def rows_in_use(samples: Samples) -> Mask:
     return np.asarray(samples.mask)
 
 
+def moving_rows(samples: Samples) -> Mask:
+    """Return the rows (K, n) that count in motion: not at rest, those masked for slowness too."""
+    return _judged(samples) & ~resting(samples)
+
+
+def resting_rows(samples: Samples) -> Mask:
+    """Return the rows (K, n) that count at rest, those masked for slowness too."""
+    return _judged(samples) & resting(samples)
+
+
+def _judged(samples: Samples) -> Mask:
+    """Return the rows in use (K, n), and stretches left out of them that slow motion is in.
+
+    Of a joint without any row in use, whose effort was not measured, there are none.
+    """
+    used = rows_in_use(samples)
+    found = used.copy()
+    for j in np.flatnonzero(used.any(axis=0) & ~used.all(axis=0)):
+        for part in samples.parts:
+            v = samples.velocity[part, j]
+            slow = np.abs(v) < REST_SPEED
+            # A reversal between two samples is at both.
+            turns = np.flatnonzero(np.sign(v[1:]) != np.sign(v[:-1]))
+            slow[turns] = slow[turns + 1] = True
+            for stretch in _runs(~used[part, j]):
+                if slow[stretch].any():
+                    found[part.start + stretch.start : part.start + stretch.stop, j] = True
+    return found
+
+
+def _runs(values: Mask) -> list[slice]:
+    """Return the stretches of True of a mask (K,)."""
+    steps = np.diff(values.astype(np.int8), prepend=0, append=0)
+    first, behind = np.flatnonzero(steps == 1), np.flatnonzero(steps == -1)
+    return [slice(a, b) for a, b in zip(first.tolist(), behind.tolist(), strict=True)]
+
+
 def resting(samples: Samples) -> Mask:
     """Return which rows (K, n) are of resting joints; none where samples have no time."""
     found = np.zeros(samples.effort.shape, dtype=bool)
@@ -33,8 +71,7 @@ def resting(samples: Samples) -> Mask:
         time = samples.time[part]
         slow = np.abs(samples.velocity[part]) < REST_SPEED
         for j in range(samples.n):
-            steps = np.diff(slow[:, j].astype(np.int8), prepend=0, append=0)
-            first, behind = np.flatnonzero(steps == 1), np.flatnonzero(steps == -1)
-            for a, b in zip(first.tolist(), behind.tolist(), strict=True):
-                found[part.start + a : part.start + b, j] = time[b - 1] - time[a] > REST_SECONDS
+            for run in _runs(slow[:, j]):
+                own = slice(part.start + run.start, part.start + run.stop)
+                found[own, j] = time[run.stop - 1] - time[run.start] > REST_SECONDS
     return found

@@ -14,7 +14,7 @@ from sdpid._common.arrays import Array, Indices, Mask, frozen, frozen_view
 from sdpid._common.tables import Table, facts_html, plain
 from sdpid.assurance.diagnostics.bands import effort_band
 from sdpid.assurance.diagnostics.described import described_dynamics, predicted_efforts
-from sdpid.assurance.diagnostics.rest import resting, rows_in_use
+from sdpid.assurance.diagnostics.rest import moving_rows, resting_rows, rows_in_use
 from sdpid.errors import DataError
 from sdpid.estimation.estimate import Estimate
 from sdpid.experiment.preparation.several import joints_without, without_efforts
@@ -109,10 +109,11 @@ class Validation(Errors):
     effort_predicted : ndarray, shape (K, n)
         Predicted efforts at every sample, masked ones included, N·m.
     moving : Errors
-        Errors on the rows in which the joint moves (see `sdpid.assurance.diagnostics.rest`).
+        Errors on the rows in which the joint moves, those around reversals that are masked for
+        slowness included (see `sdpid.assurance.diagnostics.rest`).
     resting : Errors or None
-        Errors on the rows in which the joint rests, those that are masked for slowness included:
-        stiction, which no function of the velocity explains. None where no joint rests.
+        Errors on the rows in which the joint rests, masked for slowness or not: stiction, which no
+        function of the velocity explains. None where no joint rests.
     """
 
     effort_predicted: Array
@@ -129,13 +130,12 @@ class Validation(Errors):
         band: Callable[[], Array] | None = None,
     ) -> Validation:
         """Return the errors of predicted efforts (K, n) of samples."""
-        mask = rows_in_use(samples)
-        still = resting(samples) & mask.any(axis=0)
+        mask, moving, still = rows_in_use(samples), moving_rows(samples), resting_rows(samples)
         effort = samples.effort
         return cls(
             joint_names=names,
             effort_predicted=frozen(predicted),
-            moving=Errors.of(names, effort, predicted, mask & ~still),
+            moving=Errors.of(names, effort, predicted, moving),
             resting=Errors.of(names, effort, predicted, still) if still.any() else None,
             _band=band,
             **_figures(effort, predicted, mask),

@@ -22,14 +22,15 @@ from sdpid._common.files import atomic_write_text
 from sdpid.assurance.diagnostics.active_constraints import constraint_states
 from sdpid.assurance.diagnostics.provenance import provenance
 from sdpid.assurance.diagnostics.residuals import JointErrors, period, used_rows
-from sdpid.assurance.diagnostics.validation import Validation
+from sdpid.assurance.diagnostics.validation import Errors
 from sdpid.estimation.information import WEAK
 from sdpid.experiment.processing.samples import Samples
 from sdpid.output.plots.figures import stretch
 from sdpid.output.plots.inline_svg import image_source
 from sdpid.output.plots.joints import COLUMNS, plot_joint, plot_joint_errors
-from sdpid.output.report.prediction_verdict import grade
-from sdpid.output.report.verdict import Judged, errors_of, findings, judged
+from sdpid.output.report.headline import headline
+from sdpid.output.report.judged import Judged, errors_of, grades_of, judged
+from sdpid.output.report.verdict import findings
 from sdpid.output.robots.export_report import ExportReport
 from sdpid.output.tables.intervals_shown import Ends, GivenIntervals, ends_of, in_words
 from sdpid.output.tables.parameter_tables import base_table
@@ -155,7 +156,11 @@ def _context(result: Judged, draw: bool, intervals: GivenIntervals | None) -> di
         "problem": problem,
         "sample_count": problem.n_samples,
         "thinned": _thinned(result),
-        "held_out": result.validation is not None,
+        "held": result.held_out,
+        "held_title": _held_title(result),
+        "other_motion": result.held_out is not None and result.held_out.by == "recording",
+        "beside": list(_beside(result)),
+        "headline": headline(result),
         "findings": findings(result, errors),
         "data": list(_data(result)),
         "joints": list(_joints(result)),
@@ -274,21 +279,45 @@ def _excitation(result: Judged) -> dict[str, Any]:
 
 def _fits(result: Judged) -> Iterator[dict[str, Any]]:
     """Yield the errors of every joint, on training and validation data."""
-    training, free, held = result.training, result.training_wls, result.validation
-    samples, counted = judged(result)
+    training, free = result.training, result.training_wls
+    held = None if result.held_out is None else result.held_out.fit.moving
+    levels = {each.joint: each.level for each in grades_of(result)}
     for j, name in enumerate(training.joint_names):
         if training.rows[j] == 0:
             continue
         yield {
             "name": name,
-            "level": grade(samples, counted, j),
+            "level": levels[j],
             "training": _errors(training, j),
             "free": _errors(free, j),
             "held": None if held is None else _errors(held, j),
         }
 
 
-def _errors(fit: Validation, j: int) -> dict[str, float]:
+def _held_title(result: Judged) -> str:
+    """Return what was held out, as the title of columns."""
+    if result.held_out is None:
+        return ""
+    if result.held_out.by == "recording":
+        return "validation (held out)"
+    return f"{result.held_out.blocks} blocks (held out in turn)"
+
+
+def _beside(result: Judged) -> Iterator[dict[str, Any]]:
+    """Yield the errors on what was held out of the baselines and of the estimate."""
+    if result.held_out is None:
+        return
+    for name, fit in result.held_out.every.items():
+        joints = zip(fit.moving.rmse.tolist(), fit.moving.rows.tolist(), strict=True)
+        yield {
+            "name": name,
+            "moving": fit.moving.relative,
+            "resting": None if fit.resting is None else fit.resting.relative,
+            "rmse": [value if rows else None for value, rows in joints],
+        }
+
+
+def _errors(fit: Errors, j: int) -> dict[str, float]:
     return {"rmse": float(fit.rmse[j]), "nrmse": float(fit.nrmse[j]), "r2": float(fit.r2[j])}
 
 

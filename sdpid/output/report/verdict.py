@@ -1,39 +1,35 @@
 """The verdict on an identification: findings in words, each from a number against a limit.
 
-Every limit is a constant here or in `prediction_verdict`, with its reason.
+Every limit is a constant here or in `grades`, with its reason.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import Protocol
-from weakref import WeakKeyDictionary
 
 import numpy as np
 
 from sdpid._common.arrays import Array
-from sdpid.assurance.certificate.certificate import Certificate
 from sdpid.assurance.diagnostics.active_constraints import constraint_states
+from sdpid.assurance.diagnostics.held_out import LEAST_SQUARES
 from sdpid.assurance.diagnostics.provenance import provenance
-from sdpid.assurance.diagnostics.residuals import JointErrors, joint_errors, used_rows
-from sdpid.assurance.diagnostics.validation import Validation, validate
+from sdpid.assurance.diagnostics.residuals import JointErrors, used_rows
 from sdpid.estimation.compression.rows import RowSource
-from sdpid.estimation.estimate import Estimate
 from sdpid.estimation.problem import Problem
-from sdpid.experiment.inspection import finding as inspection
-from sdpid.experiment.processing.samples import Samples
-from sdpid.output.report.prediction_verdict import (
-    MOVES,
-    Finding,
-    effort_findings,
-    friction_findings,
-    listed,
-    percent,
+from sdpid.output.report.cause_words import cause_findings
+from sdpid.output.report.finding import Finding, listed, percent
+from sdpid.output.report.grades import MOVES
+from sdpid.output.report.held_out_verdict import held_out_findings
+from sdpid.output.report.judged import (
+    Judged,
+    causes_of,
+    errors_of,
+    grades_of,
+    judged,
+    seen_on,
+    terms_of,
 )
-
-# Held-out over training error. Another motion weighs the same defects differently, which makes
-# some 20 % either way; at 1.5 half as much again is wrong on what was not seen as on what was.
-CARRIES, FAILS = 1.2, 1.5
+from sdpid.output.report.prediction_verdict import effort_findings
 
 # The constraints' share in the error: where they make the relative residual larger by this, they
 # contradict the data by more than rounding and noise, which cost a correct model far below 1 %.
@@ -48,74 +44,6 @@ BEYOND = 0.1
 # A description's speed limit is hardly reached in a recording; below half of it friction and
 # inertia at full speed are guesses.
 SLOW = 0.5
-
-
-class Crossed(Protocol):
-    """What the verdict needs of a `CrossValidation`."""
-
-    @property
-    def by(self) -> str:
-        """What was held out: ``"time"`` or ``"recording"``."""
-
-    @property
-    def relative(self) -> float:
-        """Relative residual of all held-out rows."""
-
-    @property
-    def relative_unconstrained(self) -> float:
-        """Relative residual of the unconstrained fits on all held-out rows."""
-
-    @property
-    def relatives(self) -> Array:
-        """Relative residual of each fold on its held-out rows, shape (folds,)."""
-
-    @property
-    def training(self) -> float:
-        """Mean relative residual of the folds on their training rows."""
-
-
-class Judged(Protocol):
-    """What the verdict needs of an `Identification`."""
-
-    @property
-    def problem(self) -> Problem:
-        """The problem."""
-
-    @property
-    def wls(self) -> Estimate:
-        """The unconstrained fit."""
-
-    @property
-    def estimate(self) -> Estimate:
-        """The constrained estimate."""
-
-    @property
-    def certificate(self) -> Certificate:
-        """The certificate of `estimate`."""
-
-    @property
-    def training(self) -> Validation:
-        """Errors of `estimate` on the training rows."""
-
-    @property
-    def training_wls(self) -> Validation:
-        """Errors of `wls` on the training rows."""
-
-    @property
-    def validation(self) -> Validation | None:
-        """Errors of `estimate` on the validation recording."""
-
-    @property
-    def validation_samples(self) -> Samples | None:
-        """The processed validation recording."""
-
-    @property
-    def cross_validation(self) -> Crossed | None:
-        """Cross-validation on the training recordings."""
-
-    @property
-    def findings(self) -> tuple[inspection.Finding, ...]:
-        """What is wrong with the recordings."""
 
 
 def verdict(identification: Judged) -> tuple[str, ...]:
@@ -154,10 +82,13 @@ def findings(
         errors = errors_of(identification)
     return (
         *_recordings(identification),
-        *effort_findings(*judged(identification), _seen_on(identification)),
-        *_held_out(identification),
-        *_crossed(identification),
-        *friction_findings(judged(identification)[1], errors),
+        *effort_findings(
+            *judged(identification), seen_on(identification), grades_of(identification)
+        ),
+        *held_out_findings(identification),
+        *cause_findings(
+            judged(identification)[1], causes_of(identification, errors), terms_of(identification)
+        ),
         *_reach(identification),
         *_one_way(identification),
         *_weak(identification),
@@ -172,83 +103,6 @@ def _recordings(identification: Judged) -> Iterator[Finding]:
     for each in identification.findings:
         if each.severity == "refuse":
             yield Finding("bad", f"The recording is not what it says: {each}.")
-
-
-# Of identifications that are still in use: a report and its verdict look at the same errors.
-_ERRORS: WeakKeyDictionary[Judged, tuple[JointErrors, ...]] = WeakKeyDictionary()
-
-
-def errors_of(identification: Judged) -> tuple[JointErrors, ...]:
-    """Return the error analysis of the judged prediction; computed once per identification."""
-    found = _ERRORS.get(identification)
-    if found is None:
-        found = _ERRORS[identification] = joint_errors(*judged(identification))
-    return found
-
-
-def judged(identification: Judged) -> tuple[Samples, Validation]:
-    """Return the samples and the prediction to judge: validation where given, else training."""
-    if identification.validation is not None and identification.validation_samples is not None:
-        return identification.validation_samples, identification.validation
-    return identification.problem.samples, identification.training
-
-
-def _seen_on(result: Judged) -> str:
-    """Return in words which data the judged prediction is on."""
-    return "motion that was not used for the fit" if result.validation else "its own training data"
-
-
-def _held_out(result: Judged) -> Iterator[Finding]:
-    """Compare the error on the validation recording with the training error."""
-    if result.validation is None:
-        if result.cross_validation is not None:
-            return
-        yield Finding(
-            "caution",
-            "Nothing was held out, so every error here is on the data that were fitted: how well "
-            "it predicts other motion is not known. Give a second recording (--validation), or "
-            "hold out blocks of this one (--folds 5).",
-        )
-        return
-    held, own = result.validation.relative, result.training.relative
-    ratio = held / max(own, np.finfo(float).tiny)
-    numbers = f"relative residual {percent(held)}, on the training data {percent(own)}"
-    if ratio <= CARRIES:
-        yield Finding("good", f"It carries over to other motion: {numbers}.")
-    elif ratio <= FAILS:
-        yield Finding("caution", f"It is somewhat worse on other motion: {numbers}.")
-    else:
-        yield Finding(
-            "bad",
-            f"It does not carry over to other motion: {numbers}, {ratio:.1f} times as much. The "
-            "motion was too poor for the model, or the robot changed in between (load, "
-            "temperature).",
-        )
-
-
-def _crossed(result: Judged) -> Iterator[Finding]:
-    """Compare the cross-validation error with the training error."""
-    crossed = result.cross_validation
-    if crossed is None:
-        return
-    what = "blocks of time" if crossed.by == "time" else "recordings"
-    low, high = float(crossed.relatives.min()), float(crossed.relatives.max())
-    ratio = crossed.relative / max(crossed.training, np.finfo(float).tiny)
-    numbers = (
-        f"with {len(crossed.relatives)} {what} held out in turn the relative residual is "
-        f"{percent(crossed.relative)} ({percent(low)} to {percent(high)}), on the training data "
-        f"{percent(crossed.training)}"
-    )
-    if ratio <= CARRIES:
-        yield Finding("good", f"It predicts what it has not seen as well: {numbers}.")
-    elif ratio <= FAILS:
-        yield Finding("caution", f"It is somewhat worse on what it has not seen: {numbers}.")
-    else:
-        yield Finding(
-            "bad",
-            f"It does not predict what it has not seen: {numbers}, {ratio:.1f} times as much. "
-            "Parts of the recording show what the others do not: record more of it.",
-        )
 
 
 def _reach(result: Judged) -> Iterator[Finding]:
@@ -400,14 +254,11 @@ def _constraints(result: Judged) -> Iterator[Finding]:
 
 def _whether_it_pays(result: Judged) -> str:
     """Return whether the constraints lower the error on held-out data, in words."""
-    if result.validation is not None and result.validation_samples is not None:
-        held, where = result.validation.relative, "the validation data"
-        free = validate(result.wls, result.validation_samples).relative
-    elif result.cross_validation is not None:
-        held, where = result.cross_validation.relative, "what was held out in turn"
-        free = result.cross_validation.relative_unconstrained
-    else:
+    if result.held_out is None:
         return "Only held-out data tell whether that pays."
+    held = result.held_out.fit.relative
+    free = result.held_out.baselines[LEAST_SQUARES].relative
+    where = "the validation data" if result.held_out.by == "recording" else "blocks held out"
     outcome = "it pays" if held <= free else "it does not pay"
     return f"On {where} {outcome}: {percent(held)}, without them {percent(free)}."
 

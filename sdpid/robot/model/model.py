@@ -5,7 +5,7 @@ from __future__ import annotations
 import functools
 import os
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Literal
 
 import numpy as np
@@ -196,6 +196,12 @@ class RobotModel:
     def gravity(self) -> Array:
         """Gravity in the base link, m/s²."""
         return np.array(self.pin_model.gravity.linear)
+
+    def with_gravity(self, gravity: ArrayLike) -> RobotModel:
+        """Return the same robot under another gravity in the base link, m/s²."""
+        model = self.pin_model.copy()
+        model.gravity.linear = np.asarray(gravity, dtype=np.float64)
+        return replace(self, pin_model=model)
 
     @property
     def parameter_names(self) -> tuple[str, ...]:

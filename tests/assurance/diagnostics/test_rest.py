@@ -6,7 +6,13 @@ from dataclasses import replace
 
 import numpy as np
 
-from sdpid.assurance.diagnostics.rest import REST_SECONDS, REST_SPEED, resting
+from sdpid.assurance.diagnostics.rest import (
+    REST_SECONDS,
+    REST_SPEED,
+    moving_rows,
+    resting,
+    resting_rows,
+)
 from sdpid.assurance.diagnostics.validation import Validation
 from sdpid.experiment.processing.samples import Samples
 
@@ -36,6 +42,21 @@ def test_rest_ends_with_the_recording_and_needs_a_time() -> None:
     # Forty samples before the break are too short, sixty behind it are not.
     assert np.flatnonzero(resting(cut)[:, 0]).tolist() == list(range(340, 400))
     assert not resting(replace(samples, time=None)).any()
+
+
+def test_rows_masked_around_a_reversal_belong_to_the_motion() -> None:
+    samples = stopped((300, 400))
+    turn = int(np.flatnonzero(np.diff(np.sign(samples.velocity[:, 0])))[0])
+    mask = np.ones((1000, 1), dtype=bool)
+    mask[turn - 5 : turn + 5] = False  # a reversal
+    mask[300:400] = False  # rest
+    mask[600:650] = False  # fast motion, with an effort that is wrong
+    assert np.abs(samples.velocity[600:650]).min() > REST_SPEED
+    moving = moving_rows(replace(samples, mask=mask))[:, 0]
+    assert moving[turn - 5 : turn + 5].all()
+    assert not moving[600:650].any()
+    still = resting_rows(replace(samples, mask=mask))[:, 0]
+    assert np.flatnonzero(still).tolist() == list(range(300, 400))
 
 
 def test_errors_at_rest_do_not_spoil_those_in_motion() -> None:

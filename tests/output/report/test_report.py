@@ -217,7 +217,7 @@ def test_the_same_result_gives_the_same_page(result: Identification, page: str) 
 
 
 def test_without_validation_figures_or_command(result: Identification) -> None:
-    alone = replace(result, validation=None, validation_samples=None)
+    alone = replace(result, validation=None, validation_samples=None, held_out=None)
     text = report_html(alone, figures=False)
     self_contained(text)
     shown = words(text)
@@ -264,7 +264,8 @@ def test_rows_on_a_cluster_are_counted_and_a_selection_is_drawn(
     there = replace(problem, rows=Many(problem.rows, problem.samples.every(10)))
     thin = sdpid.validate(replace(result.estimate, problem=there), there.samples)
     seen = replace(
-        result, problem=there, training=thin, validation=None, validation_samples=None
+        result, problem=there, training=thin, validation=None, validation_samples=None,
+        held_out=None,
     )  # fmt: skip
     text = report_html(seen, sha256="0")
     self_contained(text)

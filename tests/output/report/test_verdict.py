@@ -8,17 +8,22 @@ import numpy as np
 import pytest
 
 import sdpid
+from sdpid.assurance.diagnostics.held_out import hold_out
 from sdpid.assurance.diagnostics.residuals import joint_errors
 from sdpid.assurance.diagnostics.validation import Validation
 from sdpid.constraints import Fixed
 from sdpid.experiment.processing.samples import Samples
-from sdpid.output.report.prediction_verdict import SMALL, grade, prediction_findings
-from sdpid.output.report.verdict import _one_way, errors_of, findings
+from sdpid.output.report.grades import SMALL, Level, graded
+from sdpid.output.report.judged import errors_of
+from sdpid.output.report.prediction_verdict import prediction_findings
+from sdpid.output.report.verdict import _one_way, findings
 from sdpid.robot.friction.model import FrictionModel
 from sdpid.workflow.result import Identification
 from tests.helpers.identified import ARM, RATE, arm_theta, identified, moved
+from tests.helpers.robots import small_arm
 
 FIRST, LAST = ARM.joint_names
+ONE = small_arm(1)
 
 
 @pytest.fixture(scope="module")
@@ -40,8 +45,15 @@ def unsaid(result: Identification, *words: str) -> None:
 
 
 def with_validation(result: Identification, samples: Samples) -> Identification:
-    fit = sdpid.validate(result.estimate, samples)
-    return replace(result, validation=fit, validation_samples=samples)
+    held_out = hold_out(result.estimate, result.wls, samples)
+    assert held_out is not None
+    return replace(result, validation=held_out.fit, validation_samples=samples, held_out=held_out)
+
+
+def grade(samples: Samples, fit: Validation) -> Level:
+    """Return the grade of the only joint, by one prediction alone."""
+    (only,) = graded(samples, fit)
+    return only.level
 
 
 def trained_on(result: Identification, samples: Samples) -> Identification:
@@ -55,13 +67,13 @@ def test_a_good_model_is_trusted(good: Identification) -> None:
     assert "not used for the fit" in text
     said(good, "carries over")
     said(good, "proven in exact arithmetic")
-    for words in ("Friction", "weakly excited", "numerical limit", "Nothing was held out"):
+    for words in ("The error goes", "weakly excited", "numerical limit", "Nothing was held out"):
         unsaid(good, words)
     assert {f.level for f in findings(good)} <= {"good", "caution"}
 
 
 def test_nothing_held_out_is_said(good: Identification) -> None:
-    alone = replace(good, validation=None, validation_samples=None)
+    alone = replace(good, validation=None, validation_samples=None, held_out=None)
     said(alone, "Nothing was held out")
     said(alone, "its own training data")
 
@@ -98,26 +110,26 @@ def test_worse_than_a_constant_is_never_trusted() -> None:
     samples, fit = biased(10.0, 0.2)
     assert fit.r2[0] < 0.0
     assert fit.nrmse[0] < SMALL
-    assert grade(samples, fit, 0) == "caution"
-    (only,) = prediction_findings(samples, fit)
+    assert grade(samples, fit) == "caution"
+    (only,) = prediction_findings(ONE, samples, fit)
     assert only.level == "caution"
     assert "joint (worse than a constant, error 2 % of the effort)" in only.text
     assert "roughly right" not in only.text
     assert "Validate on a motion in which the effort varies" in only.text
     # An error that is large beside the effort as well is worse still.
-    assert grade(*biased(10.0, 2.0), 0) == "bad"
+    assert grade(*biased(10.0, 2.0)) == "bad"
 
 
 @pytest.mark.parametrize("error", [0.0, 0.2])
 def test_what_never_moved_is_not_trusted(error: float) -> None:
     samples, fit = biased(10.0, error, moving=False)
-    assert grade(samples, fit, 0) == "caution"
-    (only,) = prediction_findings(samples, fit)
+    assert grade(samples, fit) == "caution"
+    (only,) = prediction_findings(ONE, samples, fit)
     assert only.level == "bad"
     assert "did not move" in only.text
     assert "joint" in only.text
     moving, fit = biased(10.0, error)
-    assert "did not move" not in prediction_findings(moving, fit)[0].text
+    assert "did not move" not in prediction_findings(ONE, moving, fit)[0].text
 
 
 @pytest.mark.parametrize(
@@ -133,7 +145,7 @@ def test_friction_that_changed_is_named(good: Identification, shape, words: str)
     effort = np.array(fresh.effort)
     effort[:, 0] += 0.3 * effort[:, 0].std() * shape(fresh.velocity[:, 0])
     result = with_validation(good, replace(fresh, effort=effort))
-    text = said(result, "Friction is not fully modeled", words)
+    text = said(result, "The error goes", words)
     assert FIRST in text
     assert LAST not in text
 
@@ -170,7 +182,8 @@ def test_a_prior_that_holds_back_is_judged_on_other_motion() -> None:
     samples = moved(theta, 1, seconds=4.0, noise=0.05)
     strong = sdpid.Prior(strength=1e3)
     alone = identified(samples, robot=robot, prior=strong)
-    said(alone, "hold the fit back", "Only held-out data tell")
+    said(alone, "hold the fit back", "On blocks held out it does not pay")
+    said(replace(alone, held_out=None), "hold the fit back", "Only held-out data tell")
     fresh = identified(samples, moved(theta, 2), robot=robot, prior=strong)
     said(fresh, "hold the fit back", "On the validation data it does not pay")
     said(fresh, "standard parameters are the description's")
@@ -211,13 +224,15 @@ def test_a_joint_that_stands_still_has_no_friction_curve(good: Identification) -
 
 def test_a_prediction_alone_is_judged(good: Identification) -> None:
     fresh = moved(arm_theta(), 3)
-    (only,) = prediction_findings(fresh, sdpid.validate(good.estimate, fresh))
+    (only,) = prediction_findings(ARM, fresh, sdpid.validate(good.estimate, fresh))
     assert only.level == "good"
     assert "every joint" in only.text
     assert "on this recording" in only.text
     effort = fresh.effort + [0.0, 1.0] * np.sign(fresh.velocity) * np.abs(fresh.effort).max()
     changed = replace(fresh, effort=effort)
-    levels = [f.level for f in prediction_findings(changed, sdpid.validate(good.estimate, changed))]
+    levels = [
+        f.level for f in prediction_findings(ARM, changed, sdpid.validate(good.estimate, changed))
+    ]
     assert levels == ["good", "bad", "caution"]
 
 
@@ -282,6 +297,6 @@ def test_all_pieces_count_for_directions(good: Identification) -> None:
 def test_errors_are_looked_at_once(good: Identification, monkeypatch: pytest.MonkeyPatch) -> None:
     fresh = replace(good)
     first = errors_of(fresh)
-    monkeypatch.setattr("sdpid.output.report.verdict.joint_errors", None)
+    monkeypatch.setattr("sdpid.output.report.judged.joint_errors", None)
     assert errors_of(fresh) is first
     assert fresh.verdict == good.verdict

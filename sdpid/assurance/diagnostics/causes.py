@@ -1,0 +1,192 @@
+"""Name what a joint's error goes with: an effect that the model lacks leaves its own shape."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from sdpid._common.arrays import Array, Mask
+from sdpid.assurance.diagnostics.residuals import JointErrors, density
+from sdpid.assurance.diagnostics.rest import moving_rows, rows_in_use
+from sdpid.assurance.diagnostics.validation import Validation
+from sdpid.experiment.processing.samples import Samples
+from sdpid.robot.model.model import RobotModel
+
+Kind = Literal[
+    "direction", "velocity", "speed", "acceleration", "load", "gravity", "position", "frequency"
+]
+
+# Share of the errors' variance that goes with a shape: a tenth of it is 5 % of the RMSE, less
+# than the choice of a filter makes.
+SHARE = 0.1
+
+# A share must also exceed what chance gives by this many of its standard deviations.
+_BEYOND_CHANCE = 3.0
+
+# Of the share that goes with velocity a line or a sign explains this much, or else the shape is
+# another one.
+_SHAPE = 0.5
+
+# A peak of the error's spectrum has at least this share of the error's power, and lies this many
+# times above the frequencies that hold this share of the acceleration's power: friction answers a
+# motion with its third and fifth harmonics, which are no vibration.
+_PEAK, _MOTION, _HARMONICS = 0.25, 0.95, 6
+
+# A peak is as wide as the window of the spectrum smears a line, in frequencies to either side.
+_SMEARED = 2
+
+
+@dataclass(frozen=True, kw_only=True)
+class Cause:
+    """What most of a joint's explainable error goes with.
+
+    Attributes
+    ----------
+    joint : str
+        The joint.
+    kind : str
+        ``"direction"``, ``"velocity"`` and ``"speed"`` are the sign, the velocity and a curve of
+        it; ``"load"`` is the effort of the links times the sign; ``"gravity"`` is a tilt;
+        ``"position"`` goes once around with the joint; ``"frequency"`` is a line of the spectrum.
+    share : float
+        Share of the errors' variance, less what chance gives.
+    frequency : float or None
+        Of a line, Hz.
+    """
+
+    joint: str
+    kind: Kind
+    share: float
+    frequency: float | None = None
+
+
+def find_causes(
+    robot: RobotModel,
+    bodies: Array,
+    samples: Samples,
+    fit: Validation,
+    errors: tuple[JointErrors, ...],
+) -> dict[str, Cause]:
+    """Return for every joint what its error goes with most; joints whose error shows nothing miss.
+
+    Shapes that a motion makes alike cannot be told apart: on a single sine position and
+    acceleration are one.
+
+    Parameters
+    ----------
+    robot : RobotModel
+        The robot.
+    bodies : ndarray, shape (links, 10) flattened or not
+        Inertial parameters of the links.
+    samples : Samples
+        What was predicted.
+    fit : Validation
+        The prediction.
+    errors : tuple of JointErrors
+        Statistics of its errors.
+    """
+    states = samples.position, samples.velocity, samples.acceleration
+    load = np.abs(robot.inverse_dynamics(bodies, *states))
+    turned = _turned_gravity(robot, bodies, samples)
+    moving = moving_rows(samples) & rows_in_use(samples)
+    shift = samples.position.shape[1] - robot.n
+    found = {}
+    for each in errors:
+        j = fit.joint_names.index(each.joint)
+        kept = moving[:, j]
+        if np.count_nonzero(kept) < 2:
+            continue
+        v, a = samples.velocity[kept, j], samples.acceleration[kept, j]
+        q = samples.position[kept, j + shift]
+        e = (samples.effort - fit.effort_predicted)[kept, j]
+        sign = np.sign(v)[:, None]
+        shapes: dict[Kind, Array] = {
+            "acceleration": a[:, None],
+            "gravity": turned[kept, j],
+            "position": np.column_stack([np.sin(q), np.cos(q)]),
+        }
+        loaded = load[kept, j, None] * sign
+        # A load that hardly varies makes the shape of the sign, which is the simpler cause.
+        if _explained(e, loaded, each.independent, beside=sign) > 0.0:
+            shapes["load"] = loaded
+        candidates: list[tuple[float, Kind, float | None]] = [
+            (_explained(e, columns, each.independent), kind, None)
+            for kind, columns in shapes.items()
+        ]
+        candidates += _of_velocity(each)
+        candidates += _of_frequency(each, density(samples.acceleration[:, j], samples))
+        share, kind, frequency = max(candidates, key=lambda candidate: candidate[0])
+        if share >= SHARE:
+            found[each.joint] = Cause(joint=each.joint, kind=kind, share=share, frequency=frequency)
+    return found
+
+
+def _explained(
+    e: Array, columns: Array, independent: float, *, beside: Array | None = None
+) -> float:
+    """Return the share of errors (K,) that columns explain beside a constant, and other columns.
+
+    Less what chance gives, and 0 where chance could give it.
+    """
+    given = np.ones((len(e), 1)) if beside is None else np.column_stack([np.ones(len(e)), beside])
+    residual = np.column_stack([e, columns])
+    residual = residual - given @ np.linalg.lstsq(given, residual, rcond=None)[0]
+    error, shape = residual[:, 0], residual[:, 1:]
+    size = np.linalg.norm(shape, axis=0)
+    before = np.linalg.norm(columns, axis=0)
+    # A shape that the others have already is none of its own.
+    shape = shape[:, size > 1e-6 * np.maximum(before, np.finfo(float).tiny)]
+    total = float(np.sum((e - e.mean()) ** 2))
+    if total <= 0.0 or not shape.shape[1]:
+        return 0.0
+    left = error - shape @ np.linalg.lstsq(shape, error, rcond=None)[0]
+    share = float(error @ error - left @ left) / total
+    count = shape.shape[1]
+    chance = count / independent
+    if share < chance + _BEYOND_CHANCE * np.sqrt(2.0 * count) / independent:
+        return 0.0
+    return float(share - chance)
+
+
+def _of_velocity(errors: JointErrors) -> Iterator[tuple[float, Kind, None]]:
+    """Yield the shape of the dependence on velocity."""
+    if max(errors.with_sign, errors.with_velocity) < _SHAPE * errors.share:
+        yield errors.share, "speed", None
+    elif errors.with_sign >= errors.with_velocity:
+        yield errors.share, "direction", None
+    else:
+        yield errors.share, "velocity", None
+
+
+def _of_frequency(errors: JointErrors, motion: Array) -> Iterator[tuple[float, Kind, float]]:
+    """Yield the highest peak of the error's spectrum above the motion's frequencies."""
+    power = errors.error_density**2
+    if not power.sum() > 0.0 or len(motion) != len(power):
+        return
+    highest = int(np.searchsorted(np.cumsum(motion), _MOTION * motion.sum()))
+    first = _HARMONICS * highest + _SMEARED + 1
+    if first >= len(power):
+        return
+    peak = first + int(np.argmax(power[first:]))
+    band: Mask = np.abs(np.arange(len(power)) - peak) <= _SMEARED
+    share = float(power[band].sum() / power.sum())
+    if share >= _PEAK:
+        yield share, "frequency", float(errors.frequency[peak])
+
+
+def _turned_gravity(robot: RobotModel, bodies: Array, samples: Samples) -> Array:
+    """Return how efforts (K, n, 2) change as gravity turns about two axes across it, per rad."""
+    gravity = robot.gravity
+    size = float(np.linalg.norm(gravity))
+    if not size > 0.0:
+        return np.zeros((*samples.effort.shape, 2))
+    axes = np.linalg.svd(gravity[None] / size)[2][1:]
+    still = np.zeros_like(samples.velocity)
+    columns = []
+    for axis in axes:
+        turned = robot.with_gravity(np.cross(axis, gravity))
+        columns.append(turned.inverse_dynamics(bodies, samples.position, still, still))
+    return np.stack(columns, axis=2)

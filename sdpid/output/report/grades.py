@@ -1,0 +1,149 @@
+"""Grade how far each joint's predicted effort can be trusted on other motion.
+
+Every limit is a constant here, with its reason.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Literal
+from weakref import WeakKeyDictionary
+
+import numpy as np
+
+from sdpid._common.arrays import Array
+from sdpid.assurance.diagnostics.bands import random_motion
+from sdpid.assurance.diagnostics.held_out import HeldOut
+from sdpid.assurance.diagnostics.rest import rows_in_use
+from sdpid.assurance.diagnostics.validation import Validation
+from sdpid.estimation.estimate import Estimate
+from sdpid.experiment.processing.samples import Samples
+
+Level = Literal["good", "caution", "bad"]
+LEVELS: tuple[Level, ...] = ("bad", "caution", "good")
+
+# Share of a joint's effort that is explained (R²). At 0.95 the error is 22 % of the effort's
+# spread, and a feedback loop is left with less than a quarter of the work; at 0.8 it is 45 %, and
+# what the model gets wrong is about as large as friction or gravity alone usually are.
+EXPLAINED, HARDLY = 0.95, 0.8
+
+# A joint whose effort hardly varies has a low R² however small its error is. An error of a tenth of
+# the effort itself is small all the same: payloads and temperature change it by as much. It lifts a
+# joint by one level and no more, since R² alone tells a model from a constant.
+SMALL = 0.1
+
+# A joint that was never faster than this (rad/s) did not move: velocity noise at standstill stays
+# below, and so does what is masked around reversals.
+MOVES = 0.02
+
+# Held-out blocks repeat the motion that was trained on. A joint is trusted on other motion where
+# twice their error would still be good: then 185 of 186 joints of six real robots kept the grade on
+# another recording, and without the factor 4 of 10 on the worst robot. Whichever robot is left out,
+# the others choose this factor (examples/studies/grades.py).
+MARGIN = 2.0
+
+
+@dataclass(frozen=True)
+class Grade:
+    """How far a joint's predicted effort can be trusted.
+
+    Attributes
+    ----------
+    joint : int
+        Its index.
+    level : {"good", "caution", "bad"}
+        Trusted, roughly right, or not trusted.
+    shown : bool
+        Whether other motion has shown it, or leaves room for it. A joint that is predicted well on
+        the motion that was trained on, and no more, is not: its level is "caution".
+    moved : bool
+        Whether the joint moved at all.
+    """
+
+    joint: int
+    level: Level
+    shown: bool = True
+    moved: bool = True
+
+
+def grades(estimate: Estimate, training: Validation, held_out: HeldOut | None) -> tuple[Grade, ...]:
+    """Return the grade of every joint whose effort was measured.
+
+    Parameters
+    ----------
+    estimate : Estimate
+        The estimate.
+    training : Validation
+        Its errors on the training rows.
+    held_out : HeldOut or None
+        Its errors on what was held out.
+    """
+    samples = estimate.problem.samples
+    if held_out is not None and held_out.by == "recording":
+        return tuple(graded(held_out.samples, held_out.fit))
+    if held_out is None:
+        return tuple(
+            Grade(each.joint, "caution", shown=False) if each.level == "good" else each
+            for each in graded(samples, training)
+        )
+    found = []
+    room = _left_room(estimate)
+    for each in graded(held_out.samples, held_out.fit):
+        errors = held_out.fit.moving
+        r2, nrmse = float(errors.r2[each.joint]), float(errors.nrmse[each.joint])
+        wide = level_of(1.0 - MARGIN**2 * (1.0 - r2), MARGIN * nrmse)
+        if each.level == "good" and not wide == room[each.joint] == "good":
+            each = Grade(each.joint, "caution", shown=False)
+        found.append(each)
+    return tuple(found)
+
+
+def graded(samples: Samples, fit: Validation) -> Iterator[Grade]:
+    """Yield the grade of every joint whose effort was measured, by one prediction alone.
+
+    A joint that stood still is at most "caution": a constant would have predicted its effort too.
+    """
+    for j in range(len(fit.joint_names)):
+        if not fit.rows[j]:
+            continue
+        if not moved(samples, j):
+            small = float(fit.nrmse[j]) <= SMALL
+            yield Grade(j, "caution" if small else "bad", moved=False)
+            continue
+        errors = fit.moving if fit.moving.rows[j] else fit
+        yield Grade(j, level_of(float(errors.r2[j]), float(errors.nrmse[j])))
+
+
+def level_of(r2: float, nrmse: float) -> Level:
+    """Return the level of an error: R², and RMSE over rms effort."""
+    small = nrmse <= SMALL
+    if r2 >= (HARDLY if small else EXPLAINED):
+        return "good"
+    return "caution" if small or r2 >= HARDLY else "bad"
+
+
+def moved(samples: Samples, joint: int) -> bool:
+    """Return whether a joint moved on the rows in use."""
+    speeds = np.abs(samples.velocity[rows_in_use(samples)[:, joint], joint])
+    return bool(np.any(speeds > MOVES))
+
+
+# Of estimates that are still in use, each computed once.
+_ROOM: WeakKeyDictionary[Estimate, tuple[Level, ...]] = WeakKeyDictionary()
+
+
+def _left_room(estimate: Estimate) -> tuple[Level, ...]:
+    """Return the level of the error that the parameters alone leave on random other motion."""
+    if estimate not in _ROOM:
+        deviation, effort = random_motion(estimate)
+        _ROOM[estimate] = tuple(map(level_of, *_shares(deviation, effort)))
+    return _ROOM[estimate]
+
+
+def _shares(deviation: Array, effort: Array) -> tuple[list[float], list[float]]:
+    """Return R² (n,) and RMSE over rms effort (n,) of an error of a standard deviation."""
+    tiny = np.finfo(float).tiny
+    r2 = 1.0 - deviation**2 / np.maximum(effort.var(axis=0), tiny)
+    nrmse = deviation / np.sqrt(np.maximum(np.mean(effort**2, axis=0), tiny))
+    return r2.tolist(), nrmse.tolist()

@@ -1,0 +1,156 @@
+"""The verdict in three lines: the error on what was not trained on, the worst joint, the next step.
+
+One more line sets the error beside what costs less than an identification.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+from sdpid.assurance.diagnostics.causes import Cause
+from sdpid.output.report.cause_words import NEGLIGIBLE, goes_with, next_step
+from sdpid.output.report.finding import percent
+from sdpid.output.report.grades import LEVELS, Grade
+from sdpid.output.report.held_out_verdict import FAILS, inside_bands
+from sdpid.output.report.judged import Judged, causes_of, grades_of, judged, terms_of
+
+_OTHER_MOTION = "record another motion and give it with --validation: this one shows only itself"
+
+
+@dataclass(frozen=True)
+class Headline:
+    """The verdict in short.
+
+    Attributes
+    ----------
+    error : str
+        The error on what was not trained on.
+    worst : str
+        The joint that is predicted worst, and what its error goes with.
+    step : str
+        The one thing to do next.
+    baseline : str or None
+        The error beside those of the description and of least squares, on the same rows.
+    """
+
+    error: str
+    worst: str
+    step: str
+    baseline: str | None
+
+    @property
+    def lines(self) -> tuple[str, ...]:
+        """The lines as they are printed, the baseline first."""
+        beside = () if self.baseline is None else (f"beside:      {self.baseline}",)
+        return (
+            *beside,
+            f"error:       {self.error}",
+            f"worst joint: {self.worst}",
+            f"next step:   {self.step}",
+        )
+
+
+def headline(result: Judged) -> Headline:
+    """Return the verdict on an identification in short."""
+    causes = causes_of(result)
+    every = grades_of(result)
+    worst = _worst(result, every)
+    return Headline(
+        error=_error(result),
+        worst=_joint(result, worst, causes),
+        step=_step(result, worst, causes),
+        baseline=_beside(result),
+    )
+
+
+def _error(result: Judged) -> str:
+    """Return the error on what was held out, in motion and at rest."""
+    _, fit = judged(result)
+    numbers = f"{percent(fit.moving.relative)} of the effort in motion"
+    if fit.resting is not None:
+        numbers += f", {percent(fit.resting.relative)} at rest"
+    held_out = result.held_out
+    if held_out is None:
+        return f"{numbers}, on the data that were fitted: nothing could be held out"
+    if held_out.by == "blocks":
+        return f"{numbers}, on {held_out.blocks} blocks held out in turn; other motion is not shown"
+    share = inside_bands(result)
+    inside = "" if share is None else f"; the 95 % bands hold {percent(share)} of it"
+    return f"{numbers}, on recordings that were not fitted{inside}"
+
+
+def _worst(result: Judged, every: tuple[Grade, ...]) -> Grade | None:
+    """Return the grade of the joint that is predicted worst: by its level, then by R²."""
+    _, fit = judged(result)
+    if not every:
+        return None
+    return min(every, key=lambda each: (LEVELS.index(each.level), float(fit.moving.r2[each.joint])))
+
+
+def _joint(result: Judged, worst: Grade | None, causes: dict[str, Cause]) -> str:
+    """Return a joint's error in words, and what it goes with."""
+    _, fit = judged(result)
+    if worst is None:
+        return "none has a measured effort"
+    name = fit.joint_names[worst.joint]
+    if not worst.moved:
+        return f"{name}, which did not move: how well it is predicted in motion is not known"
+    nrmse, r2 = float(fit.moving.nrmse[worst.joint]), float(fit.moving.r2[worst.joint])
+    explained = "predicted worse than by a constant" if r2 < 0.0 else f"R² {r2:.3f}"
+    cause = causes.get(name)
+    why = (
+        "its shape shows no cause"
+        if cause is None
+        else f"{percent(cause.share)} of its variance goes {goes_with(cause)}"
+    )
+    return f"{name}, error {percent(nrmse)} of its effort ({explained}); {why}"
+
+
+def _step(result: Judged, worst: Grade | None, causes: dict[str, Cause]) -> str:
+    """Return the one thing to do next: the first of those that apply."""
+    return next(_steps(result, worst, causes))
+
+
+def _steps(result: Judged, worst: Grade | None, causes: dict[str, Cause]) -> Iterator[str]:
+    """Yield what could be done, the most important first."""
+    _, fit = judged(result)
+    for finding in result.findings:
+        if finding.severity == "refuse" and finding.remedy:
+            yield finding.remedy
+    if worst is not None and not worst.moved:
+        yield f"record {fit.joint_names[worst.joint]} moving"
+    # The cause of the largest error, be it of the worst joint or not: one change mends it.
+    matters = [
+        cause
+        for cause in causes.values()
+        if fit.moving.nrmse[fit.joint_names.index(cause.joint)] >= NEGLIGIBLE
+    ]
+    if matters:
+        cause = max(matters, key=lambda each: _weight(result, each))
+        yield f"{next_step(cause, terms_of(result))} (for {cause.joint})"
+    held_out = result.held_out
+    if held_out is None or held_out.by == "blocks":
+        yield _OTHER_MOTION
+    elif held_out.fit.moving.relative > FAILS * result.training.moving.relative:
+        yield "train on both recordings: the first shows too little of what the other needs"
+    if worst is not None and worst.level != "good":
+        yield "record a motion that asks more of the worst joint: its error hides its dynamics"
+    yield "none: use identified.urdf, and validate again when the load or the temperature changes"
+
+
+def _weight(result: Judged, cause: Cause) -> float:
+    """Return how much of a joint's squared error a cause explains, (N·m)²."""
+    _, fit = judged(result)
+    joint = fit.joint_names.index(cause.joint)
+    return cause.share * float(fit.moving.rmse[joint]) ** 2
+
+
+def _beside(result: Judged) -> str | None:
+    """Return the errors of the baselines and of the estimate, on the same rows in motion."""
+    if result.held_out is None:
+        return None
+    errors = (
+        f"{name} {percent(fit.moving.relative)}" for name, fit in result.held_out.every.items()
+    )
+    return "; ".join(errors)

@@ -1,0 +1,138 @@
+"""What the verdict judges: an identification, and what it predicts of what was held out."""
+
+from __future__ import annotations
+
+from typing import Protocol
+from weakref import WeakKeyDictionary
+
+from sdpid._common.arrays import Array
+from sdpid.assurance.certificate.certificate import Certificate
+from sdpid.assurance.diagnostics.causes import Cause, find_causes
+from sdpid.assurance.diagnostics.held_out import HeldOut
+from sdpid.assurance.diagnostics.residuals import JointErrors, joint_errors
+from sdpid.assurance.diagnostics.validation import Validation
+from sdpid.estimation.estimate import Estimate
+from sdpid.estimation.problem import Problem
+from sdpid.experiment.inspection import finding as inspection
+from sdpid.experiment.processing.samples import Samples
+from sdpid.output.report.grades import Grade, grades
+
+
+class Crossed(Protocol):
+    """What the verdict needs of a `CrossValidation`."""
+
+    @property
+    def by(self) -> str:
+        """What was held out: ``"time"`` or ``"recording"``."""
+
+    @property
+    def relative(self) -> float:
+        """Relative residual of all held-out rows."""
+
+    @property
+    def relative_unconstrained(self) -> float:
+        """Relative residual of the unconstrained fits on all held-out rows."""
+
+    @property
+    def relatives(self) -> Array:
+        """Relative residual of each fold on its held-out rows, shape (folds,)."""
+
+    @property
+    def training(self) -> float:
+        """Mean relative residual of the folds on their training rows."""
+
+
+class Judged(Protocol):
+    """What the verdict needs of an `Identification`."""
+
+    @property
+    def problem(self) -> Problem:
+        """The problem."""
+
+    @property
+    def wls(self) -> Estimate:
+        """The unconstrained fit."""
+
+    @property
+    def estimate(self) -> Estimate:
+        """The constrained estimate."""
+
+    @property
+    def certificate(self) -> Certificate:
+        """The certificate of `estimate`."""
+
+    @property
+    def training(self) -> Validation:
+        """Errors of `estimate` on the training rows."""
+
+    @property
+    def training_wls(self) -> Validation:
+        """Errors of `wls` on the training rows."""
+
+    @property
+    def validation(self) -> Validation | None:
+        """Errors of `estimate` on the validation recording."""
+
+    @property
+    def validation_samples(self) -> Samples | None:
+        """The processed validation recording."""
+
+    @property
+    def held_out(self) -> HeldOut | None:
+        """Errors on what was not trained on, beside baselines."""
+
+    @property
+    def cross_validation(self) -> Crossed | None:
+        """Cross-validation on the training recordings."""
+
+    @property
+    def findings(self) -> tuple[inspection.Finding, ...]:
+        """What is wrong with the recordings."""
+
+
+# Of identifications that are still in use: a report and its verdict look at the same errors.
+_ERRORS: WeakKeyDictionary[Judged, tuple[JointErrors, ...]] = WeakKeyDictionary()
+
+
+def errors_of(identification: Judged) -> tuple[JointErrors, ...]:
+    """Return the error analysis of the judged prediction; computed once per identification."""
+    found = _ERRORS.get(identification)
+    if found is None:
+        found = _ERRORS[identification] = joint_errors(*judged(identification))
+    return found
+
+
+def judged(identification: Judged) -> tuple[Samples, Validation]:
+    """Return the samples and the prediction to judge: of what was held out, else of training."""
+    if identification.held_out is not None:
+        return identification.held_out.samples, identification.held_out.fit
+    return identification.problem.samples, identification.training
+
+
+def grades_of(identification: Judged) -> tuple[Grade, ...]:
+    """Return the grade of every joint whose effort was measured."""
+    return grades(identification.estimate, identification.training, identification.held_out)
+
+
+def causes_of(
+    identification: Judged, errors: tuple[JointErrors, ...] | None = None
+) -> dict[str, Cause]:
+    """Return what the error of each joint goes with, on the judged prediction."""
+    robot = identification.problem.robot
+    bodies = identification.estimate.some_theta[: 10 * robot.n_links]
+    found = errors_of(identification) if errors is None else errors
+    return find_causes(robot, bodies, *judged(identification), found)
+
+
+def terms_of(identification: Judged) -> frozenset[str]:
+    """Return the names of the classes of the model's terms."""
+    return frozenset(type(term).__name__ for term in identification.problem.friction.terms)
+
+
+def seen_on(result: Judged) -> str:
+    """Return in words which data the judged prediction is on."""
+    if result.held_out is None:
+        return "its own training data"
+    if result.held_out.by == "recording":
+        return "motion that was not used for the fit"
+    return f"{result.held_out.blocks} blocks of the same motion, held out in turn"

@@ -1,0 +1,69 @@
+"""The verdict in three lines: the error, the worst joint, the next step."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from sdpid.assurance.diagnostics.held_out import hold_out
+from sdpid.experiment.inspection.finding import Finding
+from sdpid.output.report.headline import headline
+from sdpid.workflow.result import Identification
+from tests.helpers.identified import ARM, arm_theta, identified, moved
+
+FIRST, LAST = ARM.joint_names
+
+
+@pytest.fixture(scope="module")
+def good() -> Identification:
+    robot = replace(ARM, prior=1.1 * arm_theta()[:20].reshape(2, 10))
+    return identified(moved(arm_theta(), 1), moved(arm_theta(), 2), robot=robot)
+
+
+def test_other_motion_and_blocks_have_their_words(good: Identification) -> None:
+    found = headline(good)
+    assert "on recordings that were not fitted; the 95 % bands hold 9" in found.error
+    assert found.step.startswith("none: use identified.urdf")
+    assert found.baseline is not None
+    for words in ("description as it is", "friction fitted", "least squares", "this estimate"):
+        assert words in found.baseline
+    blocks = replace(good, validation=None, held_out=hold_out(good.estimate, good.wls, None))
+    found = headline(blocks)
+    assert "on 5 blocks held out in turn; other motion is not shown" in found.error
+    assert "record another motion" in found.step
+    nothing = headline(replace(blocks, held_out=None))
+    assert "nothing could be held out" in nothing.error
+    assert nothing.baseline is None
+    assert len(nothing.lines) == 3
+
+
+def test_the_worst_joint_its_cause_and_the_step(good: Identification) -> None:
+    fresh = moved(arm_theta(), 2)
+    effort = np.array(fresh.effort)
+    a = fresh.acceleration[:, 1]
+    effort[:, 1] += 0.5 * effort[:, 1].std() * a / a.std()
+    held_out = hold_out(good.estimate, good.wls, replace(fresh, effort=effort))
+    found = headline(replace(good, held_out=held_out))
+    assert found.worst.startswith(f"{LAST}, error ")
+    assert "goes with acceleration" in found.worst
+    assert "rotor inertia" in found.step
+    assert f"(for {LAST})" in found.step
+    # What is wrong with the recording comes first.
+    wrong = Finding(severity="refuse", kind="units", message="it is", remedy="mend the units")
+    assert headline(replace(good, held_out=held_out, findings=(wrong,))).step == "mend the units"
+
+
+def test_the_error_at_rest_stands_apart(good: Identification) -> None:
+    fresh = moved(arm_theta(), 2)
+    v = np.array(fresh.velocity)
+    v[:200, 0] = 0.0
+    effort = np.array(fresh.effort)
+    effort[:200, 0] += 5.0
+    held_out = hold_out(good.estimate, good.wls, replace(fresh, velocity=v, effort=effort))
+    found = headline(replace(good, held_out=held_out))
+    assert "% at rest" in found.error
+    words = [text for text in replace(good, held_out=held_out).verdict if "At rest" in text]
+    assert len(words) == 1
+    assert "stiction" in words[0]
