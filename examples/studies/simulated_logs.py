@@ -124,8 +124,8 @@ class Truth:
     peak, peak_speed : ndarray, shape (n,)
         Friction at standstill beyond Coulomb friction (N·m), and the speed at which it has
         fallen to 1/e (rad/s).
-    gravity : ndarray, shape (3,)
-        In the base's frame, m/s².
+    tilt : ndarray, shape (2,)
+        Angles by which gravity is turned about the base's x and y axes, rad.
     noise : ndarray, shape (n,)
         Standard deviation of the efforts' noise, N·m.
     top_speed : ndarray, shape (n,)
@@ -141,7 +141,7 @@ class Truth:
     rotor: Array
     peak: Array
     peak_speed: Array
-    gravity: Array
+    tilt: Array
     noise: Array
     top_speed: Array
 
@@ -153,7 +153,7 @@ class Truth:
 
     def effort(self, q: Array, v: Array, a: Array) -> Array:
         """Return efforts without noise (K, n) at states (K, n)."""
-        tilted = with_gravity(self.robot, self.gravity)
+        tilted = with_gravity(self.robot, turned(self.robot.gravity, self.tilt))
         rigid = tilted.inverse_dynamics(self.inertias, q, v, a)
         load = self.conditions.load * np.abs(rigid)
         sign = smooth_sign(v, self.conditions.width, 0.0)
@@ -166,13 +166,19 @@ class Truth:
         own: what counts is the curve (see `friction`).
         """
         known = {"Fs": self.coulomb, "Fv": self.viscous, "Fo": self.offset, "Ia": self.rotor}
-        symbols = {p.name.rstrip("0123456789") for p in problem.friction.parameters}
-        if symbols - set(known):
+        known["Fl"] = np.full(self.robot.n, self.conditions.load)
+        symbols = [p.name.rstrip("0123456789") for p in problem.friction.parameters]
+        if {"Fsg", "Fst"} & set(symbols):
             del known["Fs"]
+        angles = dict(zip(("Gx", "Gy"), self.tilt, strict=True))
         tail = []
-        for parameter in problem.friction.parameters:
-            symbol = parameter.name.rstrip("0123456789")
-            tail.append(known[symbol][parameter.joint] if symbol in known else math.nan)
+        for symbol, parameter in zip(symbols, problem.friction.parameters, strict=True):
+            if symbol in known:
+                tail.append(known[symbol][parameter.joint])
+            elif symbol.endswith("_"):  # of a coupling of two joints
+                tail.append(0.0)
+            else:
+                tail.append(angles.get(symbol, math.nan))
         return np.concatenate([self.inertias.ravel(), tail])
 
 
@@ -241,7 +247,7 @@ def log_of(
         rotor=conditions.rotor * np.max(moved, axis=0),
         peak=conditions.stribeck * coulomb,
         peak_speed=rng.uniform(0.05, 0.15, robot.n),
-        gravity=_tilted(robot.gravity, math.radians(conditions.tilt_deg), heading),
+        tilt=math.radians(conditions.tilt_deg) * np.array([math.cos(heading), math.sin(heading)]),
         noise=conditions.noise * usual,
         top_speed=np.abs(v).max(axis=0),
     )
@@ -327,12 +333,11 @@ def perturbed(bodies: Array, size: float, rng: np.random.Generator) -> Array:
     return from_pseudo_inertia(root @ expm(S) @ np.swapaxes(root, 1, 2))
 
 
-def _tilted(gravity: Array, angle: float, heading: float) -> Array:
-    """Return gravity turned by an angle about a horizontal axis of the base, rad."""
+def turned(gravity: Array, angles: Array) -> Array:
+    """Return gravity turned by angles (2,) about the base's x and y axes, rad."""
     from scipy.spatial.transform import Rotation
 
-    axis = angle * np.array([math.cos(heading), math.sin(heading), 0.0])
-    return np.asarray(Rotation.from_rotvec(axis).apply(gravity))
+    return np.asarray(Rotation.from_rotvec([*angles, 0.0]).apply(gravity))
 
 
 def there(data: Path | None) -> tuple[str, ...]:

@@ -48,7 +48,8 @@ EFFECTS: dict[str, dict[str, float]] = {
 
 KINDS = {"m": "mass", "mx": "first moment", "my": "first moment", "mz": "first moment"}
 KINDS |= dict.fromkeys(("xx", "xy", "xz", "yy", "yz", "zz"), "inertia")
-KINDS |= {"Fv": "viscous", "Fo": "offset", "Fs": "Coulomb", "Ia": "rotor"}
+KINDS |= {"Fv": "viscous", "Fo": "offset", "Fs": "Coulomb", "Ia": "rotor inertia"}
+KINDS |= {"Gx": "tilt", "Gy": "tilt", "Fl": "load"}
 
 
 @dataclass(frozen=True)
@@ -80,6 +81,7 @@ class Run:
     intervals: int
     outside: int
     seconds: float
+    chosen: tuple[str, ...] = ()
     message: str = ""
 
 
@@ -93,7 +95,7 @@ def run(
     try:
         result = sdpid.identify(truth.robot, log, **given)
     except sdpid.errors.SdpidError as error:
-        return Run([], 0, 0, time.perf_counter() - start, f"{known}: {error}")
+        return Run([], 0, 0, time.perf_counter() - start, (), f"{known}: {error}")
     seconds = time.perf_counter() - start
     rows = friction_rows(known, truth, result.estimate)
     found, outside = ends_of(result.intervals), 0
@@ -111,7 +113,8 @@ def run(
             )
         )
     rows += base_rows(known, truth, result.estimate, found, exact)
-    return Run(rows, count, outside, seconds)
+    chosen = tuple(each.name for each in result.problem.effects if each.chosen)
+    return Run(rows, count, outside, seconds, chosen)
 
 
 def ends_of(intervals: Any) -> dict[str, tuple[float, float]]:
@@ -167,7 +170,7 @@ def base_rows(
     rows = []
     for i in np.flatnonzero(clear):
         name = base.names[i]
-        symbol = name.rstrip("0123456789").removesuffix("r")
+        symbol = name.rstrip("0123456789_").removesuffix("r")
         rows.append(
             Row(
                 *known,
@@ -233,6 +236,9 @@ def summary(runs: Sequence[Run]) -> str:
             f"| {kind} | {len(own)} | {middle:.2f}, {tail:.2f} | {share(held(own))} | "
             f"{share(held(own, True))} | {', '.join(worst)} |"
         )
+    lines += ["", "| effect | chosen, % of the logs |", "|---|---|"]
+    for effect in dict.fromkeys(name for each in runs for name in each.chosen):
+        lines.append(f"| {effect} | {share([effect in each.chosen for each in runs])} |")
     seconds = np.array([each.seconds for each in runs])
     count, outside = sum(e.intervals for e in runs), sum(e.outside for e in runs)
     lines += [
