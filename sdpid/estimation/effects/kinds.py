@@ -62,7 +62,7 @@ class TiltedBase(Effect):
 
     name: ClassVar[str] = "tilt"
     title: ClassVar[str] = "a tilted base"
-    least_fall: ClassVar[float] = 0.04
+    least_fall: ClassVar[float] = 0.02
     meaning: ClassVar[str] = "the base does not stand as described"
 
     def term(self, robot: RobotModel, terms: Sequence[FrictionTerm]) -> FrictionTerm | None:
@@ -116,7 +116,7 @@ class RotorsInertia(Effect):
 
     name: ClassVar[str] = "rotor_inertia"
     title: ClassVar[str] = "rotor inertia"
-    least_fall: ClassVar[float] = 0.3
+    least_fall: ClassVar[float] = 0.45
     meaning: ClassVar[str] = "efforts are on the motor side"
 
     def term(self, robot: RobotModel, terms: Sequence[FrictionTerm]) -> FrictionTerm | None:
@@ -130,7 +130,7 @@ class CoupledWrist(Effect):
 
     name: ClassVar[str] = "coupling"
     title: ClassVar[str] = "a coupled wrist"
-    least_fall: ClassVar[float] = 0.3
+    least_fall: ClassVar[float] = 0.05
     meaning: ClassVar[str] = "one motor turns the last two joints together"
 
     def term(self, robot: RobotModel, terms: Sequence[FrictionTerm]) -> FrictionTerm | None:
