@@ -134,7 +134,7 @@ def test_ur10(data_folder: Path, tmp_path: Path) -> None:
     assert found.certificate.passed
     notes: list[str] = []
     found.save(tmp_path, figures=False, report=notes.append)
-    assert any("no place in a URDF or an MJCF: Fo1" in note for note in notes)
+    assert any("no place in a URDF or an MJCF: Offset Fo1 … Fo6: " in note for note in notes)
     loads_elsewhere(tmp_path / "identified.urdf", 6)
     # What is told of the files' errors is what `sdpid validate` finds.
     told = json.loads((tmp_path / "result.json").read_text())["exports"]
@@ -143,7 +143,7 @@ def test_ur10(data_folder: Path, tmp_path: Path) -> None:
         fit = validate_robot(written, found.problem.samples)
         assert export["training"]["file"] == pytest.approx(fit.relative, rel=1e-6)
         assert export["training"]["estimate"] == pytest.approx(found.training.relative)
-        assert any(f"efforts to {100.0 * fit.relative:.2f} %" in note for note in notes)
+        assert any(f"efforts by {100.0 * fit.relative:.2f} %" in note for note in notes)
 
 
 def test_panda_with_other_joint_names(data_folder: Path, tmp_path: Path) -> None:

@@ -4,22 +4,16 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterable
-from dataclasses import asdict, dataclass, replace
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
 from sdpid._common.arrays import Array, Indices, frozen
-from sdpid._common.tables import Table, facts_html, plain
 from sdpid._common.threads import one_thread
 from sdpid.assurance.payload.intervals import NOTHING, PayloadIntervals
-from sdpid.assurance.payload.program import (
-    QUANTITIES,
-    QUANTITY_UNITS,
-    PayloadProgram,
-    least_second_moment,
-    quantities,
-)
+from sdpid.assurance.payload.payload import Payload
+from sdpid.assurance.payload.program import PayloadProgram, least_second_moment
 from sdpid.assurance.payload.rows import (
     Description,
     PayloadRows,
@@ -56,134 +50,6 @@ _AT_THE_EDGE = (
 # Directions in which a unit payload moves the cost by less than this share of the strongest one
 # are invisible, but for rounding.
 _INVISIBLE = 1e-9
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Payload:
-    """A payload and its intervals, in the form that robot controllers take.
-
-    Attributes
-    ----------
-    mass : float
-        kg.
-    com : ndarray, shape (3,)
-        Center of mass in the frame, m; not finite without a mass.
-    inertia : ndarray, shape (3, 3)
-        About the center of mass, along the axes of the frame, kg·m².
-    theta : ndarray, shape (10,)
-        The same as the ten parameters about the frame's origin.
-    link, frame : str
-        The link that carries it, and the frame that everything is given in.
-    lower, upper : ndarray, shape (10,)
-        Ends of the intervals of mass, center of mass, and inertia about it in the order of
-        `names`; infinite where there is none.
-    level : float
-        Their probability.
-    margin : float or None
-        Smallest second moment about the center of mass, kg·m²; None without a mass.
-    cost, cost_without : float
-        Weighted cost with this payload, and with none.
-    invisible : int
-        How many of the ten directions the recordings say nothing about.
-    shown : bool
-        Whether the recordings tell it from no payload, with the intervals' probability.
-    status : str
-        Status of the solver.
-    notes : tuple of str
-        What was assumed, or is to be known.
-    findings : tuple of Finding
-        What is wrong with the recordings (see `sdpid.inspect_recording`).
-    described : Description or None
-        What was granted to the description, where the arm's links are taken from it: the intervals
-        then have their probability only if it deserves that. None where the arm is known from a
-        recording, or believed in by a prior.
-    """
-
-    mass: float
-    com: Array
-    inertia: Array
-    theta: Array
-    link: str
-    frame: str
-    lower: Array
-    upper: Array
-    level: float
-    margin: float | None
-    cost: float
-    cost_without: float
-    invisible: int
-    shown: bool
-    status: str
-    notes: tuple[str, ...] = ()
-    findings: tuple[Finding, ...] = ()
-    described: Description | None = None
-
-    @property
-    def names(self) -> tuple[str, ...]:
-        """The quantities that have intervals."""
-        return QUANTITIES
-
-    @property
-    def values(self) -> Array:
-        """Mass, center of mass and inertia about it, (10,), in the order of `names`."""
-        return quantities(self.theta)
-
-    def __repr__(self) -> str:
-        return f"Payload(link={self.link!r}, mass={self.mass:.4g} kg, shown={self.shown})"
-
-    def _repr_html_(self) -> str:
-        facts = {"link": self.link, "frame": self.frame, "level": self.level, "shown": self.shown}
-        return facts_html("Payload", facts, self._table())
-
-    def _table(self) -> Table:
-        """Return one row a quantity."""
-        return Table.of_columns(
-            {
-                "quantity": QUANTITIES,
-                "unit": QUANTITY_UNITS,
-                "value": self.values.tolist(),
-                "lower": self.lower.tolist(),
-                "upper": self.upper.tolist(),
-            }
-        )
-
-    def describe(self) -> str:
-        """Return the payload in words and numbers, one quantity a line."""
-        intervals = f"{100.0 * self.level:g} % intervals"
-        if self.described is not None:
-            share = f"{100.0 * self.described.tolerance:.2g} %"
-            intervals += f" if the described links are right to {share}"
-        title = (
-            f"payload of {self.link}, in the frame {self.frame}; inertia about the center of mass "
-            f"({intervals})"
-        )
-        found = [f"{each.severity}: {each}" for each in self.findings]
-        return "\n".join([title, self._table().text(5), *self.notes, *found])
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return plain values for JSON."""
-        ends = np.stack([self.lower, self.upper], axis=1).tolist()
-        found: dict[str, Any] = plain(
-            {
-                "link": self.link,
-                "frame": self.frame,
-                "mass": self.mass,
-                "center_of_mass": self.com if self.mass > 0.0 else None,
-                "inertia": self.inertia if self.mass > 0.0 else None,
-                "level": self.level,
-                "intervals": dict(zip(QUANTITIES, ends, strict=True)),
-                "margin": self.margin,
-                "cost": self.cost,
-                "cost_without": self.cost_without,
-                "invisible_directions": self.invisible,
-                "shown": self.shown,
-                "status": self.status,
-                "described": None if self.described is None else asdict(self.described),
-                "notes": self.notes,
-                "findings": [finding.to_dict() for finding in self.findings],
-            }
-        )
-        return found
 
 
 @one_thread

@@ -34,7 +34,7 @@ class Errors:
     estimate: float
 
     def __str__(self) -> str:
-        return f"to {100.0 * self.file:.2f} %, the estimate to {100.0 * self.estimate:.2f} %"
+        return f"{100.0 * self.file:.2f} %, the estimate by {100.0 * self.estimate:.2f} %"
 
     @property
     def differ(self) -> bool:
@@ -95,9 +95,9 @@ class ExportReport:
         if self.joints_changed:
             lines[0] += f" and the friction of {len(self.joints_changed)} joints"
         if self.training is not None and self.training.differ:
-            lines.append(f"predicts the recorded efforts {self.training}")
+            lines.append(f"misses the recorded efforts by {self.training}")
         if self.validation is not None and self.validation.differ:
-            lines.append(f"predicts the efforts of the validation recording {self.validation}")
+            lines.append(f"misses the efforts of the validation recording by {self.validation}")
         lines += [f"no place in {self.kind}: {lost}" for lost in self.left_out]
         if self.lumped:
             lines.append(

@@ -19,11 +19,14 @@ from sdpid.estimation.problem import Problem
 from sdpid.experiment.preparation.for_robot import SMOOTH
 from sdpid.output.robots.places import Kind, Part, Places
 from sdpid.robot.friction.model import FrictionModel
-from sdpid.robot.friction.terms import Coulomb
+from sdpid.robot.friction.terms import Coulomb, RotorInertia, Viscous
 
 # A joint that was never faster than this, rad/s or m/s, shows friction only within the width of its
 # smooth sign: damping fitted there could be anything.
 _SLOW = 10.0 * SMOOTH
+
+# What attributes are called in notes, whatever the format calls them.
+_WORDS: dict[Kind, str] = {Coulomb: "dry friction", Viscous: "damping", RotorInertia: "armature"}
 
 # In place of efforts that are all zero, N·m.
 _TINY = 1e-300
@@ -54,12 +57,13 @@ class LeftOut:
     joint: str | None = None
 
     def __str__(self) -> str:
-        names = ", ".join(self.parameters)
+        ends = self.parameters[:1] + self.parameters[1:][-1:]
+        names = f"{self.term} {(' … ' if len(self.parameters) > 2 else ', ').join(ends)}"
         if self.share is None:
             return names
         return (
-            f"{names} ({self.term}: {100.0 * self.share:.2g} % of the effort, up to "
-            f"{self.worst:.2g} N·m rms at joint '{self.joint}')"
+            f"{names}: {100.0 * self.share:.2g} % of the effort, up to {self.worst:.2g} N·m rms at "
+            f"joint '{self.joint}'"
         )
 
 
@@ -107,13 +111,15 @@ def joint_attributes(
     Raises
     ------
     ExportError
-        When a number that has an attribute is negative.
+        When an identified number that is to be written is negative.
     """
-    places = Places(problem, theta, attributes, what)
+    places = Places(problem, theta, attributes)
     if not places.curves and not places.lost:
+        places.require_nonnegative(what)
         return JointAttributes(places.by_joint(places.exact))
     values = places.at_nominal_speeds()
     if problem.rows is None:
+        places.require_nonnegative(what)
         left_out = tuple(LeftOut(type(part.term).__name__, part.names) for part in places.lost)
         return JointAttributes(places.by_joint(values), left_out)
     rows = _Rows(problem, theta, places)
@@ -194,10 +200,10 @@ class _Rows:
         for part in places.curves:
             difference -= self.of_part(part)
         rms, worst = self._rms(difference)
-        names = ", ".join(places.attributes[kind] for kind in places.kinds)
+        names = " and ".join(_WORDS[kind] for kind in places.kinds)
         return (
-            f"{names} are fitted to the recordings with the identified links held; their effort "
-            f"is within {rms:.2g} N·m rms of the identified curve (joint '{places.joints[worst]}')"
+            f"{names} fitted to the recordings with the identified links held: within {rms:.2g} "
+            f"N·m rms of the identified friction (joint '{places.joints[worst]}')"
         )
 
     def _rms(self, efforts: Array) -> tuple[float, int]:

@@ -48,7 +48,7 @@ class Places:
     Attributes
     ----------
     exact : dict of term to ndarray, shape (n,)
-        Terms that have an attribute, and their values.
+        Terms that have an attribute, and their values, negative ones as zero.
     curves : list of Part
         Functions of speed that dry friction and damping stand in for.
     lost : list of Part
@@ -64,21 +64,13 @@ class Places:
         Standard parameters.
     attributes : mapping
         The attribute for the parameter of a term, with Coulomb and Viscous among them.
-    what : str
-        Name of the written robot in messages.
-
-    Raises
-    ------
-    ExportError
-        When a value that has an attribute is negative.
     """
 
-    def __init__(
-        self, problem: Problem, theta: Array, attributes: Mapping[Kind, str], what: str
-    ) -> None:
+    def __init__(self, problem: Problem, theta: Array, attributes: Mapping[Kind, str]) -> None:
         self.joints = problem.friction.joint_names
         self.attributes = attributes
         self.exact: dict[Kind, Array] = {}
+        self._held: list[Part] = []
         self.curves: list[Part] = []
         self.lost: list[Part] = []
         at = 10 * problem.robot.n_links
@@ -89,20 +81,30 @@ class Places:
             if isinstance(term, _CURVES) or (isinstance(term, Coulomb) and not _sharp(term)):
                 self.curves.append(part)
             elif isinstance(term, JointwiseTerm) and type(term) in attributes:
-                self._require_nonnegative(part, term.unit, what)
+                self._held.append(part)
                 self.exact[type(term)] = np.maximum(part.values, 0.0)
             else:
                 self.lost.append(part)
         stand_in = {Coulomb, Viscous} if self.curves else set()
         self.kinds = [kind for kind in attributes if kind in self.exact or kind in stand_in]
 
-    def _require_nonnegative(self, part: Part, unit: str, what: str) -> None:
-        for joint, name, value in zip(self.joints, part.names, part.values, strict=True):
-            if value < -_FRICTION_ZERO:
-                raise ExportError(
-                    f"{what}: {name} of joint '{joint}' is {value:.3g} {unit}, the least is 0; "
-                    "solve with Constraints(friction_nonnegative=True)."
-                )
+    def require_nonnegative(self, what: str) -> None:
+        """Refuse identified values that have an attribute and are negative.
+
+        Raises
+        ------
+        ExportError
+            With the parameter, its joint and its value.
+        """
+        for part in self._held:
+            parameters = part.term.parameters(self.joints)
+            for joint, parameter, value in zip(self.joints, parameters, part.values, strict=True):
+                if value < -_FRICTION_ZERO:
+                    raise ExportError(
+                        f"{what}: {parameter.name} of joint '{joint}' is {value:.3g} "
+                        f"{parameter.unit}, the least is 0; solve with "
+                        "Constraints(friction_nonnegative=True)."
+                    )
 
     def by_joint(self, values: Mapping[Kind, Array]) -> dict[str, dict[str, float]]:
         """Return values (n,) of terms by joint and attribute."""

@@ -90,12 +90,16 @@ class Tilt(PosedTerm):
         """Return how the gravitational efforts of the bodies change with the angles."""
         bodies, robot = self._bodies(motion), motion.robot
         zero = np.zeros_like(motion.velocity)
-        turned = [np.cross(axis, robot.gravity) for axis in horizontal_axes(robot.gravity)]
         columns = [
             robot.efforts_of_bodies(bodies, motion.position, zero, zero, gravity=gravity)
-            for gravity in turned
+            for gravity in self.change(robot.gravity)
         ]
         return np.stack(columns, axis=2)
+
+    @staticmethod
+    def change(gravity: Array) -> Array:
+        """Return the change of gravity (2, 3) with each angle, m/s² per rad."""
+        return np.cross(horizontal_axes(gravity), gravity)
 
 
 @dataclass(frozen=True)

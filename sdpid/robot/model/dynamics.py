@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -56,10 +56,13 @@ class RobotDynamics:
         """Return a new Pinocchio model with these links and, as its armature, rotor inertias.
 
         Pinocchio's algorithms know neither friction nor couplings between joints: its ``damping``
-        and ``friction`` are zero, and the effort of `friction` is to be added. Joints that mimic
-        others are joints of their own there.
+        and ``friction`` are zero, and the effort of `friction` is to be added. Gravity is tilted
+        where the model says so. Joints that mimic others are joints of their own there.
         """
         model = self._links.copy()
+        for term, values in self._posed():
+            if isinstance(term, Tilt):
+                model.gravity.linear += values @ term.change(self.robot.gravity)
         drives = np.diag(self._drive_inertia)
         for i in range(1, model.njoints):
             if model.names[i] in self.robot.joint_names:
@@ -231,16 +234,22 @@ class RobotDynamics:
         self, q: ArrayLike, v: Array, a: Array, *, kind: type[FrictionTerm] = FrictionTerm
     ) -> Array:
         """Return the effort (K, n) of the terms of a kind that depend on the position."""
-        out, at = np.zeros_like(v), 10 * self.robot.n_links
-        for term in self.terms.terms:
-            count = len(term.parameters(self.terms.joint_names))
-            if term.posed and isinstance(term, kind):
+        out = np.zeros_like(v)
+        for term, values in self._posed():
+            if isinstance(term, kind):
                 position = np.atleast_2d(np.asarray(q, dtype=np.float64))
                 motion = Motion(position=position, velocity=v, acceleration=a, robot=self.robot)
-                columns = term.columns_in(motion, self.terms.joint_names)
-                out += columns @ self.theta[at : at + count]
-            at += count
+                out += term.columns_in(motion, self.terms.joint_names) @ values
         return out
+
+    def _posed(self) -> Iterator[tuple[FrictionTerm, Array]]:
+        """Yield the terms that depend on the position, and their values."""
+        at = 10 * self.robot.n_links
+        for term in self.terms.terms:
+            count = len(term.parameters(self.terms.joint_names))
+            if term.posed:
+                yield term, self.theta[at : at + count]
+            at += count
 
     def _of_coordinates(self, matrices: Array) -> Array:
         """Return matrices (K, nv, nv) in the n coordinates of the robot."""

@@ -12,8 +12,9 @@ import pytest
 from scipy.stats import norm
 
 from sdpid._common.arrays import Array
-from sdpid.assurance.payload.identify import Payload, identify_payload
+from sdpid.assurance.payload.identify import identify_payload
 from sdpid.assurance.payload.intervals import PayloadIntervals
+from sdpid.assurance.payload.payload import Payload
 from sdpid.assurance.payload.program import PayloadProgram, least_second_moment, quantities
 from sdpid.assurance.payload.rows import Description, PayloadRows
 from sdpid.errors import DataError, ModelError

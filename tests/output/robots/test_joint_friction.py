@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 import sdpid
 from sdpid._common.arrays import Array
 from sdpid.assurance.diagnostics.validation import validate_robot
+from sdpid.errors import ExportError
 from sdpid.estimation.estimate import Estimate
 from sdpid.estimation.problem import Problem, build_problem
 from sdpid.experiment.preparation.for_robot import SMOOTH
@@ -99,6 +100,17 @@ def test_terms_with_a_place_are_written_as_they_were_identified() -> None:
     )
 
 
+def test_only_what_is_written_must_not_be_negative() -> None:
+    rng = np.random.default_rng(6)
+    terms: Terms = (SIGN, Viscous(), "offset")
+    theta = theta_with(rng, terms, 3.0, 1.0, 1.0)
+    estimate = estimate_of(terms, theta, rng, rng.uniform(-1.0, 1.0, (200, 2)))
+    theta[20] = -0.1
+    assert attributes_of(estimate.problem, theta, URDF).min() > 0.9
+    with pytest.raises(ExportError, match="Fs1 of joint 'joint_1' is -0"):
+        attributes_of(estimate.problem.without_rows(), theta, URDF)
+
+
 def test_an_offset_is_friction_only_where_the_motion_cannot_tell() -> None:
     rng = np.random.default_rng(1)
     terms: Terms = (SIGN, Viscous(), "offset")
@@ -165,7 +177,7 @@ def test_the_told_errors_are_those_of_the_file(tmp_path: Path) -> None:
         assert report.training is not None
         assert report.training.file == pytest.approx(validate_robot(robot, samples).relative)
         assert report.training.estimate == pytest.approx(sdpid.validate(estimate).relative)
-        assert f"predicts the recorded efforts {report.training}" in report.describe()
+        assert f"misses the recorded efforts by {report.training}" in report.describe()
         again = report.with_validation(samples)
         assert again.validation == report.training
         assert again.to_dict()["validation"]["file"] == report.training.file
@@ -173,4 +185,4 @@ def test_the_told_errors_are_those_of_the_file(tmp_path: Path) -> None:
     assert [lost.term for lost in urdf.left_out] == ["Offset", "RotorInertia"]
     assert [lost.term for lost in mjcf.left_out] == ["Offset"]
     assert mjcf.training.file < urdf.training.file  # type: ignore[union-attr]
-    assert "friction, damping are fitted to the recordings" in urdf.describe()
+    assert "dry friction and damping fitted to the recordings" in urdf.describe()

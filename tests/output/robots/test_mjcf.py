@@ -219,7 +219,7 @@ def test_a_robot_without_a_description(tmp_path: Path) -> None:
     links = bodies(np.random.default_rng(1), robot.n_links)
     report = write_mjcf(estimate_of(problem, links, NUMBER), target=tmp_path / "out.xml")
     assert report.left_out == (LeftOut("Offset", tuple(f"Fo{i + 1}" for i in range(robot.n))),)
-    assert "no place in an MJCF: Fo1" in report.describe()
+    assert "no place in an MJCF: Offset Fo1 … Fo" in report.describe()
     assert_identified(problem, links, tmp_path / "out.xml")
 
 

@@ -232,7 +232,7 @@ def test_friction_of_followers_counts_at_their_source(tmp_path: Path) -> None:
     assert '<dynamics damping="0.0"/>' in out
     assert "damping='0.75' friction=\"0.25\"" in out  # no Coulomb term: friction stays
     assert report.left_out == (LeftOut("Offset", ("Fo1", "Fo2")),)
-    assert "Fo1, Fo2" in report.describe()
+    assert "no place in a URDF: Offset Fo1, Fo2" in report.describe()
 
 
 def test_lump_when_the_rest_is_no_body(tmp_path: Path, arm: Problem) -> None:

@@ -193,6 +193,7 @@ def test_tilt_and_friction_of_the_load_are_in_it(seed: int) -> None:
     gravity = robot.gravity + np.cross([0.03, -0.02, 0.0], robot.gravity)
     tilted = RobotModel.from_pinocchio(robot.pin_model, gravity=gravity.tolist())
     assert_same(tilt, tilted.inverse_dynamics(theta, q, v, a) - links)
+    np.testing.assert_allclose(model.to_pinocchio().gravity.linear, gravity, atol=1e-12)
     expected = links + tilt + 0.1 * np.abs(links) * np.sign(v)
     effort = model.inverse_dynamics(q, v, a)
     assert_same(effort, expected)
