@@ -64,6 +64,20 @@ _processing = functools.partial(typer.Option, rich_help_panel="Processing")
 _estimation = functools.partial(typer.Option, rich_help_panel="Estimation")
 
 
+WithoutEffort = Annotated[
+    str | None,
+    _estimation(
+        metavar="A,B,...",
+        help="Joints whose effort was not measured, or is wrong; only their motion is used.",
+    ),
+]
+
+
+def joints(given: str | None) -> list[str]:
+    """Return the names of joints in an option; none where it was not given."""
+    return [] if given is None else split_list(given)
+
+
 def _beginning(words: Iterable[str]) -> Callable[[str], list[str]]:
     """Return a function that completes what is typed to one of some words."""
     return lambda incomplete: [word for word in words if word.startswith(incomplete)]
@@ -360,13 +374,7 @@ class Estimation:
             "tilt, load, rotor_inertia, coupling, falling.",
         ),
     ] = "auto"
-    without_effort: Annotated[
-        str | None,
-        _estimation(
-            metavar="A,B,...",
-            help="Joints whose effort was not measured, or is wrong; only their motion is used.",
-        ),
-    ] = None
+    without_effort: WithoutEffort = None
     weighting: Annotated[
         Weighting | None,
         _estimation(help="Weighting of the residuals. Default: gls with periods, else residual."),
@@ -376,9 +384,7 @@ class Estimation:
         """Return the arguments of `formulate`."""
         return {
             "friction": friction_terms(self.friction),
-            "without_effort": ()
-            if self.without_effort is None
-            else split_list(self.without_effort),
+            "without_effort": joints(self.without_effort),
             "weighting": None if self.weighting is None else self.weighting.value,
             "consistency": self.consistency.value,
             "constraints": self._constraints(robot),

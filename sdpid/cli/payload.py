@@ -41,19 +41,26 @@ def payload(
         ),
     ] = None,
     level: Annotated[float, typer.Option(help="Probability of the intervals.")] = 0.95,
+    without_effort: opt.WithoutEffort = None,
 ) -> None:
     """Identify what is mounted on the last link: mass, center of mass and inertia."""
     from sdpid.assurance.payload.identify import identify_payload
     from sdpid.estimation.prior.prior import Prior
+    from sdpid.experiment.preparation.several import columns_without
+    from sdpid.robot.model.load import load_robot
 
+    model = load_robot(robot)
+    joints = opt.joints(without_effort)
+    absent = columns_without(model, joints)
     result = identify_payload(
-        robot,
-        reading.read(log),
-        None if without is None else reading.read(without),
+        model,
+        reading.read(log, without_effort=absent),
+        None if without is None else reading.read(without, without_effort=absent),
         frame=frame,
         link=link,
         prior=None if strength is None else Prior(strength=strength),
         level=level,
+        without_effort=joints,
         **acceptance.arguments(),
     )
     printing.show(result.to_dict(), result.describe())

@@ -21,6 +21,7 @@ def validate(
     processing: opt.ProcessingOptions,
     acceptance: opt.Acceptance,
     printing: Printing,
+    without_effort: opt.WithoutEffort = None,
     figure: Annotated[Path | None, typer.Option(help="Image file for the plot.")] = None,
 ) -> None:
     """Predict a log's efforts with a URDF: its inertias, its damping and its friction.
@@ -30,17 +31,26 @@ def validate(
     if figure is not None:
         require("matplotlib", extra="plot")
         opt.require_folder("--figure", figure, reading.files((log,), robot, printing.config))
-    record = reading.read(log, **periods.arguments())
     from sdpid.assurance.diagnostics.validation import validate_robot
     from sdpid.experiment.preparation.for_robot import prepare
-    from sdpid.experiment.preparation.several import chosen_processing, inspected
+    from sdpid.experiment.preparation.several import (
+        chosen_processing,
+        columns_without,
+        inspected,
+        without_efforts,
+    )
     from sdpid.output.report.prediction_verdict import prediction_findings
     from sdpid.robot.model.load import load_robot
 
     model = load_robot(robot)
-    findings = inspected(model, [record], **acceptance.arguments())
+    absent = opt.joints(without_effort)
+    columns = columns_without(model, absent)
+    record = reading.read(log, without_effort=columns, **periods.arguments())
+    findings = inspected(model, [record], without_effort=absent, **acceptance.arguments())
     chosen, _ = chosen_processing([record], processing.changes())
     samples = prepare(model, record, replace(chosen, covariance=None))
+    if absent:
+        samples = without_efforts(samples, model, absent)
     fit = validate_robot(model, samples)
     files = []
     if figure is not None:

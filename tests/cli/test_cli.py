@@ -293,6 +293,24 @@ def test_validate(results: Path, log: Path, tmp_path: Path) -> None:
     assert other["relative_residual"] > 2.0 * found["relative_residual"]
 
 
+def test_validate_leaves_joints_without_effort_out(
+    results: Path, log: Path, tmp_path: Path
+) -> None:
+    record = sdpid.read_recording(log)
+    effort = np.array(record.effort)
+    effort[:, 1] = 1e4
+    wrong = tmp_path / "wrong.parquet"
+    replace(record, effort=effort).to_parquet(wrong)
+    urdf = results / "identified.urdf"
+    arguments = ("validate", wrong, "--robot", urdf, "--without-effort", "joint_2")
+    found = json.loads(run(*arguments, "--json").stdout)
+    plain = json.loads(run("validate", log, "--robot", urdf, "--json").stdout)
+    assert found["joints"]["joint_2"]["rmse"] is None
+    assert found["joints"]["joint_3"] == plain["joints"]["joint_3"]
+    assert "joint_2 (" not in " ".join(found["verdict"])
+    assert "joint_3" in run(*arguments).stdout
+
+
 def test_validate_says_what_to_trust(results: Path, log: Path) -> None:
     done = run("validate", log, "--robot", results / "identified.urdf")
     assert "verdict:\n  Trust it for the effort of " in done.stdout

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -10,6 +11,7 @@ import pytest
 from typer.testing import CliRunner
 
 from sdpid.cli import app
+from sdpid.experiment.readers.read import read_recording
 from sdpid.experiment.recording.recording import Recording
 from sdpid.robot.inertia import theta_from_physical
 from sdpid.robot.model.load import load_robot
@@ -60,4 +62,20 @@ def test_with_a_recording_without_load(logs: tuple[Path, Path]) -> None:
 @pytest.mark.parametrize("strength", [(), ("--strength", 1000)])
 def test_against_the_description(logs: tuple[Path, Path], strength: tuple[object, ...]) -> None:
     found = json.loads(run(logs[0], "--robot", "ur5_robot", *strength, "--json"))
+    assert found["mass"] == pytest.approx(MASS, abs=0.1)
+
+
+def test_a_joint_without_effort(logs: tuple[Path, Path], tmp_path: Path) -> None:
+    """Its effort is rubbish in both recordings; the others show the payload all the same."""
+    paths = []
+    for path in logs:
+        log = read_recording(path)
+        effort = np.array(log.effort)
+        effort[:, 0] = 1e3 * np.random.default_rng(1).standard_normal(len(effort))
+        paths.append(tmp_path / path.name)
+        replace(log, effort=effort).to_parquet(paths[-1])
+    joint = load_robot("ur5_robot").joint_names[0]
+    options = ("--robot", "ur5_robot", "--without-effort", joint, "--json")
+    found = json.loads(run(paths[0], "--without", paths[1], *options))
+    assert found["intervals"]["mass"][0] < MASS < found["intervals"]["mass"][1]
     assert found["mass"] == pytest.approx(MASS, abs=0.1)

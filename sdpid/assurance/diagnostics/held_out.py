@@ -156,13 +156,18 @@ def _friction_fitted(estimate: Estimate) -> Array:
     """Return the base parameters (b,) of the description's links with friction fitted."""
     problem = estimate.problem
     first = problem.robot.prior.size
-    columns = problem.A @ problem.base.matrix[:, first:]
+    bodies = problem.robot.prior.ravel()
+    # Beside the data's rows the prior's of the friction alone, where there is one: terms that the
+    # data cannot tell apart are then held to their size.
+    squared = problem.squared
+    own = np.any(squared.matrix[:, first:] != 0.0, axis=1)
+    columns, missing = squared.matrix[own], squared.rhs[own]
+    missing = missing - columns[:, :first] @ bodies
+    columns = columns[:, first:]
     scale = np.linalg.norm(columns, axis=0)
     scale = np.where(scale > 0.0, scale, 1.0)
-    links = _description(estimate)
-    missing = problem.rhs - problem.A @ links
     friction = np.linalg.lstsq(columns / scale, missing, rcond=None)[0] / scale
-    return np.asarray(links + problem.base.matrix[:, first:] @ friction)
+    return problem.base_of(np.concatenate([bodies, friction]))
 
 
 def _least_squares(estimate: Estimate) -> Array:

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import functools
 import os
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -28,7 +29,12 @@ from sdpid.estimation.prior.prior import Prior
 from sdpid.estimation.problem import Problem, build_problem
 from sdpid.experiment.inspection.finding import Finding
 from sdpid.experiment.preparation.for_robot import default_friction, prepare
-from sdpid.experiment.preparation.several import inspected
+from sdpid.experiment.preparation.several import (
+    columns_without,
+    inspected,
+    joints_without,
+    without_efforts,
+)
 from sdpid.experiment.processing.process import Processing
 from sdpid.experiment.processing.samples import Samples
 from sdpid.experiment.readers.read import read_recording
@@ -69,6 +75,7 @@ def identify_payload(
     extent: float = 1.0,
     level: float = 0.95,
     accept: str | Iterable[str] = (),
+    without_effort: Iterable[str] = (),
 ) -> Payload:
     """Identify the payload that a link carries.
 
@@ -117,6 +124,8 @@ def identify_payload(
         Probability of the intervals.
     accept : str or iterable of str, optional
         As for `identify`: kinds of findings that do not refuse a recording.
+    without_effort : iterable of str, optional
+        As for `identify`: joints whose effort was not measured, or is wrong, in either recording.
 
     Returns
     -------
@@ -139,13 +148,16 @@ def identify_payload(
     given = without_load if isinstance(without_load, Estimate) else None
     model = _robot(robot, given)
     findings: tuple[Finding, ...] = ()
-    with_load, without_load = _read(with_load), _read(without_load)
+    absent = joints_without(without_effort)
+    columns_absent = columns_without(model, absent)
+    with_load, without_load = (_read(log, columns_absent) for log in (with_load, without_load))
     for log, name in ((with_load, "log"), (without_load, "without_load")):
         if isinstance(log, Recording):
-            findings += inspected(model, [log], accept, name=name)
+            findings += inspected(model, [log], accept, absent, name=name)
     number = _link(model, link)
     rotation, translation, name = _frame(model, number, frame)
-    loaded, arm = _problems(model, with_load, without_load, prior, friction, processing, weighting)
+    read = functools.partial(_samples, model, processing=processing, absent=absent)
+    loaded, arm = _problems(model, with_load, without_load, prior, friction, read, weighting)
     placed = transform(np.eye(10), rotation, translation).T
     columns = loaded.base.matrix[:, 10 * number : 10 * number + 10] @ placed
     notes: tuple[str, ...] = ()
@@ -226,9 +238,11 @@ def _solved(
     )
 
 
-def _read(log: Any) -> Any:
-    """Return the recording of a path, and anything else as it is."""
-    return read_recording(log) if isinstance(log, (str, os.PathLike)) else log
+def _read(log: Any, absent: Sequence[str]) -> Any:
+    """Return the recording of a path, some efforts of which may lack, and others as they are."""
+    if not isinstance(log, (str, os.PathLike)):
+        return log
+    return read_recording(log, without_effort=absent)
 
 
 def _robot(robot: RobotModel | str | os.PathLike[str], given: Estimate | None) -> RobotModel:
@@ -278,13 +292,15 @@ def _frame(robot: RobotModel, link: int, name: str | None) -> tuple[Array, Array
     )
 
 
-def _samples(robot: RobotModel, log: Any, processing: Processing | None) -> Samples:
-    """Return the processed samples of a log."""
-    if isinstance(log, Samples):
-        return log
-    if not isinstance(log, Recording):
+def _samples(
+    robot: RobotModel, log: Any, *, processing: Processing | None, absent: Sequence[str]
+) -> Samples:
+    """Return the processed samples of a log, with no row in use of joints without effort."""
+    if isinstance(log, Recording):
+        log = prepare(robot, log, processing)
+    if not isinstance(log, Samples):
         raise DataError(f"payload: got {type(log).__name__}; give a recording, samples or a path.")
-    return prepare(robot, log, processing)
+    return without_efforts(log, robot, absent) if absent else log
 
 
 def _problems(
@@ -293,11 +309,11 @@ def _problems(
     without_load: Log | Estimate | None,
     prior: Prior | None,
     friction: Iterable[str | FrictionTerm] | None,
-    processing: Processing | None,
+    read: Callable[[Any], Samples],
     weighting: Weighting | None,
 ) -> tuple[Problem, Problem | None]:
     """Return the problems with and without load, compressed with the same base parameters."""
-    samples = _samples(robot, with_load, processing)
+    samples = read(with_load)
     if friction is None:
         friction = ("coulomb", "viscous", "offset")
         if isinstance(with_load, Recording):
@@ -322,7 +338,7 @@ def _problems(
     if isinstance(without_load, Estimate):
         arm = without_load.problem
     elif without_load is not None:
-        bare = _samples(robot, without_load, processing)
+        bare = read(without_load)
         arm = built(bare, friction=terms, prior=prior)
     if arm is None:
         loaded = built(samples, friction=terms, prior=prior)

@@ -50,7 +50,7 @@ _WORDS: dict[str, _Words] = {
     ),
     "speed": _Words(
         "with speed along a curve, neither a constant nor a line: friction has another shape",
-        "try the terms stribeck or square_root (--friction)",
+        "add friction of another shape to the terms, such as square_root (--friction)",
     ),
     "acceleration": _Words(
         "with acceleration: the inertia of rotors is not in the model, which efforts from motor "

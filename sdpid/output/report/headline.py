@@ -8,7 +8,10 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 
-from sdpid.assurance.diagnostics.causes import Cause
+import numpy as np
+
+from sdpid.assurance.diagnostics.causes import SHARE, Cause
+from sdpid.assurance.diagnostics.validation import Validation
 from sdpid.output.report.cause_words import NEGLIGIBLE, goes_with, next_step
 from sdpid.output.report.finding import percent
 from sdpid.output.report.grades import LEVELS, Grade
@@ -120,15 +123,13 @@ def _steps(result: Judged, worst: Grade | None, causes: dict[str, Cause]) -> Ite
             yield finding.remedy
     if worst is not None and not worst.moved:
         yield f"record {fit.joint_names[worst.joint]} moving"
-    # The cause of the largest error, be it of the worst joint or not: one change mends it.
-    matters = [
-        cause
-        for cause in causes.values()
-        if fit.moving.nrmse[fit.joint_names.index(cause.joint)] >= NEGLIGIBLE
-    ]
-    if matters:
-        cause = max(matters, key=lambda each: _weight(result, each))
-        yield f"{next_step(cause, terms_of(result))} (for {cause.joint})"
+    # The cause that explains most of the whole error, or else that of the worst joint.
+    weights = {name: _weight(fit, cause) for name, cause in causes.items()}
+    largest = max(weights, key=lambda name: weights[name], default=None)
+    if largest is None or weights[largest] < SHARE:
+        largest = None if worst is None else fit.joint_names[worst.joint]
+    if largest in causes:
+        yield f"{next_step(causes[largest], terms_of(result))} (for {largest})"
     held_out = result.held_out
     if held_out is None or held_out.by == "blocks":
         yield _OTHER_MOTION
@@ -139,11 +140,16 @@ def _steps(result: Judged, worst: Grade | None, causes: dict[str, Cause]) -> Ite
     yield "none: use identified.urdf, and validate again when the load or the temperature changes"
 
 
-def _weight(result: Judged, cause: Cause) -> float:
-    """Return how much of a joint's squared error a cause explains, (N·m)²."""
-    _, fit = judged(result)
+def _weight(fit: Validation, cause: Cause) -> float:
+    """Return the share of the squared errors of all joints that a cause explains.
+
+    0 where the joint's error is negligible.
+    """
     joint = fit.joint_names.index(cause.joint)
-    return cause.share * float(fit.moving.rmse[joint]) ** 2
+    if fit.moving.nrmse[joint] < NEGLIGIBLE:
+        return 0.0
+    squares = fit.moving.rows * fit.moving.rmse**2
+    return float(cause.share * squares[joint] / max(float(squares.sum()), np.finfo(float).tiny))
 
 
 def _beside(result: Judged) -> str | None:
