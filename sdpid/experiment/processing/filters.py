@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Literal, get_args
 
 import numpy as np
@@ -42,6 +43,13 @@ class ZeroPhaseFilter:
         """Number of samples after which a disturbance has decayed below rounding."""
         return math.ceil(_FORGOTTEN * self.time_constant)
 
+    @cached_property
+    def _steady(self) -> Array:
+        """State of the filter after a long constant one, (S, 2)."""
+        from scipy.signal import sosfilt_zi
+
+        return np.asarray(sosfilt_zi(np.array(self.sections)))
+
     def apply(self, signal: Array) -> Array:
         """Filter signals forward and backward along their first axis.
 
@@ -57,11 +65,10 @@ class ZeroPhaseFilter:
         -------
         (N,) or (N, c) ndarray
         """
-        from scipy.signal import sosfilt, sosfilt_zi
+        from scipy.signal import sosfilt
 
         # SciPy asks for a writable array, though it does not write to it.
-        sections = np.array(self.sections)
-        steady = sosfilt_zi(sections)
+        sections, steady = np.array(self.sections), self._steady
         for _ in range(2):
             first = steady[..., None] * signal[0] if signal.ndim == 2 else steady * signal[0]
             signal, _state = sosfilt(sections, signal, axis=0, zi=first)
