@@ -16,6 +16,7 @@ from sdpid.cli.endings import OURS, command_line
 from sdpid.cli.printing import Printing, errors_table, findings_listed, listed
 
 if TYPE_CHECKING:
+    from sdpid.output.robots.export_report import ExportReport
     from sdpid.workflow.result import Identification
 
 
@@ -89,12 +90,14 @@ def identify(
     ]
     if result.intervals_note:
         notes.append(result.intervals_note)
+    exports: list[ExportReport] = []
     saved = result.save(
         out,
         figures=draw,
         report=notes.append,
         command=command_line(ctx),
         config=config_text(ctx, out),
+        exported=exports.append,
     )
     files = [str(path) for path in saved]
     if figures is None and not draw:
@@ -112,23 +115,36 @@ def identify(
             details.append(result.held_out.table())
         details += [listed("verdict", result.verdict), listed("files", files)]
     else:
-        details = [_short(result, out, files, notes), *_findings(result)]
+        details = [_short(result, out, files, notes, exports), *_findings(result)]
     lines = (*result.headline.lines, f"certificate: {result.certificate.summary()}")
     parts = [*details, "\n".join(printable(line) for line in lines)]
-    printing.show({**result.to_dict(), "notes": notes, "files": files}, "\n\n".join(parts))
+    content = {**result.to_dict(), "notes": notes, "files": files}
+    content["exports"] = [export.to_dict() for export in exports]
+    printing.show(content, "\n\n".join(parts))
     certificate = result.certificate
     if result.problem.consistency != "none" and not certificate.passed:
         typer.echo(printable(f"sdpid: not certified: {certificate.summary()}"), err=True)
         raise typer.Exit(OURS)
 
 
-def _short(result: Identification, out: Path, files: list[str], notes: list[str]) -> str:
-    """Return what was read and written."""
+def _short(
+    result: Identification,
+    out: Path,
+    files: list[str],
+    notes: list[str],
+    exports: list[ExportReport],
+) -> str:
+    """Return what was read and written, and what the written robots lose."""
     problem = result.problem
     names = ", ".join(Path(file).name for file in files)
+    lost: dict[str, list[str]] = {}
+    for export in exports:
+        if said := export.headline():
+            lost.setdefault(said, []).append(export.path.name)
     lines = (
         f"{problem.robot.name}: {problem.base.count} base parameters from {problem.n_rows} rows",
         f"written to {out}: {names}",
+        *(f"{', '.join(robots)}: {said}" for said, robots in lost.items()),
         f"{len(notes)} notes on choices and findings: with -v, in report.html and result.json",
     )
     return "\n".join(printable(line) for line in lines)

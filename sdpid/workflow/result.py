@@ -26,6 +26,7 @@ from sdpid.output.tables.intervals_shown import GivenIntervals, ends_of, in_word
 from sdpid.workflow.results_folder import save as save_results
 
 if TYPE_CHECKING:
+    from sdpid.output.robots.export_report import ExportReport
     from sdpid.workflow.cross_validation import CrossValidation
 
 
@@ -201,6 +202,7 @@ class Identification:
         command: str | None = None,
         config: str | None = None,
         intervals: GivenIntervals | None = None,
+        exported: Callable[[ExportReport], None] | None = None,
     ) -> tuple[Path, ...]:
         """Write tables, robots, certificate, plots and a report into a folder: all, or none.
 
@@ -222,6 +224,8 @@ class Identification:
             The options of the command in TOML, for run.toml.
         intervals : Intervals, optional
             Shown in place of `self.intervals`.
+        exported : callable, optional
+            Called with the `ExportReport` of each robot that was written.
 
         Returns
         -------
@@ -241,6 +245,7 @@ class Identification:
             command=command,
             config=config,
             intervals=self.intervals if intervals is None else intervals,
+            exported=exported,
         )
 
 

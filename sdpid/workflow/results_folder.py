@@ -116,6 +116,7 @@ def save(
     command: str | None = None,
     config: str | None = None,
     intervals: GivenIntervals | None = None,
+    exported: Callable[[ExportReport], None] | None = None,
 ) -> tuple[Path, ...]:
     """Write an identification into a folder; arguments and errors are those of its `save`."""
     target = Path(folder)
@@ -135,6 +136,9 @@ def save(
         raise ExportError(
             f"cannot write into {target}: {cause.strerror or cause}; choose another folder."
         ) from cause
+    if exported is not None:
+        for export in writer.exports:
+            exported(export)
     return tuple(target / name for name in new)
 
 

@@ -144,6 +144,7 @@ def test_identify_as_json(log: Path, tmp_path: Path) -> None:
     assert "Fs5_6" in found["standard_parameters"]
     assert any("order 1 at 12 Hz" in note for note in found["notes"])
     assert any("no place in a URDF" in note for note in found["notes"])
+    assert found["exports"][0]["left_out"][0]["term"] == "Coupling"
     # Without --out there is a folder of its own.
     assert all((tmp_path / file).is_file() for file in found["files"])
     assert [path.name for path in tmp_path.iterdir()] == ["sdpid-results"]

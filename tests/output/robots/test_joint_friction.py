@@ -88,7 +88,7 @@ def test_no_other_coefficients_predict_the_recordings_better(
                     assert cost(other, j) >= least * (1.0 - 1e-12)
 
 
-def test_terms_with_a_place_are_written_as_they_were_identified() -> None:
+def test_terms_with_a_place_are_written_as_they_were_identified(tmp_path: Path) -> None:
     rng = np.random.default_rng(0)
     terms: Terms = (SIGN, Viscous())
     theta = theta_with(rng, terms, 3.0, 4.0)
@@ -98,6 +98,9 @@ def test_terms_with_a_place_are_written_as_they_were_identified() -> None:
     np.testing.assert_array_equal(
         attributes_of(estimate.problem, theta, URDF), [[5.0, 6.0], [7.0, 8.0]]
     )
+    report = sdpid.write_urdf(estimate, target=tmp_path / "arm.urdf")
+    assert report.headline() is None
+    assert "misses" not in report.describe()
 
 
 def test_only_what_is_written_must_not_be_negative() -> None:
@@ -178,7 +181,10 @@ def test_the_told_errors_are_those_of_the_file(tmp_path: Path) -> None:
         assert report.training.file == pytest.approx(validate_robot(robot, samples).relative)
         assert report.training.estimate == pytest.approx(sdpid.validate(estimate).relative)
         assert f"misses the recorded efforts by {report.training}" in report.describe()
+        said = f"misses the recorded efforts by {report.training} (no place for Offset"
+        assert str(report.headline()).startswith(said)
         again = report.with_validation(samples)
+        assert "misses the validation recording's efforts" in str(again.headline())
         assert again.validation == report.training
         assert again.to_dict()["validation"]["file"] == report.training.file
     # The rotor's inertia has a place in one of them.
