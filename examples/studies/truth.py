@@ -25,10 +25,10 @@ import numpy as np
 from simulated_logs import ROBOTS, Conditions, Truth, drawn, log_of, there
 
 import sdpid
-from sdpid._common.arrays import Array
 from sdpid._common.files import atomic_write_text
 from sdpid._common.jobs import parallel
 from sdpid._common.tables import Table
+from sdpid.assurance.intervals.friction_curve import friction_curve
 
 # Speeds at which friction curves are compared, rad/s, on joints that reach them and whose Coulomb
 # friction is so many times the noise of the effort.
@@ -127,31 +127,19 @@ def ends_of(intervals: Any) -> dict[str, tuple[float, float]]:
 
 def friction_rows(known: tuple[str, str, int], truth: Truth, estimate: Any) -> list[Row]:
     """Return the friction curve at some speeds: half of what reversing the motion changes."""
-    problem = estimate.problem
-    n = truth.robot.n
+    curve = friction_curve(estimate, SPEEDS)
     rows = []
-    for speed in SPEEDS:
-        v = np.full((1, n), speed)
-        ahead, back = (rows_of_friction(problem, sign * v) for sign in (1.0, -1.0))
-        weights = 0.5 * (ahead - back)
-        values, true = weights @ estimate.base, truth.friction(v)[0]
-        errors = np.sqrt(np.einsum("ja,ab,jb->j", weights, estimate.covariance, weights))
-        for j in range(n):
+    for k, speed in enumerate(SPEEDS):
+        true = truth.friction(np.full((1, truth.robot.n), speed))[0]
+        for j in range(truth.robot.n):
             if truth.top_speed[j] < speed or truth.coulomb[j] < ABOVE_NOISE * truth.noise[j]:
                 continue
-            ends = values[j] - NORMAL * errors[j], values[j] + NORMAL * errors[j]
-            numbers = (float(each) for each in (true[j], values[j], errors[j], *ends))
+            value, half = curve.friction[k, j], curve.half_width[k, j]
+            numbers = (
+                float(x) for x in (true[j], value, half / NORMAL, value - half, value + half)
+            )
             rows.append(Row(*known, f"friction at {speed:g}", f"joint {j + 1}", *numbers))
     return rows
-
-
-def rows_of_friction(problem: Any, velocity: Array) -> Array:
-    """Return rows (n, b) of base parameters for friction at a velocity (1, n)."""
-    columns = problem.friction.columns(velocity, np.zeros_like(velocity))[0]
-    whole = np.zeros((len(columns), problem.n_theta))
-    whole[:, -columns.shape[1] :] = columns
-    # Friction is among the base parameters, or folds into them.
-    return np.asarray(np.linalg.lstsq(problem.base.matrix.T, whole.T, rcond=None)[0].T)
 
 
 def base_rows(

@@ -91,8 +91,12 @@ class Posterior:
         SolverError
             When the equations among the constraints contradict each other.
         """
+        return cls.about(estimate, fit_errors(estimate, groups))
+
+    @classmethod
+    def about(cls, estimate: Estimate, errors: FitErrors) -> Posterior:
+        """Build from the errors of the unconstrained fit; as `of`."""
         problem = estimate.problem
-        errors = fit_errors(estimate, groups)
         A, B = problem.A, problem.base.matrix
         basis = Scaling.of(problem).basis()
         R = np.zeros((0, problem.n_theta))

@@ -1,0 +1,65 @@
+"""Friction curves with intervals, against the friction that was simulated."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import sdpid
+from sdpid.assurance.intervals.friction_curve import friction_curve
+from sdpid.assurance.intervals.posterior import constrained_covariance
+from sdpid.errors import DataError
+from sdpid.estimation.problem import Problem, build_problem
+from tests.helpers.arm import ARM
+from tests.helpers.data import full_regressor, random_theta
+
+WIDTHS = (0.3, 0.6)
+TRUE = (sdpid.friction.SigmoidFriction(velocity=WIDTHS), "viscous", "offset")
+THETA = random_theta(ARM, np.random.default_rng(0), TRUE)
+
+
+def simulated(rng: np.random.Generator, sigmoid: float | None = None) -> Problem:
+    """Return a problem whose sigmoid has a given speed, or one that the data choose."""
+    time = np.arange(400) / 25.0
+    omega = np.array([[0.9, 1.3], [2.1, 3.1], [4.3, 3.7]])
+    waves = np.exp(1j * (time[:, None, None] * omega + [0.3, 1.2]))
+    q, v, a = (np.real(waves * (1j * omega) ** k / omega).sum(axis=1) for k in range(3))
+    effort = full_regressor(ARM, (q, v, a), TRUE) @ THETA
+    effort += 0.05 * rng.standard_normal(effort.shape)
+    samples = sdpid.Samples(position=q, velocity=v, acceleration=a, effort=effort)
+    terms = (sdpid.friction.SigmoidFriction(velocity=sigmoid), *TRUE[1:])
+    return build_problem(ARM, samples, friction=terms)
+
+
+def test_intervals_hold_the_true_curve_as_often_as_stated() -> None:
+    rng = np.random.default_rng(3)
+    speeds = np.array([0.1, 0.3, 1.0])
+    saturated = np.tanh(speeds[:, None] / WIDTHS)
+    true = THETA[20:22] * saturated + THETA[22:24] * speeds[:, None]
+    held = []
+    for _ in range(20):
+        found = friction_curve(sdpid.solve_sdp(simulated(rng)), speeds)
+        held.append(np.abs(found.friction - true) <= found.half_width)
+    assert found.friction.shape == (3, 2)
+    assert found.half_width.max() < 0.3 * true.min()
+    # Of 120 at 95 %, those of one record correlated.
+    assert np.mean(held) > 0.87
+
+
+def test_of_given_speeds_only_coefficients_are_uncertain() -> None:
+    estimate = sdpid.solve_sdp(simulated(np.random.default_rng(4), 0.4))
+    problem = estimate.problem
+    found = friction_curve(estimate, 0.2, level=0.6826894921370859)
+    at = [problem.base.names.index(name) for name in ("Fsg1", "Fv1")]
+    weights = np.array([np.tanh(0.5), 0.2])
+    own = constrained_covariance(estimate)[np.ix_(at, at)]
+    assert found.friction[0, 0] == pytest.approx(weights @ estimate.base[at])
+    # One standard error, and a little more since it is uncertain itself.
+    error = float(np.sqrt(weights @ own @ weights))
+    assert error < found.half_width[0, 0] < 1.05 * error
+
+
+def test_it_needs_standard_parameters() -> None:
+    problem = simulated(np.random.default_rng(5))
+    with pytest.raises(DataError, match="constrained solver"):
+        friction_curve(sdpid.solve_wls(problem), 0.1)
