@@ -15,6 +15,7 @@ from sdpid.experiment.inspection import (
     time_checks,
 )
 from sdpid.experiment.inspection.finding import CHECKS, Finding, Subject
+from sdpid.experiment.inspection.joined import other_loads
 from sdpid.experiment.recording.joints import joint_columns, match_joints
 from sdpid.experiment.recording.recording import Recording
 from sdpid.robot.model.model import RobotModel
@@ -75,7 +76,7 @@ def inspect_recording(log: Recording, robot: RobotModel | None = None) -> Inspec
     -------
     Inspection
     """
-    return Inspection(findings=_sorted(_findings(log, robot)))
+    return Inspection(findings=_looked_at(log, robot)[1])
 
 
 def inspect_recordings(
@@ -98,22 +99,24 @@ def inspect_recordings(
     without_effort : iterable of str, optional
         Joints whose effort is not used: what is wrong with it is not told.
     """
-    without = frozenset(without_effort)
+    looked_at = [_looked_at(log, robot, frozenset(without_effort)) for log in logs]
     if len(logs) == 1 and not name:
-        return _sorted(_findings(logs[0], robot, without))
+        return looked_at[0][1]
+    between: dict[int, Finding] = {}
+    if len(logs) > 1:
+        between = dict(other_loads([subject for subject, _ in looked_at]))
     name = name or "recording"
-    each = [
-        replace(finding, message=f"{name} {number}: {finding.message}")
-        for number, log in enumerate(logs, 1)
-        for finding in _sorted(_findings(log, robot, without))
-    ]
+    each = []
+    for place, (_, findings) in enumerate(looked_at):
+        own = (between[place], *findings) if place in between else findings
+        each += [replace(f, message=f"{name} {place + 1}: {f.message}") for f in own]
     return tuple(each)
 
 
-def _findings(
+def _looked_at(
     log: Recording, robot: RobotModel | None, without: frozenset[str] = frozenset()
-) -> list[Finding]:
-    """Return the findings of one recording."""
+) -> tuple[Subject, tuple[Finding, ...]]:
+    """Return one recording as checks see it, and its findings, what is to be refused first."""
     findings: list[Finding] = []
     if robot is not None:
         log, robot, findings = _matched(log, robot)
@@ -128,13 +131,9 @@ def _findings(
         # Positions in degrees raise most of the other alarms as well.
         alone = ("position_in_degrees", "joints", "joints_unknown")
         findings = [finding for finding in findings if finding.kind in alone]
-    return [f for f in findings if not (f.kind.startswith("effort") and f.joint in without)]
-
-
-def _sorted(findings: Iterable[Finding]) -> tuple[Finding, ...]:
-    """Return findings, what is to be refused first."""
+    kept = (f for f in findings if not (f.kind.startswith("effort") and f.joint in without))
     ranks = ("refuse", "warning", "note")
-    return tuple(sorted(findings, key=lambda finding: ranks.index(finding.severity)))
+    return subject, tuple(sorted(kept, key=lambda finding: ranks.index(finding.severity)))
 
 
 def _matched(
