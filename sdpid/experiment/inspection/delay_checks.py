@@ -98,6 +98,8 @@ def effort_delay(robot: RobotModel, rows: Rows) -> tuple[float, float] | None:
     delays, errors, left, taken = [], [], 0.0, 0.0
     for j in np.flatnonzero(rows.usable).tolist():
         keep = np.abs(rows.sign[:, j]) > _MOVES
+        if np.count_nonzero(keep) < 2 * _BLOCKS:
+            continue
         friction = (rows.sign[:, j], rows.velocity[:, j], rows.acceleration[:, j])
         columns = np.column_stack([Y[:, j], *friction, np.ones(len(Y))])[keep]
         basis = _basis(columns)
