@@ -23,6 +23,8 @@ __all__ = ["CorrectedLog", "Correction", "Step", "corrected"]
 NEEDED = 2.0
 # The search goes on from this many of the best changes, so that the first of two need not be best.
 _KEPT = 4
+# One row in so many is compared: some eighty changes are tried on every log.
+_THINNED = 2
 # Positions that never pass this (rad) are not tried as degrees: 3 degrees are no motion.
 _LEAST_DEGREES = math.pi
 # Changes whose misfits are this close cannot be told apart.
@@ -145,7 +147,10 @@ class CorrectedLog:
     def changed(self, change: Correction) -> CorrectedLog:
         """Return the log with one more change."""
         gravity = np.array(change.value) if change.kind == "gravity_direction" else self.gravity
-        return replace(self, rows=change.apply(self.rows), gravity=gravity)
+        log = replace(self, rows=change.apply(self.rows), gravity=gravity)
+        if change.kind in ("effort_sign", "effort_order"):
+            log.__dict__["rigid"] = self.rigid  # the motion is the same
+        return log
 
 
 def corrected(robot: RobotModel, rows: Rows) -> CorrectedLog | None:
@@ -160,8 +165,9 @@ def corrected(robot: RobotModel, rows: Rows) -> CorrectedLog | None:
     """
     if not described(robot) or not rows.usable.any():
         return None
-    log = CorrectedLog(robot=robot, rows=rows, gravity=robot.gravity)
-    common = gains(rows, log.rigid).common or 1.0
+    thinned = {name: getattr(rows, name)[::_THINNED] for name in _ALL}
+    log = CorrectedLog(robot=robot, rows=replace(rows, **thinned), gravity=robot.gravity)
+    common = gains(log.rows, log.rigid).common or 1.0
     scales = [1.0] if GAINS[0] < common < GAINS[1] else [1.0, common]
     return min((_searched(replace(log, scale=scale)) for scale in scales), key=_price)
 
@@ -213,7 +219,7 @@ def _changes(log: CorrectedLog) -> Iterator[Correction]:
     size = float(np.linalg.norm(log.gravity))
     for axis in range(3):
         for sign in (1.0, -1.0):
-            gravity = tuple(sign * size * (k == axis) for k in range(3))
+            gravity = tuple(sign * size if k == axis else 0.0 for k in range(3))
             if not np.allclose(gravity, log.gravity, atol=1e-3):
                 yield Correction(kind="gravity_direction", value=gravity)
 

@@ -27,6 +27,7 @@ _FILES = (time_checks, motion_checks, effort_checks, dynamics_checks, delay_chec
 
 # Wrong units of position or time make the dynamics meaningless: they are told alone.
 _DROWNS = ("position_in_degrees", "position_jumps", "time_unit")
+_OF_SPEED = ("position_jumps", "velocity_scale", "velocity_late", "one_direction", "long_rest")
 _DROWNED = (
     dynamics_checks.wrong_channels,
     dynamics_checks.scales,
@@ -124,13 +125,16 @@ def _looked_at(
     for each in CHECKS:
         if each not in _DROWNED:
             findings += each(subject)
-    if not any(finding.kind in _DROWNS for finding in findings):
+    refused = {finding.kind for finding in findings if finding.severity == "refuse"}
+    if not refused & set(_DROWNS):
         for each in _DROWNED:
             findings += each(subject)
-    if any(finding.kind == "position_in_degrees" for finding in findings):
+    if "position_in_degrees" in {finding.kind for finding in findings}:
         # Positions in degrees raise most of the other alarms as well.
         alone = ("position_in_degrees", "joints", "joints_unknown")
         findings = [finding for finding in findings if finding.kind in alone]
+    elif "time_unit" in refused:
+        findings = [finding for finding in findings if finding.kind not in _OF_SPEED]
     kept = (f for f in findings if not (f.kind.startswith("effort") and f.joint in without))
     ranks = ("refuse", "warning", "note")
     return subject, tuple(sorted(kept, key=lambda finding: ranks.index(finding.severity)))

@@ -1,0 +1,255 @@
+"""Logs that are wrong in one way each, of an arm whose bodies are not quite as described."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import sdpid
+from sdpid.errors import DataError
+from sdpid.experiment.inspection.accept import REFUSED, require_accepted
+from sdpid.experiment.inspection.finding import Finding
+from sdpid.experiment.inspection.inspect import inspect_recording, inspect_recordings
+from sdpid.experiment.recording.recording import Recording
+
+RATE = 100.0
+T = np.arange(3000) / RATE
+JOINT = 1
+ALL = ("position", "velocity", "effort")
+Change = Callable[[Recording], Recording]
+
+
+@pytest.fixture(scope="module")
+def robot() -> sdpid.RobotModel:
+    return sdpid.load_robot("ur_description/ur5_robot")
+
+
+def simulated(robot: sdpid.RobotModel, seed: int, load: float = 0.0) -> Recording:
+    """Bodies 15 % heavier or lighter than described, friction, offsets and noise."""
+    rng = np.random.default_rng(seed)
+    rate = 2.0 * np.pi * rng.uniform(0.05, 0.4, (4, robot.n))
+    phase = rng.uniform(0.0, 2.0 * np.pi, rate.shape)
+    size = np.array([1.0, 0.5, 0.8, 1.0, 1.0, 1.0]) / 2.0
+    angle = T[:, None, None] * rate + phase
+    position = (size * np.sin(angle)).sum(axis=1) - np.array([0.0, 1.2, 0.0, 0.0, 0.0, 0.0])
+    velocity = (size * rate * np.cos(angle)).sum(axis=1)
+    acceleration = -(size * rate**2 * np.sin(angle)).sum(axis=1)
+    bodies = robot.prior * np.exp(0.15 * np.random.default_rng(7).standard_normal((6, 1)))
+    bodies[-1, :4] += load * np.array([1.0, 0.05, 0.05, 0.1])
+    effort = robot.inverse_dynamics(bodies, position, velocity, acceleration)
+    usual = np.sqrt(effort.std(axis=0) * effort.std(axis=0).max())
+    effort += 0.15 * usual * np.tanh(velocity / 0.01) + 0.1 * usual * velocity + 0.02 * usual
+    effort += 0.01 * usual * rng.standard_normal(effort.shape)
+    return Recording(
+        time=T,
+        position=position + 1e-5 * rng.standard_normal(position.shape),
+        velocity=velocity,
+        effort=effort,
+        joint_names=robot.joint_names,
+    )
+
+
+@pytest.fixture(scope="module")
+def log(robot: sdpid.RobotModel) -> Recording:
+    return simulated(robot, 0)
+
+
+def flipped(*quantities: str, joints: tuple[int, ...] = (JOINT,)) -> Change:
+    sign = np.ones(6)
+    sign[list(joints)] = -1.0
+    return lambda log: replace(log, **{name: sign * getattr(log, name) for name in quantities})
+
+
+def ordered(order: list[int], *quantities: str) -> Change:
+    return lambda log: replace(log, **{name: getattr(log, name)[:, order] for name in quantities})
+
+
+def scaled(quantity: str, factor: float | np.ndarray) -> Change:
+    return lambda log: replace(log, **{quantity: factor * getattr(log, quantity)})
+
+
+def zeroed(log: Recording) -> Recording:
+    return replace(log, position=log.position + np.pi / 2.0 * (np.arange(6) == JOINT))
+
+
+def late(quantity: str, seconds: float) -> Change:
+    def change(log: Recording) -> Recording:
+        moved = [np.interp(T - seconds, T, column) for column in getattr(log, quantity).T]
+        return replace(log, **{quantity: np.column_stack(moved)})
+
+    return change
+
+
+def clipped(quantity: str) -> Change:
+    def change(log: Recording) -> Recording:
+        values = getattr(log, quantity).copy()
+        column = values[:, JOINT]
+        values[:, JOINT] = np.clip(column, *np.percentile(column, (5.0, 95.0)))
+        return replace(log, **{quantity: values})
+
+    return change
+
+
+def one_way(log: Recording) -> Recording:
+    position = log.position.copy()
+    position[:, JOINT] = np.linspace(-2.0, 0.0, len(T)) + 0.05 * np.sin(T)
+    return replace(log, position=position, velocity=None)
+
+
+def rested(log: Recording) -> Recording:
+    rows = np.minimum(np.arange(3000), 1500)
+    noise = 1e-6 * np.random.default_rng(0).standard_normal((3000, 6))
+    return replace(log, position=log.position[rows] + noise, effort=log.effort[rows], velocity=None)
+
+
+def losing(log: Recording) -> Recording:
+    kept = np.random.default_rng(0).uniform(size=len(T)) > 0.1
+    return replace(log, **{name: getattr(log, name)[kept] for name in ("time", *ALL)})
+
+
+def jittering(log: Recording) -> Recording:
+    return replace(log, time=T + np.random.default_rng(0).uniform(-0.3, 0.3, len(T)) / RATE)
+
+
+REVERSED = list(range(5, -1, -1))
+CURRENTS = 1.0 / np.linspace(14.0, 9.0, 6)
+WRONG: dict[str, tuple[Change, str, str, str]] = {
+    "currents": (scaled("effort", CURRENTS), "effort_scale", "refuse", "currents (A)"),
+    "N·mm": (scaled("effort", 1e3), "effort_scale", "refuse", "N·mm or mN·m instead of N·m"),
+    "effort": (flipped("effort"), "effort_sign", "refuse", "effort of shoulder_lift_joint has"),
+    "efforts": (scaled("effort", -1.0), "effort_sign", "refuse", "effort of all joints has"),
+    "position": (
+        flipped("position", "velocity"),
+        "position_sign",
+        "refuse",
+        "position of shoulder_lift_joint has the wrong sign",
+    ),
+    "axis": (flipped(*ALL), "axis_sign", "refuse", "count the other way round"),
+    "zero": (zeroed, "position_zero", "refuse", "another zero"),
+    "exchanged": (
+        ordered([2, 1, 0, 3, 4, 5], *ALL),
+        "joint_order",
+        "refuse",
+        "order elbow_joint, shoulder_lift_joint, shoulder_pan_joint, wrist_1_joint",
+    ),
+    "reversed": (
+        ordered(REVERSED, *ALL),
+        "joint_order",
+        "refuse",
+        "order wrist_3_joint, wrist_2_joint, wrist_1_joint, elbow_joint, shoulder_lift_joint",
+    ),
+    "efforts' order": (
+        ordered([5, 0, 1, 2, 3, 4], "effort"),
+        "effort_order",
+        "refuse",
+        "efforts are in the order wrist_3_joint, shoulder_pan_joint, shoulder_lift_joint",
+    ),
+    "degrees": (scaled("position", 180.0 / np.pi), "position_in_degrees", "refuse", "degrees"),
+    "ms as s": (lambda log: replace(log, time=1e3 * T), "time_unit", "refuse", "in ms, us or ns"),
+    "s as ms": (lambda log: replace(log, time=1e-3 * T), "time_unit", "refuse", "were read as ms"),
+    "late efforts": (late("effort", 0.06), "effort_late", "warning", "late by"),
+    "early efforts": (late("effort", -0.06), "effort_late", "warning", "early by"),
+    "late velocity": (late("velocity", 0.06), "velocity_late", "warning", "late by up to 60"),
+    "clipped effort": (clipped("effort"), "effort_clipped", "warning", "effort of shoulder_lift"),
+    "clipped velocity": (clipped("velocity"), "velocity_clipped", "warning", "it is clipped"),
+    "one way": (one_way, "one_direction", "warning", "shoulder_lift_joint moves in one direction"),
+    "rest": (rested, "long_rest", "warning", "stands still in 49 %"),
+    "lost": (losing, "lost_samples", "warning", "are missing"),
+    "jitter": (jittering, "jitter", "note", "time stamps jitter by"),
+}
+
+
+@pytest.mark.parametrize("name", WRONG)
+def test_what_is_wrong_is_found_and_named(log: Recording, robot: sdpid.RobotModel, name: str):
+    change, kind, severity, words = WRONG[name]
+    found = {each.kind: each for each in inspect_recording(change(log), robot).findings}
+    assert kind in found, found
+    assert found[kind].severity == severity
+    assert words in found[kind].message
+    assert found[kind].remedy
+    if severity == "refuse":
+        assert kind in REFUSED
+        assert next(iter(found.values())) is found[kind]
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_a_good_log_is_left_alone(robot: sdpid.RobotModel, seed: int):
+    assert inspect_recording(simulated(robot, seed), robot).findings == ()
+
+
+def test_several_errors_are_found_one_after_another(log: Recording, robot: sdpid.RobotModel):
+    wrong = flipped("effort", joints=(1, 2))(log)
+    findings = inspect_recording(wrong, robot).findings
+    assert {(f.kind, f.joint) for f in findings} == {
+        ("effort_sign", robot.joint_names[1]),
+        ("effort_sign", robot.joint_names[2]),
+    }
+
+
+def test_a_robot_that_hangs_is_told(log: Recording, robot: sdpid.RobotModel):
+    hanging = sdpid.RobotModel.from_pinocchio(robot.pin_model, gravity=(0.0, 0.0, 9.81))
+    (finding,) = inspect_recording(log, hanging).findings
+    assert finding.kind == "gravity_direction"
+    assert "(0, 0, -9.81)" in finding.message
+
+
+def test_descriptions_without_masses_or_made_up_do_not_refuse(
+    log: Recording, robot: sdpid.RobotModel
+):
+    wrong = scaled("effort", 1e3)(log)
+    massless = replace(robot, prior=np.zeros_like(robot.prior))
+    assert inspect_recording(wrong, massless).findings == ()
+    alike = np.tile([1.0, 0.0, 0.0, 0.1, 0.02, 0.0, 0.02, 0.0, 0.0, 0.01], (6, 1))
+    findings = inspect_recording(wrong, replace(robot, prior=alike)).findings
+    assert "effort_scale" in {f.kind for f in findings}
+    assert all(f.severity != "refuse" for f in findings if f.kind == "effort_scale")
+
+
+def test_what_is_wrong_with_an_effort_that_is_not_used_does_not_matter(
+    log: Recording, robot: sdpid.RobotModel
+):
+    wrong, name = flipped("effort")(log), robot.joint_names[JOINT]
+    assert [f.joint for f in inspect_recordings([wrong], robot)] == [name]
+    assert inspect_recordings([wrong], robot, without_effort=[name]) == ()
+
+
+def test_recordings_with_another_load_are_named(robot: sdpid.RobotModel):
+    logs = [simulated(robot, 0), simulated(robot, 1), simulated(robot, 2, load=2.0)]
+    (finding,) = inspect_recordings(logs, robot)
+    assert (finding.kind, finding.severity) == ("payload_differs", "refuse")
+    assert finding.message.startswith("recording 3: it carries another load than recording 1: +")
+    assert finding.numbers["mass"] == pytest.approx(2.0, abs=0.3)
+    assert inspect_recordings(logs[:2], robot) == ()
+
+
+def test_findings_are_overruled_by_name():
+    findings = [
+        Finding(severity="refuse", kind="effort_sign", message="a", remedy="b"),
+        Finding(severity="refuse", kind="effort_scale", message="c"),
+        Finding(severity="warning", kind="long_rest", message="d"),
+    ]
+    with pytest.raises(DataError, match=r"a; b.*c.*accept=\['effort_sign', 'effort_scale'\]"):
+        require_accepted(findings)
+    with pytest.raises(DataError, match=r"accept=\['effort_scale'\]"):
+        require_accepted(findings, "effort_sign")
+    require_accepted(findings, ["effort_sign", "effort_scale"])
+    with pytest.raises(DataError, match="did you mean effort_sign"):
+        require_accepted([], ["effort_sing"])
+
+
+def test_every_use_of_a_log_refuses_it(log: Recording, robot: sdpid.RobotModel):
+    wrong = scaled("effort", CURRENTS)(log)
+    for use in (
+        lambda **given: sdpid.identify(robot, wrong, **given),
+        lambda **given: sdpid.identify(robot, log, validation=wrong, **given),
+        lambda **given: sdpid.identify_payload(robot, wrong, **given),
+        lambda **given: sdpid.identify_payload(robot, log, wrong, **given),
+    ):
+        with pytest.raises(DataError, match=r"currents \(A\).*accept=\['effort_scale'\]"):
+            use()
+    payload = sdpid.identify_payload(robot, wrong, accept="effort_scale")
+    assert [each.kind for each in payload.findings] == ["effort_scale"]
+    assert payload.to_dict()["findings"][0]["severity"] == "refuse"
