@@ -12,6 +12,7 @@ from sdpid.estimation.estimate import Estimate
 from sdpid.estimation.prior.prior import Prior
 from sdpid.estimation.problem import build_problem
 from sdpid.estimation.sdp.solve import solve_sdp
+from sdpid.experiment.inspection.accept import kinds_accepted
 from sdpid.experiment.preparation.several import Logs, ProcessingOf, prepare_recordings
 
 # Units of parameters that belong to the rigid part beside the links: rotors and gravity's
@@ -25,6 +26,7 @@ def adapt(
     *,
     processing: ProcessingOf = None,
     without_effort: Iterable[str] = (),
+    accept: str | Iterable[str] = (),
 ) -> Estimate:
     """Refit friction and offsets alone to a new recording.
 
@@ -44,6 +46,8 @@ def adapt(
         As for `identify`.
     without_effort : iterable of str, optional
         As for `identify`; the friction of these joints is the believed one, which is none.
+    accept : str or iterable of str, optional
+        As for `identify`: kinds of findings that do not refuse a recording.
 
     Returns
     -------
@@ -69,7 +73,13 @@ def adapt(
             f"adapt: the estimate ({estimate.method}) breaks its constraints by "
             f"{estimate.violation:.1e}; give one of solve_sdp."
         )
-    prepared = prepare_recordings(old.robot, log, processing, without_effort=without_effort)
+    prepared = prepare_recordings(
+        old.robot,
+        log,
+        processing,
+        without_effort=without_effort,
+        accept=kinds_accepted(accept),
+    )
     links = 10 * old.robot.n_links
     units = np.array(old.base.theta_units)
     rigid = np.isin(units, _RIGID_UNITS)
