@@ -29,7 +29,9 @@ from held_out import GAINS, KINDS, TITLES
 import sdpid
 from sdpid._common.files import atomic_write_text
 from sdpid._common.tables import Table
+from sdpid.assurance.diagnostics.held_out import hold_out
 from sdpid.assurance.diagnostics.rest import moving_rows
+from sdpid.experiment.preparation.several import prepare_recordings
 from sdpid.output.report.grades import MARGIN, graded, grades, level_of
 
 # Recordings of the UR10e without a load, each of another motion.
@@ -135,12 +137,13 @@ def measure(robot_name: str, case: Case) -> tuple[list[Joint], list[tuple[str, s
     """
     title, robot, log, others = case
     joints, bands = [], []
+    blind = sdpid.identify(robot, log, intervals=False)
+    told = {each.joint: each for each in grades(blind.estimate, blind.training, blind.held_out)}
+    prepared = prepare_recordings(robot, log)
     for label, other in others.items():
-        result = sdpid.identify(robot, log, validation=other, intervals=False)
-        blind = sdpid.identify(robot, log, intervals=False)
-        told = {each.joint: each for each in grades(blind.estimate, blind.training, blind.held_out)}
-        assert result.held_out is not None
-        fit, samples = result.held_out.fit, result.held_out.samples
+        shown = hold_out(blind.estimate, blind.wls, prepared.others(other).samples)
+        assert shown is not None
+        fit, samples = shown.fit, shown.samples
         own = blind.training if blind.held_out is None else blind.held_out.fit
         where = f"{title}{' → ' if label else ''}{label[6:]}"
         for each in graded(samples, fit):

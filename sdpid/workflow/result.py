@@ -102,8 +102,9 @@ class Identification:
             "relative residual": self.training.relative,
             "relative residual, unconstrained": self.training_wls.relative,
         }
-        if self.validation is not None:
-            facts["relative residual, validation"] = self.validation.relative
+        if self.held_out is not None:
+            what = "validation" if self.held_out.by == "recording" else "blocks held out"
+            facts[f"relative residual in motion, {what}"] = self.held_out.fit.moving.relative
         errors = Table.of_columns(
             {
                 "joint": list(self.training.joint_names),

@@ -112,7 +112,7 @@ def test_identify_prints_and_writes(results: Path, log: Path) -> None:
     assert "on recordings that were not fitted" in done.stdout
     assert str(out) in done.stdout
     assert "NRMSE" not in done.stdout
-    assert len(done.stdout.splitlines()) < 15
+    assert len(done.stdout.splitlines()) < 16
     assert (out / "training.png").is_file()
     assert (out / "validation.png").is_file()
 

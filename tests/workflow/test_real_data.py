@@ -1,4 +1,4 @@
-"""What the estimators owe to real recordings: the Stäubli TX40 with all its terms."""
+"""What the estimators owe to real recordings: the Stäubli TX40, and the second run of an LWR 4+."""
 
 from __future__ import annotations
 
@@ -9,8 +9,11 @@ import pytest
 
 import sdpid
 from sdpid.assurance.diagnostics.active_constraints import constraint_states
+from sdpid.assurance.diagnostics.held_out import hold_out
+from sdpid.assurance.diagnostics.rest import moving_rows
 from sdpid.estimation.estimate import Estimate
 from sdpid.estimation.problem import Problem
+from sdpid.output.report.grades import graded, grades
 from sdpid.robot.inertia import Consistency
 from sdpid.workflow.formulate import formulate
 from tests.helpers.tolerances import SAME_OPTIMUM
@@ -87,3 +90,20 @@ def test_a_faint_prior_costs_next_to_nothing_and_keeps_masses(data_folder: Path)
     believing = sdpid.solve_sdp(problem(data_folder, "pseudo_inertia", prior=faint))
     assert weak.cost(believing.base) <= (1.0 + NEXT_TO_NOTHING) * best.cost
     assert masses(believing).max() < weak.robot.prior[:, 0].sum()
+
+
+def test_bands_and_grades_hold_on_another_run(data_folder: Path) -> None:
+    folder = data_folder / "kuka_lwr4plus"
+    robot = sdpid.load_robot(folder / "kuka_lwr4.urdf")
+    first, second = (sdpid.read_recording(folder / f"measurements_{run}.npz") for run in (1, 2))
+    found = sdpid.identify(robot, first, validation=second, intervals=False)
+    assert found.held_out is not None
+    fit, samples = found.held_out.fit, found.held_out.samples
+    assert fit.effort_band is not None
+    inside = np.abs(samples.effort - fit.effort_predicted) <= fit.effort_band
+    assert 0.9 <= inside[moving_rows(samples)].mean() <= 0.99
+    blind = grades(found.estimate, found.training, hold_out(found.estimate, found.wls, None))
+    trusted = {each.joint for each in blind if each.level == "good"}
+    kept = {each.joint for each in graded(samples, fit) if each.level == "good"}
+    assert len(trusted) >= 3
+    assert trusted <= kept

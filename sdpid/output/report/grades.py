@@ -17,6 +17,7 @@ from sdpid.assurance.diagnostics.bands import random_motion
 from sdpid.assurance.diagnostics.held_out import HeldOut
 from sdpid.assurance.diagnostics.rest import rows_in_use
 from sdpid.assurance.diagnostics.validation import Validation
+from sdpid.errors import SdpidError
 from sdpid.estimation.estimate import Estimate
 from sdpid.experiment.processing.samples import Samples
 
@@ -136,8 +137,11 @@ _ROOM: WeakKeyDictionary[Estimate, tuple[Level, ...]] = WeakKeyDictionary()
 def _left_room(estimate: Estimate) -> tuple[Level, ...]:
     """Return the level of the error that the parameters alone leave on random other motion."""
     if estimate not in _ROOM:
-        deviation, effort = random_motion(estimate)
-        _ROOM[estimate] = tuple(map(level_of, *_shares(deviation, effort)))
+        try:
+            _ROOM[estimate] = tuple(map(level_of, *_shares(*random_motion(estimate))))
+        except SdpidError:  # no covariance: nothing tells how much is left open
+            unknown: Level = "caution"
+            _ROOM[estimate] = (unknown,) * estimate.problem.robot.n
     return _ROOM[estimate]
 
 

@@ -70,9 +70,9 @@ def headline(result: Judged) -> Headline:
 def _error(result: Judged) -> str:
     """Return the error on what was held out, in motion and at rest."""
     _, fit = judged(result)
-    numbers = f"{percent(fit.moving.relative)} of the effort in motion"
-    if fit.resting is not None:
-        numbers += f", {percent(fit.resting.relative)} at rest"
+    shares = {"in motion": fit.moving if fit.moving.rows.any() else None, "at rest": fit.resting}
+    told = [f"{percent(e.relative)} {where}" for where, e in shares.items() if e is not None]
+    numbers = f"of the effort {', '.join(told)}"
     held_out = result.held_out
     if held_out is None:
         return f"{numbers}, on the data that were fitted: nothing could be held out"
@@ -154,7 +154,7 @@ def _weight(fit: Validation, cause: Cause) -> float:
 
 def _beside(result: Judged) -> str | None:
     """Return the errors of the baselines and of the estimate, on the same rows in motion."""
-    if result.held_out is None:
+    if result.held_out is None or not result.held_out.fit.moving.rows.any():
         return None
     errors = (
         f"{name} {percent(fit.moving.relative)}" for name, fit in result.held_out.every.items()

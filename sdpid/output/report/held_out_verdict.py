@@ -7,6 +7,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from sdpid.assurance.diagnostics.rest import moving_rows
+from sdpid.errors import SdpidError
 from sdpid.output.report.finding import Finding, percent
 from sdpid.output.report.judged import Judged
 
@@ -33,6 +34,13 @@ def _held_out(result: Judged) -> Iterator[Finding]:
             "caution",
             "Nothing was held out, so every error here is on the data that were fitted: how well "
             "it predicts other motion is not known. Give a second recording (--validation).",
+        )
+        return
+    if not held_out.fit.moving.rows.any():
+        yield Finding(
+            "bad",
+            "Nothing moves on what was held out: how well it predicts motion is not known. Give a "
+            "recording of motion with --validation.",
         )
         return
     held, own = held_out.fit.moving.relative, result.training.moving.relative
@@ -86,12 +94,16 @@ def _bands(result: Judged) -> Iterator[Finding]:
 def inside_bands(result: Judged) -> float | None:
     """Return the share of moving rows of other recordings within the 95 % bands, if any."""
     held_out = result.held_out
-    if held_out is None or held_out.by != "recording" or held_out.fit.effort_band is None:
+    if held_out is None or held_out.by != "recording":
         return None
     samples, moving = held_out.samples, moving_rows(held_out.samples)
-    if not moving.any():
+    try:
+        band = held_out.fit.effort_band
+    except SdpidError:  # no covariance; a verdict must not cost the run
         return None
-    inside = np.abs(samples.effort - held_out.fit.effort_predicted) <= held_out.fit.effort_band
+    if band is None or not moving.any():
+        return None
+    inside = np.abs(samples.effort - held_out.fit.effort_predicted) <= band
     return float(inside[moving].mean())
 
 

@@ -67,3 +67,18 @@ def test_the_error_at_rest_stands_apart(good: Identification) -> None:
     words = [text for text in replace(good, held_out=held_out).verdict if "At rest" in text]
     assert len(words) == 1
     assert "stiction" in words[0]
+
+
+def test_a_validation_at_rest_says_nothing_of_motion(good: Identification) -> None:
+    fresh = moved(arm_theta(), 2)
+    still = replace(fresh, velocity=0.0 * fresh.velocity)
+    result = replace(good, held_out=hold_out(good.estimate, good.wls, still))
+    found = headline(result)
+    assert "in motion" not in found.error
+    assert "% at rest" in found.error
+    assert found.baseline is None
+    assert "did not move" in found.worst
+    assert f"record {FIRST} moving" in found.step
+    words = " ".join(result.verdict)
+    assert "Nothing moves on what was held out" in words
+    assert "carries over" not in words

@@ -22,8 +22,10 @@ from lxml import etree
 
 import sdpid
 from sdpid.assurance.diagnostics.active_constraints import constraint_states
+from sdpid.assurance.diagnostics.held_out import hold_out
 from sdpid.estimation.compression.rows import Rows
 from sdpid.output.report import report
+from sdpid.output.report.headline import headline
 from sdpid.output.report.report import report_html, write_report
 from sdpid.workflow.result import Identification
 from tests.helpers.identified import arm_theta, identified, moved
@@ -210,6 +212,23 @@ def test_it_tells_the_whole_story(result: Identification, page: str) -> None:
     for bar in bars:
         widths = [float(re.search(r"width:([\d.]+)%", part.get("style"))[1]) for part in bar]
         assert sum(widths) == pytest.approx(100.0, abs=0.2)
+
+
+def test_it_begins_with_the_verdict_in_short_and_shows_baselines(
+    result: Identification, page: str
+) -> None:
+    shown = words(page)
+    short = headline(result)
+    assert result.held_out is not None
+    least = result.held_out.baselines["least squares"].moving
+    for text in (short.error, short.worst, short.step, "least squares", f"{least.rmse[0]:#.3g}"):
+        assert text in shown, text
+    assert shown.index(short.error) < shown.index(result.verdict[0])
+    blocks = hold_out(result.estimate, result.wls, None)
+    alone = replace(result, validation=None, validation_samples=None, held_out=blocks)
+    shown = words(report_html(alone, figures=False))
+    for text in ("5 blocks (held out in turn)", "relative residual, same motion", *alone.verdict):
+        assert text in shown, text
 
 
 def test_the_same_result_gives_the_same_page(result: Identification, page: str) -> None:
