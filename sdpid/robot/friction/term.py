@@ -184,12 +184,15 @@ class JointwiseTerm(FrictionTerm):
     speed_fields : tuple of str
         Fields that are speeds: one number for all joints, a tuple with one a joint, or None for
         numbers that the data choose, one a joint.
+    slowest : float or None
+        Slowest speed that is searched for open fields, rad/s; None leaves it to the data.
     """
 
     symbol: ClassVar[str]
     unit: ClassVar[str]
     nonnegative: ClassVar[bool]
     speed_fields: ClassVar[tuple[str, ...]] = ()
+    slowest: ClassVar[float | None] = None
 
     @abstractmethod
     def shape(self, velocity: Array, acceleration: Array) -> Array:
@@ -232,7 +235,7 @@ class JointwiseTerm(FrictionTerm):
         self, speeds: Sequence[Array], joint_names: Sequence[str]
     ) -> tuple[OpenParameter, ...]:
         """Return one open parameter per joint for each speed field that is None."""
-        return open_speeds(self, self.speed_fields, speeds)
+        return open_speeds(self, self.speed_fields, speeds, self.slowest)
 
     def with_values(self, values: Sequence[float]) -> FrictionTerm:
         """Return a copy with values for the open speeds: field by field over the joints."""
@@ -286,23 +289,31 @@ def joint_speeds(term: FrictionTerm, field: str, n: int) -> Array:
 
 
 def open_speeds(
-    term: FrictionTerm, fields: Sequence[str], speeds: Sequence[Array]
+    term: FrictionTerm,
+    fields: Sequence[str],
+    speeds: Sequence[Array],
+    slowest: float | None = None,
 ) -> tuple[OpenParameter, ...]:
     """Return one open parameter per joint for each field that is None, with its search limits."""
     return tuple(
-        OpenParameter(f"{field}{j + 1}", *speed_limits(measured), "rad/s")
+        OpenParameter(f"{field}{j + 1}", *speed_limits(measured, slowest), "rad/s")
         for field in fields
         if getattr(term, field) is None
         for j, measured in enumerate(speeds)
     )
 
 
-def speed_limits(measured: Array) -> tuple[float, float]:
-    """Return the lower and upper search limits of an open speed, from measured speeds (K,)."""
+def speed_limits(measured: Array, slowest: float | None = None) -> tuple[float, float]:
+    """Return the lower and upper search limits of an open speed, from measured speeds (K,).
+
+    The lower one is `slowest`, by default a quantile of the speeds, within shares of the top one.
+    """
     top = float(measured.max(initial=0.0))
     if top < _MOVES:
         top = _STANDING
-    slow = float(np.quantile(measured, _SLOW_SHARE)) if measured.size else 0.0
+    slow = slowest
+    if slow is None:
+        slow = float(np.quantile(measured, _SLOW_SHARE)) if measured.size else 0.0
     least, most = _LEAST_OF_TOP
     return float(np.clip(slow, least * top, most * top)), _MOST_OF_TOP * top
 

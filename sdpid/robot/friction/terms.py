@@ -199,6 +199,11 @@ class SigmoidFriction(JointwiseTerm):
     unit: ClassVar[str] = "N.m"
     nonnegative: ClassVar[bool] = True
     speed_fields: ClassVar[tuple[str, ...]] = ("velocity",)
+    # Samples this slow are masked by default, but the filter carries what happens there to others.
+    # From the slowest of the samples, 0.025 to 0.03 rad/s, signs 0.02 rad/s wide were out of reach:
+    # 83 % of the 95 % intervals of viscous friction held the truth of simulated logs, now 98 %.
+    # What is narrower is left to `Coulomb`.
+    slowest: ClassVar[float | None] = 0.02
 
     def __post_init__(self) -> None:
         check_speeds(self, ("velocity",), positive=True)

@@ -223,10 +223,18 @@ def test_limits_follow_the_measured_speeds() -> None:
     assert (fast.lower, fast.upper) == pytest.approx((0.3, 1.5))
     assert 0.0 < standing.lower < standing.upper
     rounding = [np.full(9, 6e-16), np.full(9, 1e-12), np.full(9, 9e-7)]
-    for p in SigmoidFriction().open_parameters(rounding, NAMES):
+    for p in Coulomb(width=None).open_parameters(rounding, NAMES):
         assert (p.lower, p.upper) == (standing.lower, standing.upper)
     nobody = Stribeck().open_parameters([np.zeros(0)] * 3, NAMES)
     assert all(0.0 < p.lower < p.upper for p in nobody)
+
+
+def test_a_sigmoid_is_looked_for_below_the_usual_speeds() -> None:
+    speeds = [np.linspace(0.5, 2.0, 101), np.linspace(0.0, 0.05, 9), np.zeros(4)]
+    usual, slow, standing = SigmoidFriction().open_parameters(speeds, NAMES)
+    assert (usual.lower, usual.upper) == (0.02, 1.0)
+    assert (slow.lower, slow.upper) == pytest.approx((0.005, 0.025))
+    assert 0.0 < standing.lower < standing.upper
 
 
 def test_values_go_field_by_field_over_the_joints() -> None:
