@@ -54,6 +54,10 @@ def identify(
     figures: Annotated[
         bool | None, typer.Option(help="Draw plots. Default: where matplotlib is installed.")
     ] = None,
+    verbose: Annotated[
+        bool,
+        typer.Option("--verbose", "-v", help="Print notes, tables and the whole verdict too."),
+    ] = False,
 ) -> None:
     """Identify a robot: URDF and logs in; consistent URDF, tables, report, certificate out."""
     from sdpid.workflow.results_folder import require_writable
@@ -103,7 +107,7 @@ def identify(
     if figures is None and not draw:
         notes.append("no figures: matplotlib is not installed (pip install 'sdpid[plot]')")
     details = []
-    if printing.verbose:
+    if verbose:
         fits = {"constrained": result.training, "unconstrained": result.training_wls}
         if result.held_out is not None:
             fits["held out"] = result.held_out.fit

@@ -37,10 +37,6 @@ class Printing:
     json: Annotated[bool, _printing("--json", help="Print results as JSON.")] = False
     quiet: Annotated[bool, _printing("--quiet", "-q", help="Print nothing but errors.")] = False
 
-    verbose: Annotated[
-        bool, _printing("--verbose", "-v", help="Print details: notes, tables, the whole verdict.")
-    ] = False
-
     def show(self, values: Any, text: str) -> None:
         """Print the text, the values as JSON with ``--json``, or nothing with ``--quiet``."""
         if self.quiet:
