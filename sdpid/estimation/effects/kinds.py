@@ -16,7 +16,7 @@ import numpy as np
 from sdpid._common.arrays import Array
 from sdpid.robot.friction.posed import LoadFriction, PosedTerm, Tilt
 from sdpid.robot.friction.term import FrictionTerm
-from sdpid.robot.friction.terms import Coulomb, Coupling, RotorInertia, Stribeck
+from sdpid.robot.friction.terms import Coulomb, Coupling, RotorInertia, SigmoidFriction, Stribeck
 from sdpid.robot.model.model import RobotModel
 
 # A base that stands askew by more than this is seen by eye, degrees.
@@ -36,12 +36,15 @@ class Effect(ABC):
         Share by which it must lower the cost of the training data to be chosen.
     meaning : str
         What it says of the robot where it is chosen.
+    bends_friction : bool
+        Whether friction speeds that were chosen without it are chosen again with it.
     """
 
     name: ClassVar[str]
     title: ClassVar[str]
     least_fall: ClassVar[float]
     meaning: ClassVar[str]
+    bends_friction: ClassVar[bool] = False
 
     @abstractmethod
     def term(self, robot: RobotModel, terms: Sequence[FrictionTerm]) -> FrictionTerm | None:
@@ -160,6 +163,7 @@ class FallingFriction(Effect):
     # arms, of which one predicts a tenth worse with it.
     least_fall: ClassVar[float] = 0.35
     meaning: ClassVar[str] = "friction falls with speed at first"
+    bends_friction: ClassVar[bool] = True
 
     def term(self, robot: RobotModel, terms: Sequence[FrictionTerm]) -> FrictionTerm | None:
         """Return a peak of friction about standstill, whose speed the data choose."""
@@ -179,11 +183,38 @@ EFFECTS: tuple[Effect, ...] = (
 )
 
 
-def at_bodies(term: FrictionTerm, bodies: Array) -> FrictionTerm:
-    """Return a term with its columns taken at other links' parameters (links, 10)."""
+def at_estimate(
+    term: FrictionTerm,
+    bodies: Array,
+    friction: Mapping[str, float],
+    terms: Sequence[FrictionTerm],
+) -> FrictionTerm:
+    """Return a term with its columns taken at an estimate, where they depend on it.
+
+    Parameters
+    ----------
+    term : FrictionTerm
+        Of an effect; others are returned as they are.
+    bodies : ndarray, shape (links, 10)
+        The estimate's links.
+    friction : mapping of str to float
+        Its parameters by name.
+    terms : sequence of FrictionTerm
+        Its terms, without open parameters.
+    """
     if not isinstance(term, PosedTerm):
         return term
-    return replace(term, bodies=tuple(tuple(float(x) for x in body) for body in bodies))
+    moved = replace(term, bodies=tuple(tuple(float(x) for x in body) for body in bodies))
+    sigmoids = [each for each in terms if isinstance(each, SigmoidFriction)]
+    if not (isinstance(moved, LoadFriction) and sigmoids):
+        return moved
+    # Friction of the load bends where the joint's other friction does.
+    n = sum(1 for name in friction if name.startswith("Fsg"))
+    parts = np.array([[friction.get(f"{s}{j + 1}", 0.0) for j in range(n)] for s in ("Fs", "Fsg")])
+    total = np.maximum(parts.sum(axis=0), np.finfo(float).tiny)
+    share = np.clip(parts[1] / total, 0.0, 1.0)
+    speeds = sigmoids[0].speed("velocity", n)
+    return replace(moved, share=tuple(share.tolist()), velocity=tuple(speeds.tolist()))
 
 
 def _holds(terms: Sequence[FrictionTerm], kind: type[FrictionTerm]) -> bool:

@@ -10,11 +10,10 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
-from sdpid._common.arrays import Array
 from sdpid.errors import IdentifiabilityError
 from sdpid.estimation.compression.covariance import pooled
 from sdpid.estimation.effects.choose import close_terms
-from sdpid.estimation.effects.kinds import EFFECTS, Effect, at_bodies
+from sdpid.estimation.effects.kinds import EFFECTS, Effect, at_estimate
 from sdpid.estimation.effects.tried import Tried
 from sdpid.estimation.estimate import Estimate
 from sdpid.estimation.prior.prior import Prior
@@ -163,9 +162,8 @@ def _greedy(problem: Problem, prior: Prior | None) -> tuple[list[_Trial], list[_
     taken: list[_Trial] = []
     closed: dict[Effect, FrictionTerm] = {}
     while True:
-        bodies = _bodies(estimate)
-        terms = tuple(at_bodies(term, bodies) for term in terms)
-        candidates = _candidates(problem, terms, closed, bodies)
+        terms = tuple(_at(term, estimate) for term in terms)
+        candidates = _candidates(problem, terms, closed, estimate)
         if not candidates:
             return taken, []
         trials = Trials.of(problem, (*terms, *candidates.values()), prior)
@@ -202,7 +200,7 @@ def _candidates(
     problem: Problem,
     terms: tuple[FrictionTerm, ...],
     closed: dict[Effect, FrictionTerm],
-    bodies: Array,
+    estimate: Estimate,
 ) -> dict[Effect, FrictionTerm]:
     """Return the terms of effects that have a place beside others, their open numbers closed.
 
@@ -215,7 +213,7 @@ def _candidates(
             continue
         if effect not in closed:
             closed[effect] = _closed(problem, terms, term)
-        found[effect] = at_bodies(closed[effect], bodies)
+        found[effect] = _at(closed[effect], estimate)
     return found
 
 
@@ -239,12 +237,15 @@ def _built(
     for effect in effects:
         term = effect.term(problem.robot, (*problem.friction.terms, *terms))
         assert term is not None
-        terms.append(at_bodies(term, _bodies(estimate)))
-    built = rebuild((*given, *terms))
+        terms.append(_at(term, estimate))
+    bent = any(effect.bends_friction for effect in effects)
+    built = rebuild((*(given if bent else problem.friction.terms), *terms))
+    if not bent:
+        built = replace(built, profiled=problem.profiled)
     if not any(isinstance(term, PosedTerm) for term in terms):
         return built
-    bodies = _bodies(solve_sdp(built))
-    closed = tuple(at_bodies(term, bodies) for term in built.friction.terms)
+    found = solve_sdp(built)
+    closed = tuple(_at(term, found) for term in built.friction.terms)
     return replace(rebuild(closed), profiled=built.profiled)
 
 
@@ -260,9 +261,12 @@ def _left_out(trial: _Trial) -> Tried:
     )
 
 
-def _bodies(estimate: Estimate) -> Array:
+def _at(term: FrictionTerm, estimate: Estimate) -> FrictionTerm:
+    """Return a term with its columns taken at an estimate, where they depend on it."""
     assert estimate.theta is not None
-    return estimate.problem.feasible.bodies(estimate.theta)
+    problem = estimate.problem
+    bodies = problem.feasible.bodies(estimate.theta)
+    return at_estimate(term, bodies, _named(estimate), problem.friction.terms)
 
 
 def _named(estimate: Estimate) -> Mapping[str, float]:

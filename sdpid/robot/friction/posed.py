@@ -112,13 +112,26 @@ class LoadFriction(PosedTerm):
     ----------
     width : float or tuple of float
         Width (rad/s) of the sign, as for `Coulomb`: one for all joints, or one per joint.
+    share : tuple of float
+        Of each joint the share of the sign that a sigmoid has in place of it, with the friction
+        that does not depend on the load; empty for none.
+    velocity : tuple of float
+        Speeds (rad/s) of that sigmoid, as for `SigmoidFriction`.
     """
 
     width: float | tuple[float, ...] = 0.0
+    share: tuple[float, ...] = ()
+    velocity: tuple[float, ...] = ()
     symbol: ClassVar[str] = "Fl"
 
     def __post_init__(self) -> None:
         check_speeds(self, ("width",))
+        check_speeds(self, ("velocity",), positive=True)
+        if len(self.share) != len(self.velocity):
+            raise ModelError(
+                f"LoadFriction: share has {len(self.share)} values, velocity {len(self.velocity)}; "
+                "give one a joint of each."
+            )
 
     def parameters(self, joint_names: Sequence[str]) -> tuple[TermParameter, ...]:
         """Return one share of the load a joint."""
@@ -134,12 +147,20 @@ class LoadFriction(PosedTerm):
                 self._bodies(motion), motion.position, motion.velocity, motion.acceleration
             )
         )
-        width = joint_speeds(self, "width", load.shape[1])
-        sign = motion.filtered(lambda v, _: smooth_sign(v, width, 0.0), ("sign", self.width))
+        sign = motion.filtered(self._sign, ("load", self.width, self.share, self.velocity))
         joints = np.arange(load.shape[1])
         columns = np.zeros((*load.shape, len(joints)))
         columns[:, joints, joints] = load * sign
         return columns
+
+    def _sign(self, velocity: Array, acceleration: Array) -> Array:
+        n = velocity.shape[1]
+        sign = smooth_sign(velocity, joint_speeds(self, "width", n), 0.0)
+        if not self.share:
+            return sign
+        share = np.asarray(self.share)
+        slow = np.tanh(velocity / joint_speeds(self, "velocity", n))
+        return np.asarray((1.0 - share) * sign + share * slow)
 
 
 def horizontal_axes(gravity: Array) -> Array:

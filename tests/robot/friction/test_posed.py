@@ -80,6 +80,18 @@ def test_friction_of_the_load_is_a_share_of_the_efforts(robot: RobotModel) -> No
     np.testing.assert_allclose(columns @ share, expected, atol=1e-10)
 
 
+def test_friction_of_the_load_may_share_its_sign_with_a_sigmoid() -> None:
+    motion, bodies = motion_of(ARM, 5), bodies_of(ARM, 5)
+    share, speeds = (0.0, 0.3, 1.0, 0.5), (0.1, 0.2, 0.5, 1.0)
+    term = LoadFriction(bodies, share=share, velocity=speeds)
+    found = term.columns_in(motion, ARM.joint_names).sum(axis=1)
+    v, c = motion.velocity, np.array(share)
+    sign = (1.0 - c) * np.sign(v) + c * np.tanh(v / np.array(speeds))
+    np.testing.assert_allclose(found, np.abs(efforts(ARM, motion, bodies)) * sign, atol=1e-10)
+    with pytest.raises(ModelError, match="one a joint of each"):
+        LoadFriction(share=(0.5,))
+
+
 def test_bodies_of_the_description_are_the_default() -> None:
     robot = load_robot(TREE)
     motion = motion_of(robot, 2)
