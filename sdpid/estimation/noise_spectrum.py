@@ -198,25 +198,32 @@ def _bands(
         slopes = bending.columns(rows.motion(part))
         stacked = np.concatenate([own[:, :, :-1], slopes, residual], axis=2)
         weighted = whiten(stacked, sigma if sigma.ndim == 2 else sigma[part], mask, exponent)
-        used = mask.mean(axis=0)
+        used = np.count_nonzero(mask, axis=0)
         for j in range(n):
             seen = np.flatnonzero(np.any(weighted[:, j] != 0.0, axis=0))
             place = np.ix_(seen, seen)
             for m, coefficients in _transformed(weighted[:, j, seen]):
                 products[j, m][place] += coefficients.T @ coefficients
-                count[j, m] += used[j] * len(coefficients)
+                count[j, m] += used[j] * len(coefficients) / _padded(len(mask))
     return products, count
+
+
+def _padded(count: int) -> int:
+    """Return the length that signals of `count` samples are padded to: a fast one."""
+    from scipy.fft import next_fast_len
+
+    return int(next_fast_len(count, real=True))
 
 
 def _transformed(signals: Array) -> list[tuple[int, Array]]:
     """Return the band numbers and the real Fourier coefficients (k, columns) of signals (K, …).
 
-    Their squares add up to those of the signals.
+    There are `_padded` of them; their squares add up to those of the signals.
     """
     from scipy.fft import rfft
 
-    size = len(signals)
-    found = rfft(signals, axis=0, norm="ortho")
+    size = _padded(len(signals))
+    found = rfft(signals, size, axis=0, norm="ortho")
     single = [0, *([size // 2] if size % 2 == 0 else [])]
     found *= np.sqrt(2.0)
     found[single] /= np.sqrt(2.0)
