@@ -33,6 +33,10 @@ _ROUNDED = 1e-6
 # have little but friction: a third is a belief that their friction is less than it is.
 _FRICTION_SHARE = 1.0
 
+# Parameters that are believed to be alike, such as Coulomb friction in both directions, differ by
+# less than they are believed to be large, by this factor.
+_ALIKE = 3.0
+
 
 # A link that the description gives no mass is believed to be a ball of the mean link's mass, its
 # radius of gyration this share of the robot's length; with a standard deviation this many
@@ -192,10 +196,10 @@ def prior_terms(prior: Prior, rows: Rows, *, data: tuple[Array, Array] | None = 
         own = slice(10 * i, 10 * i + 10)
         R[own, own] = _block(prior.kind, body) / (1.0 if i in known else _VAGUE)
     r = R[:, : bodies.size] @ bodies.ravel()
-    weights = _friction_weights(rows) if prior.friction else np.zeros(0)
-    F = np.zeros((len(weights), theta_size))
-    F[:, theta_size - len(weights) :] = np.diag(weights)
-    f = np.zeros(len(weights))
+    belief = _friction_rows(rows) if prior.friction else np.zeros((0, 0))
+    F = np.zeros((len(belief), theta_size))
+    F[:, theta_size - len(belief) :] = belief
+    f = np.zeros(len(belief))
     if prior.strength == "evidence":
         if data is None:
             raise DataError(
@@ -269,6 +273,19 @@ def _at_end(strength: float) -> str:
     if strength > STRONGEST * (1.0 - _AT_END):
         return " (the most that is tried)"
     return ""
+
+
+def _friction_rows(rows: Rows) -> Array:
+    """Return the rows (f, f) whose squared norm is twice the nats of the friction parameters."""
+    weights = _friction_weights(rows)
+    found = np.diag(weights)
+    for i, j in rows.friction.alike:
+        # A side that never moved has no weight of its own.
+        weight = max(float(weights[i]), float(weights[j]))
+        found[[i, j]] = 0.0
+        found[i, [i, j]] = 0.5 * weight
+        found[j, [i, j]] = _ALIKE * weight, -_ALIKE * weight
+    return found
 
 
 def _friction_weights(rows: Rows) -> Array:

@@ -119,6 +119,17 @@ class FrictionModel:
             start += block.shape[2]
         return columns
 
+    @property
+    def alike(self) -> tuple[tuple[int, int], ...]:
+        """Pairs of parameters, by index, that are believed to be alike."""
+        pairs: list[tuple[int, int]] = []
+        start = 0
+        for term in self.terms:
+            own = term.alike(self.joint_names)
+            pairs += [(start + i, start + j) for i, j in own]
+            start += len(term.parameters(self.joint_names))
+        return tuple(pairs)
+
     def characteristic_speeds(self) -> Array:
         """Return speeds (k, joints) at which the columns of each joint bend, such as widths."""
         n = len(self.joint_names)

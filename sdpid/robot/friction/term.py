@@ -160,6 +160,10 @@ class FrictionTerm(ABC):
             raise ModelError(f"{type(self).__name__}: has no open parameters.")
         return self
 
+    def alike(self, joint_names: Sequence[str]) -> tuple[tuple[int, int], ...]:
+        """Return pairs of parameters, by index, that are believed to be alike. None by default."""
+        return ()
+
     def characteristic_speeds(self, n: int) -> Array:
         """Return speeds (k, n) at which columns bend, such as widths. None by default.
 

@@ -238,6 +238,8 @@ class _NegativeCoulomb(_OneSidedCoulomb):
 class AsymmetricCoulomb(FrictionTerm):
     """Coulomb friction ``Fsp`` for positive and ``Fsn`` for negative velocity, both ≥ 0.
 
+    A prior believes that both sides are alike, so that a motion in one direction determines both.
+
     Attributes
     ----------
     width, dead_zone
@@ -269,6 +271,11 @@ class AsymmetricCoulomb(FrictionTerm):
         """Return the columns of the two sides as they stand in filtered efforts."""
         sides = [side.columns_in(motion, joint_names) for side in self._sides()]
         return np.concatenate(sides, axis=2)
+
+    def alike(self, joint_names: Sequence[str]) -> tuple[tuple[int, int], ...]:
+        """Return both sides of every joint: a side that never moved is like the other."""
+        n = len(joint_names)
+        return tuple((j, n + j) for j in range(n))
 
     def open_parameters(
         self, speeds: Sequence[Array], joint_names: Sequence[str]
