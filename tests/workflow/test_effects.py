@@ -40,3 +40,10 @@ def test_what_was_chosen_is_told_and_stands_in_the_result() -> None:
 def test_costs_that_are_no_likelihood_choose_nothing() -> None:
     problem = formulate(arm(), recorded(1), weighting="eq9")
     assert problem.effects == ()
+
+
+def test_without_consistency_and_without_a_prior() -> None:
+    for options in ({"consistency": "none"}, {"prior": False}):
+        problem = formulate(arm(), recorded(1), **options)
+        assert problem.effects
+        assert not any(each.chosen for each in problem.effects)

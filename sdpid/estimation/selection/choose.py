@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
-from sdpid.errors import IdentifiabilityError
+from sdpid.errors import IdentifiabilityError, SolverError
 from sdpid.estimation.compression.covariance import pooled
 from sdpid.estimation.effects.choose import close_terms
 from sdpid.estimation.effects.kinds import EFFECTS, Effect, at_estimate
@@ -96,17 +96,20 @@ def with_chosen_effects(
     Problem
         With `effects` filled in: what was chosen, and what was tried and left out.
     """
-    taken, left_out = _greedy(problem, prior)
+    try:
+        taken, left_out = _greedy(problem, prior)
+    except SolverError:
+        # Whoever solves the problem itself is told why it has no optimum.
+        return problem
     while taken:
         try:
             effects = [trial.effect for trial in taken]
             final = _built(problem, given, effects, taken[-1].estimate, rebuild)
-        except IdentifiabilityError:
+            found = _named(_solved(final))
+        except (IdentifiabilityError, SolverError):
             # Without a prior what the data show may still not be determined joint by joint.
-            last = taken.pop()
-            left_out.append(last)
+            left_out.append(taken.pop())
             continue
-        found = _named(solve_sdp(final))
         told = [
             trial.told(
                 True,
@@ -143,8 +146,8 @@ def with_effects(
             terms = (*terms, term)
     if not asked:
         return problem
-    final = _built(problem, given, asked, solve_sdp(problem), rebuild)
-    found = _named(solve_sdp(final))
+    final = _built(problem, given, asked, _solved(problem), rebuild)
+    found = _named(_solved(final))
     told = (
         Tried(
             name=effect.name,
@@ -158,7 +161,7 @@ def with_effects(
 
 def _greedy(problem: Problem, prior: Prior | None) -> tuple[list[_Trial], list[_Trial]]:
     """Return the trials that were taken, and those of the last round, which were not."""
-    terms, estimate = problem.friction.terms, solve_sdp(problem)
+    terms, estimate = problem.friction.terms, _solved(problem)
     taken: list[_Trial] = []
     closed: dict[Effect, FrictionTerm] = {}
     while True:
@@ -167,7 +170,7 @@ def _greedy(problem: Problem, prior: Prior | None) -> tuple[list[_Trial], list[_
         if not candidates:
             return taken, []
         trials = Trials.of(problem, (*terms, *candidates.values()), prior)
-        before = solve_sdp(trials.with_terms(terms))
+        before = _solved(trials.with_terms(terms))
         tried = [
             _tried(effect, term, before, trials.with_terms((*terms, term)), trials.independent)
             for effect, term in candidates.items()
@@ -186,7 +189,7 @@ def _tried(
     """Solve with an effect, and compare."""
     from scipy.special import fdtrc
 
-    after = solve_sdp(problem)
+    after = _solved(problem)
     saved = max(before.cost - after.cost, 0.0)
     count = len(term.parameters(problem.friction.joint_names))
     probability = 1.0
@@ -244,7 +247,7 @@ def _built(
         built = replace(built, profiled=problem.profiled)
     if not any(isinstance(term, PosedTerm) for term in terms):
         return built
-    found = solve_sdp(built)
+    found = _solved(built)
     closed = tuple(_at(term, found) for term in built.friction.terms)
     return replace(rebuild(closed), profiled=built.profiled)
 
@@ -259,6 +262,17 @@ def _left_out(trial: _Trial) -> Tried:
         f"{trial.effect.title} would lower the cost by {100.0 * trial.fall:.1f} % (probability by "
         f"chance {trial.probability:.1g}): {reason}",
     )
+
+
+def _solved(problem: Problem) -> Estimate:
+    """Return the optimum, or what a solver found that could not prove it: enough to compare."""
+    try:
+        return solve_sdp(problem)
+    except SolverError as error:
+        found: Estimate | None = error.found
+        if found is None or found.theta is None or not found.feasible:
+            raise
+        return found
 
 
 def _at(term: FrictionTerm, estimate: Estimate) -> FrictionTerm:

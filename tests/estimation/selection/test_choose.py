@@ -8,9 +8,10 @@ import numpy as np
 import pytest
 
 from sdpid._common.arrays import Array
-from sdpid.errors import DataError
+from sdpid.errors import DataError, SolverError
 from sdpid.estimation.compression.covariance import residual_covariance
 from sdpid.estimation.effects.kinds import EFFECTS, TiltedBase
+from sdpid.estimation.estimate import Estimate
 from sdpid.estimation.prior.prior import Prior
 from sdpid.estimation.problem import Problem, build_problem, describe
 from sdpid.estimation.sdp.solve import solve_sdp
@@ -198,3 +199,25 @@ def test_rows_elsewhere_are_refused() -> None:
     problem = build_problem(ARM, logged(), friction=TERMS, weighting="residual")
     with pytest.raises(DataError, match="rows"):
         Trials.of(problem.without_rows(), problem.friction.terms, None)
+
+
+def test_a_solver_that_fails_costs_the_choice_and_not_the_problem(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    def failing(problem: Problem) -> Estimate:
+        raise SolverError("no optimum")
+
+    monkeypatch.setattr("sdpid.estimation.selection.choose.solve_sdp", failing)
+    problem = chosen(logged("tilt"))
+    assert problem.effects == ()
+    assert Tilt not in {type(term) for term in problem.friction.terms}
+
+
+def test_what_was_found_without_a_proof_is_enough_to_compare(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    def unproven(problem: Problem) -> Estimate:
+        raise SolverError("gap", found=solve_sdp(problem))
+
+    monkeypatch.setattr("sdpid.estimation.selection.choose.solve_sdp", unproven)
+    assert names(chosen(logged("tilt"))) == {"tilt"}
