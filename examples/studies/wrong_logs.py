@@ -29,6 +29,7 @@ from sdpid._common.arrays import Array
 from sdpid._common.tables import Table
 from sdpid.experiment.inspection.finding import Finding
 from sdpid.experiment.inspection.inspect import inspect_recordings
+from sdpid.experiment.plant.simulate import true_parameters
 from sdpid.experiment.recording.joints import match_joints
 from sdpid.robot.model.described_efforts import described_efforts
 
@@ -185,6 +186,12 @@ def loaded(good: Good) -> tuple[list[sdpid.Recording], sdpid.RobotModel]:
     ], robot
 
 
+def hanging(good: Good) -> tuple[list[sdpid.Recording], sdpid.RobotModel]:
+    """Return a log, and the robot described upside down."""
+    robot = with_gravity(good.robot, -good.robot.gravity)
+    return [good.log], replace(robot, prior=good.robot.prior)
+
+
 def constants(good: Good) -> Array:
     """Return N·m per ampere of each joint."""
     return np.linspace(*TORQUE_CONSTANTS, good.log.n)
@@ -283,7 +290,7 @@ KINDS = (
     Wrong(
         words="hangs, described as standing",
         kinds=("gravity_direction",),
-        spoiled=lambda g: ([g.log], with_gravity(g.robot, -g.robot.gravity)),
+        spoiled=hanging,
     ),
     Wrong(words="ms read as s", kinds=("time_unit",), spoiled=lambda g: retimed(g, 1e3)),
     Wrong(
@@ -348,7 +355,11 @@ def simulated(seeds: int, data: Path | None) -> Iterator[Good]:
     for robot in there(data):
         for seed in range(seeds):
             log, truth = log_of(drawn(robot, seed), seed, data)
-            yield good(f"{robot}, simulated", truth.robot, log)
+            described = truth.robot
+            if robot == "denso":  # its description gives no masses
+                bodies = true_parameters("denso_vp6242")[: 10 * described.n_links]
+                described = replace(described, prior=bodies.reshape(-1, 10))
+            yield good(f"{robot}, simulated", described, log)
 
 
 def recorded(data: Path | None) -> Iterator[Good]:
@@ -367,7 +378,10 @@ def named(wrong: Wrong, log: Good, findings: Sequence[Finding]) -> bool:
         right = wrong.of_joint and finding.joint not in (None, joint)
         if finding.kind in wrong.kinds and finding.severity != "note" and not right:
             return True
-        what = {"position_sign": f"position of {joint} has the wrong sign"}.get(wrong.kinds[0])
+        what = {
+            "position_sign": f"position of {joint} has the wrong sign",
+            "axis_sign": f"position and effort of {joint} count the other way round",
+        }.get(wrong.kinds[0])
         if what is not None and what in finding.message:
             return True
     return False

@@ -27,8 +27,8 @@ _KEPT = 4
 _THINNED = 2
 # Positions that never pass this (rad) are not tried as degrees: 3 degrees are no motion.
 _LEAST_DEGREES = math.pi
-# Changes whose misfits are this close cannot be told apart.
-_ALIKE = 0.3
+# Changes whose misfits are this close cannot be told apart: as much is gained by chance.
+_ALIKE = 0.9
 # A joint's zero may be a quarter or half a turn away from the description's.
 _QUARTERS = (0.5 * math.pi, -0.5 * math.pi, math.pi)
 _MOVED = ("position", "velocity", "acceleration", "sign")
@@ -190,8 +190,12 @@ def _price(log: CorrectedLog) -> float:
 
 def _children(log: CorrectedLog) -> list[CorrectedLog]:
     """Return the logs that one more change makes, the best ones."""
-    tried = [(log.changed(change), change) for change in _changes(log)]
-    tried.sort(key=lambda each: each[0].misfit)
+    listed = [(log.changed(change), change) for change in _changes(log)]
+    tried = sorted(listed, key=lambda each: each[0].misfit)
+    # Of those that do as well as the best the likeliest counts.
+    near = tried[0][0].misfit + _ALIKE
+    likeliest = next(each for each in listed if each[0].misfit < near)
+    tried = [likeliest, *(each for each in tried if each is not likeliest)]
     children = []
     for child, change in tried[:_KEPT]:
         near = child.misfit + _ALIKE

@@ -9,7 +9,7 @@ import numpy as np
 from sdpid._common.arrays import Array
 from sdpid.experiment.inspection.finding import Finding, Subject, check
 from sdpid.experiment.inspection.rows import Rows
-from sdpid.experiment.recording.velocities import velocity_fit
+from sdpid.experiment.recording.rest import moving
 from sdpid.robot.model.model import RobotModel
 
 # Delays below this (s), and below this many samples, are the drives' own and those of filters: of
@@ -32,16 +32,15 @@ _CORRELATED = 0.9
 @check
 def late_velocities(subject: Subject) -> Iterator[Finding]:
     """Find recorded velocities that are late, or early, against the rate of the positions."""
-    if subject.log.velocity is None or not subject.pieces:
+    rows = subject.low_passed
+    if rows is None or rows.recorded_velocity is None:
         return
-    _, longest = max(subject.pieces, key=lambda each: each[1].n_samples)
-    limit = max(_LEAST_DELAY, _LEAST_STEPS * longest.step)
-    fits = {name: velocity_fit(longest, j) for j, name in enumerate(longest.names)}
-    lags = {
-        name: fit.lag
-        for name, fit in fits.items()
-        if fit is not None and fit.correlation >= _CORRELATED and abs(fit.lag) >= limit
-    }
+    limit = max(_LEAST_DELAY, _LEAST_STEPS * rows.step)
+    lags = {}
+    for j in np.flatnonzero(moving(*subject.position_range)).tolist():
+        lag = _lag(rows.recorded_velocity[:, j], rows.velocity[:, j], rows.acceleration[:, j])
+        if lag is not None and abs(lag) >= limit:
+            lags[subject.log.names[j]] = lag
     if not lags:
         return
     worst = max(lags.values(), key=abs)
@@ -56,6 +55,20 @@ def late_velocities(subject: Subject) -> Iterator[Finding]:
         remedy="shift it, or leave the velocity out (velocity=none)",
         numbers={"delay": worst, "limit": limit},
     )
+
+
+def _lag(measured: Array, velocity: Array, acceleration: Array) -> float | None:
+    """Return by how much a velocity is late, s; None where it is another signal.
+
+    A signal that is late by a little is itself less its derivative times the delay.
+    """
+    columns = np.column_stack([velocity, acceleration, np.ones_like(velocity)])
+    weights = np.linalg.lstsq(columns, measured, rcond=None)[0]
+    left = measured - columns @ weights
+    power = float(np.var(measured))
+    if weights[0] == 0.0 or not float(np.var(left)) < (1.0 - _CORRELATED**2) * power:
+        return None
+    return -float(weights[1] / weights[0])
 
 
 @check

@@ -15,8 +15,11 @@ from sdpid.experiment.recording.stored import blocks, extremes
 _SPIKE = 30.0
 _PERCENTILE = 99.0
 # A channel is clipped where it stays at its very largest value for this many samples in a row,
-# this many times, in this share of all rows.
-_PLATEAU, _PLATEAUS, _CLIPPED = 5, 2, 0.002
+# this many times or once for so many samples, and in this share of all rows.
+_PLATEAU, _PLATEAUS, _LONG, _CLIPPED = 5, 2, 20, 0.002
+# A clipped velocity is passed by the rate of the position by this factor; a robot that runs at one
+# speed is not clipped.
+_PASSED = 1.02
 # Of a signal in coarse steps the step below the largest is as long: clipped ones are this many
 # times as long there as on it.
 _LONGER = 3.0
@@ -79,6 +82,8 @@ def clipped(subject: Subject) -> Iterator[Finding]:
                 rows = _plateaus(values, float(limit))
                 if limit == 0.0 or rows < _CLIPPED * values.size:
                     continue
+                if quantity == "velocity" and not _passed(subject, j, float(limit)):
+                    continue
                 yield Finding(
                     severity="warning",
                     kind=f"{quantity}_clipped",
@@ -93,12 +98,21 @@ def clipped(subject: Subject) -> Iterator[Finding]:
                 )
 
 
+def _passed(subject: Subject, j: int, limit: float) -> bool:
+    """Return whether the rate of a joint's position goes beyond a largest or least velocity."""
+    rows = subject.low_passed
+    if rows is None:
+        return False
+    speeds = rows.velocity[:, j]
+    return bool(speeds.max() > limit * _PASSED or speeds.min() < limit * _PASSED)
+
+
 def _plateaus(values: Array, limit: float) -> int:
     """Return the number of rows in plateaus at the largest or least value, 0 if not clipped."""
     edges = np.flatnonzero(np.diff((values == limit).astype(np.int8), prepend=0, append=0))
     lengths = edges[1::2] - edges[::2]
     lengths = lengths[lengths >= _PLATEAU]
-    if lengths.size < _PLATEAUS:
+    if lengths.size < _PLATEAUS and lengths.max(initial=0) < _LONG:
         return 0
     others = values[values != limit]
     if others.size:

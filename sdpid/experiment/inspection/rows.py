@@ -23,6 +23,7 @@ _ROWS = 300
 _READ = 1 << 19
 # Positions are averaged down to this rate (Hz) before the motion's frequency is looked for.
 _RATE_OF_MOTION = 200.0
+_LEAST_MEANS = 20
 # The low-pass filter lets pass this many times the frequency of the motion, and at least 1 Hz.
 _PASS, _LEAST_PASS = 10.0, 1.0
 # Samples for each period of the cut-off.
@@ -46,6 +47,8 @@ class Rows:
         Smooth sign of the velocity, filtered like the effort.
     effort, effort_rate : ndarray, shape (K, n)
         The effort and its derivative.
+    recorded_velocity : ndarray, shape (K, n), or None
+        The recorded velocity, where there is one.
     usable : ndarray of bool, shape (n,)
         Which joints move on their own and have an effort.
     motion_hz : float
@@ -60,6 +63,7 @@ class Rows:
     sign: Array
     effort: Array
     effort_rate: Array
+    recorded_velocity: Array | None
     usable: NDArray[np.bool_]
     motion_hz: float
     step: float
@@ -93,15 +97,24 @@ def low_passed(pieces: Sequence[Recording], without: Collection[str] = ()) -> Ro
     stride = -(-sum(len(part[0]) for part in parts) // _ROWS)
     tables = [np.concatenate([part[i][::stride] for part in parts]) for i in range(len(parts[0]))]
     names = ("position", "velocity", "acceleration", "sign", "effort", "effort_rate")
-    signals = dict(zip(names, tables, strict=True))
+    signals = dict(zip(names, tables, strict=False))
+    recorded = tables[len(names)] if len(tables) > len(names) else None
     has_effort = np.ptp(signals["effort"], axis=0) > 0.0
     known = np.array([name not in without for name in longest.names])
-    return Rows(**signals, usable=moves & has_effort & known, motion_hz=motion, step=longest.step)
+    return Rows(
+        **signals,
+        recorded_velocity=recorded,
+        usable=moves & has_effort & known,
+        motion_hz=motion,
+        step=longest.step,
+    )
 
 
 def _motion(log: Recording, grid: Grid, moves: NDArray[np.bool_]) -> float | None:
     """Return the frequency below which 95 % of the motion lies, the median over joints."""
     count = max(1, int(1.0 / (grid.step * _RATE_OF_MOTION)))
+    if min(grid.count, _READ) < _LEAST_MEANS * count:
+        return None
     found = []
     for j in np.flatnonzero(moves):
         position = _averaged(log.position[:, j], grid, count)
@@ -112,7 +125,7 @@ def _motion(log: Recording, grid: Grid, moves: NDArray[np.bool_]) -> float | Non
 
 
 def _filtered(log: Recording, grid: Grid, cutoff: float) -> tuple[Array, ...] | None:
-    """Return the six signals of `Rows` of a piece, (samples, n) each; None if it is too short."""
+    """Return the signals of `Rows` of a piece, (samples, n) each; None if it is too short."""
     from scipy.ndimage import gaussian_filter1d
 
     count = max(1, int(1.0 / (grid.step * _SAMPLES * cutoff)))
@@ -134,7 +147,7 @@ def _filtered(log: Recording, grid: Grid, cutoff: float) -> tuple[Array, ...] | 
     position, effort = channels(log.position), channels(log.effort)
     # The sign changes fast: it is taken of a velocity that is filtered less, and then filtered.
     sign = np.tanh(smooth(position, 1, 0.25) / _WIDTH)
-    signals = (
+    signals: tuple[Array, ...] = (
         smooth(position, 0),
         smooth(position, 1),
         smooth(position, 2),
@@ -142,6 +155,8 @@ def _filtered(log: Recording, grid: Grid, cutoff: float) -> tuple[Array, ...] | 
         smooth(effort, 0),
         smooth(effort, 1),
     )
+    if log.velocity is not None:
+        signals = (*signals, smooth(channels(log.velocity), 0))
     return tuple(each[edge:-edge] for each in signals)
 
 

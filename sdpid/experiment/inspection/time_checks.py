@@ -19,6 +19,9 @@ _COMPARED = 100_000
 # Slower or faster, in Hz, no controller logs; stamps in ms that are read as seconds do, and stamps
 # in seconds that are read as ms. The fastest logs of drives have 20 kHz.
 _LEAST_RATE, _FASTEST_RATE = 2.0, 25e3
+# Logs of 5 kHz, too, whose stamps in ms are read as seconds: below this rate some joint must be
+# faster than this (rad/s, or m/s). Excitations reach fifty times as much.
+_SLOW_RATE, _LEAST_SPEED = 25.0, 0.02
 # Stamps that are off a regular clock by this part of a step jitter.
 _JITTER = 0.05
 # More than this share of lost samples is no accident.
@@ -48,6 +51,20 @@ def units_of_time(subject: Subject) -> Iterator[Finding]:
             remedy=f"where that is wrong, {_GIVE_UNIT}",
             numbers={"rate": log.rate_hz},
         )
+    rows = subject.low_passed if log.rate_hz < _SLOW_RATE else None
+    if rows is not None and log.rate_hz >= _LEAST_RATE:
+        fastest = float(np.abs(rows.velocity).max())
+        if fastest < _LEAST_SPEED:
+            yield Finding(
+                severity="refuse",
+                kind="time_unit",
+                message=(
+                    f"time: at {log.rate_hz:.3g} Hz no joint is faster than {fastest:.2g} rad/s, "
+                    f"limit {_LEAST_SPEED:g} rad/s: the stamps may be in ms, us or ns"
+                ),
+                remedy=_GIVE_UNIT,
+                numbers={"rate": log.rate_hz, "speed": fastest, "limit": _LEAST_SPEED},
+            )
     if not _LEAST_RATE <= log.rate_hz <= _FASTEST_RATE:
         slow = log.rate_hz < _LEAST_RATE
         yield Finding(

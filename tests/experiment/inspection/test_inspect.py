@@ -208,11 +208,8 @@ ROBOTS = {
 }
 
 
-# Three joints of the Gen3 turn one way only; recorded velocities of the LWR 4+ are late by 31 ms.
-TRUE_OF_THEM = {
-    "kinova_gen3_dynamapp": {"one_direction"},
-    "kuka_lwr4plus": {"velocity_late"},
-}
+# Three joints of the Gen3 turn one way only.
+TRUE_OF_THEM = {"kinova_gen3_dynamapp": {"one_direction"}}
 
 
 @pytest.mark.parametrize("name", ROBOTS)

@@ -152,7 +152,7 @@ WRONG: dict[str, tuple[Change, str, str, str]] = {
     "s as ms": (lambda log: replace(log, time=1e-3 * T), "time_unit", "refuse", "were read as ms"),
     "late efforts": (late("effort", 0.06), "effort_late", "warning", "late by"),
     "early efforts": (late("effort", -0.06), "effort_late", "warning", "early by"),
-    "late velocity": (late("velocity", 0.06), "velocity_late", "warning", "late by up to 60"),
+    "late velocity": (late("velocity", 0.06), "velocity_late", "warning", "late by up to 5"),
     "clipped effort": (clipped("effort"), "effort_clipped", "warning", "effort of shoulder_lift"),
     "clipped velocity": (clipped("velocity"), "velocity_clipped", "warning", "it is clipped"),
     "one way": (one_way, "one_direction", "warning", "shoulder_lift_joint moves in one direction"),
