@@ -24,7 +24,8 @@ def info(
     source = {"file": log_read.file, "mapping": log_read.mapping, "read_from": log_read.sources}
     content = {**source, **facts}
     joints, findings = facts.pop("joints"), facts.pop("findings")
-    settings = ", ".join(f"{key}={value}" for key, value in (facts["processing"] or {}).items())
+    chosen = (facts["processing"] or {}).items()
+    settings = ", ".join(f"{key.replace('_', ' ')} {_text(value)}" for key, value in chosen)
     shown = {**source, **facts, "processing": settings}
     del shown["read_from"]
     width = max(map(len, shown))
@@ -44,4 +45,6 @@ def _text(value: object) -> str:
     """Return a fact as text, a dash where it is missing."""
     if value is None:
         return "-"
+    if isinstance(value, bool):
+        return "yes" if value else "no"
     return f"{value:.6g}" if isinstance(value, float) else str(value)

@@ -195,7 +195,7 @@ def test_simulate_then_info(tmp_path: Path) -> None:
     assert (record.period, record.periods) == (10.0, 1)
     shown = run("info", path, "--robot", ROBOT)
     assert shown.exit_code == 0, shown.output
-    assert "cutoff_hz=" in shown.stdout
+    assert "cutoff hz 15, order 2" in shown.stdout
     assert "findings" not in shown.stdout
     facts = json.loads(run("info", path, "--json").stdout)
     assert facts["samples"] == record.n_samples
