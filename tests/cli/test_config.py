@@ -220,7 +220,7 @@ def test_options_offer_what_the_library_knows() -> None:
     from sdpid.experiment.processing.derivatives import DERIVATIVES
     from sdpid.experiment.processing.filters import FILTERS
     from sdpid.robot import inertia
-    from sdpid.robot.friction.terms import BY_NAME
+    from sdpid.robot.friction.model import BY_NAME
 
     choices: tuple[tuple[type[Enum], Any], ...] = (
         (options.Weighting, covariance.Weighting),

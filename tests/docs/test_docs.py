@@ -13,8 +13,7 @@ import numpy as np
 import pytest
 
 import sdpid
-from sdpid.robot.friction.model import FrictionModel
-from sdpid.robot.friction.terms import BY_NAME
+from sdpid.robot.friction.model import BY_NAME, FrictionModel
 from tests.helpers.arm import arm_problem
 
 BLOCK = r"^```python\n(.*?)^```"

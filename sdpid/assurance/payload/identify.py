@@ -40,8 +40,8 @@ from sdpid.experiment.processing.samples import Samples
 from sdpid.experiment.readers.read import read_recording
 from sdpid.experiment.recording.recording import Recording
 from sdpid.robot.consistent import raise_second_moments
+from sdpid.robot.friction.model import BY_NAME
 from sdpid.robot.friction.term import FrictionTerm
-from sdpid.robot.friction.terms import BY_NAME
 from sdpid.robot.inertia import margin, physical_parameters, transform
 from sdpid.robot.model.load import load_robot
 from sdpid.robot.model.model import RobotModel

@@ -12,9 +12,10 @@ import numpy as np
 
 from sdpid.assurance.tables.witness import Number, Question, exact
 from sdpid.errors import DataError
-from sdpid.robot.friction.model import FrictionModel
+from sdpid.robot.friction.model import BY_NAME, FrictionModel
+from sdpid.robot.friction.posed import PosedTerm
 from sdpid.robot.friction.term import FrictionTerm
-from sdpid.robot.friction.terms import BY_NAME, Coupling
+from sdpid.robot.friction.terms import Coupling
 from sdpid.robot.inertia import Consistency
 from sdpid.robot.model.base_parameters import BaseParameters, structural_base
 from sdpid.robot.model.model import RobotModel
@@ -72,6 +73,7 @@ def base_question(
         friction = named_terms(robot, values)
     model = FrictionModel.from_terms(friction, robot.joint_names, first=robot.n_base)
     base = structural_base(robot, model) if base is None else base
+    _check_posed(model, base)
     rows, leading = zip(*(_row(robot, base, name) for name in values), strict=True)
     first = 10 * robot.n_links
     signs = (first + i for i, p in enumerate(model.parameters) if p.nonnegative)
@@ -104,6 +106,27 @@ def named_terms(robot: RobotModel, names: Iterable[str]) -> list[FrictionTerm]:
     ]
     terms += [Coupling(*pair) for pair in combinations(joints, 2)]
     return [term for term in terms if any(p.name in wanted for p in term.parameters(joints))]
+
+
+def _check_posed(model: FrictionModel, base: BaseParameters) -> None:
+    """Refuse terms whose parameters fold into others by the links of a table, which it leaves out.
+
+    On arms, tilt and friction of the load stand by themselves; the tilt of a single link does not.
+    """
+    first, at = len(base.theta_names) - len(model.parameters), 0
+    for term in model.terms:
+        count = len(term.parameters(model.joint_names))
+        columns = slice(first + at, first + at + count)
+        at += count
+        if not isinstance(term, PosedTerm) or term.bodies is not None:
+            continue
+        used = np.any(base.matrix[:, columns] != 0.0, axis=1)
+        for k in np.flatnonzero(used & (np.count_nonzero(base.matrix, axis=1) > 1)):
+            kind = type(term).__name__
+            raise DataError(
+                f"audit: {base.names[k]} = {base.expression(base.names[k])} depends on the links "
+                f"that {kind} was taken at; give them with friction=(..., {kind}(bodies=...))."
+            )
 
 
 def _row(

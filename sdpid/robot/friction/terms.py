@@ -389,15 +389,3 @@ class Coupling(FrictionTerm):
     def characteristic_speeds(self, n: int) -> Array:
         """Return the width."""
         return np.full((1, n), self.width) if self.width else np.zeros((0, n))
-
-
-BY_NAME: dict[str, type[FrictionTerm]] = {
-    "coulomb": Coulomb,
-    "viscous": Viscous,
-    "offset": Offset,
-    "asymmetric_coulomb": AsymmetricCoulomb,
-    "rotor_inertia": RotorInertia,
-    "stribeck": Stribeck,
-    "sigmoid": SigmoidFriction,
-    "square_root": SquareRootFriction,
-}

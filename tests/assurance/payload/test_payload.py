@@ -380,7 +380,7 @@ def test_refusals(arm: RobotModel) -> None:
     refused("extent is -1", extent=-1.0)
     refused("no link 'hand'", ModelError, link="hand")
     refused("no frame 'hand' is fixed to link 'wrist_3_link'", ModelError, frame="hand")
-    refused("'glue', which is no friction term", separate=("glue",))
+    refused("'glue', which is no friction term.*load, tilt", separate=("glue",))
     refused("no likelihood", weighting="eq18")
     with pytest.raises(DataError, match="give a strength"):
         identify_payload(arm, loaded, prior=Prior(strength="evidence"))

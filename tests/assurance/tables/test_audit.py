@@ -6,6 +6,7 @@ import copy
 import json
 import re
 from collections.abc import Callable
+from dataclasses import replace
 from decimal import Decimal
 from fractions import Fraction
 from functools import cache
@@ -28,17 +29,20 @@ from sdpid.assurance.tables.question import base_question
 from sdpid.assurance.tables.refutation import Refutation, rounded
 from sdpid.assurance.tables.witness import coefficient_matrices, consistency_matrix, exact
 from sdpid.errors import CertificateError, DataError
+from sdpid.experiment.processing.samples import Samples
 from sdpid.output.tables.parameter_tables import base_table
 from sdpid.robot.description.catalog import bundled_folder
 from sdpid.robot.friction.model import FrictionModel
-from sdpid.robot.friction.terms import Coupling, SigmoidFriction
+from sdpid.robot.friction.motion import Motion
+from sdpid.robot.friction.posed import LoadFriction, Tilt
+from sdpid.robot.friction.terms import Coulomb, Coupling, SigmoidFriction, Viscous
 from sdpid.robot.inertia import Consistency, margin, matrix_of, point_masses
 from sdpid.robot.model.base_parameters import BaseParameters, structural_base
 from sdpid.robot.model.load import load_robot
 from sdpid.robot.model.model import RobotModel
 from tests.helpers.data import make_samples, random_theta
-from tests.helpers.robots import TREE, small_arm
-from tests.helpers.strategies import SEEDS, bodies, links
+from tests.helpers.robots import TREE, pendulum, small_arm
+from tests.helpers.strategies import SEEDS, bodies, links, random_states
 
 BOTH: tuple[Consistency, ...] = ("pseudo_inertia", "spatial_inertia")
 TERMS = ("coulomb", "viscous")
@@ -461,6 +465,36 @@ def test_tables_of_ones_own_estimates_are_realisable(kind: Consistency, tmp_path
     done = CliRunner().invoke(cli.app, arguments)
     assert done.exit_code == 0, done.output
     assert ": realisable" in done.output
+
+
+def test_a_table_with_effects_is_audited_by_the_description(tmp_path: Path) -> None:
+    """Tilt and friction of the load were taken at links that a table does not hold."""
+    rng = np.random.default_rng(0)
+    robot = load_robot("ur5_robot")
+    links_ = 1.1 * robot.prior
+    bodies = tuple(tuple(map(float, body)) for body in links_)
+    posed = (Coulomb(), Viscous(), LoadFriction(bodies), Tilt(bodies))
+    model = FrictionModel.from_terms(posed, robot.joint_names)
+    q, v, a = random_states(rng, robot.n, 150)
+    motion = Motion(position=q, velocity=v, acceleration=a, robot=robot)
+    values = np.repeat([2.0, 1.0, 0.1, 0.02], [6, 6, 6, 2])
+    effort = robot.inverse_dynamics(links_, q, v, a) + model.columns_in(motion) @ values
+    effort += 0.05 * rng.standard_normal(effort.shape)
+    samples = Samples(position=q, velocity=v, acceleration=a, effort=effort)
+    estimate = sdpid.solve_sdp(sdpid.build_problem(robot, samples, friction=posed))
+    table = tmp_path / "base_parameters.csv"
+    base_table(estimate).write(table)
+    assert {"Gx", "Gy", "Fl1", "Fl6"} <= set(read_base_table(table).values)
+    done = CliRunner().invoke(cli.app, ["audit", str(table), "--robot", "ur5_robot"])
+    assert done.exit_code == 0, done.output
+    assert ": realisable" in done.output
+
+
+def test_a_tilt_that_folds_into_a_link_needs_that_link() -> None:
+    """Gravity turned about the only joint's axis is the link's mass elsewhere."""
+    robot = replace(pendulum(), prior=np.array([[2.0, 0.3, 0.1, 0.0, 0.1, 0, 0.1, 0, 0, 0.1]]))
+    with pytest.raises(DataError, match=r"depends on the links.*Tilt\(bodies"):
+        base_question(robot, {"Gx": 0, "mxr1": 1}, 0.1)
 
 
 def test_command(tmp_path: Path) -> None:
