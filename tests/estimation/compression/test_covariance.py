@@ -32,7 +32,7 @@ SPREAD = np.array([0.5, 2.0, 1.0])
 
 # A share of the overall effort is added to every variance, as a floor (see
 # `sdpid.estimation.compression.covariance`).
-EFFORT_SHARE = 0.03
+EFFORT_SHARE = 0.01
 
 
 def autoregressive(rng: np.random.Generator, count: int, n: int, memory: float) -> Array:
