@@ -15,8 +15,15 @@ from sdpid.assurance.diagnostics.validation import Validation
 from sdpid.output.report.cause_words import NEGLIGIBLE, goes_with, next_step
 from sdpid.output.report.finding import percent
 from sdpid.output.report.grades import LEVELS, Grade
-from sdpid.output.report.held_out_verdict import FAILS, inside_bands
-from sdpid.output.report.judged import Judged, causes_of, grades_of, judged, terms_of
+from sdpid.output.report.held_out_verdict import CARRIES, FAILS, inside_bands
+from sdpid.output.report.judged import (
+    Judged,
+    causes_of,
+    errors_of_urdf,
+    grades_of,
+    judged,
+    terms_of,
+)
 
 _OTHER_MOTION = "record another motion and give it with --validation: this one shows only itself"
 
@@ -35,21 +42,26 @@ class Headline:
         The one thing to do next.
     baseline : str or None
         The error beside those of the description and of least squares, on the same rows.
+    file : str or None
+        What to use in place of identified.urdf, where that misses clearly more than the estimate.
     """
 
     error: str
     worst: str
     step: str
     baseline: str | None
+    file: str | None = None
 
     @property
     def lines(self) -> tuple[str, ...]:
         """The lines as they are printed, the baseline first."""
         beside = () if self.baseline is None else (f"beside:      {self.baseline}",)
+        file = () if self.file is None else (f"robot file:  {self.file}",)
         return (
             *beside,
             f"error:       {self.error}",
             f"worst joint: {self.worst}",
+            *file,
             f"next step:   {self.step}",
         )
 
@@ -64,6 +76,7 @@ def headline(result: Judged) -> Headline:
         worst=_joint(result, worst, causes),
         step=_step(result, worst, causes),
         baseline=_beside(result),
+        file=_file(result),
     )
 
 
@@ -137,7 +150,9 @@ def _steps(result: Judged, worst: Grade | None, causes: dict[str, Cause]) -> Ite
         yield "train on both recordings: the first shows too little of what the other needs"
     if worst is not None and worst.level != "good":
         yield "record a motion that asks more of the worst joint: its error hides its dynamics"
-    yield "none: use identified.urdf, and validate again when the load or the temperature changes"
+    good = errors_of_urdf(result) is not None and _file(result) is None
+    what = "identified.urdf" if good else "estimate.model() or parameters.json"
+    yield f"none: use {what}, and validate again when the load or the temperature changes"
 
 
 def _weight(fit: Validation, cause: Cause) -> float:
@@ -150,6 +165,21 @@ def _weight(fit: Validation, cause: Cause) -> float:
         return 0.0
     squares = fit.moving.rows * fit.moving.rmse**2
     return float(cause.share * squares[joint] / max(float(squares.sum()), np.finfo(float).tiny))
+
+
+def _file(result: Judged) -> str | None:
+    """Return what identified.urdf misses and what to use instead; None where it is as good.
+
+    As good is an error that differs by no more than another motion makes, or does not matter.
+    """
+    errors = errors_of_urdf(result)
+    if errors is None or errors.file <= max(CARRIES * errors.estimate, NEGLIGIBLE):
+        return None
+    where = "fitted" if result.validation_samples is None else "validation"
+    return (
+        f"do not use identified.urdf for efforts: on the {where} recordings it misses {errors}; "
+        "use estimate.model() or parameters.json, which leave nothing out"
+    )
 
 
 def _beside(result: Judged) -> str | None:

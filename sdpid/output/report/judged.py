@@ -16,6 +16,8 @@ from sdpid.estimation.problem import Problem
 from sdpid.experiment.inspection import finding as inspection
 from sdpid.experiment.processing.samples import Samples
 from sdpid.output.report.grades import Grade, grades
+from sdpid.output.robots.export_report import Errors
+from sdpid.output.robots.urdf_errors import urdf_errors
 
 
 class Crossed(Protocol):
@@ -92,6 +94,7 @@ class Judged(Protocol):
 
 # Of identifications that are still in use: a report and its verdict look at the same errors.
 _ERRORS: WeakKeyDictionary[Judged, tuple[JointErrors, ...]] = WeakKeyDictionary()
+_URDF: WeakKeyDictionary[Judged, Errors | None] = WeakKeyDictionary()
 
 
 def errors_of(identification: Judged) -> tuple[JointErrors, ...]:
@@ -100,6 +103,18 @@ def errors_of(identification: Judged) -> tuple[JointErrors, ...]:
     if found is None:
         found = _ERRORS[identification] = joint_errors(*judged(identification))
     return found
+
+
+def errors_of_urdf(identification: Judged) -> Errors | None:
+    """Return what identified.urdf misses, on the validation recording or the training's.
+
+    None where none is written, or there are no rows.
+    """
+    if identification not in _URDF:
+        _URDF[identification] = urdf_errors(
+            identification.estimate, identification.validation_samples
+        )
+    return _URDF[identification]
 
 
 def judged(identification: Judged) -> tuple[Samples, Validation]:

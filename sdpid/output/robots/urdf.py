@@ -18,7 +18,7 @@ from sdpid.estimation.estimate import Estimate
 from sdpid.estimation.problem import Problem
 from sdpid.output.robots.export_report import ExportReport, Written
 from sdpid.output.robots.joint_friction import JointAttributes, joint_attributes
-from sdpid.output.robots.places import Kind
+from sdpid.output.robots.urdf_errors import PLACES
 from sdpid.output.robots.urdf_tree import FixedChild, UrdfTree
 from sdpid.output.robots.written_bodies import (
     SEED,
@@ -32,7 +32,6 @@ from sdpid.output.robots.written_bodies import (
 from sdpid.robot.description.urdf import inertial_values
 from sdpid.robot.description.xml import encode_xml, read_description
 from sdpid.robot.description.xml_edits import Document, Element
-from sdpid.robot.friction.terms import Coulomb, Viscous
 from sdpid.robot.inertia import margin
 from sdpid.robot.model.base_parameters import generic_states
 from sdpid.robot.model.load import Root, load_robot
@@ -222,8 +221,7 @@ def _write_inertial(document: Document, link: Element, body: Array) -> None:
 
 def _write_friction(tree: UrdfTree, problem: Problem, theta: Array) -> JointAttributes:
     """Write damping and friction into the joints and return them."""
-    places: dict[Kind, str] = {Coulomb: "friction", Viscous: "damping"}
-    found = joint_attributes(problem, theta, places, f"URDF of '{problem.robot.name}'")
+    found = joint_attributes(problem, theta, PLACES, f"URDF of '{problem.robot.name}'")
     written = found.values
     for joint, source in tree.mimics.items():
         # The friction identified at the source joint includes that of its followers.

@@ -10,6 +10,7 @@ import pytest
 from sdpid.assurance.diagnostics.held_out import hold_out
 from sdpid.experiment.inspection.finding import Finding
 from sdpid.output.report.headline import headline
+from sdpid.output.robots.urdf_errors import urdf_errors
 from sdpid.workflow.result import Identification
 from tests.helpers.identified import ARM, arm_theta, identified, moved
 
@@ -25,7 +26,7 @@ def good() -> Identification:
 def test_other_motion_and_blocks_have_their_words(good: Identification) -> None:
     found = headline(good)
     assert "on recordings that were not fitted; the 95 % bands hold 9" in found.error
-    assert found.step.startswith("none: use identified.urdf")
+    assert found.step.startswith("none: use ")
     assert found.baseline is not None
     for words in ("description as it is", "friction fitted", "least squares", "this estimate"):
         assert words in found.baseline
@@ -36,7 +37,25 @@ def test_other_motion_and_blocks_have_their_words(good: Identification) -> None:
     nothing = headline(replace(blocks, held_out=None))
     assert "nothing could be held out" in nothing.error
     assert nothing.baseline is None
-    assert len(nothing.lines) == 3
+    assert not any(line.startswith("beside") for line in nothing.lines)
+
+
+def test_a_file_that_misses_more_than_the_estimate_is_not_recommended(
+    good: Identification,
+) -> None:
+    # Offsets of a fifth of the effort, for which a URDF has no place.
+    found = headline(good)
+    errors = urdf_errors(good.estimate, good.validation_samples)
+    assert errors is not None
+    assert found.file is not None
+    assert f"on the validation recordings it misses {errors}" in found.file
+    assert any("do not use identified.urdf" in line for line in found.lines)
+    assert found.step.startswith("none: use estimate.model() or parameters.json")
+    theta = np.array(arm_theta())
+    theta[[i for i, name in enumerate(good.estimate.named_theta()) if name.startswith("Fo")]] = 0.0
+    without = headline(identified(moved(theta, 1), moved(theta, 2)))
+    assert without.file is None
+    assert without.step.startswith("none: use identified.urdf")
 
 
 def test_the_worst_joint_its_cause_and_the_step(good: Identification) -> None:

@@ -21,6 +21,7 @@ from sdpid.experiment.processing.samples import Samples
 from sdpid.friction import AsymmetricCoulomb, Coulomb, RotorInertia, SigmoidFriction, Viscous
 from sdpid.output.robots.joint_friction import joint_attributes
 from sdpid.output.robots.places import Kind
+from sdpid.output.robots.urdf_errors import urdf_errors
 from sdpid.robot.friction.term import FrictionTerm
 from tests.helpers.data import full_regressor, random_theta
 from tests.helpers.robots import small_arm
@@ -187,6 +188,9 @@ def test_the_told_errors_are_those_of_the_file(tmp_path: Path) -> None:
         assert "misses the validation recording's efforts" in str(again.headline())
         assert again.validation == report.training
         assert again.to_dict()["validation"]["file"] == report.training.file
+    # They are known before the file is written.
+    assert urdf_errors(estimate) == urdf.training
+    assert urdf_errors(estimate, samples) == urdf.training
     # The rotor's inertia has a place in one of them.
     assert [lost.term for lost in urdf.left_out] == ["Offset", "RotorInertia"]
     assert [lost.term for lost in mjcf.left_out] == ["Offset"]
