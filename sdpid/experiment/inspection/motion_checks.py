@@ -32,8 +32,8 @@ _FACTORS = {
 _FACTOR_SLACK = 0.1
 # A joint that moves less than this part of its way back moves in one direction.
 _BACK = 0.02
-# The whole robot rests below this speed (rad/s, or m/s); a longer part of a recording at rest
-# weighs in a fit as motion does, though stiction decides its efforts.
+# The whole robot rests below this speed (rad/s, or m/s). Rows at rest are masked by default, so a
+# recording that rests longer has less to say than its length promises.
 _RESTING, _LONGEST_REST = 0.005, 0.3
 
 
@@ -120,7 +120,7 @@ def directions_and_rest(subject: Subject) -> Iterator[Finding]:
                 f"the robot stands still in {100 * resting:.2g} % of the recording (no joint "
                 f"faster than {_RESTING:g} rad/s), limit {100 * _LONGEST_REST:g} %"
             ),
-            remedy="cut the rest off: stiction decides the efforts there, not the dynamics",
+            remedy="no need to cut it: rows at rest are left out by default; record more motion",
             numbers={"share": resting, "limit": _LONGEST_REST},
         )
 
