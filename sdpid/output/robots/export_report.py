@@ -17,6 +17,10 @@ from sdpid.output.robots.joint_friction import LeftOut
 # Relative difference of two errors that are the same but for rounding and a solver's tolerance.
 _SAME = 1e-3
 
+# A file that misses more than twice what the estimate does, and more than 2 % of the efforts, has
+# lost what was identified (LWR 4+: 5.0 % and 2.0 %; docs/exports.md).
+_LOST, _NEGLIGIBLE = 2.0, 0.02
+
 
 @dataclass(frozen=True)
 class Errors:
@@ -40,6 +44,13 @@ class Errors:
     def differ(self) -> bool:
         """Whether the file predicts otherwise than the estimate, beyond rounding."""
         return abs(self.file - self.estimate) > _SAME * self.estimate
+
+    @property
+    def warning(self) -> str:
+        """What to do where the file misses too much; empty where it does not."""
+        if self.file <= max(_LOST * self.estimate, _NEGLIGIBLE):
+            return ""
+        return f": more than {_LOST:g} times as much, predict efforts with estimate.model() instead"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -95,9 +106,12 @@ class ExportReport:
         if self.joints_changed:
             lines[0] += f" and the friction of {len(self.joints_changed)} joints"
         if self.training is not None and self.training.differ:
-            lines.append(f"misses the recorded efforts by {self.training}")
+            lines.append(f"misses the recorded efforts by {self.training}{self.training.warning}")
         if self.validation is not None and self.validation.differ:
-            lines.append(f"misses the efforts of the validation recording by {self.validation}")
+            lines.append(
+                f"misses the efforts of the validation recording by {self.validation}"
+                f"{self.validation.warning}"
+            )
         lines += [f"no place in {self.kind}: {lost}" for lost in self.left_out]
         if self.lumped:
             lines.append(
@@ -119,7 +133,7 @@ class ExportReport:
         what = "the recorded" if self.validation is None else "the validation recording's"
         lost = ", ".join(lost.term for lost in self.left_out)
         why = f" (no place for {lost})" if lost else ""
-        return f"misses {what} efforts by {errors}{why}"
+        return f"misses {what} efforts by {errors}{why}{errors.warning}"
 
     def to_dict(self) -> dict[str, Any]:
         """Return plain values for JSON."""

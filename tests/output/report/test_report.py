@@ -27,6 +27,7 @@ from sdpid.estimation.compression.rows import Rows
 from sdpid.output.report import report
 from sdpid.output.report.headline import headline
 from sdpid.output.report.report import report_html, write_report
+from sdpid.output.robots.export_report import Errors
 from sdpid.workflow.result import Identification
 from tests.helpers.identified import arm_theta, identified, moved
 from tests.helpers.runs import arm as recorded_arm
@@ -395,6 +396,12 @@ def test_what_the_written_files_predict_is_shown(result: Identification, tmp_pat
         share = f"{100.0 * export['left_out'][0]['share']:.2g} %"
         assert f"{export['file']} {both[0]}{both[1]} Offset {share}" in shown
     assert "As the written files" not in words(report_html(result, figures=False))
+    # A file that loses too much says so, one that does not is silent.
+    urdf = sdpid.write_urdf(result.estimate, target=tmp_path / "again.urdf")
+    for file, warned in ((0.05, True), (0.03, False)):
+        export = replace(urdf, validation=Errors(file=file, estimate=0.02), training=None)
+        page = words(report_html(result, exports=[export], figures=False))
+        assert ("predict efforts with estimate.model() instead" in page) == warned
 
 
 def test_save_goes_on_without_the_extra(

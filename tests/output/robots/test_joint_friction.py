@@ -19,6 +19,7 @@ from sdpid.estimation.problem import Problem, build_problem
 from sdpid.experiment.preparation.for_robot import SMOOTH
 from sdpid.experiment.processing.samples import Samples
 from sdpid.friction import AsymmetricCoulomb, Coulomb, RotorInertia, SigmoidFriction, Viscous
+from sdpid.output.robots.export_report import Errors
 from sdpid.output.robots.joint_friction import joint_attributes
 from sdpid.output.robots.places import Kind
 from sdpid.output.robots.urdf_errors import urdf_errors
@@ -188,6 +189,15 @@ def test_the_told_errors_are_those_of_the_file(tmp_path: Path) -> None:
         assert "misses the validation recording's efforts" in str(again.headline())
         assert again.validation == report.training
         assert again.to_dict()["validation"]["file"] == report.training.file
+    # The estimate explains these efforts, neither file does: both warn.
+    warning = "more than 2 times as much, predict efforts with estimate.model()"
+    for report in (urdf, mjcf):
+        assert warning in str(report.headline())
+        assert warning in report.describe()
+        assert warning in report.with_validation(samples).describe().splitlines()[2]
+    assert warning in Errors(file=0.051, estimate=0.025).warning
+    assert not Errors(file=0.049, estimate=0.025).warning
+    assert not Errors(file=0.019, estimate=0.001).warning
     # They are known before the file is written.
     assert urdf_errors(estimate) == urdf.training
     assert urdf_errors(estimate, samples) == urdf.training
