@@ -37,6 +37,11 @@ def kinds_accepted(accept: str | Iterable[str]) -> tuple[str, ...]:
     DataError
         When one is no kind that is ever refused.
     """
+    if not isinstance(accept, Iterable):
+        raise DataError(
+            f"accept: is {accept!r:.80}; give kinds of findings, such as 'effort_sign', or () for "
+            "none."
+        )
     kinds = (accept,) if isinstance(accept, str) else tuple(accept)
     for kind in kinds:
         if kind not in REFUSED:

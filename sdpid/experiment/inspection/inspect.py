@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
@@ -16,8 +17,10 @@ from sdpid.experiment.inspection import (
 )
 from sdpid.experiment.inspection.finding import CHECKS, Finding, Subject
 from sdpid.experiment.inspection.joined import other_loads
+from sdpid.experiment.readers.read import is_frame, read_recording
 from sdpid.experiment.recording.joints import joint_columns, match_joints
 from sdpid.experiment.recording.recording import Recording
+from sdpid.robot.model.load import load_robot
 from sdpid.robot.model.model import RobotModel
 
 __all__ = ["Inspection", "inspect_recording", "inspect_recordings"]
@@ -62,21 +65,41 @@ class Inspection:
         return {"ok": self.ok, "findings": [finding.to_dict() for finding in self.findings]}
 
 
-def inspect_recording(log: Recording, robot: RobotModel | None = None) -> Inspection:
+def inspect_recording(
+    log: Recording | str | os.PathLike[str],
+    robot: RobotModel | str | os.PathLike[str] | None = None,
+) -> Inspection:
     """Check a recording for defects that make parameters from it wrong.
 
     Parameters
     ----------
-    log : Recording
-        What was measured.
-    robot : RobotModel, optional
-        Whose joints these are: names, limits, and the efforts that the description's bodies need
-        for this motion are then compared with the recording.
+    log : Recording, path or data frame
+        What was measured (see `read_recording`).
+    robot : RobotModel, name or path, optional
+        Whose joints these are (see `load_robot`): names, limits, and the efforts that the
+        description's bodies need for this motion are then compared with the recording.
 
     Returns
     -------
     Inspection
+
+    Raises
+    ------
+    DataError
+        When the log cannot be read, or is no log.
+    ModelError
+        When the robot cannot be read.
     """
+    given: Any = log
+    if not (isinstance(given, (Recording, str, os.PathLike)) or is_frame(given)):
+        raise DataError(
+            f"log: is {type(given).__name__} {given!r:.80}; give a Recording, the path of a log or "
+            "a data frame."
+        )
+    if not isinstance(log, Recording):
+        log = read_recording(log)
+    if robot is not None and not isinstance(robot, RobotModel):
+        robot = load_robot(robot)
     return Inspection(findings=_looked_at(log, robot)[1])
 
 

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pandas as pd
 import pytest
 
 import sdpid
-from sdpid.errors import DataError
+from sdpid.errors import DataError, SdpidError
 from sdpid.experiment.inspection.inspect import inspect_recording, inspect_recordings
 from sdpid.experiment.preparation.overview import overview
 from sdpid.experiment.readers.read import read_recording
@@ -166,6 +167,19 @@ def test_joints_that_do_not_match_are_a_finding(log: Recording, robot: sdpid.Rob
     (finding,) = inspect_recording(prefixed, robot).findings
     assert finding.severity == "note"
     assert "left_elbow_joint is elbow_joint" in finding.message
+
+
+def test_files_and_names_are_read(log: Recording, robot: sdpid.RobotModel, tmp_path: Path):
+    wrong = changed(log, "effort", 1, -1.0)
+    path = tmp_path / "run.npz"
+    arrays = {"t": wrong.time, "q": wrong.position, "dq": wrong.velocity, "tau": wrong.effort}
+    np.savez(path, **arrays, joint_names=np.array(log.names))
+    told = inspect_recording(path, "ur_description/ur5_robot").findings
+    assert told == inspect_recording(wrong, robot).findings
+    with pytest.raises(DataError, match=r"log: is int 3; give a Recording, the path of a log"):
+        inspect_recording(3)  # type: ignore[arg-type]
+    with pytest.raises(SdpidError, match=r"no_arm\.urdf"):
+        inspect_recording(log, tmp_path / "no_arm.urdf")
 
 
 def test_findings_are_data(log: Recording, robot: sdpid.RobotModel):

@@ -10,7 +10,7 @@ import pytest
 
 import sdpid
 from sdpid.errors import DataError
-from sdpid.experiment.inspection.accept import REFUSED, require_accepted
+from sdpid.experiment.inspection.accept import REFUSED, kinds_accepted, require_accepted
 from sdpid.experiment.inspection.finding import Finding
 from sdpid.experiment.inspection.inspect import inspect_recording, inspect_recordings
 from sdpid.experiment.recording.recording import Recording
@@ -238,6 +238,9 @@ def test_findings_are_overruled_by_name():
     require_accepted(findings, ["effort_sign", "effort_scale"])
     with pytest.raises(DataError, match="did you mean effort_sign"):
         require_accepted([], ["effort_sing"])
+    for wrong in (None, True, 3):
+        with pytest.raises(DataError, match=rf"accept: is {wrong}; give kinds of findings"):
+            kinds_accepted(wrong)  # type: ignore[arg-type]
 
 
 def test_every_use_of_a_log_refuses_it(log: Recording, robot: sdpid.RobotModel):
