@@ -16,7 +16,16 @@ from sdpid.experiment.processing.samples import Samples
 from sdpid.robot.model.model import RobotModel
 
 Kind = Literal[
-    "direction", "velocity", "speed", "acceleration", "load", "gravity", "position", "frequency"
+    "sign",
+    "scale",
+    "direction",
+    "velocity",
+    "speed",
+    "acceleration",
+    "load",
+    "gravity",
+    "position",
+    "frequency",
 ]
 
 # Share of the errors' variance that goes with a shape: a tenth of it is 5 % of the RMSE, less
@@ -29,6 +38,15 @@ _BEYOND_CHANCE = 3.0
 # Of the share that goes with velocity a line or a sign explains this much, or else the shape is
 # another one.
 _SHAPE = 0.5
+
+# Shares of the error that go with the prediction, from which on a channel has another sign or
+# scale: no missing effect turns the sign of all that is predicted, but missing friction goes with
+# the prediction too where there is hardly anything else, up to 0.8 of it on simulated arms.
+_OPPOSITE, _PROPORTIONAL = 0.5, 0.9
+
+# A joint whose error is this many times that of least squares is held back by constraints or the
+# prior, and the shape of its error is that of what holds it, not of a missing effect.
+HELD_BACK = 1.5
 
 # A peak of the error's spectrum has at least this share of the error's power, and lies this many
 # times above the frequencies that hold this share of the acceleration's power: friction answers a
@@ -48,7 +66,8 @@ class Cause:
     joint : str
         The joint.
     kind : str
-        ``"direction"``, ``"velocity"`` and ``"speed"`` are the sign, the velocity and a curve of
+        ``"sign"`` and ``"scale"`` are of the measured effort. ``"direction"``,
+        ``"velocity"`` and ``"speed"`` are the sign, the velocity and a curve of
         it; ``"load"`` is the effort of the links times the sign; ``"gravity"`` is a tilt;
         ``"position"`` goes once around with the joint; ``"frequency"`` is a line of the spectrum.
     share : float
@@ -69,9 +88,12 @@ def find_causes(
     samples: Samples,
     fit: Validation,
     errors: tuple[JointErrors, ...],
+    free: Validation | None = None,
 ) -> dict[str, Cause]:
     """Return for every joint what its error goes with most; joints whose error shows nothing miss.
 
+    Where the mean effort predicts better, or least squares much better (`HELD_BACK`), the shape of
+    the error says nothing of a missing effect; a wrong sign or scale of the effort is named only.
     Shapes that a motion makes alike cannot be told apart: on a single sine position and
     acceleration are one.
 
@@ -87,7 +109,10 @@ def find_causes(
         The prediction.
     errors : tuple of JointErrors
         Statistics of its errors.
+    free : Validation, optional
+        The prediction by least squares, without constraints.
     """
+    held = held_back(fit, free)
     states = samples.position, samples.velocity, samples.acceleration
     load = np.abs(robot.inverse_dynamics(bodies, *states))
     turned = _turned_gravity(robot, bodies, samples)
@@ -102,26 +127,66 @@ def find_causes(
         v, a = samples.velocity[kept, j], samples.acceleration[kept, j]
         q = samples.position[kept, j + shift]
         e = (samples.effort - fit.effort_predicted)[kept, j]
-        sign = np.sign(v)[:, None]
-        shapes: dict[Kind, Array] = {
-            "acceleration": a[:, None],
-            "gravity": turned[kept, j],
-            "position": np.column_stack([np.sin(q), np.cos(q)]),
-        }
-        loaded = load[kept, j, None] * sign
-        # A load that hardly varies makes the shape of the sign, which is the simpler cause.
-        if _explained(e, loaded, each.independent, beside=sign) > 0.0:
-            shapes["load"] = loaded
-        candidates: list[tuple[float, Kind, float | None]] = [
-            (_explained(e, columns, each.independent), kind, None)
-            for kind, columns in shapes.items()
-        ]
-        candidates += _of_velocity(each)
-        candidates += _of_frequency(each, density(samples.acceleration[:, j], samples))
+        candidates: list[tuple[float, Kind, float | None]]
+        candidates = list(_of_channel(e, fit.effort_predicted[kept, j], each.independent))
+        if fit.moving.r2[j] > 0.0 and each.joint not in held:
+            sign = np.sign(v)[:, None]
+            shapes: dict[Kind, Array] = {
+                "acceleration": a[:, None],
+                "gravity": turned[kept, j],
+                "position": np.column_stack([np.sin(q), np.cos(q)]),
+            }
+            loaded = load[kept, j, None] * sign
+            # A load that hardly varies makes the shape of the sign, which is the simpler cause.
+            if _explained(e, loaded, each.independent, beside=sign) > 0.0:
+                shapes["load"] = loaded
+            candidates += [
+                (_explained(e, columns, each.independent), kind, None)
+                for kind, columns in shapes.items()
+            ]
+            candidates += _of_velocity(each)
+            candidates += _of_frequency(each, density(samples.acceleration[:, j], samples))
+        if not candidates:
+            continue
         share, kind, frequency = max(candidates, key=lambda candidate: candidate[0])
         if share >= SHARE:
             found[each.joint] = Cause(joint=each.joint, kind=kind, share=share, frequency=frequency)
     return found
+
+
+def held_back(fit: Validation, free: Validation | None) -> tuple[str, ...]:
+    """Return the joints that least squares predicts much better in motion (`HELD_BACK`).
+
+    Parameters
+    ----------
+    fit : Validation
+        The prediction of the constrained estimate.
+    free : Validation or None
+        That of least squares, on the same rows.
+    """
+    if free is None:
+        return ()
+    own, other = fit.moving, free.moving
+    return tuple(
+        name
+        for j, name in enumerate(fit.joint_names)
+        if own.rows[j] and own.rmse[j] > HELD_BACK * other.rmse[j]
+    )
+
+
+def _of_channel(
+    e: Array, predicted: Array, independent: float
+) -> Iterator[tuple[float, Kind, None]]:
+    """Yield whether the measured effort is a multiple of the predicted one, and of which sign."""
+    share = _explained(e, predicted[:, None], independent)
+    if share < _OPPOSITE:
+        return
+    # Measured are 1 + slope times the predicted efforts.
+    slope = float(np.cov(e, predicted)[0, 1] / np.var(predicted, ddof=1))
+    if slope < -1.0:
+        yield share, "sign", None
+    elif share >= _PROPORTIONAL:
+        yield share, "scale", None
 
 
 def _explained(

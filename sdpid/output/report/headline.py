@@ -142,7 +142,8 @@ def _steps(result: Judged, worst: Grade | None, causes: dict[str, Cause]) -> Ite
     if largest is None or weights[largest] < SHARE:
         largest = None if worst is None else fit.joint_names[worst.joint]
     if largest in causes:
-        yield f"{next_step(causes[largest], terms_of(result))} (for {largest})"
+        step = next_step(causes[largest], terms_of(result), result.problem.effects)
+        yield f"{step} (for {largest})"
     held_out = result.held_out
     if held_out is None or held_out.by == "blocks":
         yield _OTHER_MOTION

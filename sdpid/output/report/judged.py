@@ -8,7 +8,7 @@ from weakref import WeakKeyDictionary
 from sdpid._common.arrays import Array
 from sdpid.assurance.certificate.certificate import Certificate
 from sdpid.assurance.diagnostics.causes import Cause, find_causes
-from sdpid.assurance.diagnostics.held_out import HeldOut
+from sdpid.assurance.diagnostics.held_out import LEAST_SQUARES, HeldOut
 from sdpid.assurance.diagnostics.residuals import JointErrors, joint_errors
 from sdpid.assurance.diagnostics.validation import Validation
 from sdpid.estimation.estimate import Estimate
@@ -136,7 +136,16 @@ def causes_of(
     robot = identification.problem.robot
     bodies = identification.estimate.some_theta[: 10 * robot.n_links]
     found = errors_of(identification) if errors is None else errors
-    return find_causes(robot, bodies, *judged(identification), found)
+    return find_causes(
+        robot, bodies, *judged(identification), found, least_squares_of(identification)
+    )
+
+
+def least_squares_of(identification: Judged) -> Validation:
+    """Return the prediction by least squares of what is judged."""
+    if identification.held_out is not None:
+        return identification.held_out.baselines[LEAST_SQUARES]
+    return identification.training_wls
 
 
 def terms_of(identification: Judged) -> frozenset[str]:

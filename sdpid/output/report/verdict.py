@@ -87,7 +87,10 @@ def findings(
         ),
         *held_out_findings(identification),
         *cause_findings(
-            judged(identification)[1], causes_of(identification, errors), terms_of(identification)
+            judged(identification)[1],
+            causes_of(identification, errors),
+            terms_of(identification),
+            identification.problem.effects,
         ),
         *_reach(identification),
         *_one_way(identification),

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from sdpid._common.arrays import Array
-from sdpid.assurance.diagnostics.causes import Cause, find_causes
+from sdpid.assurance.diagnostics.causes import Cause, find_causes, held_back
 from sdpid.assurance.diagnostics.residuals import joint_errors
 from sdpid.assurance.diagnostics.validation import Validation
 from sdpid.experiment.processing.samples import Samples
@@ -56,6 +56,46 @@ def tilted(samples: Samples) -> Array:
     gravity = ROBOT.gravity + 0.026 * np.cross(axis, ROBOT.gravity)
     leaning = ROBOT.with_gravity(gravity).inverse_dynamics(BODIES, *states)
     return (leaning - samples.effort)[:, 1]
+
+
+def of_channel(factor: float) -> dict[str, Cause]:
+    """Return the causes where the second joint's effort is measured with another factor."""
+    rng = np.random.default_rng(8)
+    effort = SAMPLES.effort + 0.05 * SAMPLES.effort.std(axis=0) * rng.standard_normal(
+        SAMPLES.effort.shape
+    )
+    effort[:, 1] *= factor
+    samples = replace(SAMPLES, effort=effort)
+    fit = Validation.of_prediction(ROBOT.joint_names, samples, SAMPLES.effort)
+    return find_causes(ROBOT, BODIES, samples, fit, joint_errors(samples, fit))
+
+
+@pytest.mark.parametrize(("factor", "kind"), [(-1.0, "sign"), (0.1, "scale"), (1.7, "scale")])
+def test_a_wrong_sign_or_scale_of_the_effort_is_no_missing_effect(factor: float, kind: str) -> None:
+    found = of_channel(factor)
+    assert {name: each.kind for name, each in found.items()} == {ROBOT.joint_names[1]: kind}
+    assert found[ROBOT.joint_names[1]].share > 0.9
+
+
+def test_what_constraints_hold_back_has_no_shape_of_an_effect() -> None:
+    shape = SHAPES["acceleration"](SAMPLES)
+    second = ROBOT.joint_names[1]
+    size = 0.5 * SAMPLES.effort[:, 1].std()
+    effort = np.array(SAMPLES.effort)
+    effort[:, 1] += size * shape / shape.std()
+    samples = replace(SAMPLES, effort=effort)
+    fit = Validation.of_prediction(ROBOT.joint_names, samples, SAMPLES.effort)
+    for left, expected in ((0.9, ("acceleration",)), (0.3, ())):
+        less = effort + left * (SAMPLES.effort - effort)
+        free = Validation.of_prediction(ROBOT.joint_names, samples, less)
+        found = find_causes(ROBOT, BODIES, samples, fit, joint_errors(samples, fit), free)
+        assert tuple(each.kind for each in found.values()) == expected
+        assert held_back(fit, free) == (() if expected else (second,))
+    # Nor has an error beside which the mean predicts better.
+    effort[:, 1] += 20.0 * SAMPLES.effort[:, 1].std()
+    samples = replace(SAMPLES, effort=effort)
+    fit = Validation.of_prediction(ROBOT.joint_names, samples, SAMPLES.effort)
+    assert find_causes(ROBOT, BODIES, samples, fit, joint_errors(samples, fit)) == {}
 
 
 SHAPES: dict[str, Callable[[Samples], Array]] = {

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from sdpid.assurance.diagnostics.held_out import hold_out
+from sdpid.estimation.effects.tried import Tried
 from sdpid.experiment.inspection.finding import Finding
 from sdpid.output.report.headline import headline
 from sdpid.output.robots.urdf_errors import urdf_errors
@@ -69,6 +70,12 @@ def test_the_worst_joint_its_cause_and_the_step(good: Identification) -> None:
     assert "goes with acceleration" in found.worst
     assert "rotor inertia" in found.step
     assert f"(for {LAST})" in found.step
+    # What the choice of effects left out is not proposed again.
+    tried = Tried(name="rotor_inertia", chosen=False, words="", fall=0.006, least_fall=0.05)
+    problem = replace(good.problem, effects=(tried,))
+    step = headline(replace(good, held_out=held_out, problem=problem)).step
+    assert "--effects" not in step
+    assert "rotor_inertia was tried and lowers the cost by 0.6 % alone" in step
     # What is wrong with the recording comes first.
     wrong = Finding(severity="refuse", kind="units", message="it is", remedy="mend the units")
     assert headline(replace(good, held_out=held_out, findings=(wrong,))).step == "mend the units"
