@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
-from sdpid.errors import IdentifiabilityError, SolverError
+from sdpid.errors import DataError, IdentifiabilityError, SolverError
 from sdpid.estimation.compression.covariance import pooled
 from sdpid.estimation.effects.choose import close_terms
 from sdpid.estimation.effects.kinds import EFFECTS, Effect, at_estimate
@@ -135,15 +135,27 @@ def with_effects(
     problem, given, rebuild
         As for `with_chosen_effects`.
     names : sequence of str
-        Names of `EFFECTS`.
+        Names of `EFFECTS`. A coupled wrist brings rotor inertia along.
+
+    Raises
+    ------
+    DataError
+        For an effect that has no place on the robot.
     """
     terms: tuple[FrictionTerm, ...] = problem.friction.terms
     asked = []
+    needed = {effect.beside for effect in EFFECTS if effect.name in names}
     for effect in EFFECTS:
-        term = effect.term(problem.robot, terms) if effect.name in names else None
-        if term is not None:
-            asked.append(effect)
-            terms = (*terms, term)
+        if effect.name not in (*names, *needed) or effect.held(terms):
+            continue
+        term = effect.term(problem.robot, terms)
+        if term is None:
+            raise DataError(
+                f"effects: {effect.name} has no place on '{problem.robot.name}', for it takes "
+                f"{effect.place}; leave it out."
+            )
+        asked.append(effect)
+        terms = (*terms, term)
     if not asked:
         return problem
     final = _built(problem, given, asked, _solved(problem), rebuild)
@@ -152,7 +164,9 @@ def with_effects(
         Tried(
             name=effect.name,
             chosen=True,
-            words=f"{effect.title}: in the model as asked{_in_brackets(effect.size(found))}",
+            words=f"{effect.title}: in the model "
+            + ("as asked" if effect.name in names else "with what was asked beside it")
+            + _in_brackets(effect.size(found)),
         )
         for effect in asked
     )

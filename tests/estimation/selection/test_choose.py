@@ -163,6 +163,33 @@ def test_effects_by_name() -> None:
     assert with_effects(problem, TERMS, ("tilt",), build) is problem
 
 
+def test_a_coupling_by_name_brings_rotor_inertia_along() -> None:
+    samples = logged()
+
+    def build(terms: tuple[str | FrictionTerm, ...]) -> Problem:
+        return build_problem(ARM, samples, friction=terms)
+
+    problem = with_effects(build(TERMS), TERMS, ("coupling",), build)
+    assert {RotorInertia, Coupling} <= {type(term) for term in problem.friction.terms}
+    told = {each.name: each.words for each in problem.effects}
+    assert told == {
+        "rotor_inertia": "rotor inertia: in the model with what was asked beside it",
+        "coupling": "a coupled wrist: in the model as asked",
+    }
+
+
+def test_an_effect_without_a_place_is_refused_by_name() -> None:
+    robot = small_arm(1)
+    q, v, a = random_states(np.random.default_rng(0), 1, 50)
+    samples = Samples(position=q, velocity=v, acceleration=a, effort=q)
+
+    def build(terms: tuple[str | FrictionTerm, ...]) -> Problem:
+        return build_problem(robot, samples, friction=terms)
+
+    with pytest.raises(DataError, match=r"coupling has no place on 'arm1'.*two joints"):
+        with_effects(build(TERMS), TERMS, ("coupling",), build)
+
+
 def test_an_effect_has_no_place_twice_or_on_a_floating_base() -> None:
     floating = load_robot(TREE, root="free_flyer")
     for name in ("tilt", "load"):
