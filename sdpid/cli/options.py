@@ -389,9 +389,7 @@ class Estimation:
             "consistency": self.consistency.value,
             "constraints": self._constraints(robot),
             "prior": self.prior,
-            "effects": self.effects
-            if self.effects in ("auto", "none")
-            else tuple(split_list(self.effects)),
+            "effects": self.effects,
         }
 
     def _constraints(self, robot: RobotModel) -> Constraints:

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from dataclasses import replace
 
 import numpy as np
 
+from sdpid._common.arrays import frozen
 from sdpid.errors import DataError
 from sdpid.estimation.constraints.equalities import Fixed
 from sdpid.estimation.estimate import Estimate
@@ -96,4 +98,8 @@ def adapt(
         constraints=constraints,
         prior=Prior(bodies=estimate.theta[:links].reshape(-1, 10)),
     )
-    return solve_sdp(problem)
+    found = solve_sdp(problem)
+    assert found.theta is not None
+    # Equations hold up to rounding; what was not fitted again is the same number.
+    theta = np.where(rigid, estimate.theta, found.theta)
+    return replace(found, theta=frozen(theta), base=frozen(problem.base_of(theta)))

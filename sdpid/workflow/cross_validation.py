@@ -34,7 +34,7 @@ from sdpid.robot.friction.term import FrictionTerm
 from sdpid.robot.inertia import Consistency
 from sdpid.robot.model.load import load_robot
 from sdpid.robot.model.model import RobotModel
-from sdpid.workflow.formulate import Effects, formulate, tuple_of_terms
+from sdpid.workflow.formulate import Effects, formulate, names_of_effects, tuple_of_terms
 
 By = Literal["time", "recording"]
 
@@ -237,13 +237,14 @@ def cross_validate(
     model = robot if isinstance(robot, RobotModel) else load_robot(robot)
     without_effort = joints_without(without_effort)
     logs = all_recordings(log, "log", without_effort=columns_without(model, without_effort))
+    asked = names_of_effects(effects)
     formulation: dict[str, Any] = {
         "friction": tuple_of_terms(friction),
         "weighting": weighting,
         "consistency": consistency,
         "constraints": constraints,
         "prior": prior,
-        "effects": effects if isinstance(effects, str) else tuple(effects),
+        "effects": "auto" if asked is None else asked,
     }
     parts = list(_parts(logs, folds, by))
     fits: list[Fold] = []

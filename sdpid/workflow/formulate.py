@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterable
-from typing import Literal
 
 import numpy as np
 
@@ -28,8 +27,9 @@ from sdpid.robot.inertia import Consistency
 from sdpid.robot.model.load import load_robot
 from sdpid.robot.model.model import RobotModel
 
-# Effects beside the friction terms: by the data, none, or by name.
-Effects = Literal["auto", "none"] | Iterable[str]
+# Effects beside the friction terms: by the data ("auto"), none ("none"), or by name, in one string
+# too ("tilt,load").
+Effects = str | Iterable[str]
 
 # Their cost is no likelihood, so that a fall of it is no evidence.
 _NO_LIKELIHOOD = ("eq9", "eq18")
@@ -41,14 +41,20 @@ def names_of_effects(effects: Effects) -> tuple[str, ...] | None:
     Raises
     ------
     DataError
-        For an unknown name.
+        For an unknown name, and for what holds no names.
     """
-    if effects == "auto":
-        return None
-    if effects == "none":
-        return ()
     known = [effect.name for effect in EFFECTS]
-    names = (effects,) if isinstance(effects, str) else tuple(effects)
+    try:
+        given = effects.split(",") if isinstance(effects, str) else tuple(effects)
+    except TypeError:
+        raise DataError(
+            f"effects: is {effects!r}; use 'auto', 'none' or some of {', '.join(known)}."
+        ) from None
+    names = tuple(name.strip() if isinstance(name, str) else name for name in given)
+    if names == ("auto",):
+        return None
+    if names == ("none",):
+        return ()
     for name in names:
         if name not in known:
             raise DataError(

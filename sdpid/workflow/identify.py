@@ -28,7 +28,13 @@ from sdpid.robot.inertia import Consistency
 from sdpid.robot.model.load import load_robot
 from sdpid.robot.model.model import RobotModel
 from sdpid.workflow.cross_validation import cross_validate
-from sdpid.workflow.formulate import Effects, check_kinds, formulate, tuple_of_terms
+from sdpid.workflow.formulate import (
+    Effects,
+    check_kinds,
+    formulate,
+    names_of_effects,
+    tuple_of_terms,
+)
 from sdpid.workflow.result import Identification
 
 # Profile intervals respect the constraints, but take several hundred solves, 2 to 10 s for arms of
@@ -90,11 +96,12 @@ def identify(
         Regularization towards the inertias in the robot's description. By default a `Prior` with
         a strength of one nat for records without periods, where the description has masses; none
         otherwise.
-    effects : {"auto", "none"} or iterable of str, optional
+    effects : {"auto", "none"}, str or iterable of str, optional
         Effects beside the friction terms: by default those that the training data show (see
         `sdpid.estimation.selection.choose`), of ``"tilt"`` (gravity's direction), ``"load"``
         (friction that grows with load), ``"rotor_inertia"``, ``"coupling"`` (of the last two
-        joints) and ``"falling"`` (Stribeck). Names put these into the model whatever the data say.
+        joints) and ``"falling"`` (Stribeck). Names, as in ``("tilt", "load")`` or ``"tilt,load"``,
+        put these into the model whatever the data say.
     intervals : bool or str, optional
         Method for the intervals of the parameters (see `sdpid.confidence_intervals`): True is
         ``"gauss_markov"``, which takes a moment; ``"profile"`` respects the constraints and takes
@@ -120,6 +127,7 @@ def identify(
             f"intervals: is {intervals!r}; use True, False or one of {', '.join(get_args(Method))}."
         )
     check_kinds(constraints, prior)
+    asked = names_of_effects(effects)
     model = robot if isinstance(robot, RobotModel) else load_robot(robot)
     kinds = kinds_accepted(accept)
     prepared = prepare_recordings(
@@ -136,7 +144,7 @@ def identify(
         "consistency": consistency,
         "constraints": constraints,
         "prior": prior,
-        "effects": effects if isinstance(effects, str) else tuple(effects),
+        "effects": "auto" if asked is None else asked,
     }
     problem = formulate(model, prepared, **formulation)
     notes += [each.words for each in problem.effects if each.chosen]

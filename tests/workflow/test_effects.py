@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import pytest
 
 import sdpid
@@ -15,8 +17,16 @@ def test_the_option() -> None:
     assert names_of_effects("none") == ()
     assert names_of_effects("tilt") == ("tilt",)
     assert names_of_effects(["load", "falling"]) == ("load", "falling")
-    with pytest.raises(DataError, match=r"'wind'.*tilt, load, rotor_inertia"):
-        names_of_effects(["tilt", "wind"])
+    assert names_of_effects("tilt, load") == ("tilt", "load")
+    for effects in (["tilt", "wind"], "tilt,wind"):
+        with pytest.raises(DataError, match=r"'wind'.*tilt, load, rotor_inertia"):
+            names_of_effects(effects)
+
+
+@pytest.mark.parametrize("effects", [True, None, 3])
+def test_what_holds_no_names_is_refused(effects: Any) -> None:
+    with pytest.raises(DataError, match=r"effects: is .*'auto', 'none' or some of tilt"):
+        sdpid.identify(arm(), recorded(1), effects=effects)
 
 
 def test_an_arm_without_effects_gets_none() -> None:
