@@ -151,8 +151,13 @@ def message(error: Exception) -> str:
     """Return the message of an error for the command line."""
     if isinstance(error, SdpidError):
         text = str(error)
-        # Messages name arguments of the library; add the options that set them.
-        hints = [option for argument, option in _OPTIONS.items() if f"{argument}=" in text]
+        # Messages name arguments of the library; add the options that set them, where the message
+        # does not.
+        hints = [
+            option
+            for argument, option in _OPTIONS.items()
+            if f"{argument}=" in text and f"{option.split()[0]} " not in text
+        ]
         return f"{text} On the command line: {', '.join(hints)}." if hints else text
     if isinstance(error, OSError):
         where = f"{error.filename}: " if error.filename else ""

@@ -36,7 +36,10 @@ def info(
     ]
     if findings:
         parts.append(
-            listed("findings", (f"{each['severity']}: {each['text']}" for each in findings))
+            listed(
+                "findings",
+                (f"{each['severity']} {each['kind']}: {each['text']}" for each in findings),
+            )
         )
     printing.show(content, "\n\n".join(parts))
 

@@ -55,8 +55,8 @@ def listed(title: str, lines: Iterable[object]) -> str:
 
 
 def findings_listed(findings: Iterable[Finding]) -> str:
-    """Return what is wrong with recordings, a line each."""
-    return listed("findings", (f"{each.severity}: {each}" for each in findings))
+    """Return what is wrong with recordings that are used, a line each."""
+    return listed("findings", (each.line() for each in findings))
 
 
 def errors_table(fits: dict[str, Validation]) -> str:

@@ -6,6 +6,7 @@ from typing import Any
 
 import pytest
 
+from sdpid.cli.endings import message
 from sdpid.cli.options import ProcessingOptions
 from sdpid.errors import DataError
 
@@ -30,3 +31,9 @@ def test_the_processing(given: dict[str, Any], expected: dict[str, Any]) -> None
 def test_a_mask_that_is_off_has_no_size() -> None:
     with pytest.raises(DataError, match="mask-speed"):
         ProcessingOptions(mask=False, mask_speed=0.1).changes()
+
+
+def test_a_message_that_gives_the_option_needs_no_hint() -> None:
+    assert message(DataError("accept=['a'] (--accept a) overrules it.")).endswith("overrules it.")
+    assert message(DataError("give units={}.")).endswith("--unit QUANTITY=UNIT.")
+    assert message(DataError("give units={} (--unit time=ms).")).endswith("time=ms).")

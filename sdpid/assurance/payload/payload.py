@@ -113,7 +113,7 @@ class Payload:
             f"payload of {self.link}, in the frame {self.frame}; inertia about the center of mass "
             f"({intervals})"
         )
-        found = [f"{each.severity}: {each}" for each in self.findings]
+        found = [each.line() for each in self.findings]
         return "\n".join([title, self._table().text(5), *self.notes, *found])
 
     def to_dict(self) -> dict[str, Any]:

@@ -77,7 +77,12 @@ def require_accepted(findings: Sequence[Finding], accept: str | Iterable[str] = 
     names = dict.fromkeys(each.kind for each in refused)
     overruled = [name for name in names if name not in _FINAL]
     asked = ", ".join(repr(name) for name in overruled)
-    rest = f" If that is as it should be, accept=[{asked}] overrules it." if overruled else ""
+    options = " ".join(f"--accept {name}" for name in overruled)
+    rest = (
+        f" If that is as it should be, accept=[{asked}] ({options}) overrules it."
+        if overruled
+        else ""
+    )
     raise DataError(
         f"the log is refused, for no result from it would mean anything. {listed}.{rest}"
     )

@@ -209,7 +209,8 @@ def _changes(log: CorrectedLog) -> Iterator[Correction]:
     """Yield every change that is tried, the likeliest of those that do the same first."""
     n, usable = log.robot.n, np.flatnonzero(log.rows.usable).tolist()
     for kind in ("effort_sign", "position_sign", "axis_sign"):
-        yield Correction(kind=kind)
+        if n > 1:
+            yield Correction(kind=kind)
         yield from (Correction(kind=kind, joint=j) for j in usable)
     if np.abs(log.rows.position).max() > _LEAST_DEGREES:
         yield Correction(kind="position_in_degrees")

@@ -128,11 +128,12 @@ def _finding(log: CorrectedLog, step: Step, change: Correction) -> Finding:
         before, after = (
             float(np.mean(each[log.rows.usable])) for each in (step.before, step.after)
         )
-        of = f"the efforts' variance, the mean of {len(joints)} joints"
+        of = f"the efforts' variance (mean of {len(joints)} joints)"
     else:
         worst = int(np.argmax(np.log(step.before + 0.01) - np.log(step.after + 0.01)))
         before, after = float(step.before[worst]), float(step.after[worst])
-        of = f"the variance of the effort of {names[worst]}"
+        own = worst == change.joint and change.kind == "effort_sign"
+        of = "its variance" if own else f"the variance of the effort of {names[worst]}"
     numbers |= {"unexplained": before, "unexplained_mended": after}
     what, remedy = _words(change, names)
     same = dict.fromkeys(_words(each, names)[0] for each in step.alike)
@@ -146,8 +147,8 @@ def _finding(log: CorrectedLog, step: Step, change: Correction) -> Finding:
         kind=change.kind,
         joint=None if change.joint is None else names[change.joint],
         message=(
-            f"{what}: gravity, inertia and friction leave {100 * min(before, 1.0):.3g} % of {of}, "
-            f"unexplained, with that mended {100 * after:.2g} %{also}"
+            f"{what}: gravity, inertia and friction leave {100 * min(before, 1.0):.3g} % of {of} "
+            f"unexplained, and {100 * after:.2g} % once that is mended{also}"
         ),
         remedy=remedy,
         numbers=numbers,
@@ -158,7 +159,8 @@ def _words(change: Correction, names: tuple[str, ...]) -> tuple[str, str]:
     """Return what is wrong, and the remedy."""
     of = "all joints" if change.joint is None else names[change.joint]
     if change.kind == "effort_sign":
-        return f"effort of {of} has the wrong sign", "flip its sign"
+        which = "the signs of all efforts" if change.joint is None else "its sign"
+        return f"effort of {of} has the wrong sign", f"flip {which}"
     if change.kind == "position_sign":
         return f"position of {of} has the wrong sign", "flip its sign, and that of its velocity"
     if change.kind == "axis_sign":

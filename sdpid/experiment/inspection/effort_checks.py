@@ -78,24 +78,29 @@ def clipped(subject: Subject) -> Iterator[Finding]:
             continue
         for j in np.flatnonzero(moving(low, high)).tolist():
             values = np.asarray(table[part, j])
-            for limit in (values.max(), values.min()):
-                rows = _plateaus(values, float(limit))
+            ends = {}
+            for limit in (float(values.max()), float(values.min())):
+                rows = _plateaus(values, limit)
                 if limit == 0.0 or rows < _CLIPPED * values.size:
                     continue
-                if quantity == "velocity" and not _passed(subject, j, float(limit)):
-                    continue
-                yield Finding(
-                    severity="warning",
-                    kind=f"{quantity}_clipped",
-                    joint=log.names[j],
-                    message=(
-                        f"{quantity} of {log.names[j]} stays at {limit:.5g} in {rows} of "
-                        f"{values.size} rows ({100 * rows / values.size:.2g} %, limit "
-                        f"{100 * _CLIPPED:g} %): it is clipped"
-                    ),
-                    remedy=remedy,
-                    numbers={"value": limit, "rows": rows, "limit": _CLIPPED},
-                )
+                if quantity == "effort" or _passed(subject, j, limit):
+                    ends[limit] = rows
+            if not ends:
+                continue
+            rows, value = sum(ends.values()), max(ends, key=abs)
+            yield Finding(
+                severity="warning",
+                kind=f"{quantity}_clipped",
+                joint=log.names[j],
+                message=(
+                    f"{quantity} of {log.names[j]} stays at "
+                    f"{' and at '.join(f'{limit:.5g}' for limit in ends)} in {rows} of "
+                    f"{values.size} rows ({100 * rows / values.size:.2g} %, limit "
+                    f"{100 * _CLIPPED:g} %): it is clipped"
+                ),
+                remedy=remedy,
+                numbers={"value": value, "rows": rows, "limit": _CLIPPED},
+            )
 
 
 def _passed(subject: Subject, j: int, limit: float) -> bool:

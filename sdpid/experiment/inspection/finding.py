@@ -62,6 +62,14 @@ class Finding:
     def __str__(self) -> str:
         return f"{self.message}; {self.remedy}" if self.remedy else self.message
 
+    def line(self, *, used: bool = True) -> str:
+        """Return the finding in a line, headed by its severity and its kind.
+
+        What is to be refused is headed ``accepted`` where its recording is used all the same.
+        """
+        head = "accepted" if used and self.severity == "refuse" else self.severity
+        return f"{head} {self.kind}: {self}"
+
     def to_dict(self) -> dict[str, Any]:
         """Return plain values for JSON."""
         return {**vars(self), "numbers": dict(self.numbers), "text": str(self)}

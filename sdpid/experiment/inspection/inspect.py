@@ -57,7 +57,7 @@ class Inspection:
         return all(finding.severity == "note" for finding in self.findings)
 
     def __str__(self) -> str:
-        lines = [f"{finding.severity}: {finding}" for finding in self.findings]
+        lines = [finding.line(used=False) for finding in self.findings]
         return "\n".join(lines) or "nothing wrong was found"
 
     def to_dict(self) -> dict[str, Any]:

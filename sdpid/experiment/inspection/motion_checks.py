@@ -100,13 +100,14 @@ def directions_and_rest(subject: Subject) -> Iterator[Finding]:
     one_way = np.flatnonzero(moving(*subject.position_range) & (shares < _BACK)).tolist()
     if one_way:
         share = float(shares[one_way].max())
+        moves, most = ("moves", "") if len(one_way) == 1 else ("move", "of each at most ")
         yield Finding(
             severity="warning",
             kind="one_direction",
             joint=names[one_way[0]] if len(one_way) == 1 else None,
             message=(
-                f"{', '.join(names[j] for j in one_way)} moves in one direction only: "
-                f"{100 * share:.2g} % of the way goes back, limit {100 * _BACK:g} %"
+                f"{', '.join(names[j] for j in one_way)} {moves} in one direction only: "
+                f"{most}{100 * share:.2g} % of the way goes back, limit {100 * _BACK:g} %"
             ),
             remedy="move both ways: friction looks like an offset else, or like gravity",
             numbers={"share": share, "limit": _BACK},

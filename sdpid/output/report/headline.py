@@ -133,7 +133,7 @@ def _steps(result: Judged, worst: Grade | None, causes: dict[str, Cause]) -> Ite
     _, fit = judged(result)
     for finding in result.findings:
         if finding.severity == "refuse" and finding.remedy:
-            yield finding.remedy
+            yield finding.remedy + (f" (for {finding.joint})" if finding.joint else "")
     if worst is not None and not worst.moved:
         yield f"record {fit.joint_names[worst.joint]} moving"
     # The cause that explains most of the whole error, or else that of the worst joint.

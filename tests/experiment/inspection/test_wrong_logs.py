@@ -180,6 +180,19 @@ def test_a_good_log_is_left_alone(robot: sdpid.RobotModel, seed: int):
     assert inspect_recording(simulated(robot, seed), robot).findings == ()
 
 
+def test_a_channel_clipped_at_both_ends_is_one_finding(log: Recording, robot: sdpid.RobotModel):
+    (found,) = inspect_recording(clipped("effort")(log), robot).findings
+    high, low = np.percentile(log.effort[:, JOINT], (95.0, 5.0))
+    assert f"stays at {high:.5g} and at {low:.5g} in " in found.message
+    assert 280 < found.numbers["rows"] <= 300  # single rows are no plateaus
+
+
+def test_the_variance_is_the_joints_own(log: Recording, robot: sdpid.RobotModel):
+    (found,) = inspect_recording(flipped("effort")(log), robot).findings
+    assert "leave 100 % of its variance unexplained, and " in found.message
+    assert " % once that is mended" in found.message
+
+
 def test_several_errors_are_found_one_after_another(log: Recording, robot: sdpid.RobotModel):
     wrong = flipped("effort", joints=(1, 2))(log)
     findings = inspect_recording(wrong, robot).findings
@@ -233,8 +246,12 @@ def test_findings_are_overruled_by_name():
     ]
     with pytest.raises(DataError, match=r"a; b.*c.*accept=\['effort_sign', 'effort_scale'\]"):
         require_accepted(findings)
-    with pytest.raises(DataError, match=r"accept=\['effort_scale'\]"):
+    asked = r"accept=\['effort_scale'\] \(--accept effort_scale\) overrules"
+    with pytest.raises(DataError, match=asked):
         require_accepted(findings, "effort_sign")
+    assert findings[0].line() == "accepted effort_sign: a; b"
+    assert findings[0].line(used=False) == "refuse effort_sign: a; b"
+    assert findings[2].line() == "warning long_rest: d"
     require_accepted(findings, ["effort_sign", "effort_scale"])
     with pytest.raises(DataError, match="did you mean effort_sign"):
         require_accepted([], ["effort_sing"])

@@ -79,6 +79,9 @@ def test_the_worst_joint_its_cause_and_the_step(good: Identification) -> None:
     # What is wrong with the recording comes first.
     wrong = Finding(severity="refuse", kind="units", message="it is", remedy="mend the units")
     assert headline(replace(good, held_out=held_out, findings=(wrong,))).step == "mend the units"
+    flipped = replace(wrong, kind="effort_sign", remedy="flip its sign", joint=LAST)
+    step = headline(replace(good, held_out=held_out, findings=(flipped,))).step
+    assert step == f"flip its sign (for {LAST})"
 
 
 def test_the_error_at_rest_stands_apart(good: Identification) -> None:
