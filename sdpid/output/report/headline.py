@@ -15,6 +15,7 @@ from sdpid.assurance.diagnostics.validation import Validation
 from sdpid.output.report.cause_words import NEGLIGIBLE, goes_with, next_step
 from sdpid.output.report.finding import percent
 from sdpid.output.report.grades import LEVELS, Grade
+from sdpid.output.report.held_back import held_of
 from sdpid.output.report.held_out_verdict import CARRIES, FAILS, inside_bands
 from sdpid.output.report.judged import (
     Judged,
@@ -114,12 +115,11 @@ def _joint(result: Judged, worst: Grade | None, causes: dict[str, Cause]) -> str
         return f"{name}, which did not move: how well it is predicted in motion is not known"
     nrmse, r2 = float(fit.moving.nrmse[worst.joint]), float(fit.moving.r2[worst.joint])
     explained = "predicted worse than by a constant" if r2 < 0.0 else f"R² {r2:.3f}"
-    cause = causes.get(name)
-    why = (
-        "its shape shows no cause"
-        if cause is None
-        else f"{percent(cause.share)} of its variance goes {goes_with(cause)}"
-    )
+    cause, held = causes.get(name), held_of(result).get(name)
+    if cause is not None:
+        why = f"{percent(cause.share)} of its variance goes {goes_with(cause)}"
+    else:
+        why = "its shape shows no cause" if held is None else held.words
     return f"{name}, error {percent(nrmse)} of its effort ({explained}); {why}"
 
 
@@ -136,11 +136,14 @@ def _steps(result: Judged, worst: Grade | None, causes: dict[str, Cause]) -> Ite
             yield finding.remedy + (f" (for {finding.joint})" if finding.joint else "")
     if worst is not None and not worst.moved:
         yield f"record {fit.joint_names[worst.joint]} moving"
+    name = None if worst is None else fit.joint_names[worst.joint]
+    if name in held_of(result) and name not in causes:
+        yield held_of(result)[name].step
     # The cause that explains most of the whole error, or else that of the worst joint.
     weights = {name: _weight(fit, cause) for name, cause in causes.items()}
     largest = max(weights, key=lambda name: weights[name], default=None)
     if largest is None or weights[largest] < SHARE:
-        largest = None if worst is None else fit.joint_names[worst.joint]
+        largest = name
     if largest in causes:
         step = next_step(causes[largest], terms_of(result), result.problem.effects)
         yield f"{step} (for {largest})"

@@ -19,6 +19,7 @@ from sdpid.estimation.problem import Problem
 from sdpid.output.report.cause_words import cause_findings
 from sdpid.output.report.finding import Finding, listed, percent
 from sdpid.output.report.grades import MOVES
+from sdpid.output.report.held_back import held_back_findings
 from sdpid.output.report.held_out_verdict import held_out_findings
 from sdpid.output.report.judged import (
     Judged,
@@ -92,6 +93,7 @@ def findings(
             terms_of(identification),
             identification.problem.effects,
         ),
+        *held_back_findings(identification),
         *_reach(identification),
         *_one_way(identification),
         *_weak(identification),

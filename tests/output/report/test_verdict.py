@@ -170,6 +170,27 @@ def test_constraints_that_cost_are_named(good: Identification) -> None:
     unsaid(good, "contradict")
 
 
+def test_what_holds_a_joint_back_is_named_and_is_the_next_step(good: Identification) -> None:
+    # Far more friction than the second joint has.
+    fixed = Fixed({"Fs2": 3.0 + good.estimate.named()["Fs2"]})
+    constraints = sdpid.Constraints(others=(fixed,))
+    result = identified(good.problem.samples, moved(arm_theta(), 2), constraints=constraints)
+    text = said(result, f"{LAST} is held back", "Fs2")
+    free = result.held_out.baselines["least squares"].moving.rmse[1]
+    assert f"of least squares {free:.3g}" in text
+    unsaid(result, f"{FIRST} is held back")
+    unsaid(good, "is held back")
+    assert "held by" in result.headline.worst
+    assert result.headline.step.startswith(f"find why {LAST} does not agree with")
+    # Of a strong prior no constraint is to blame.
+    theta = arm_theta()
+    robot = replace(ARM, prior=3.0 * theta[:20].reshape(2, 10))
+    strong = identified(
+        good.problem.samples, moved(theta, 2), robot=robot, prior=sdpid.Prior(strength=1e8)
+    )
+    assert "weaken the prior" in said(strong, f"{LAST} is held back")
+
+
 def test_masses_at_their_limit_are_named() -> None:
     light = sdpid.Constraints(mass_max=0.3)
     result = identified(moved(arm_theta(), 1), constraints=light)
