@@ -147,7 +147,7 @@ def identify(
         "effects": "auto" if asked is None else asked,
     }
     problem = formulate(model, prepared, **formulation)
-    notes += [each.words for each in problem.effects if each.chosen]
+    notes += [each.words for each in problem.effects]
     if (alike := in_words(collinear_friction(problem))) is not None:
         notes.append(alike)
     with progress(_STEPS, "estimating") as advance:

@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+import json
+from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 import sdpid
 from sdpid.errors import DataError
+from sdpid.output.report.report import report_html
 from sdpid.workflow.formulate import formulate, names_of_effects
 from tests.helpers.runs import arm, recorded
 
@@ -45,6 +49,25 @@ def test_what_was_chosen_is_told_and_stands_in_the_result() -> None:
     assert told.words in result.notes
     assert result.to_dict()["problem"]["effects"][0]["name"] == "rotor_inertia"
     assert any(name.startswith("Ia") for name in result.problem.base.names)
+
+
+def test_files_say_what_was_asked_and_what_was_left_out(tmp_path: Path) -> None:
+    result = sdpid.identify(arm(), recorded(1), effects="tilt,load", intervals=False)
+    page = report_html(result, figures=False)
+    assert "Tilt (Gx, Gy)" in page
+    assert "LoadFriction (Fl1, Fl2; width 0.005" in page
+    assert "bodies (" not in page
+    file = sdpid.write_parameters(result.estimate, tmp_path / "parameters.json")
+    told = {each["name"]: each for each in json.loads(file.read_text())["effects"]}
+    assert told["tilt"]["chosen"]
+    found = result.estimate.named_theta()
+    assert found is not None
+    assert f"{np.degrees(found['Gx']):.2f}° about x" in told["tilt"]["words"]
+    # Effects that the data do not show stand in the notes, with their numbers.
+    free = sdpid.identify(arm(), recorded(1), intervals=False)
+    for each in free.effects:
+        assert each.words in free.notes
+        assert "would lower the cost by" in each.words
 
 
 def test_costs_that_are_no_likelihood_choose_nothing() -> None:

@@ -235,15 +235,17 @@ def _seconds(samples: Samples) -> float:
 
 
 def _term(described: dict[str, Any]) -> str:
-    """Return a friction term and its numbers in words."""
-    numbers = []
+    """Return a friction term, its parameters and its numbers in words."""
+    names = described["parameters"]
+    numbers = [", ".join(names) if len(names) < 3 else f"{names[0]} to {names[-1]}"]
     for key, value in described.items():
-        if key in ("term", "parameters") or value is None or value == 0.0:
+        # Bodies that columns were taken at are those of the estimate, which stand in a table.
+        if key in ("term", "parameters", "bodies") or value in (None, 0.0, [], ()):
             continue
         many = value if isinstance(value, (list, tuple)) else [value]
         shown = (f"{v:.3g}" if isinstance(v, float) else str(v) for v in many)
         numbers.append(f"{key.replace('_', ' ')} {', '.join(shown)}")
-    return f"{described['term']} ({'; '.join(numbers)})" if numbers else str(described["term"])
+    return f"{described['term']} ({'; '.join(numbers)})"
 
 
 def _joints(result: Judged) -> Iterator[dict[str, Any]]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 from collections.abc import Mapping, Sequence
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -121,6 +122,7 @@ def parameters_dict(
         "weighting": problem.weighting,
         "cost": estimate.cost,
         "friction_terms": problem.friction.described(),
+        "effects": [asdict(each) for each in problem.effects],
         "interval_method": getattr(intervals, "method", None),
         "interval_level": getattr(intervals, "level", None),
         "standard": standard,
