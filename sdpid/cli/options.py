@@ -345,7 +345,10 @@ class Estimation:
         float, _estimation(metavar="X", help="Smallest margin of every link, kg.m2.")
     ] = 0.0
     mass_max: Annotated[
-        float | None, _estimation(metavar="X", help="Largest mass of a link, kg (default 100).")
+        float | None,
+        _estimation(
+            metavar="X", help="Largest mass of a link, kg. Default: 3 times the described robot's."
+        ),
     ] = None
     prior: Annotated[
         bool | None,

@@ -61,9 +61,10 @@ def choose_processing(log: Recording, **given: Any) -> Choice:
     too few for a covariance of each sample, one is pooled over the samples, and one period alone
     has none.
 
-    A record without periods passes a Butterworth filter of order 4 whose cut-off is 30 times the
+    A record without periods passes a Butterworth filter of order 4 whose cut-off is 25 times the
     frequency below which 95 % of its motion lies (the median over the joints), at most 2/15 of the
-    sampling rate: 20 to 60 times predict alike on five real robots (docs/real_robots.md). A
+    sampling rate: of 12 to 50 times it predicts best on six real robots (docs/real_robots.md). Rows
+    near reversals and at rest are masked, unless less than a tenth of a joint's rows would stay. A
     recorded velocity is used below 100 Hz, where differences of the position lose too much, as
     long as it is the rate of the position.
 
