@@ -237,7 +237,7 @@ def _seconds(samples: Samples) -> float:
 def _term(described: dict[str, Any]) -> str:
     """Return a friction term, its parameters and its numbers in words."""
     names = described["parameters"]
-    numbers = [", ".join(names) if len(names) < 3 else f"{names[0]} to {names[-1]}"]
+    numbers = [", ".join(names) if len(names) < 4 else f"{names[0]} to {names[-1]}"]
     for key, value in described.items():
         # Bodies that columns were taken at are those of the estimate, which stand in a table.
         if key in ("term", "parameters", "bodies") or value in (None, 0.0, [], ()):
