@@ -79,7 +79,7 @@ class TiltedBase(Effect):
     name: ClassVar[str] = "tilt"
     title: ClassVar[str] = "a tilted base"
     # 17 and 33 % for a tilt of 1.2 degrees on one arm. Falls of 2 and 3 %, for 0.2 and 0.3 degrees
-    # in parts of two arms' records, are gone in the whole of these records.
+    # in the first 60 % of two arms' records, are no more than chance in the whole of these records.
     least_fall: ClassVar[float] = 0.04
     meaning: ClassVar[str] = "the base does not stand as described"
     kind: ClassVar[type[FrictionTerm]] = Tilt
