@@ -71,4 +71,5 @@ def errors_table(fits: dict[str, Validation]) -> str:
         for values in (fit.rmse, 100.0 * fit.nrmse):
             rows = fit.rows.tolist()
             columns.append([x if k else None for x, k in zip(values.tolist(), rows, strict=True)])
-    return Table(tuple(header), tuple(zip(*columns, strict=True))).text(4)
+    table = Table(tuple(header), tuple(zip(*columns, strict=True))).text(4)
+    return f"on the rows in use, without those masked near reversals and at rest:\n{table}"

@@ -174,14 +174,17 @@ class Identification:
         lines = [
             f"{self.problem.robot.name}: {self.problem.base.count} base parameters from "
             f"{self.problem.n_rows} rows; {self.certificate.summary()}",
-            f"relative residual {100 * self.training.relative:.2f} % (unconstrained "
+            f"relative residual on the fitted rows {100 * self.training.relative:.2f} % "
+            "(unconstrained "
             f"{100 * self.training_wls.relative:.2f} %)",
         ]
         if self.problem.prior is not None:
             lines.append("regularized towards the inertias in the description")
             lines += self.problem.prior.notes
         if self.validation is not None:
-            lines.append(f"on the validation recording {100 * self.validation.relative:.2f} %")
+            fit = self.validation
+            moving, where = (fit.moving, "in motion") if fit.moving.rows.any() else (fit, "at rest")
+            lines.append(f"on the validation recording, {where}, {100 * moving.relative:.2f} %")
         if self.cross_validation is not None:
             lines.append(self.cross_validation.summary())
         if (meaning := in_words(self.intervals)) is not None:

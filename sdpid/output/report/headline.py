@@ -16,7 +16,7 @@ from sdpid.output.report.cause_words import NEGLIGIBLE, goes_with, next_step
 from sdpid.output.report.finding import percent
 from sdpid.output.report.grades import LEVELS, Grade
 from sdpid.output.report.held_back import held_of
-from sdpid.output.report.held_out_verdict import CARRIES, FAILS, inside_bands
+from sdpid.output.report.held_out_verdict import CARRIES, COVERED, FAILS, inside_bands
 from sdpid.output.report.judged import (
     Judged,
     causes_of,
@@ -25,6 +25,7 @@ from sdpid.output.report.judged import (
     judged,
     terms_of,
 )
+from sdpid.output.report.prediction_verdict import resting_share
 
 _OTHER_MOTION = "record another motion and give it with --validation: this one shows only itself"
 
@@ -84,7 +85,8 @@ def headline(result: Judged) -> Headline:
 def _error(result: Judged) -> str:
     """Return the error on what was held out, in motion and at rest."""
     _, fit = judged(result)
-    shares = {"in motion": fit.moving if fit.moving.rows.any() else None, "at rest": fit.resting}
+    rest = f"at rest ({percent(resting_share(fit))} of the rows)"
+    shares = {"in motion": fit.moving if fit.moving.rows.any() else None, rest: fit.resting}
     told = [f"{percent(e.relative)} {where}" for where, e in shares.items() if e is not None]
     numbers = f"of the effort {', '.join(told)}"
     held_out = result.held_out
@@ -94,6 +96,8 @@ def _error(result: Judged) -> str:
         return f"{numbers}, on {held_out.blocks} blocks held out in turn; other motion is not shown"
     share = inside_bands(result)
     inside = "" if share is None else f"; the 95 % bands hold {percent(share)} of it"
+    if share is not None and share < COVERED:
+        inside += f", less than {percent(COVERED)}: they are too narrow there"
     return f"{numbers}, on recordings that were not fitted{inside}"
 
 
@@ -181,8 +185,9 @@ def _file(result: Judged) -> str | None:
         return None
     where = "fitted" if result.validation_samples is None else "validation"
     return (
-        f"do not use identified.urdf for efforts: on the {where} recordings it misses {errors}; "
-        "use estimate.model() or parameters.json, which leave nothing out"
+        f"do not use identified.urdf for efforts: on the rows in use of the {where} "
+        f"recordings it misses {errors}; use estimate.model() or parameters.json, "
+        "which leave nothing out"
     )
 
 
@@ -193,4 +198,4 @@ def _beside(result: Judged) -> str | None:
     errors = (
         f"{name} {percent(fit.moving.relative)}" for name, fit in result.held_out.every.items()
     )
-    return "; ".join(errors)
+    return f"in motion: {'; '.join(errors)}"

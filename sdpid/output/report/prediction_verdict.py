@@ -115,13 +115,21 @@ def _rest(fit: Validation) -> Iterator[Finding]:
     rest = fit.resting
     if rest is None or not fit.moving.rows.any() or rest.relative <= fit.moving.relative:
         return
-    share = float(rest.rows.sum() / max(int((rest.rows + fit.moving.rows).sum()), 1))
     yield Finding(
         "caution",
-        f"At rest ({percent(share)} of the rows) the error is {percent(rest.relative)} of the "
-        f"effort, in motion {percent(fit.moving.relative)}: stiction holds there, which no "
-        "function of the velocity tells. Errors here are those in motion.",
+        f"At rest ({percent(resting_share(fit))} of the rows) the error is "
+        f"{percent(rest.relative)} of the effort, in motion {percent(fit.moving.relative)}: "
+        "stiction holds there, which no function of the velocity tells. Errors here are "
+        "those in motion.",
     )
+
+
+def resting_share(fit: Validation) -> float:
+    """Return the share of the rows in motion and at rest that are at rest."""
+    if fit.resting is None:
+        return 0.0
+    rest = int(fit.resting.rows.sum())
+    return rest / max(rest + int(fit.moving.rows.sum()), 1)
 
 
 def _explained(fit: Validation, joint: int) -> str:

@@ -236,7 +236,7 @@ def _constraints(result: Judged) -> Iterator[Finding]:
             why, end = "The prior and the constraints hold the fit back", _whether_it_pays(result)
         yield Finding(
             "caution",
-            f"{why}: the relative residual on the training data is {percent(own)}, without them "
+            f"{why}: the relative residual on the fitted rows is {percent(own)}, without them "
             f"{percent(free)}. {end} Active constraints: {names} (cost_of_constraints tells "
             "what each costs).",
         )
@@ -261,11 +261,15 @@ def _whether_it_pays(result: Judged) -> str:
     """Return whether the constraints lower the error on held-out data, in words."""
     if result.held_out is None:
         return "Only held-out data tell whether that pays."
-    held = result.held_out.fit.relative
-    free = result.held_out.baselines[LEAST_SQUARES].relative
+    held, free = result.held_out.fit.moving, result.held_out.baselines[LEAST_SQUARES].moving
+    if not held.rows.any():
+        return "Only held-out data in motion tell whether that pays."
     where = "the validation data" if result.held_out.by == "recording" else "blocks held out"
-    outcome = "it pays" if held <= free else "it does not pay"
-    return f"On {where} {outcome}: {percent(held)}, without them {percent(free)}."
+    outcome = "it pays" if held.relative <= free.relative else "it does not pay"
+    return (
+        f"On {where} {outcome}: in motion {percent(held.relative)}, least squares without them "
+        f"{percent(free.relative)}."
+    )
 
 
 def _proof(result: Judged) -> Iterator[Finding]:

@@ -49,7 +49,7 @@ def test_a_file_that_misses_more_than_the_estimate_is_not_recommended(
     errors = urdf_errors(good.estimate, good.validation_samples)
     assert errors is not None
     assert found.file is not None
-    assert f"on the validation recordings it misses {errors}" in found.file
+    assert f"on the rows in use of the validation recordings it misses {errors}" in found.file
     assert any("do not use identified.urdf" in line for line in found.lines)
     assert found.step.startswith("none: use estimate.model() or parameters.json")
     theta = np.array(arm_theta())
@@ -92,10 +92,16 @@ def test_the_error_at_rest_stands_apart(good: Identification) -> None:
     effort[:200, 0] += 5.0
     held_out = hold_out(good.estimate, good.wls, replace(fresh, velocity=v, effort=effort))
     found = headline(replace(good, held_out=held_out))
-    assert "% at rest" in found.error
+    assert "% at rest (10 % of the rows)" in found.error
     words = [text for text in replace(good, held_out=held_out).verdict if "At rest" in text]
     assert len(words) == 1
     assert "stiction" in words[0]
+
+
+def test_bands_that_hold_too_little_are_called_too_narrow(good: Identification) -> None:
+    assert "too narrow" not in headline(good).error
+    louder = hold_out(good.estimate, good.wls, moved(arm_theta(), 2, noise=0.06))
+    assert "less than 90 %: they are too narrow" in headline(replace(good, held_out=louder)).error
 
 
 def test_a_validation_at_rest_says_nothing_of_motion(good: Identification) -> None:
