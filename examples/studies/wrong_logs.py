@@ -376,7 +376,8 @@ def named(wrong: Wrong, log: Good, findings: Sequence[Finding]) -> bool:
     joint = log.robot.joint_names[log.joint]
     for finding in findings:
         right = wrong.of_joint and finding.joint not in (None, joint)
-        if finding.kind in wrong.kinds and finding.severity != "note" and not right:
+        told = finding.severity != "note" or finding.kind.startswith("velocity")
+        if finding.kind in wrong.kinds and told and not right:
             return True
         what = {
             "position_sign": f"position of {joint} has the wrong sign",

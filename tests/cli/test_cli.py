@@ -196,7 +196,9 @@ def test_simulate_then_info(tmp_path: Path) -> None:
     shown = run("info", path, "--robot", ROBOT)
     assert shown.exit_code == 0, shown.output
     assert "cutoff hz 15, order 2" in shown.stdout
-    assert "findings" not in shown.stdout
+    # The robot's description has no masses, which is all that there is to say.
+    (said,) = shown.stdout.split("findings:\n")[1].splitlines()
+    assert said.startswith("  note effort_not_compared: efforts are not compared with the motion")
     facts = json.loads(run("info", path, "--json").stdout)
     assert facts["samples"] == record.n_samples
     assert facts["rate_hz"] == pytest.approx(1000.0)
@@ -256,7 +258,10 @@ def test_compare(log: Path, tmp_path: Path) -> None:
     found = json.loads(run(*arguments, "--starts", 0, "--json").stdout)
     assert found["certified"] is True
     assert [row["solver"] for row in found["rows"]] == ["wls", "sdp"]
-    header = done.stdout.splitlines()[0].split()
+    title, said, _, *table = done.stdout.splitlines()
+    assert title == "findings:"
+    assert said.startswith("  note effort_not_compared: ")
+    header = table[0].split()
     assert header == ["solver", "start", "status", "cost", "gap", "margin", "iterations", "seconds"]
 
 
@@ -350,7 +355,7 @@ def test_columns_and_units(tmp_path: Path) -> None:
         run("info", path, *READ, "--robot", ROBOT, "--unit", "position=deg", "--json").stdout
     )
     assert facts["rate_hz"] == pytest.approx(100.0)
-    assert facts["findings"] == []
+    assert [each["kind"] for each in facts["findings"]] == ["effort_not_compared"]
     assert facts["joints"][0]["position_max"] == pytest.approx(motion[:, 0].max())
     done = run("info", path, *READ, "--robot", ROBOT)
     assert "look like degrees" in done.stdout

@@ -45,7 +45,7 @@ def late_velocities(subject: Subject) -> Iterator[Finding]:
         return
     worst = max(lags.values(), key=abs)
     yield Finding(
-        severity="warning",
+        severity=subject.about_velocity,
         kind="velocity_late",
         joint=next(iter(lags)) if len(lags) == 1 else None,
         message=(

@@ -8,7 +8,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from sdpid.experiment.inspection.corrections import CorrectedLog, Correction, Step
-from sdpid.experiment.inspection.dynamics import gains, misfit, placeholders
+from sdpid.experiment.inspection.dynamics import described, gains, misfit, placeholders
 from sdpid.experiment.inspection.finding import Finding, Severity, Subject, check
 
 # Efforts beyond this many times the description's, either way, are in another unit: of six real
@@ -25,6 +25,25 @@ _UNIT_SLACK = 2.5
 # description, is no model of that joint: at most 0.4 on good recordings of real arms.
 _UNLIKE = 0.6
 _CARRIES = 0.05
+
+
+@check
+def not_compared(subject: Subject) -> Iterator[Finding]:
+    """Say where efforts cannot be compared: of a free base, and of a description without masses."""
+    robot = subject.robot
+    if robot is None or described(robot):
+        return
+    lacks = "has no masses" if robot.n_base == 0 else "has a free base"
+    yield Finding(
+        severity="note",
+        kind="effort_not_compared",
+        message=(
+            f"efforts are not compared with the motion, for the robot's description {lacks}: wrong "
+            "signs, units and orders of columns are not found"
+        ),
+        remedy="check them by hand"
+        + (", or give a description with rough masses" if robot.n_base == 0 else ""),
+    )
 
 
 @check

@@ -89,7 +89,7 @@ def clipped(subject: Subject) -> Iterator[Finding]:
                 continue
             rows, value = sum(ends.values()), max(ends, key=abs)
             yield Finding(
-                severity="warning",
+                severity="warning" if quantity == "effort" else subject.about_velocity,
                 kind=f"{quantity}_clipped",
                 joint=log.names[j],
                 message=(

@@ -14,6 +14,7 @@ from sdpid._common.arrays import Array
 from sdpid.errors import DataError
 from sdpid.experiment.inspection.corrections import CorrectedLog, corrected
 from sdpid.experiment.inspection.rows import Rows, low_passed
+from sdpid.experiment.processing.choose import RATE_OF_DIFFERENCES
 from sdpid.experiment.recording.gaps import continuous
 from sdpid.experiment.recording.recording import Recording
 from sdpid.experiment.recording.stored import extremes
@@ -116,6 +117,11 @@ class Subject:
     def position_range(self) -> tuple[Array, Array]:
         """Least and largest position of each joint, (n,) each."""
         return extremes(self.log.position)
+
+    @property
+    def about_velocity(self) -> Severity:
+        """Severity of what is wrong with a velocity: a note where by default it is not used."""
+        return "note" if self.log.rate_hz >= RATE_OF_DIFFERENCES else "warning"
 
     @cached_property
     def rows(self) -> Any:

@@ -165,7 +165,7 @@ def velocities(subject: Subject) -> Iterator[Finding]:
         else:
             continue
         yield Finding(
-            severity="warning",
+            severity=subject.about_velocity,
             kind="velocity_scale",
             joint=name,
             message=message,

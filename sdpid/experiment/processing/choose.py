@@ -26,7 +26,7 @@ _CUTOFF_OVER_RATE = 1.0 / 7.5
 _MASKED_PERIODS = 0.1
 _KEPT_SHARE = 0.1
 # Below this rate differences of the position lose too much, and a recorded velocity is used.
-_RATE_OF_DIFFERENCES = 100.0
+RATE_OF_DIFFERENCES = 100.0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -165,10 +165,10 @@ def _without_periods(log: Recording, motion: float) -> tuple[Processing, Sequenc
 
 def _velocity(log: Recording, motion: float) -> tuple[Literal["measured", "differentiated"], str]:
     """Choose between the recorded velocity and the position's derivative."""
-    limit = f"{_RATE_OF_DIFFERENCES:g} Hz"
+    limit = f"{RATE_OF_DIFFERENCES:g} Hz"
     if log.velocity is None:
         return "differentiated", "none was recorded"
-    if log.rate_hz >= _RATE_OF_DIFFERENCES:
+    if log.rate_hz >= RATE_OF_DIFFERENCES:
         return "differentiated", f"sampled at {log.rate_hz:.6g} Hz, not below {limit}"
     wrong = disagreement(log, motion)
     if wrong is not None:

@@ -101,8 +101,9 @@ def test_wrong_signals_are_named(
     (finding,) = [each for each in found if each.joint == log.names[1]]
     assert words.format(log.names[1]) in finding.message
     assert finding.remedy
-    assert finding.severity in ("refuse", "warning")
-    assert not inspect_recording(wrong, robot).ok
+    # At 200 Hz the default processing does not use the recorded velocity.
+    assert (finding.severity == "note") == (quantity == "velocity")
+    assert inspect_recording(wrong, robot).ok == (quantity == "velocity")
 
 
 def test_one_sample_that_jumps_is_named_with_its_row(log: Recording):

@@ -152,9 +152,9 @@ WRONG: dict[str, tuple[Change, str, str, str]] = {
     "s as ms": (lambda log: replace(log, time=1e-3 * T), "time_unit", "refuse", "were read as ms"),
     "late efforts": (late("effort", 0.06), "effort_late", "warning", "late by"),
     "early efforts": (late("effort", -0.06), "effort_late", "warning", "early by"),
-    "late velocity": (late("velocity", 0.06), "velocity_late", "warning", "late by up to 5"),
+    "late velocity": (late("velocity", 0.06), "velocity_late", "note", "late by up to 5"),
     "clipped effort": (clipped("effort"), "effort_clipped", "warning", "effort of shoulder_lift"),
-    "clipped velocity": (clipped("velocity"), "velocity_clipped", "warning", "it is clipped"),
+    "clipped velocity": (clipped("velocity"), "velocity_clipped", "note", "it is clipped"),
     "one way": (one_way, "one_direction", "warning", "shoulder_lift_joint moves in one direction"),
     "rest": (rested, "long_rest", "warning", "stands still in 49 %"),
     "lost": (losing, "lost_samples", "warning", "are missing"),
@@ -193,6 +193,16 @@ def test_the_variance_is_the_joints_own(log: Recording, robot: sdpid.RobotModel)
     assert " % once that is mended" in found.message
 
 
+@pytest.mark.parametrize("change", [late("velocity", 0.06), clipped("velocity")])
+def test_a_wrong_velocity_matters_where_it_is_used(log: Recording, change: Change):
+    """At 50 Hz the default processing takes the recorded velocity, at 100 Hz it does not."""
+    wrong = change(log)
+    slow = replace(wrong, **{name: getattr(wrong, name)[::2] for name in ("time", *ALL)})
+    for each, severity in ((wrong, "note"), (slow, "warning")):
+        (found,) = inspect_recording(each).findings
+        assert (found.kind[:8], found.severity) == ("velocity", severity)
+
+
 def test_several_errors_are_found_one_after_another(log: Recording, robot: sdpid.RobotModel):
     wrong = flipped("effort", joints=(1, 2))(log)
     findings = inspect_recording(wrong, robot).findings
@@ -214,7 +224,9 @@ def test_descriptions_without_masses_or_made_up_do_not_refuse(
 ):
     wrong = scaled("effort", 1e3)(log)
     massless = replace(robot, prior=np.zeros_like(robot.prior))
-    assert inspect_recording(wrong, massless).findings == ()
+    (note,) = inspect_recording(wrong, massless).findings
+    assert (note.severity, note.kind) == ("note", "effort_not_compared")
+    assert "the robot's description has no masses" in note.message
     alike = np.tile([1.0, 0.0, 0.0, 0.1, 0.02, 0.0, 0.02, 0.0, 0.0, 0.01], (6, 1))
     findings = inspect_recording(wrong, replace(robot, prior=alike)).findings
     assert "effort_scale" in {f.kind for f in findings}
