@@ -88,10 +88,10 @@ def late_efforts(subject: Subject) -> Iterator[Finding]:
         severity="warning",
         kind="effort_late",
         message=(
-            f"efforts are {_late(delay)} by {1e3 * abs(delay):.3g} ms (standard error "
-            f"{1e3 * error:.2g} ms) against the motion, limit {1e3 * limit:.3g} ms"
+            f"efforts are {_late(delay)} by {1e3 * abs(delay):.2g} ms or more against the motion, "
+            f"limit {1e3 * limit:.2g} ms: of delays in simulated logs 62 to 80 % are told"
         ),
-        remedy="shift the efforts, or take both from one clock",
+        remedy="take both from one clock, or shift the efforts until the error is least",
         numbers={"delay": delay, "error": error, "limit": limit},
     )
 
@@ -100,7 +100,9 @@ def effort_delay(robot: RobotModel, rows: Rows) -> tuple[float, float] | None:
     """Return by how much the efforts are late against the motion, and its standard error, s.
 
     An effort that is late by a little is the effort of the motion less its derivative times the
-    delay. What the regressor and friction leave of either is compared, joint by joint.
+    delay. What the regressor and friction leave of either is compared, joint by joint. They take a
+    part of the delay: of six delays of 30 to 100 ms in three simulated logs 62 to 80 % are
+    found.
 
     Returns
     -------

@@ -26,6 +26,8 @@ _SLOW_RATE, _LEAST_SPEED = 25.0, 0.02
 _JITTER = 0.05
 # More than this share of lost samples is no accident.
 _LOST = 0.05
+# Seconds in the units of stamps that may be read as seconds.
+_UNITS = {"ms": 1e-3, "us": 1e-6, "ns": 1e-9}
 _GIVE_UNIT = "give the unit: units={'time': 's'} (--unit time=s), or ms, us, ns"
 
 
@@ -60,24 +62,38 @@ def units_of_time(subject: Subject) -> Iterator[Finding]:
                 kind="time_unit",
                 message=(
                     f"time: at {log.rate_hz:.3g} Hz no joint is faster than {fastest:.2g} rad/s, "
-                    f"limit {_LEAST_SPEED:g} rad/s: the stamps may be in ms, us or ns"
+                    f"limit {_LEAST_SPEED:g} rad/s: {_read_as_seconds(log.rate_hz)[0]}"
                 ),
-                remedy=_GIVE_UNIT,
+                remedy=_read_as_seconds(log.rate_hz)[1],
                 numbers={"rate": log.rate_hz, "speed": fastest, "limit": _LEAST_SPEED},
             )
     if not _LEAST_RATE <= log.rate_hz <= _FASTEST_RATE:
         slow = log.rate_hz < _LEAST_RATE
+        cause, remedy = "the stamps may be in s, and were read as ms, us or ns", _GIVE_UNIT
+        if slow:
+            cause, remedy = _read_as_seconds(log.rate_hz)
         yield Finding(
             severity="refuse",
             kind="time_unit",
             message=(
                 f"time: a sample every {log.step:.6g} s is a rate of {log.rate_hz:.3g} Hz, limit "
-                f"{_LEAST_RATE:g} to {_FASTEST_RATE:g} Hz: the stamps may be in "
-                f"{'ms, us or ns' if slow else 's, and were read as ms, us or ns'}"
+                f"{_LEAST_RATE:g} to {_FASTEST_RATE:g} Hz: {cause}"
             ),
-            remedy=_GIVE_UNIT,
+            remedy=remedy,
             numbers={"rate": log.rate_hz, "limit": _LEAST_RATE if slow else _FASTEST_RATE},
         )
+
+
+def _read_as_seconds(rate: float) -> tuple[str, str]:
+    """Return in which unit stamps are that make so low a rate as seconds, and how to give it."""
+    rates = {unit: rate / seconds for unit, seconds in _UNITS.items()}
+    likely = {unit: hz for unit, hz in rates.items() if _LEAST_RATE <= hz <= _FASTEST_RATE}
+    if not likely:
+        return "in no unit do the stamps make a rate of a robot", "give time stamps in s"
+    words = " or ".join(f"{unit} ({hz:.4g} Hz)" for unit, hz in likely.items())
+    units = [f"units={{'time': '{unit}'}} (--unit time={unit})" for unit in likely]
+    certain = "must be" if len(likely) == 1 else "may be"
+    return f"the stamps {certain} in {words}", f"give the unit: {' or '.join(units)}"
 
 
 @check

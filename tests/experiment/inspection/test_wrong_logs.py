@@ -13,6 +13,7 @@ from sdpid.errors import DataError
 from sdpid.experiment.inspection.accept import REFUSED, kinds_accepted, require_accepted
 from sdpid.experiment.inspection.finding import Finding
 from sdpid.experiment.inspection.inspect import inspect_recording, inspect_recordings
+from sdpid.experiment.inspection.time_checks import _read_as_seconds
 from sdpid.experiment.recording.recording import Recording
 
 RATE = 100.0
@@ -148,7 +149,12 @@ WRONG: dict[str, tuple[Change, str, str, str]] = {
         "efforts are in the order wrist_3_joint, shoulder_pan_joint, shoulder_lift_joint",
     ),
     "degrees": (scaled("position", 180.0 / np.pi), "position_in_degrees", "refuse", "degrees"),
-    "ms as s": (lambda log: replace(log, time=1e3 * T), "time_unit", "refuse", "in ms, us or ns"),
+    "ms as s": (
+        lambda log: replace(log, time=1e3 * T),
+        "time_unit",
+        "refuse",
+        "must be in ms (100 Hz)",
+    ),
     "s as ms": (lambda log: replace(log, time=1e-3 * T), "time_unit", "refuse", "were read as ms"),
     "late efforts": (late("effort", 0.06), "effort_late", "warning", "late by"),
     "early efforts": (late("effort", -0.06), "effort_late", "warning", "early by"),
@@ -201,6 +207,40 @@ def test_a_wrong_velocity_matters_where_it_is_used(log: Recording, change: Chang
     for each, severity in ((wrong, "note"), (slow, "warning")):
         (found,) = inspect_recording(each).findings
         assert (found.kind[:8], found.severity) == ("velocity", severity)
+
+
+@pytest.mark.parametrize(
+    ("step", "unit"),
+    [
+        (33.0, "must be in ms (30.3 Hz)"),
+        (1e4, "must be in us (100 Hz)"),
+        (1e7, "must be in ns (100 Hz)"),
+        (1e2, "may be in ms (10 Hz) or us (1e+04 Hz)"),
+        (1e14, "in no unit do the stamps make a rate of a robot"),
+    ],
+)
+def test_the_unit_of_time_is_concluded(log: Recording, step: float, unit: str):
+    slow = replace(log, time=step * np.arange(len(T))) if step < 1e6 else None
+    cause, remedy = _read_as_seconds(1.0 / step)
+    assert unit in cause
+    if "must" in unit:
+        name = unit.split()[3]
+        assert remedy == f"give the unit: units={{'time': '{name}'}} (--unit time={name})"
+    if slow is not None:
+        (found,) = [f for f in inspect_recording(slow).findings if f.kind == "time_unit"]
+        assert found.severity == "refuse"
+        assert found.message.endswith(cause)
+        assert found.remedy == remedy
+
+
+def test_a_delay_is_told_without_false_precision(log: Recording, robot: sdpid.RobotModel):
+    """Inertia and friction take a part of it: less is told than there is."""
+    found = {
+        each.kind: each for each in inspect_recording(late("effort", 0.06)(log), robot).findings
+    }
+    delay = found["effort_late"]
+    assert 0.02 < delay.numbers["delay"] < 0.06
+    assert " ms or more against the motion" in delay.message
 
 
 def test_several_errors_are_found_one_after_another(log: Recording, robot: sdpid.RobotModel):
