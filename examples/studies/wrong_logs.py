@@ -392,6 +392,7 @@ def main() -> int:
     """Inspect, and print the tables."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--data", type=Path, default=os.environ.get("SDPID_DATA"))
+    parser.add_argument("--out", type=Path, default=Path("results"))
     parser.add_argument("--seeds", type=int, default=3, help="simulated logs of each robot")
     parser.add_argument("--good", type=int, default=20, help="of these, to count false alarms")
     parser.add_argument("--quick", action="store_true", help="one seed, one log to count")
@@ -414,7 +415,10 @@ def main() -> int:
                 missed.append(f"{wrong.words}: {log.name}: {kinds or 'nothing'}")
         print(f"{wrong.words}: {sum(found.values())} of {len(logs)}", file=sys.stderr, flush=True)
         rows.append((wrong.words, *(f"{found[name]}/{total[name]}" for name in names)))
-    print(Table(("what is wrong", *names), tuple(rows)).text())
+    given.out.mkdir(parents=True, exist_ok=True)
+    table = Table(("what is wrong", *names), tuple(rows))
+    table.write(given.out / "wrong_logs.csv")
+    print(table.text())
     print("\nnot named, and what was found:", *(missed or ["none"]), sep="\n  ")
     alarms: Counter[str] = Counter()
     looked_at = 0
