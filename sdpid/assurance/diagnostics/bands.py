@@ -19,7 +19,7 @@ import numpy as np
 from sdpid._common.arrays import Array, frozen
 from sdpid._common.threads import one_thread
 from sdpid.assurance.diagnostics.blocks import held_out_blocks, in_blocks, own, predicted_by
-from sdpid.assurance.diagnostics.rest import moving_rows, rows_in_use
+from sdpid.assurance.diagnostics.rest import moving_rows
 from sdpid.assurance.intervals.posterior import constrained_covariance
 from sdpid.estimation.compression.rows import RowSource
 from sdpid.estimation.estimate import Estimate
@@ -118,7 +118,7 @@ def _missed(estimate: Estimate) -> Array:
             predicted = predicted_by(blocks, problem, {"": own})[""]
         else:
             predicted = problem.predict(estimate.base)
-        used, moving = rows_in_use(samples), moving_rows(samples)
+        used, moving = samples.used, moving_rows(samples)
         # A joint that never moves is judged at rest.
         counted = np.where(moving.any(axis=0), moving, used)
         if blocks:

@@ -10,7 +10,7 @@ import numpy as np
 
 from sdpid._common.arrays import Array, Mask
 from sdpid.assurance.diagnostics.residuals import JointErrors, density
-from sdpid.assurance.diagnostics.rest import moving_rows, rows_in_use
+from sdpid.assurance.diagnostics.rest import moving_rows
 from sdpid.assurance.diagnostics.validation import Validation
 from sdpid.experiment.processing.samples import Samples
 from sdpid.robot.model.model import RobotModel
@@ -116,7 +116,7 @@ def find_causes(
     states = samples.position, samples.velocity, samples.acceleration
     load = np.abs(robot.inverse_dynamics(bodies, *states))
     turned = _turned_gravity(robot, bodies, samples)
-    moving = moving_rows(samples) & rows_in_use(samples)
+    moving = moving_rows(samples) & samples.used
     shift = samples.position.shape[1] - robot.n
     found = {}
     for each in errors:

@@ -24,7 +24,6 @@ from sdpid.assurance.diagnostics.blocks import (
     predicted_by,
 )
 from sdpid.assurance.diagnostics.described import described_friction
-from sdpid.assurance.diagnostics.rest import rows_in_use
 from sdpid.assurance.diagnostics.validation import (
     Errors,
     Validation,
@@ -202,5 +201,5 @@ def _counted(samples: Samples, blocks: tuple[Block, ...]) -> Samples:
     inside = in_blocks(blocks, samples.n_samples)
     if inside.all():
         return samples
-    mask = rows_in_use(samples)
+    mask = samples.used
     return replace(samples, mask=mask & inside[:, None])

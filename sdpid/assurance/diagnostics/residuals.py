@@ -12,7 +12,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from sdpid._common.arrays import Array, Mask, frozen
-from sdpid.assurance.diagnostics.rest import rows_in_use
 from sdpid.assurance.diagnostics.validation import Validation
 from sdpid.estimation.compression.covariance import LaggedSums, integrated_time
 from sdpid.experiment.processing.samples import Samples
@@ -90,16 +89,11 @@ def joint_errors(samples: Samples, fit: Validation) -> tuple[JointErrors, ...]:
     error = samples.effort - fit.effort_predicted
     found = []
     for j, name in enumerate(fit.joint_names):
-        kept = used_rows(samples, j)
+        kept = samples.used[:, j]
         if np.count_nonzero(kept) < 2:
             continue
         found.append(_of_joint(name, error[:, j], samples, j, kept, rate))
     return tuple(found)
-
-
-def used_rows(samples: Samples, joint: int) -> Mask:
-    """Return the mask (K,) of a joint's rows that are not masked."""
-    return rows_in_use(samples)[:, joint]
 
 
 def period(samples: Samples) -> float:

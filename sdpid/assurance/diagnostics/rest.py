@@ -18,13 +18,6 @@ from sdpid.experiment.processing.samples import Samples
 REST_SPEED, REST_SECONDS = 0.02, 0.5
 
 
-def rows_in_use(samples: Samples) -> Mask:
-    """Return the mask (K, n) of the rows in use, all of them where the samples have none."""
-    if samples.mask is None:
-        return np.ones(samples.effort.shape, dtype=bool)
-    return np.asarray(samples.mask)
-
-
 def moving_rows(samples: Samples) -> Mask:
     """Return the rows (K, n) that count in motion: not at rest, those masked for slowness too."""
     return _judged(samples) & ~resting(samples)
@@ -40,7 +33,7 @@ def _judged(samples: Samples) -> Mask:
 
     Of a joint without any row in use, whose effort was not measured, there are none.
     """
-    used = rows_in_use(samples)
+    used = samples.used
     found = used.copy()
     for j in np.flatnonzero(used.any(axis=0) & ~used.all(axis=0)):
         for part in samples.parts:

@@ -14,7 +14,7 @@ from sdpid._common.arrays import Array, Indices, Mask, frozen, frozen_view
 from sdpid._common.tables import Table, facts_html, plain
 from sdpid.assurance.diagnostics.bands import effort_band
 from sdpid.assurance.diagnostics.described import described_dynamics, predicted_efforts
-from sdpid.assurance.diagnostics.rest import moving_rows, resting_rows, rows_in_use
+from sdpid.assurance.diagnostics.rest import moving_rows, resting_rows
 from sdpid.errors import DataError
 from sdpid.estimation.estimate import Estimate
 from sdpid.experiment.preparation.several import joints_without, without_efforts
@@ -130,7 +130,7 @@ class Validation(Errors):
         band: Callable[[], Array] | None = None,
     ) -> Validation:
         """Return the errors of predicted efforts (K, n) of samples."""
-        mask, moving, still = rows_in_use(samples), moving_rows(samples), resting_rows(samples)
+        mask, moving, still = samples.used, moving_rows(samples), resting_rows(samples)
         effort = samples.effort
         return cls(
             joint_names=names,

@@ -7,8 +7,6 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, TypeAlias
 
-import numpy as np
-
 from sdpid.errors import DataError
 from sdpid.experiment.inspection.accept import kinds_accepted, require_accepted
 from sdpid.experiment.inspection.finding import Finding
@@ -318,7 +316,7 @@ def without_efforts(samples: Samples, robot: RobotModel, joints: Sequence[str]) 
         )
     if set(joints) == set(robot.joint_names):
         raise DataError("without_effort: names every joint; no effort is left to identify from.")
-    mask = np.ones(samples.effort.shape, np.bool_) if samples.mask is None else samples.mask.copy()
+    mask = samples.used.copy()
     mask[:, [robot.joint_names.index(name) for name in joints]] = False
     note = f"efforts of joint {', '.join(joints)} are not used"
     return replace(samples, mask=mask, notes=(*samples.notes, note))

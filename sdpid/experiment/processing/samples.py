@@ -176,7 +176,7 @@ class Samples:
         counts = [piece.n_samples for piece in pieces]
         offsets = np.cumsum([0, *counts[:-1]]).tolist()
 
-        def stacked(of: Callable[[Samples], Array]) -> Array:
+        def stacked(of: Callable[[Samples], NDArray[Any]]) -> NDArray[Any]:
             return np.concatenate([of(piece) for piece in pieces])
 
         timed = all(piece.time is not None for piece in pieces)
@@ -187,7 +187,7 @@ class Samples:
             acceleration=stacked(lambda piece: piece.acceleration),
             effort=stacked(lambda piece: piece.effort),
             covariance=_joined_covariance(pieces),
-            mask=np.concatenate([_mask_of(piece) for piece in pieces]) if masked else None,
+            mask=stacked(lambda piece: piece.used) if masked else None,
             time=np.concatenate([np.asarray(piece.time) for piece in pieces]) if timed else None,
             joint_names=first.joint_names,
             block=max(piece.block for piece in pieces),
@@ -324,6 +324,11 @@ class Samples:
         return int(self.effort.shape[0])
 
     @property
+    def used(self) -> NDArray[np.bool_]:
+        """Which rows (K, n) are in use: the mask, or all of them."""
+        return np.ones(self.effort.shape, dtype=np.bool_) if self.mask is None else self.mask
+
+    @property
     def n_rows(self) -> int:
         """Number of rows (sample, joint) in use."""
         return int(self.effort.size if self.mask is None else np.count_nonzero(self.mask))
@@ -407,12 +412,6 @@ class Samples:
                 "that is used."
             )
         object.__setattr__(self, "mask", frozen_view(mask))
-
-
-def _mask_of(samples: Samples) -> NDArray[np.bool_]:
-    if samples.mask is None:
-        return np.ones(samples.effort.shape, dtype=np.bool_)
-    return samples.mask
 
 
 def _joined_covariance(pieces: Sequence[Samples]) -> Array | None:

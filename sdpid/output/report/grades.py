@@ -15,7 +15,6 @@ import numpy as np
 from sdpid._common.arrays import Array
 from sdpid.assurance.diagnostics.bands import random_motion
 from sdpid.assurance.diagnostics.held_out import HeldOut
-from sdpid.assurance.diagnostics.rest import rows_in_use
 from sdpid.assurance.diagnostics.validation import Validation
 from sdpid.errors import SdpidError
 from sdpid.estimation.estimate import Estimate
@@ -126,7 +125,7 @@ def level_of(r2: float, nrmse: float) -> Level:
 
 def moved(samples: Samples, joint: int) -> bool:
     """Return whether a joint moved on the rows in use."""
-    speeds = np.abs(samples.velocity[rows_in_use(samples)[:, joint], joint])
+    speeds = np.abs(samples.velocity[samples.used[:, joint], joint])
     return bool(np.any(speeds > MOVES))
 
 

@@ -21,7 +21,7 @@ from sdpid._common.extras import require
 from sdpid._common.files import atomic_write_text
 from sdpid.assurance.diagnostics.active_constraints import constraint_states
 from sdpid.assurance.diagnostics.provenance import provenance
-from sdpid.assurance.diagnostics.residuals import JointErrors, period, used_rows
+from sdpid.assurance.diagnostics.residuals import JointErrors, period
 from sdpid.assurance.diagnostics.validation import Errors
 from sdpid.estimation.information import WEAK
 from sdpid.experiment.processing.samples import Samples
@@ -253,7 +253,7 @@ def _joints(result: Judged) -> Iterator[dict[str, Any]]:
     samples, robot = result.problem.samples, result.problem.robot
     shift = samples.position.shape[1] - robot.n
     for j in range(robot.n):
-        kept = used_rows(samples, j)
+        kept = samples.used[:, j]
         own = j >= robot.n_base
         q = samples.position[:, j + shift] if own else None
         yield {
@@ -330,7 +330,7 @@ def _plots(result: Judged, errors: tuple[JointErrors, ...]) -> Iterator[dict[str
     for j, name in enumerate(fit.joint_names):
         if name not in shown:
             continue
-        columns = samples.effort[:, j], fit.effort_predicted[:, j], used_rows(samples, j)
+        columns = samples.effort[:, j], fit.effort_predicted[:, j], samples.used[:, j]
         efforts = plot_joint(samples.time, *columns, starts=samples.starts)
         found = plot_joint_errors(shown[name], timed=samples.time is not None)
         yield {

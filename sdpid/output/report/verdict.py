@@ -13,7 +13,7 @@ from sdpid._common.arrays import Array
 from sdpid.assurance.diagnostics.active_constraints import constraint_states
 from sdpid.assurance.diagnostics.held_out import LEAST_SQUARES
 from sdpid.assurance.diagnostics.provenance import provenance
-from sdpid.assurance.diagnostics.residuals import JointErrors, used_rows
+from sdpid.assurance.diagnostics.residuals import JointErrors
 from sdpid.estimation.compression.rows import RowSource
 from sdpid.estimation.problem import Problem
 from sdpid.output.report.cause_words import cause_findings
@@ -178,7 +178,7 @@ def _speeds_of(rows: RowSource) -> Array:
     samples = rows.samples
     found = np.zeros((2, samples.n))
     for j in range(samples.n):
-        v = samples.velocity[used_rows(samples, j), j]
+        v = samples.velocity[samples.used[:, j], j]
         if len(v):
             found[:, j] = v.min(), v.max()
     return found
