@@ -7,6 +7,7 @@ from dataclasses import dataclass, fields, replace
 from typing import Any, Literal
 
 from sdpid.errors import DataError
+from sdpid.experiment.processing.derivatives import BAND_OVER_RATE
 from sdpid.experiment.processing.motion import MOTION_SHARE, motion_frequency
 from sdpid.experiment.processing.settings import Processing, Reason
 from sdpid.experiment.recording.gaps import continuous
@@ -17,10 +18,8 @@ __all__ = ["Choice", "choose_processing", "default_processing", "with_changes"]
 
 # The cut-off for records without periods: this many times the frequency below which 95 % of the
 # motion lies (the paper's decade above the fastest motion, which reaches some three times as far),
-# and at most this share of the sampling rate, up to which differences of fourth order
-# lose no more than 2 % of a velocity.
+# and at most the share of the sampling rate up to which positions are differentiated well.
 _CUTOFF_OVER_MOTION = 25.0
-_CUTOFF_OVER_RATE = 1.0 / 7.5
 # Rows are masked this share of a period of the cut-off around slow motion; a longer mask costs rows
 # near reversals that other motion has. A joint that hardly moves is not masked.
 _MASKED_PERIODS = 0.1
@@ -140,7 +139,7 @@ def _without_periods(log: Recording, motion: float) -> tuple[Processing, Sequenc
     """Choose filter, velocity and derivative from a record without gaps."""
     rate = log.rate_hz
     slowest = rate / log.n_samples
-    highest = _CUTOFF_OVER_RATE * rate
+    highest = BAND_OVER_RATE * rate
     processing = Processing(
         cutoff_hz=min(_CUTOFF_OVER_MOTION * max(motion, slowest), highest),
         order=4,

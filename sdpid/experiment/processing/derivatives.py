@@ -18,6 +18,9 @@ Derivative = Literal["central", "central4", "central6", "savitzky_golay", "spect
 
 DERIVATIVES: tuple[str, ...] = get_args(Derivative)
 
+# Differences of fourth order lose no more than 2 % of a velocity up to this share of the rate.
+BAND_OVER_RATE = 1.0 / 7.5
+
 # Degree of the local polynomials. A velocity is then exact on degree 4, and an acceleration,
 # whose next odd term vanishes in the middle of the window, on degree 5: as with "central4", which
 # is what the shortest window of 5 samples gives.

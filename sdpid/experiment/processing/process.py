@@ -224,7 +224,7 @@ def _processed(log: Recording, processing: Processing, advance: Callable[[int], 
     wide = None
     if processing.filter_friction:
         resting = np.asarray(~velocity.any(axis=0))
-        wide = (wide_velocity(log, chain, processing, resting),)
+        wide = (wide_velocity(log, chain, processing, resting, chunk=_CHUNK),)
     wanted = log.period is not None and processing.covariance is not None
     efforts = Efforts.of(log, chain, covariance=wanted, chunk=_CHUNK)
     notes = _notes(log, processing, chain, grid, mask)

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from sdpid._common.arrays import Array, Mask, frozen_view
+from sdpid.experiment.processing.derivatives import BAND_OVER_RATE
 from sdpid.experiment.processing.efforts import in_threads
 from sdpid.experiment.processing.filters import ZeroPhaseFilter, low_pass
 from sdpid.experiment.processing.period_mean import Chain
@@ -27,11 +28,6 @@ LEAD = 20.0
 # and an encoder's noise out.
 _BAND = 4.0
 _RATE_OVER_CUTOFF = 80.0
-# Differences of fourth order lose no more than 2 % of a velocity up to this share of the rate.
-_BAND_OVER_RATE = 2.0 / 15.0
-
-# Samples of a record without periods that are filtered at a time.
-_CHUNK = 1 << 18
 
 # Results that are kept: those of the terms of a model, with room for those tried beside them.
 _KEPT = 12
@@ -109,7 +105,7 @@ class WideVelocity:
 
 
 def wide_velocity(
-    log: Recording, chain: Chain, processing: Processing, resting: Mask
+    log: Recording, chain: Chain, processing: Processing, resting: Mask, *, chunk: int
 ) -> WideVelocity:
     """Return the wide velocity of a record without gaps.
 
@@ -123,10 +119,12 @@ def wide_velocity(
         Cut-off, filter, and where velocities are from.
     resting : (n,) ndarray of bool
         Joints that do not move: the sign of their noise is nothing.
+    chunk : int
+        Pieces in which a record without periods is filtered, in samples.
     """
     window, grid = chain.window, chain.window.grid
     rate = 1.0 / grid.step
-    cutoff = min(_BAND * processing.cutoff_hz, max(_BAND_OVER_RATE * rate, processing.cutoff_hz))
+    cutoff = min(_BAND * processing.cutoff_hz, max(BAND_OVER_RATE * rate, processing.cutoff_hz))
     step = _fine_step(chain.decimation, rate / (_RATE_OVER_CUTOFF * processing.cutoff_hz))
     filter_of_efforts = processing.low_pass(rate / step)
     lead = lead_samples(filter_of_efforts)
@@ -144,7 +142,7 @@ def wide_velocity(
 
     def one(j: int) -> None:
         first = 0
-        for part in wide.parts(_CHUNK):
+        for part in wide.parts(chunk):
             if measured is None:
                 signal, _, _ = part.mean(log.position[:, j])
                 fine = chain.stencil.velocity(signal, grid.step)
