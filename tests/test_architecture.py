@@ -54,6 +54,7 @@ ROOMS = {
         "robust",
         "recursive",
     ],
+    "excitation": ["geometry", "limits", "criterion", "search", "expected", "plan", "design"],
     "assurance": [
         "certificate",
         "intervals",
@@ -62,7 +63,7 @@ ROOMS = {
         "descriptions",
         "payload",
     ],
-    "output": ["tables", "plots", "robots", "report"],
+    "output": ["tables", "plots", "robots", "report", "plans"],
     "workflow": [],
     "cli": [],
 }
@@ -86,7 +87,7 @@ HEAVY = {
 
 # Who may use a library at all, as beginnings of module names.
 ALLOWED = {
-    "pinocchio": ("sdpid.robot.", "sdpid.experiment.plant"),
+    "pinocchio": ("sdpid.robot.", "sdpid.excitation.", "sdpid.experiment.plant"),
     "cvxpy": ("sdpid.estimation.sdp.", "sdpid.assurance."),
     "clarabel": ("sdpid.estimation.conic",),
     "scs": ("sdpid.estimation.conic",),

@@ -1,0 +1,1 @@
+"""Design the excitation of a robot."""

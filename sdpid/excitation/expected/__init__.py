@@ -1,0 +1,1 @@
+"""What a motion will buy: expected intervals, bands and open directions."""

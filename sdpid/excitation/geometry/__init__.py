@@ -1,0 +1,1 @@
+"""Shapes of links and obstacles, and the distances between them."""

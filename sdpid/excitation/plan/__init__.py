@@ -1,0 +1,1 @@
+"""The plan: a motion, its limits and what it will buy."""
