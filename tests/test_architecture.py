@@ -49,6 +49,7 @@ ROOMS = {
         "estimate",
         "wls",
         "sdp",
+        "posterior",
         "selection",
         "local",
         "robust",

@@ -22,13 +22,15 @@ number, it is known no better than before: between the limits of the search.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import pairwise
+from typing import TypeAlias
 
 import numpy as np
 
-from sdpid._common.arrays import Array, frozen
+from sdpid._common.arrays import Array, Indices, frozen
 from sdpid.estimation.compression.rows import RowSource
 from sdpid.estimation.compression.whitening import whiten
 from sdpid.estimation.effects.bending import Bending
@@ -41,12 +43,24 @@ _BANDS_PER_OCTAVE = 2
 # The lowest band ends this many octaves below half the rate, two hours at 100 Hz; it begins at 0.
 _OCTAVES = 18
 
+# Frequencies that stand for the bands, in shares of the rate: a quarter of an octave below the end
+# of each.
+_MIDDLES = 0.5 * 2.0 ** (
+    (np.arange(_OCTAVES * _BANDS_PER_OCTAVE + 1) - 0.5) / _BANDS_PER_OCTAVE - _OCTAVES
+)
+
 # Real Fourier coefficients that must be left to the variance of a group: of ten the estimate is
 # uncertain by 45 %, and a function's variance is a sum over dozens of groups.
 _LEAST_ROOM = 10.0
 
 # A speed is never known better than this beforehand, relative: where its limits meet.
 _LEAST_DEVIATION = 1e-3
+
+# A joint without information has this much, to divide by.
+_NOTHING = np.finfo(float).tiny
+
+# Variances (n, m) of Fourier coefficients at frequencies (m,).
+Believed: TypeAlias = Callable[[Array], Array]
 
 # Bytes of whitened rows that are transformed together; longer pieces are cut in equal parts. Of an
 # arm of seven joints that is 20 000 samples, minutes.
@@ -65,6 +79,8 @@ class NoiseSpectrum:
         Power of the unconstrained fit's residual.
     room : ndarray, shape (G,)
         Real Fourier coefficients less those that the fit spends; at least one.
+    joint : ndarray of int, shape (G,)
+        Whose rows they are.
     known : ndarray, shape (c,)
         What is known of the parameters beforehand, as the diagonal of an information: nothing of
         base parameters.
@@ -75,11 +91,14 @@ class NoiseSpectrum:
     information: Array
     power: Array
     room: Array
+    joint: Indices
     known: Array
     base_count: int
 
     @classmethod
-    def of(cls, problem: Problem, theta: Array | None = None) -> NoiseSpectrum:
+    def of(
+        cls, problem: Problem, theta: Array | None = None, *, believed: Believed | None = None
+    ) -> NoiseSpectrum:
         """Transform the rows of a problem.
 
         Parameters
@@ -89,6 +108,10 @@ class NoiseSpectrum:
         theta : ndarray, shape (p,), optional
             The estimate, whose friction depends on speeds that the data chose; by default these
             are taken to be known.
+        believed : callable, optional
+            Returns the variances (n, m) of each joint's Fourier coefficients, of whitened rows, at
+            frequencies (m,) in shares of the samples' rate. They take the place of the power of the
+            residuals, which are not looked at: for a run that is yet to be made.
 
         Raises
         ------
@@ -113,10 +136,17 @@ class NoiseSpectrum:
         spent = np.einsum("ar,jmab,br->jm", root, H, root, optimize=True)
         room = np.maximum(count - spent, 0.0)
         groups = [(j, own) for j, each in enumerate(room) for own in _joined(each)]
+        left = np.array([max(room[j, own].sum(), 1.0) for j, own in groups])
+        power = np.array([products[j, own, -1, -1].sum() for j, own in groups])
+        if believed is not None:
+            variances, weights = believed(_MIDDLES), spent + _NOTHING
+            means = [np.average(variances[j, own], weights=weights[j, own]) for j, own in groups]
+            power = np.array(means) * left
         return cls(
             frozen(np.array([H[j, own].sum(axis=0) for j, own in groups])),
-            frozen(np.array([products[j, own, -1, -1].sum() for j, own in groups])),
-            frozen(np.array([max(room[j, own].sum(), 1.0) for j, own in groups])),
+            frozen(power),
+            frozen(left),
+            np.array([j for j, _ in groups], dtype=np.intp),
             frozen(known),
             problem.base.count,
         )
@@ -125,6 +155,13 @@ class NoiseSpectrum:
     def density(self) -> Array:
         """Variance S_g of each group's Fourier coefficients, (G,)."""
         return np.asarray(self.power / self.room)
+
+    @property
+    def densities(self) -> Array:
+        """Variance of each joint's Fourier coefficients where its information lies, (n,)."""
+        weight = np.einsum("gii->g", self._shares)
+        spread = np.bincount(self.joint, weight * self.density)
+        return np.asarray(spread / np.maximum(np.bincount(self.joint, weight), _NOTHING))
 
     @cached_property
     def root(self) -> Array:

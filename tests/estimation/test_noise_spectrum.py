@@ -141,3 +141,17 @@ def test_every_weighting_has_errors_of_its_own_fit(weighting: Weighting) -> None
         error = sdpid.solve_wls(problem).base - problem.base_of(THETA)
         squares.append(np.mean(error**2 / np.diag(NoiseSpectrum.of(problem).covariance)))
     assert 0.7 < np.mean(squares) < 1.5
+
+
+@pytest.mark.parametrize("size", [1.0, 4.0])
+def test_a_believed_spectrum_takes_the_place_of_the_residuals(size: float) -> None:
+    samples = moving(200, white(np.random.default_rng(1), 200))
+    problem = build_problem(ARM, samples, friction=FRICTION)
+    found = NoiseSpectrum.of(problem)
+    believed = NoiseSpectrum.of(problem, believed=lambda at: np.full((2, len(at)), size))
+    np.testing.assert_array_equal(believed.information, found.information)
+    np.testing.assert_allclose(believed.density, size)
+    np.testing.assert_allclose(believed.densities, size)
+    exact = size * np.linalg.inv(problem.A.T @ problem.A)
+    scale = np.sqrt(np.diag(exact))
+    np.testing.assert_allclose((believed.covariance - exact) / np.outer(scale, scale), 0, atol=1e-6)

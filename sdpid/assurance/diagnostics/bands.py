@@ -5,7 +5,7 @@ The half-width of the band of joint j in state x is
     1.96·sqrt(s_j² + Y_j(x)·C·Y_j(x)^T),
 
 with the covariance C of the constrained estimate's base parameters (see
-`sdpid.assurance.intervals.posterior`), the base regressor Y_j, and the rms error s_j of the joint
+`sdpid.estimation.posterior`), the base regressor Y_j, and the rms error s_j of the joint
 while it moves, on blocks held out where that can be done, else on the training rows. It is about
 motion: at rest stiction holds what it will.
 """
@@ -20,9 +20,9 @@ from sdpid._common.arrays import Array, frozen
 from sdpid._common.threads import one_thread
 from sdpid.assurance.diagnostics.blocks import held_out_blocks, in_blocks, own, predicted_by
 from sdpid.assurance.diagnostics.rest import moving_rows
-from sdpid.assurance.intervals.posterior import constrained_covariance
 from sdpid.estimation.compression.rows import RowSource
 from sdpid.estimation.estimate import Estimate
+from sdpid.estimation.posterior import constrained_covariance
 from sdpid.estimation.problem import Problem
 from sdpid.experiment.processing.samples import Samples
 

@@ -12,11 +12,11 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from sdpid._common.arrays import Array, frozen
-from sdpid.assurance.intervals.posterior import Posterior
 from sdpid.errors import DataError
 from sdpid.estimation.effects.bending import Bending
 from sdpid.estimation.estimate import Estimate
 from sdpid.estimation.noise_spectrum import NoiseSpectrum
+from sdpid.estimation.posterior import Posterior
 from sdpid.estimation.problem import Problem
 from sdpid.robot.friction.motion import Motion
 

@@ -6,7 +6,7 @@ Three kinds, each with its own question (see docs/intervals.md):
   all of them, proven from multipliers (see `sdpid.assurance.intervals.profile_likelihood`). It is
   the only one that says something of parameters that the data leave open and physics bounds.
 * ``gauss_markov``: how far is the estimate from the truth? Standard errors from the spectrum of the
-  residuals and from the prior, about the estimate (see `sdpid.assurance.intervals.posterior`).
+  residuals and from the prior, about the estimate (see `sdpid.estimation.posterior`).
 * ``bootstrap``: how would the constrained estimate scatter? Blocks of samples are drawn again,
   and the constrained problem is solved every time (see `sdpid.assurance.intervals.bootstrap`).
 """
@@ -25,13 +25,13 @@ from sdpid._common.tables import Table, facts_html, plain
 from sdpid._common.threads import one_thread
 from sdpid.assurance.intervals.bootstrap import Kind, resample
 from sdpid.assurance.intervals.parameters import ParameterFunctions
-from sdpid.assurance.intervals.posterior import Groups, Posterior, fit_errors
 from sdpid.assurance.intervals.profile_likelihood import End, ProfileLikelihood
 from sdpid.errors import DataError
 from sdpid.estimation.cluster_robust import Groups as DrawnGroups
 from sdpid.estimation.constraints.feasible_set import FeasibleSet
 from sdpid.estimation.estimate import Estimate
 from sdpid.estimation.information import require_excitation
+from sdpid.estimation.posterior import Groups, Posterior, fit_errors
 
 Method = Literal["profile", "gauss_markov", "bootstrap"]
 

@@ -34,11 +34,11 @@ import numpy as np
 
 from sdpid._common.arrays import Array
 from sdpid._common.jobs import parallel
-from sdpid.assurance.intervals.posterior import FitErrors
 from sdpid.errors import DataError, SolverError
 from sdpid.estimation.conic.retry import solve_with_retries
 from sdpid.estimation.conic.solve import ConicFamily, ConicSolution
 from sdpid.estimation.duality.bound import clip_psd, cost_scale
+from sdpid.estimation.posterior import FitErrors
 from sdpid.estimation.problem import Problem
 from sdpid.estimation.scaling import Scaling
 from sdpid.estimation.sdp.program import Coordinates, SdpProgram

@@ -7,8 +7,8 @@ import pytest
 
 import sdpid
 from sdpid.assurance.intervals.friction_curve import friction_curve
-from sdpid.assurance.intervals.posterior import constrained_covariance
 from sdpid.errors import DataError
+from sdpid.estimation.posterior import constrained_covariance
 from sdpid.estimation.problem import Problem, build_problem
 from tests.helpers.arm import ARM
 from tests.helpers.data import full_regressor, random_theta

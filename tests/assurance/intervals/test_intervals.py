@@ -12,13 +12,13 @@ from scipy.stats import t
 import sdpid
 from sdpid._common.arrays import Array
 from sdpid.assurance.intervals.intervals import FROM_DATA, FROM_PHYSICS, FROM_PRIOR
-from sdpid.assurance.intervals.posterior import Groups
 from sdpid.assurance.intervals.profile_likelihood import ProfileLikelihood
 from sdpid.errors import DataError
 from sdpid.estimation.cluster_robust import ScoreBlocks
 from sdpid.estimation.conic.solve import ConicFamily, ConicProgram, Solver, solve_conic
 from sdpid.estimation.estimate import Estimate
 from sdpid.estimation.noise_spectrum import NoiseSpectrum
+from sdpid.estimation.posterior import Groups
 from sdpid.estimation.problem import Problem, build_problem
 from sdpid.robot.inertia import Consistency
 from sdpid.robot.model.model import RobotModel

@@ -9,8 +9,8 @@ import pytest
 
 import sdpid
 from sdpid._common.arrays import Array
-from sdpid.assurance.intervals.posterior import Posterior, constrained_covariance
 from sdpid.estimation.noise_spectrum import NoiseSpectrum
+from sdpid.estimation.posterior import Posterior, constrained_covariance
 from sdpid.estimation.problem import build_problem
 from tests.helpers.arm import ARM, CONDITIONS, arm_problem
 from tests.helpers.data import make_samples, random_links, random_theta
