@@ -71,12 +71,18 @@ class Reached:
         return self.slack / abs(self.limit) if self.limit else self.slack
 
 
+def curve_states(curve: Any, duration: float, rate_hz: float = RATE_HZ) -> States:
+    """Return the states of a curve on a grid over [0, duration], both ends included."""
+    count = max(1, round(duration * rate_hz))
+    time = duration * np.arange(count + 1) / count
+    return States(time, *(_evaluated(curve, time, order) for order in range(4)))
+
+
 def states_of(trajectory: Trajectory, rate_hz: float = RATE_HZ) -> States:
     """Return the states of a whole trajectory on a grid: connection in, one period, and out."""
     step = 1.0 / rate_hz
-    series, period = trajectory.series, trajectory.period
-    time = np.append(np.arange(0.0, period, step), period)
-    main = [_evaluated(series, time, order) for order in range(4)]
+    period = trajectory.period
+    time, *main = curve_states(trajectory.series, period, rate_hz)
     parts = [(trajectory.rest + trajectory.connection, time, main)]
     start = [values[0] for values in main]
     end = [values[-1] for values in main]
