@@ -17,6 +17,7 @@ from .estimation.robust.solve import solve_robust
 from .estimation.sdp.cvxpy_form import to_cvxpy
 from .estimation.sdp.solve import solve_sdp
 from .estimation.wls import solve_wls
+from .excitation.limits.limits import Limits
 from .experiment.inspection.inspect import inspect_recording
 from .experiment.plant.simulate import simulate
 from .experiment.processing.process import Processing, process
@@ -42,6 +43,7 @@ __version__: str
 __all__ = [
     "Constraints",
     "DhTable",
+    "Limits",
     "MotorSide",
     "Prior",
     "Processing",

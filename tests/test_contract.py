@@ -11,6 +11,7 @@ import sdpid
 # The flow: robot, log, problem, estimate, proof, files.
 CONTRACT = {
     "Constraints",
+    "Limits",
     "Processing",
     "Recording",
     "RobotModel",

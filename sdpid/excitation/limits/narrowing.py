@@ -1,0 +1,367 @@
+"""Narrow the limits of a robot's description to given ones, and tell what is assumed."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from numbers import Real
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from sdpid._common.arrays import Array, Mask, real_array
+from sdpid.errors import DataError, ModelError
+from sdpid.excitation.limits.joint_limits import ASSUMED, DESCRIBED, GIVEN, NONE, JointLimits
+from sdpid.robot.model.described_efforts import described_efforts
+from sdpid.robot.model.model import RobotModel
+
+# A value for all joints, one a joint in the robot's order (None for none), or values by joint.
+Values = float | Sequence[float | None] | Mapping[str, float] | None
+
+KINDS = ("lower", "upper", "velocity", "acceleration", "jerk", "torque")
+# The entry of a mapping that stands for all joints that it does not name.
+OTHERS = "*"
+
+# Joints without position limits may go this far to either side of their rest position: half a turn
+# keeps cables whole. Sliding joints may have an end stop anywhere (m).
+_HALF_TURN, _SHORT_WAY = np.pi, 0.1
+# Joints without a speed limit, rad/s and m/s.
+_SPEED, _SLIDING_SPEED = 2.0, 0.25
+# Descriptions have no accelerations. Full speed after half a second is a lively motion of any arm:
+# 4.4 rad/s² on the Panda, whose maker allows 7.5 to 20; capped where speeds are high, rad/s², m/s².
+_SECONDS_TO_FULL_SPEED = 0.5
+_ACCELERATION, _SLIDING_ACCELERATION = 5.0, 2.0
+# The full acceleration after this time (s): far above the period of an arm's own oscillations.
+_SECONDS_TO_FULL_ACCELERATION = 0.1
+
+# The joints rest at zero where that is this part of the range or more away from its ends, in the
+# middle otherwise.
+_FROM_ENDS = 0.1
+
+# Larger values of turning joints are degrees: two turns, 8 turns a second (rad, rad/s). Of sliding
+# joints they are mm (m, m/s).
+_DEGREES = {"lower": 4.0 * np.pi, "upper": 4.0 * np.pi, "velocity": 50.0}
+_MILLIMETERS = {"lower": 20.0, "upper": 20.0, "velocity": 20.0}
+
+# Limits are the same where they differ by less than this share: files round them.
+_SAME = 1e-3
+
+# Units of turning and of sliding joints.
+UNITS = {
+    "lower": ("rad", "m"),
+    "upper": ("rad", "m"),
+    "velocity": ("rad/s", "m/s"),
+    "acceleration": ("rad/s²", "m/s²"),
+    "jerk": ("rad/s³", "m/s³"),
+    "torque": ("N·m", "N"),
+}
+
+
+def narrow(
+    robot: RobotModel,
+    given: Mapping[str, Values],
+    rest: ArrayLike | None,
+    *,
+    share: float,
+    override: bool,
+    check_rest: bool,
+) -> JointLimits:
+    """Return the limits of a robot's joints; see `Limits.of`.
+
+    Parameters
+    ----------
+    robot : RobotModel
+        On a fixed base.
+    given : mapping
+        Values by kind of limit, one for each of `KINDS`.
+    rest : array_like, shape (n,), optional
+        Position at rest.
+    share : float
+        Share of the description's limits that is used.
+    override : bool
+        Whether given values hold where they are wider than the description's, too.
+
+    check_rest : bool
+        Whether the robot must be able to stand at rest within the limits.
+
+    Raises
+    ------
+    ModelError
+        When the base floats.
+    DataError
+        When limits contradict each other or what they are for.
+    """
+    found = _Narrowing(robot, given, share, override).limits(rest)
+    if check_rest:
+        _check_rest(robot, found)
+    return found
+
+
+class _Narrowing:
+    """The way from given limits and a description to those of the joints, told on the way."""
+
+    def __init__(
+        self, robot: RobotModel, given: Mapping[str, Values], share: float, override: bool
+    ) -> None:
+        if robot.n_base:
+            raise ModelError(f"limits of '{robot.name}': a floating base has no motors to move it.")
+        self.robot, self.given, self.share, self.override = robot, given, share, override
+        self.names, self.n = robot.joint_names, robot.n
+        self.sliding = sliding_joints(robot)
+        self.told: list[str] = []
+        self.sources: dict[str, tuple[str, ...]] = {}
+
+    def limits(self, rest: ArrayLike | None) -> JointLimits:
+        """Return the joints' limits."""
+        start = self._start(rest)
+        lower, upper = self._range(start)
+        position = np.where(np.isnan(start), _usual_rest(lower, upper), start)
+        robot = self.robot
+        speeds, torques = _positive(robot.velocity_limits), _positive(robot.effort_limits)
+        velocity = self._filled(
+            "velocity",
+            self._merged("velocity", self.share * speeds, speeds),
+            np.where(self.sliding, _SLIDING_SPEED, _SPEED),
+            "{} is assumed",
+            (f"{_SPEED:g} rad/s", f"{_SLIDING_SPEED:g} m/s"),
+        )
+        none = np.full(self.n, np.nan)
+        most = np.where(self.sliding, _SLIDING_ACCELERATION, _ACCELERATION)
+        acceleration = self._filled(
+            "acceleration",
+            self._merged("acceleration", none, none),
+            np.minimum(velocity / _SECONDS_TO_FULL_SPEED, most),
+            f"full speed after {_SECONDS_TO_FULL_SPEED:g} s, at most {{}}, is assumed",
+            (f"{_ACCELERATION:g} rad/s²", f"{_SLIDING_ACCELERATION:g} m/s²"),
+        )
+        jerk = self._filled(
+            "jerk",
+            self._merged("jerk", none, none),
+            acceleration / _SECONDS_TO_FULL_ACCELERATION,
+            f"the full acceleration after {_SECONDS_TO_FULL_ACCELERATION:g} s is assumed",
+        )
+        torque = self._merged("torque", self.share * torques, torques)
+        self._tell(np.isnan(torque), "no torque limits; the torques are not checked")
+        if self.share < 1.0 and any(DESCRIBED in each for each in self.sources.values()):
+            self.told.append(
+                f"of the description's position ranges, speeds and torques {100 * self.share:g} % "
+                "are used, since controllers stop the arm at their limits."
+            )
+        return JointLimits(
+            joint_names=self.names,
+            rest=position,
+            lower=lower,
+            upper=upper,
+            velocity=velocity,
+            acceleration=acceleration,
+            jerk=jerk,
+            torque=np.where(np.isnan(torque), np.inf, torque),
+            sources=self.sources,
+            assumed=tuple(self.told),
+        )
+
+    def _start(self, rest: ArrayLike | None) -> Array:
+        """Return the given rest position (n,), NaN where none is given."""
+        if rest is None:
+            return np.full(self.n, np.nan)
+        values = real_array(rest, "rest position", ndim=1)
+        if values.shape != (self.n,):
+            raise DataError(
+                f"rest position: {values.size} values, '{self.robot.name}' has {self.n} joints: "
+                f"{', '.join(self.names)}."
+            )
+        return values
+
+    def _range(self, start: Array) -> tuple[Array, Array]:
+        """Return the lower and upper limits of the positions."""
+        low, high = self.robot.position_limits.T
+        # Descriptions without limits write infinity, or zero for both.
+        real = (low != 0.0) | (high != 0.0)
+        wrong = np.flatnonzero(real & ~(low < high))
+        if wrong.size and not self.override:
+            j = wrong[0]
+            raise DataError(
+                f"limits: the description of '{self.robot.name}' has joint '{self.names[j]}' from "
+                f"{low[j]:g} to {high[j]:g}; mend it, or give both with override."
+            )
+        real &= low < high
+        low = np.where(real & np.isfinite(low), low, np.nan)
+        high = np.where(real & np.isfinite(high), high, np.nan)
+        # NaN where an end is missing: then the other is used as it stands.
+        spare = np.nan_to_num(0.5 * (1.0 - self.share) * (high - low))
+        lower = self._merged("lower", low + spare, low)
+        upper = self._merged("upper", high - spare, high)
+        way = np.where(self.sliding, _SHORT_WAY, _HALF_TURN)
+        about = np.where(np.isnan(start), 0.0, start)
+        no_lower, no_upper = ~np.isfinite(lower), ~np.isfinite(upper)
+        lower, upper = (
+            np.where(no_lower, np.where(no_upper, about - way, upper - 2.0 * way), lower),
+            np.where(no_upper, np.where(no_lower, about + way, lower + 2.0 * way), upper),
+        )
+        for missing, kind in ((no_lower, "lower"), (no_upper, "upper")):
+            self._mark(kind, missing, ASSUMED)
+        self._assume(
+            no_lower | no_upper,
+            "no position limits; {} to either side of the rest position is assumed, since cables "
+            "and end stops are not known",
+            ("half a turn", f"{_SHORT_WAY:g} m"),
+        )
+        for j in np.flatnonzero(~(lower < upper)):
+            sides = [self.sources[kind][j] for kind in ("lower", "upper")]
+            raise DataError(
+                f"limits: joint '{self.names[j]}': lower {lower[j]:g} ({sides[0]}) is not below "
+                f"upper {upper[j]:g} ({sides[1]}) {unit_of('lower', self.sliding[j])}; give limits "
+                "that overlap the description's."
+            )
+        return lower, upper
+
+    def _merged(self, kind: str, used: Array, described: Array) -> Array:
+        """Return the tighter of the given limits and the description's, NaN where neither is.
+
+        `used` is the share of the described limits that is used.
+        """
+        given = self._values(kind)
+        self._check_units(kind, given)
+        tighter = np.fmax if kind == "lower" else np.fmin
+        beyond = np.sign(described - given) if kind == "lower" else np.sign(given - described)
+        wider = (beyond > 0.0) & (np.abs(given - described) > _SAME * np.abs(described))
+        if self.override:
+            values = np.where(np.isnan(given), used, given)
+            self._tell(wider, f"a {kind} limit beyond the description's, which is overridden")
+        else:
+            values = np.where(np.isnan(given), used, tighter(given, described))
+            self._tell(
+                wider & np.isfinite(given),
+                f"a {kind} limit beyond the description's; the description's holds",
+            )
+        own = ~np.isnan(given) & (~(beyond > 0.0) | self.override)
+        sources = np.where(own, GIVEN, np.where(np.isnan(described), NONE, DESCRIBED))
+        self.sources[kind] = tuple(sources.tolist())
+        return values
+
+    def _filled(
+        self,
+        kind: str,
+        values: Array,
+        usual: Array,
+        words: str,
+        amounts: tuple[str, str] = ("", ""),
+    ) -> Array:
+        """Return sizes with what is assumed where there are none."""
+        missing = np.isnan(values)
+        self._mark(kind, missing, ASSUMED)
+        self._assume(missing, f"no {kind} limits; {words}", amounts)
+        return np.where(missing, usual, values)
+
+    def _values(self, kind: str) -> Array:
+        """Return the given values (n,) of a kind, NaN where none is given."""
+        values = self.given[kind]
+        if values is None:
+            return np.full(self.n, np.nan)
+        if isinstance(values, Mapping):
+            unknown = [name for name in values if name not in self.names and name != OTHERS]
+            if unknown:
+                raise DataError(
+                    f"limits: {kind}: '{self.robot.name}' has no joint '{unknown[0]}'; its joints "
+                    f"are {', '.join(self.names)}."
+                )
+            each = [values.get(name, values.get(OTHERS)) for name in self.names]
+        else:
+            each = [values] * self.n if is_number(values) else list(values)  # type: ignore[list-item, arg-type]
+        if len(each) != self.n:
+            raise DataError(
+                f"limits: {kind} has {len(each)} values, '{self.robot.name}' has {self.n} "
+                f"joints: {', '.join(self.names)}."
+            )
+        return np.array([np.nan if value is None else value for value in each], dtype=np.float64)
+
+    def _check_units(self, kind: str, given: Array) -> None:
+        """Raise `DataError` when given values look like degrees or mm."""
+        if kind not in _DEGREES:
+            return
+        most = np.where(self.sliding, _MILLIMETERS[kind], _DEGREES[kind])
+        for j in np.flatnonzero(np.isfinite(given) & (np.abs(given) > most)):
+            unit = unit_of(kind, self.sliding[j])
+            slip = "mm" if self.sliding[j] else "degrees"
+            factor = 1e-3 if self.sliding[j] else np.pi / 180.0
+            raise DataError(
+                f"limits: joint '{self.names[j]}': {kind} is {given[j]:g} {unit}, which looks like "
+                f"{slip}; give {given[j] * factor:.4g} {unit}."
+            )
+
+    def _mark(self, kind: str, where: Mask, source: str) -> None:
+        """Note the source of some joints' limits."""
+        old = self.sources[kind]
+        self.sources[kind] = tuple(
+            source if here else before for before, here in zip(old, where, strict=True)
+        )
+
+    def _assume(self, where: Mask, words: str, amounts: tuple[str, str]) -> None:
+        """Tell what is assumed of turning joints, and what of sliding ones."""
+        if "{}" not in words:
+            self._tell(where, words)
+            return
+        for kind, amount in zip((~self.sliding, self.sliding), amounts, strict=True):
+            self._tell(where & kind, words.format(amount))
+
+    def _tell(self, where: Mask, words: str) -> None:
+        """Add a sentence about the joints for which something holds."""
+        joints = np.flatnonzero(where)
+        if joints.size == 0:
+            return
+        if joints.size == self.n and self.n > 1:
+            self.told.append(f"all joints have {words}.")
+        else:
+            names = ", ".join(self.names[j] for j in joints)
+            verb = "has" if joints.size == 1 else "have"
+            self.told.append(f"{names} {verb} {words}.")
+
+
+def _check_rest(robot: RobotModel, limits: JointLimits) -> None:
+    """Raise `DataError` unless a robot can stand at its rest position within the limits."""
+    rest, names, sliding = limits.rest, limits.joint_names, sliding_joints(robot)
+    for j in np.flatnonzero((rest < limits.lower) | (rest > limits.upper)):
+        unit = unit_of("lower", sliding[j])
+        below = rest[j] < limits.lower[j]
+        side, limit = ("below", limits.lower[j]) if below else ("above", limits.upper[j])
+        raise DataError(
+            f"limits: joint '{names[j]}': the rest position {rest[j]:.6g} {unit} is {side} the "
+            f"limit of {limit:.6g} {unit}; start elsewhere, or widen the limit."
+        )
+    still = np.zeros((1, limits.n))
+    gravity = np.abs(described_efforts(robot, rest[None], still, still)[0])
+    for j in np.flatnonzero(gravity > limits.torque):
+        unit = unit_of("torque", sliding[j])
+        raise DataError(
+            f"limits: joint '{names[j]}': gravity alone needs {gravity[j]:.4g} {unit} at the rest "
+            f"position, the torque limit is {limits.torque[j]:.4g} {unit} "
+            f"({limits.sources['torque'][j]}); give another rest position, or a larger limit."
+        )
+
+
+def unit_of(kind: str, sliding: object) -> str:
+    """Return the unit of a limit of a turning or a sliding joint."""
+    return UNITS[kind][bool(sliding)]
+
+
+def sliding_joints(robot: RobotModel) -> Mask:
+    """Return which of a fixed-base robot's joints slide, (n,)."""
+    model = robot.pin_model
+    kinds = [model.joints[model.getJointId(name)].shortname() for name in robot.joint_names]
+    return np.array([kind.startswith("JointModelP") for kind in kinds], dtype=np.bool_)
+
+
+def _usual_rest(lower: Array, upper: Array) -> Array:
+    """Return zero, or the middle where zero is outside of the limits or near them."""
+    edge = _FROM_ENDS * (upper - lower)
+    inside = (lower + edge <= 0.0) & (upper - edge >= 0.0)
+    return np.where(inside, 0.0, 0.5 * (lower + upper))
+
+
+def _positive(values: Array) -> Array:
+    """Return limits with NaN in place of those that are none: infinity, or zero."""
+    return np.where(np.isfinite(values) & (values > 0.0), values, np.nan)
+
+
+def is_number(value: object) -> bool:
+    """Return whether a value is a real number, and no truth value."""
+    return isinstance(value, Real) and not isinstance(value, bool)
