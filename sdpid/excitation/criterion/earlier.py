@@ -12,7 +12,7 @@ from typing import Any, TypeAlias
 
 import numpy as np
 
-from sdpid._common.arrays import Array, Mask, frozen
+from sdpid._common.arrays import Array, frozen
 from sdpid.errors import DataError
 from sdpid.estimation.constraints.constraints import Constraints
 from sdpid.estimation.estimate import Estimate
@@ -20,6 +20,7 @@ from sdpid.estimation.noise_spectrum import NoiseSpectrum
 from sdpid.estimation.prior.prior import Prior
 from sdpid.estimation.problem import build_problem
 from sdpid.estimation.sdp.solve import solve_sdp
+from sdpid.excitation.criterion.marginal import inverse, marginal
 from sdpid.excitation.criterion.noise import ExpectedNoise
 from sdpid.experiment.preparation.several import Logs, prepare_recordings
 from sdpid.robot.friction.model import FrictionModel
@@ -31,9 +32,6 @@ Previous: TypeAlias = "Estimate | object | Logs"
 
 # A parameter of the plan is one of the earlier model's where this much of it is not, relative.
 _FOREIGN = 1e-6
-
-# Directions that the earlier data see this little are open, relative to the best, in scaled units.
-_OPEN = 1e-12
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -135,8 +133,8 @@ def _data_information(spectrum: NoiseSpectrum) -> Array:
     scores += float(spectrum.power.sum() / spectrum.room.sum()) * np.diag(spectrum.known)
     # J = H·M^(-1)·H; then what is known of the speeds that the data chose is marginalized.
     scale = 1.0 / np.sqrt(np.maximum(np.diag(scores), np.finfo(float).tiny))
-    whole = H * scale @ _inverse(scores * np.outer(scale, scale)) @ (H * scale).T
-    return _schur(whole, np.arange(len(whole)) < b)
+    whole = H * scale @ inverse(scores * np.outer(scale, scale)) @ (H * scale).T
+    return marginal(whole, np.arange(len(whole)) < b)
 
 
 def _in_coordinates(
@@ -162,25 +160,6 @@ def _in_coordinates(
     change = np.linalg.inv(np.vstack([L, rest]))
     moved = change.T @ information @ change
     out = np.zeros((new.count, new.count))
-    out[np.ix_(own, own)] = _schur(moved, np.arange(len(moved)) < len(L))
+    out[np.ix_(own, own)] = marginal(moved, np.arange(len(moved)) < len(L))
     names = [name for name, is_own in zip(new.names, own, strict=True) if not is_own]
     return out, names
-
-
-def _schur(information: Array, kept: Mask) -> Array:
-    """Return the information of some parameters, the others unknown."""
-    if kept.all():
-        return information
-    cross = information[np.ix_(kept, ~kept)]
-    other = information[np.ix_(~kept, ~kept)]
-    scale = 1.0 / np.sqrt(np.maximum(np.diag(other), np.finfo(float).tiny))
-    solved = (cross * scale) @ _inverse(other * np.outer(scale, scale)) @ (cross * scale).T
-    out = information[np.ix_(kept, kept)] - solved
-    return np.asarray(0.5 * (out + out.T))
-
-
-def _inverse(matrix: Array) -> Array:
-    """Return the inverse of a scaled, symmetric matrix on what it determines."""
-    values, vectors = np.linalg.eigh(matrix)
-    kept = values > _OPEN * max(float(values[-1]), 0.0)
-    return np.asarray((vectors[:, kept] / values[kept]) @ vectors[:, kept].T)
