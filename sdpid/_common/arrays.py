@@ -28,7 +28,14 @@ def frozen_view(array: NDArray[Any]) -> Any:
     return view
 
 
-def real_array(values: Any, name: str, *, ndim: int, error: type[Exception] = DataError) -> Array:
+def real_array(
+    values: Any,
+    name: str,
+    *,
+    ndim: int,
+    error: type[Exception] = DataError,
+    infinite: bool = False,
+) -> Array:
     """Convert to float64, or say which argument is ragged, not numeric, or not finite.
 
     Parameters
@@ -41,11 +48,13 @@ def real_array(values: Any, name: str, *, ndim: int, error: type[Exception] = Da
         The number of axes it must have.
     error : type of Exception, optional
         The class to raise.
+    infinite : bool, optional
+        Whether infinity is a value too.
 
     Returns
     -------
     ndarray of float64
-        With `ndim` axes, every entry finite.
+        With `ndim` axes, every entry finite (with `infinite`, none NaN).
 
     Raises
     ------
@@ -63,7 +72,7 @@ def real_array(values: Any, name: str, *, ndim: int, error: type[Exception] = Da
         raise error(message) from None
     if array.ndim != ndim:
         raise error(f"{name}: has {array.ndim} axes (shape {array.shape}), expected {ndim}.")
-    finite = np.isfinite(array)
+    finite = ~np.isnan(array) if infinite else np.isfinite(array)
     if not finite.all():
         first = tuple(int(i) for i in np.argwhere(~finite)[0])
         count = int(array.size - np.count_nonzero(finite))

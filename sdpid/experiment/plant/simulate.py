@@ -69,7 +69,8 @@ def simulate(
     One period that is not among the recorded ones lets the loop settle. The record starts
     rest + connection before the first of its periods, that is within the settling period, and it
     is continuous: with `trajectory.n_samples` samples, whole periods from ``Recording.start`` on,
-    then the connection and the rest.
+    then the connection and the rest. A motion that ends elsewhere than it starts is run once, as
+    it is, and its record has no periods.
 
     The controller is not fed with measurement errors, so the settled motion is periodic. Once
     the state at the end of a period equals that at its start to `SETTLED`, the remaining periods
@@ -122,7 +123,8 @@ def simulate(
     else:
         plant = ClosedLoop(robot, trajectory, theta, drives, unmodeled)
     lead, per_period = trajectory.lead_samples, trajectory.samples_per_period
-    total = (trajectory.periods + 1) * per_period + 2 * lead
+    settling = per_period if trajectory.closed else 0
+    total = trajectory.n_samples + settling
     position = np.empty((trajectory.n_samples, robot.n))
     effort = np.empty_like(position)
     row = 0
@@ -142,7 +144,7 @@ def simulate(
 
     with progress_bar(total, "simulating", enabled=progress) as advance:
         # Rest, connection and the settling period; the record begins within them.
-        record(plant.run(0, lead + per_period, advance)[:, per_period:])
+        record(plant.run(0, lead + settling, advance)[:, settling:])
         settled = False
         for _ in range(trajectory.periods):
             if settled:
@@ -160,9 +162,9 @@ def simulate(
         position=position,
         effort=effort,
         joint_names=robot.joint_names,
-        period=trajectory.period,
-        start=lead / rate,
-        periods=trajectory.periods,
+        period=trajectory.period if trajectory.closed else None,
+        start=lead / rate if trajectory.closed else None,
+        periods=trajectory.periods if trajectory.closed else None,
     )
 
 

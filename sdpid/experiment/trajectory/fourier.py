@@ -9,6 +9,12 @@ import numpy as np
 
 from sdpid._common.arrays import Array, frozen, real_array
 from sdpid.errors import DataError
+from sdpid.experiment.trajectory.curve import cells_within
+from sdpid.experiment.trajectory.pieces import ROUNDING
+
+# Cells are enclosed in parts over which the fastest sinusoid turns by this (rad) at most. Its
+# bound is then 1e-3 of its amplitude too wide; others' are closer.
+_TURN = 0.1
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -77,6 +83,16 @@ class FourierSeries:
         """Number of joints."""
         return len(self.center)
 
+    @property
+    def duration(self) -> float:
+        """Duration of the curve in s: one period."""
+        return self.period
+
+    @property
+    def breaks(self) -> Array:
+        """The ends of the period: all derivatives are smooth between them."""
+        return np.array([0.0, self.period])
+
     def evaluate(self, time: Any, *, derivative: int = 0) -> Array:
         """Return a derivative of the positions at any times, (K,) to (K, n)."""
         time = np.asarray(time, dtype=np.float64)
@@ -88,6 +104,60 @@ class FourierSeries:
             angle = time[:, None] * rate[:, h] + self.phases[:, h] + quarter
             out += self.amplitudes[:, h] * rate[:, h] ** derivative * np.sin(angle)
         return out + self.center if derivative == 0 else out
+
+    def enclose(self, edges: Any, *, derivative: int = 0) -> tuple[Array, Array]:
+        """Return bounds of a derivative that hold at every instant of each cell.
+
+        Between two instants a function f leaves its chord by at most h²/8 times the largest
+        ``|f''|``, h apart. That is bounded by Taylor's theorem about the middle.
+
+        Parameters
+        ----------
+        edges : array_like, shape (C + 1,)
+            Increasing times within one period.
+        derivative : int, optional
+            0 for positions, 1 for velocities and so on.
+
+        Returns
+        -------
+        lower, upper : ndarray, shape (C, n)
+
+        Raises
+        ------
+        DataError
+            When the edges do not increase or leave the period.
+        """
+        edges = cells_within(edges, self.period)
+        rate = 2.0 * np.pi * self.harmonics / self.period
+        lengths = np.diff(edges)
+        parts = np.maximum(np.ceil(lengths * rate.max(initial=0.0) / _TURN), 1.0).astype(np.intp)
+        first = np.cumsum(parts) - parts
+        within = (np.arange(parts.sum()) - np.repeat(first, parts)) / np.repeat(parts, parts)
+        points = np.append(
+            np.repeat(edges[:-1], parts) + within * np.repeat(lengths, parts), edges[-1]
+        )
+        step = np.diff(points)[:, None]
+        middle = points[:-1] + 0.5 * step[:, 0]
+
+        def total(order: int) -> Array:
+            return np.asarray((np.abs(self.amplitudes) * rate**order).sum(axis=1))
+
+        values = self.evaluate(points, derivative=derivative)
+        bend = self.evaluate(middle, derivative=derivative + 2)
+        change = np.abs(self.evaluate(middle, derivative=derivative + 3))
+        change = 0.5 * step * change + 0.125 * step**2 * total(derivative + 4)
+        above = 0.125 * step**2 * np.maximum(change - bend, 0.0)
+        below = 0.125 * step**2 * np.maximum(change + bend, 0.0)
+        center = self.center if derivative == 0 else np.zeros(self.n)
+        lower = np.maximum(np.minimum(values[:-1], values[1:]) - below, center - total(derivative))
+        upper = np.minimum(np.maximum(values[:-1], values[1:]) + above, center + total(derivative))
+        # A sine is as wrong as its angle, which grows to that at the end of the period.
+        angle = 1.0 + rate.max(initial=0.0) * self.period + np.abs(self.phases).max(initial=0.0)
+        rounding = ROUNDING * (np.abs(center) + angle * total(derivative))
+        return (
+            np.minimum.reduceat(lower - rounding, first, axis=0),
+            np.maximum.reduceat(upper + rounding, first, axis=0),
+        )
 
     def one_period(self, samples: int, *, derivative: int = 0) -> Array:
         """Return a derivative at equally spaced samples of one period, shape (samples, n).

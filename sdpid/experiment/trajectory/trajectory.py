@@ -1,10 +1,10 @@
-"""`Trajectory`: desired joint motion, sample by sample, from any `FourierSeries`."""
+"""`Trajectory`: desired joint motion, sample by sample, from any `Curve`."""
 
 from __future__ import annotations
 
 import json
 import os
-from collections.abc import Collection
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -15,51 +15,54 @@ from sdpid._common.arrays import Array, frozen, frozen_view, real_array
 from sdpid._common.files import atomic_write_text
 from sdpid._common.toml import load_toml
 from sdpid.errors import DataError
+from sdpid.experiment.trajectory.coefficients import curve_of, entries
+from sdpid.experiment.trajectory.curve import Curve, end_states, is_closed, rests_at_ends
 from sdpid.experiment.trajectory.fourier import FourierSeries, quintic
+from sdpid.experiment.trajectory.spline import Spline
 
 # A duration counts as a whole number of samples when it is this close to one, in samples: far
 # above the rounding of the product, far below any intended timing.
 _WHOLE = 1e-6
 # Entries of a trajectory's file.
 _DURATIONS = ("rate_hz", "rest", "connection")
-_SERIES = ("harmonics", "amplitudes", "phases")
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Trajectory:
-    """Rest, connection, whole periods of a Fourier series, connection, rest.
+    """Rest, connection, whole periods of a curve, connection, rest.
 
-    At rest the joints stand at the center of the series. The connections are polynomials of
-    fifth degree: position, velocity and acceleration are continuous throughout.
+    The joints rest at the center of a Fourier series; before and after any other curve they rest
+    where it starts and ends. The connections are polynomials of fifth degree: position, velocity
+    and acceleration are continuous throughout. A curve that starts and ends at rest needs none.
 
     Attributes
     ----------
     joint_names : tuple of str
         The n joints.
-    series : FourierSeries
-        The periodic part.
+    series : FourierSeries, Spline or another Curve
+        The motion of one period.
     rate_hz : float
         Samples per second.
     periods : int
-        Number of periods.
+        Number of periods; 1 where the curve does not end in the state that it starts from.
     rest, connection : float
         Durations at either end, in s.
     position_range : ndarray, shape (n, 2)
-        Range that each joint may use, in rad.
+        Range that each joint may use, in rad (m for prismatic joints); infinite without limits.
     velocity_limit : ndarray, shape (n,)
-        Largest speed of each joint, in rad/s.
+        Largest speed of each joint, in rad/s (m/s).
     notes : tuple of str
         Where the trajectory departs from the rule that made it, and why.
 
     Raises
     ------
     DataError
-        When the number of joints differs between the arguments, or a duration is not a whole
-        number of samples.
+        When the number of joints differs between the arguments, a duration is not a whole
+        number of samples, the curve cannot be repeated, or it needs a connection.
     """
 
     joint_names: tuple[str, ...]
-    series: FourierSeries
+    series: Curve
     rate_hz: float
     periods: int
     rest: float
@@ -71,12 +74,12 @@ class Trajectory:
     def __repr__(self) -> str:
         return (
             f"Trajectory({len(self.joint_names)} joints, {self.periods} periods of "
-            f"{self.series.period:g} s at {self.rate_hz:g} Hz)"
+            f"{self.period:g} s at {self.rate_hz:g} Hz)"
         )
 
     def __post_init__(self) -> None:
-        ranges = real_array(self.position_range, "position_range", ndim=2)
-        limits = real_array(self.velocity_limit, "velocity_limit", ndim=1)
+        ranges = real_array(self.position_range, "position_range", ndim=2, infinite=True)
+        limits = real_array(self.velocity_limit, "velocity_limit", ndim=1, infinite=True)
         n = self.series.n
         if len(self.joint_names) != n or ranges.shape != (n, 2) or limits.shape != (n,):
             raise DataError(
@@ -88,9 +91,9 @@ class Trajectory:
         if int(self.periods) != self.periods or self.periods < 1:
             raise DataError(f"trajectory: periods is {self.periods}; give a whole number from 1.")
         for name, seconds, least in (
-            ("period", self.series.period, 2),
+            ("period", self.period, 2),
             ("rest", self.rest, 0),
-            ("connection", self.connection, 1),
+            ("connection", self.connection, 0),
         ):
             count = seconds * self.rate_hz
             if not np.isfinite(count) or abs(count - round(count)) > _WHOLE or count < least:
@@ -98,6 +101,15 @@ class Trajectory:
                     f"trajectory: {name} of {seconds} s is {count:.6g} samples at "
                     f"{self.rate_hz:g} Hz; give a whole number of at least {least}."
                 )
+        if self.periods > 1 and not self.closed:
+            raise DataError(
+                f"trajectory: {self.periods} periods of a motion that does not end as it starts; "
+                "give periods=1, or a closed motion."
+            )
+        if self.rest and not self.connection and not rests_at_ends(self.series):
+            raise DataError(
+                "trajectory: the motion does not start and end at rest; give a connection."
+            )
         object.__setattr__(self, "position_range", frozen(ranges))
         object.__setattr__(self, "velocity_limit", frozen(limits))
 
@@ -109,12 +121,25 @@ class Trajectory:
     @property
     def period(self) -> float:
         """Length of one period in s."""
-        return self.series.period
+        return self.series.duration
+
+    @cached_property
+    def closed(self) -> bool:
+        """Whether the curve ends in the state that it starts from, so that periods can follow."""
+        return isinstance(self.series, FourierSeries) or is_closed(self.series)
 
     @property
     def center(self) -> Array:
-        """Center of the motion, where the joints rest, shape (n,)."""
-        return self.series.center
+        """Where the joints rest before the motion, shape (n,): the center of a Fourier series."""
+        return self._poses[0]
+
+    @cached_property
+    def _poses(self) -> tuple[Array, Array]:
+        """Positions (n,) at which the joints rest before and after the motion."""
+        if isinstance(self.series, FourierSeries):
+            return self.series.center, self.series.center
+        start, end = end_states(self.series)[0]
+        return frozen(start), frozen(start if self.closed else end)
 
     @property
     def samples_per_period(self) -> int:
@@ -137,10 +162,12 @@ class Trajectory:
         return self.n_samples / self.rate_hz
 
     def _derivative(self, order: int) -> Array:
-        values: Array = frozen_view(
-            self.series.one_period(self.samples_per_period, derivative=order)
-        )
-        return values
+        if isinstance(self.series, FourierSeries):
+            values = self.series.one_period(self.samples_per_period, derivative=order)
+        else:
+            time = np.arange(self.samples_per_period) / self.rate_hz
+            values = self.series.evaluate(time, derivative=order)
+        return np.asarray(frozen_view(values))
 
     @cached_property
     def position_period(self) -> Array:
@@ -195,17 +222,15 @@ class Trajectory:
         Raises
         ------
         ExportError
-            When the file cannot be written.
+            When the file cannot be written, or the motion goes through samples.
         """
-        series = self.series
+        whole, joints = entries(self.series)
         lines = [f"{name} = {float(getattr(self, name))!r}" for name in _DURATIONS]
-        lines += [f"periods = {self.periods}", f"period = {series.period!r}"]
+        lines += [f"periods = {self.periods}", *_written(whole)]
         lines += [f"notes = {json.dumps(list(self.notes))}"]
-        for j, name in enumerate(self.joint_names):
-            lines += ["", "[[joint]]", f"name = {json.dumps(name)}"]
-            lines += [f"center = {float(series.center[j])!r}"]
-            for key in _SERIES:
-                lines.append(f"{key} = {np.asarray(getattr(series, key))[j].tolist()}")
+        for j, joint in enumerate(joints):
+            lines += ["", "[[joint]]", f"name = {json.dumps(self.joint_names[j])}"]
+            lines += _written(joint)
             lines.append(f"position_range = {self.position_range[j].tolist()}")
             lines.append(f"velocity_limit = {float(self.velocity_limit[j])!r}")
         atomic_write_text(Path(path), "\n".join(lines) + "\n")
@@ -222,14 +247,9 @@ class Trajectory:
         table = load_toml(path)
         try:
             joints = table["joint"]
-            series = FourierSeries(
-                period=table["period"],
-                center=np.array([joint["center"] for joint in joints]),
-                **{key: np.array([joint[key] for joint in joints]) for key in _SERIES},
-            )
             return cls(
                 joint_names=tuple(str(joint["name"]) for joint in joints),
-                series=series,
+                series=curve_of(table),
                 periods=table["periods"],
                 position_range=np.array([joint["position_range"] for joint in joints]),
                 velocity_limit=np.array([joint["velocity_limit"] for joint in joints]),
@@ -278,20 +298,63 @@ class Trajectory:
             out[0, inside] = self.position_period[rows]
             out[1, inside] = self.velocity_period[rows]
             out[2, inside] = self.acceleration_period[rows]
+        out[0, index >= end] = self._poses[1]
         steps = connection - rest
-        for where, fraction, seconds in (
-            ((index >= rest) & (index < lead), (index - rest) / steps, self.connection),
-            ((index >= end) & (index < end + steps), 1 - (index - end) / steps, -self.connection),
+        if not steps:
+            return out[0], out[1], out[2]
+        for where, fraction, seconds, state in (
+            ((index >= rest) & (index < lead), (index - rest) / steps, self.connection, 0),
+            (
+                (index >= end) & (index < end + steps),
+                1 - (index - end) / steps,
+                -self.connection,
+                1,
+            ),
         ):
             if where.any():
-                out[:, where] += quintic(fraction[where], seconds, *self._start_state)
+                out[:, where] += quintic(fraction[where], seconds, *self._ends[state])
         return out[0], out[1], out[2]
 
+    def curves(self) -> tuple[tuple[float, Curve], ...]:
+        """Return the distinct parts of the motion and when each starts, in s.
+
+        They are the connection in, one period, and the connection out; the connections only where
+        there are any. The joints rest in the states at the ends of the parts.
+        """
+        start = self.rest + self.connection
+        parts: list[tuple[float, Curve]] = [(start, self.series)]
+        if self.connection:
+            (before, after), c = self._poses, self.connection
+            enter = _connection(before, c, *self._ends[0])
+            leave = _connection(after, -c, *self._ends[1])[::-1]
+            parts.insert(0, (self.rest, Spline(duration=c, control_points=enter)))
+            end = start + self.periods * self.period
+            parts.append((end, Spline(duration=c, control_points=leave)))
+        return tuple(parts)
+
     @cached_property
-    def _start_state(self) -> tuple[Array, Array, Array]:
-        """Offset from the center, velocity and acceleration at the start of a period."""
+    def _ends(self) -> tuple[tuple[Array, ...], tuple[Array, ...]]:
+        """Offset from the rest, velocity and acceleration where the curve starts and ends."""
         first = np.zeros(1)
-        position, velocity, acceleration = (
-            self.series.evaluate(first, derivative=order)[0] for order in range(3)
-        )
-        return position - self.center, velocity, acceleration
+        states = [
+            np.concatenate([self.series.evaluate(time, derivative=order) for order in range(3)])
+            for time in (first, first + (0.0 if self.closed else self.period))
+        ]
+        for state, pose in zip(states, self._poses, strict=True):
+            state[0] -= pose
+        return tuple(states[0]), tuple(states[1])
+
+
+def _connection(pose: Array, seconds: float, *state: Array) -> Array:
+    """Return the control points (6, n) of the polynomial from rest to a moving end."""
+    offset, velocity, acceleration = state
+    end = pose + offset
+    near = end - velocity * seconds / 5.0
+    return np.stack(
+        [pose, pose, pose, 2.0 * near - end + acceleration * seconds**2 / 20.0, near, end]
+    )
+
+
+def _written(values: Mapping[str, object]) -> list[str]:
+    """Return lines of TOML; Python writes numbers and lists of them as TOML does."""
+    return [f"{key} = {value!r}" for key, value in values.items()]
