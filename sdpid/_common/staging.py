@@ -5,15 +5,19 @@ from __future__ import annotations
 import contextlib
 import errno
 import hashlib
+import json
 import os
 import secrets
 import shutil
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
-from sdpid._common.files import atomic_path
+from sdpid._common.files import PathLike, atomic_path, require_other_files
 from sdpid._common.signals import end_if_signaled
+from sdpid._common.tables import json_text
 from sdpid.errors import ExportError
 
 # Beginning of the names of hidden folders in which files are prepared.
@@ -150,3 +154,138 @@ def _move(source: Path, target: Path) -> None:
         with atomic_path(target) as temporary:
             shutil.copyfile(source, temporary)
         source.unlink()
+
+
+@dataclass(frozen=True)
+class RunFolder:
+    """What a kind of run writes into a folder.
+
+    Attributes
+    ----------
+    names : tuple of str
+        Every file that a run may write.
+    listing : str
+        The JSON file that is written last and holds the digests of the others.
+    config : str
+        The options of the run. It replaces only one that an earlier run wrote: people have files
+        of that name.
+    """
+
+    names: tuple[str, ...]
+    listing: str
+    config: str
+
+    def require_writable(
+        self,
+        folder: Path,
+        inputs: Iterable[PathLike | None] = (),
+        *,
+        config: Path | None = None,
+        writes_config: bool = False,
+    ) -> None:
+        """Refuse a folder that files cannot be written into, before the work is done.
+
+        Parameters
+        ----------
+        folder : Path
+            Need not exist yet.
+        inputs : iterable of path
+            Files that the run reads: its own must not replace them.
+        config : Path, optional
+            The file that the options of the run were read from, if any.
+        writes_config : bool, optional
+            Whether the file of options is among those written.
+
+        Raises
+        ------
+        ExportError
+            When the folder is a file, one of the files is a folder or no regular file, or would
+            replace an input, or options that no run wrote.
+        """
+        if folder.exists() and not folder.is_dir():
+            raise ExportError(f"cannot write into {folder}: it is a file; name a folder.")
+        for name in self.names:
+            if Path(os.path.realpath(folder / name)).is_symlink():  # what is left of a circle
+                raise ExportError(
+                    f"cannot write {folder / name}: it is a symbolic link that leads back to "
+                    "itself; remove it, or choose another folder."
+                )
+            if (folder / name).exists() and not (folder / name).is_file():
+                raise ExportError(
+                    f"cannot write {folder / name}: it is a folder or a device; move it away, or "
+                    "choose another folder."
+                )
+        written = self._listed(folder).get(self.config)
+        if config is not None and config.is_file() and written != digest(config):
+            inputs = (*inputs, config)
+        require_other_files("--out", (folder / name for name in self.names), inputs)
+        existing = folder / self.config
+        if writes_config and existing.is_file() and written != digest(existing):
+            raise ExportError(
+                f"--out: would write over {existing}, which no run wrote; choose another folder."
+            )
+
+    @contextlib.contextmanager
+    def written(self, folder: Path, note: Callable[[str], None]) -> Iterator[RunStage]:
+        """Yield a stage; what it holds in the end appears in the folder, all or nothing.
+
+        Files that an earlier run listed and this one does not write are removed; `note` is called
+        with a sentence about each that was changed since, which stays.
+
+        Raises
+        ------
+        ExportError
+            When the folder cannot be written to.
+        """
+        try:
+            with staged(folder) as path:
+                stage = RunStage(path)
+                yield stage
+                digests = {name: digest(path / name) for name in stage.names}
+                content = {**stage.content, "files": digests}
+                (path / self.listing).write_text(json_text(content) + "\n", encoding="utf-8")
+                stage.names.append(self.listing)
+                exchange(path, folder, stage.names, self._stale(folder, stage.names, note))
+        except OSError as cause:
+            raise ExportError(
+                f"cannot write into {folder}: {cause.strerror or cause}; choose another folder."
+            ) from cause
+
+    def _listed(self, folder: Path) -> dict[str, object]:
+        """Return the digests of the files that an earlier run wrote, by name."""
+        try:
+            listed = json.loads((folder / self.listing).read_text(encoding="utf-8"))["files"]
+            return {name: listed[name] for name in self.names if name in listed}
+        except (OSError, ValueError, LookupError, TypeError, RecursionError):
+            return {}  # no earlier run, or a file that none wrote
+
+    def _stale(self, folder: Path, new: Sequence[str], note: Callable[[str], None]) -> list[str]:
+        """Return the unchanged files of an earlier run that this one does not replace."""
+        stale = []
+        for name, written in self._listed(folder).items():
+            if name in new or not (folder / name).is_file():
+                continue
+            if digest(folder / name) == written:
+                stale.append(name)
+            else:
+                note(f"{name} of an earlier run was changed since and stays; this run writes none")
+        return stale
+
+
+class RunStage:
+    """Where the files of a run are prepared.
+
+    Attributes
+    ----------
+    folder : Path
+        Empty at first.
+    names : list of str
+        Files in it that the run wrote, but for the listing.
+    content : dict
+        What the listing holds beside the digests.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+        self.names: list[str] = []
+        self.content: dict[str, Any] = {}

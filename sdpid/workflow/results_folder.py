@@ -3,18 +3,15 @@
 from __future__ import annotations
 
 import importlib.util
-import json
 import os
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
 
-from sdpid._common.files import PathLike, require_other_files
 from sdpid._common.progress import progress
-from sdpid._common.staging import digest, exchange, staged
-from sdpid._common.tables import json_text
-from sdpid.errors import ExportError, MissingExtraError, SdpidError
+from sdpid._common.staging import RunFolder
+from sdpid.errors import MissingExtraError, SdpidError
 from sdpid.output.report.judged import Judged
 from sdpid.output.tables.intervals_shown import GivenIntervals
 
@@ -56,55 +53,9 @@ class Result(Judged, Protocol):
         """Return plain values for JSON."""
 
 
-def require_writable(
-    folder: Path,
-    inputs: Iterable[PathLike | None] = (),
-    *,
-    config: Path | None = None,
-    writes_config: bool = False,
-) -> None:
-    """Refuse a folder that results cannot be written into, before the work is done.
+_FOLDER = RunFolder(NAMES, _RESULT, _CONFIG)
 
-    Parameters
-    ----------
-    folder : Path
-        Need not exist yet.
-    inputs : iterable of path
-        Files that the run reads: results must not replace them.
-    config : Path, optional
-        The file that the options of the run were read from, if any.
-    writes_config : bool, optional
-        Whether run.toml is among the results. It replaces only one that an earlier run wrote:
-        people have files of that name, such as the mapping of run.csv.
-
-    Raises
-    ------
-    ExportError
-        When the folder is a file, one of the results is a folder or no regular file, or a result
-        would replace an input, or a run.toml that no run wrote.
-    """
-    if folder.exists() and not folder.is_dir():
-        raise ExportError(f"cannot write into {folder}: it is a file; name a folder.")
-    for name in NAMES:
-        if Path(os.path.realpath(folder / name)).is_symlink():  # what is left of a circle
-            raise ExportError(
-                f"cannot write {folder / name}: it is a symbolic link that leads back to itself; "
-                "remove it, or choose another folder."
-            )
-        if (folder / name).exists() and not (folder / name).is_file():
-            raise ExportError(
-                f"cannot write {folder / name}: it is a folder or a device; move it away, or "
-                "choose another folder."
-            )
-    written = _listed(folder).get(_CONFIG)
-    if config is not None and config.is_file() and written != digest(config):
-        inputs = (*inputs, config)
-    require_other_files("--out", (folder / name for name in NAMES), inputs)
-    existing = folder / _CONFIG
-    if writes_config and existing.is_file() and written != digest(existing):
-        raise ExportError(
-            f"--out: would write over {existing}, which no run wrote; choose another folder."
-        )
+require_writable = _FOLDER.require_writable
 
 
 def save(
@@ -122,52 +73,15 @@ def save(
     target = Path(folder)
     note = report or (lambda _: None)
     require_writable(target, writes_config=config is not None)
-    try:
-        with staged(target) as stage:
-            writer = _Writer(result, stage, intervals, note)
-            names = writer.write(figures=figures, command=command, config=config)
-            digests = {name: digest(stage / name) for name in names}
-            exports = [export.to_dict() for export in writer.exports]
-            content = {**result.to_dict(), "exports": exports, "files": digests}
-            (stage / _RESULT).write_text(json_text(content) + "\n", encoding="utf-8")
-            new = [*names, _RESULT]
-            exchange(stage, target, new, _left_by_earlier_run(target, new, note))
-    except OSError as cause:
-        raise ExportError(
-            f"cannot write into {target}: {cause.strerror or cause}; choose another folder."
-        ) from cause
+    with _FOLDER.written(target, note) as stage:
+        writer = _Writer(result, stage.folder, intervals, note)
+        stage.names += writer.write(figures=figures, command=command, config=config)
+        exports = [export.to_dict() for export in writer.exports]
+        stage.content.update({**result.to_dict(), "exports": exports})
     if exported is not None:
         for export in writer.exports:
             exported(export)
-    return tuple(target / name for name in new)
-
-
-def _listed(folder: Path) -> dict[str, object]:
-    """Return the digests of the files that an earlier run wrote, by name; empty without one."""
-    try:
-        listed = json.loads((folder / _RESULT).read_text(encoding="utf-8"))["files"]
-        return {name: listed[name] for name in NAMES if name in listed}
-    except (OSError, ValueError, LookupError, TypeError, RecursionError):
-        return {}  # no earlier run, or a file that none wrote
-
-
-def _left_by_earlier_run(
-    folder: Path, new: Sequence[str], note: Callable[[str], None]
-) -> list[str]:
-    """Return the files of an earlier run that this one does not replace.
-
-    They are the files that its result.json lists and that have not changed since; `note` is called
-    with the name of a file that has, which stays.
-    """
-    stale = []
-    for name, written in _listed(folder).items():
-        if name in new or not (folder / name).is_file():
-            continue
-        if digest(folder / name) == written:
-            stale.append(name)
-        else:
-            note(f"{name} of an earlier run was changed since and stays; this run writes none")
-    return stale
+    return tuple(target / name for name in stage.names)
 
 
 @dataclass(frozen=True)
