@@ -10,13 +10,11 @@ import importlib.util
 import json
 import os
 from collections.abc import Iterator, Sequence
-from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from sdpid import __version__
 from sdpid._common.extras import require
 from sdpid._common.files import atomic_write_text
 from sdpid.assurance.diagnostics.active_constraints import constraint_states
@@ -30,12 +28,11 @@ from sdpid.output.plots.inline_svg import image_source
 from sdpid.output.plots.joints import COLUMNS, plot_joint, plot_joint_errors
 from sdpid.output.report.headline import headline
 from sdpid.output.report.judged import Judged, errors_of, grades_of, judged
+from sdpid.output.report.page import page
 from sdpid.output.report.verdict import findings
 from sdpid.output.robots.export_report import ExportReport
 from sdpid.output.tables.intervals_shown import Ends, GivenIntervals, ends_of, in_words
 from sdpid.output.tables.parameter_tables import base_table
-
-_TEMPLATE = "report.html.j2"
 
 # Weakly excited directions that are listed one by one; more say no more.
 _DIRECTIONS = 12
@@ -113,28 +110,21 @@ def report_html(
     exports: Sequence[ExportReport] = (),
 ) -> str:
     """Return the page that `write_report` writes, with the same arguments and errors."""
-    jinja2 = require("jinja2", extra="report")
     drawable = importlib.util.find_spec("matplotlib") is not None
     if figures:
         require("matplotlib", extra="plot")
-    environment = jinja2.Environment(
-        autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True, lstrip_blocks=True
-    )
-    environment.filters.update(number=_number, percent=_percent, fixed=_fixed)
-    environment.filters["capitalized"] = _capitalized
-    template = files("sdpid.output.report").joinpath(_TEMPLATE).read_text(encoding="utf-8")
     if sha256 is None:
         sha256 = str(identification.certificate.to_dict()["sha256"])
     shown = _context(identification, drawable if figures is None else figures, intervals)
-    page = environment.from_string(template).render(
+    return page(
+        "sdpid.output.report",
+        "report.html.j2",
         **shown,
         exports=exports,
         command=command,
         sha256=sha256,
-        version=__version__,
         drawable=drawable,
     )
-    return str(page)
 
 
 def certificate_digest(path: str | os.PathLike[str]) -> str:
@@ -376,28 +366,3 @@ def _theta(result: Judged, ends: dict[str, Ends]) -> Iterator[dict[str, Any]]:
             "shares": shares,
             "interval": ends.get(name),
         }
-
-
-def _number(value: float | None, digits: int = 4) -> str:
-    """Return a number with `digits` significant digits; a dash where it is missing."""
-    if value is None or not np.isfinite(value):
-        return "–"
-    if value == 0.0:
-        return "0"
-    text = f"{value:#.{digits}g}" if 1e-4 <= abs(value) < 10.0**digits else f"{value:.{digits}g}"
-    return text.rstrip(".").replace("-", "−")
-
-
-def _capitalized(text: str) -> str:
-    """Return a note with a capital first letter and without its full stop."""
-    return (text[:1].upper() + text[1:]).removesuffix(".")
-
-
-def _percent(share: float | None, digits: int = 3) -> str:
-    """Return a share in percent."""
-    return "–" if share is None else f"{_number(100.0 * share, digits)} %"
-
-
-def _fixed(value: float) -> str:
-    """Return a number with four decimals, as R² is given."""
-    return f"{value:.4f}".replace("-", "−")
