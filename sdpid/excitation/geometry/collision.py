@@ -1,0 +1,319 @@
+"""`CollisionModel`: distances of a robot's links to each other and to obstacles, with bounds."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from sdpid._common.arrays import Array, Indices, frozen, real_array
+from sdpid.errors import DataError, ModelError
+from sdpid.excitation.geometry.measure import Measure
+from sdpid.excitation.geometry.obstacles import Obstacle, named_apart
+from sdpid.excitation.geometry.pairs import Pair, choose_pairs
+from sdpid.excitation.geometry.reach import Reaches
+from sdpid.excitation.geometry.solids import Solid, body_name, obstacle_solid, robot_solids
+from sdpid.robot.model.model import RobotModel
+
+# Joints without limits are drawn this far to either side, rad or m.
+_FAR = np.pi
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class CollisionModel:
+    """Pairs of bodies of a robot and its surroundings, and the distances between them.
+
+    Attributes
+    ----------
+    robot : RobotModel
+        The robot.
+    obstacles : tuple of Plane, Box, Mesh
+        Obstacles, with names that differ.
+    solids : tuple of Solid
+        Shapes of the links and obstacles.
+    pairs : tuple of Pair
+        The P pairs that are checked.
+    left_out : tuple of (str, str, str)
+        Pairs that are not, and why.
+    assumed : tuple of str
+        What stands for what the description lacks, and other assumptions: sentences.
+    rest : ndarray, shape (n,)
+        A position at which nothing touches.
+    reach : ndarray, shape (P, n)
+        Bounds on the rates of the distances: at every position within the limits of sliding
+        joints, ``|d distance_p/dt| ≤ Σ_j reach[p, j]·|velocity_j|``, in m/rad or m/m.
+    """
+
+    robot: RobotModel
+    obstacles: tuple[Obstacle, ...]
+    solids: tuple[Solid, ...]
+    pairs: tuple[Pair, ...]
+    left_out: tuple[tuple[str, str, str], ...]
+    assumed: tuple[str, ...]
+    rest: Array
+    reach: Array
+
+    @classmethod
+    def of(
+        cls,
+        robot: RobotModel,
+        obstacles: Iterable[Obstacle] = (),
+        *,
+        package_dirs: Iterable[str | os.PathLike[str]] = (),
+        rest: ArrayLike | None = None,
+        near: ArrayLike | None = None,
+        lower: ArrayLike | None = None,
+        upper: ArrayLike | None = None,
+        ignore: Iterable[tuple[str, str]] = (),
+        radius: float | None = None,
+        seed: int = 0,
+    ) -> CollisionModel:
+        """Choose what is checked, and say what is not.
+
+        Parameters
+        ----------
+        robot : RobotModel
+            The robot, on a fixed base.
+        obstacles : iterable of Plane, Box, Mesh
+            In the base frame. The base itself is not checked against them.
+        package_dirs : iterable of paths, optional
+            Folders in which the description's meshes are looked up.
+        rest : array_like, shape (n,), optional
+            Where motions begin; must be free. By default `near` if that is free, else a position
+            that is, differing from it in few joints.
+        near : array_like, shape (n,), optional
+            By default zero where that is within the limits, else their middle.
+        lower, upper : array_like, shape (n,), optional
+            Limits of the joints, by default those of the description.
+        ignore : iterable of (str, str), optional
+            Names of bodies whose pairs are not checked.
+        radius : float, optional
+            Radius of links whose shape is not known, m.
+        seed : int, optional
+            Of the positions that are drawn to see which pairs come near each other.
+
+        Raises
+        ------
+        ModelError
+            When the base floats, an obstacle contains the base or the arm at rest, a mesh cannot
+            be read, or the rest position is not free.
+        DataError
+            When an argument has another shape or is not understood.
+        """
+        if robot.free_flyer:
+            raise ModelError(f"'{robot.name}': distances need a fixed base, this one floats.")
+        solids, assumed = robot_solids(robot, package_dirs=package_dirs, radius=radius)
+        placed = named_apart(obstacles, {solid.body for solid in solids})
+        bounds = _bounds(robot, lower, upper)
+        finite = np.where(np.isfinite(bounds), bounds, [[-_FAR], [_FAR]])
+        usual = np.where((finite[0] < 0.0) & (finite[1] > 0.0), 0.0, finite.mean(axis=0))
+        _check_base(robot, placed)
+        around = [obstacle_solid(obstacle) for obstacle in placed]
+        choice = choose_pairs(
+            robot,
+            solids,
+            around,
+            lower=finite[0],
+            upper=finite[1],
+            rest=_position(robot, rest, "rest"),
+            near=usual if near is None else _position(robot, near, "near"),
+            ignore=ignore,
+            seed=seed,
+        )
+        every = (*solids, *around)
+        found = cls(
+            robot=robot,
+            obstacles=placed,
+            solids=every,
+            pairs=choice.pairs,
+            left_out=choice.left_out,
+            assumed=(*assumed, *choice.notes),
+            rest=frozen(choice.rest),
+            reach=frozen(_reach(robot, every, choice.pairs, bounds)),
+        )
+        found._check_surrounded()
+        return found
+
+    @cached_property
+    def _measure(self) -> Measure:
+        return Measure(self.robot, self.solids, [(pair.first, pair.second) for pair in self.pairs])
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Return the state without Coal's objects, which cannot be pickled."""
+        return {key: value for key, value in vars(self).items() if key != "_measure"}
+
+    def distances(self, q: ArrayLike) -> Array:
+        """Return the signed distance of each pair, m: negative by the depth where they overlap.
+
+        Accurate to about 2 µm. Within a mesh that is no hull the distance is to its surface.
+
+        Parameters
+        ----------
+        q : array_like, shape (K, n)
+            Joint positions.
+
+        Returns
+        -------
+        ndarray, shape (K, P)
+        """
+        return self._measure.distances(self.robot.configuration(q))
+
+    def distances_and_gradients(self, q: ArrayLike) -> tuple[Array, Array]:
+        """Return the distances (K, P) and their derivatives by the positions (K, P, n).
+
+        Where a distance has a kink, the derivative is one of those at its sides.
+        """
+        return self._measure.gradients(self.robot.configuration(q))
+
+    def clearances(self, clearance: float) -> Array:
+        """Return the distance that is asked of each pair (P,) for a wanted clearance, m."""
+        return np.array([pair.clearance(clearance) for pair in self.pairs])
+
+    def closer(self, clearance: float) -> tuple[str, ...]:
+        """Return a sentence a pair that is asked for less than a wanted clearance (m), and why."""
+        return tuple(
+            f"{pair.first} and {pair.second} are usually {1e3 * pair.usual:.0f} mm apart, at most "
+            f"{1e3 * pair.farthest:.0f}: "
+            f"{1e3 * asked:.0f} mm are asked of them, not {1e3 * clearance:.0f}."
+            for pair, asked in zip(self.pairs, self.clearances(clearance), strict=True)
+            if asked < clearance
+        )
+
+    def soft_minimum(
+        self, q: ArrayLike, sharpness: float, *, clearance: float = 0.0
+    ) -> tuple[Array, Array]:
+        """Return a smooth lower bound of the least slack of all pairs, and its gradient.
+
+        ``−log(Σ_p exp(−sharpness·slack_p))/sharpness`` with each pair's distance less its
+        clearance; below the least slack by at most ``log(P)/sharpness``.
+
+        Parameters
+        ----------
+        q : array_like, shape (K, n)
+            Joint positions.
+        sharpness : float
+            1/m.
+        clearance : float, optional
+            The wanted clearance, m.
+
+        Returns
+        -------
+        values : ndarray, shape (K,)
+            m; infinite where there are no pairs.
+        gradients : ndarray, shape (K, n)
+        """
+        distances, gradients = self.distances_and_gradients(q)
+        if not self.pairs:
+            return np.full(len(distances), np.inf), np.zeros((len(distances), self.robot.n))
+        slack = distances - self.clearances(clearance)
+        least = slack.min(axis=1, keepdims=True)
+        weights = np.exp(-sharpness * (slack - least))
+        total = weights.sum(axis=1, keepdims=True)
+        values = (least - np.log(total) / sharpness)[:, 0]
+        return values, np.einsum("kp,kpj->kj", weights / total, gradients)
+
+    def only(self, which: Sequence[int] | Indices | Array) -> CollisionModel:
+        """Return the same with only some pairs, by their indices or by P booleans."""
+        kept = np.arange(len(self.pairs))[np.asarray(which, dtype=None if len(which) else int)]
+        return replace(
+            self, pairs=tuple(self.pairs[p] for p in kept), reach=frozen(self.reach[kept])
+        )
+
+    @property
+    def searched(self) -> CollisionModel:
+        """The same with only the pairs that came near each other at a drawn position."""
+        return self.only(np.array([pair.searched for pair in self.pairs], dtype=bool))
+
+    def _check_surrounded(self) -> None:
+        """Refuse links at rest inside a mesh that is no hull: distances to its surface are > 0."""
+        from sdpid.robot.model.geometry import link_placements
+
+        placements = link_placements(self.robot, self.rest)
+        for obstacle in self.obstacles:
+            if any(
+                solid.body == obstacle.name and solid.shape is obstacle for solid in self.solids
+            ):
+                for solid in self.solids:
+                    points, _ = solid.core
+                    if not solid.joint or not len(points):
+                        continue
+                    placement = placements[solid.joint - 1]
+                    middle = placement[:3, :3] @ points.mean(axis=0) + placement[:3, 3]
+                    if obstacle.contains(middle[None])[0]:
+                        raise ModelError(
+                            f"obstacle '{obstacle.name}' surrounds '{solid.body}' at the rest "
+                            "position; move it, or give another rest position."
+                        )
+
+
+def _bounds(robot: RobotModel, lower: ArrayLike | None, upper: ArrayLike | None) -> Array:
+    """Return the lower and upper limits, (2, n), infinite where there are none."""
+    bounds = robot.position_limits.T.copy()
+    for row, values in enumerate((lower, upper)):
+        if values is not None:
+            given = np.asarray(values, dtype=np.float64)
+            if given.shape != (robot.n,) or np.isnan(given).any():
+                raise DataError(
+                    f"limits of positions: shape {given.shape}, '{robot.name}' has {robot.n} "
+                    "joints; give one number a joint."
+                )
+            bounds[row] = given
+    return bounds
+
+
+def _position(robot: RobotModel, values: ArrayLike | None, name: str) -> Any:
+    if values is None:
+        return None
+    array = real_array(values, name, ndim=1)
+    if array.shape != (robot.n,):
+        raise DataError(f"{name}: {array.size} numbers, '{robot.name}' has {robot.n} joints.")
+    return array
+
+
+def _check_base(robot: RobotModel, obstacles: Iterable[Obstacle]) -> None:
+    """Refuse obstacles that contain the origin of the base and those of its first joints."""
+    model = robot.pin_model
+    origins = [np.zeros(3)] + [
+        np.array(model.jointPlacements[i].translation)
+        for i in range(1, model.njoints)
+        if model.parents[i] == 0
+    ]
+    for obstacle in obstacles:
+        if obstacle.contains(np.array(origins)).all():
+            raise ModelError(
+                f"obstacle '{obstacle.name}' contains the base '{body_name(robot, 0)}': the origin "
+                "of its frame and the first joint lie inside; move the obstacle."
+            )
+
+
+def _reach(
+    robot: RobotModel, solids: Sequence[Solid], pairs: Sequence[Pair], bounds: Array
+) -> Array:
+    lower, upper = _expanded(robot, bounds)
+    reaches = Reaches(robot.pin_model, lower, upper)
+    cores: dict[str, list[tuple[Array, float]]] = {}
+    for solid in solids:
+        cores.setdefault(solid.body, []).append(solid.core)
+    joint = {solid.body: solid.joint for solid in solids}
+    found = [
+        reaches.between(
+            joint[pair.first], cores[pair.first], joint[pair.second], cores[pair.second]
+        )
+        for pair in pairs
+    ]
+    return np.array(found).reshape(len(pairs), robot.pin_model.nv) @ np.abs(robot.expansion)
+
+
+def _expanded(robot: RobotModel, bounds: Array) -> Array:
+    """Return the limits (2, nv) of Pinocchio's joints from those of the coordinates."""
+    expansion, out = robot.expansion, np.tile(robot.offset, (2, 1))
+    for column in range(robot.n):
+        rows = np.flatnonzero(expansion[:, column])
+        ends = np.multiply.outer(bounds[:, column], expansion[rows, column])
+        out[:, rows] += np.sort(ends, axis=0)
+    return out

@@ -1,0 +1,313 @@
+"""Which pairs of bodies are checked, which are left out and why, and a rest position that is free.
+
+Positions drawn within the limits show how near the bodies of a pair come to each other. What is
+decided by them alone is said with their number.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from sdpid._common.arrays import Array
+from sdpid._common.seeds import generator
+from sdpid.errors import ModelError
+from sdpid.excitation.geometry.measure import Measure
+from sdpid.excitation.geometry.reach import way
+from sdpid.excitation.geometry.solids import Solid
+from sdpid.robot.model.model import RobotModel
+
+# Positions that are drawn: at most and at least, and in all this many distances.
+_MOST, _LEAST, _DISTANCES = 500, 100, 400_000
+
+# Bodies touch where they are nearer than this, m: far above the accuracy of distances.
+_TOUCH = 1e-4
+
+# A distance that varies by less over the drawn positions cannot be changed, m: of a link that turns
+# on the spot above a table, and of links that no joint moves against each other.
+_CONSTANT, _FIXED = 1e-3, 1e-5
+
+# Bodies that overlap at this share of the drawn positions do so by the coarseness of their
+# shapes; half of the positions are enough where at most two joints lie between them.
+_ALWAYS, _OFTEN, _CLOSE_BY = 0.95, 0.5, 2
+
+# Pairs that stay farther apart than this at all drawn positions are left to the final check, m.
+_NEAR = 0.1
+
+# What the rest position keeps from everything, at the least, m, unless a pair is always nearer.
+_REST_GAP = 0.02
+
+
+@dataclass(frozen=True, kw_only=True)
+class Pair:
+    """Two bodies that must not touch.
+
+    Attributes
+    ----------
+    first, second : str
+        Links, or the base, or an obstacle (always the second).
+    searched : bool
+        Whether they came near each other at any of the drawn positions: a search for a motion
+        watches these, a check of a motion all.
+    nearest, usual, farthest : float
+        Least, middle and largest signed distance at the drawn positions, m.
+    obstacle : bool
+        Whether the second is an obstacle.
+    """
+
+    first: str
+    second: str
+    searched: bool = True
+    nearest: float = 0.0
+    usual: float = np.inf
+    farthest: float = np.inf
+    obstacle: bool = False
+
+    def clearance(self, wanted: float) -> float:
+        """Return the distance that is asked of the pair: less than wanted if always close.
+
+        Links that are built close to each other, or mounted close to an obstacle, could never keep
+        a large clearance. Of links at most half of their usual distance is asked, of a link and
+        an obstacle half of the largest.
+        """
+        return min(wanted, max(0.5 * (self.farthest if self.obstacle else self.usual), 0.0))
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Choice:
+    """Pairs that are checked, those left out with reasons, and the rest position (n,)."""
+
+    pairs: tuple[Pair, ...]
+    left_out: tuple[tuple[str, str, str], ...]
+    rest: Array
+    notes: tuple[str, ...]
+
+
+def choose_pairs(
+    robot: RobotModel,
+    solids: Sequence[Solid],
+    obstacles: Sequence[Solid],
+    *,
+    lower: Array,
+    upper: Array,
+    rest: Array | None,
+    near: Array,
+    ignore: Iterable[tuple[str, str]] = (),
+    seed: int = 0,
+) -> Choice:
+    """Choose the pairs to be checked.
+
+    Parameters
+    ----------
+    robot : RobotModel
+        The robot.
+    solids, obstacles : sequence of Solid
+        Solids of the robot and of obstacles.
+    lower, upper : ndarray, shape (n,)
+        Finite limits within which positions are drawn.
+    rest : ndarray, shape (n,), or None
+        Where the motion begins; None looks for a position that is free.
+    near : ndarray, shape (n,)
+        The rest position if it is free, else the one that is found differs from it in few joints.
+    ignore : iterable of (str, str)
+        Names of bodies whose pairs are left out.
+    seed : int
+        Of the drawn positions.
+
+    Raises
+    ------
+    ModelError
+        When a name to ignore does not exist, a given rest position is not free, or none is found.
+    """
+    return _Chooser(robot, solids, obstacles, ignore).choose(lower, upper, rest, near, seed)
+
+
+class _Chooser:
+    def __init__(
+        self,
+        robot: RobotModel,
+        solids: Sequence[Solid],
+        obstacles: Sequence[Solid],
+        ignore: Iterable[tuple[str, str]],
+    ) -> None:
+        self._robot = robot
+        self._parents = [int(parent) for parent in robot.pin_model.parents]
+        self._joint = {solid.body: solid.joint for solid in solids}
+        self._obstacles = {solid.body for solid in obstacles}
+        self.left_out: list[tuple[str, str, str]] = []
+        ignored = {frozenset(pair) for pair in ignore}
+        for name in sorted({name for pair in ignored for name in pair}):
+            if name not in self._joint and name not in self._obstacles:
+                raise ModelError(
+                    f"ignore: '{name}' is no body of '{robot.name}' with a shape and no obstacle; "
+                    f"there are {', '.join((*self._joint, *sorted(self._obstacles)))}."
+                )
+        self.candidates: list[tuple[str, str]] = []
+        for pair in self._all():
+            reason = self._plain_reason(*pair)
+            if frozenset(pair) in ignored:
+                reason = "left out as asked for"
+            if reason:
+                self.left_out.append((*pair, reason))
+            else:
+                self.candidates.append(pair)
+        self._measure = Measure(robot, [*solids, *obstacles], self.candidates)
+
+    def _all(self) -> Iterable[tuple[str, str]]:
+        bodies = list(self._joint)
+        for i, first in enumerate(bodies):
+            yield from ((first, second) for second in bodies[i + 1 :])
+        for obstacle in dict.fromkeys(self._obstacles):
+            yield from ((first, obstacle) for first in bodies)
+
+    def _between(self, first: str, second: str) -> int:
+        """Return how many joints are between two bodies."""
+        ends = (self._joint[first], self._joint.get(second, 0))
+        return sum(len(part) for part in way(self._parents, *ends))
+
+    def _plain_reason(self, first: str, second: str) -> str:
+        """Return why a pair need not be measured, or nothing."""
+        if second in self._obstacles:
+            return "" if self._joint[first] else "the base stands still"
+        ends = (self._joint[first], self._joint[second])
+        shaped = set(self._joint.values())
+        for joint, other in (ends, ends[::-1]):
+            while joint:
+                joint = self._parents[joint]
+                if joint == other:
+                    return "neighbors: joined by a joint"
+                if joint in shaped:
+                    break
+        return ""
+
+    def choose(
+        self, lower: Array, upper: Array, rest: Array | None, near: Array, seed: int
+    ) -> Choice:
+        count = int(np.clip(_DISTANCES // max(len(self.candidates), 1), _LEAST, _MOST))
+        drawn = generator(seed).uniform(lower, upper, (count, self._robot.n))
+        start = near if rest is None else rest
+        found = self._distances(np.vstack([start, drawn]))
+        at_start, at_drawn = found[0], found[1:]
+        pairs, kept = [], []
+        for p, (first, second) in enumerate(self.candidates):
+            reason = self._reason(p, at_start[p], at_drawn[:, p], rest is not None)
+            if reason:
+                self.left_out.append((first, second, reason))
+                continue
+            kept.append(p)
+            nearest = float(found[:, p].min())
+            pairs.append(
+                Pair(
+                    first=first,
+                    second=second,
+                    searched=nearest < _NEAR,
+                    nearest=nearest,
+                    usual=float(np.median(at_drawn[:, p])),
+                    farthest=float(found[:, p].max()),
+                    obstacle=second in self._obstacles,
+                )
+            )
+        gaps = np.array([pair.clearance(_REST_GAP) for pair in pairs])
+        columns = np.array(kept, dtype=int)
+        notes: tuple[str, ...] = ()
+        if rest is not None:
+            self._check_rest(pairs, at_start[columns])
+        elif len(pairs) and np.any(at_start[columns] < gaps):
+            rest = self._free(near, drawn, at_drawn[:, columns], columns, gaps, pairs)
+            notes = (self._moved(near, rest, pairs, at_start[columns], gaps),)
+        return Choice(
+            pairs=tuple(pairs),
+            left_out=tuple(self.left_out),
+            rest=near if rest is None else rest,
+            notes=notes,
+        )
+
+    def _distances(self, positions: Array) -> Array:
+        return self._measure.distances(self._robot.configuration(positions))
+
+    def _reason(self, p: int, at_rest: float, drawn: Array, given: bool) -> str:
+        """Return why a pair is left out, judged by its distances, or nothing."""
+        first, second = self.candidates[p]
+        count, touching = len(drawn), int(np.count_nonzero(drawn < _TOUCH))
+        obstacle = second in self._obstacles
+        if np.ptp(drawn) < (_CONSTANT if obstacle else _FIXED):
+            how = f"overlap by {-1e3 * at_rest:.0f} mm"
+            if at_rest > 0.0:
+                how = f"are {1e3 * at_rest:.0f} mm apart"
+            return f"they {how} at every one of {count} drawn positions: no motion changes it"
+        joints = 0 if obstacle else self._between(first, second)
+        close = 0 < joints <= _CLOSE_BY
+        if joints and touching >= (_OFTEN if close else _ALWAYS) * count:
+            return (
+                f"their shapes overlap at {touching} of {count} drawn positions, with "
+                f"{joints} joints between them"
+            )
+        if close and given and at_rest < _TOUCH:
+            return (
+                f"they touch at the given rest position ({-1e3 * at_rest:.1f} mm deep), with "
+                f"{joints} joints between them"
+            )
+        return ""
+
+    def _check_rest(self, pairs: Sequence[Pair], distances: Array) -> None:
+        touching = [
+            f"{pair.first} and {pair.second} by {-1e3 * distance:.1f} mm"
+            for pair, distance in zip(pairs, distances, strict=True)
+            if distance < _TOUCH
+        ]
+        if touching:
+            raise ModelError(
+                f"'{self._robot.name}': overlap at the rest position: {'; '.join(touching)}; give "
+                "another rest position, move the obstacle, or name pairs to ignore."
+            )
+
+    def _free(
+        self,
+        near: Array,
+        drawn: Array,
+        distances: Array,
+        columns: Array,
+        gaps: Array,
+        pairs: Sequence[Pair],
+    ) -> Array:
+        """Return a position without contact that differs from `near` in few joints."""
+        free = np.flatnonzero((distances >= gaps).all(axis=1))
+        if not len(free):
+            best = int(np.argmax((distances - gaps).min(axis=1)))
+            worst = pairs[int(np.argmin(distances[best] - gaps))]
+            raise ModelError(
+                f"'{self._robot.name}': none of {len(drawn)} drawn positions keeps every pair "
+                f"{1e3 * _REST_GAP:.0f} mm apart; the best has {worst.first} and {worst.second} "
+                f"{1e3 * distances[best].min():.1f} mm apart. Give a rest position, move the "
+                "obstacles, or name pairs to ignore."
+            )
+        span = np.maximum(np.ptp(drawn, axis=0), np.finfo(float).tiny)
+        steps = np.abs((drawn[free] - near) / span).sum(axis=1)
+        found: Array = drawn[free[np.argmin(steps)]]
+        # Joint by joint, the largest change first, back to the usual position if that is free;
+        # twice, for what was in the way of one joint may be gone by then.
+        for joint in 2 * list(np.argsort(-np.abs((found - near) / span))):
+            trial = np.where(np.arange(len(near)) == joint, near, found)
+            if (self._distances(trial[None])[0, columns] >= gaps).all():
+                found = trial
+        return found
+
+    def _moved(
+        self, near: Array, rest: Array, pairs: Sequence[Pair], distances: Array, gaps: Array
+    ) -> str:
+        close = [
+            f"{pair.first} and {pair.second}"
+            for pair, distance, gap in zip(pairs, distances, gaps, strict=True)
+            if distance < gap
+        ]
+        moved = ", ".join(
+            f"{name} to {value:.2f}"
+            for name, value, other in zip(self._robot.joint_names, rest, near, strict=True)
+            if value != other
+        )
+        return (
+            f"At the usual rest position these touch or are less than {1e3 * _REST_GAP:.0f} mm "
+            f"apart: {'; '.join(close)}. The rest position is moved: {moved} (rad or m)."
+        )

@@ -1,0 +1,282 @@
+"""Solids that stand for the links: convex shapes of the description, or assumed capsules."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from sdpid._common.arrays import Array
+from sdpid.errors import ModelError
+from sdpid.excitation.geometry.obstacles import Box, Mesh, Obstacle, Plane
+from sdpid.robot.description.xml import parse_xml
+from sdpid.robot.model.model import RobotModel
+from sdpid.robot.model.shapes import Shape, collision_library, link_shapes
+
+# Radius of assumed links as a share of the way to the farthest joint, and its largest value in m:
+# industrial and collaborative arms of 0.5 to 1.3 m have links of 5 to 8 cm.
+_RADIUS_SHARE, _LARGEST_RADIUS = 0.1, 0.07
+
+# Thickness of the box around a mesh without volume, as a share of its size.
+_THIN = 1e-3
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Solid:
+    """A shape that moves with a joint, or stands still.
+
+    Attributes
+    ----------
+    body : str
+        The moving link, the base or the obstacle that it belongs to.
+    joint : int
+        Pinocchio's index of the joint that moves it; 0 if it stands still.
+    shape : Shape or Plane or Mesh
+        A convex shape in the frame of the joint, or an obstacle that is no such shape.
+    """
+
+    body: str
+    joint: int
+    shape: Shape | Plane | Mesh
+
+    @property
+    def core(self) -> tuple[Array, float]:
+        """Points (N, 3) and a radius: the convex hull of balls about the points is the solid."""
+        if not isinstance(self.shape, Shape):
+            return np.empty((0, 3)), np.inf
+        if self.shape.kind not in ("sphere", "capsule"):
+            return self.shape.points(), 0.0
+        radius, *length = self.shape.sizes
+        ends = np.array([[0.0, 0.0, 0.5 * s * sum(length)] for s in (-1.0, 1.0)])
+        placement = self.shape.placement
+        return ends @ placement[:3, :3].T + placement[:3, 3], float(radius)
+
+    def geometry(self) -> tuple[Any, Array]:
+        """Return Coal's geometry, and its placement (4, 4) in the frame of the joint.
+
+        Raises
+        ------
+        ModelError
+            When a mesh cannot be read.
+        """
+        coal, shape = collision_library(), self.shape
+        if isinstance(shape, Plane):
+            normal = np.array(shape.normal)
+            return coal.Halfspace(normal, float(normal @ shape.point)), np.eye(4)
+        if isinstance(shape, Mesh):
+            return shape.load()[0], shape.placement
+        if shape.kind == "mesh":
+            return _convex(shape.vertices), shape.placement
+        made = {
+            "box": coal.Box,
+            "sphere": coal.Sphere,
+            "cylinder": coal.Cylinder,
+            "capsule": coal.Capsule,
+        }[shape.kind]
+        return made(*(float(size) for size in shape.sizes)), shape.placement
+
+
+def obstacle_solid(obstacle: Obstacle) -> Solid:
+    """Return the solid of an obstacle."""
+    shape: Shape | Plane | Mesh
+    if isinstance(obstacle, Box):
+        shape = Shape.of("box", np.array(obstacle.size), placement=obstacle.placement)
+    elif isinstance(obstacle, Mesh) and obstacle.convex:
+        shape = _hull(obstacle.load()[1], obstacle.placement)
+    else:
+        shape = obstacle
+    return Solid(body=obstacle.name, joint=0, shape=shape)
+
+
+def robot_solids(
+    robot: RobotModel,
+    *,
+    package_dirs: Iterable[str | os.PathLike[str]] = (),
+    radius: float | None = None,
+) -> tuple[tuple[Solid, ...], tuple[str, ...]]:
+    """Return the solids of the base and of the moving links, and what was assumed.
+
+    Collision geometry is taken where a link has it, visual geometry where it has only that.
+    Meshes become convex hulls. Links whose meshes are missing, and all links of a robot without
+    any geometry, become capsules from their joint to the next ones.
+
+    Parameters
+    ----------
+    robot : RobotModel
+        The robot.
+    package_dirs : iterable of paths, optional
+        Folders in which meshes are looked up.
+    radius : float, optional
+        Radius of assumed capsules, m; by default a tenth of the way to the farthest joint, at
+        most 70 mm.
+
+    Returns
+    -------
+    solids : tuple of Solid
+    assumed : tuple of str
+        Sentences.
+    """
+    folders = [Path(folder) for folder in package_dirs]
+    if radius is None:
+        radius = min(_RADIUS_SHARE * robot.reach, _LARGEST_RADIUS)
+    elements: dict[str, Any] = {}
+    if robot.urdf is not None:
+        root = parse_xml(robot.urdf, robot.name)
+        elements = {element.get("name"): element for element in root.findall("link")}
+    solids: list[Solid] = []
+    hulls, visuals, missing, bare = [], [], [], []
+    for joint in range(robot.n_links + 1):
+        body = body_name(robot, joint)
+        own = [(elements[name], at) for name, at in _bodies(robot, joint) if name in elements]
+        shapes, kind, lacks = _described(own, robot.name, folders)
+        if kind == "visual":
+            visuals.append(body)
+        if any(shape.kind == "mesh" for shape in shapes):
+            hulls.append(body)
+        if lacks:
+            missing.append(lacks)
+            shapes += assumed_shapes(robot, joint, radius)
+        elif not shapes:
+            bare.append(body)
+        solids += [Solid(body=body, joint=joint, shape=shape) for shape in shapes]
+    capsules = f"capsules of {1e3 * radius:.0f} mm radius from joint to joint"
+    if not solids:
+        for joint in range(robot.n_links + 1):
+            solids += [
+                Solid(body=body_name(robot, joint), joint=joint, shape=shape)
+                for shape in assumed_shapes(robot, joint, radius)
+            ]
+        return tuple(solids), (
+            f"The description of '{robot.name}' has no shapes: links are taken as {capsules}.",
+        )
+    assumed = []
+    if hulls:
+        assumed.append(f"Meshes are taken as their convex hulls: {', '.join(hulls)}.")
+    if visuals:
+        assumed.append(f"Visual shapes stand for missing collision shapes: {', '.join(visuals)}.")
+    if missing:
+        assumed.append(
+            f"Meshes are missing, so {capsules} stand for these links (package_dirs names the "
+            f"folders of meshes): {'; '.join(missing)}"
+        )
+    if bare:
+        assumed.append(f"Without any shape in the description, not checked: {', '.join(bare)}.")
+    return tuple(solids), tuple(assumed)
+
+
+def body_name(robot: RobotModel, joint: int) -> str:
+    """Return the name of a moving link by Pinocchio's index of its joint, or of the base at 0."""
+    if joint > 0:
+        return robot.link_names[joint - 1]
+    return next((name for name, _ in _bodies(robot, 0)), "base")
+
+
+def assumed_shapes(robot: RobotModel, joint: int, radius: float) -> list[Shape]:
+    """Return capsules from a joint's origin to the next joints, or to the end of the last link."""
+    model = robot.pin_model
+    ends = [
+        np.array(model.jointPlacements[i].translation)
+        for i in range(1, model.njoints)
+        if model.parents[i] == joint
+    ]
+    if not ends:
+        fixed = [
+            np.array(frame.placement.translation)
+            for frame in model.frames
+            if frame.parentJoint == joint
+        ]
+        ends = [max(fixed, key=np.linalg.norm)] if fixed else [np.zeros(3)]
+    return [_capsule(end, radius) for end in ends]
+
+
+def _capsule(end: Array, radius: float) -> Shape:
+    """Return the capsule from the origin to an end."""
+    length = float(np.linalg.norm(end))
+    if length < radius * _THIN:
+        return Shape.of("sphere", [radius])
+    # Two axes orthogonal to the third, which points to the end.
+    across = np.linalg.svd(end[None])[2][1:]
+    across[1] *= np.sign(np.linalg.det(np.vstack([across, end])))
+    placement = np.eye(4)
+    placement[:3, :3] = np.vstack([across, end / length]).T
+    placement[:3, 3] = 0.5 * end
+    return Shape.of("capsule", [radius, length], placement=placement)
+
+
+def _bodies(robot: RobotModel, joint: int) -> Iterator[tuple[str, Array]]:
+    """Yield the links of the description that move with a joint, placed in its frame."""
+    import pinocchio as pin
+
+    for frame in robot.pin_model.frames:
+        if frame.type == pin.FrameType.BODY and frame.parentJoint == joint:
+            yield frame.name, np.array(frame.placement.homogeneous)
+
+
+def _described(
+    own: list[tuple[Any, Array]], robot: str, folders: list[Path]
+) -> tuple[list[Shape], str, str]:
+    """Return a body's shapes, of which kind they are, and why they are missing."""
+    lacks = ""
+    for kind in ("collision", "visual"):
+        if not any(element.find(kind) is not None for element, _ in own):
+            continue
+        try:
+            return (
+                [
+                    _placed(shape, place)
+                    for element, place in own
+                    for shape in link_shapes(element, kind, robot, folders)
+                ],
+                kind,
+                "",
+            )
+        except ModelError as cause:
+            lacks = lacks or str(cause)
+    return [], "", lacks
+
+
+def _placed(shape: Shape, place: Array) -> Shape:
+    """Return a shape in the frame of a joint, a mesh as the corners of its convex hull."""
+    placement = place @ shape.placement
+    if shape.kind == "mesh":
+        return _hull(shape.vertices, placement)
+    return Shape.of(shape.kind, shape.sizes, placement=placement)
+
+
+def _hull(vertices: Array, placement: Array) -> Shape:
+    """Return the corners of the convex hull of points, or a thin box around a flat mesh."""
+    from scipy.spatial import ConvexHull, QhullError
+
+    try:
+        return Shape.of(
+            "mesh", vertices=vertices[ConvexHull(vertices).vertices], placement=placement
+        )
+    except QhullError:
+        lower, upper = vertices.min(axis=0), vertices.max(axis=0)
+        size = np.maximum(upper - lower, _THIN * np.max(upper - lower, initial=0.0))
+        middle = np.eye(4)
+        middle[:3, 3] = 0.5 * (lower + upper)
+        return Shape.of("box", size, placement=placement @ middle)
+
+
+def _convex(vertices: Array) -> Any:
+    """Return Coal's convex polyhedron of the corners of a convex hull."""
+    from scipy.spatial import ConvexHull
+
+    coal = collision_library()
+    points, triangles = coal.StdVec_Vec3s(), coal.StdVec_Triangle()
+    points.extend(np.array(vertices))
+    # Joggled, for faces of hundreds of corners would be cut into fans from one of them, and Coal
+    # takes at most 255 neighbors; what this shifts is far below the accuracy of distances.
+    hull = ConvexHull(vertices, qhull_options="QJ")
+    # Qhull's triangles face any way; Coal wants their corners counterclockwise from outside.
+    corners = vertices[hull.simplices]
+    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    flipped = np.einsum("mi,mi->m", normals, hull.equations[:, :3]) < 0.0
+    faces = np.where(flipped[:, None], hull.simplices[:, ::-1], hull.simplices)
+    triangles.extend([coal.Triangle(int(a), int(b), int(c)) for a, b, c in faces])
+    return coal.Convex(points, triangles)

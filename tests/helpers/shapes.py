@@ -1,0 +1,40 @@
+"""Arms with shapes, for tests of distances."""
+
+from __future__ import annotations
+
+from sdpid.robot.model.load import load_robot
+from sdpid.robot.model.model import RobotModel
+
+BALL = '<sphere radius="0.1"/>'
+ROD = '<cylinder radius="0.05" length="0.4"/>'
+
+
+def shaped_arm(
+    *shapes: str, spacing: float = 0.5, kinds: str = "rrrrrr", more: str = ""
+) -> RobotModel:
+    """Return a chain whose joints follow each other along x and turn about z and y in turn.
+
+    Parameters
+    ----------
+    *shapes : str
+        Geometry of the base and of each link, in the middle of the joint's frame; may be empty.
+    spacing : float, optional
+        From joint to joint, m.
+    kinds : str, optional
+        A letter a joint: r for turning, p for sliding along the axis.
+    more : str, optional
+        Further elements.
+    """
+    links, joints = [], []
+    for i, shape in enumerate(shapes):
+        own = f"<collision><geometry>{shape}</geometry></collision>" if shape else ""
+        links.append(f'<link name="l{i}">{own}</link>')
+    for i in range(1, len(shapes)):
+        kind = "prismatic" if kinds[i - 1] == "p" else "revolute"
+        axis = "0 0 1" if i % 2 else "0 1 0"
+        joints.append(
+            f'<joint name="j{i}" type="{kind}"><parent link="l{i - 1}"/><child link="l{i}"/>'
+            f'<origin xyz="{spacing if i > 1 else 0} 0 0"/><axis xyz="{axis}"/>'
+            '<limit lower="-2" upper="2" effort="9" velocity="3"/></joint>'
+        )
+    return load_robot(f'<robot name="chain">{"".join(links + joints)}{more}</robot>')
