@@ -23,8 +23,10 @@ def simulate(
     trajectory: Annotated[
         Path | None,
         typer.Option(
-            help="Motion, a TOML file as --write-trajectory makes. By default the paper's "
-            "excitation for a bundled robot, else a motion within the robot's limits."
+            help="Motion: a TOML file as --write-trajectory makes, or samples of any tool (CSV, "
+            "Parquet, NPZ with time, position_<joint>, velocity_<joint>, acceleration_<joint>). "
+            "By default the paper's excitation for a bundled robot, else a motion within the "
+            "robot's limits."
         ),
     ] = None,
     write_trajectory: Annotated[
@@ -53,7 +55,8 @@ def simulate(
     from sdpid.experiment.plant.simulate import simulate as run
     from sdpid.experiment.plant.simulate import true_parameters
     from sdpid.experiment.trajectory.paper import paper_excitation
-    from sdpid.experiment.trajectory.trajectory import Trajectory
+    from sdpid.experiment.trajectory.reading import between_rests, read_trajectory
+    from sdpid.experiment.trajectory.sampled import SampledCurve
     from sdpid.robot.model.load import load_robot
     from sdpid.robot.model.model import RobotModel
 
@@ -61,7 +64,8 @@ def simulate(
     bundled = table.is_file()
     model = RobotModel.from_mdh(table) if bundled else load_robot(robot)
     if trajectory is not None:
-        motion = Trajectory.from_toml(trajectory)
+        motion = read_trajectory(trajectory, model.joint_names)
+        motion = between_rests(motion) if isinstance(motion.series, SampledCurve) else motion
         motion = motion if periods is None else motion.with_periods(periods)
     elif bundled:
         motion = paper_excitation(robot, seed, periods=periods, period=period)

@@ -222,6 +222,28 @@ def test_simulate_any_robot_with_a_trajectory_file(tmp_path: Path) -> None:
     refused(run("simulate", "ur5_robot", "--out", second, "--trajectory", motion), 2, "m.toml")
 
 
+def test_simulate_along_samples(tmp_path: Path) -> None:
+    motion, out = tmp_path / "motion.csv", tmp_path / "run.parquet"
+    time = np.linspace(0.0, 2.0, 101)
+    names = sdpid.load_robot("ur5_robot").joint_names
+    columns = [f"position_{name}" for name in names]
+    swing = np.outer(1.0 - np.cos(np.pi * time), np.full(6, 0.1))
+    header = ",".join(["time", *columns])
+    np.savetxt(motion, np.column_stack([time, swing]), delimiter=",", header=header, comments="")
+    made = run("simulate", "ur5_robot", "--out", out, "--trajectory", motion)
+    assert made.exit_code == 0, made.output
+    assert "no limit" in made.stdout
+    record = sdpid.read_recording(out)
+    assert record.names == names
+    assert record.duration == pytest.approx(8.0, abs=0.01)
+    written = ("--write-trajectory", tmp_path / "motion.toml")
+    refused(
+        run("simulate", "ur5_robot", "--out", out, "--trajectory", motion, *written),
+        2,
+        "no coefficients",
+    )
+
+
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [

@@ -48,12 +48,20 @@ def end_states(curve: Curve) -> Array:
 def is_closed(curve: Curve) -> bool:
     """Return whether the state at the end is that at the start, so that periods can follow."""
     states = end_states(curve)
-    return bool(np.abs(states[:, 1] - states[:, 0]).max() <= SAME_STATE)
+    return bool(np.abs(states[:, 1] - states[:, 0])[: _continuous(curve)].max() <= SAME_STATE)
 
 
 def rests_at_ends(curve: Curve) -> bool:
     """Return whether velocity and acceleration vanish at either end."""
-    return bool(np.abs(end_states(curve)[1:]).max() <= SAME_STATE)
+    return bool(np.abs(end_states(curve)[1 : _continuous(curve)]).max() <= SAME_STATE)
+
+
+def _continuous(curve: Curve) -> int:
+    """Return how many of position, velocity and acceleration do not jump anywhere in a curve.
+
+    Where accelerations jump at every sample, they need not agree at the ends either.
+    """
+    return min(int(getattr(curve, "smooth", 2)), 2) + 1
 
 
 def times_within(time: Any, duration: float) -> Array:

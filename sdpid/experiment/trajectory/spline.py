@@ -56,6 +56,11 @@ class Spline(Pieces):
         return int(self.control_points.shape[1])
 
     @property
+    def smooth(self) -> int:
+        """The highest derivative that is continuous."""
+        return self.degree - 1
+
+    @property
     def knots(self) -> Array:
         """The m + degree + 1 knots in s, the ends degree + 1 times."""
         intervals = len(self.control_points) - self.degree

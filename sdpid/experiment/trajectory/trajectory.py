@@ -206,10 +206,9 @@ class Trajectory:
                 speeds = f"{peak:.4g} m/s", f"{limit:.4g} m/s"
             else:
                 speeds = f"{np.degrees(peak):.2f} deg/s", f"{np.degrees(limit):.2f} deg/s"
-            lines.append(
-                f"{name}: peak velocity {speeds[0]}, {verdict} the limit of {speeds[1]} "
-                f"({100.0 * peak / limit:.0f} %)"
-            )
+            told = f"{verdict} the limit of {speeds[1]} ({100.0 * peak / limit:.0f} %)"
+            told = told if np.isfinite(limit) else "no limit"
+            lines.append(f"{name}: peak velocity {speeds[0]}, {told}")
         return tuple(lines)
 
     def with_periods(self, periods: int) -> Trajectory:

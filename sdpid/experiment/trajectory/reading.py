@@ -1,0 +1,226 @@
+"""`read_trajectory`: a motion from the file of any tool."""
+
+from __future__ import annotations
+
+import os
+import re
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from sdpid._common.arrays import Array
+from sdpid.errors import DataError
+from sdpid.experiment.readers.column_names import Columns
+from sdpid.experiment.readers.formats.loaders import LOADERS
+from sdpid.experiment.readers.table import Table
+from sdpid.experiment.readers.unit_names import UNITS
+from sdpid.experiment.trajectory.curve import rests_at_ends
+from sdpid.experiment.trajectory.sampled import SampledCurve
+from sdpid.experiment.trajectory.trajectory import Trajectory
+
+__all__ = ["between_rests", "read_trajectory"]
+
+# Formats of samples; a bag or a MATLAB file of a motion can be exported as one of them.
+_FORMATS = (".csv", ".csv.gz", ".npz", ".parquet", ".tsv", ".txt")
+# Names of accelerations, which logs do not have; those of the rest are the readers'.
+_ACCELERATIONS = ("acceleration", "accelerations", "ddq", "qdd", "acc")
+# A column is the derivative of another when it integrates to it within this factor: far from the
+# 57 between radians and degrees, above what steps of half a second between samples cost.
+_DERIVATIVE = 1.5
+# A joint that moves less than this (rad, rad/s) in all is not looked at.
+_STILL = 1e-4
+# Motions are simulated at this rate (Hz) or more, between rests (s), with connections (s) where
+# they do not rest at their ends.
+_LEAST_RATE, _REST, _CONNECTION = 250.0, 1.0, 2.0
+
+
+def read_trajectory(
+    path: str | os.PathLike[str], joint_names: Sequence[str] | None = None
+) -> Trajectory:
+    """Read a motion: samples of any tool, or the file of `Trajectory.to_toml`.
+
+    Samples are CSV (also ``.csv.gz``, ``.tsv``, ``.txt``), Parquet or NPZ with ``time``,
+    ``position_<joint>`` and, where there are any, ``velocity_<joint>`` and
+    ``acceleration_<joint>``; other usual names and units are found as by `read_recording`. The
+    motion goes through the samples, see `SampledCurve`.
+
+    Parameters
+    ----------
+    path : path-like
+        The file; its suffix tells the format.
+    joint_names : sequence of str, optional
+        The robot's joints; the file must have the same, in any order, or as many without names.
+
+    Returns
+    -------
+    Trajectory
+        Of samples, one period without rest, connections and limits.
+
+    Raises
+    ------
+    DataError
+        When the file cannot be read, columns are missing, joints are unknown, a value is missing,
+        time does not increase, or a column is not the derivative of the one before.
+    MissingExtraError
+        When the format needs a package that is not installed.
+    """
+    file = Path(path)
+    if file.suffix.lower() == ".toml":
+        motion = Trajectory.from_toml(file)
+        if joint_names is not None and motion.joint_names != tuple(joint_names):
+            raise _other_joints(file, motion.joint_names, joint_names)
+        return motion
+    suffix = "".join(file.suffixes[-2:] if file.suffix.lower() == ".gz" else file.suffixes[-1:])
+    if suffix.lower() not in _FORMATS:
+        raise DataError(
+            f"{file}: '{suffix}' is no format of trajectories; known are .toml, "
+            f"{', '.join(_FORMATS)}."
+        )
+    if not file.is_file():
+        raise DataError(f"{file}: there is no such file.")
+    curve, names = _sampled(file, LOADERS[suffix.lower()](file), joint_names)
+    return Trajectory(
+        joint_names=names,
+        series=curve,
+        rate_hz=max(len(curve.time) - 1, 2) / curve.duration,
+        periods=1,
+        rest=0.0,
+        connection=0.0,
+        position_range=np.tile([-np.inf, np.inf], (curve.n, 1)),
+        velocity_limit=np.full(curve.n, np.inf),
+    )
+
+
+def between_rests(motion: Trajectory) -> Trajectory:
+    """Return a motion of samples with rest before and after it, and connections if it needs them.
+
+    Its rate is raised to a multiple of at least 250 Hz.
+    """
+    rate = motion.rate_hz * np.ceil(_LEAST_RATE / motion.rate_hz)
+    connection = 0.0 if rests_at_ends(motion.series) else round(_CONNECTION * rate) / rate
+    return replace(
+        motion, rate_hz=float(rate), rest=round(_REST * rate) / rate, connection=connection
+    )
+
+
+def _sampled(
+    file: Path, table: Table, wanted: Sequence[str] | None
+) -> tuple[SampledCurve, tuple[str, ...]]:
+    """Return the curve through the samples of a file, and the names of its joints."""
+    acceleration = next((key for key in _ACCELERATIONS if _begins(key, table)), None)
+    log = Columns(file, table, {"acceleration": acceleration})
+    time = log.single("time")
+    position, labels = log.table("position", wanted)
+    if time is None or position is None:
+        raise DataError(
+            f"{file}: column {'time' if time is None else 'position_<joint>'} is missing; give "
+            "time in s, position_<joint> and, where there are any, velocity_<joint> and "
+            f"acceleration_<joint>. Found: {', '.join(list(table.arrays)[:40]) or 'nothing'}."
+        )
+    names, order = _joints(file, labels or log.names(), wanted, position.shape[1])
+    values = {"time": np.asarray(time).ravel(), "position": position}
+    for quantity in ("velocity", "acceleration"):
+        found, label = log.table(quantity, labels)
+        if found is not None and (label != labels or found.shape != position.shape):
+            raise DataError(
+                f"{file}: {quantity} has {found.shape[1]} columns ({_listed(label)}), position "
+                f"has {position.shape[1]} ({_listed(labels)}); give the same joints."
+            )
+        if found is not None:
+            values[quantity] = found
+    for quantity, array in values.items():
+        _check_finite(file, table, log.used[quantity], array)
+        array = array * _factors(log, quantity)
+        values[quantity] = array if quantity == "time" else array[:, order]
+    short = np.flatnonzero(np.diff(values["time"]) <= 0.0)
+    if short.size:
+        k = int(short[0]) + 1
+        raise DataError(
+            f"{file}: {table.place(k)}: time does not increase: {values['time'][k]} s after "
+            f"{values['time'][k - 1]} s; leave out repeated samples."
+        )
+    try:
+        curve = SampledCurve(**values)
+    except DataError as cause:
+        raise DataError(f"{file}: {cause}") from None
+    _check_derivatives(file, curve, names)
+    return curve, names
+
+
+def _joints(
+    file: Path, names: Sequence[str] | None, wanted: Sequence[str] | None, count: int
+) -> tuple[tuple[str, ...], list[int]]:
+    """Return the names of the joints, and their columns; numbers are no names of a robot's."""
+    unnamed = names is None or (all(name.isdigit() for name in names) and len(names) == count)
+    if wanted is None or (unnamed and len(wanted) == count):
+        names = wanted or names or [f"joint_{j + 1}" for j in range(count)]
+        return tuple(names), list(range(count))
+    if names is None or set(names) != set(wanted):
+        raise _other_joints(file, names or (), wanted)
+    return tuple(wanted), [list(names).index(name) for name in wanted]
+
+
+def _begins(key: str, table: Table) -> bool:
+    """Return whether an array, or columns by joint, have a name."""
+    pattern = re.compile(rf"{key}(?:$|[_./\s\-\[\d])", re.IGNORECASE)
+    return any(pattern.match(name) for name in table.arrays)
+
+
+def _factors(log: Columns, quantity: str) -> Array:
+    """Return the factors to SI of the units that the names of columns imply."""
+    units = log.implied.get(quantity)
+    if units is None:
+        return np.ones(1)
+    return np.array([UNITS[quantity][unit] for unit in np.atleast_1d(units)])
+
+
+def _check_finite(file: Path, table: Table, columns: Sequence[str], values: Array) -> None:
+    """Raise where a value is missing, with its row and column."""
+    if values.dtype.kind not in "fiu":
+        raise DataError(f"{file}: {', '.join(columns)}: holds {values.dtype}, expected numbers.")
+    bad = np.argwhere(~np.isfinite(values))
+    if len(bad):
+        row, column = int(bad[0, 0]), int(bad[0, -1]) if values.ndim == 2 else 0
+        name = columns[column] if len(columns) > column else f"{columns[0]}, column {column + 1}"
+        raise DataError(f"{file}: {table.place(row)}: {name} has no finite value; repair it.")
+
+
+def _check_derivatives(file: Path, curve: SampledCurve, names: Sequence[str]) -> None:
+    """Raise where velocities or accelerations are far from derivatives: in other units, often."""
+    h = np.diff(curve.time)[:, None]
+    pairs = (
+        ("velocity", curve.position, curve.velocity),
+        ("acceleration", curve.velocity, curve.acceleration),
+    )
+    for word, value, rate in pairs:
+        if value is None or rate is None:
+            continue
+        moved = value[1:] - value[0]
+        integral = np.cumsum(0.5 * h * (rate[1:] + rate[:-1]), axis=0)
+        for j, name in enumerate(names):
+            square, product = integral[:, j] @ integral[:, j], integral[:, j] @ moved[:, j]
+            if max(np.abs(moved[:, j]).max(), np.abs(integral[:, j]).max()) < _STILL:
+                continue
+            factor = square / product if product else np.inf
+            if not 1.0 / _DERIVATIVE < factor < _DERIVATIVE:
+                raise DataError(
+                    f"{file}: the {word} of {name} is {factor:.3g} times what its other columns "
+                    "say; give rad, rad/s and rad/s² (m for prismatic joints), or leave it out."
+                )
+
+
+def _other_joints(file: Path, names: Sequence[str], wanted: Sequence[str]) -> DataError:
+    unknown = [name for name in names if name not in wanted]
+    missing = [name for name in wanted if name not in names]
+    parts = [f"the robot has no joint {_listed(unknown)}"] if unknown else []
+    parts += [f"positions of {_listed(missing)} are missing"] if missing else []
+    return DataError(
+        f"{file}: {'; '.join(parts) or 'its joints are in another order'}. The robot's joints are "
+        f"{_listed(wanted)}."
+    )
+
+
+def _listed(names: Sequence[str] | None) -> str:
+    return ", ".join(names or ("without names",))
