@@ -48,6 +48,7 @@ class Spline(Pieces):
         points = real_array(self.control_points, "control_points", ndim=2)
         _intervals(len(points), self.duration, self.degree)
         object.__setattr__(self, "duration", float(self.duration))
+        object.__setattr__(self, "degree", int(self.degree))
         object.__setattr__(self, "control_points", frozen(points))
 
     @property

@@ -39,7 +39,7 @@ class Trajectory:
     ----------
     joint_names : tuple of str
         The n joints.
-    series : FourierSeries, Spline or another Curve
+    series : FourierSeries, Spline, SampledCurve or another Curve
         The motion of one period.
     rate_hz : float
         Samples per second.
@@ -221,7 +221,7 @@ class Trajectory:
         Raises
         ------
         ExportError
-            When the file cannot be written, or the motion goes through samples.
+            When the file cannot be written.
         """
         whole, joints = entries(self.series)
         lines = [f"{name} = {float(getattr(self, name))!r}" for name in _DURATIONS]

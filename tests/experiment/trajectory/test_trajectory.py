@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -15,6 +16,7 @@ from sdpid.errors import DataError
 from sdpid.experiment.plant.simulate import simulate
 from sdpid.experiment.trajectory.curve import Curve
 from sdpid.experiment.trajectory.fourier import FourierSeries
+from sdpid.experiment.trajectory.sampled import SampledCurve
 from sdpid.experiment.trajectory.spline import Spline
 from sdpid.experiment.trajectory.trajectory import Trajectory
 from sdpid.robot.model.load import load_robot
@@ -93,17 +95,49 @@ def test_splines_at_rest_need_no_connection() -> None:
         along(moving(0)[0])
 
 
-@pytest.mark.parametrize("closed", [True, False])
-def test_a_spline_survives_its_file(tmp_path: Path, closed: bool) -> None:
-    trajectory = along(resting(1, closed=closed))
-    trajectory.to_toml(tmp_path / "spline.toml")
-    again = Trajectory.from_toml(tmp_path / "spline.toml")
-    assert isinstance(again.series, Spline)
-    np.testing.assert_array_equal(again.series.control_points, trajectory.series.control_points)
+def sampled(orders: int) -> SampledCurve:
+    values = np.random.default_rng(4).normal(size=(3, 9, 2))
+    values[1:, [0, -1]] = 0.0
+    names = ("position", "velocity", "acceleration")
+    given = dict(zip(names, values[:orders], strict=False))
+    return SampledCurve(time=np.linspace(1.0, 5.0, 9), **given)
+
+
+CURVES = {
+    "closed": resting(1),
+    "open": resting(1, closed=False),
+    "series": moving(1)[1],
+    "positions": sampled(1),
+    "velocities": sampled(2),
+    "accelerations": sampled(3),
+}
+
+
+@pytest.mark.parametrize("kind", CURVES)
+def test_every_curve_survives_its_file(tmp_path: Path, kind: str) -> None:
+    trajectory = along(CURVES[kind], connection=0.0 if kind in ("closed", "open") else 1.0)
+    trajectory.to_toml(tmp_path / "one.toml")
+    again = Trajectory.from_toml(tmp_path / "one.toml")
+    assert type(again.series) is type(trajectory.series)
     for one, other in zip(again.sample(), trajectory.sample(), strict=True):
         np.testing.assert_array_equal(one, other)
     again.to_toml(tmp_path / "again.toml")
-    assert (tmp_path / "again.toml").read_text() == (tmp_path / "spline.toml").read_text()
+    assert (tmp_path / "again.toml").read_text() == (tmp_path / "one.toml").read_text()
+
+
+@pytest.mark.parametrize("kind", ["closed", "series", "velocities"])
+@pytest.mark.parametrize("junk", ["nan", '"text"', "[]", "[1.0, 'a']", "-3", "{a = 1}"])
+def test_damaged_files_are_refused(tmp_path: Path, kind: str, junk: str) -> None:
+    file = tmp_path / "damaged.toml"
+    along(CURVES[kind], connection=1.0).to_toml(file)
+    good = file.read_text().splitlines()
+    for k, line in enumerate(good):
+        key = line.partition(" =")[0]
+        # These may be negative, and be another motion.
+        if " =" in line and key not in ("name", "notes", "velocity_limit", "center"):
+            file.write_text("\n".join([*good[:k], f"{key} = {junk}", *good[k + 1 :]]))
+            with pytest.raises(DataError, match=re.escape(str(file))):
+                Trajectory.from_toml(file)
 
 
 @pytest.mark.parametrize("closed", [True, False])
