@@ -14,7 +14,7 @@ from __future__ import annotations
 import argparse
 import os
 import sys
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import astuple, dataclass, fields
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -84,14 +84,14 @@ def states_of(trajectory: Trajectory, rate_hz: float = RATE_HZ) -> States:
     period = trajectory.period
     time, *main = curve_states(trajectory.series, period, rate_hz)
     parts = [(trajectory.rest + trajectory.connection, time, main)]
-    start = [values[0] for values in main]
-    end = [values[-1] for values in main]
+    start, end = [values[0] for values in main], [values[-1] for values in main]
     length = trajectory.connection
     if length > 0.0:
         s = np.append(np.arange(0.0, length, step), length)
         enter = _quintic(s, length, _at_rest(trajectory.center), start[:3])
         # Coming to rest is starting from it with time reversed.
-        back = _quintic(length - s, length, _at_rest(trajectory.center), _mirrored(end[:3]))
+        last = trajectory.center if hasattr(series, "amplitudes") else end[0]
+        back = _quintic(length - s, length, _at_rest(last), _mirrored(end[:3]))
         leave = [values * (-1.0) ** order for order, values in enumerate(back)]
         after = trajectory.rest + length + trajectory.periods * period
         parts = [(trajectory.rest, s, enter), *parts, (after, s, leave)]
@@ -233,17 +233,26 @@ class Geometry:
     ) -> None:
         import pinocchio as pin
 
-        from sdpid.robot.model.geometry import _example_folders
+        from sdpid.robot.description.catalog import example_robots
 
         if robot.urdf is None:
             raise sdpid.errors.ModelError(f"'{robot.name}' was not loaded from a URDF.")
-        folders = [*map(os.fspath, package_dirs), *map(os.fspath, _example_folders())]
+        share = {
+            os.fspath(folder)
+            for path in example_robots().values()
+            for inner in path.parents
+            if inner.name == "example-robot-data"
+            for folder in (inner.parent, inner / "robots")
+        }
+        folders = [*map(os.fspath, package_dirs), *sorted(share)]
         which = pin.GeometryType.COLLISION if kind == "collision" else pin.GeometryType.VISUAL
         self.robot = robot
         self.shapes = pin.buildGeomFromUrdfString(
             robot.pin_model, robot.urdf, which, package_dirs=folders
         )
         self.obstacles: list[str] = []
+        bodies = [f for f in robot.pin_model.frames if f.type == pin.FrameType.BODY]
+        self.base = next((f.name for f in bodies if f.parentJoint == 0), "base")
 
     def add(self, name: str, shape: Any, placement: Any) -> None:
         """Add an obstacle that stands still: a Coal shape and a `pin.SE3`."""
@@ -257,7 +266,7 @@ class Geometry:
         shape = self.shapes.geometryObjects[index]
         if shape.name in self.obstacles:
             return str(shape.name)
-        return self.robot.link_names[shape.parentJoint - 1] if shape.parentJoint else "base"
+        return self.robot.link_names[shape.parentJoint - 1] if shape.parentJoint else self.base
 
     def pairs(self, wanted: Iterable[tuple[str, str]]) -> list[tuple[int, int]]:
         """Return the pairs of shapes of pairs of links."""
@@ -290,33 +299,35 @@ class Geometry:
 def distances_reached(
     geometry: Geometry,
     states: States,
-    wanted: Iterable[tuple[str, str]],
-    clearance: float,
+    wanted: Mapping[tuple[str, str], float],
     grids_hz: tuple[float, float] = (COARSE_HZ, FINE_HZ),
 ) -> list[Reached]:
-    """Return the least distance of each pair of links on a fine grid, against the clearance."""
+    """Return the least distance of pairs of links on a fine grid, against what each must keep."""
+    asked = {frozenset(pair): clearance for pair, clearance in wanted.items()}
     pairs = geometry.pairs(wanted)
     rate = 1.0 / np.median(np.diff(states.time))
     every, fine = (max(1, round(rate / hz)) for hz in grids_hz)
     coarse = np.arange(0, len(states.time), every)
     first = geometry.distances(states.position[coarse], pairs)
-    least: dict[tuple[str, str], tuple[float, float]] = {}
+    least: dict[frozenset[str], tuple[float, float]] = {}
     for p, pair in enumerate(pairs):
+        key = frozenset(map(geometry.link_of, pair))
         index, values = coarse, first[:, p]
-        near = coarse[first[:, p] < clearance + NEAR]
+        near = coarse[first[:, p] < asked[key] + NEAR]
         if near.size:
             around = near[:, None] + np.arange(-every, every + 1, fine)
             index = np.unique(np.clip(around, 0, len(states.time) - 1))
             values = geometry.distances(states.position[index], [pair])[:, 0]
         k = int(np.argmin(values))
-        names = sorted((geometry.link_of(pair[0]), geometry.link_of(pair[1])))
-        key = names[0], names[1]
         found = float(values[k]), float(states.time[index[k]])
         least[key] = min(found, least.get(key, found))
-    return [
-        _reached("distance", " – ".join(key), clearance, distance, distance - clearance, time)
-        for key, (distance, time) in least.items()
-    ]
+    rows = []
+    for pair, clearance in wanted.items():
+        if (key := frozenset(pair)) in least:
+            distance, time = least[key]
+            name = " – ".join(pair)
+            rows.append(_reached("distance", name, clearance, distance, distance - clearance, time))
+    return rows
 
 
 def table_of(rows: Iterable[Reached]) -> Table:
@@ -356,10 +367,10 @@ def main() -> int:
     )
     if robot.urdf is not None and "<collision" in robot.urdf:
         geometry = Geometry(robot, options.package_dir)
-        links = ("base", *robot.link_names)
-        apart = [(a, b) for i, a in enumerate(links) for b in links[: max(0, i - 1)]]
+        links = (geometry.base, *robot.link_names)
+        apart = {(a, b): 0.0 for i, a in enumerate(links) for b in links[: max(0, i - 1)]}
         grids = (5.0, 50.0) if options.quick else (COARSE_HZ, FINE_HZ)
-        rows += distances_reached(geometry, states, apart, 0.0, grids)
+        rows += distances_reached(geometry, states, apart, grids)
     table = table_of(rows)
     table.write(options.out / "dense_check.csv")
     print(table.text(4))

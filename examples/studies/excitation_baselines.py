@@ -84,6 +84,11 @@ class Columns:
         v, a = rng.standard_normal((2, STATES, robot.n))
         self.kept = _independent(self._inertial(position, v, a).reshape(STATES * robot.n, -1))
 
+    @property
+    def count(self) -> int:
+        """Number of columns."""
+        return len(self.kept) + (3 * self.robot.n if self.friction else 0)
+
     def _inertial(self, position: Array, v: Array, a: Array) -> Array:
         """Return the regressor of the links, and of the rotors, (K, n, p)."""
         import pinocchio as pin
@@ -224,9 +229,23 @@ def best_random(
     return found, count
 
 
+# What the least slack is told of.
+KINDS = ("position", "velocity", "acceleration", "jerk", "torque", "distance")
+
+
 @dataclass(frozen=True, kw_only=True)
 class Row:
-    """One motion: its score, and what is left of its limits (the least share of each kind)."""
+    """One motion: its score over some columns, and what is left of its limits.
+
+    Attributes
+    ----------
+    seconds : float or None
+        What the search took.
+    position, velocity, acceleration, jerk, torque, distance : float or None
+        The least slack of each kind: a share of the limit, of positions in rad, of distances in m.
+    broken, collisions : int or None
+        Limits that are broken on a fine grid, and pairs that come closer than the clearance.
+    """
 
     robot: str
     limits: str
@@ -238,7 +257,11 @@ class Row:
     position: float | None
     velocity: float | None
     acceleration: float | None
+    jerk: float | None
+    torque: float | None
+    distance: float | None
     broken: int
+    collisions: int | None
 
 
 def row_of(
@@ -254,25 +277,26 @@ def row_of(
     cond, log_det = columns.score(scored)
     reached = list(reached)
     least = {
-        kind: min((r.slack / _size(r) for r in reached if r.kind == kind), default=None)
-        for kind in ("position", "velocity", "acceleration")
+        kind: min((slack_of(r) for r in reached if r.kind == kind), default=None) for kind in KINDS
     }
+    apart = [r.held for r in reached if r.kind == "distance"]
     return Row(
         robot=robot,
         limits=limits,
         plan=plan,
         seconds=seconds,
-        columns=len(columns.matrix(scored)[0]),
+        columns=columns.count,
         cond=cond,
         log_det=log_det,
-        broken=sum(not r.held for r in reached),
+        broken=sum(not r.held for r in reached if r.kind != "distance"),
+        collisions=apart.count(False) if apart else None,
         **least,
     )
 
 
-def _size(reached: Reached) -> float:
-    """Return what a slack is a share of: the limit, and 1 rad for positions."""
-    return 1.0 if reached.kind == "position" else abs(reached.limit)
+def slack_of(reached: Reached) -> float:
+    """Return what is left of a limit: its share, but rad of positions and m of distances."""
+    return reached.slack if reached.kind in ("position", "distance") else reached.share
 
 
 def ur10e_rows(data: Path, seconds: float, dense_hz: float) -> Iterator[Row]:
