@@ -13,12 +13,17 @@ from numpy.typing import ArrayLike
 
 from sdpid._common.arrays import Array, Indices, frozen, real_array
 from sdpid.errors import DataError, ModelError
+from sdpid.excitation.geometry.drawn import DrawnShape, drawn_shapes
 from sdpid.excitation.geometry.measure import Measure
 from sdpid.excitation.geometry.obstacles import Obstacle, named_apart
 from sdpid.excitation.geometry.pairs import Pair, choose_pairs
 from sdpid.excitation.geometry.reach import Reaches
+from sdpid.excitation.geometry.soft import SoftMinimum
 from sdpid.excitation.geometry.solids import Solid, body_name, obstacle_solid, robot_solids
 from sdpid.robot.model.model import RobotModel
+
+# Slack beyond which the search need not know how far away everything is, m.
+_HORIZON = 0.2
 
 # Joints without limits are drawn this far to either side, rad or m.
 _FAR = np.pi
@@ -143,9 +148,19 @@ class CollisionModel:
     def _measure(self) -> Measure:
         return Measure(self.robot, self.solids, [(pair.first, pair.second) for pair in self.pairs])
 
+    @cached_property
+    def _soft(self) -> SoftMinimum:
+        return SoftMinimum(self._measure)
+
     def __getstate__(self) -> dict[str, Any]:
         """Return the state without Coal's objects, which cannot be pickled."""
-        return {key: value for key, value in vars(self).items() if key != "_measure"}
+        made = ("_measure", "_soft")
+        return {key: value for key, value in vars(self).items() if key not in made}
+
+    @property
+    def drawn(self) -> tuple[DrawnShape, ...]:
+        """The shapes of all bodies, as points to be drawn."""
+        return drawn_shapes(self.solids, (obstacle.name for obstacle in self.obstacles))
 
     def distances(self, q: ArrayLike) -> Array:
         """Return the signed distance of each pair, m: negative by the depth where they overlap.
@@ -185,12 +200,19 @@ class CollisionModel:
         )
 
     def soft_minimum(
-        self, q: ArrayLike, sharpness: float, *, clearance: float = 0.0
+        self,
+        q: ArrayLike,
+        sharpness: float,
+        *,
+        clearance: float = 0.0,
+        horizon: float = _HORIZON,
     ) -> tuple[Array, Array]:
         """Return a smooth lower bound of the least slack of all pairs, and its gradient.
 
-        ``−log(Σ_p exp(−sharpness·slack_p))/sharpness`` with each pair's distance less its
-        clearance; below the least slack by at most ``log(P)/sharpness``.
+        ``−log(exp(−s·horizon) + Σ exp(−s·slack))/s`` over all pairs of solids, with s the sharpness
+        and each pair's distance less its clearance. Below the least slack, or the horizon where
+        that is less, by at most ``log(1 + number of pairs of solids)/s``. Pairs that are too far
+        away to matter by 1e-6 are not measured.
 
         Parameters
         ----------
@@ -200,22 +222,17 @@ class CollisionModel:
             1/m.
         clearance : float, optional
             The wanted clearance, m.
+        horizon : float, optional
+            Slack beyond which distances make no difference, m.
 
         Returns
         -------
         values : ndarray, shape (K,)
-            m; infinite where there are no pairs.
+            m.
         gradients : ndarray, shape (K, n)
         """
-        distances, gradients = self.distances_and_gradients(q)
-        if not self.pairs:
-            return np.full(len(distances), np.inf), np.zeros((len(distances), self.robot.n))
-        slack = distances - self.clearances(clearance)
-        least = slack.min(axis=1, keepdims=True)
-        weights = np.exp(-sharpness * (slack - least))
-        total = weights.sum(axis=1, keepdims=True)
-        values = (least - np.log(total) / sharpness)[:, 0]
-        return values, np.einsum("kp,kpj->kj", weights / total, gradients)
+        positions = real_array(q, "q", ndim=2)
+        return self._soft.evaluate(positions, sharpness, self.clearances(clearance), horizon)
 
     def only(self, which: Sequence[int] | Indices | Array) -> CollisionModel:
         """Return the same with only some pairs, by their indices or by P booleans."""

@@ -12,9 +12,12 @@ from sdpid.errors import SolverError
 from sdpid.excitation.geometry.solids import Solid
 from sdpid.robot.model.model import RobotModel
 
-
 # No distance is larger, m: Coal returns the largest number there is where its iteration fails.
 _LARGEST = 1e6
+
+
+# Signed distance, normal from the first to the second, nearest points of both.
+Witness = tuple[float, Array, Array, Array]
 
 
 class Measure:
@@ -35,32 +38,33 @@ class Measure:
     ) -> None:
         import pinocchio as pin
 
-        self._robot, self._count = robot, len(pairs)
+        self.robot, self._count = robot, len(pairs)
         self._model, self._data = robot.pin_model, robot.pin_model.createData()
         self._geometry = pin.GeometryModel()
-        wanted = {name for pair in pairs for name in pair}
-        objects: dict[str, list[int]] = {name: [] for name in wanted}
-        for number, solid in enumerate(solids):
-            if solid.body in wanted:
-                geometry, placement = solid.geometry()
-                item = pin.GeometryObject(
-                    f"{solid.body} {number}", solid.joint, pin.SE3(placement), geometry
-                )
-                objects[solid.body].append(self._geometry.addGeometryObject(item))
-        joint_of = {solid.body: solid.joint for solid in solids}
-        owners = []
-        for p, (first, second) in enumerate(pairs):
-            for i in objects[first]:
-                for j in objects[second]:
-                    self._geometry.addCollisionPair(pin.CollisionPair(i, j))
-                    owners.append(p)
+        objects: dict[str, list[int]] = {name: [] for pair in pairs for name in pair}
+        chosen = [solid for solid in solids if solid.body in objects]
+        for number, solid in enumerate(chosen):
+            geometry, placement = solid.geometry()
+            item = pin.GeometryObject(f"{number}", solid.joint, pin.SE3(placement), geometry)
+            objects[solid.body].append(self._geometry.addGeometryObject(item))
+        parts = [
+            (p, i, j)
+            for p, (first, second) in enumerate(pairs)
+            for i in objects[first]
+            for j in objects[second]
+        ]
+        for _, i, j in parts:
+            self._geometry.addCollisionPair(pin.CollisionPair(i, j))
+        self.solids = tuple(chosen)
+        self.owners: Indices = np.array([p for p, _, _ in parts], dtype=np.intp)
+        self.parts: Indices = np.array([part[1:] for part in parts], dtype=np.intp).reshape(-1, 2)
         # Where the solids of each pair of bodies begin; every body has a solid.
-        self._starts: Indices = np.searchsorted(owners, np.arange(self._count)).astype(np.intp)
-        self._simple = len(owners) == self._count
+        self._starts = np.searchsorted(self.owners, np.arange(self._count))
+        self._simple = len(parts) == self._count
         self._found = self._geometry.createData()
         self._results = list(self._found.distanceResults)
-        ends = [[joint_of[name] for name in pair] for pair in pairs]
-        self._moves = _supports(self._model, ends)
+        joint_of = {solid.body: solid.joint for solid in chosen}
+        self._moves = _supports(self._model, [[joint_of[name] for name in pair] for pair in pairs])
 
     def distances(self, configurations: Array) -> Array:
         """Return the distances (K, P) at Pinocchio's configurations (K, nq)."""
@@ -81,32 +85,61 @@ class Measure:
         import pinocchio as pin
 
         K, P = len(configurations), self._count
-        out, normals = np.empty((K, P)), np.empty((K, P, 3))
-        points = np.empty((2, K, P, 3))
+        found: list[Any] = []
         jacobians = np.empty((K, 6, self._model.nv))
         if not P:
-            return out, np.empty((K, P, self._robot.n))
+            return np.empty((K, 0)), np.empty((K, 0, self.robot.n))
         for k, q in enumerate(configurations):
-            pin.computeJointJacobians(self._model, self._data, q)
-            pin.updateGeometryPlacements(self._model, self._data, self._geometry, self._found)
+            jacobians[k] = self.place(q)
             pin.computeDistances(self._geometry, self._found)
-            jacobians[k] = self._data.J
-            nearest = self._nearest()
-            out[k] = [result.min_distance for result in nearest]
-            normals[k] = [result.normal for result in nearest]
-            points[0, k] = [result.getNearestPoint1() for result in nearest]
-            points[1, k] = [result.getNearestPoint2() for result in nearest]
-        _check(out)
+            found += [_copied(result) for result in self._nearest()]
+        distances, gradients = self.derivatives(
+            found, jacobians, np.repeat(np.arange(K), P), np.tile(np.arange(P), K)
+        )
+        return distances.reshape(K, P), gradients.reshape(K, P, -1)
+
+    def place(self, configuration: Array) -> Array:
+        """Put everything in its place at a configuration (nq,); return the Jacobian (6, nv)."""
+        import pinocchio as pin
+
+        pin.computeJointJacobians(self._model, self._data, configuration)
+        pin.updateGeometryPlacements(self._model, self._data, self._geometry, self._found)
+        return np.asarray(self._data.J)
+
+    def part(self, part: int) -> Witness:
+        """Return the distance of one of the pairs of solids (`parts`) where they are placed."""
+        import pinocchio as pin
+
+        return _copied(pin.computeDistance(self._geometry, self._found, part))
+
+    def derivatives(
+        self, found: Sequence[Witness], jacobians: Array, samples: Indices, pairs: Indices
+    ) -> tuple[Array, Array]:
+        """Return distances (N,) and their derivatives (N, n) of what was found.
+
+        Parameters
+        ----------
+        found : sequence of Witness
+            N of them.
+        jacobians : ndarray, shape (K, 6, nv)
+            What `place` returned for each sample.
+        samples, pairs : ndarray of int, shape (N,)
+            Sample and pair of bodies of each.
+        """
+        distances = np.array([witness[0] for witness in found])
+        _check(distances)
+        normals, *points = (np.array([witness[i] for witness in found]) for i in (1, 2, 3))
         # Meshes that are no hulls have no normal; the way between the nearest points is one.
-        unknown = ~np.isfinite(normals).all(axis=2)
+        unknown = ~np.isfinite(normals).all(axis=1)
         normals[unknown] = (points[1] - points[0])[unknown]
         normals[unknown] /= np.linalg.norm(normals[unknown], axis=1, keepdims=True)
-        gradient = np.zeros((K, P, self._model.nv))
+        gradient = np.zeros((len(found), self._model.nv))
         for moves, at, sign in zip(self._moves, points, (-1.0, 1.0), strict=True):
             # The speed of a point along the normal: n·(v + w × x) = n·v + w·(x × n).
-            speed = normals @ jacobians[:, :3] + np.cross(at, normals) @ jacobians[:, 3:]
-            gradient += sign * speed * moves
-        return out, gradient @ self._robot.expansion
+            wrench = np.concatenate([normals, np.cross(at, normals)], axis=1)
+            speed = np.einsum("ni,nij->nj", wrench, jacobians[samples])
+            gradient += sign * speed * moves[pairs]
+        return distances, gradient @ self.robot.expansion
 
     def _nearest(self) -> list[Any]:
         """Return the result of the nearest solids of each pair of bodies."""
@@ -118,6 +151,15 @@ class Measure:
             self._results[min(range(start, end), key=found.__getitem__)]
             for start, end in zip(self._starts, ends, strict=True)
         ]
+
+
+def _copied(result: Any) -> Witness:
+    return (
+        result.min_distance,
+        np.array(result.normal),  # its memory is used again
+        result.getNearestPoint1(),
+        result.getNearestPoint2(),
+    )
 
 
 def _check(distances: Array) -> None:

@@ -1,0 +1,75 @@
+"""A smooth lower bound of the least slack of all pairs, computed where it matters."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from sdpid._common.arrays import Array
+from sdpid.excitation.geometry.capsules import Capsules
+from sdpid.excitation.geometry.measure import Measure, Witness
+
+# Pairs whose share of the sum is below exp(-this) are left out of it.
+_NEGLIGIBLE = 14.0
+
+
+class SoftMinimum:
+    """Soft minima of slacks, over all pairs of solids.
+
+    Parameters
+    ----------
+    measure : Measure
+        Measures the distances.
+    """
+
+    def __init__(self, measure: Measure) -> None:
+        self._measure = measure
+        self._capsules = Capsules(measure.robot, measure.solids, measure.parts)
+
+    def evaluate(
+        self, q: Array, sharpness: float, clearances: Array, horizon: float
+    ) -> tuple[Array, Array]:
+        """Return the soft minima (K,) and their derivatives (K, n).
+
+        ``-log(exp(-s*horizon) + sum of exp(-s*slack))/s`` with s the sharpness.
+
+        Parameters
+        ----------
+        q : ndarray, shape (K, n)
+            Joint positions.
+        sharpness : float
+            1/m.
+        clearances : ndarray, shape (P,)
+            What is taken off the distances of each pair of bodies, m.
+        horizon : float
+            Slack beyond which it makes no difference how far away everything is, m.
+        """
+        measure, gaps = self._measure, clearances[self._measure.owners]
+        configurations = measure.robot.configuration(q)
+        below = self._capsules.below(q) - gaps
+        margin = _NEGLIGIBLE / sharpness
+        found: list[Witness] = []
+        samples, parts = [], []
+        jacobians = np.zeros((len(q), 6, measure.robot.pin_model.nv))
+        for k in np.flatnonzero((below < horizon + margin).any(axis=1)):
+            jacobians[k] = measure.place(configurations[k])
+            least = horizon
+            for part in np.argsort(below[k], kind="stable").tolist():
+                if below[k, part] >= least + margin:
+                    break
+                found.append(measure.part(part))
+                least = min(least, found[-1][0] - gaps[part])
+                samples.append(k)
+                parts.append(part)
+        if not found:
+            return np.full(len(q), horizon), np.zeros_like(q)
+        at, which = np.array(samples), np.array(parts)
+        distances, gradients = measure.derivatives(found, jacobians, at, measure.owners[which])
+        slack = distances - gaps[which]
+        lowest = np.full(len(q), horizon)
+        np.minimum.at(lowest, at, slack)
+        weights = np.exp(-sharpness * (slack - lowest[at]))
+        total = np.exp(-sharpness * (horizon - lowest))
+        np.add.at(total, at, weights)
+        out = np.zeros_like(q)
+        np.add.at(out, at, (weights / total[at])[:, None] * gradients)
+        return lowest - np.log(total) / sharpness, out
