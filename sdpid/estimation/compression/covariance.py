@@ -189,7 +189,7 @@ class JointRows:
         Each joint gives up degrees of freedom in proportion to its rows, and gets a small share
         of the overall effort added.
         """
-        return self._residual_variance(base, rank) + self._least_variance
+        return self._residual_variance(base, rank) + self.least_variance
 
     def _residual_variance(self, base: Array, rank: int) -> Array:
         error = np.append(base, -1.0)
@@ -203,11 +203,14 @@ class JointRows:
         Variances that include a share of the effort give joints their weights; multiplied by this
         number they have the size of the residuals too.
         """
-        share = self._residual_variance(base, rank) / variance
-        return max(float(share @ self.used / self.used.sum()), _LEAST_NOISE)
+        return self.share_of_noise(self._residual_variance(base, rank), variance)
+
+    def share_of_noise(self, noise: Array, variance: Array) -> float:
+        """Return how large variances of noise (n,) are beside given ones, on average over rows."""
+        return max(float((noise / variance) @ self.used / self.used.sum()), _LEAST_NOISE)
 
     @property
-    def _least_variance(self) -> Array:
+    def least_variance(self) -> Array:
         """Added to the variance of each joint's residuals, (n,)."""
         used = np.maximum(self.used, 1.0)
         own = self.squares / used - (self.sums[:, -1] / used) ** 2

@@ -121,6 +121,43 @@ def close_terms(
     return _closed(friction, opened), chosen
 
 
+def closed_in_the_middle(
+    friction: FrictionModel, speed: Array
+) -> tuple[FrictionModel, tuple[Profiled, ...]]:
+    """Give open parameters the middle of the limits that data of some speeds would search.
+
+    For a run that is yet to be made, whose data cannot choose.
+
+    Parameters
+    ----------
+    friction : FrictionModel
+        Terms, some of them with open parameters.
+    speed : ndarray, shape (K, n)
+        Sizes of the velocities, rad/s or m/s.
+    """
+    speeds = list(speed[:, friction.first :].T)
+    opened = [
+        OpenTerm(place, term, parameters)
+        for place, term in enumerate(friction.terms)
+        if (parameters := term.open_parameters(speeds, friction.joint_names))
+    ]
+    chosen = tuple(
+        Profiled(
+            term=type(each.term).__name__,
+            name=parameter.name,
+            unit=parameter.unit,
+            value=value,
+            lower=parameter.lower,
+            upper=parameter.upper,
+            flat_from=parameter.lower,
+            flat_to=parameter.upper,
+        )
+        for each in opened
+        for parameter, value in zip(each.parameters, each.values, strict=True)
+    )
+    return _closed(friction, opened), chosen
+
+
 def _speeds(samples: Samples, first: int) -> list[Array]:
     """Return the speeds of each joint at the samples whose row is used."""
     speed = np.abs(samples.velocity[:, first:])

@@ -1,0 +1,367 @@
+"""`Expected`: what a run will buy, in numbers and in words."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, cast
+
+import numpy as np
+
+from sdpid._common.arrays import Array, frozen
+from sdpid._common.tables import Table, plain
+from sdpid.excitation.criterion.noise import ExpectedNoise
+from sdpid.excitation.expected.open_directions import OpenDirection
+
+# A parameter is known in words when its interval is this narrow beside what was known before.
+_KNOWN = 0.1
+
+# A parameter is mostly from the prior where this much of its variance is.
+_FROM_PRIOR = 0.5
+
+# What was known before a run says nothing where it is this many times the effort.
+_SAYS_NOTHING = 10.0
+
+# Parameters that a sentence lists.
+_LISTED = 8
+
+# The normal quantile of 95 % intervals.
+NORMAL = 1.959963984540054
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Band:
+    """The expected band of predicted efforts on a motion.
+
+    Attributes
+    ----------
+    motion : str
+        Which motion, in words.
+    effort : ndarray, shape (n,)
+        Rms efforts by the nominal parameters, N·m.
+    half_width : ndarray, shape (n,)
+        Rms half width of the 95 % band of the model's prediction, N·m: errors of the parameters,
+        not the noise of a measurement.
+    before : ndarray, shape (n,)
+        The same before the run.
+    """
+
+    motion: str
+    effort: Array
+    half_width: Array
+    before: Array
+
+    @property
+    def share(self) -> float:
+        """Half width of all joints together, as a share of their effort."""
+        size = float(np.linalg.norm(self.effort))
+        return float(np.linalg.norm(self.half_width)) / size if size > 0.0 else float("inf")
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Duration:
+    """What is known after a longer or shorter run.
+
+    Attributes
+    ----------
+    repetitions : int
+        How often the motion is run.
+    seconds : float
+        How long that takes, s.
+    standard_errors : ndarray, shape (b,)
+        Of the base parameters.
+    masses : ndarray, shape (links,)
+        Standard errors of the links' masses, kg.
+    bands : tuple of float
+        Share of the effort (see `Band.share`), one for each of the motions.
+    """
+
+    repetitions: int
+    seconds: float
+    standard_errors: Array
+    masses: Array
+    bands: tuple[float, ...]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Expected:
+    """What a run will buy.
+
+    Attributes
+    ----------
+    names, units : tuple of str
+        The base parameters.
+    values : ndarray, shape (b,)
+        What they are taken to be, from the description or an earlier run.
+    standard_errors : ndarray, shape (b,)
+        What they will be known to, prior and earlier runs included.
+    half_widths : ndarray, shape (b,)
+        Of the 95 % intervals.
+    before : ndarray, shape (b,)
+        Standard errors before the run; infinite where nothing is known.
+    prior_share : ndarray, shape (b,)
+        Share of the prior in the variance.
+    theta_names, theta_units : tuple of str
+        The standard parameters.
+    theta, theta_half_widths : ndarray, shape (p,)
+        Their values, and half widths of 95 % intervals: infinite where run and prior leave them
+        open.
+    theta_prior_share : ndarray, shape (p,)
+        Share of the prior in the variance.
+    joint_names, link_names : tuple of str
+        Those of the robot.
+    speeds : ndarray, shape (s,)
+        Speeds of the friction curves, rad/s or m/s.
+    friction, friction_half_widths : ndarray, shape (s, joints)
+        Friction there, half of what reversing the motion changes, N·m; with 95 % half widths.
+    bands : tuple of Band
+        Efforts on typical motion.
+    durations : tuple of Duration
+        The curve over the duration of the run.
+    open_directions : tuple of OpenDirection
+        What stays open, and why.
+    structure : tuple of str
+        Standard parameters without any influence on the efforts.
+    covariance : ndarray, shape (b, b)
+        Of the base parameters.
+    noise : ExpectedNoise
+        What was expected of the efforts.
+    seconds : float
+        Duration of the run, s.
+    notes : tuple of str
+        What all of this rests on.
+    """
+
+    names: tuple[str, ...]
+    units: tuple[str, ...]
+    values: Array
+    standard_errors: Array
+    half_widths: Array
+    before: Array
+    prior_share: Array
+    theta_names: tuple[str, ...]
+    theta_units: tuple[str, ...]
+    theta: Array
+    theta_half_widths: Array
+    theta_prior_share: Array
+    joint_names: tuple[str, ...]
+    link_names: tuple[str, ...]
+    speeds: Array
+    friction: Array
+    friction_half_widths: Array
+    bands: tuple[Band, ...]
+    durations: tuple[Duration, ...]
+    open_directions: tuple[OpenDirection, ...]
+    structure: tuple[str, ...]
+    covariance: Array
+    noise: ExpectedNoise
+    seconds: float
+    notes: tuple[str, ...] = ()
+
+    @property
+    def lower(self) -> Array:
+        """Lower ends of the 95 % intervals, about the values assumed, (b,)."""
+        return frozen(self.values - self.half_widths)
+
+    @property
+    def upper(self) -> Array:
+        """Upper ends of the 95 % intervals, (b,)."""
+        return frozen(self.values + self.half_widths)
+
+    def __repr__(self) -> str:
+        return (
+            f"Expected({len(self.names)} base parameters after {self.seconds:g} s, "
+            f"{len(self.open_directions)} directions open)"
+        )
+
+    def sentences(self) -> tuple[str, ...]:
+        """Return what the run will buy in words, the most important first."""
+        out = [self._over_time(k) for k in range(len(self.bands))]
+        out += [*self._outermost(), self._parameters()]
+        if len(self.speeds):
+            out.append(self._friction())
+        out += self._open()
+        if self.structure:
+            many = len(self.structure)
+            out.append(
+                f"{many} of {len(self.theta_names)} standard parameters have no influence on any "
+                f"effort, whatever the motion: {', '.join(self.structure[:6])}"
+                f"{', …' if many > 6 else ''}"
+            )
+        return tuple(out)
+
+    def _over_time(self, k: int) -> str:
+        band = self.bands[k]
+        size = max(float(np.linalg.norm(band.effort)), np.finfo(float).tiny)
+        before = float(np.linalg.norm(band.before)) / size
+        known = f" (before the run ±{_percent(before)})" if before < _SAYS_NOTHING else ""
+        return (
+            f"efforts on {band.motion}: {self._times([d.bands[k] for d in self.durations])}{known}"
+        )
+
+    def _times(self, shares: Sequence[float]) -> str:
+        """Return shares over the durations in words."""
+        pairs = zip(self.durations, shares, strict=True)
+        return ", ".join(f"after {d.seconds:.3g} s ±{_percent(share)}" for d, share in pairs)
+
+    def _outermost(self) -> list[str]:
+        """Return how the mass of the outermost link that the run tells sharpens over time.
+
+        Where it tells no single mass, that of the last base parameter of a link that is told.
+        """
+        masses, half = self.theta[::10], self.theta_half_widths[::10]
+        count = len(self.link_names)
+        told = (self.theta_prior_share[::10][:count] < _FROM_PRIOR) & (
+            half[:count] < masses[:count]
+        )
+        if told.any():
+            link = int(np.flatnonzero(told)[-1])
+            shares = [NORMAL * d.masses[link] / masses[link] for d in self.durations]
+            return [f"mass of {self.link_names[link]}: {self._times(shares)}"]
+        known = (self.prior_share < _FROM_PRIOR) & (self.half_widths < np.abs(self.values))
+        known &= np.array([not name.startswith("F") for name in self.names])
+        if not known.any():
+            return []
+        k = int(np.flatnonzero(known)[-1])
+        shares = [NORMAL * d.standard_errors[k] / abs(self.values[k]) for d in self.durations]
+        return [f"{self.names[k]} ({self.units[k]}): {self._times(shares)}"]
+
+    def _open(self) -> list[str]:
+        """Return the open directions, those with one reason together."""
+        reasons: dict[str, list[str]] = {}
+        for each in self.open_directions:
+            known = reasons.setdefault(each.reason, [])
+            known += [name for name in each.parameters if name not in known]
+        return [
+            f"the run leaves open, more than not, {', '.join(names[:_LISTED])}"
+            f"{', …' if len(names) > _LISTED else ''}: {reason}"
+            for reason, names in reasons.items()
+        ]
+
+    def _parameters(self) -> str:
+        finite = np.isfinite(self.before)
+        sharp = self.standard_errors < _KNOWN * self.before
+        open_ = self.prior_share > _FROM_PRIOR
+        words = (
+            f"{int(sharp.sum())} of {len(self.names)} base parameters will be known ten times as "
+            "well as before or better"
+            if finite.any()
+            else f"{len(self.names)} base parameters will be known from the run alone"
+        )
+        if open_.any():
+            listed = [name for name, is_open in zip(self.names, open_, strict=True) if is_open]
+            words += f"; {len(listed)} rest on the description more than on the run"
+        return words
+
+    def _friction(self) -> str:
+        share = self.friction_half_widths / np.maximum(np.abs(self.friction), 1e-300)
+        middle = len(self.speeds) // 2
+        own = share[middle]
+        worst = int(np.argmax(own))
+        usual, most = _percent(float(np.median(own))), _percent(float(own[worst]))
+        return (
+            f"friction at {self.speeds[middle]:g} rad/s: ±{usual} (median over the joints), worst "
+            f"±{most} at {self.joint_names[worst]}"
+        )
+
+    def table(self) -> Table:
+        """Return one row a base parameter."""
+        return Table.of_columns(
+            {
+                "parameter": self.names,
+                "unit": self.units,
+                "assumed": self.values.tolist(),
+                "standard error": self.standard_errors.tolist(),
+                "lower": self.lower.tolist(),
+                "upper": self.upper.tolist(),
+                "before": _finite(self.before),
+                "share of the prior": self.prior_share.tolist(),
+            }
+        )
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return plain values for JSON: None where a number is not finite."""
+        content = {
+            "seconds": self.seconds,
+            "sentences": list(self.sentences()),
+            "base_parameters": [
+                dict(
+                    zip(
+                        (
+                            "name",
+                            "unit",
+                            "value",
+                            "standard_error",
+                            "half_width",
+                            "before",
+                            "prior_share",
+                        ),
+                        row,
+                        strict=True,
+                    )
+                )
+                for row in zip(
+                    self.names,
+                    self.units,
+                    self.values.tolist(),
+                    self.standard_errors.tolist(),
+                    self.half_widths.tolist(),
+                    _finite(self.before),
+                    self.prior_share.tolist(),
+                    strict=True,
+                )
+            ],
+            "standard_parameters": [
+                dict(zip(("name", "unit", "value", "half_width", "prior_share"), row, strict=True))
+                for row in zip(
+                    self.theta_names,
+                    self.theta_units,
+                    self.theta.tolist(),
+                    _finite(self.theta_half_widths),
+                    self.theta_prior_share.tolist(),
+                    strict=True,
+                )
+            ],
+            "friction": {
+                "speed": self.speeds.tolist(),
+                "value": self.friction.tolist(),
+                "half_width": self.friction_half_widths.tolist(),
+            },
+            "bands": [
+                {
+                    "motion": band.motion,
+                    "effort": band.effort.tolist(),
+                    "half_width": band.half_width.tolist(),
+                    "before": _finite(band.before),
+                    "share": band.share,
+                }
+                for band in self.bands
+            ],
+            "durations": [
+                {
+                    "repetitions": each.repetitions,
+                    "seconds": each.seconds,
+                    "standard_errors": each.standard_errors.tolist(),
+                    "masses": _finite(each.masses),
+                    "bands": list(each.bands),
+                }
+                for each in self.durations
+            ],
+            "open_directions": [each.to_dict() for each in self.open_directions],
+            "no_influence": list(self.structure),
+            "noise": {
+                "density": self.noise.density.tolist(),
+                "deviation": self.noise.deviation.tolist(),
+            },
+            "notes": list(self.notes),
+        }
+        return cast(dict[str, Any], plain(content))
+
+
+def _finite(values: Array) -> list[float | None]:
+    return [float(x) if np.isfinite(x) else None for x in values.tolist()]
+
+
+def _percent(share: float) -> str:
+    """Return a share in percent with two digits."""
+    return f"{100.0 * share:.2g} %"

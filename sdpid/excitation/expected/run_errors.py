@@ -1,0 +1,74 @@
+"""The errors of a fit to a run that is repeated, with what earlier runs told."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+
+from sdpid._common.arrays import Array, frozen
+from sdpid.estimation.information import information_root
+from sdpid.estimation.noise_spectrum import NoiseSpectrum
+
+
+@dataclass(frozen=True, eq=False)
+class RunErrors:
+    """Sums over the rows of a fit: what its errors are made of.
+
+    Attributes
+    ----------
+    information : ndarray, shape (c, c)
+        ``Σ H_g`` of the base parameters, and of speeds that the data would choose.
+    scores : ndarray, shape (c, c)
+        ``Σ S_g·H_g``, the covariance of the scores.
+    known : ndarray, shape (c,)
+        What is known of the parameters beforehand, as the diagonal of an information.
+    base_count : int
+        b.
+    """
+
+    information: Array
+    scores: Array
+    known: Array
+    base_count: int
+
+    @classmethod
+    def of(cls, spectrum: NoiseSpectrum) -> RunErrors:
+        """Gather the sums over a run's groups of rows."""
+        return cls(
+            frozen(spectrum.information.sum(axis=0)),
+            frozen(np.einsum("g,gij->ij", spectrum.density, spectrum.information)),
+            spectrum.known,
+            spectrum.base_count,
+        )
+
+    def plus(self, other: RunErrors, times: float = 1.0) -> RunErrors:
+        """Return the sums of this and of `times` another, whose errors are others."""
+        return replace(
+            self,
+            information=frozen(self.information + times * other.information),
+            scores=frozen(self.scores + times * other.scores),
+        )
+
+    def with_earlier(self, information: Array) -> RunErrors:
+        """Return the sums with those of earlier runs, from the inverse (b, b) of a covariance."""
+        added = np.zeros_like(self.information)
+        added[: self.base_count, : self.base_count] = information
+        return self.plus(replace(self, information=added, scores=added))
+
+    @property
+    def base_information(self) -> Array:
+        """Information (b, b) that the fit's weights see, what is known of speeds left out."""
+        return self.information[: self.base_count, : self.base_count]
+
+    @cached_property
+    def covariance(self) -> Array:
+        """Covariance of the unconstrained fit, (b, b)."""
+        root = information_root(self.information + np.diag(self.known))
+        whole = root @ (root.T @ (self.scores + np.diag(self.known)) @ root) @ root.T
+        return np.asarray(whole[: self.base_count, : self.base_count])
+
+    def freedom(self, functionals: Array) -> Array:
+        """Return infinite degrees of freedom: the noise is believed, not estimated."""
+        return np.full(len(functionals), np.inf)
