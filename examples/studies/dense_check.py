@@ -90,7 +90,7 @@ def states_of(trajectory: Trajectory, rate_hz: float = RATE_HZ) -> States:
         s = np.append(np.arange(0.0, length, step), length)
         enter = _quintic(s, length, _at_rest(trajectory.center), start[:3])
         # Coming to rest is starting from it with time reversed.
-        last = trajectory.center if hasattr(series, "amplitudes") else end[0]
+        last = trajectory.center if hasattr(trajectory.series, "amplitudes") else end[0]
         back = _quintic(length - s, length, _at_rest(last), _mirrored(end[:3]))
         leave = [values * (-1.0) ** order for order, values in enumerate(back)]
         after = trajectory.rest + length + trajectory.periods * period
