@@ -71,6 +71,7 @@ ROOMS = {
 
 # What takes long to import, and is loaded by the function that needs it.
 HEAVY = {
+    "casadi",
     "clarabel",
     "cvxpy",
     "dask",
@@ -89,6 +90,7 @@ HEAVY = {
 # Who may use a library at all, as beginnings of module names.
 ALLOWED = {
     "pinocchio": ("sdpid.robot.", "sdpid.excitation.", "sdpid.experiment.plant"),
+    "casadi": ("sdpid.excitation.search.ipopt",),
     "cvxpy": ("sdpid.estimation.sdp.", "sdpid.assurance."),
     "clarabel": ("sdpid.estimation.conic",),
     "scs": ("sdpid.estimation.conic",),

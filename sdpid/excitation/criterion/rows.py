@@ -1,0 +1,158 @@
+"""The regressor of the base parameters along a motion, and its derivative by the motion."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass, fields, replace
+
+import numpy as np
+
+from sdpid._common.arrays import Array, Mask
+from sdpid.robot.friction.model import FrictionModel
+from sdpid.robot.friction.motion import Motion
+from sdpid.robot.friction.term import FrictionTerm
+from sdpid.robot.model.base_parameters import BaseParameters, structural_base
+from sdpid.robot.model.model import RobotModel
+
+# Signs of the velocity are this wide while a motion is searched, rad/s (m/s): a step has no
+# derivative that could tell a search where to go.
+SMOOTH_WIDTH = 0.05
+
+# Steps of differences. Efforts of rigid bodies are quadratic in velocities and linear in
+# accelerations, so that differences over a step of any size are exact; those of positions and of
+# friction are central, and err by the square of their step.
+_POSITION_STEP = 1e-5
+_FRICTION_STEP = 1e-5
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class BaseRows:
+    """The regressor of a robot's base parameters, state by state.
+
+    Attributes
+    ----------
+    robot : RobotModel
+        The robot, on a fixed base.
+    friction : FrictionModel
+        Its friction terms; signs are smooth where the rows serve a search.
+    base : BaseParameters
+        The base parameters of both.
+    """
+
+    robot: RobotModel
+    friction: FrictionModel
+    base: BaseParameters
+
+    @classmethod
+    def of(cls, robot: RobotModel, friction: Iterable[str | FrictionTerm]) -> BaseRows:
+        """Build from a robot and friction terms.
+
+        Raises
+        ------
+        ModelError
+            When a friction term is unknown, or does not fit the robot.
+        IdentifiabilityError
+            When no rank can be decided.
+        """
+        model = FrictionModel.from_terms(friction, robot.joint_names, first=robot.n_base)
+        return cls(robot=robot, friction=model, base=structural_base(robot, model))
+
+    @property
+    def count(self) -> int:
+        """Number b of base parameters."""
+        return self.base.count
+
+    def smooth(self) -> BaseRows:
+        """Return the same rows with signs that are smooth enough for a search."""
+        terms = tuple(_smooth(term) for term in self.friction.terms)
+        return replace(self, friction=replace(self.friction, terms=terms))
+
+    def rows(self, q: Array, v: Array, a: Array) -> Array:
+        """Return W (K, n, b) at states (K, n), with ``effort = W @ base``."""
+        out = np.empty((len(q), self.robot.n, self.count))
+        out[:, :, self._inertial] = self._links(q, v, a)
+        out[:, :, ~self._inertial] = self._friction(q, v, a)
+        return out
+
+    def gradient(self, C: Array, q: Array, v: Array, a: Array) -> tuple[Array, Array, Array]:
+        """Return the derivatives of ``sum(C * rows(q, v, a))`` for constant C (K, n, b).
+
+        Returns
+        -------
+        by_position, by_velocity, by_acceleration : ndarray, shape (K, n)
+        """
+        on_links = self._links_gradient(C[:, :, self._inertial], q, v, a)
+        if not self.friction.parameters:
+            return on_links
+        on_friction = self._friction_gradient(C[:, :, ~self._inertial], q, v, a)
+        by_position, by_velocity, by_acceleration = (
+            links + friction for links, friction in zip(on_links, on_friction, strict=True)
+        )
+        return by_position, by_velocity, by_acceleration
+
+    @property
+    def _inertial(self) -> Mask:
+        """Which base parameters lead with a link's."""
+        return np.asarray(self.base.kept < 10 * self.robot.n_links)
+
+    def _links(self, q: Array, v: Array, a: Array) -> Array:
+        """Return the columns (K, n, ·) of the links' base parameters."""
+        places = np.full(10 * self.robot.n_links, -1)
+        kept = self.base.kept[self._inertial]
+        places[kept] = np.arange(len(kept))
+        out = np.empty((len(q), self.robot.n, len(kept)))
+        return self.robot.regressor_columns(q, v, a, places=places, out=out)
+
+    def _friction(self, q: Array, v: Array, a: Array) -> Array:
+        """Return the columns (K, n, ·) of the friction's base parameters."""
+        kept = self.base.kept[~self._inertial] - 10 * self.robot.n_links
+        motion = Motion(position=q, velocity=v, acceleration=a, robot=self.robot)
+        return np.asarray(self.friction.columns_in(motion)[:, :, kept])
+
+    def _links_gradient(self, C: Array, q: Array, v: Array, a: Array) -> tuple[Array, Array, Array]:
+        K, n = q.shape
+        steps = np.eye(n)[:, None, :]
+        ahead = _POSITION_STEP * steps
+        # All states in one call: the compiled loop is worth its start only on many.
+        moved = [q + ahead, q - ahead, q, q, q, q]
+        speeds = [v, v, v + steps, v - steps, v, v]
+        rates = [a, a, a, a, a + steps, a]
+        shape = [(n, K, n)] * 5 + [(1, K, n)]
+        stacked = [
+            np.concatenate([np.broadcast_to(part, s) for part, s in zip(parts, shape, strict=True)])
+            for parts in (moved, speeds, rates)
+        ]
+        W = self._links(*(part.reshape(-1, n) for part in stacked)).reshape(-1, K, C[0].size)
+        # Per state and per shift the sum of C times the rows.
+        sums = np.matmul(W.transpose(1, 0, 2), C.reshape(K, -1, 1))[:, :, 0]
+        up, down, faster, slower, pushed, here = np.split(sums, n * np.arange(1, 6), axis=1)
+        return (up - down) / (2.0 * _POSITION_STEP), (faster - slower) / 2.0, pushed - here
+
+    def _friction_gradient(
+        self, C: Array, q: Array, v: Array, a: Array
+    ) -> tuple[Array, Array, Array]:
+        n = q.shape[1]
+        posed = any(term.posed for term in self.friction.terms)
+        out = [np.zeros_like(q) for _ in range(3)]
+        for order in range(0 if posed else 1, 3):
+            for j in range(n):
+                sums = []
+                for sign in (1.0, -1.0):
+                    state = [q, v, a]
+                    state[order] = state[order].copy()
+                    state[order][:, j] += sign * _FRICTION_STEP
+                    sums.append(np.einsum("kjb,kjb->k", C, self._friction(*state)))
+                out[order][:, j] = (sums[0] - sums[1]) / (2.0 * _FRICTION_STEP)
+        return out[0], out[1], out[2]
+
+
+def _smooth(term: FrictionTerm) -> FrictionTerm:
+    """Return a term whose signs are at least as wide as a search needs; open widths become that."""
+    if "width" not in {field.name for field in fields(term)}:  # type: ignore[arg-type]
+        return term
+    width = term.width  # type: ignore[attr-defined]
+    if isinstance(width, tuple):
+        wide: object = tuple(max(w, SMOOTH_WIDTH) for w in width)
+    else:
+        wide = max(width or 0.0, SMOOTH_WIDTH)
+    return replace(term, width=wide)  # type: ignore[type-var]

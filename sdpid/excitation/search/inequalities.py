@@ -1,0 +1,151 @@
+"""Limits that are no linear functions of a motion's coefficients, held on a grid of instants.
+
+Between the instants they may be broken by a little: the check that follows the search is exact,
+and says where; then the search goes on with those instants too, or with a wider margin.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any, Protocol
+
+import numpy as np
+
+from sdpid._common.arrays import Array
+from sdpid.excitation.geometry.collision import CollisionModel
+from sdpid.excitation.search.space import Space
+
+# Entries of the matrices of a motion below this share of the largest are zero.
+_ZERO = 1e-12
+
+
+class StateInequality(Protocol):
+    """Functions of a state that are to be at least zero."""
+
+    @property
+    def name(self) -> str:
+        """What they limit, such as ``distance``."""
+
+    def evaluate(self, q: Array, v: Array, a: Array) -> Array:
+        """Return their values (K, r) at states (K, n), in shares of their limits."""
+
+    def derivatives(self, q: Array, v: Array, a: Array) -> tuple[Array | None, ...]:
+        """Return derivatives (K, r, n) by position, velocity and acceleration; None for zero."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class InstantRows:
+    """Inequalities at the instants at which each is to hold, as functions of free numbers.
+
+    Attributes
+    ----------
+    space : Space
+        The motions.
+    parts : sequence of (StateInequality, ndarray (K,))
+        Each inequality and its instants in s.
+    """
+
+    space: Space
+    parts: Sequence[tuple[StateInequality, Array]]
+
+    @cached_property
+    def _matrices(self) -> list[list[Array]]:
+        return [[self.space.basis(time, order) for order in range(3)] for _, time in self.parts]
+
+    def _states(self, part: int, x: Array) -> list[Array]:
+        c = self.space.coefficients(x)
+        return [matrix @ c for matrix in self._matrices[part]]
+
+    @cached_property
+    def _counts(self) -> list[int]:
+        """Number of functions of each inequality."""
+        x = np.zeros(self.space.size)
+        counts = []
+        for i, (inequality, _) in enumerate(self.parts):
+            one = [state[:1] for state in self._states(i, x)]
+            counts.append(inequality.evaluate(*one).shape[1])
+        return counts
+
+    @cached_property
+    def pattern(self) -> Any:
+        """Where the derivative may differ from zero, a boolean array (R, N)."""
+        blocks = []
+        for matrices, count in zip(self._matrices, self._counts, strict=True):
+            used = sum(np.abs(matrix) > _ZERO * np.abs(matrix).max() for matrix in matrices)
+            own = np.hstack([used @ (E != 0.0) > 0 for E in self.space.expansions])
+            blocks.append(np.repeat(own, count, axis=0))
+        return np.vstack(blocks)
+
+    def values(self, x: Array) -> Array:
+        """Return all functions (R,), instant by instant."""
+        return np.concatenate(
+            [
+                inequality.evaluate(*self._states(i, x)).ravel()
+                for i, (inequality, _) in enumerate(self.parts)
+            ]
+        )
+
+    def derivative(self, x: Array) -> Array:
+        """Return the derivative (R, N)."""
+        blocks = []
+        for i, (inequality, time) in enumerate(self.parts):
+            by_state = inequality.derivatives(*self._states(i, x))
+            out = np.zeros((len(time), self._counts[i], self.space.size))
+            for matrix, slopes in zip(self._matrices[i], by_state, strict=True):
+                if slopes is None:
+                    continue
+                for j, E in enumerate(self.space.expansions):
+                    own = slice(self.space.splits[j], self.space.splits[j + 1])
+                    out[:, :, own] += slopes[:, :, j, None] * (matrix @ E)[:, None, :]
+            blocks.append(out.reshape(-1, self.space.size))
+        return np.vstack(blocks)
+
+
+# Slacks of distances are counted in this length, m, and the soft minimum over pairs is below the
+# least one by at most log(P) over this, 1/m: a centimeter for twenty pairs that are alike near.
+_LENGTH = 0.1
+_SHARPNESS = 300.0
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class KeptDistance:
+    """Distances of all pairs are at least their clearance.
+
+    Attributes
+    ----------
+    collision : CollisionModel
+        The pairs.
+    clearance : float
+        The wanted clearance, m.
+    margin : float
+        What is kept beyond it, m, for what happens between the instants.
+    """
+
+    collision: CollisionModel
+    clearance: float
+    margin: float = 0.0
+    name: str = "distance"
+
+    def evaluate(self, q: Array, v: Array, a: Array) -> Array:
+        """Return the soft least slack (K, 1), in shares of 0.1 m."""
+        return self._least(q)[0]
+
+    def derivatives(self, q: Array, v: Array, a: Array) -> tuple[Array | None, ...]:
+        """Return its derivative by position (K, 1, n)."""
+        return self._least(q)[1], None, None
+
+    def _least(self, q: Array) -> tuple[Array, Array]:
+        key = q.tobytes()
+        if self._last.get("key") != key:
+            found = self.collision.soft_minimum(q, _SHARPNESS, clearance=self.clearance)
+            slack = (found[0][:, None] - self.margin) / _LENGTH
+            self._last.update(key=key, found=(slack, found[1][:, None, :] / _LENGTH))
+        least: tuple[Array, Array] = self._last["found"]
+        return least
+
+    @cached_property
+    def _last(self) -> dict[str, Any]:
+        """The last states: values and derivatives are asked for one after the other."""
+        return {}

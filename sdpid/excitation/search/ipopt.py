@@ -1,0 +1,296 @@
+"""IPOPT, called through CasADi: a smooth function within linear and nonlinear limits."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+import numpy as np
+
+from sdpid._common.arrays import Array
+from sdpid._common.extras import require
+
+# A step that no longer changes value or limits by this share ends the search; a hundred times that
+# does so after some steps in a row. What is found is checked anew and exactly, elsewhere.
+_TOLERANCE, _ACCEPTABLE = 1e-4, 1e-3
+# Steps whose curvature is kept: more take longer, and help little.
+_MEMORY = 20
+# The start is within the limits, and is not moved away from them by more than this.
+_PUSH = 1e-6
+# Rows that stand for nonlinear limits count as held when they are short by no more than this share
+# of a limit: the grid on which they are held is coarse, and another margin stands for that.
+_HELD = 1e-6
+
+
+class Rows(Protocol):
+    """Nonlinear functions g(x) that are to be at least zero."""
+
+    @property
+    def pattern(self) -> Any:
+        """Where the derivative may differ from zero, as a boolean array (R, N)."""
+
+    def values(self, x: Array) -> Array:
+        """Return g(x), (R,)."""
+
+    def derivative(self, x: Array) -> Array:
+        """Return the derivative (R, N)."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Found:
+    """The best point that held all limits.
+
+    Attributes
+    ----------
+    x : ndarray, shape (N,)
+        The point; the start where nothing better was found.
+    value : float
+        Its value.
+    steps : int
+        Steps taken.
+    status : str
+        How the search ended, in IPOPT's words.
+    stopped : bool
+        Whether `stop` ended it.
+    """
+
+    x: Array
+    value: float
+    steps: int
+    status: str
+    stopped: bool
+
+
+def minimize(
+    function: Callable[[Array], tuple[float, Array]],
+    start: Array,
+    linear: tuple[Any, Array, Array],
+    rows: Rows | None,
+    *,
+    most_steps: int,
+    stop: Callable[[int, float], bool],
+) -> Found:
+    """Minimize a smooth function from a point that is within its limits.
+
+    Linear limits hold at every step, so that the search may be stopped at any time.
+
+    Parameters
+    ----------
+    function : callable
+        From x (N,) to its value and gradient (N,).
+    start : ndarray, shape (N,)
+        A point within all limits.
+    linear : tuple of (sparse array (R, N), ndarray (R,), ndarray (R,))
+        Matrix, lower and upper limits of its rows.
+    rows : Rows, optional
+        Nonlinear functions to be kept at or above zero.
+    most_steps : int
+        Largest number of steps.
+    stop : callable
+        Called after every step with its number and the best value; whether to stop.
+
+    Raises
+    ------
+    MissingExtraError
+        When CasADi is not installed (extra ``excite``).
+    """
+    casadi = require("casadi", extra="excite")
+    matrix, lower, upper = linear
+    N = len(start)
+    calls = _Calls(function)
+    objective = _callback(
+        casadi,
+        N,
+        casadi.Sparsity.dense(1, N),
+        calls.guarded(lambda x: np.array([calls.cached(x)[0]])),
+        calls.guarded(lambda x: calls.cached(x)[1]),
+    )
+    x = casadi.MX.sym("x", N)
+    limits = [casadi.densify(casadi.mtimes(casadi.DM(matrix.tocsc()), x))]
+    count = 0
+    if rows is not None:
+        r, c = np.nonzero(rows.pattern.T)[::-1]
+        count = len(rows.pattern)
+        sparsity = casadi.Sparsity.triplet(count, N, r.tolist(), c.tolist())
+        nonlinear = _callback(
+            casadi,
+            N,
+            sparsity,
+            calls.guarded(rows.values),
+            calls.guarded(lambda x: rows.derivative(x)[r, c]),
+            count,
+        )
+        limits.append(nonlinear(x))
+    watch = _watch(casadi, N, len(lower) + count, len(lower), calls.guarded(stop))
+    solver = casadi.nlpsol(
+        "search",
+        "ipopt",
+        {"x": x, "f": objective(x), "g": casadi.vertcat(*limits)},
+        {
+            "iteration_callback": watch,
+            "print_time": False,
+            "calc_lam_p": False,
+            "error_on_fail": False,
+            "ipopt.print_level": 0,
+            "ipopt.sb": "yes",
+            "ipopt.hessian_approximation": "limited-memory",
+            "ipopt.limited_memory_max_history": _MEMORY,
+            # Else limits are widened by 1e-8 of their size before the search begins.
+            "ipopt.bound_relax_factor": 0.0,
+            "ipopt.bound_push": _PUSH,
+            "ipopt.bound_frac": _PUSH,
+            "ipopt.tol": _TOLERANCE,
+            "ipopt.acceptable_tol": _ACCEPTABLE,
+            "ipopt.max_iter": most_steps,
+        },
+    )
+    watch.offer(start, calls.cached(start)[0])
+    status = "Interrupted"
+    try:
+        solver(
+            x0=start,
+            lbg=np.concatenate([lower, np.zeros(count)]),
+            ubg=np.concatenate([upper, np.full(count, np.inf)]),
+        )
+        status = str(solver.stats()["return_status"])
+    except KeyboardInterrupt:
+        watch.stopped = True
+    except RuntimeError:
+        # CasADi turns exceptions of ours into words.
+        if calls.error is None:
+            raise
+    if isinstance(calls.error, KeyboardInterrupt):
+        status, watch.stopped = "Interrupted", True
+    elif calls.error is not None:
+        raise calls.error
+    return Found(
+        x=watch.best, value=watch.value, steps=watch.steps, status=status, stopped=watch.stopped
+    )
+
+
+class _Calls:
+    """Calls from IPOPT: the last point is remembered, and so is the first exception."""
+
+    def __init__(self, function: Callable[[Array], tuple[float, Array]]) -> None:
+        self.function = function
+        self.error: BaseException | None = None
+        self._x = b""
+        self._found: tuple[float, Array] = (np.nan, np.zeros(0))
+
+    def cached(self, x: Array) -> tuple[float, Array]:
+        """Return value and gradient, which IPOPT asks for one after the other."""
+        key = x.tobytes()
+        if key != self._x:
+            self._found = self.function(x)
+            self._x = key
+        return self._found
+
+    def guarded(self, function: Callable[..., Any]) -> Callable[..., Any]:
+        """Return a function whose exceptions are kept, to be raised when IPOPT has returned."""
+
+        def call(*arguments: Any) -> Any:
+            try:
+                return function(*arguments)
+            except BaseException as error:
+                self.error = self.error or error
+                raise
+
+        return call
+
+
+def _callback(
+    casadi: Any,
+    N: int,
+    sparsity: Any,
+    value: Callable[[Array], Array],
+    derivative: Callable[[Array], Array],
+    count: int = 1,
+) -> Any:
+    """Return a function of CasADi with `count` values and a derivative of a given sparsity."""
+
+    class Derivative(casadi.Callback):  # type: ignore[misc]
+        def __init__(self, name: str) -> None:
+            super().__init__()
+            self.construct(name, {})
+
+        def get_n_in(self) -> int:
+            return 2
+
+        def get_n_out(self) -> int:
+            return 1
+
+        def get_sparsity_in(self, i: int) -> Any:
+            return casadi.Sparsity.dense(N if i == 0 else count, 1)
+
+        def get_sparsity_out(self, i: int) -> Any:
+            return sparsity
+
+        def eval(self, arguments: Any) -> Any:
+            return [casadi.DM(sparsity, derivative(np.array(arguments[0]).ravel()))]
+
+    class Value(casadi.Callback):  # type: ignore[misc]
+        def __init__(self) -> None:
+            super().__init__()
+            self.construct("value", {})
+
+        def get_n_in(self) -> int:
+            return 1
+
+        def get_n_out(self) -> int:
+            return 1
+
+        def get_sparsity_in(self, i: int) -> Any:
+            return casadi.Sparsity.dense(N, 1)
+
+        def get_sparsity_out(self, i: int) -> Any:
+            return casadi.Sparsity.dense(count, 1)
+
+        def eval(self, arguments: Any) -> Any:
+            return [value(np.array(arguments[0]).ravel())]
+
+        def has_jacobian(self) -> bool:
+            return True
+
+        def get_jacobian(self, name: str, *_: Any) -> Any:
+            # CasADi keeps no reference to what Python made.
+            self.kept = Derivative(name)
+            return self.kept
+
+    return Value()
+
+
+def _watch(casadi: Any, N: int, M: int, linear: int, stop: Callable[[int, float], bool]) -> Any:
+    """Return what CasADi calls after every step: it keeps the best point, and may stop."""
+    sizes = {"x": N, "lam_x": N, "g": M, "lam_g": M, "f": 1}
+
+    class Watch(casadi.Callback):  # type: ignore[misc]
+        def __init__(self) -> None:
+            super().__init__()
+            self.best, self.value, self.steps, self.stopped = np.zeros(N), np.inf, 0, False
+            self.construct("watch", {})
+
+        def offer(self, x: Array, value: float) -> None:
+            if value < self.value:
+                self.best, self.value = x.copy(), value
+
+        def get_n_in(self) -> int:
+            return int(casadi.nlpsol_n_out())
+
+        def get_n_out(self) -> int:
+            return 1
+
+        def get_sparsity_in(self, i: int) -> Any:
+            size = sizes.get(casadi.nlpsol_out(i), 0)
+            return casadi.Sparsity.dense(size, 1 if size else 0)
+
+        def eval(self, arguments: Any) -> Any:
+            by_name = {casadi.nlpsol_out(i): value for i, value in enumerate(arguments)}
+            shortfall = np.array(by_name["g"]).ravel()[linear:]
+            if np.min(shortfall, initial=0.0) >= -_HELD:
+                self.offer(np.array(by_name["x"]).ravel(), float(by_name["f"]))
+            self.steps += 1
+            self.stopped = stop(self.steps, self.value)
+            return [int(self.stopped)]
+
+    return Watch()
