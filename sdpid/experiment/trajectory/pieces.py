@@ -3,7 +3,7 @@
 The blossom of a polynomial of degree q is the symmetric function of q arguments, affine in each,
 that equals the polynomial where all arguments are equal. Its values at repeated ends of an
 interval are the Bernstein coefficients there, and the polynomial stays between the least and the
-largest of them (Farin 2002).
+largest of them [farin2002]_.
 """
 
 from __future__ import annotations
