@@ -6,14 +6,13 @@ import os
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from sdpid._common.arrays import Array, Indices, frozen, real_array
 from sdpid.errors import DataError, ModelError
-from sdpid.excitation.geometry.drawn import DrawnShape, drawn_shapes
 from sdpid.excitation.geometry.measure import Measure
 from sdpid.excitation.geometry.obstacles import Obstacle, named_apart
 from sdpid.excitation.geometry.pairs import Pair, choose_pairs
@@ -52,6 +51,8 @@ class CollisionModel:
     reach : ndarray, shape (P, n)
         Bounds on the rates of the distances: at every position within the limits of sliding
         joints, ``|d distance_p/dt| ≤ Σ_j reach[p, j]·|velocity_j|``, in m/rad or m/m.
+    accuracy : float
+        How far a distance may be off, m.
     """
 
     robot: RobotModel
@@ -62,6 +63,9 @@ class CollisionModel:
     assumed: tuple[str, ...]
     rest: Array
     reach: Array
+
+    # Coal stops where a distance is known to 1e-6 m; ten times that covers what was measured.
+    accuracy: ClassVar[float] = 1e-5
 
     @classmethod
     def of(
@@ -74,6 +78,7 @@ class CollisionModel:
         near: ArrayLike | None = None,
         lower: ArrayLike | None = None,
         upper: ArrayLike | None = None,
+        clearance: float = 0.0,
         ignore: Iterable[tuple[str, str]] = (),
         radius: float | None = None,
         seed: int = 0,
@@ -95,6 +100,8 @@ class CollisionModel:
             By default zero where that is within the limits, else their middle.
         lower, upper : array_like, shape (n,), optional
             Limits of the joints, by default those of the description.
+        clearance : float, optional
+            Distance that motions will keep, m: the rest position keeps it, too.
         ignore : iterable of (str, str), optional
             Names of bodies whose pairs are not checked.
         radius : float, optional
@@ -127,6 +134,7 @@ class CollisionModel:
             upper=finite[1],
             rest=_position(robot, rest, "rest"),
             near=usual if near is None else _position(robot, near, "near"),
+            clearance=clearance,
             ignore=ignore,
             seed=seed,
         )
@@ -154,18 +162,13 @@ class CollisionModel:
 
     def __getstate__(self) -> dict[str, Any]:
         """Return the state without Coal's objects, which cannot be pickled."""
-        made = ("_measure", "_soft")
+        made = ("_measure", "_soft", "searched")
         return {key: value for key, value in vars(self).items() if key not in made}
-
-    @property
-    def drawn(self) -> tuple[DrawnShape, ...]:
-        """The shapes of all bodies, as points to be drawn."""
-        return drawn_shapes(self.solids, (obstacle.name for obstacle in self.obstacles))
 
     def distances(self, q: ArrayLike) -> Array:
         """Return the signed distance of each pair, m: negative by the depth where they overlap.
 
-        Accurate to about 2 µm. Within a mesh that is no hull the distance is to its surface.
+        Accurate to `accuracy`. Within a mesh that is no hull the distance is to its surface.
 
         Parameters
         ----------
@@ -241,7 +244,7 @@ class CollisionModel:
             self, pairs=tuple(self.pairs[p] for p in kept), reach=frozen(self.reach[kept])
         )
 
-    @property
+    @cached_property
     def searched(self) -> CollisionModel:
         """The same with only the pairs that came near each other at a drawn position."""
         return self.only(np.array([pair.searched for pair in self.pairs], dtype=bool))

@@ -44,7 +44,7 @@ class Measure:
         objects: dict[str, list[int]] = {name: [] for pair in pairs for name in pair}
         chosen = [solid for solid in solids if solid.body in objects]
         for number, solid in enumerate(chosen):
-            geometry, placement = solid.geometry()
+            geometry, placement = solid.geometry
             item = pin.GeometryObject(f"{number}", solid.joint, pin.SE3(placement), geometry)
             objects[solid.body].append(self._geometry.addGeometryObject(item))
         parts = [

@@ -36,8 +36,9 @@ _ALWAYS, _OFTEN, _CLOSE_BY = 0.95, 0.5, 2
 # Pairs that stay farther apart than this at all drawn positions are left to the final check, m.
 _NEAR = 0.1
 
-# What the rest position keeps from everything, at the least, m, unless a pair is always nearer.
-_REST_GAP = 0.02
+# What a rest position that is looked for keeps from everything, at the least, m, unless a pair is
+# always nearer, and its share beyond the clearance: the motion needs room to begin.
+_REST_GAP, _REST_ROOM = 0.02, 1.5
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -94,6 +95,7 @@ def choose_pairs(
     upper: Array,
     rest: Array | None,
     near: Array,
+    clearance: float = 0.0,
     ignore: Iterable[tuple[str, str]] = (),
     seed: int = 0,
 ) -> Choice:
@@ -111,6 +113,8 @@ def choose_pairs(
         Where the motion begins; None looks for a position that is free.
     near : ndarray, shape (n,)
         The rest position if it is free, else the one that is found differs from it in few joints.
+    clearance : float
+        Least distance at rest, m.
     ignore : iterable of (str, str)
         Names of bodies whose pairs are left out.
     seed : int
@@ -121,7 +125,8 @@ def choose_pairs(
     ModelError
         When a name to ignore does not exist, a given rest position is not free, or none is found.
     """
-    return _Chooser(robot, solids, obstacles, ignore).choose(lower, upper, rest, near, seed)
+    chooser = _Chooser(robot, solids, obstacles, ignore, clearance)
+    return chooser.choose(lower, upper, rest, near, seed)
 
 
 class _Chooser:
@@ -131,8 +136,10 @@ class _Chooser:
         solids: Sequence[Solid],
         obstacles: Sequence[Solid],
         ignore: Iterable[tuple[str, str]],
+        clearance: float,
     ) -> None:
-        self._robot = robot
+        self._robot, self._clearance = robot, clearance
+        self._gap = max(_REST_GAP, _REST_ROOM * clearance)
         self._parents = [int(parent) for parent in robot.pin_model.parents]
         self._joint = {solid.body: solid.joint for solid in solids}
         self._obstacles = {solid.body for solid in obstacles}
@@ -209,7 +216,7 @@ class _Chooser:
                     obstacle=second in self._obstacles,
                 )
             )
-        gaps = np.array([pair.clearance(_REST_GAP) for pair in pairs])
+        gaps = np.array([pair.clearance(self._gap) for pair in pairs])
         columns = np.array(kept, dtype=int)
         notes: tuple[str, ...] = ()
         if rest is not None:
@@ -252,15 +259,22 @@ class _Chooser:
         return ""
 
     def _check_rest(self, pairs: Sequence[Pair], distances: Array) -> None:
-        touching = [
-            f"{pair.first} and {pair.second} by {-1e3 * distance:.1f} mm"
-            for pair, distance in zip(pairs, distances, strict=True)
-            if distance < _TOUCH
+        asked = [max(pair.clearance(self._clearance), _TOUCH) for pair in pairs]
+        close = [
+            f"{pair.first} and {pair.second} "
+            + (
+                f"overlap by {-1e3 * d:.1f}"
+                if d < 0
+                else f"are {1e3 * d:.1f} apart ({1e3 * a:.1f})"
+            )
+            for pair, d, a in zip(pairs, distances, asked, strict=True)
+            if d < a
         ]
-        if touching:
+        if close:
             raise ModelError(
-                f"'{self._robot.name}': overlap at the rest position: {'; '.join(touching)}; give "
-                "another rest position, move the obstacle, or name pairs to ignore."
+                f"'{self._robot.name}': bodies touch or are nearer than the clearance at the rest "
+                f"position, in mm: {'; '.join(close)}. Give another rest position, move the "
+                "obstacle, or name pairs to ignore."
             )
 
     def _free(
@@ -279,7 +293,7 @@ class _Chooser:
             worst = pairs[int(np.argmin(distances[best] - gaps))]
             raise ModelError(
                 f"'{self._robot.name}': none of {len(drawn)} drawn positions keeps every pair "
-                f"{1e3 * _REST_GAP:.0f} mm apart; the best has {worst.first} and {worst.second} "
+                f"{1e3 * self._gap:.0f} mm apart; the best has {worst.first} and {worst.second} "
                 f"{1e3 * distances[best].min():.1f} mm apart. Give a rest position, move the "
                 "obstacles, or name pairs to ignore."
             )
@@ -308,6 +322,6 @@ class _Chooser:
             if value != other
         )
         return (
-            f"At the usual rest position these touch or are less than {1e3 * _REST_GAP:.0f} mm "
+            f"At the usual rest position these touch or are less than {1e3 * self._gap:.0f} mm "
             f"apart: {'; '.join(close)}. The rest position is moved: {moved} (rad or m)."
         )

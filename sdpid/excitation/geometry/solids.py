@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -55,8 +56,13 @@ class Solid:
         placement = self.shape.placement
         return ends @ placement[:3, :3].T + placement[:3, 3], float(radius)
 
+    def __getstate__(self) -> dict[str, Any]:
+        """Return the state without Coal's object, which cannot be pickled."""
+        return {key: value for key, value in vars(self).items() if key != "geometry"}
+
+    @cached_property
     def geometry(self) -> tuple[Any, Array]:
-        """Return Coal's geometry, and its placement (4, 4) in the frame of the joint.
+        """Coal's geometry, and its placement (4, 4) in the frame of the joint.
 
         Raises
         ------

@@ -220,10 +220,13 @@ def test_the_rest_position_is_moved_out_of_a_table_in_few_joints() -> None:
 
 def test_a_given_rest_position_that_is_not_free_is_refused_with_depth() -> None:
     arm = shaped_arm(BALL, BALL, BALL, BALL)
-    with pytest.raises(ModelError, match=r"l3 and table by 50\.0 mm"):
+    with pytest.raises(ModelError, match=r"l3 and table overlap by 50\.0"):
         CollisionModel.of(arm, [table(-0.05)], rest=np.zeros(3))
-    with pytest.raises(ModelError, match="l0 and l3 by"):
+    with pytest.raises(ModelError, match="l0 and l3 overlap by"):
         CollisionModel.of(arm, rest=[0.0, 2.9, 0.0])
+    CollisionModel.of(arm, [table(-0.15)], rest=np.zeros(3))
+    with pytest.raises(ModelError, match=r"l3 and table are 50\.0 apart \(80\.0\)"):
+        CollisionModel.of(arm, [table(-0.15)], rest=np.zeros(3), clearance=0.08)
 
 
 def test_pairs_are_left_out_on_demand() -> None:
@@ -287,18 +290,3 @@ def test_a_subset_and_a_pickled_copy_measure_the_same() -> None:
     nothing = model.only([])
     assert nothing.distances(q).shape == (3, 0)
     assert (nothing.soft_minimum(q, 1.0, horizon=0.3)[0] == 0.3).all()
-
-
-def test_what_is_checked_can_be_drawn() -> None:
-    model = ROBOTS["shapes"]
-    drawn = model.drawn
-    assert len(drawn) == len(model.solids)
-    by_name = {shape.name: shape for shape in drawn}
-    assert by_name["l0"].link == -1
-    assert by_name["l1"].link == 0
-    assert [shape.name for shape in drawn if shape.obstacle] == ["table", "box"]
-    assert by_name["table"].points is None
-    assert by_name["table"].plane is not None
-    points = by_name["box"].points
-    assert points is not None
-    np.testing.assert_allclose(points.mean(axis=0), BOX.translation, atol=1e-12)
