@@ -92,12 +92,12 @@ class SampledCurve(Pieces):
     @cached_property
     def _offsets(self) -> Array:
         """Bernstein coefficients of each piece, less its first position, (q + 1, K - 1, n)."""
-        h, moved = np.diff(self.time)[:, None], np.diff(self.position, axis=0)
+        h, moved = np.diff(self.breaks)[:, None], np.diff(self.position, axis=0)
         velocity = self.velocity
         if velocity is None:
             from scipy.interpolate import CubicSpline
 
-            velocity = CubicSpline(self.time, self.position)(self.time, 1)
+            velocity = CubicSpline(self.breaks, self.position)(self.breaks, 1)
         zero = np.zeros_like(moved)
         if self.acceleration is None:
             leave, arrive = velocity[:-1] * h / 3.0, velocity[1:] * h / 3.0

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from fractions import Fraction
+from itertools import pairwise
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -54,6 +57,36 @@ def test_values_and_control_points_are_those_of_scipy(spline: Spline, data: st.D
         len(spline.control_points), spline.duration, derivative, halvings, spline.degree
     )
     np.testing.assert_allclose(linear @ spline.control_points, points, **close)
+
+
+def exactly(spline: Spline, time: float, derivative: int) -> Fraction:
+    """Return a derivative of the first joint in exact arithmetic, by de Boor's algorithm."""
+    degree = spline.degree
+    knots = [Fraction(knot) for knot in spline.knots]
+    points = [Fraction(point) for point in spline.control_points[:, 0]]
+    for _ in range(derivative):
+        spans = [knots[k + degree + 1] - knots[k + 1] for k in range(len(points) - 1)]
+        rises = [after - before for before, after in pairwise(points)]
+        points = [degree * rise / span for rise, span in zip(rises, spans, strict=True)]
+        knots, degree = knots[1:-1], degree - 1
+    span = max(k for k in range(degree, len(points)) if knots[k] <= time)
+    local = points[span - degree : span + 1]
+    for level in range(1, degree + 1):
+        for k in range(degree, level - 1, -1):
+            low, high = knots[span - degree + k], knots[span + 1 + k - level]
+            share = (Fraction(time) - low) / (high - low)
+            local[k] = (1 - share) * local[k - 1] + share * local[k]
+    return local[degree]
+
+
+@settings(deadline=None, max_examples=50)
+@given(spline=splines(), share=st.floats(0.0, 0.999), data=st.data())
+def test_bounds_hold_in_exact_arithmetic(spline: Spline, share: float, data: st.DataObject) -> None:
+    derivative = data.draw(st.integers(0, spline.degree))
+    time = share * spline.duration
+    edges = [time, np.nextafter(time, np.inf)]
+    lower, upper = spline.enclose(edges, derivative=derivative)
+    assert lower[0, 0] <= exactly(spline, time, derivative) <= upper[0, 0]
 
 
 @pytest.mark.parametrize("degree", [1, 2, 3, 5])
