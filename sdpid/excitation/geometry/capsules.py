@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sdpid._common.arrays import Array
-from sdpid.excitation.geometry.obstacles import Mesh, Plane
+from sdpid.excitation.geometry.obstacles import Plane
 from sdpid.excitation.geometry.reach import joint_axes
 from sdpid.excitation.geometry.solids import Solid
 from sdpid.robot.model.model import RobotModel
@@ -84,10 +84,6 @@ class Capsules:
 def _capsule(solid: Solid) -> tuple[Array, float]:
     """Return the ends (2, 3) and the radius of a capsule around a solid, in its joint's frame."""
     points, radius = solid.core
-    if isinstance(solid.shape, Mesh):
-        vertices = solid.shape.load()[1]
-        points = vertices @ solid.shape.placement[:3, :3].T + solid.shape.placement[:3, 3]
-        radius = 0.0
     if not len(points):
         return np.zeros((2, 3)), 0.0
     middle = 0.5 * (points.min(axis=0) + points.max(axis=0))

@@ -46,9 +46,15 @@ class Solid:
 
     @property
     def core(self) -> tuple[Array, float]:
-        """Points (N, 3) and a radius: the convex hull of balls about the points is the solid."""
-        if not isinstance(self.shape, Shape):
+        """Points (N, 3) and a radius: the convex hull of balls about the points has the solid.
+
+        A plane has no points.
+        """
+        if isinstance(self.shape, Plane):
             return np.empty((0, 3)), np.inf
+        if isinstance(self.shape, Mesh):
+            place = self.shape.placement
+            return self.shape.load()[1] @ place[:3, :3].T + place[:3, 3], 0.0
         if self.shape.kind not in ("sphere", "capsule"):
             return self.shape.points(), 0.0
         radius, *length = self.shape.sizes
@@ -166,8 +172,8 @@ def robot_solids(
         assumed.append(f"Visual shapes stand for missing collision shapes: {', '.join(visuals)}.")
     if missing:
         assumed.append(
-            f"Meshes are missing, so {capsules} stand for these links (package_dirs names the "
-            f"folders of meshes): {'; '.join(missing)}"
+            f"{capsules[0].upper()}{capsules[1:]} stand for links whose shapes cannot be read "
+            f"(package_dirs names the folders of meshes): {'; '.join(missing)}"
         )
     if bare:
         assumed.append(f"Without any shape in the description, not checked: {', '.join(bare)}.")
