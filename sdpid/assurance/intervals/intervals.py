@@ -28,7 +28,6 @@ from sdpid.assurance.intervals.parameters import ParameterFunctions
 from sdpid.assurance.intervals.profile_likelihood import End, ProfileLikelihood
 from sdpid.errors import DataError
 from sdpid.estimation.cluster_robust import Groups as DrawnGroups
-from sdpid.estimation.constraints.feasible_set import FeasibleSet
 from sdpid.estimation.estimate import Estimate
 from sdpid.estimation.information import require_excitation
 from sdpid.estimation.posterior import Groups, Posterior, fit_errors
@@ -259,7 +258,7 @@ def _gauss_markov(
     half = stdtrit(freedom, 0.5 * (1.0 + level)) * np.sqrt(variance)
     lower, upper = value - half, value + half
     if estimate.method != "wls":
-        least, most = _limits(problem.feasible, wanted.functions)
+        least, most = problem.feasible.limits_of(wanted.functions)
         # The estimate itself may be outside of a limit, by rounding.
         lower = np.minimum(np.maximum(lower, least), value)
         upper = np.maximum(np.minimum(upper, most), value)
@@ -278,17 +277,6 @@ def _answered(
             "method='profile', which says what physics leaves of them."
         )
     return wanted.only(chosen)
-
-
-def _limits(feasible: FeasibleSet, functions: Array) -> tuple[Array, Array]:
-    """Return the declared limits (k,) of functions (k, p) that are multiples of one parameter."""
-    least, most = np.full((2, len(functions)), np.inf)
-    least = -least
-    for k in np.flatnonzero(np.count_nonzero(functions, axis=1) == 1):
-        index = int(np.flatnonzero(functions[k])[0])
-        ends = functions[k, index] * np.array([feasible.lower[index], feasible.upper[index]])
-        least[k], most[k] = ends.min(), ends.max()
-    return least, most
 
 
 def _bootstrap(

@@ -309,6 +309,19 @@ class FeasibleSet:
         F = self.matrices(theta)[self.n_own :]
         return np.asarray(F[:, -1, -1] - np.linalg.norm(F[:, -1, :-1], axis=1))
 
+    def limits_of(self, functions: Array) -> tuple[Array, Array]:
+        """Return the declared limits (k,) of functions (k, p) of theta.
+
+        Infinite for all that are no multiple of one parameter.
+        """
+        least, most = np.full((2, len(functions)), np.inf)
+        least = -least
+        for k in np.flatnonzero(np.count_nonzero(functions, axis=1) == 1):
+            index = int(np.flatnonzero(functions[k])[0])
+            ends = functions[k, index] * np.array([self.lower[index], self.upper[index]])
+            least[k], most[k] = ends.min(), ends.max()
+        return least, most
+
     def violation(self, theta: Array) -> float:
         """Return by how much theta violates the worst of its constraints, 0 when feasible.
 

@@ -139,12 +139,16 @@ def expect(
     speeds, functions = _friction_functions(run)
     friction_variance = known.spread(functions)[0].reshape(len(speeds), -1)
     covariance = known.covariance(base.matrix)
+    value, half = base.matrix @ values, _quantile(freedom) * np.sqrt(variance)
+    least, most = run.problem.feasible.limits_of(base.matrix)
     return Expected(
         names=base.names,
         units=base.units,
-        values=frozen(base.matrix @ values),
+        values=frozen(value),
         standard_errors=frozen(np.sqrt(variance)),
-        half_widths=frozen(_quantile(freedom) * np.sqrt(variance)),
+        half_widths=frozen(half),
+        lower=frozen(np.minimum(np.maximum(value - half, least), value)),
+        upper=frozen(np.maximum(np.minimum(value + half, most), value)),
         before=frozen(np.sqrt(before.variance(np.eye(base.count)))),
         prior_share=frozen(share),
         theta_names=base.theta_names,
@@ -160,7 +164,7 @@ def expect(
         bands=tuple(
             Band(
                 motion=name,
-                effort=frozen(np.sqrt(np.mean((W @ (base.matrix @ values)) ** 2, axis=0))),
+                effort=frozen(np.sqrt(np.mean((W @ value) ** 2, axis=0))),
                 half_width=frozen(_half_width(W, covariance)),
                 before=frozen(_half_width_before(W, before)),
             )

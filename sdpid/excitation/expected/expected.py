@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Any, cast
 
 import numpy as np
 
-from sdpid._common.arrays import Array, frozen
+from sdpid._common.arrays import Array
 from sdpid._common.tables import Table, plain
 from sdpid.excitation.criterion.noise import ExpectedNoise
 from sdpid.excitation.expected.open_directions import OpenDirection
@@ -96,7 +96,9 @@ class Expected:
     standard_errors : ndarray, shape (b,)
         What they will be known to, prior and earlier runs included.
     half_widths : ndarray, shape (b,)
-        Of the 95 % intervals.
+        Of the 95 % intervals, were they not cut off.
+    lower, upper : ndarray, shape (b,)
+        Their ends, about the values assumed, cut off at declared limits: friction is not negative.
     before : ndarray, shape (b,)
         Standard errors before the run; infinite where nothing is known.
     prior_share : ndarray, shape (b,)
@@ -137,6 +139,8 @@ class Expected:
     values: Array
     standard_errors: Array
     half_widths: Array
+    lower: Array
+    upper: Array
     before: Array
     prior_share: Array
     theta_names: tuple[str, ...]
@@ -157,16 +161,6 @@ class Expected:
     noise: ExpectedNoise
     seconds: float
     notes: tuple[str, ...] = ()
-
-    @property
-    def lower(self) -> Array:
-        """Lower ends of the 95 % intervals, about the values assumed, (b,)."""
-        return frozen(self.values - self.half_widths)
-
-    @property
-    def upper(self) -> Array:
-        """Upper ends of the 95 % intervals, (b,)."""
-        return frozen(self.values + self.half_widths)
 
     def __repr__(self) -> str:
         return (
@@ -284,78 +278,41 @@ class Expected:
         content = {
             "seconds": self.seconds,
             "sentences": list(self.sentences()),
-            "base_parameters": [
-                dict(
-                    zip(
-                        (
-                            "name",
-                            "unit",
-                            "value",
-                            "standard_error",
-                            "half_width",
-                            "before",
-                            "prior_share",
-                        ),
-                        row,
-                        strict=True,
-                    )
-                )
-                for row in zip(
-                    self.names,
-                    self.units,
-                    self.values.tolist(),
-                    self.standard_errors.tolist(),
-                    self.half_widths.tolist(),
-                    _finite(self.before),
-                    self.prior_share.tolist(),
-                    strict=True,
-                )
-            ],
-            "standard_parameters": [
-                dict(zip(("name", "unit", "value", "half_width", "prior_share"), row, strict=True))
-                for row in zip(
-                    self.theta_names,
-                    self.theta_units,
-                    self.theta.tolist(),
-                    _finite(self.theta_half_widths),
-                    self.theta_prior_share.tolist(),
-                    strict=True,
-                )
-            ],
+            "base_parameters": _records(
+                name=self.names,
+                unit=self.units,
+                value=self.values,
+                standard_error=self.standard_errors,
+                lower=self.lower,
+                upper=self.upper,
+                before=self.before,
+                prior_share=self.prior_share,
+            ),
+            "standard_parameters": _records(
+                name=self.theta_names,
+                unit=self.theta_units,
+                value=self.theta,
+                half_width=self.theta_half_widths,
+                prior_share=self.theta_prior_share,
+            ),
             "friction": {
-                "speed": self.speeds.tolist(),
-                "value": self.friction.tolist(),
-                "half_width": self.friction_half_widths.tolist(),
+                "speed": self.speeds,
+                "value": self.friction,
+                "half_width": self.friction_half_widths,
             },
-            "bands": [
-                {
-                    "motion": band.motion,
-                    "effort": band.effort.tolist(),
-                    "half_width": band.half_width.tolist(),
-                    "before": _finite(band.before),
-                    "share": band.share,
-                }
-                for band in self.bands
-            ],
-            "durations": [
-                {
-                    "repetitions": each.repetitions,
-                    "seconds": each.seconds,
-                    "standard_errors": each.standard_errors.tolist(),
-                    "masses": _finite(each.masses),
-                    "bands": list(each.bands),
-                }
-                for each in self.durations
-            ],
-            "open_directions": [each.to_dict() for each in self.open_directions],
-            "no_influence": list(self.structure),
-            "noise": {
-                "density": self.noise.density.tolist(),
-                "deviation": self.noise.deviation.tolist(),
-            },
-            "notes": list(self.notes),
+            "bands": [{**plain(band), "share": band.share} for band in self.bands],
+            "durations": self.durations,
+            "open_directions": self.open_directions,
+            "no_influence": self.structure,
+            "noise": self.noise,
+            "notes": self.notes,
         }
         return cast(dict[str, Any], plain(content))
+
+
+def _records(**columns: Iterable[Any]) -> list[dict[str, Any]]:
+    """Return one dictionary a row."""
+    return [dict(zip(columns, row, strict=True)) for row in zip(*columns.values(), strict=True)]
 
 
 def _finite(values: Array) -> list[float | None]:

@@ -98,18 +98,6 @@ class OpenDirection:
     reason: str
     words: str
 
-    def to_dict(self) -> dict[str, object]:
-        """Return plain values for JSON."""
-        return {
-            "parameters": list(self.parameters),
-            "shares": list(self.shares),
-            "told": self.told,
-            "cause": self.cause,
-            "joint": self.joint,
-            "reason": self.reason,
-            "words": self.words,
-        }
-
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Asked:

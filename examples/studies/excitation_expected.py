@@ -1,0 +1,242 @@
+"""Does a run buy what its plan expects? Expected intervals against those of simulated runs.
+
+For each robot a plan is made from its description alone. Twenty robots that differ from the
+description (inertias by 15 %, friction within a factor of two) run it in closed loop
+(`sdpid.simulate`), and `sdpid.identify` is given the logs without any hint: as one record, or as
+periods that are averaged. Compared are the intervals that it states, and its errors, with what
+the plan expected. A second table names what a prediction loses that leaves something out. A third
+repeats a first run, or runs a plan made from the first run's estimate.
+
+    python examples/studies/excitation_expected.py --out results
+
+It takes some twenty minutes on one core. The LWR 4+ is read from the folder of docs/data.md, named
+by --data or the environment variable SDPID_DATA.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import sys
+from collections.abc import Sequence
+from dataclasses import astuple, dataclass, fields, replace
+from pathlib import Path
+
+import numpy as np
+from simulated_logs import described, perturbed
+
+import sdpid
+from sdpid._common.arrays import Array
+from sdpid._common.files import atomic_write_text
+from sdpid._common.jobs import parallel
+from sdpid._common.tables import Table
+from sdpid.excitation.criterion.noise import ExpectedNoise, usual_effort
+from sdpid.excitation.expected.expect import expect
+from sdpid.excitation.expected.expected import Expected
+from sdpid.experiment.plant.default_motion import default_motion
+from sdpid.experiment.plant.simulate import plant_parts
+from sdpid.experiment.trajectory.trajectory import Trajectory
+from sdpid.robot.consistent import raise_second_moments
+
+ROBOTS = ("ur10", "panda", "lwr4")
+
+# Periods of a record, and of one that is averaged over them.
+PERIODS = {"record": 1, "periods": 4}
+
+# Noise of the efforts, as a share of each joint's usual effort, at the trajectory's rate.
+NOISE = 0.03
+
+# Standard deviation of the logarithms by which inertias differ from the description's, and the
+# radius of gyration that every link has at least, m.
+PERTURBED, RADIUS = 0.15, 0.02
+
+# Drives that follow the plan: the default's velocity loop this many times as stiff, and the
+# position loop's pole, 1/s. The default's lags by 10 to 20 % of the motion, and stiff wrists stick.
+STIFFER, POSITION_POLE = 2.0, 80.0
+
+# What the ratio of simulated to expected intervals must lie within.
+LEAST, MOST = 0.8, 1.25
+
+
+@dataclass(frozen=True)
+class Row:
+    """One parameter of one run: its interval, its error, and what was expected."""
+
+    robot: str
+    reading: str
+    seed: int
+    name: str
+    expected: float
+    simulated: float
+    error: float
+
+
+@dataclass(frozen=True)
+class Twin:
+    """A robot that differs from its description."""
+
+    theta: Array
+    drives: sdpid.experiment.plant.drives.Drives
+    noise: Array
+
+
+def plan_of(robot: sdpid.RobotModel, seed: int, duration: float) -> Trajectory:
+    """Return a plan from the robot's description, or random motion where there is no design."""
+    design = getattr(sdpid, "design_excitation", None)
+    if design is None:
+        return default_motion(robot, seed, period=duration, periods=1)
+    found: Trajectory = design(robot, duration=duration, seed=seed, time_limit=30.0).trajectory
+    return found
+
+
+def noise_of(robot: sdpid.RobotModel, trajectory: Trajectory) -> Array:
+    """Return the standard deviation of every sample's effort, N·m."""
+    rigid = robot.inverse_dynamics(robot.prior, *trajectory.sample())
+    return NOISE * usual_effort(np.sqrt(np.mean(rigid**2, axis=0)))
+
+
+def twin_of(robot: sdpid.RobotModel, trajectory: Trajectory, seed: int) -> Twin:
+    """Draw a robot that the description is of."""
+    rng = np.random.default_rng(seed)
+    bodies = np.array(robot.prior)
+    bodies = perturbed(raise_second_moments(bodies, RADIUS**2 * bodies[:, 0]), PERTURBED, rng)
+    rigid = robot.inverse_dynamics(bodies, *trajectory.sample())
+    usual = usual_effort(np.sqrt(np.mean(rigid**2, axis=0)))
+    coulomb = rng.uniform(0.05, 0.2, robot.n) * usual
+    viscous = rng.uniform(0.5, 1.5, robot.n) * coulomb
+    theta = np.concatenate([bodies.ravel(), coulomb, viscous])
+    noise = noise_of(robot, trajectory)
+    _, drives = plant_parts(robot, trajectory, theta, None)
+    drives = replace(
+        drives,
+        current_noise=noise / drives.effort_scale,
+        velocity_gain=STIFFER * drives.velocity_gain,
+        proportional_gain=np.full(robot.n, POSITION_POLE),
+    )
+    return Twin(theta, drives, noise)
+
+
+def log_of(
+    robot: sdpid.RobotModel, trajectory: Trajectory, twin: Twin, seed: int, reading: str
+) -> sdpid.Recording:
+    """Return what a run records."""
+    log = sdpid.simulate(
+        robot, trajectory, theta=twin.theta, drives=twin.drives, seed=seed, progress=False
+    )
+    return log if reading == "periods" else replace(log, period=None, start=None, periods=None)
+
+
+def truth(base: sdpid.robot.model.base_parameters.BaseParameters, twin: Twin, n: int) -> Array:
+    """Return the base parameters of a twin; terms that it does not have are zero."""
+    tail = twin.theta[-2 * n :].reshape(2, n)
+    known = {f"{kind}{j + 1}": tail[k, j] for k, kind in enumerate(("Fs", "Fv")) for j in range(n)}
+    links = twin.theta[: -2 * n]
+    names = base.theta_names[len(links) :]
+    return np.asarray(base.matrix @ np.concatenate([links, [known.get(x, 0.0) for x in names]]))
+
+
+def run(
+    name: str,
+    reading: str,
+    seed: int,
+    trajectory: Trajectory,
+    data: Path | None,
+    expected: Expected,
+) -> list[Row]:
+    """Simulate a run, identify, and compare with what was expected."""
+    robot = described(name, data)
+    twin = twin_of(robot, trajectory, seed)
+    log = log_of(robot, trajectory, twin, seed, reading)
+    try:
+        result = sdpid.identify(robot, log, effects="none")
+    except sdpid.errors.SdpidError as error:
+        print(f"{name} {reading} {seed}: {error}", flush=True)
+        return []
+    if result.intervals is None:
+        print(f"{name} {reading} {seed}: {result.intervals_note}", flush=True)
+        return []
+    half = dict(zip(result.intervals.names, 0.5 * result.intervals.width, strict=True))
+    base = result.problem.base
+    errors = dict(
+        zip(base.names, np.abs(result.estimate.base - truth(base, twin, robot.n)), strict=True)
+    )
+    widths = 0.5 * (expected.upper - expected.lower)
+    pairs = zip(expected.names, widths.tolist(), strict=True)
+    return [
+        Row(name, reading, seed, each, own, float(half[each]), float(errors[each]))
+        for each, own in pairs
+        if each in half
+    ]
+
+
+def summary(rows: Sequence[Row]) -> list[str]:
+    """Return the table of ratios."""
+    lines = [
+        "| robot | read as | runs | parameters | simulated / expected interval, median | 10 to 90 "
+        f"% of all | parameters with a median within {LEAST} to {MOST}, % | errors within the "
+        "expected interval, % |",
+        "|---|---|---|---|---|---|---|---|",
+    ]
+    for robot, reading in dict.fromkeys((row.robot, row.reading) for row in rows):
+        own = [row for row in rows if (row.robot, row.reading) == (robot, reading)]
+        names = dict.fromkeys(row.name for row in own)
+        ratio = np.array([row.simulated / row.expected for row in own])
+        medians = np.array(
+            [np.median([r.simulated / r.expected for r in own if r.name == name]) for name in names]
+        )
+        inside = 100.0 * np.mean((medians >= LEAST) & (medians <= MOST))
+        held = 100.0 * np.mean([row.error <= row.expected for row in own])
+        low, middle, high = np.quantile(ratio, [0.1, 0.5, 0.9])
+        lines.append(
+            f"| {robot} | {reading} | {len({row.seed for row in own})} | {len(names)} | "
+            f"{middle:.2f} | {low:.2f} to {high:.2f} | {inside:.0f} | {held:.0f} |"
+        )
+    return lines
+
+
+def main() -> int:
+    """Run everything and write the tables."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--out", type=Path, default=Path("results"))
+    parser.add_argument("--data", type=Path, default=os.environ.get("SDPID_DATA"))
+    parser.add_argument("--robot", action="append", choices=ROBOTS, help="a robot (default all)")
+    parser.add_argument("--seeds", type=int, default=20, help="runs of each robot")
+    parser.add_argument("--duration", type=float, default=20.0, help="of a period, s")
+    parser.add_argument("--jobs", type=int, default=1)
+    parser.add_argument("--quick", action="store_true", help="one short run")
+    options = parser.parse_args()
+    options.out.mkdir(parents=True, exist_ok=True)
+    if options.quick:
+        options.robot, options.seeds, options.duration = ["ur10"], 1, 10.0
+    from joblib import delayed
+
+    rows: list[Row] = []
+    for name in options.robot or ROBOTS:
+        try:
+            robot = described(name, options.data)
+        except sdpid.errors.SdpidError as error:
+            print(f"{name}: skipped, {error}", flush=True)
+            continue
+        plan = plan_of(robot, 0, options.duration)
+        for reading, periods in PERIODS.items():
+            trajectory = plan.with_periods(periods)
+            noise = ExpectedNoise.white(noise_of(robot, trajectory), trajectory.rate_hz)
+            expected = expect(robot, trajectory, noise=noise, reading=reading)
+            if reading == "record":
+                print(f"{name}:", *expected.sentences(), sep="\n  ", flush=True)
+            found = parallel(options.jobs)(
+                delayed(run)(name, reading, seed, trajectory, options.data, expected)
+                for seed in range(options.seeds)
+            )
+            rows += [row for each in found for row in each]
+            print("\n".join(summary(rows)), flush=True)
+    columns = tuple(field.name for field in fields(Row))
+    Table(columns, tuple(astuple(row) for row in rows)).write(
+        options.out / "excitation_expected.csv"
+    )
+    atomic_write_text(options.out / "excitation_expected.md", "\n".join(summary(rows)) + "\n")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

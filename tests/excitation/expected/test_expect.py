@@ -1,0 +1,148 @@
+"""What a run will buy: laws of the expected errors, and what the words say."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from functools import cache
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+import sdpid
+from sdpid._common.arrays import Array
+from sdpid.excitation.criterion.earlier import EarlierInformation
+from sdpid.excitation.criterion.noise import ExpectedNoise
+from sdpid.excitation.expected.expect import Known, expect
+from sdpid.excitation.expected.expected import Expected
+from sdpid.excitation.expected.rehearsal import rehearse
+from sdpid.excitation.expected.run_errors import RunErrors
+from sdpid.experiment.plant.default_motion import default_motion
+from sdpid.experiment.trajectory.trajectory import Trajectory
+from tests.helpers.robots import small_arm
+
+ARM = small_arm(2)
+TERMS = ("coulomb", "viscous")
+BODIES = np.tile([1.0, 0.1, 0.0, 0.0, 0.1, 0.0, 0.2, 0.0, 0.0, 0.2], (2, 1))
+PRIOR = sdpid.Prior(bodies=BODIES)
+# Few examples: each is a run.
+FEW = settings(max_examples=8, deadline=None)
+factors = st.floats(0.1, 10.0)
+
+
+@cache
+def motion(periods: int = 1) -> Trajectory:
+    return replace(default_motion(ARM, 1, period=8.0, periods=periods), rate_hz=100.0)
+
+
+def expected(periods: int = 1, **given: Any) -> Expected:
+    given = {"friction": TERMS, "noise": 0.1, "prior": PRIOR, "repetitions": (1,)} | given
+    return expect(ARM, motion(periods), **given)
+
+
+@cache
+def plain() -> Expected:
+    return expected(prior=False)
+
+
+def earlier(size: float, seed: int = 0) -> EarlierInformation:
+    b = len(plain().names)
+    X = np.random.default_rng(seed).standard_normal((b, b))
+    noise = ExpectedNoise.white(np.array([0.1, 0.1]), 100.0)
+    theta = rehearse(ARM, motion(), friction=TERMS, noise=0.1).theta
+    return EarlierInformation(information=size * X @ X.T, theta=theta, noise=noise)
+
+
+@FEW
+@given(factors)
+def test_errors_scale_with_the_noise(factor: float) -> None:
+    # With noise well above the least weight of a joint, whose size does not scale.
+    few, many = (expected(prior=False, noise=size, reading="periods") for size in (1.0, factor))
+    np.testing.assert_allclose(many.standard_errors, factor * few.standard_errors, rtol=1e-6)
+
+
+@pytest.mark.parametrize("times", [2, 5])
+def test_averaging_periods_divides_the_variance(times: int) -> None:
+    one, many = (expected(n, prior=False, reading="periods") for n in (1, times))
+    np.testing.assert_allclose(many.standard_errors**2, one.standard_errors**2 / times, rtol=0.05)
+
+
+def test_a_motion_run_twice_as_long_has_half_the_variance() -> None:
+    run = rehearse(ARM, motion(), friction=TERMS, noise=0.1, prior=False)
+    own = RunErrors.of(run.spectrum)
+    np.testing.assert_allclose(own.plus(own).covariance, own.covariance / 2.0, rtol=1e-6)
+    found = expected(prior=False, repetitions=(1, 2, 4, 8))
+    long = expected(4, prior=False)
+    # What is extrapolated is what the longer run itself has.
+    np.testing.assert_allclose(found.durations[2].standard_errors, long.standard_errors, rtol=0.02)
+    late = found.durations[3].standard_errors / found.durations[2].standard_errors
+    np.testing.assert_allclose(late, np.sqrt(0.5), rtol=0.1)
+    assert found.durations[2].seconds == pytest.approx(long.seconds)
+
+
+@FEW
+@given(factors, st.integers(0, 2**16))
+def test_earlier_runs_never_widen(size: float, seed: int) -> None:
+    with_it = expected(prior=False, earlier=earlier(size, seed))
+    assert np.all(with_it.standard_errors <= plain().standard_errors * (1.0 + 1e-6))
+    assert np.all(np.isfinite(with_it.before))
+    assert np.all(with_it.standard_errors <= with_it.before * (1.0 + 1e-6))
+
+
+def test_a_prior_alone_is_what_is_left_of_a_run_that_tells_nothing() -> None:
+    blind = expected(noise=1e9)
+    np.testing.assert_allclose(blind.standard_errors, blind.before, rtol=1e-3)
+    assert np.all(blind.prior_share > 0.99)
+    assert len(blind.open_directions)
+    sharp = expected(noise=1e-3)
+    assert np.all(sharp.standard_errors < blind.standard_errors)
+    assert not sharp.open_directions
+
+
+def test_intervals_are_cut_off_at_declared_limits() -> None:
+    found = expected(noise=1e3)
+    own = [name.startswith("Fs") for name in found.names]
+    assert np.all(found.lower[own] == 0.0)
+    assert np.all(found.lower <= found.values)
+    assert np.all(found.upper >= found.values)
+
+
+def test_words_and_plain_values() -> None:
+    found = expected(noise=None, friction=None, repetitions=(1, 3))
+    text = " ".join(found.sentences())
+    assert f"after {found.seconds:.3g} s" in text
+    assert "before the run" in text
+    content = json.loads(json.dumps(found.to_dict(), allow_nan=False))
+    assert len(content["base_parameters"]) == len(found.names)
+    assert content["bands"][0]["share"] == pytest.approx(found.bands[0].share)
+    assert found.names[0] in found.table().text()
+    assert any("assumed" in note for note in found.notes)
+
+
+def test_it_is_what_simulated_runs_of_noise_scatter() -> None:
+    """The same rows with noise drawn again and again: errors as wide as expected."""
+    run = rehearse(ARM, motion(), friction=TERMS, noise=0.5, prior=False)
+    found = []
+    for seed in range(60):
+        rng = np.random.default_rng(seed)
+        noisy = replace(
+            run.log, effort=run.log.effort + 0.5 * rng.standard_normal(run.log.effort.shape)
+        )
+        samples = sdpid.process(noisy, run.processing, progress=False)
+        problem = sdpid.build_problem(
+            ARM, samples, friction=run.problem.friction.terms, weighting="residual"
+        )
+        found.append(sdpid.solve_wls(problem).base)
+    scatter: Array = np.std(found, axis=0, ddof=1)
+    ratio = scatter / np.sqrt(np.diag(run.spectrum.covariance))
+    assert 0.85 < np.median(ratio) < 1.15
+    assert np.all((ratio > 0.7) & (ratio < 1.35))
+
+
+def test_what_is_known_of_open_directions_is_nothing() -> None:
+    known = Known(np.diag([4.0, 0.0]))
+    found = known.variance(np.array([[1.0, 0.0], [0.0, 1.0], [1.0, 1.0]]))
+    np.testing.assert_array_equal(found, [0.25, np.inf, np.inf])
