@@ -17,6 +17,7 @@ from .estimation.robust.solve import solve_robust
 from .estimation.sdp.cvxpy_form import to_cvxpy
 from .estimation.sdp.solve import solve_sdp
 from .estimation.wls import solve_wls
+from .excitation.limits.check import check_trajectory
 from .excitation.limits.limits import Limits
 from .experiment.inspection.inspect import inspect_recording
 from .experiment.plant.simulate import simulate
@@ -58,6 +59,7 @@ __all__ = [
     "audit_urdf",
     "build_problem",
     "certify",
+    "check_trajectory",
     "compare",
     "confidence_intervals",
     "constraints",

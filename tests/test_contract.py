@@ -21,6 +21,7 @@ CONTRACT = {
     "audit_urdf",
     "build_problem",
     "certify",
+    "check_trajectory",
     "compare",
     "confidence_intervals",
     "identify",

@@ -18,6 +18,7 @@ from sdpid.estimation.prior.log_det import LogDetTerm
 from sdpid.robot.consistent import raise_second_moments
 from sdpid.robot.inertia import from_pseudo_inertia, margin, pseudo_inertia
 from sdpid.robot.model.base_parameters import characteristic_length
+from sdpid.robot.model.model import RobotModel
 
 PriorKind = Literal["euclidean", "scaled_euclidean", "pullback", "entropic"]
 
@@ -189,12 +190,12 @@ def prior_terms(prior: Prior, rows: Rows, *, data: tuple[Array, Array] | None = 
     DataError
         When no link has a body, or a strength by evidence has no data.
     """
-    bodies, known, notes = _bodies(prior, rows)
+    bodies, known, notes = _bodies(prior, rows.robot)
     theta_size = 10 * rows.robot.n_links + len(rows.friction.parameters)
     R = np.zeros((bodies.size, theta_size))
-    for i, body in enumerate(bodies):
+    for i, block in enumerate(_blocks(prior, bodies, known)):
         own = slice(10 * i, 10 * i + 10)
-        R[own, own] = _block(prior.kind, body) / (1.0 if i in known else _VAGUE)
+        R[own, own] = block
     r = R[:, : bodies.size] @ bodies.ravel()
     belief = _friction_rows(rows) if prior.friction else np.zeros((0, 0))
     F = np.zeros((len(belief), theta_size))
@@ -220,9 +221,29 @@ def prior_terms(prior: Prior, rows: Rows, *, data: tuple[Array, Array] | None = 
     return PriorTerms((squared, *terms), tuple(notes), strength)
 
 
-def _bodies(prior: Prior, rows: Rows) -> tuple[Array, Indices, list[str]]:
+def link_rows(prior: Prior, robot: RobotModel) -> Array:
+    """Return the rows (links, 10, 10) whose squared norm is twice the nats of each link.
+
+    Of a strength by evidence those of one nat.
+
+    Raises
+    ------
+    DataError
+        When no link has a body.
+    """
+    strength = 1.0 if prior.strength == "evidence" else float(prior.strength)
+    bodies, known, _ = _bodies(prior, robot)
+    return np.asarray(np.sqrt(strength) * _blocks(prior, bodies, known))
+
+
+def _blocks(prior: Prior, bodies: Array, known: Indices) -> Array:
+    """Return the same (links, 10, 10) at a strength of one nat."""
+    vague = np.where(np.isin(np.arange(len(bodies)), known), 1.0, _VAGUE)
+    return np.stack([_block(prior.kind, b) / v for b, v in zip(bodies, vague, strict=True)])
+
+
+def _bodies(prior: Prior, robot: RobotModel) -> tuple[Array, Indices, list[str]]:
     """Return bodies that can exist, the links that are described, and what was done to them."""
-    robot = rows.robot
     given = robot.prior if prior.bodies is None else prior.bodies
     if given.shape != (robot.n_links, 10):
         raise DataError(f"Prior: bodies have shape {given.shape}, expected {(robot.n_links, 10)}.")

@@ -29,7 +29,7 @@ class JointLimits:
     rest : ndarray, shape (n,)
         Position at rest, rad (m of sliding joints); within the limits.
     lower, upper : ndarray, shape (n,)
-        Least and largest position, rad (m); always finite.
+        Least and largest position, rad (m).
     velocity, acceleration, jerk : ndarray, shape (n,)
         Largest sizes, rad/s, rad/s² and rad/s³ (m).
     torque : ndarray, shape (n,)

@@ -86,7 +86,7 @@ class Limits:
         A table a joint, ``[joint_name]``, or ``[[joint]]`` with its ``name``, holds any of lower,
         upper, velocity, acceleration, jerk and torque. The table ``[arm]`` holds any of
         tool_speed, tool, clearance, share and override, and the same six keys for all joints that
-        have no value of their own. Tables named obstacle, table and wall are left to
+        have no value of their own. Tables named plane, box, mesh, table and wall are left to
         `sdpid.excitation.geometry.obstacles`.
 
         Raises
@@ -135,7 +135,7 @@ class Limits:
         rest: ArrayLike | None = None,
         *,
         share: float = 1.0,
-        check_rest: bool = True,
+        assume: bool = True,
     ) -> JointLimits:
         """Return the limits of a robot's joints: the tighter of what is given and described.
 
@@ -148,8 +148,9 @@ class Limits:
             zero is outside or near an end.
         share : float, optional
             Share of the description's limits that is used where `Limits.share` says nothing.
-        check_rest : bool, optional
-            Whether the robot must be able to stand at rest within the limits.
+        assume : bool, optional
+            Whether missing limits are assumed and the robot must be able to stand at rest, as the
+            search for a motion needs; otherwise what is missing is infinite.
 
         Raises
         ------
@@ -161,14 +162,12 @@ class Limits:
         """
         values = {kind: getattr(self, kind) for kind in KINDS}
         used = share if self.share is None else self.share
-        found = narrow(
-            robot, values, rest, share=used, override=self.override, check_rest=check_rest
-        )
+        found = narrow(robot, values, rest, share=used, override=self.override, assume=assume)
         return replace(found, tool_speed=self.tool_speed, tool=self.tool, clearance=self.clearance)
 
 
 _ARM = tuple(each.name for each in fields(Limits) if each.name not in KINDS)
-_ELSEWHERE = ("obstacle", "table", "wall")
+_ELSEWHERE = ("plane", "box", "mesh", "table", "wall")
 
 
 def _entries(values: Values) -> Iterable[tuple[str, object]]:

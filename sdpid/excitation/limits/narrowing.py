@@ -36,6 +36,8 @@ _SECONDS_TO_FULL_ACCELERATION = 0.1
 # The joints rest at zero where that is this part of the range or more away from its ends, in the
 # middle otherwise.
 _FROM_ENDS = 0.1
+# Stands for infinity there, rad or m: any number far beyond the joints' ranges will do.
+_UNBOUNDED = 1e3
 
 # Larger values of turning joints are degrees: two turns, 8 turns a second (rad, rad/s). Of sliding
 # joints they are mm (m, m/s).
@@ -47,6 +49,7 @@ _SAME = 1e-3
 
 # Units of turning and of sliding joints.
 UNITS = {
+    "position": ("rad", "m"),
     "lower": ("rad", "m"),
     "upper": ("rad", "m"),
     "velocity": ("rad/s", "m/s"),
@@ -63,7 +66,7 @@ def narrow(
     *,
     share: float,
     override: bool,
-    check_rest: bool,
+    assume: bool,
 ) -> JointLimits:
     """Return the limits of a robot's joints; see `Limits.of`.
 
@@ -80,8 +83,8 @@ def narrow(
     override : bool
         Whether given values hold where they are wider than the description's, too.
 
-    check_rest : bool
-        Whether the robot must be able to stand at rest within the limits.
+    assume : bool
+        Whether missing limits are assumed, and the robot must be able to stand at rest.
 
     Raises
     ------
@@ -90,8 +93,8 @@ def narrow(
     DataError
         When limits contradict each other or what they are for.
     """
-    found = _Narrowing(robot, given, share, override).limits(rest)
-    if check_rest:
+    found = _Narrowing(robot, given, share, override, assume).limits(rest)
+    if assume:
         _check_rest(robot, found)
     return found
 
@@ -100,11 +103,17 @@ class _Narrowing:
     """The way from given limits and a description to those of the joints, told on the way."""
 
     def __init__(
-        self, robot: RobotModel, given: Mapping[str, Values], share: float, override: bool
+        self,
+        robot: RobotModel,
+        given: Mapping[str, Values],
+        share: float,
+        override: bool,
+        assume: bool,
     ) -> None:
         if robot.n_base:
             raise ModelError(f"limits of '{robot.name}': a floating base has no motors to move it.")
         self.robot, self.given, self.share, self.override = robot, given, share, override
+        self.assume = assume
         self.names, self.n = robot.joint_names, robot.n
         self.sliding = sliding_joints(robot)
         self.told: list[str] = []
@@ -140,7 +149,7 @@ class _Narrowing:
             f"the full acceleration after {_SECONDS_TO_FULL_ACCELERATION:g} s is assumed",
         )
         torque = self._merged("torque", self.share * torques, torques)
-        self._tell(np.isnan(torque), "no torque limits; the torques are not checked")
+        self._tell(np.isnan(torque), "no torque limits; they are not checked")
         if self.share < 1.0 and any(DESCRIBED in each for each in self.sources.values()):
             self.told.append(
                 f"of the description's position ranges, speeds and torques {100 * self.share:g} % "
@@ -191,20 +200,24 @@ class _Narrowing:
         lower = self._merged("lower", low + spare, low)
         upper = self._merged("upper", high - spare, high)
         way = np.where(self.sliding, _SHORT_WAY, _HALF_TURN)
+        if not self.assume:
+            way = np.full(self.n, np.inf)
         about = np.where(np.isnan(start), 0.0, start)
         no_lower, no_upper = ~np.isfinite(lower), ~np.isfinite(upper)
         lower, upper = (
             np.where(no_lower, np.where(no_upper, about - way, upper - 2.0 * way), lower),
             np.where(no_upper, np.where(no_lower, about + way, lower + 2.0 * way), upper),
         )
-        for missing, kind in ((no_lower, "lower"), (no_upper, "upper")):
-            self._mark(kind, missing, ASSUMED)
         self._assume(
+            "position",
             no_lower | no_upper,
-            "no position limits; {} to either side of the rest position is assumed, since cables "
-            "and end stops are not known",
+            "{} to either side of the rest position is assumed, since cables and end stops are not "
+            "known",
             ("half a turn", f"{_SHORT_WAY:g} m"),
         )
+        source = ASSUMED if self.assume else NONE
+        for missing, kind in ((no_lower, "lower"), (no_upper, "upper")):
+            self._mark(kind, missing, source)
         for j in np.flatnonzero(~(lower < upper)):
             sides = [self.sources[kind][j] for kind in ("lower", "upper")]
             raise DataError(
@@ -248,9 +261,8 @@ class _Narrowing:
     ) -> Array:
         """Return sizes with what is assumed where there are none."""
         missing = np.isnan(values)
-        self._mark(kind, missing, ASSUMED)
-        self._assume(missing, f"no {kind} limits; {words}", amounts)
-        return np.where(missing, usual, values)
+        self._assume(kind, missing, words, amounts)
+        return np.where(missing, usual if self.assume else np.inf, values)
 
     def _values(self, kind: str) -> Array:
         """Return the given values (n,) of a kind, NaN where none is given."""
@@ -295,13 +307,17 @@ class _Narrowing:
             source if here else before for before, here in zip(old, where, strict=True)
         )
 
-    def _assume(self, where: Mask, words: str, amounts: tuple[str, str]) -> None:
-        """Tell what is assumed of turning joints, and what of sliding ones."""
-        if "{}" not in words:
-            self._tell(where, words)
-            return
-        for kind, amount in zip((~self.sliding, self.sliding), amounts, strict=True):
-            self._tell(where & kind, words.format(amount))
+    def _assume(self, kind: str, where: Mask, words: str, amounts: tuple[str, str]) -> None:
+        """Tell what is assumed of turning joints, and what of sliding ones, or that nothing is."""
+        if kind in self.sources:
+            self._mark(kind, where, ASSUMED if self.assume else NONE)
+        if not self.assume:
+            self._tell(where, f"no {kind} limits; they are not checked")
+        elif "{}" not in words:
+            self._tell(where, f"no {kind} limits; {words}")
+        else:
+            for joints, amount in zip((~self.sliding, self.sliding), amounts, strict=True):
+                self._tell(where & joints, f"no {kind} limits; {words.format(amount)}")
 
     def _tell(self, where: Mask, words: str) -> None:
         """Add a sentence about the joints for which something holds."""
@@ -352,9 +368,10 @@ def sliding_joints(robot: RobotModel) -> Mask:
 
 def _usual_rest(lower: Array, upper: Array) -> Array:
     """Return zero, or the middle where zero is outside of the limits or near them."""
-    edge = _FROM_ENDS * (upper - lower)
-    inside = (lower + edge <= 0.0) & (upper - edge >= 0.0)
-    return np.where(inside, 0.0, 0.5 * (lower + upper))
+    low, high = np.maximum(lower, -_UNBOUNDED), np.minimum(upper, _UNBOUNDED)
+    edge = _FROM_ENDS * (high - low)
+    inside = (low + edge <= 0.0) & (high - edge >= 0.0)
+    return np.where(inside, 0.0, 0.5 * (low + high))
 
 
 def _positive(values: Array) -> Array:

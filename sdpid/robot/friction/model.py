@@ -130,6 +130,26 @@ class FrictionModel:
             (term.columns_in(motion, self.joint_names) for term in self.terms),
         )
 
+    def enclosed(
+        self, velocity: tuple[Array, Array], acceleration: tuple[Array, Array]
+    ) -> tuple[Array, Array]:
+        """Return bounds of all columns, below and above, over ranges of motion (K, n) each.
+
+        Those of terms that depend on the position too are zero.
+        """
+        v, a = ([each[:, self.first :] for each in pair] for pair in (velocity, acceleration))
+        names = self.joint_names
+        blocks = [
+            (np.zeros((*v[0].shape, len(term.parameters(names)))),) * 2
+            if term.posed
+            else term.enclosed((v[0], v[1]), (a[0], a[1]), names)
+            for term in self.terms
+        ]
+        low, high = (
+            self._side_by_side(len(v[0]), [pair[side] for pair in blocks]) for side in (0, 1)
+        )
+        return low, high
+
     def _side_by_side(self, count: int, blocks: Iterable[Array]) -> Array:
         """Return the terms' columns in one array, zero for a floating base."""
         n = self.first + len(self.joint_names)

@@ -125,6 +125,28 @@ class FrictionTerm(ABC):
             The n joints.
         """
 
+    def enclosed(
+        self,
+        velocity: tuple[Array, Array],
+        acceleration: tuple[Array, Array],
+        joint_names: Sequence[str],
+    ) -> tuple[Array, Array]:
+        """Return bounds of the columns, below and above, over ranges of motion.
+
+        By default those of columns that do not fall as velocity or acceleration grows.
+
+        Parameters
+        ----------
+        velocity, acceleration : tuple of 2 ndarrays, shape (K, n) each
+            Least and largest values.
+        joint_names : sequence of str
+            The n joints.
+        """
+        low, high = (
+            self.columns(v, a, joint_names) for v, a in zip(velocity, acceleration, strict=True)
+        )
+        return low, high
+
     def columns_in(self, motion: Motion, joint_names: Sequence[str]) -> Array:
         """Return the columns (K, n, number of parameters) as they stand in filtered efforts.
 
@@ -211,13 +233,13 @@ class JointwiseTerm(FrictionTerm):
 
     def columns(self, velocity: Array, acceleration: Array, joint_names: Sequence[str]) -> Array:
         """Return the columns: diagonal in the joints."""
-        return _diagonal(self.shape(velocity, acceleration))
+        return diagonal(self.shape(velocity, acceleration))
 
     def columns_in(self, motion: Motion, joint_names: Sequence[str]) -> Array:
         """Return the columns as they stand in filtered efforts: diagonal in the joints."""
         if type(self).columns is not JointwiseTerm.columns:
             return FrictionTerm.columns_in(self, motion, joint_names)
-        return _diagonal(self.shape_in(motion))
+        return diagonal(self.shape_in(motion))
 
     def shape_in(self, motion: Motion) -> Array:
         """Return the effort (K, n) of a unit parameter as it stands in filtered efforts."""
@@ -252,7 +274,7 @@ class JointwiseTerm(FrictionTerm):
         return np.reshape(kept, (len(kept), n))
 
 
-def _diagonal(shape: Array) -> Array:
+def diagonal(shape: Array) -> Array:
     """Return columns (K, n, n) of which each joint has its own, from their values (K, n)."""
     count, n = shape.shape
     columns = np.zeros((count, n, n))

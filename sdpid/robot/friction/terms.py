@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import ClassVar
 
 import numpy as np
@@ -13,12 +13,14 @@ from sdpid._common.arrays import Array
 from sdpid.errors import ModelError
 from sdpid.robot.friction.motion import Motion
 from sdpid.robot.friction.term import (
+    SLOWEST,
     FrictionTerm,
     JointwiseTerm,
     OpenParameter,
     TermParameter,
     check_speeds,
     close_speeds,
+    diagonal,
     open_speeds,
 )
 
@@ -179,6 +181,25 @@ class Stribeck(JointwiseTerm):
         # Far out the power may overflow; the peak is zero long before.
         peak = np.exp(-(np.minimum(ratio, 1e3) ** min(self.exponent, 50.0)))
         return np.asarray(peak * smooth_sign(velocity, self.speed("width", n), 0.0))
+
+    def enclosed(
+        self,
+        velocity: tuple[Array, Array],
+        acceleration: tuple[Array, Array],
+        joint_names: Sequence[str],
+    ) -> tuple[Array, Array]:
+        """Return bounds of the columns over ranges of motion: the peak is highest at the slowest.
+
+        Either side of standstill bounds its own sign; zero bounds the other.
+        """
+        low, high = velocity
+        slowest = np.maximum(np.maximum(low, -high), 0.0)
+        peaks = replace(self, width=0.0).shape(np.maximum(slowest, SLOWEST), acceleration[0])
+        # At standstill the peak is one, but for the speed that stands for it.
+        peaks = np.where(slowest > 0.0, peaks, 1.0)
+        return diagonal(np.where(low < 0.0, -peaks, 0.0)), diagonal(
+            np.where(high > 0.0, peaks, 0.0)
+        )
 
 
 @dataclass(frozen=True)

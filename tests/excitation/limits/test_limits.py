@@ -74,7 +74,7 @@ def test_the_tighter_holds(sizes: list[float | None], lower: float, share: float
     robot = arm("revolute", "prismatic", "revolute", limit=LIMIT.replace("100", "1000"))
     loose = Limits().of(robot, share=share)
     tight = Limits(velocity=[None if s is None else s / 100 for s in sizes], torque=sizes)
-    found = tight.of(robot, share=share, check_rest=False)
+    found = tight.of(robot, share=share, assume=False)
     described = Limits().of(robot)
     assert np.all(found.velocity <= described.velocity)
     assert np.all(found.torque <= described.torque)
@@ -83,7 +83,7 @@ def test_the_tighter_holds(sizes: list[float | None], lower: float, share: float
             assert found.torque[j] == loose.torque[j]
         else:
             assert found.torque[j] == min(size, 1000.0)
-    narrowed = Limits(lower=lower).of(robot, share=share, check_rest=False)
+    narrowed = Limits(lower=lower).of(robot, share=share, assume=False)
     np.testing.assert_array_equal(narrowed.lower, max(lower, -2.0))
     assert np.all(narrowed.lower <= narrowed.rest)
     assert np.all(narrowed.rest <= narrowed.upper)
@@ -117,7 +117,11 @@ def test_joints_without_limits() -> None:
     assert found.velocity.tolist() == [2.0, 0.25]
     assert np.isinf(found.torque).all()
     told = " ".join(found.assumed)
-    for words in ("a has no position limits; half a turn", "b has no velocity", "torques are not"):
+    for words in (
+        "a has no position limits; half a turn",
+        "b has no velocity",
+        "no torque limits; they are not",
+    ):
         assert words in told
 
 
@@ -186,8 +190,8 @@ velocity = 1.0
 name = "b"
 torque = 60
 
-[[obstacle]]
-box = [1, 1, 1]
+[[box]]
+size = [1, 1, 1]
 """
 
 

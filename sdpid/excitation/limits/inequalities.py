@@ -1,0 +1,122 @@
+"""Limits of torque and of the tool's speed as functions of a state, for a search.
+
+Each is at least zero where the limit is held, in shares of it, and smooth enough to be
+differentiated. What happens between the instants at which a search looks is left to
+`sdpid.excitation.limits.check`.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from functools import cached_property
+
+import numpy as np
+
+from sdpid._common.arrays import Array, Indices
+from sdpid.excitation.limits.joint_limits import JointLimits
+from sdpid.excitation.limits.tool import tool_frames
+from sdpid.excitation.limits.torque import TorqueModel
+from sdpid.robot.model.model import RobotModel
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class TorqueWithin:
+    """Torques stay within their limits, both ways: 2 functions a limited joint.
+
+    The added deviations and the steps of Coulomb friction are counted as constants at a state.
+
+    Attributes
+    ----------
+    model : TorqueModel
+        The torques.
+    limits : JointLimits
+        Their limits, less the model's reserve.
+    """
+
+    model: TorqueModel
+    limits: JointLimits
+    name: str = field(default="torque", init=False)
+
+    @cached_property
+    def _limited(self) -> Indices:
+        return np.flatnonzero(np.isfinite(self.limits.torque))
+
+    @cached_property
+    def _allowed(self) -> Array:
+        return self.model.allowed(self.limits.torque)[self._limited]
+
+    def evaluate(self, q: Array, v: Array, a: Array) -> Array:
+        """Return the slacks (K, 2 m) at states (K, n), in shares of the limits."""
+        torque = self.model.torque(q, v, a)[:, self._limited]
+        spread = self.model.spread(q, v, a)[:, self._limited]
+        return np.hstack([1.0 - (s * torque + spread) / self._allowed for s in (1.0, -1.0)])
+
+    def derivatives(self, q: Array, v: Array, a: Array) -> tuple[Array | None, ...]:
+        """Return derivatives (K, 2 m, n) by position, velocity and acceleration."""
+        _, *slopes = self.model.torque_and_derivatives(q, v, a)
+        shares = [slope[:, self._limited] / self._allowed[:, None] for slope in slopes]
+        return tuple(np.concatenate([-share, share], axis=1) for share in shares)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class ToolSpeedWithin:
+    """The speed of the tool stays within its limit: one function a frame, 1 − (speed/limit)².
+
+    Attributes
+    ----------
+    robot : RobotModel
+        The robot.
+    speed : float
+        The limit, m/s.
+    frames : tuple of int
+        Indices of the frames whose speed it is, see `tool_frames`.
+    """
+
+    robot: RobotModel
+    speed: float
+    frames: tuple[int, ...]
+    name: str = field(default="tool speed", init=False)
+
+    @classmethod
+    def of(cls, robot: RobotModel, limits: JointLimits) -> ToolSpeedWithin | None:
+        """Build from the limits of a robot; None where the speed is not limited."""
+        if limits.tool_speed is None:
+            return None
+        frames = tool_frames(robot, limits.tool)
+        return cls(robot=robot, speed=limits.tool_speed, frames=frames)
+
+    def evaluate(self, q: Array, v: Array, a: Array) -> Array:
+        """Return the slacks (K, frames) at states (K, n), in shares of the limit squared."""
+        return np.asarray(1.0 - self._velocities(q, v)[0] ** 2 / self.speed**2)
+
+    def derivatives(self, q: Array, v: Array, a: Array) -> tuple[Array | None, ...]:
+        """Return derivatives (K, frames, n) by position and velocity."""
+        _, by_position, by_velocity = self._velocities(q, v, derivatives=True)
+        scale = -2.0 / self.speed**2
+        return scale * by_position, scale * by_velocity, None
+
+    def _velocities(
+        self, q: Array, v: Array, *, derivatives: bool = False
+    ) -> tuple[Array, Array, Array]:
+        """Return speeds (K, frames), and half the derivatives of their squares (K, frames, n)."""
+        import pinocchio as pin
+
+        robot, model = self.robot, self.robot.pin_model
+        data, E = model.createData(), robot.expansion
+        upright = pin.ReferenceFrame.LOCAL_WORLD_ALIGNED
+        speeds = np.empty((len(q), len(self.frames)))
+        slopes = np.zeros((2, len(q), len(self.frames), robot.n))
+        zero = np.zeros(model.nv)
+        for k, state in enumerate(zip(robot.configuration(q), v @ E.T, strict=True)):
+            if derivatives:
+                pin.computeForwardKinematicsDerivatives(model, data, *state, zero)
+            else:
+                pin.forwardKinematics(model, data, *state)
+            for c, frame in enumerate(self.frames):
+                pin.updateFramePlacement(model, data, frame)
+                velocity = pin.getFrameVelocity(model, data, frame, upright).linear
+                speeds[k, c] = np.linalg.norm(velocity)
+                if derivatives:
+                    by = pin.getFrameVelocityDerivatives(model, data, frame, upright)
+                    slopes[:, k, c] = [velocity @ part[:3] @ E for part in by]
+        return speeds, slopes[0], slopes[1]
