@@ -113,11 +113,14 @@ class LimitCheck:
     rows : tuple of LimitRow
         One a limit; there is none for limits that do not exist.
     notes : tuple of str
-        What was assumed, left out or not checked: sentences.
+        What was assumed or not checked: sentences.
+    left_out : tuple of (str, str, str)
+        Pairs of bodies whose distance is not checked, and why.
     """
 
     rows: tuple[LimitRow, ...]
     notes: tuple[str, ...] = ()
+    left_out: tuple[tuple[str, str, str], ...] = ()
 
     @property
     def ok(self) -> bool:
@@ -148,7 +151,12 @@ class LimitCheck:
 
     def to_dict(self) -> dict[str, Any]:
         """Return plain values for JSON."""
-        return {"ok": self.ok, "rows": plain(self.rows), "notes": list(self.notes)}
+        return {
+            "ok": self.ok,
+            "rows": plain(self.rows),
+            "notes": plain(self.notes),
+            "left_out": plain(self.left_out),
+        }
 
     def _repr_html_(self) -> str:
         return self.table().html()
@@ -230,20 +238,23 @@ def check_trajectory(
         found = _along(curves, ToolMeasure(robot, frames), limit, _RESOLUTION * limit)
         names = [str(robot.pin_model.frames[index].name) for index in frames]
         rows += _rows("tool speed", names, limit, found, ["m/s"] * len(frames))
+    left_out: tuple[tuple[str, str, str], ...] = ()
     if collision is not False:
-        model_of_pairs = collision if isinstance(collision, CollisionModel) else None
-        if model_of_pairs is None:
-            model_of_pairs = CollisionModel.of(
+        clearance = joints.clearance or 0.0
+        if not isinstance(collision, CollisionModel):
+            collision = CollisionModel.of(
                 robot,
                 obstacles,
                 package_dirs=package_dirs,
                 near=start,
                 lower=joints.lower,
                 upper=joints.upper,
+                clearance=clearance,
             )
-        notes += _pair_notes(model_of_pairs, joints.clearance or 0.0)
-        rows += _distance_rows(curves, model_of_pairs, joints.clearance or 0.0)
-    return LimitCheck(rows=tuple(rows), notes=tuple(dict.fromkeys(notes)))
+        notes += [*collision.assumed, *collision.closer(clearance)]
+        left_out = collision.left_out
+        rows += _distance_rows(curves, collision, clearance)
+    return LimitCheck(rows=tuple(rows), notes=tuple(dict.fromkeys(notes)), left_out=left_out)
 
 
 def _joint_limits(
@@ -312,18 +323,6 @@ def _distance_rows(
     found = _along(curves, DistanceMeasure(collision), limit, resolution)
     names = [f"{pair.first} – {pair.second}" for pair in collision.pairs]
     return _rows("distance", names, limit, found, ["m"] * len(names), mirrored=True)
-
-
-def _pair_notes(collision: CollisionModel, clearance: float) -> list[str]:
-    """Return what is assumed of shapes, and which pairs are not checked."""
-    notes = [*collision.assumed, *collision.closer(clearance)]
-    if collision.left_out:
-        notes.append(
-            f"{len(collision.left_out)} pairs of bodies are not checked: "
-            + "; ".join(f"{a} – {b} ({why})" for a, b, why in collision.left_out)
-            + "."
-        )
-    return notes
 
 
 def _along(

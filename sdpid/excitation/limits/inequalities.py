@@ -103,7 +103,7 @@ class ToolSpeedWithin:
 
         robot, model = self.robot, self.robot.pin_model
         data, E = model.createData(), robot.expansion
-        upright = pin.ReferenceFrame.LOCAL_WORLD_ALIGNED
+        own = pin.ReferenceFrame.LOCAL
         speeds = np.empty((len(q), len(self.frames)))
         slopes = np.zeros((2, len(q), len(self.frames), robot.n))
         zero = np.zeros(model.nv)
@@ -114,9 +114,9 @@ class ToolSpeedWithin:
                 pin.forwardKinematics(model, data, *state)
             for c, frame in enumerate(self.frames):
                 pin.updateFramePlacement(model, data, frame)
-                velocity = pin.getFrameVelocity(model, data, frame, upright).linear
+                velocity = pin.getFrameVelocity(model, data, frame, own).linear
                 speeds[k, c] = np.linalg.norm(velocity)
                 if derivatives:
-                    by = pin.getFrameVelocityDerivatives(model, data, frame, upright)
+                    by = pin.getFrameVelocityDerivatives(model, data, frame, own)
                     slopes[:, k, c] = [velocity @ part[:3] @ E for part in by]
         return speeds, slopes[0], slopes[1]

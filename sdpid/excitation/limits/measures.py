@@ -14,9 +14,6 @@ from sdpid.excitation.limits.torque import TorqueModel
 from sdpid.experiment.trajectory.curve import Curve
 from sdpid.robot.model.model import RobotModel
 
-# Coal finds distances to about this, m.
-_DISTANCE_ERROR = 2e-6
-
 
 @dataclass(frozen=True, eq=False)
 class PositionMeasure:
@@ -234,4 +231,4 @@ class DistanceMeasure:
         """Return upper bounds (C, pairs)."""
         rate = cells.largest(1) @ self.collision.reach.T
         middle = 0.5 * (cells.left + cells.right)
-        return np.asarray(0.5 * cells.width * rate - middle + _DISTANCE_ERROR)
+        return np.asarray(0.5 * cells.width * rate - middle + self.collision.accuracy)
