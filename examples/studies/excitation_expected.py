@@ -52,7 +52,7 @@ PERTURBED, RADIUS = 0.15, 0.02
 
 # Drives that follow the plan: the default's velocity loop this many times as stiff, and the
 # position loop's pole, 1/s. The default's lags by 10 to 20 % of the motion, and stiff wrists stick.
-STIFFER, POSITION_POLE = 2.0, 80.0
+STIFFER, POSITION_POLE = 2.0, 200.0
 
 # What the ratio of simulated to expected intervals must lie within.
 LEAST, MOST = 0.8, 1.25

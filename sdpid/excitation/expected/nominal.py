@@ -14,7 +14,8 @@ from sdpid.robot.model.base_parameters import characteristic_length
 from sdpid.robot.model.model import RobotModel
 
 # Coulomb friction is taken to be this share of a joint's usual effort, and viscous friction as
-# large at its rms speed: as simulated robots have it.
+# large at its rms speed: as simulated robots have it. Descriptions often write next to none, where
+# they mean that they do not know.
 _FRICTION = 0.1
 
 # A robot whose description has no masses is taken to weigh this much a link, kg, each a ball with
@@ -48,8 +49,8 @@ def nominal_theta(
 ) -> tuple[Array, tuple[str, ...]]:
     """Return theta (p,) before a run, and what was assumed.
 
-    Links are as described; Coulomb and viscous friction as described, else of a usual size on the
-    motion; other terms are zero.
+    Links are as described; Coulomb and viscous friction as described, and at least of a usual size
+    on the motion; other terms are zero.
 
     Parameters
     ----------
@@ -64,8 +65,8 @@ def nominal_theta(
     speed = np.maximum(np.sqrt(np.mean(v**2, axis=0)), _STANDS)
     viscous, coulomb = robot.described_friction()
     sizes = {
-        "Fs": np.where(coulomb > 0.0, coulomb, _FRICTION * usual),
-        "Fv": np.where(viscous > 0.0, viscous, _FRICTION * usual / speed),
+        "Fs": np.maximum(coulomb, _FRICTION * usual),
+        "Fv": np.maximum(viscous, _FRICTION * usual / speed),
     }
     tail = [
         float(sizes[symbol][p.joint]) if (symbol := p.name.rstrip("0123456789")) in sizes else 0.0
