@@ -17,6 +17,7 @@ from .estimation.robust.solve import solve_robust
 from .estimation.sdp.cvxpy_form import to_cvxpy
 from .estimation.sdp.solve import solve_sdp
 from .estimation.wls import solve_wls
+from .excitation.design.design import design_excitation
 from .excitation.limits.check import check_trajectory
 from .excitation.limits.limits import Limits
 from .experiment.inspection.inspect import inspect_recording
@@ -65,6 +66,7 @@ __all__ = [
     "constraints",
     "cost_of_constraints",
     "cross_validate",
+    "design_excitation",
     "errors",
     "friction",
     "identify",

@@ -22,6 +22,7 @@ CONTRACT = {
     "build_problem",
     "certify",
     "check_trajectory",
+    "design_excitation",
     "compare",
     "confidence_intervals",
     "identify",

@@ -14,8 +14,9 @@ ObjectiveKind = Literal["mixed", "D", "A", "E", "V", "condition"]
 
 # What an objective is called, and what it depends on.
 WORDS: dict[str, str] = {
-    "mixed": "volume of the uncertainty and condition number, in one",
-    "D": "volume of the uncertainty of all parameters (log det; in any units the same)",
+    "mixed": "log det of what the data show, without the prior, and condition number in SI units",
+    "D": "volume of the uncertainty of all parameters, the prior's knowledge included (log det; in "
+    "any units the same)",
     "A": "sum of the parameters' variances, each in units of what moves the efforts as much",
     "E": "largest variance of any combination of the parameters, in the same units",
     "V": "mean variance of the efforts, or of what the purpose asks for",

@@ -1,0 +1,322 @@
+"""Design a motion that is safe at every instant and shows the parameters."""
+
+from __future__ import annotations
+
+import itertools
+import os
+import time
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from sdpid._common.arrays import Array
+from sdpid._common.progress import progress as progress_bar
+from sdpid._common.seeds import generator
+from sdpid.errors import DataError
+from sdpid.estimation.prior.prior import Prior
+from sdpid.excitation.criterion.earlier import Previous
+from sdpid.excitation.criterion.noise import Given
+from sdpid.excitation.criterion.objectives import WORDS, ObjectiveKind
+from sdpid.excitation.design.homes import homes
+from sdpid.excitation.design.repair import Inequalities, mend
+from sdpid.excitation.design.task import Motion, Task
+from sdpid.excitation.expected.expect import expect
+from sdpid.excitation.geometry.obstacles import Obstacle
+from sdpid.excitation.limits.limits import Limits
+from sdpid.excitation.plan.plan import Plan
+from sdpid.excitation.plan.settings import settings_of
+from sdpid.excitation.search.linear import linear_limits
+from sdpid.excitation.search.search import MOST_STEPS, Candidate, Search
+from sdpid.excitation.search.starts import random_start
+from sdpid.experiment.trajectory.trajectory import Trajectory
+from sdpid.robot.friction.term import FrictionTerm
+from sdpid.robot.model.load import load_robot
+from sdpid.robot.model.model import RobotModel
+
+# Friction terms of a plan, where none are named: those that every joint has.
+FRICTION = ("coulomb", "viscous", "offset")
+# Starts of the search: with four, the best is within a tenth of that of twenty.
+STARTS = 4
+# Of a time limit, what is kept for the check and for what the run will buy: seconds, and at most
+# this share.
+_KEPT_SECONDS, _KEPT_SHARE = 5.0, 0.4
+# Instants a second of the regressor whose condition number is stated.
+_SCORED_HZ = 100.0
+
+
+def design_excitation(
+    robot: RobotModel | str | os.PathLike[str],
+    *,
+    duration: float = 20.0,
+    limits: Limits | None = None,
+    obstacles: Iterable[Obstacle] = (),
+    collisions: bool = True,
+    friction: Iterable[str | FrictionTerm] | None = None,
+    prior: Prior | bool | None = None,
+    previous: Previous | None = None,
+    noise: Given = None,
+    purpose: str = "all",
+    predict: Trajectory | None = None,
+    objective: ObjectiveKind | None = None,
+    motion: Motion = "spline",
+    closed: bool = True,
+    harmonics: int | None = None,
+    start: ArrayLike | None = None,
+    periods: int = 1,
+    torque_spread: float = 0.0,
+    package_dirs: Iterable[str | os.PathLike[str]] = (),
+    starts: int = STARTS,
+    time_limit: float | None = None,
+    seed: int = 0,
+    progress: bool | None = None,
+) -> Plan:
+    """Design a motion that is safe at every instant and shows the parameters.
+
+    The motion with the smallest objective is searched from several starts; what is found is
+    checked at every instant, not on a grid, and mended until it holds. Interrupted (Ctrl-C), the
+    search returns the best motion so far, checked like any other. The same arguments give the
+    same plan, but for those with a `time_limit`.
+
+    Parameters
+    ----------
+    robot : RobotModel, str or path
+        The robot, on a fixed base: anything that `load_robot` takes.
+    duration : float, optional
+        Duration of the motion, or of one of its periods, s.
+    limits : Limits, optional
+        What narrows the description's limits, of which 95 % are used.
+    obstacles : iterable of Plane, Box, Mesh, optional
+        What stands around the robot, in its base frame.
+    collisions : bool, optional
+        Whether the robot must not touch itself or obstacles; by default it keeps 30 mm.
+    friction : iterable of str or FrictionTerm, optional
+        Friction terms and other effects (``rotor_inertia``, ``tilt``, ``load``) of the model; by
+        default Coulomb and viscous friction and offsets.
+    prior : Prior or bool, optional
+        What is known of the links before the run; by default that of `identify`.
+    previous : Estimate, Identification, recordings or paths, optional
+        Earlier runs: the plan asks for what they left open.
+    noise : float, sequence, mapping or ExpectedNoise, optional
+        Standard deviation of the efforts' white noise at 500 Hz, N·m; by default that of the
+        earlier runs, else what is usual on real robots.
+    purpose : {"all", "payload", "friction", "gravity", "torque"}, optional
+        What the run is for; ``torque`` predicts the efforts of the motion `predict`.
+    predict : Trajectory, optional
+        The motion whose efforts are to be predicted.
+    objective : {"mixed", "D", "A", "E", "V", "condition"}, optional
+        What is made small; by default ``mixed`` for all parameters (log det and condition
+        number), else what fits the purpose.
+    motion : {"spline", "fourier", "postures", "one_by_one"}, optional
+        Splines show most. Fourier series are for controllers that want them, postures for robots
+        that are read out at rest, and one joint at a time for its friction.
+    closed : bool, optional
+        Whether a spline ends where it began, so that it can be repeated.
+    harmonics : int, optional
+        Of a Fourier series; by default up to 0.6 Hz.
+    start : array_like, shape (n,), optional
+        Where the motion begins and ends; by default the search chooses.
+    periods : int, optional
+        How often the motion is run.
+    torque_spread : float, optional
+        Standard deviations of the prior by which torques may be larger than nominal.
+    package_dirs : iterable of paths, optional
+        Folders in which the description's meshes are looked up.
+    starts : int, optional
+        Number of starts of the search; ignored with a `time_limit`.
+    time_limit : float, optional
+        Seconds that search and check may take; by default as long as the starts need.
+    seed : int, optional
+        Of everything that is random.
+    progress : bool, optional
+        Show a progress bar; by default on a terminal.
+
+    Returns
+    -------
+    Plan
+
+    Raises
+    ------
+    ModelError
+        When the base floats, or the robot touches itself or an obstacle at rest.
+    DataError
+        When arguments contradict each other, the duration is too short for the limits, or no
+        motion holds them all: it says which limit stands in the way.
+    MissingExtraError
+        When CasADi is not installed (extra ``excite``).
+
+    Notes
+    -----
+    Objectives of which a change of units changes the optimum say so: ``condition`` in SI units,
+    ``A`` and ``E`` in units of what moves the efforts of usual motions by 1 N·m.
+    """
+    began = time.monotonic()
+    if starts < 1:
+        raise DataError(f"starts: is {starts}; give at least 1.")
+    if time_limit is not None and not time_limit > 0.0:
+        raise DataError(f"time_limit: is {time_limit}; give a positive time in s.")
+    model = robot if isinstance(robot, RobotModel) else load_robot(robot)
+    terms = FRICTION if friction is None else tuple(friction)
+    around, folders = tuple(obstacles), tuple(package_dirs)
+    task = Task.of(
+        model,
+        duration=duration,
+        limits=limits,
+        obstacles=around,
+        collisions=collisions,
+        friction=terms,
+        prior=prior,
+        previous=previous,
+        noise=noise,
+        purpose=purpose,
+        predict=predict,
+        objective=objective,
+        motion=motion,
+        closed=closed,
+        harmonics=harmonics,
+        start=start,
+        periods=periods,
+        torque_spread=torque_spread,
+        package_dirs=folders,
+        seed=seed,
+    )
+    deadline = np.inf
+    if time_limit is not None:
+        deadline = began + time_limit - min(_KEPT_SECONDS, _KEPT_SHARE * time_limit)
+    search = Search(
+        space=task.space,
+        criterion=task.criterion,
+        linear=linear_limits(task.space, task.limits, task.start),
+        deadline=deadline,
+    )
+    inequalities = Inequalities(task)
+    rows = inequalities.rows()
+    with _steps(starts, began, deadline, progress) as step:
+        count = starts if time_limit is None else None
+        begun = itertools.islice(_starts(task, search, rows, seed), count)
+        found, stopped = search.run(begun, rows, step=step)
+    if time_limit is not None:
+        deadline = began + time_limit - min(_KEPT_SECONDS, _KEPT_SHARE * time_limit) / 2.0
+    best, check = mend(task, replace(search, deadline=deadline), found[0], inequalities)
+    notes = [*task.notes, *_notes(task, found, stopped, time_limit)]
+    W = task.rows.rows(*_scored_states(task, best.x)).reshape(-1, task.rows.count)
+    information = W.T @ W / (len(W) / model.n)
+    values = np.linalg.eigvalsh(information)
+    trajectory = task.trajectory(best.x)
+    # Without earlier runs, which are about the plan's terms, the terms are those of `identify`.
+    expected = expect(
+        model,
+        trajectory,
+        friction=terms if friction is not None or task.earlier is not None else None,
+        noise=task.noise,
+        prior=prior,
+        earlier=task.earlier,
+        limits=task.limits,
+    )
+    return Plan(
+        robot=model,
+        trajectory=trajectory,
+        limits=check,
+        joint_limits=task.limits,
+        collision=task.collision,
+        names=expected.names,
+        standard_errors=expected.standard_errors,
+        condition_number=float(np.sqrt(values[-1] / max(values[0], np.finfo(float).tiny))),
+        log_det=float(np.log(np.maximum(values, np.finfo(float).tiny)).sum()),
+        expected=expected,
+        objective=task.criterion.objective.kind,
+        purpose=purpose,
+        motion=motion,
+        notes=tuple(notes),
+        settings=settings_of(
+            robot=robot,
+            duration=duration,
+            limits=limits,
+            obstacles=around,
+            collisions=collisions,
+            friction=terms,
+            prior=prior,
+            previous=previous,
+            noise=noise,
+            purpose=purpose,
+            objective=objective,
+            motion=motion,
+            closed=closed,
+            harmonics=harmonics,
+            start=start,
+            periods=periods,
+            torque_spread=torque_spread,
+            package_dirs=folders,
+            starts=starts,
+            time_limit=time_limit,
+            seed=seed,
+        ),
+        history=tuple(_row(candidate) for candidate in found),
+    )
+
+
+@contextmanager
+def _steps(
+    starts: int, began: float, deadline: float, shown: bool | None
+) -> Iterator[Callable[[], None]]:
+    """Yield what to call after every step of the search, which moves a progress bar."""
+    timed = np.isfinite(deadline)
+    total = deadline - began if timed else starts * MOST_STEPS
+    last = began
+    with progress_bar(total, "searching a motion", enabled=shown) as advance:
+
+        def step() -> None:
+            nonlocal last
+            now = time.monotonic()
+            advance(now - last if timed else 1.0)
+            last = now
+
+        yield step
+
+
+def _starts(task: Task, search: Search, rows: Any, seed: int) -> Iterable[Array]:
+    """Yield random motions within all limits."""
+    rng = generator(seed)
+
+    def holds(x: Array) -> bool:
+        return rows is None or bool(np.min(rows.values(x)) > 0.0)
+
+    for home in homes(task, rng):
+        yield random_start(task.space, search.linear, home, rng, holds)
+
+
+def _scored_states(task: Task, x: Array) -> tuple[Array, Array, Array]:
+    time = task.space.grid(rate=_SCORED_HZ)
+    c = task.space.coefficients(x)
+    q, v, a = (task.space.basis(time, order) @ c for order in range(3))
+    return q, v, a
+
+
+def _notes(
+    task: Task, found: list[Candidate], stopped: bool, time_limit: float | None
+) -> list[str]:
+    kind = task.criterion.objective.kind
+    notes = [f"objective '{kind}': {WORDS[kind]}."]
+    values = ", ".join(f"{each.value:.3f}" for each in found)
+    notes.append(
+        f"the search found its best motion from one of {len(found)} starts (objectives {values}): "
+        "others may be better, and no bound says by how much."
+    )
+    if stopped and time_limit is None:
+        notes.append("the search was interrupted: this is the best motion that it had found.")
+    elif stopped:
+        notes.append(f"the search ended at its time limit of {time_limit:g} s.")
+    return notes
+
+
+def _row(candidate: Candidate) -> dict[str, Any]:
+    return {
+        "start": candidate.start,
+        "objective": candidate.value,
+        "steps": candidate.steps,
+        "seconds": candidate.seconds,
+        "status": candidate.status,
+    }

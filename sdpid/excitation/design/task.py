@@ -1,0 +1,307 @@
+"""What a design is asked for, resolved and checked before the search."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
+from typing import Literal, get_args
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from sdpid._common.arrays import Array, real_array
+from sdpid._common.seeds import generator
+from sdpid.errors import DataError, ModelError
+from sdpid.estimation.prior.prior import Prior
+from sdpid.excitation.criterion.belief import prior_information
+from sdpid.excitation.criterion.criterion import Criterion
+from sdpid.excitation.criterion.earlier import (
+    EarlierInformation,
+    Previous,
+    earlier_information,
+)
+from sdpid.excitation.criterion.noise import ExpectedNoise, Given
+from sdpid.excitation.criterion.objectives import Objective, ObjectiveKind
+from sdpid.excitation.criterion.purpose import Purpose, purpose_of
+from sdpid.excitation.criterion.rows import BaseRows
+from sdpid.excitation.geometry.collision import CollisionModel
+from sdpid.excitation.geometry.obstacles import Obstacle
+from sdpid.excitation.limits.joint_limits import JointLimits
+from sdpid.excitation.limits.limits import Limits
+from sdpid.excitation.limits.torque import TorqueModel
+from sdpid.excitation.search.linear import linear_limits
+from sdpid.excitation.search.space import FourierSpace, Space, SplineSpace
+from sdpid.excitation.search.starts import random_start
+from sdpid.experiment.trajectory.trajectory import Trajectory
+from sdpid.robot.friction.term import FrictionTerm
+from sdpid.robot.model.model import RobotModel
+
+Motion = Literal["spline", "fourier", "postures", "one_by_one"]
+
+# Samples a second of a plan's trajectory.
+RATE_HZ = 500.0
+# Highest frequency of a Fourier series, Hz, and least number of harmonics.
+_HIGHEST_HZ, _FEWEST_HARMONICS = 0.6, 5
+# Distance that is kept where nothing else is said, m.
+CLEARANCE = 0.03
+# Share of the description's limits that is used where nothing else is said.
+_SHARE = 0.95
+# Random motions from which usual efforts are taken.
+_USUAL = 20
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Task:
+    """A design, ready to be searched.
+
+    Attributes
+    ----------
+    robot : RobotModel
+        The robot.
+    limits : JointLimits
+        Limits of its joints.
+    collision : CollisionModel or None
+        Pairs that must not touch; None where collisions are left out.
+    torque : TorqueModel
+        The torques of its motions.
+    rows : BaseRows
+        The regressor of the base parameters, signs as given.
+    noise : ExpectedNoise
+        Of the efforts.
+    known : ndarray, shape (b, b)
+        Information before the run.
+    earlier : EarlierInformation or None
+        That of earlier runs.
+    purpose : Purpose
+        What the run is for.
+    criterion : Criterion
+        What is made small.
+    space : Space
+        The motions among which is searched.
+    start : ndarray, shape (n,), or None
+        Where the motion begins, if that is given.
+    periods : int
+        How often the motion is run.
+    notes : tuple of str
+        What was assumed.
+    """
+
+    robot: RobotModel
+    limits: JointLimits
+    collision: CollisionModel | None
+    torque: TorqueModel
+    rows: BaseRows
+    noise: ExpectedNoise
+    known: Array
+    earlier: EarlierInformation | None
+    purpose: Purpose
+    criterion: Criterion
+    space: Space
+    start: Array | None
+    periods: int
+    notes: tuple[str, ...]
+
+    @classmethod
+    def of(
+        cls,
+        robot: RobotModel,
+        *,
+        duration: float,
+        limits: Limits | None,
+        obstacles: Iterable[Obstacle],
+        collisions: bool,
+        friction: Iterable[str | FrictionTerm],
+        prior: Prior | bool | None,
+        previous: Previous | None,
+        noise: Given,
+        purpose: str,
+        predict: Trajectory | None,
+        objective: ObjectiveKind | None,
+        motion: Motion,
+        closed: bool,
+        harmonics: int | None,
+        start: ArrayLike | None,
+        periods: int,
+        torque_spread: float,
+        package_dirs: Iterable[str | os.PathLike[str]],
+        seed: int,
+    ) -> Task:
+        """Resolve and check the arguments of `design_excitation`.
+
+        Raises
+        ------
+        SdpidError
+            As `design_excitation`.
+        """
+        _check(robot, duration, motion, periods)
+        if motion == "fourier" and not closed:
+            raise DataError("motion: Fourier series are closed; leave closed=False out.")
+        given = Limits() if limits is None else limits
+        begin = None if start is None else real_array(start, "start", ndim=1)
+        joints = given.of(robot, begin, share=_SHARE)
+        if joints.clearance is None:
+            joints = replace(joints, clearance=CLEARANCE)
+        _check_duration(joints, duration, motion)
+        notes = [*joints.assumed]
+        collision = None
+        if collisions:
+            collision = CollisionModel.of(
+                robot,
+                obstacles,
+                package_dirs=package_dirs,
+                rest=begin,
+                near=joints.rest,
+                lower=joints.lower,
+                upper=joints.upper,
+                seed=seed,
+            )
+            notes += collision.assumed
+            if not collision.pairs:
+                notes.append("no pair of bodies can touch: distances are not limited.")
+        space = _space(robot.n, duration, motion, closed, harmonics)
+        rows = BaseRows.of(robot, friction)
+        usual = _usual_states(robot, joints, space, seed)
+        effort = np.sqrt(np.mean(robot.inverse_dynamics(robot.prior, *usual) ** 2, axis=0))
+        earlier = None
+        if previous is not None:
+            earlier = earlier_information(robot, rows.friction, rows.base, previous)
+            notes += earlier.notes
+        if noise is None and earlier is not None:
+            noise = earlier.noise
+        expected = ExpectedNoise.of(robot.joint_names, noise, effort, RATE_HZ)
+        notes += expected.notes
+        known = prior_information(robot, rows.friction, rows.base, prior, effort)
+        if earlier is not None:
+            known = known + earlier.information
+        states = None
+        if predict is not None:
+            states = predict.sample()
+        wanted = purpose_of(purpose, robot, rows.friction, rows.base, motion=states)
+        torque = TorqueModel.of(robot, spread=torque_spread)
+        notes += torque.notes
+        return cls(
+            robot=robot,
+            limits=joints,
+            collision=collision,
+            torque=torque,
+            rows=rows,
+            noise=expected,
+            known=known,
+            earlier=earlier,
+            purpose=wanted,
+            criterion=_criterion(rows, wanted, objective, expected, known, earlier, usual),
+            space=space,
+            start=begin,
+            periods=periods,
+            notes=tuple(notes),
+        )
+
+    @property
+    def clearance(self) -> float:
+        """The distance that is kept between bodies, m."""
+        return self.limits.clearance or 0.0
+
+    def trajectory(self, x: Array, periods: int | None = None) -> Trajectory:
+        """Return the trajectory of free numbers x (N,)."""
+        limits, duration = self.limits, self.space.duration
+        return Trajectory(
+            joint_names=self.robot.joint_names,
+            series=self.space.curve(x),
+            # Whole samples: the rate differs from the usual one by less than a sample a period.
+            rate_hz=max(2, round(duration * RATE_HZ)) / duration,
+            periods=self.periods if periods is None else periods,
+            rest=0.0,
+            connection=0.0,
+            position_range=np.stack([limits.lower, limits.upper], axis=1),
+            velocity_limit=limits.velocity,
+        )
+
+
+def _check(robot: RobotModel, duration: float, motion: str, periods: int) -> None:
+    if robot.n_base:
+        raise ModelError(f"excitation of '{robot.name}': a floating base has no motors to move it.")
+    if not (np.isfinite(duration) and duration > 0.0):
+        raise DataError(f"duration: is {duration}; give a positive time in s.")
+    if motion not in get_args(Motion):
+        raise DataError(f"motion: is {motion!r}; use one of {', '.join(get_args(Motion))}.")
+    if int(periods) != periods or periods < 1:
+        raise DataError(f"periods: is {periods}; give a whole number from 1.")
+
+
+def _check_duration(limits: JointLimits, duration: float, motion: str) -> None:
+    """Refuse a duration in which some joint cannot move by a tenth of its range and back."""
+    least = limits.shortest_duration()
+    needed = float(least.sum() if motion == "one_by_one" else least.max())
+    if duration < needed:
+        j = int(np.argmax(least))
+        raise DataError(
+            f"duration: {duration:g} s is too short for the limits: {limits.joint_names[j]} takes "
+            f"{least[j]:.3g} s to travel a tenth of its range and back (speed "
+            f"{limits.velocity[j]:.3g}, acceleration {limits.acceleration[j]:.3g}, jerk "
+            f"{limits.jerk[j]:.3g}); give at least {np.ceil(10.0 * needed) / 10.0:g} s, or higher "
+            "limits."
+        )
+
+
+def _space(n: int, duration: float, motion: Motion, closed: bool, harmonics: int | None) -> Space:
+    if harmonics is not None and motion != "fourier":
+        raise DataError(f"harmonics: are of Fourier series; the motion is {motion!r}.")
+    if motion == "fourier":
+        usual = max(_FEWEST_HARMONICS, round(_HIGHEST_HZ * duration))
+        return FourierSpace.of(n, duration, usual if harmonics is None else harmonics)
+    if motion == "postures":
+        return SplineSpace.postures(n, duration)
+    if motion == "one_by_one":
+        return SplineSpace.one_by_one(n, duration)
+    return SplineSpace.of(n, duration, closed=closed)
+
+
+def _usual_states(
+    robot: RobotModel, limits: JointLimits, space: Space, seed: int
+) -> tuple[Array, Array, Array]:
+    """Return states (K, n) of random motions within the limits: the efforts that are usual."""
+    rng = generator(seed)
+    linear = linear_limits(space, limits)
+    time = space.grid()
+    parts = []
+    for _ in range(_USUAL):
+        share = rng.uniform(0.25, 0.75, robot.n)
+        home = limits.lower + share * (limits.upper - limits.lower)
+        c = space.coefficients(random_start(space, linear, home, rng, lambda x: True))
+        parts.append([space.basis(time, order) @ c for order in range(3)])
+    q, v, a = (np.concatenate(part) for part in zip(*parts, strict=True))
+    return q, v, a
+
+
+def _criterion(
+    rows: BaseRows,
+    purpose: Purpose,
+    objective: ObjectiveKind | None,
+    noise: ExpectedNoise,
+    known: Array,
+    earlier: EarlierInformation | None,
+    usual: Sequence[Array],
+) -> Criterion:
+    """Return what is made small: by default what fits the purpose."""
+    smooth = rows.smooth()
+    whole = purpose.name == "all"
+    kind = objective or ("mixed" if whole else "V" if purpose.kind == "sum" else "D")
+    if kind == "mixed":
+        # The data are to show every parameter by themselves: descriptions can be wrong.
+        known = np.zeros_like(known) if earlier is None else np.array(earlier.information)
+    W = smooth.rows(*usual)
+    size = np.sqrt(np.mean(np.sum(W**2, axis=1), axis=0))
+    scale = 1.0 / np.where(size > 0.0, size, 1.0)
+    functionals = None if whole else purpose.functionals
+    if whole and kind == "V":
+        # Mean variance of the efforts of usual motions, each joint in units of its noise.
+        weighted = (W / noise.deviation[:, None]).reshape(-1, rows.count)
+        functionals = np.linalg.qr(weighted, mode="r") / np.sqrt(len(W))
+    return Criterion(
+        rows=smooth,
+        objective=Objective(kind=kind, functionals=functionals, scale=scale if whole else None),
+        rates=1.0 / noise.density,
+        known=known,
+        directions=None if whole else np.array(purpose.directions),
+    )

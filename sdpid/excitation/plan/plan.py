@@ -1,0 +1,77 @@
+"""`Plan`: a motion to run on the robot, its limits, and what it will buy."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any
+
+from sdpid._common.arrays import Array, frozen
+from sdpid.excitation.expected.expected import Expected
+from sdpid.excitation.geometry.collision import CollisionModel
+from sdpid.excitation.limits.check import LimitCheck
+from sdpid.excitation.limits.joint_limits import JointLimits
+from sdpid.experiment.trajectory.trajectory import Trajectory
+from sdpid.robot.model.model import RobotModel
+
+
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class Plan:
+    """A motion that holds its limits at every instant, and shows the parameters.
+
+    Attributes
+    ----------
+    robot : RobotModel
+        The robot.
+    trajectory : Trajectory
+        The motion.
+    limits : LimitCheck
+        The proof that it holds its limits, with the slack of each.
+    joint_limits : JointLimits
+        The limits, and what was assumed of them.
+    collision : CollisionModel or None
+        The pairs whose distances were checked; None where collisions were left out.
+    names : tuple of str
+        The b base parameters of `standard_errors`.
+    standard_errors : ndarray, shape (b,)
+        Expected after the run, prior and earlier runs included.
+    condition_number : float
+        Of the stacked regressor of the base parameters, in SI units.
+    log_det : float
+        ``log det(W^T·W/K)`` of it.
+    expected : Expected
+        Intervals, bands, open directions, and how they shrink with time.
+    objective, purpose, motion : str
+        What was made small, what for, and which kind of motion.
+    notes : tuple of str
+        What was assumed, chosen or found, one sentence each.
+    settings : dict
+        Arguments of `design_excitation` from which the plan can be made again.
+    history : tuple of dict
+        One row a start: its value, steps, seconds and how it ended.
+    """
+
+    robot: RobotModel
+    trajectory: Trajectory
+    limits: LimitCheck
+    joint_limits: JointLimits
+    collision: CollisionModel | None
+    names: tuple[str, ...]
+    standard_errors: Array
+    condition_number: float
+    log_det: float
+    expected: Expected
+    objective: str
+    purpose: str
+    motion: str
+    notes: tuple[str, ...] = ()
+    settings: dict[str, Any] = field(default_factory=dict)
+    history: tuple[dict[str, Any], ...] = ()
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "standard_errors", frozen(self.standard_errors))
+
+    def __repr__(self) -> str:
+        return (
+            f"Plan('{self.robot.name}', {self.trajectory.period:g} s, condition number "
+            f"{self.condition_number:.3g}, log det {self.log_det:.3g})"
+        )

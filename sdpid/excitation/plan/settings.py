@@ -1,0 +1,23 @@
+"""Arguments of a design as numbers, words, lists and tables."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from sdpid._common.tables import plain
+
+
+def settings_of(**arguments: Any) -> dict[str, Any]:
+    """Return arguments as what JSON can hold; those that are None or empty are left out.
+
+    What has no plain form, such as a recording, becomes the words that name it.
+    """
+    settings = {}
+    for name, value in arguments.items():
+        if value is None or (isinstance(value, tuple | list) and not value):
+            continue
+        try:
+            settings[name] = plain(value)
+        except TypeError:
+            settings[name] = repr(value)
+    return settings
