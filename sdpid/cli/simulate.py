@@ -89,7 +89,7 @@ def simulate(
         for name in model.joint_names[model.n_base :]
     }
     sliding = [name for name, kind in kinds.items() if kind.startswith("JointModelP")]
-    notes = [*motion.velocity_report(sliding), *motion.notes]
+    notes = [*motion.velocity_report(sliding), *motion.notes, *recording.notes]
     content = {
         "samples": recording.n_samples,
         "duration_s": recording.duration,

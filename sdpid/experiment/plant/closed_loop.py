@@ -40,7 +40,8 @@ class ExactMotion:
     ) -> None:
         if unmodeled:
             raise DataError(
-                f"simulate: '{robot.name}' has mimic joints; unmodeled effects are not simulated."
+                f"simulate: '{robot.name}' follows its motion exactly, for mimic joints or large "
+                "damping; unmodeled effects are not simulated."
             )
         self.drives = drives
         self._robot, self._trajectory = robot, trajectory
@@ -82,29 +83,19 @@ class ClosedLoop:
         self.drives = drives
         self._effects = drives.unmodeled if unmodeled else None
         self._trajectory = trajectory
-        self._substeps = int(np.ceil(1.0 / (trajectory.rate_hz * _LONGEST_STEP) - 1e-9))
+        self._substeps = _substeps(trajectory)
         step = 1.0 / (trajectory.rate_hz * self._substeps)
         self._mujoco: Any = mujoco
         self.mujoco_model: MujocoModel = build_mujoco(robot, parameters, drives, timestep=step)
         self._data: Any = mujoco.MjData(self.mujoco_model.model)
         self._data.qpos[self.mujoco_model.qpos] = trajectory.center
-        self._check_stability(robot, parameters, step)
-
-    def _check_stability(self, robot: RobotModel, theta: Array, step: float) -> None:
-        """Raise when the velocity loop is too fast for the step, where the trajectory goes."""
-        speed = self.drives.velocity_gain + theta[10 * robot.n_links + robot.n :]
-        period = self._trajectory.position_period
-        for q in period[:: max(1, len(period) // 20)]:
-            M = robot.mass_matrix(theta, q)
-            # M⁻¹·D is similar to a symmetric matrix, so its eigenvalues are real.
-            root = np.sqrt(speed)
-            fastest = np.linalg.eigvalsh(root[:, None] * np.linalg.inv(M) * root)[-1]
-            if not fastest * step < _STABLE:
-                raise DataError(
-                    f"plant of '{robot.name}': the velocity loop's fastest pole is at "
-                    f"{fastest:.4g}/s, too fast for a step of {step:g} s (limit "
-                    f"{_STABLE / step:.4g}/s); lower velocity_gain or raise the sample rate."
-                )
+        fastest, limit = fastest_pole(robot, trajectory, parameters, drives)
+        if not fastest < limit:
+            raise DataError(
+                f"plant of '{robot.name}': the velocity loop's fastest pole is at {fastest:.4g}/s, "
+                f"too fast for a step of {step:g} s (limit {limit:.4g}/s); lower velocity_gain or "
+                "raise the sample rate."
+            )
 
     def state(self) -> Array:
         """Return positions and velocities, shape (2n,)."""
@@ -162,3 +153,24 @@ class ClosedLoop:
         if end < stop:
             desired = np.concatenate([desired, desired[-1:]])
         return desired
+
+
+def fastest_pole(
+    robot: RobotModel, trajectory: Trajectory, theta: Array, drives: Drives
+) -> tuple[float, float]:
+    """Return the velocity loop's fastest pole along a trajectory, and what is stable, in 1/s."""
+    speed = drives.velocity_gain + theta[10 * robot.n_links + robot.n :]
+    period = trajectory.position_period
+    fastest = 0.0
+    for q in period[:: max(1, len(period) // 20)]:
+        M = robot.mass_matrix(theta, q)
+        # M⁻¹·D is similar to a symmetric matrix, so its eigenvalues are real.
+        root = np.sqrt(speed)
+        poles = np.linalg.eigvalsh(root[:, None] * np.linalg.inv(M) * root)
+        fastest = max(fastest, float(poles[-1]))
+    return fastest, _STABLE * trajectory.rate_hz * _substeps(trajectory)
+
+
+def _substeps(trajectory: Trajectory) -> int:
+    """Return how many steps of the integrator there are in one sample."""
+    return int(np.ceil(1.0 / (trajectory.rate_hz * _LONGEST_STEP) - 1e-9))

@@ -12,7 +12,7 @@ from sdpid._common.arrays import Array, real_array
 from sdpid._common.progress import progress as progress_bar
 from sdpid._common.seeds import generator
 from sdpid.errors import DataError, ModelError
-from sdpid.experiment.plant.closed_loop import CHUNK, ClosedLoop, ExactMotion
+from sdpid.experiment.plant.closed_loop import CHUNK, ClosedLoop, ExactMotion, fastest_pole
 from sdpid.experiment.plant.default_motion import default_motion
 from sdpid.experiment.plant.default_plant import default_drives, default_parameters
 from sdpid.experiment.plant.drives import Drives, load_drives, plant_folder
@@ -77,7 +77,8 @@ def simulate(
     repeat the last one instead of being computed again; their noise is drawn anew.
 
     A robot with mimic joints has no closed loop here: it follows the trajectory exactly, and its
-    efforts are those of its equation of motion.
+    efforts are those of its equation of motion. So does a robot whose description has so much
+    damping that default drives would not move it as desired. `Recording.notes` say so.
 
     Parameters
     ----------
@@ -117,11 +118,15 @@ def simulate(
     rng = generator(seed)
     if trajectory is None:
         trajectory = default_motion(robot, rng)
+    made_up = drives is None and robot.name not in bundled_robots()
     theta, drives = plant_parts(robot, trajectory, theta, drives)
-    if robot.expansion.shape != (robot.n, robot.n):
-        plant: ClosedLoop | ExactMotion = ExactMotion(robot, trajectory, theta, drives, unmodeled)
-    else:
-        plant = ClosedLoop(robot, trajectory, theta, drives, unmodeled)
+    exact = robot.expansion.shape != (robot.n, robot.n)
+    if made_up and not exact:
+        fastest, limit = fastest_pole(robot, trajectory, theta, drives)
+        exact = fastest >= limit
+    kind = ExactMotion if exact else ClosedLoop
+    plant: ClosedLoop | ExactMotion = kind(robot, trajectory, theta, drives, unmodeled)
+    notes = ("simulated without a controller: the robot follows its motion exactly",)
     lead, per_period = trajectory.lead_samples, trajectory.samples_per_period
     settling = per_period if trajectory.closed else 0
     total = trajectory.n_samples + settling
@@ -165,6 +170,7 @@ def simulate(
         period=trajectory.period if trajectory.closed else None,
         start=lead / rate if trajectory.closed else None,
         periods=trajectory.periods if trajectory.closed else None,
+        notes=notes if exact else (),
     )
 
 

@@ -337,6 +337,17 @@ def test_any_robot_is_simulated_and_found_again(name: str) -> None:
     assert np.linalg.norm(problem.A @ (fit.base - truth)) < 1e-3 * scale
 
 
+def test_a_robot_of_large_damping_follows_its_motion_exactly() -> None:
+    robot = load_robot("z1")
+    trajectory = default_motion(robot, 1, period=10.0, periods=1)
+    log = simulate(robot, trajectory, noise=False, progress=False)
+    lead = trajectory.lead_samples
+    np.testing.assert_array_equal(log.position[lead:], trajectory.sample(lead)[0])
+    assert "without a controller" in log.notes[0]
+    with pytest.raises(DataError, match="large damping"):
+        simulate(robot, trajectory, unmodeled=True)
+
+
 def test_defaults_of_a_simulation() -> None:
     robot = load_robot("ur_description/ur5_robot")
     trajectory = default_motion(robot, 7)
