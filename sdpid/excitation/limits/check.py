@@ -29,6 +29,7 @@ from sdpid.excitation.limits.narrowing import sliding_joints, unit_of
 from sdpid.excitation.limits.tool import tool_frames
 from sdpid.excitation.limits.torque import TorqueModel
 from sdpid.experiment.trajectory.curve import Curve
+from sdpid.robot.model.load import load_robot
 from sdpid.robot.model.model import RobotModel
 
 Verdict = Literal["held", "broken", "undecided"]
@@ -168,7 +169,7 @@ def _gravity(row: LimitRow) -> tuple[bool, float]:
 
 
 def check_trajectory(
-    robot: RobotModel,
+    robot: RobotModel | str | os.PathLike[str],
     trajectory: Motion,
     limits: Limits | JointLimits | str | os.PathLike[str] | None = None,
     *,
@@ -189,8 +190,8 @@ def check_trajectory(
 
     Parameters
     ----------
-    robot : RobotModel
-        On a fixed base.
+    robot : RobotModel, str or path
+        On a fixed base: anything that `load_robot` takes.
     trajectory : Trajectory, path, mapping, data frame or Curve
         The motion, of any tool; see `sdpid.excitation.limits.motions.curves_of`.
     limits : Limits, JointLimits or path of a TOML file, optional
@@ -220,6 +221,8 @@ def check_trajectory(
     ModelError
         When the base floats, or a mesh cannot be read.
     """
+    if not isinstance(robot, RobotModel):
+        robot = load_robot(robot)
     curves = curves_of(robot, trajectory)
     start = curves[0][1].evaluate(np.zeros(1))[0]
     joints = _joint_limits(robot, limits, start)
