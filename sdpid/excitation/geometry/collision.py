@@ -16,13 +16,18 @@ from sdpid.errors import DataError, ModelError
 from sdpid.excitation.geometry.measure import Measure
 from sdpid.excitation.geometry.obstacles import Obstacle, named_apart
 from sdpid.excitation.geometry.pairs import Pair, choose_pairs
-from sdpid.excitation.geometry.reach import Reaches
+from sdpid.excitation.geometry.proof import proven_apart
+from sdpid.excitation.geometry.reach import pair_reaches, turning_coordinates
 from sdpid.excitation.geometry.soft import SoftMinimum
 from sdpid.excitation.geometry.solids import Solid, body_name, obstacle_solid, robot_solids
 from sdpid.robot.model.model import RobotModel
 
 # Slack beyond which the search need not know how far away everything is, m.
 _HORIZON = 0.2
+
+# Pairs that at most this many joints move are tried to be proven apart, by at most so many
+# distances, and by at least this distance, m: most clearances are less.
+_PROOF_JOINTS, _PROOF_MOST, _PROOF_LEAST = 3, 6000, 0.05
 
 # Joints without limits are drawn this far to either side, rad or m.
 _FAR = np.pi
@@ -51,6 +56,8 @@ class CollisionModel:
     reach : ndarray, shape (P, n)
         Bounds on the rates of the distances: at every position within the limits of sliding
         joints, ``|d distance_p/dt| ≤ Σ_j reach[p, j]·|velocity_j|``, in m/rad or m/m.
+    largest_clearance : float
+        The most that may be asked, m: pairs that are proven to keep it are left out.
     accuracy : float
         How far a distance may be off, m.
     """
@@ -63,6 +70,7 @@ class CollisionModel:
     assumed: tuple[str, ...]
     rest: Array
     reach: Array
+    largest_clearance: float
 
     # Coal stops where a distance is known to 1e-6 m; ten times that covers what was measured.
     accuracy: ClassVar[float] = 1e-5
@@ -139,6 +147,7 @@ class CollisionModel:
             seed=seed,
         )
         every = (*solids, *around)
+        named = [(pair.first, pair.second) for pair in choice.pairs]
         found = cls(
             robot=robot,
             obstacles=placed,
@@ -147,10 +156,11 @@ class CollisionModel:
             left_out=choice.left_out,
             assumed=(*assumed, *choice.notes),
             rest=frozen(choice.rest),
-            reach=frozen(_reach(robot, every, choice.pairs, bounds)),
+            reach=frozen(pair_reaches(robot, every, named, bounds)),
+            largest_clearance=max(clearance, _PROOF_LEAST),
         )
         found._check_surrounded()
-        return found
+        return found._without_proven(*finite)
 
     @cached_property
     def _measure(self) -> Measure:
@@ -189,7 +199,18 @@ class CollisionModel:
         return self._measure.gradients(self.robot.configuration(q))
 
     def clearances(self, clearance: float) -> Array:
-        """Return the distance that is asked of each pair (P,) for a wanted clearance, m."""
+        """Return the distance that is asked of each pair (P,) for a wanted clearance, m.
+
+        Raises
+        ------
+        DataError
+            When it is larger than `largest_clearance`.
+        """
+        if clearance > self.largest_clearance:
+            raise DataError(
+                f"clearance: {clearance} m, the pairs were chosen for at most "
+                f"{self.largest_clearance} m; make the model with clearance={clearance}."
+            )
         return np.array([pair.clearance(clearance) for pair in self.pairs])
 
     def closer(self, clearance: float) -> tuple[str, ...]:
@@ -249,6 +270,28 @@ class CollisionModel:
         """The same with only the pairs that came near each other at a drawn position."""
         return self.only(np.array([pair.searched for pair in self.pairs], dtype=bool))
 
+    def _without_proven(self, lower: Array, upper: Array) -> CollisionModel:
+        """Return the same without the pairs that are never near within the limits."""
+        # Whole turns repeat what a turn has shown.
+        upper = np.where(
+            turning_coordinates(self.robot), np.minimum(upper, lower + 2.0 * np.pi), upper
+        )
+        kept, left_out = [], list(self.left_out)
+        for p, pair in enumerate(self.pairs):
+            asked = pair.clearance(self.largest_clearance)
+            joints = np.count_nonzero((self.reach[p] > 0.0) & (upper > lower))
+            count = None
+            if joints <= _PROOF_JOINTS and pair.nearest > asked:
+                distance = _OneDistance(self.only([p]))
+                limits = (self.reach[p], lower, upper)
+                count = proven_apart(distance, *limits, asked, most=_PROOF_MOST)
+            if count is None:
+                kept.append(p)
+            else:
+                how = f"never nearer than {1e3 * asked:.0f} mm, proven by {count} distance"
+                left_out.append((pair.first, pair.second, how + "s" * (count > 1)))
+        return replace(self.only(kept), left_out=tuple(left_out))
+
     def _check_surrounded(self) -> None:
         """Refuse links at rest inside a mesh that is no hull: distances to its surface are > 0."""
         from sdpid.robot.model.geometry import link_placements
@@ -269,6 +312,16 @@ class CollisionModel:
                             f"obstacle '{obstacle.name}' surrounds '{solid.body}' at the rest "
                             "position; move it, or give another rest position."
                         )
+
+
+@dataclass(frozen=True, eq=False)
+class _OneDistance:
+    """The distance of a model's only pair, less by its error."""
+
+    model: CollisionModel
+
+    def __call__(self, q: Array) -> Array:
+        return np.asarray(self.model.distances(q)[:, 0] - self.model.accuracy)
 
 
 def _bounds(robot: RobotModel, lower: ArrayLike | None, upper: ArrayLike | None) -> Array:
@@ -309,31 +362,3 @@ def _check_base(robot: RobotModel, obstacles: Iterable[Obstacle]) -> None:
                 f"obstacle '{obstacle.name}' contains the base '{body_name(robot, 0)}': the origin "
                 "of its frame and the first joint lie inside; move the obstacle."
             )
-
-
-def _reach(
-    robot: RobotModel, solids: Sequence[Solid], pairs: Sequence[Pair], bounds: Array
-) -> Array:
-    lower, upper = _expanded(robot, bounds)
-    reaches = Reaches(robot.pin_model, lower, upper)
-    cores: dict[str, list[tuple[Array, float]]] = {}
-    for solid in solids:
-        cores.setdefault(solid.body, []).append(solid.core)
-    joint = {solid.body: solid.joint for solid in solids}
-    found = [
-        reaches.between(
-            joint[pair.first], cores[pair.first], joint[pair.second], cores[pair.second]
-        )
-        for pair in pairs
-    ]
-    return np.array(found).reshape(len(pairs), robot.pin_model.nv) @ np.abs(robot.expansion)
-
-
-def _expanded(robot: RobotModel, bounds: Array) -> Array:
-    """Return the limits (2, nv) of Pinocchio's joints from those of the coordinates."""
-    expansion, out = robot.expansion, np.tile(robot.offset, (2, 1))
-    for column in range(robot.n):
-        rows = np.flatnonzero(expansion[:, column])
-        ends = np.multiply.outer(bounds[:, column], expansion[rows, column])
-        out[:, rows] += np.sort(ends, axis=0)
-    return out

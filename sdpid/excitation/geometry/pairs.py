@@ -142,14 +142,14 @@ class _Chooser:
         self._gap = max(_REST_GAP, _REST_ROOM * clearance)
         self._parents = [int(parent) for parent in robot.pin_model.parents]
         self._joint = {solid.body: solid.joint for solid in solids}
-        self._obstacles = {solid.body for solid in obstacles}
+        self._obstacles = dict.fromkeys(solid.body for solid in obstacles)
         self.left_out: list[tuple[str, str, str]] = []
         ignored = {frozenset(pair) for pair in ignore}
         for name in sorted({name for pair in ignored for name in pair}):
             if name not in self._joint and name not in self._obstacles:
                 raise ModelError(
                     f"ignore: '{name}' is no body of '{robot.name}' with a shape and no obstacle; "
-                    f"there are {', '.join((*self._joint, *sorted(self._obstacles)))}."
+                    f"there are {', '.join((*self._joint, *self._obstacles))}."
                 )
         self.candidates: list[tuple[str, str]] = []
         for pair in self._all():
@@ -166,7 +166,7 @@ class _Chooser:
         bodies = list(self._joint)
         for i, first in enumerate(bodies):
             yield from ((first, second) for second in bodies[i + 1 :])
-        for obstacle in dict.fromkeys(self._obstacles):
+        for obstacle in self._obstacles:
             yield from ((first, obstacle) for first in bodies)
 
     def _between(self, first: str, second: str) -> int:

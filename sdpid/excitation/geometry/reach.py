@@ -14,13 +14,17 @@ of both reaches holds.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 
-from sdpid._common.arrays import Array
+from sdpid._common.arrays import Array, Mask
+from sdpid.excitation.geometry.solids import Solid
+from sdpid.robot.model.model import RobotModel
 
 Ball = tuple[Array, float]
+Core = tuple[Array, float]
 
 
 def joint_axes(robot_model: Any) -> tuple[Array, Array]:
@@ -70,9 +74,7 @@ class Reaches:
         self._nv, self._columns = robot_model.nv, columns
         self._range = [(0.0, 0.0)] + [(float(lower[c]), float(upper[c])) for c in columns[1:]]
 
-    def between(
-        self, first: int, cores: list[tuple[Array, float]], second: int, others: list[Any]
-    ) -> Array:
+    def between(self, first: int, cores: list[Core], second: int, others: list[Core]) -> Array:
         """Return the bounds (nv,) for two bodies, given by joints and cores (`Solid.core`)."""
         up, down = way(self._parents, first, second)
         out = np.zeros(self._nv)
@@ -82,9 +84,7 @@ class Reaches:
             out[self._columns[joint]] = min(there[joint], back[joint])
         return out
 
-    def _along(
-        self, up: list[int], down: list[int], cores: list[tuple[Array, float]]
-    ) -> dict[int, float]:
+    def _along(self, up: list[int], down: list[int], cores: list[Core]) -> dict[int, float]:
         """Return for each joint on the way how far the body's points can be from its axis."""
         out = dict.fromkeys((*up, *down), 0.0)
         for points, radius in cores:
@@ -101,7 +101,7 @@ class Reaches:
                 ball = self._swept(joint, ball, -1.0)
         return out
 
-    def _distance(self, joint: int, ball: Ball, exact: tuple[Array, float] | None) -> float:
+    def _distance(self, joint: int, ball: Ball, exact: Core | None) -> float:
         """Return the farthest from an axis, or one for a sliding joint."""
         axis = self._turning[joint]
         if not axis.any():
@@ -123,6 +123,41 @@ class Reaches:
             center + sign * 0.5 * (lower + upper) * self._sliding[joint],
             radius + 0.5 * (upper - lower),
         )
+
+
+def pair_reaches(
+    robot: RobotModel, solids: Sequence[Solid], pairs: Sequence[tuple[str, str]], bounds: Array
+) -> Array:
+    """Return the bounds (P, n) for pairs of bodies, given limits (2, n) of the coordinates."""
+    reaches = Reaches(robot.pin_model, *_joint_bounds(robot, bounds))
+    cores: dict[str, list[Core]] = {}
+    for solid in solids:
+        cores.setdefault(solid.body, []).append(solid.core)
+    joint = {solid.body: solid.joint for solid in solids}
+    out = np.zeros((len(pairs), robot.pin_model.nv))
+    for p, (first, second) in enumerate(pairs):
+        out[p] = reaches.between(joint[first], cores[first], joint[second], cores[second])
+    return np.asarray(out @ np.abs(robot.expansion))
+
+
+def turning_coordinates(robot: RobotModel) -> Mask:
+    """Return which coordinates (n,) turn one joint by their own angle."""
+    axes, _ = joint_axes(robot.pin_model)
+    turning = np.zeros(robot.expansion.shape[0], dtype=bool)
+    for joint in range(1, robot.pin_model.njoints):
+        turning[robot.pin_model.joints[joint].idx_v] = axes[joint].any()
+    own = (np.abs(robot.expansion) == 1.0) & turning[:, None]
+    return np.asarray(own.any(axis=0) & (np.count_nonzero(robot.expansion, axis=0) == 1))
+
+
+def _joint_bounds(robot: RobotModel, bounds: Array) -> Array:
+    """Return the limits (2, nv) of Pinocchio's joints from those of the coordinates."""
+    expansion, out = robot.expansion, np.tile(robot.offset, (2, 1))
+    for column in range(robot.n):
+        rows = np.flatnonzero(expansion[:, column])
+        ends = np.multiply.outer(bounds[:, column], expansion[rows, column])
+        out[:, rows] += np.sort(ends, axis=0)
+    return out
 
 
 def _ball(points: Array, radius: float) -> Ball:

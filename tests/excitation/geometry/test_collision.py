@@ -47,15 +47,13 @@ def column(model: CollisionModel, first: str, second: str) -> int:
 
 
 def test_balls_and_a_table_in_closed_form() -> None:
-    model = CollisionModel.of(shaped_arm(BALL, BALL, BALL, BALL), [table(-1.0)])
+    model = CollisionModel.of(shaped_arm(BALL, BALL, BALL, BALL, spacing=0.3), [table(-0.35)])
     q = positions(model.robot, 0, 20)
-    distances = model.distances(q)
+    measure = Measure(model.robot, model.solids, [("l0", "l3"), ("l3", "table")])
     # The third ball sits at the third joint, whose angle does not matter.
-    x = 0.5 * np.column_stack([1 + np.cos(q[:, 1]), np.zeros(20), -np.sin(q[:, 1])])
-    apart = np.linalg.norm(x, axis=1)
-    np.testing.assert_allclose(distances[:, column(model, "l0", "l3")], apart - 0.2, atol=1e-9)
-    above = x[:, 2] + 1.0 - 0.1
-    np.testing.assert_allclose(distances[:, column(model, "l3", "table")], above, atol=1e-9)
+    x = 0.3 * np.column_stack([1 + np.cos(q[:, 1]), np.zeros(20), -np.sin(q[:, 1])])
+    expected = np.column_stack([np.linalg.norm(x, axis=1) - 0.2, x[:, 2] + 0.35 - 0.1])
+    np.testing.assert_allclose(measure.distances(q), expected, atol=1e-9)
 
 
 def test_a_box_and_a_ball_in_closed_form_also_where_they_overlap() -> None:
@@ -154,7 +152,12 @@ def test_joints_that_are_not_between_two_bodies_have_no_reach() -> None:
     model = ROBOTS["panda"]
     p = column(model, "panda_link2", "panda_link5")
     assert np.flatnonzero(model.reach[p]).tolist() == [2, 3, 4]
-    assert np.flatnonzero(model.reach[column(model, "panda_link2", "table")]).tolist() == [0, 1]
+    assert np.flatnonzero(model.reach[column(model, "panda_link4", "table")]).tolist() == [
+        0,
+        1,
+        2,
+        3,
+    ]
 
 
 @pytest.mark.parametrize("name", ROBOTS)
@@ -200,6 +203,23 @@ def test_neighbors_and_pairs_that_always_overlap_are_left_out_with_reasons() -> 
     checked = {frozenset({pair.first, pair.second}) for pair in model.pairs}
     assert checked.isdisjoint(reasons)
     assert len(checked) + len(reasons) == 6
+
+
+@pytest.mark.parametrize("name", ROBOTS)
+def test_pairs_that_are_proven_apart_stay_apart(name: str) -> None:
+    model = ROBOTS[name]
+    proven = [(a, b, reason) for a, b, reason in model.left_out if "proven" in reason]
+    assert proven
+    measure = Measure(model.robot, model.solids, [(a, b) for a, b, _ in proven])
+    distances = measure.distances(model.robot.configuration(positions(model.robot, 7, 2000)))
+    for p, (_, _, reason) in enumerate(proven):
+        asked = 1e-3 * float(reason.split(" mm")[0].split()[-1])
+        assert distances[:, p].min() >= asked - 5e-4
+
+
+def test_a_clearance_beyond_what_was_proven_is_refused() -> None:
+    with pytest.raises(DataError, match=r"at most 0\.05 m; make the model with clearance=0\.2"):
+        ROBOTS["panda"].clearances(0.2)
 
 
 def test_links_that_turn_on_the_spot_above_a_table_are_left_out() -> None:
@@ -249,7 +269,7 @@ def test_links_built_close_to_each_other_are_asked_for_less() -> None:
     p = column(model, "panda_link5", "panda_link7")
     assert 0.0 < model.clearances(0.05)[p] < 0.02
     assert any("panda_link5 and panda_link7" in sentence for sentence in model.closer(0.05))
-    assert model.clearances(0.05)[column(model, "panda_link2", "table")] == 0.05
+    assert model.clearances(0.05)[column(model, "panda_link4", "table")] == 0.05
 
 
 @pytest.mark.parametrize(
