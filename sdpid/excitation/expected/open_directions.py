@@ -29,8 +29,7 @@ _MOST = 12
 # A parameter belongs to a direction when its share of the unit vector is at least this.
 _SHARE = 0.3
 
-# Motions tried: one joint's range, or the speed of all, by this factor; a longer run has the square
-# of it, which is what either gains at least where it is all that counts.
+# What is tried: one joint's range, the speed of all, or the duration, by this factor.
 _FACTOR = 1.5
 
 # States looked at.
@@ -39,7 +38,8 @@ _STATES = 400
 # A motion uses a limit that it reaches to this share.
 _REACHED = 0.9
 
-# More than this many times what a longer run would bring, and a cause is named.
+# More than this many times what a longer run would bring, and another cause is named; within this
+# factor of more speed, more range is.
 _CLEAR = 1.15
 
 
@@ -177,7 +177,7 @@ def _gains(asked: Asked) -> dict[Change, Array]:
     q, v, a = q[::step], v[::step], a[::step]
     middle = q.mean(axis=0)
     gains: dict[Change, Array] = {("as is", None): _information(asked, q, v, a)}
-    gains["time", None] = _FACTOR**2 * gains["as is", None]
+    gains["time", None] = _FACTOR * gains["as is", None]
     gains["speed", None] = _information(asked, q, _FACTOR * v, _FACTOR**2 * a)
     for j, name in enumerate(asked.robot.joint_names):
         factor = np.ones(q.shape[1])
@@ -203,7 +203,11 @@ def _cause(gains: dict[Change, Array], direction: Array) -> Change:
     told = {key: float(direction @ value @ direction) for key, value in gains.items()}
     longer = told["time", None]
     del told["as is", None], told["time", None]
+    faster = told["speed", None]
     best = max(told, key=lambda key: told[key])
+    if best == ("speed", None):
+        wider = max((key for key in told if key != best), key=lambda key: told[key])
+        best = wider if faster < _CLEAR * told[wider] else best
     if longer <= 0.0 or told[best] <= _CLEAR * longer:
         return "time", None
     return best
