@@ -28,6 +28,7 @@ from .experiment.readers.read import read_recording
 from .experiment.recording.motor_side import MotorSide
 from .experiment.recording.recording import Recording
 from .experiment.trajectory.paper import Trajectory, paper_excitation
+from .output.plans.write import write_plan
 from .output.report.report import write_report
 from .output.robots.mjcf import write_mjcf
 from .output.robots.urdf import write_urdf
@@ -90,6 +91,7 @@ __all__ = [
     "verify",
     "write_mjcf",
     "write_parameters",
+    "write_plan",
     "write_report",
     "write_urdf",
 ]

@@ -57,6 +57,7 @@ BESIDE = {
     "smallest_mass_eigenvalue",
     "solve_robust",
     "write_parameters",
+    "write_plan",
     "write_report",
 }
 

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import contextlib
 import signal
 import sys
+import threading
+from collections.abc import Iterator
 from typing import Any
 
 # Added to a signal's number for the exit status, by the shells' convention.
@@ -23,6 +26,20 @@ def end_if_signaled() -> None:
     """End the program if `end_by` was called: some imports swallow even what it raises."""
     if _ending:
         raise SystemExit(_SIGNALED + _ending[0])
+
+
+@contextlib.contextmanager
+def keyboard_interrupts() -> Iterator[None]:
+    """Let SIGINT raise KeyboardInterrupt within the block, for work that ends well when stopped."""
+    usual = signal.getsignal(signal.SIGINT)
+    if usual is not end_by or threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    signal.signal(signal.SIGINT, signal.default_int_handler)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, usual)
 
 
 def clean_up_when_ended() -> None:

@@ -14,6 +14,7 @@ from sdpid.cli.audit import audit
 from sdpid.cli.compare import compare
 from sdpid.cli.config import expand_groups
 from sdpid.cli.endings import Commands, open_standard_streams
+from sdpid.cli.excite.command import excite
 from sdpid.cli.identify import identify
 from sdpid.cli.info import info
 from sdpid.cli.payload import payload
@@ -52,7 +53,7 @@ def common(
     """Declare the options that stand before a command."""
 
 
-for command in (identify, info, validate, compare, simulate, payload, audit, verify):
+for command in (identify, excite, info, validate, compare, simulate, payload, audit, verify):
     app.command()(expand_groups(command))
 
 

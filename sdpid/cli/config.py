@@ -31,6 +31,9 @@ _NOT_WRITTEN = ("config", "json", "quiet")
 # Options whose value may be the name of a file, or something else.
 _PERHAPS_FILES = ("robot", "mapping")
 
+# Keys that differ from the parameter's name.
+_KEYS = {"logs": "log", "purpose": "for"}
+
 # Near names that a message lists.
 _NEAR = 3
 
@@ -88,7 +91,7 @@ def _entries(command: str) -> dict[str, _Entry]:
         if get_origin(parameter.annotation) is not Annotated or parameter.name == "config":
             continue
         kinds = {kind for kind in _flat(get_args(parameter.annotation)[0]) if kind is not NoneType}
-        entries["log" if parameter.name == "logs" else parameter.name] = _Entry(
+        entries[_KEYS.get(parameter.name, parameter.name)] = _Entry(
             parameter=parameter.name,
             several=list in kinds,
             flag=bool in kinds,

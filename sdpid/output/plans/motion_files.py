@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 
 from sdpid._common.arrays import Array
-from sdpid._common.files import atomic_write_text
+from sdpid._common.extras import require
+from sdpid._common.files import atomic_path, atomic_write_text
 from sdpid._common.tables import Table, json_text
-from sdpid.experiment.recording.parquet import write_columns
 from sdpid.experiment.trajectory.fourier import FourierSeries
 from sdpid.experiment.trajectory.trajectory import Trajectory
 
@@ -71,7 +71,10 @@ def write_motion_csv(trajectory: Trajectory, path: str | os.PathLike[str]) -> No
 
 def write_motion_parquet(trajectory: Trajectory, path: str | os.PathLike[str]) -> None:
     """Write the columns of `motion_columns` as Parquet (extra ``io``)."""
-    write_columns(path, motion_columns(trajectory), {"rate_hz": trajectory.rate_hz})
+    pa = require("pyarrow", extra="io")
+    table = pa.table(motion_columns(trajectory))
+    with atomic_path(path) as temporary:
+        require("pyarrow.parquet", extra="io").write_table(table, temporary, compression="zstd")
 
 
 def write_coefficients(trajectory: Trajectory, path: str | os.PathLike[str]) -> None:

@@ -1,0 +1,216 @@
+"""The page of a plan: what to run, its limits, what it will buy, and the moving arm.
+
+One HTML file that loads nothing; of scripts only the player runs, by its digest.
+"""
+
+from __future__ import annotations
+
+import base64
+import hashlib
+import importlib.util
+import json
+from collections.abc import Iterator, Sequence
+from importlib.resources import files
+from itertools import cycle
+from typing import Any
+
+import numpy as np
+
+from sdpid._common.arrays import Array
+from sdpid._common.extras import require
+from sdpid.excitation.expected.expected import NORMAL, Expected
+from sdpid.excitation.limits.narrowing import UNITS, sliding_joints
+from sdpid.excitation.limits.torque import TorqueModel
+from sdpid.excitation.plan.plan import Plan
+from sdpid.output.plans.pictures import (
+    COLORS,
+    plot_against_limits,
+    plot_distances,
+    plot_over_duration,
+    plot_spectrum,
+)
+from sdpid.output.plans.played import Played, played
+from sdpid.output.plans.scene import FRAME_RATE, scene_of
+from sdpid.output.plans.words import sentences, tiles
+from sdpid.output.plots.inline_svg import image_source
+from sdpid.output.report.page import page
+
+# Samples a second of the pictures.
+_RATE_HZ = 200.0
+
+
+def plan_html(
+    plan: Plan,
+    *,
+    command: str | None = None,
+    figures: bool | None = None,
+    names: Sequence[str] = (),
+) -> str:
+    """Return the page of a plan.
+
+    Parameters
+    ----------
+    plan : Plan
+        From `design_excitation`.
+    command : str, optional
+        The command line that made it.
+    figures : bool, optional
+        Draw plots; by default where matplotlib is installed.
+    names : sequence of str, optional
+        Files beside the page.
+
+    Raises
+    ------
+    MissingExtraError
+        When jinja2 is not installed (extra ``report``), or matplotlib is not and figures are
+        asked for (extra ``plot``).
+    """
+    markup = require("markupsafe", extra="report").Markup
+    drawable = importlib.util.find_spec("matplotlib") is not None
+    if figures:
+        require("matplotlib", extra="plot")
+    draw = drawable if figures is None else figures
+    script = files("sdpid.output.plans").joinpath("player.js").read_text(encoding="utf-8")
+    digest = base64.b64encode(hashlib.sha256(script.encode()).digest()).decode("ascii")
+    clearance = plan.joint_limits.clearance or 0.0
+    scene = scene_of(plan.robot, played(plan.trajectory, FRAME_RATE), plan.collision, clearance)
+    motion = played(plan.trajectory, _RATE_HZ)
+    return page(
+        "sdpid.output.plans",
+        "plan.html.j2",
+        plan=plan,
+        robot=plan.robot,
+        subtitle=_subtitle(plan),
+        tiles=list(tiles(plan)),
+        sentences=list(sentences(plan)),
+        drawn_as=_drawn_as(plan),
+        rows=plan.limits.rows,
+        distances=_distances(plan, motion) if draw else None,
+        joints=list(_joints(plan, motion)) if draw else [],
+        spectrum=image_source(plot_spectrum(motion)) if draw else None,
+        colors=list(zip(plan.robot.joint_names, cycle(COLORS), strict=False)),
+        drawable=drawable,
+        **_expected(plan, draw),
+        notes=list(dict.fromkeys([*plan.notes, *plan.limits.notes, *plan.expected.notes])),
+        left_out=plan.limits.left_out,
+        files=names,
+        command=command,
+        # No "<" may end the element early.
+        scene=markup(json.dumps(scene, separators=(",", ":")).replace("<", "\\u003c")),
+        script=markup(script),
+        script_digest=markup(digest),
+    )
+
+
+def _subtitle(plan: Plan) -> str:
+    """Return in a line what kind of motion it is."""
+    moving = plan.trajectory
+    kinds = {"spline": "a B-spline", "fourier": "a Fourier series", "postures": "postures"}
+    joints = f"{moving.n} joint{'' if moving.n == 1 else 's'}"
+    kind = kinds.get(plan.motion, "one joint at a time")
+    purpose = "all parameters" if plan.purpose == "all" else plan.purpose
+    return f"Motion of {joints} for {moving.duration:.4g} s ({kind}), for {purpose}"
+
+
+def _drawn_as(plan: Plan) -> str:
+    """Return what the shapes in the picture are."""
+    if plan.collision is None:
+        return "Lines join the joints: no collisions were checked."
+    return "Shapes are those that were checked for collisions, hulls with some corners left out."
+
+
+def _joints(plan: Plan, motion: Played) -> Iterator[dict[str, Any]]:
+    """Yield the picture of each joint against its limits."""
+    limits, robot = plan.joint_limits, plan.robot
+    model = TorqueModel.of(robot)
+    torque = model.torque(motion.position, motion.velocity, motion.acceleration)
+    allowed = {"torque": model.allowed(limits.torque)}
+    sliding = sliding_joints(robot)
+    for j, name in enumerate(robot.joint_names):
+        rows = [
+            (UNITS["lower"][int(sliding[j])], motion.position[:, j], limits.lower, limits.upper)
+        ]
+        for kind, values in (
+            ("velocity", motion.velocity),
+            ("acceleration", motion.acceleration),
+            ("jerk", motion.jerk),
+            ("torque", torque),
+        ):
+            limit = allowed.get(kind, getattr(limits, kind))
+            rows.append((UNITS[kind][int(sliding[j])], values[:, j], -limit, limit))
+        ended = [(unit, each, *_ends(low[j], high[j])) for unit, each, low, high in rows]
+        yield {"name": name, "source": image_source(plot_against_limits(motion.time, ended))}
+
+
+def _ends(lower: float, upper: float) -> tuple[float | None, float | None]:
+    """Return limits, None where there are none."""
+    return (
+        float(lower) if np.isfinite(lower) else None,
+        float(upper) if np.isfinite(upper) else None,
+    )
+
+
+def _distances(plan: Plan, motion: Played) -> dict[str, Any] | None:
+    """Return the picture of the distances, and the pairs in it with what is asked of each."""
+    collision = plan.collision
+    if collision is None or not collision.pairs:
+        return None
+    step = max(round(motion.rate_hz / FRAME_RATE), 1)
+    asked = collision.clearances(plan.joint_limits.clearance or 0.0)
+    room = collision.distances(motion.position[::step]) - asked
+    figure, shown = plot_distances(motion.time[::step], room)
+    pairs = [
+        (color, f"{collision.pairs[k].first} – {collision.pairs[k].second}", float(asked[k]))
+        for color, k in shown
+    ]
+    return {"source": image_source(figure), "pairs": pairs}
+
+
+def _expected(plan: Plan, draw: bool) -> dict[str, Any]:
+    """Return what the run will buy: tables and a picture."""
+    expected = plan.expected
+    curves = list(_curves(expected))[: len(COLORS)]
+    seconds = np.array([each.seconds for each in expected.durations])
+    shown = draw and len(seconds) > 1 and bool(curves)
+    return {
+        "expected": expected,
+        "parameters": list(_parameters(expected)),
+        "durations": [
+            (each.seconds, each.repetitions, [share[k] for _, share in curves])
+            for k, each in enumerate(expected.durations)
+        ],
+        "curves": list(zip((name for name, _ in curves), COLORS, strict=False)),
+        "over_duration": (
+            image_source(plot_over_duration(seconds, [share for _, share in curves]))
+            if shown
+            else None
+        ),
+    }
+
+
+def _curves(expected: Expected) -> Iterator[tuple[str, Array]]:
+    """Yield what falls with the duration: half widths of 95 % intervals as shares, (D,)."""
+    durations = expected.durations
+    for k, band in enumerate(expected.bands):
+        yield f"efforts on {band.motion}", np.array([each.bands[k] for each in durations])
+    masses = expected.theta[: 10 * len(expected.link_names) : 10]
+    for k in np.flatnonzero(masses > 0.0)[::-1]:
+        half = NORMAL * np.array([each.masses[k] for each in durations])
+        if np.isfinite(half).all() and half[0] < masses[k]:
+            yield f"mass of {expected.link_names[k]}", half / masses[k]
+
+
+def _parameters(expected: Expected) -> Iterator[dict[str, Any]]:
+    """Yield the expected interval of every base parameter."""
+    for k, name in enumerate(expected.names):
+        value, half = float(expected.values[k]), float(expected.half_widths[k])
+        before = NORMAL * float(expected.before[k])
+        yield {
+            "name": name,
+            "unit": expected.units[k],
+            "value": value,
+            "half": half,
+            "share": half / abs(value) if value else None,
+            "before": before if np.isfinite(before) else None,
+            "prior": float(expected.prior_share[k]),
+        }

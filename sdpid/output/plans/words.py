@@ -1,0 +1,90 @@
+"""A plan in words: what to run, how safe it is, what it will buy."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+from sdpid.excitation.limits.check import LimitCheck
+from sdpid.excitation.plan.plan import Plan
+
+# Kinds of limits in the order in which they are told.
+KINDS = (
+    "position",
+    "velocity",
+    "acceleration",
+    "jerk",
+    "torque",
+    "tool speed",
+    "distance",
+)
+
+
+@dataclass(frozen=True)
+class Tile:
+    """A number at the head of the page.
+
+    Attributes
+    ----------
+    name, value : str
+        What it is, and the number.
+    level : str
+        ``"good"``, ``"bad"`` or empty.
+    """
+
+    name: str
+    value: str
+    level: str = ""
+
+
+def tiles(plan: Plan) -> Iterator[Tile]:
+    """Yield the numbers at the head of the page."""
+    yield Tile("to run", f"{plan.trajectory.duration:.4g} s")
+    verdict = "held" if plan.limits.ok else "not held"
+    yield Tile("every limit, at every instant", verdict, "good" if plan.limits.ok else "bad")
+    yield Tile("condition number", f"{plan.condition_number:.4g}")
+    yield Tile("log det of the information", f"{plan.log_det:.4g}")
+    yield Tile("base parameters", str(len(plan.names)))
+
+
+def sentences(plan: Plan) -> Iterator[tuple[str, str, str]]:
+    """Yield the plan in short: a level, a title and a sentence each."""
+    yield "good", "Run", run_sentence(plan)
+    yield "good" if plan.limits.ok else "bad", "Safe", safe_sentence(plan.limits)
+    for text in plan.expected.sentences()[:2]:
+        yield "good", "What it will buy", text
+    assumed = len(plan.joint_limits.assumed)
+    if assumed:
+        yield (
+            "caution",
+            "Careful",
+            (
+                f"{assumed} thing{' was' if assumed == 1 else 's were'} assumed about limits and "
+                "geometry; read the list below before the run."
+            ),
+        )
+
+
+def run_sentence(plan: Plan) -> str:
+    """Return what to run, and for how long."""
+    motion = plan.trajectory
+    lasts = f"{motion.duration:.4g} s at {motion.rate_hz:g} samples a second"
+    repeat = (
+        "it ends where it starts, at rest, so that it can be repeated and averaged"
+        if motion.closed
+        else "it ends at rest in another position than it starts from"
+    )
+    return f"trajectory.csv, {lasts}, from rest; {repeat}. Log positions and efforts meanwhile."
+
+
+def safe_sentence(check: LimitCheck) -> str:
+    """Return whether the limits hold, with the least slack of each kind."""
+    if not check.ok:
+        return f"Not every limit is proven to hold: {' '.join(check.sentences()[:_FEW])}"
+    least = [row for kind in KINDS if (row := check.least(kind)) is not None]
+    slacks = "; ".join(f"{r.kind} {r.slack:.3g} {r.unit} ({r.subject})" for r in least)
+    return f"Every limit holds at every instant. Least slack: {slacks}."
+
+
+# Limits that are not held, of which a sentence tells.
+_FEW = 4

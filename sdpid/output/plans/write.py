@@ -1,0 +1,206 @@
+"""The folder of a plan: what to run in every form, the page that explains it, what it was made of.
+
+All files appear together, or none.
+"""
+
+from __future__ import annotations
+
+import importlib.util
+import os
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from sdpid import __version__
+from sdpid._common.progress import progress
+from sdpid._common.staging import RunFolder
+from sdpid._common.tables import plain
+from sdpid.excitation.plan.plan import Plan
+from sdpid.output.plans.joint_trajectory import write_joint_trajectory
+from sdpid.output.plans.motion_files import (
+    write_coefficients,
+    write_motion_csv,
+    write_motion_parquet,
+)
+from sdpid.output.plans.settings_files import LIMITS, OBSTACLES, PLAN, settings_files
+from sdpid.output.plans.urscript import JOINTS, write_urscript
+
+# Written last: it lists the other files.
+_RESULT = "plan.json"
+
+# What the plan can be made again from.
+_CONFIG = PLAN
+
+# Every file that a plan may have.
+NAMES = (
+    "trajectory.csv",
+    "trajectory.parquet",
+    "trajectory.toml",
+    "coefficients.json",
+    "joint_trajectory.yaml",
+    "excitation.script",
+    "report.html",
+    LIMITS,
+    OBSTACLES,
+    _CONFIG,
+    _RESULT,
+)
+
+_FOLDER = RunFolder(NAMES, _RESULT, _CONFIG)
+
+require_writable = _FOLDER.require_writable
+
+
+def write_plan(
+    plan: Plan,
+    folder: str | os.PathLike[str],
+    *,
+    figures: bool | None = None,
+    report: Callable[[str], None] | None = None,
+    command: str | None = None,
+    config: str | None = None,
+) -> tuple[Path, ...]:
+    """Write a plan into a folder, all files or none.
+
+    ``trajectory.csv`` (and ``.parquet``) holds the motion sample by sample, ``coefficients.json``
+    what it is made of, ``joint_trajectory.yaml`` the ROS message trajectory_msgs/JointTrajectory,
+    ``excitation.script`` a program for arms of Universal Robots (six turning joints),
+    ``trajectory.toml`` what `simulate` takes, ``report.html`` a page that explains the plan and
+    plays the arm, ``plan.toml`` the options that make the plan again, and ``plan.json`` limits,
+    expected errors and everything that was assumed.
+
+    Parameters
+    ----------
+    plan : Plan
+        From `design_excitation`.
+    folder : str or path
+        Made where it does not exist; the files of an earlier plan in it are replaced.
+    figures : bool, optional
+        Draw plots in the report; by default where matplotlib is installed.
+    report : callable, optional
+        Called with a sentence for each file that is left out, and why.
+    command : str, optional
+        The command line that made the plan, for the report.
+    config : str, optional
+        Text of ``plan.toml``; by default it is made of `Plan.settings`, with ``limits.toml`` and
+        ``obstacles.toml`` beside it.
+
+    Returns
+    -------
+    tuple of Path
+        The files.
+
+    Raises
+    ------
+    ExportError
+        When the folder cannot be written to, or holds files of these names that no plan wrote.
+    MissingExtraError
+        When figures are asked for and matplotlib is not installed (extra ``plot``).
+    """
+    target = Path(folder)
+    note = report or (lambda _: None)
+    require_writable(target, writes_config=True)
+    with _FOLDER.written(target, note) as stage:
+        writer = _Writer(plan, stage.folder, target, note)
+        stage.names += writer.write(figures=figures, command=command, config=config)
+        stage.content.update(plan_content(plan))
+    return tuple(target / name for name in stage.names)
+
+
+def plan_content(plan: Plan) -> dict[str, Any]:
+    """Return a plan's results as plain values: limits, expected errors, notes, assumptions."""
+    collision = plan.collision
+    content = {
+        "sdpid": __version__,
+        "robot": plan.robot.name,
+        "joint_names": plan.trajectory.joint_names,
+        "duration_s": plan.trajectory.duration,
+        "rate_hz": plan.trajectory.rate_hz,
+        "periods": plan.trajectory.periods,
+        "objective": plan.objective,
+        "purpose": plan.purpose,
+        "condition_number": plan.condition_number,
+        "log_det": plan.log_det,
+        "standard_errors": dict(zip(plan.names, plan.standard_errors.tolist(), strict=True)),
+        "expected": plan.expected.to_dict(),
+        "limits": plan.limits.to_dict(),
+        "joint_limits": plan.joint_limits,
+        "pairs": None if collision is None else collision.pairs,
+        "left_out": None if collision is None else collision.left_out,
+        "history": plan.history,
+        "assumed": plan.limits.notes,
+        "notes": plan.notes,
+        "motion": plan.motion,
+        "settings": plan.settings,
+    }
+    values: dict[str, Any] = plain(content)
+    return values
+
+
+@dataclass(frozen=True)
+class _Writer:
+    """Writes the files of a plan into an empty folder."""
+
+    plan: Plan
+    folder: Path
+    target: Path
+    note: Callable[[str], None]
+
+    def write(self, *, figures: bool | None, command: str | None, config: str | None) -> list[str]:
+        """Write all files but plan.json, and return their names."""
+        names: list[str] = []
+        steps: list[Callable[[], Iterator[str]]] = [
+            self._motion,
+            self._controllers,
+            lambda: self._config(config),
+            lambda: self._page(figures, command, [*names, _RESULT]),
+        ]
+        with progress(len(steps), "writing the plan") as advance:
+            for step in steps:
+                names += step()
+                advance(1)
+        return names
+
+    def _motion(self) -> Iterator[str]:
+        motion = self.plan.trajectory
+        write_motion_csv(motion, self.folder / "trajectory.csv")
+        yield "trajectory.csv"
+        if importlib.util.find_spec("pyarrow") is None:
+            self.note("no trajectory.parquet: pyarrow is not installed (pip install 'sdpid[io]')")
+        else:
+            write_motion_parquet(motion, self.folder / "trajectory.parquet")
+            yield "trajectory.parquet"
+        motion.to_toml(self.folder / "trajectory.toml")
+        yield "trajectory.toml"
+        write_coefficients(motion, self.folder / "coefficients.json")
+        yield "coefficients.json"
+
+    def _controllers(self) -> Iterator[str]:
+        motion = self.plan.trajectory
+        write_joint_trajectory(motion, self.folder / "joint_trajectory.yaml")
+        yield "joint_trajectory.yaml"
+        if motion.n == JOINTS:
+            write_urscript(motion, self.folder / "excitation.script")
+            yield "excitation.script"
+        else:
+            self.note(
+                f"no excitation.script: arms of Universal Robots have {JOINTS} joints, this "
+                f"motion {motion.n}"
+            )
+
+    def _config(self, config: str | None) -> Iterator[str]:
+        texts = settings_files(self.plan, self.target) if config is None else {_CONFIG: config}
+        for name, text in texts.items():
+            (self.folder / name).write_text(text, encoding="utf-8")
+            yield name
+
+    def _page(self, figures: bool | None, command: str | None, names: list[str]) -> Iterator[str]:
+        if importlib.util.find_spec("jinja2") is None:
+            self.note("no report.html: jinja2 is not installed (pip install 'sdpid[report]')")
+            return
+        from sdpid.output.plans.page import plan_html
+
+        text = plan_html(self.plan, command=command, figures=figures, names=names)
+        (self.folder / "report.html").write_text(text, encoding="utf-8")
+        yield "report.html"

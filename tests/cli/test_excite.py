@@ -1,0 +1,176 @@
+"""`sdpid excite`: what it writes and prints, how it ends, and that its plan can be made again."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner, Result
+
+from sdpid import cli
+from sdpid._common.toml import load_toml
+from sdpid.experiment.trajectory.reading import read_trajectory
+from tests.helpers.arm_files import ARM_URDF
+
+LIMITS = """
+[a]
+acceleration = 5.0
+[b]
+acceleration = 8.0
+[arm]
+jerk = 200.0
+clearance = 0.02
+[[table]]
+height = -0.5
+"""
+OPTIONS = ("--duration", 4, "--starts", 1, "--seed", 3, "--no-figures")
+
+
+def run(*arguments: Any) -> Result:
+    return CliRunner().invoke(cli.app, [str(argument) for argument in arguments])
+
+
+def refused(done: Result, status: int, *words: str) -> None:
+    """Check an exit status and a message of one line that says what is wrong."""
+    assert done.exit_code == status, done.output
+    assert len(done.stderr.splitlines()) == 1
+    assert done.stderr.startswith("sdpid: ")
+    for word in words:
+        assert word in done.stderr
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return a folder with a robot, limits, and a plan."""
+    made = tmp_path_factory.mktemp("excite")
+    (made / "arm.urdf").write_text(ARM_URDF)
+    (made / "limits.toml").write_text(LIMITS)
+    files = ("arm.urdf", "--limits", made / "limits.toml", "--out", made / "plan")
+    done = run("excite", made / files[0], *files[1:], "--wall", "-x=2", *OPTIONS)
+    assert done.exit_code == 0, done.output
+    assert done.stderr == ""
+    (made / "told.txt").write_text(done.stdout)
+    return made
+
+
+def test_it_writes_and_says_what_to_run(folder: Path) -> None:
+    names = {path.name for path in (folder / "plan").iterdir()}
+    assert {"trajectory.csv", "trajectory.toml", "plan.toml", "plan.json"} <= names
+    told = (folder / "told.txt").read_text()
+    last = [line.split(":")[0] for line in told.splitlines()[-5:]]
+    assert "run" in last
+    assert "safe" in last
+    assert "Every limit holds at every instant" in told
+    content = json.loads((folder / "plan" / "plan.json").read_text())
+    assert content["limits"]["ok"] is True
+    subjects = {row["subject"] for row in content["limits"]["rows"] if row["kind"] == "distance"}
+    assert any("table" in each for each in subjects)
+    assert any("wall -x" in each for each in subjects)
+    bound = {r["subject"]: r["limit"] for r in content["limits"]["rows"] if r["kind"] == "jerk"}
+    assert bound == {"a": 200.0, "b": 200.0}
+
+
+def test_the_written_file_makes_the_plan_again(
+    folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Bit for bit, from another folder."""
+    config = load_toml(folder / "plan" / "plan.toml")
+    assert config["robot"] == "../arm.urdf"
+    assert config["limits"] == "../limits.toml"
+    assert config["for"] == "all"
+    monkeypatch.chdir(tmp_path)
+    done = run("excite", "--config", folder / "plan" / "plan.toml", "--out", "again", "--json")
+    assert done.exit_code == 0, done.output
+    for name in ("trajectory.csv", "trajectory.toml", "coefficients.json"):
+        one, other = (folder / "plan" / name).read_bytes(), Path("again", name).read_bytes()
+        assert one == other
+    told = json.loads(done.stdout)
+    assert told["limits"]["ok"] is True
+    assert {Path(file).name for file in told["files"]} >= {"trajectory.csv", "plan.json"}
+
+
+def test_any_trajectory_is_checked(folder: Path, tmp_path: Path) -> None:
+    """A plan holds its limits; faster it does not, and the excess is named."""
+    plan = folder / "plan" / "trajectory.csv"
+    checked = ("excite", folder / "arm.urdf", "--limits", folder / "limits.toml", "--check")
+    done = run(*checked, plan)
+    assert done.exit_code == 0, done.output
+    assert "every limit holds at every instant" in done.stdout
+    motion = read_trajectory(plan, ("a", "b"))
+    t = np.linspace(0.0, motion.period, 401)
+    header = "time,position_a,position_b"
+    rows = np.column_stack([t / 3.0, motion.series.evaluate(t)])
+    fast = tmp_path / "fast.csv"
+    np.savetxt(fast, rows, delimiter=",", header=header, comments="")
+    done = run(*checked, fast)
+    refused(done, 3, "fast.csv", "acceleration", "above the limit")
+    assert "broken" in done.stdout
+    done = run(*checked, fast, "--json")
+    assert done.exit_code == 3
+    assert json.loads(done.stdout)["ok"] is False
+    assert run(*checked, fast, "-q").stdout == ""
+
+
+def test_bad_input_is_told_before_the_search(folder: Path, tmp_path: Path) -> None:
+    robot, out = folder / "arm.urdf", ("--out", tmp_path / "plan")
+    wrong = tmp_path / "wrong.toml"
+    for text, words in (
+        ("[a]\nlower = 1.0\nupper = 0.5\n", ("a", "lower")),
+        ("[c]\nvelocity = 1.0\n", ("c",)),
+        ("[a]\nspeed = 1.0\n", ("speed", "velocity")),
+        ("[a]\nvelocity = -1.0\n", ("velocity", "-1")),
+    ):
+        wrong.write_text(text)
+        refused(run("excite", robot, "--limits", wrong, *out), 2, *words)
+    refused(run("excite", robot, "--duration", 0.01, *out), 2, "0.01")
+    refused(run("excite", robot, "--duration", "nan", *out), 2, "nan")
+    refused(run("excite", robot, "--wall", "up=1", *out), 2, "up")
+    refused(run("excite", robot, "--wall", "-x", *out), 2, "--wall")
+    refused(run("excite", robot, "--limits", tmp_path / "none.toml", *out), 2, "none.toml")
+    refused(run("excite", robot, "--noise", "x", *out), 2, "--noise")
+    refused(run("excite", robot, "--previous", tmp_path, *out), 2, "run.toml")
+    refused(run("excite", robot, "--check", tmp_path / "none.csv"), 2, "none.csv")
+    refused(run("excite", robot, "--out", robot), 2, "it is a file")
+    assert not (tmp_path / "plan").exists()
+
+
+INTERRUPTED = """
+import os, signal, time
+import sdpid.excitation.design.design as design
+from sdpid import cli
+from tests.helpers.plans import small_plan
+def stopped(*arguments, **options):
+    plan = small_plan()
+    try:
+        os.kill(os.getpid(), signal.SIGINT)
+        time.sleep(60.0)
+    except KeyboardInterrupt:
+        return plan
+design.design_excitation = stopped
+cli.main()
+"""
+
+
+@pytest.mark.skipif(os.name != "posix", reason="sends a signal")
+def test_ctrl_c_writes_the_best_so_far(folder: Path, tmp_path: Path) -> None:
+    """An interrupt of the search reaches it, and the plan that it returns is written."""
+    script = tmp_path / "stopped.py"
+    script.write_text(INTERRUPTED)
+    command = [sys.executable, str(script), "excite", str(folder / "arm.urdf"), "--no-figures"]
+    places = os.pathsep.join(sys.path)
+    done = subprocess.run(
+        [*command, "--out", str(tmp_path / "plan")],
+        env={**os.environ, "PYTHONPATH": places},
+        capture_output=True,
+        text=True,
+        timeout=120,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr
+    assert (tmp_path / "plan" / "trajectory.csv").is_file()

@@ -1,0 +1,157 @@
+"""The page of a plan: valid, alone, told in words, and the arm moves."""
+
+from __future__ import annotations
+
+import asyncio
+import base64
+import hashlib
+import json
+import re
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy.spatial import ConvexHull
+
+from sdpid.output.plans.page import plan_html
+from sdpid.output.plans.played import played
+from sdpid.output.plans.scene import hull, scene_of
+from sdpid.robot.model.geometry import link_placements
+from tests.helpers.browser import Tab, look
+from tests.helpers.plans import small_plan
+from tests.output.report.test_report import elements, pictures, tree, words
+
+EVIL = "</script><script>alert(1)</script>"
+
+
+@pytest.fixture(scope="module")
+def page() -> str:
+    pytest.importorskip("jinja2")
+    pytest.importorskip("matplotlib")
+    plan = small_plan()
+    return plan_html(replace(plan, notes=(*plan.notes, EVIL)), command=f"sdpid excite {EVIL}")
+
+
+def scene(page: str) -> dict[str, Any]:
+    (found,) = [each for each in elements(page, "script") if each.get("type")]
+    content: dict[str, Any] = json.loads(found.text)
+    return content
+
+
+def test_it_is_valid_and_alone(page: str) -> None:
+    """Of scripts one runs, by its digest; nothing is fetched."""
+    assert page.startswith("<!DOCTYPE html>")
+    data, player = elements(page, "script")
+    assert data.get("type") == "application/json"
+    assert not player.attrib
+    digest = base64.b64encode(hashlib.sha256(player.text.encode()).digest()).decode()
+    (policy,) = [m.get("content") for m in elements(page, "meta") if m.get("http-equiv")]
+    assert f"script-src 'sha256-{digest}'" in policy.split("; ")
+    assert "default-src 'none'" in policy.split("; ")
+    for element in tree(page).iter("{*}*"):
+        for key, value in element.attrib.items():
+            assert not key.startswith("on")
+            if key in ("src", "href", "srcset", "data", "action"):
+                assert re.match(r"data:image/svg\+xml;base64,|#", value)
+    ids = [e.get("id") for e in tree(page).iter("{*}*") if e.get("id")]
+    assert len(ids) == len(set(ids))
+    assert all(link.get("href")[1:] in ids for link in elements(page, "a"))
+    assert all(image.get("alt") for image in elements(page, "img"))
+    assert "http" not in player.text
+
+
+def test_it_tells_the_plan(page: str) -> None:
+    plan, shown = small_plan(), words(page)
+    for text in (
+        "Every limit holds at every instant",
+        f"{plan.condition_number:.4g}",
+        EVIL,
+        "<b>box",
+        "rad/s²",
+        *plan.names,
+        *plan.limits.notes,
+        *plan.expected.sentences(),
+    ):
+        assert re.sub(r"\s+", " ", text).rstrip(".").lower() in shown.lower()
+    # A picture a joint, distances, spectrum, and errors over the duration.
+    assert len(pictures(page)) == plan.robot.n + 3
+    assert len(pictures(plan_html(plan, figures=False))) == 0
+
+
+def test_a_broken_limit_is_bad(page: str) -> None:
+    plan = small_plan()
+    row = replace(plan.limits.rows[0], verdict="broken", reached=99.0)
+    limits = replace(plan.limits, rows=(row, *plan.limits.rows[1:]))
+    shown = words(plan_html(replace(plan, limits=limits), figures=False))
+    assert "Not every limit is proven to hold" in shown
+    assert "Every limit holds" not in shown
+
+
+def test_the_scene_is_the_motion(page: str) -> None:
+    plan, found = small_plan(), scene(page)
+    motion, frames = played(plan.trajectory, 25.0), found["frames"]
+    assert frames["count"] == len(motion.time) == len(frames["poses"])
+    assert found["duration"] == pytest.approx(plan.trajectory.period)
+    for k in (0, 17, frames["count"] - 1):
+        own = link_placements(plan.robot, motion.position[k])
+        for link, (x, y, z, *q) in enumerate(frames["poses"][k]):
+            assert np.allclose([x, y, z], own[link, :3, 3], atol=1e-4)
+            i, j, k3, w = q
+            turned = [1 - 2 * (j * j + k3 * k3), 2 * (i * j + k3 * w), 2 * (i * k3 - j * w)]
+            assert np.allclose(turned, own[link, :3, 0], atol=1e-3)
+    assert {shape["link"] for shape in found["shapes"]} == {-1, 0, 1}
+    assert len(found["planes"]) == 1
+    bare = scene_of(plan.robot, motion, None, 0.0)
+    assert bare["shapes"] == []
+    assert len(bare["bones"]) == plan.robot.n_links
+
+
+def test_hulls_have_few_corners_and_face_outwards() -> None:
+    rng = np.random.default_rng(0)
+    points = rng.standard_normal((4000, 3))
+    corners, faces = hull(points)
+    assert len(corners) <= 48
+    assert ConvexHull(corners).volume > 0.7 * ConvexHull(points).volume
+    middle = corners.mean(axis=0)
+    for a, b, c in faces:
+        normal = np.cross(corners[b] - corners[a], corners[c] - corners[a])
+        assert normal @ (corners[a] - middle) > 0.0
+    flat = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [1, 1, 0]])
+    assert hull(flat)[1]  # a plate has faces too
+
+
+def test_the_arm_moves_in_a_browser(page: str, tmp_path: Path) -> None:
+    """From a file: without a network, without errors, and it obeys its controls."""
+    (tmp_path / "report.html").write_text(page, encoding="utf-8")
+    told, picture = "document.getElementById('arm-told').textContent", "arm.toDataURL()"
+
+    async def visit(tab: Tab) -> None:
+        first = await tab.value(picture), await tab.value(told)
+        await asyncio.sleep(0.5)
+        second = await tab.value(picture), await tab.value(told)
+        assert first[0] != second[0]
+        assert first[1] != second[1]
+        assert "nearest:" in second[1]
+        await tab.value("arm.focus()")
+        await tab.key(" ")
+        assert await tab.value("document.getElementById('arm-play').textContent") == "Play"
+        still = await tab.value(picture)
+        await tab.key("ArrowLeft")
+        await asyncio.sleep(0.2)
+        assert await tab.value(picture) != still
+        slide = "s = document.getElementById('arm-time'); s.value = 2; s.dispatchEvent(new Event("
+        await tab.value(f"{slide}'input'))")
+        await asyncio.sleep(0.2)
+        assert (await tab.value(told)).startswith("2.00 s of")
+        for width in (1280, 390):
+            size = {"width": width, "height": 900, "deviceScaleFactor": 1, "mobile": False}
+            await tab.call("Emulation.setDeviceMetricsOverride", **size)
+            assert await tab.value("document.documentElement.scrollWidth") <= width
+        assert not tab.named("Runtime.exceptionThrown", "Runtime.consoleAPICalled")
+        assert not tab.named("Log.entryAdded")
+        asked = [e["params"]["request"]["url"] for e in tab.named("Network.requestWillBeSent")]
+        assert all(url.startswith(("file:", "data:")) for url in asked)
+
+    look(tmp_path / "report.html", tmp_path / "profile", visit)

@@ -1,0 +1,131 @@
+"""The folder of a plan: every file, or none, and no one else's."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import sdpid
+from sdpid._common.staging import digest
+from sdpid._common.toml import load_toml
+from sdpid.errors import ExportError
+from sdpid.excitation.geometry.obstacles import obstacles_from_toml
+from sdpid.excitation.limits.limits import Limits
+from sdpid.experiment.trajectory.reading import read_trajectory
+from sdpid.experiment.trajectory.trajectory import Trajectory
+from sdpid.output.plans import write
+from sdpid.output.plans.write import write_plan
+from tests.helpers.plans import AROUND, LIMITS, small_plan
+
+FILES = {
+    "trajectory.csv",
+    "trajectory.parquet",
+    "trajectory.toml",
+    "coefficients.json",
+    "joint_trajectory.yaml",
+    "report.html",
+    "limits.toml",
+    "obstacles.toml",
+    "plan.toml",
+    "plan.json",
+}
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    pytest.importorskip("pyarrow")
+    pytest.importorskip("jinja2")
+    out = tmp_path_factory.mktemp("plans") / "new" / "plan"
+    told: list[str] = []
+    files = write_plan(small_plan(), out, report=told.append, figures=False)
+    assert {file.name for file in files} == FILES
+    assert told == [
+        "no excitation.script: arms of Universal Robots have 6 joints, this motion 2",
+    ]
+    return out
+
+
+def test_the_files_are_there_and_listed(folder: Path) -> None:
+    assert {path.name for path in folder.iterdir()} == FILES
+    listed = json.loads((folder / "plan.json").read_text())["files"]
+    assert listed == {name: digest(folder / name) for name in FILES - {"plan.json"}}
+
+
+def test_the_motion_is_that_of_the_plan(folder: Path) -> None:
+    """Whatever form it is read from, at other times too."""
+    own = small_plan().trajectory
+    again = Trajectory.from_toml(folder / "trajectory.toml")
+    assert np.array_equal(again.series.control_points, own.series.control_points)  # type: ignore[attr-defined]
+    time = np.linspace(0.0, own.period, 997)
+    for name in ("trajectory.csv", "trajectory.parquet"):
+        read = read_trajectory(folder / name, own.joint_names)
+        assert read.series.duration == pytest.approx(own.duration, abs=1e-12)
+        for order, near in enumerate((1e-9, 1e-7, 1e-4)):
+            found = read.series.evaluate(time, derivative=order)
+            assert np.allclose(found, own.series.evaluate(time, derivative=order), atol=near)
+
+
+def test_the_results_are_told(folder: Path) -> None:
+    plan, told = small_plan(), json.loads((folder / "plan.json").read_text())
+    assert told["robot"] == "arm"
+    assert told["joint_names"] == ["a", "b"]
+    assert told["limits"]["ok"] is True
+    assert {row["kind"] for row in told["limits"]["rows"]} >= {"position", "velocity", "torque"}
+    assert told["condition_number"] == plan.condition_number
+    assert list(told["standard_errors"]) == list(plan.names)
+    assert told["expected"]["sentences"] == list(plan.expected.sentences())
+    assert told["assumed"] == list(plan.limits.notes)
+    assert told["settings"]["seed"] == 3
+
+
+def test_limits_and_obstacles_are_those_given(folder: Path) -> None:
+    config = load_toml(folder / "plan.toml")
+    assert (config["limits"], config["obstacles"]) == ("limits.toml", "obstacles.toml")
+    assert config["friction"] == ["coulomb", "viscous", "offset"]
+    assert "robot" not in config  # it was given in memory
+    robot = small_plan().robot
+    one, other = (each.of(robot) for each in (LIMITS, Limits.from_toml(folder / "limits.toml")))
+    assert np.array_equal(one.acceleration, other.acceleration)
+    assert np.array_equal(one.jerk, other.jerk)
+    assert one.clearance == other.clearance
+    assert obstacles_from_toml(folder / "obstacles.toml") == AROUND
+
+
+def test_a_plan_replaces_a_plan_and_nothing_else(tmp_path: Path) -> None:
+    (tmp_path / "mine.txt").write_text("mine")
+    first = write_plan(small_plan(), tmp_path, figures=False)
+    content = {path.name: path.read_bytes() for path in first}
+    second = write_plan(small_plan(), tmp_path, figures=False)
+    assert {path.name: path.read_bytes() for path in second} == content
+    assert (tmp_path / "mine.txt").read_text() == "mine"
+    # With options of a command there are no limits.toml and obstacles.toml: those of before go.
+    write_plan(small_plan(), tmp_path, figures=False, config="seed = 1\n")
+    assert not (tmp_path / "limits.toml").exists()
+    (tmp_path / "plan.toml").write_text("# my own\n")
+    with pytest.raises(ExportError, match="which no run wrote"):
+        write_plan(small_plan(), tmp_path, figures=False)
+    assert (tmp_path / "plan.toml").read_text() == "# my own\n"
+
+
+def test_nothing_half_written(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def fail(*_: object, **__: object) -> None:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(write, "write_joint_trajectory", fail)
+    with pytest.raises(ExportError, match="No space left"):
+        write_plan(small_plan(), tmp_path / "plan", figures=False)
+    assert not list(tmp_path.iterdir())
+    (tmp_path / "file").write_text("")
+    with pytest.raises(ExportError, match="it is a file"):
+        write_plan(small_plan(), tmp_path / "file")
+
+
+def test_it_can_be_rehearsed(folder: Path) -> None:
+    """The simulated robot follows the motion of the file."""
+    pytest.importorskip("mujoco")
+    motion = Trajectory.from_toml(folder / "trajectory.toml")
+    log = sdpid.simulate(small_plan().robot, motion, seed=1)
+    assert log.n_samples >= motion.n_samples
