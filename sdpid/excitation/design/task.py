@@ -154,6 +154,7 @@ class Task:
                 near=joints.rest,
                 lower=joints.lower,
                 upper=joints.upper,
+                clearance=joints.clearance or 0.0,
                 seed=seed,
             )
             notes += collision.assumed

@@ -15,7 +15,7 @@ from sdpid.errors import DataError
 from sdpid.excitation.geometry.collision import CollisionModel
 from sdpid.excitation.geometry.obstacles import Obstacle
 from sdpid.excitation.limits.extremes import Extremes, Measure, extremes, with_tolerance
-from sdpid.excitation.limits.joint_limits import JointLimits
+from sdpid.excitation.limits.joint_limits import JointLimits, unit_of
 from sdpid.excitation.limits.limits import Limits
 from sdpid.excitation.limits.measures import (
     DistanceMeasure,
@@ -25,7 +25,6 @@ from sdpid.excitation.limits.measures import (
     TorqueMeasure,
 )
 from sdpid.excitation.limits.motions import Motion, curves_of
-from sdpid.excitation.limits.narrowing import sliding_joints, unit_of
 from sdpid.excitation.limits.tool import tool_frames
 from sdpid.excitation.limits.torque import TorqueModel
 from sdpid.experiment.trajectory.curve import Curve
@@ -227,13 +226,13 @@ def check_trajectory(
     start = curves[0][1].evaluate(np.zeros(1))[0]
     joints = _joint_limits(robot, limits, start)
     notes = list(joints.assumed)
-    rows = [*_motion_rows(robot, curves, joints)]
+    rows = [*_motion_rows(curves, joints)]
     if np.any(np.isfinite(joints.torque)):
         model = torque or TorqueModel.of(robot, estimate, spread=spread)
         notes += model.notes
         allowed = model.allowed(joints.torque)
         rows += _joint_rows(
-            "torque", robot, curves, TorqueMeasure(model), allowed, _RESOLUTION * allowed
+            "torque", joints, curves, TorqueMeasure(model), allowed, _RESOLUTION * allowed
         )
     if joints.tool_speed is not None:
         frames = tool_frames(robot, joints.tool)
@@ -278,25 +277,23 @@ def _joint_limits(
     return limits.of(robot, start, assume=False)
 
 
-def _motion_rows(
-    robot: RobotModel, curves: Sequence[tuple[float, Curve]], limits: JointLimits
-) -> list[LimitRow]:
+def _motion_rows(curves: Sequence[tuple[float, Curve]], limits: JointLimits) -> list[LimitRow]:
     """Return the rows of positions, velocities, accelerations and jerks."""
     rows = []
     for sign, limit in ((1.0, limits.upper), (-1.0, limits.lower)):
         width = np.nan_to_num(limits.upper - limits.lower, posinf=np.pi)
         rows += _joint_rows(
-            "position", robot, curves, PositionMeasure(sign), sign * limit, _RESOLUTION * width
+            "position", limits, curves, PositionMeasure(sign), sign * limit, _RESOLUTION * width
         )
     for order, kind in _RATES.items():
         bound: Array = getattr(limits, kind)
-        rows += _joint_rows(kind, robot, curves, RateMeasure(order), bound, _RESOLUTION * bound)
+        rows += _joint_rows(kind, limits, curves, RateMeasure(order), bound, _RESOLUTION * bound)
     return rows
 
 
 def _joint_rows(
     kind: str,
-    robot: RobotModel,
+    joints: JointLimits,
     curves: Sequence[tuple[float, Curve]],
     measure: Measure,
     limits: Array,
@@ -308,10 +305,9 @@ def _joint_rows(
         return []
     found = _along(curves, measure, limits, np.where(np.isfinite(limits), resolution, np.inf))
     part = Extremes(found.worst[kept], found.reached[kept], found.time[kept])
-    sliding = sliding_joints(robot)
-    units = [unit_of(kind, sliding[j]) for j in kept]
+    units = [unit_of(kind, joints.sliding[j]) for j in kept]
     mirrored = isinstance(measure, PositionMeasure) and measure.sign < 0.0
-    names = [robot.joint_names[j] for j in kept]
+    names = [joints.joint_names[j] for j in kept]
     return _rows(kind, names, limits[kept], part, units, mirrored=mirrored)
 
 

@@ -17,6 +17,17 @@ GIVEN, DESCRIBED, ASSUMED, NONE = "given", "description", "assumed", "none"
 # A motion is worth its while when every joint can travel this part of its range and back.
 _WORTHWHILE = 0.1
 
+# Units of turning and of sliding joints.
+UNITS = {
+    "position": ("rad", "m"),
+    "lower": ("rad", "m"),
+    "upper": ("rad", "m"),
+    "velocity": ("rad/s", "m/s"),
+    "acceleration": ("rad/s²", "m/s²"),
+    "jerk": ("rad/s³", "m/s³"),
+    "torque": ("N·m", "N"),
+}
+
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class JointLimits:
@@ -26,6 +37,8 @@ class JointLimits:
     ----------
     joint_names : tuple of str
         The n joints.
+    sliding : tuple of bool
+        Which of them slide.
     rest : ndarray, shape (n,)
         Position at rest, rad (m of sliding joints); within the limits.
     lower, upper : ndarray, shape (n,)
@@ -48,6 +61,7 @@ class JointLimits:
     """
 
     joint_names: tuple[str, ...]
+    sliding: tuple[bool, ...]
     rest: Array
     lower: Array
     upper: Array
@@ -118,3 +132,8 @@ def rest_to_rest(distance: float, velocity: float, acceleration: float, jerk: fl
         top = acceleration * rise
     cruise = distance / top - (rise + ramp) if top > 0.0 else 0.0
     return 2.0 * (rise + ramp) + max(cruise, 0.0)
+
+
+def unit_of(kind: str, sliding: object) -> str:
+    """Return the unit of a limit of a turning or a sliding joint."""
+    return UNITS[kind][bool(sliding)]

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from sdpid._common.tables import plain
 from sdpid._common.toml import load_toml
 from sdpid.errors import DataError
 from sdpid.excitation.limits.joint_limits import JointLimits
@@ -28,7 +29,8 @@ class Limits:
     ----------
     lower, upper, velocity, acceleration, jerk, torque : float, sequence, mapping or None
         One value for all joints, one a joint (None leaves a joint to the description), or values by
-        the joint's name (``"*"`` for all that are not named). Infinity is no limit.
+        the joint's name (``"*"`` for all that are not named). Infinity, also as the text
+        ``"inf"``, is no limit.
     tool_speed : float or None
         Largest speed of the tool in m/s; None for no limit.
     tool : str or None
@@ -64,6 +66,7 @@ class Limits:
 
     def __post_init__(self) -> None:
         for kind in KINDS:
+            object.__setattr__(self, kind, _with_infinity(getattr(self, kind)))
             for where, value in _entries(getattr(self, kind)):
                 _check_number(kind, where, value)
         for name, least in (("tool_speed", "above 0"), ("clearance", "from 0")):
@@ -129,6 +132,15 @@ class Limits:
         found: dict[str, Any] = {kind: given or None for kind, given in values.items()}
         return cls(**found, **arm)
 
+    def to_dict(self) -> dict[str, Any]:
+        """Return the fields that are given, as JSON and `Limits` take them."""
+        given = {each.name: getattr(self, each.name) for each in fields(self)}
+        return {
+            name: _without_infinity(value)
+            for name, value in given.items()
+            if value is not None and value is not False
+        }
+
     def of(
         self,
         robot: RobotModel,
@@ -170,11 +182,33 @@ _ARM = tuple(each.name for each in fields(Limits) if each.name not in KINDS)
 _ELSEWHERE = ("plane", "box", "mesh", "table", "wall")
 
 
+def _with_infinity(values: Any) -> Any:
+    """Return values with numbers in place of the text ``"inf"``, which JSON has for infinity."""
+    if isinstance(values, Mapping):
+        return {name: _with_infinity(value) for name, value in values.items()}
+    if isinstance(values, list | tuple | np.ndarray):
+        return tuple(_with_infinity(value) for value in values)
+    return (
+        {"inf": np.inf, "-inf": -np.inf}.get(values, values) if isinstance(values, str) else values
+    )
+
+
+def _without_infinity(values: Any) -> Any:
+    """Return plain values with texts in place of infinite numbers."""
+    if isinstance(values, Mapping):
+        return {name: _without_infinity(value) for name, value in values.items()}
+    if isinstance(values, tuple):
+        return [_without_infinity(value) for value in values]
+    if is_number(values) and np.isinf(values):
+        return "inf" if values > 0.0 else "-inf"
+    return plain(values)
+
+
 def _entries(values: Values) -> Iterable[tuple[str, object]]:
     """Yield the values of a field, each with the words for where it is."""
     if isinstance(values, Mapping):
         yield from ((f"joint '{name}'", value) for name, value in values.items())
-    elif isinstance(values, list | tuple | np.ndarray):
+    elif isinstance(values, tuple):
         yield from ((f"joint {j}", value) for j, value in enumerate(values, 1) if value is not None)
     elif values is not None:
         yield "all joints", values

@@ -10,8 +10,15 @@ from numpy.typing import ArrayLike
 
 from sdpid._common.arrays import Array, Mask, real_array
 from sdpid.errors import DataError, ModelError
-from sdpid.excitation.limits.joint_limits import ASSUMED, DESCRIBED, GIVEN, NONE, JointLimits
-from sdpid.robot.model.described_efforts import described_efforts
+from sdpid.excitation.limits.joint_limits import (
+    ASSUMED,
+    DESCRIBED,
+    GIVEN,
+    NONE,
+    JointLimits,
+    unit_of,
+)
+from sdpid.excitation.limits.resting import able_to_rest, check_rest
 from sdpid.robot.model.model import RobotModel
 
 # A value for all joints, one a joint in the robot's order (None for none), or values by joint.
@@ -39,6 +46,7 @@ _FROM_ENDS = 0.1
 # Stands for infinity there, rad or m: any number far beyond the joints' ranges will do.
 _UNBOUNDED = 1e3
 
+
 # Larger values of turning joints are degrees: two turns, 8 turns a second (rad, rad/s). Of sliding
 # joints they are mm (m, m/s).
 _DEGREES = {"lower": 4.0 * np.pi, "upper": 4.0 * np.pi, "velocity": 50.0}
@@ -46,17 +54,6 @@ _MILLIMETERS = {"lower": 20.0, "upper": 20.0, "velocity": 20.0}
 
 # Limits are the same where they differ by less than this share: files round them.
 _SAME = 1e-3
-
-# Units of turning and of sliding joints.
-UNITS = {
-    "position": ("rad", "m"),
-    "lower": ("rad", "m"),
-    "upper": ("rad", "m"),
-    "velocity": ("rad/s", "m/s"),
-    "acceleration": ("rad/s²", "m/s²"),
-    "jerk": ("rad/s³", "m/s³"),
-    "torque": ("N·m", "N"),
-}
 
 
 def narrow(
@@ -94,8 +91,11 @@ def narrow(
         When limits contradict each other or what they are for.
     """
     found = _Narrowing(robot, given, share, override, assume).limits(rest)
-    if assume:
-        _check_rest(robot, found)
+    if not assume:
+        return found
+    if rest is None:
+        return able_to_rest(robot, found)
+    check_rest(robot, found)
     return found
 
 
@@ -157,6 +157,7 @@ class _Narrowing:
             )
         return JointLimits(
             joint_names=self.names,
+            sliding=tuple(bool(slides) for slides in self.sliding),
             rest=position,
             lower=lower,
             upper=upper,
@@ -330,33 +331,6 @@ class _Narrowing:
             names = ", ".join(self.names[j] for j in joints)
             verb = "has" if joints.size == 1 else "have"
             self.told.append(f"{names} {verb} {words}.")
-
-
-def _check_rest(robot: RobotModel, limits: JointLimits) -> None:
-    """Raise `DataError` unless a robot can stand at its rest position within the limits."""
-    rest, names, sliding = limits.rest, limits.joint_names, sliding_joints(robot)
-    for j in np.flatnonzero((rest < limits.lower) | (rest > limits.upper)):
-        unit = unit_of("lower", sliding[j])
-        below = rest[j] < limits.lower[j]
-        side, limit = ("below", limits.lower[j]) if below else ("above", limits.upper[j])
-        raise DataError(
-            f"limits: joint '{names[j]}': the rest position {rest[j]:.6g} {unit} is {side} the "
-            f"limit of {limit:.6g} {unit}; start elsewhere, or widen the limit."
-        )
-    still = np.zeros((1, limits.n))
-    gravity = np.abs(described_efforts(robot, rest[None], still, still)[0])
-    for j in np.flatnonzero(gravity > limits.torque):
-        unit = unit_of("torque", sliding[j])
-        raise DataError(
-            f"limits: joint '{names[j]}': gravity alone needs {gravity[j]:.4g} {unit} at the rest "
-            f"position, the torque limit is {limits.torque[j]:.4g} {unit} "
-            f"({limits.sources['torque'][j]}); give another rest position, or a larger limit."
-        )
-
-
-def unit_of(kind: str, sliding: object) -> str:
-    """Return the unit of a limit of a turning or a sliding joint."""
-    return UNITS[kind][bool(sliding)]
 
 
 def sliding_joints(robot: RobotModel) -> Mask:

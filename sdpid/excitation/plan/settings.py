@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from sdpid._common.tables import plain
+from sdpid.excitation.limits.limits import Limits
 
 
 def settings_of(**arguments: Any) -> dict[str, Any]:
@@ -17,7 +18,7 @@ def settings_of(**arguments: Any) -> dict[str, Any]:
         if value is None or (isinstance(value, tuple | list) and not value):
             continue
         try:
-            settings[name] = plain(value)
+            settings[name] = value.to_dict() if isinstance(value, Limits) else plain(value)
         except TypeError:
             settings[name] = repr(value)
     return settings

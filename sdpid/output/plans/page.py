@@ -19,7 +19,8 @@ import numpy as np
 from sdpid._common.arrays import Array
 from sdpid._common.extras import require
 from sdpid.excitation.expected.expected import NORMAL, Expected
-from sdpid.excitation.limits.narrowing import UNITS, sliding_joints
+from sdpid.excitation.limits.joint_limits import UNITS
+from sdpid.excitation.limits.narrowing import sliding_joints
 from sdpid.excitation.limits.torque import TorqueModel
 from sdpid.excitation.plan.plan import Plan
 from sdpid.output.plans.pictures import (

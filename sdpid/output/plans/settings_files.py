@@ -83,7 +83,7 @@ def _limits_table(limits: Mapping[str, Any], joints: Sequence[str]) -> dict[str,
     for key, value in limits.items():
         if value is None:
             continue
-        if key not in _OF_JOINTS or isinstance(value, int | float):
+        if key not in _OF_JOINTS or isinstance(value, int | float | str):
             table["arm"][key] = value
             continue
         named = value if isinstance(value, Mapping) else dict(zip(joints, value, strict=True))

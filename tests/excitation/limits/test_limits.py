@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import math
 from pathlib import Path
 from typing import Any
@@ -14,6 +15,7 @@ from hypothesis import strategies as st
 from sdpid.errors import DataError, ModelError
 from sdpid.excitation.limits.joint_limits import rest_to_rest
 from sdpid.excitation.limits.limits import Limits
+from sdpid.robot.model.described_efforts import described_efforts
 from sdpid.robot.model.load import load_robot
 from sdpid.robot.model.model import RobotModel
 from tests.helpers.robots import TREE, planar_arm
@@ -143,7 +145,7 @@ def test_rest_is_in_the_middle_where_zero_is_near_an_end() -> None:
         ({"torque": [1.0, 2.0, 3.0]}, ("torque", "3 values", "2 joints")),
         ({"lower": -90.0}, ("degrees", "-1.571 rad")),
         ({"velocity": 180.0}, ("degrees", "3.142 rad/s")),
-        ({"torque": {"a": 5.0}}, ("'a'", "gravity alone", "5 N·m", "another rest")),
+        ({"torque": {"a": 1.0}, "upper": 0.5, "lower": -0.5}, ("'a'", "gravity alone", "1 N·m")),
         ({"tool_speed": 0.0}, ("tool_speed", "above 0")),
         ({"clearance": -0.1}, ("clearance", "from 0")),
         ({"share": 1.1}, ("share", "at most 1")),
@@ -159,6 +161,8 @@ def test_wrong_limits_are_told(limits: dict[str, Any], words: tuple[str, ...]) -
 def test_wrong_rest_is_told() -> None:
     with pytest.raises(DataError, match=r"'b': the rest position 1\.5 rad is above the limit of 1"):
         Limits().of(arm(*TWO), rest=[0.0, 1.5])
+    with pytest.raises(DataError, match=r"'a': gravity alone needs 27\.\d* N·m at the rest"):
+        Limits(torque=20.0).of(arm(*TWO), rest=[0.0, 0.0])
     with pytest.raises(DataError, match="rest position: 1 values"):
         Limits().of(arm(*TWO), rest=[0.0])
 
@@ -273,3 +277,24 @@ def test_planar_arm_without_any_limit() -> None:
     found = Limits().of(planar_arm())
     assert np.isfinite(found.lower).all()
     assert np.isfinite(found.jerk).all()
+
+
+def test_infinity_survives_plain_values() -> None:
+    given = Limits(jerk=math.inf, velocity=[1.0, None], torque={"a": 60.0, "*": math.inf})
+    again = Limits(**json.loads(json.dumps(given.to_dict())))
+    assert again.to_dict() == given.to_dict()
+    assert np.isinf(again.of(arm(*TWO)).jerk).all()
+
+
+def test_rest_is_where_the_motors_hold_the_arm() -> None:
+    # Stretched out, the first joint carries 4 kg at 0.3 m and 4 kg at 0.4 m: 27 N·m.
+    weak = LIMIT.replace("100", "30").replace('lower="-2"', 'lower="-2.5"').replace('"1"', '"2.5"')
+    found = Limits().of(arm(*TWO, limit=weak))
+    assert np.any(found.rest != 0.0)
+    still = np.zeros((1, 2))
+    assert np.all(np.abs(described_efforts(arm(*TWO), found.rest[None], still, still)) <= 21.0)
+    assert any("motors hold easily" in sentence for sentence in found.assumed)
+    # A position that is asked for is kept.
+    assert Limits().of(arm(*TWO, limit=weak), rest=[0.0, 0.0]).rest.tolist() == [0.0, 0.0]
+    with pytest.raises(DataError, match="at the best of"):
+        Limits().of(arm(*TWO, limit=LIMIT.replace("100", "1").replace("-2", "-0.5")))
