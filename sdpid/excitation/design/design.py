@@ -23,12 +23,13 @@ from sdpid.excitation.criterion.noise import Given
 from sdpid.excitation.criterion.objectives import WORDS, ObjectiveKind
 from sdpid.excitation.design.homes import homes
 from sdpid.excitation.design.repair import Inequalities, mend
-from sdpid.excitation.design.task import Motion, Task
+from sdpid.excitation.design.task import MOTIONS, Motion, Task
 from sdpid.excitation.expected.expect import expect
 from sdpid.excitation.geometry.obstacles import Obstacle
 from sdpid.excitation.limits.limits import Limits
 from sdpid.excitation.plan.plan import Plan
 from sdpid.excitation.plan.settings import settings_of
+from sdpid.excitation.search.ipopt import require_solver
 from sdpid.excitation.search.linear import linear_limits
 from sdpid.excitation.search.search import MOST_STEPS, Candidate, Search
 from sdpid.excitation.search.starts import random_start
@@ -44,6 +45,8 @@ STARTS = 4
 # Of a time limit, what is kept for the check and for what the run will buy: seconds, and at most
 # this share.
 _KEPT_SECONDS, _KEPT_SHARE = 5.0, 0.4
+# An eigenvalue of the information below this share of the largest is rounding.
+_ROUNDING = 1e-15
 # Instants a second of the regressor whose condition number is stated.
 _SCORED_HZ = 100.0
 
@@ -158,6 +161,7 @@ def design_excitation(
         raise DataError(f"starts: is {starts}; give at least 1.")
     if time_limit is not None and not time_limit > 0.0:
         raise DataError(f"time_limit: is {time_limit}; give a positive time in s.")
+    require_solver()
     model = robot if isinstance(robot, RobotModel) else load_robot(robot)
     terms = FRICTION if friction is None else tuple(friction)
     around, folders = tuple(obstacles), tuple(package_dirs)
@@ -201,10 +205,11 @@ def design_excitation(
     if time_limit is not None:
         deadline = began + time_limit - min(_KEPT_SECONDS, _KEPT_SHARE * time_limit) / 2.0
     best, check = mend(task, replace(search, deadline=deadline), found[0], inequalities)
-    notes = [*task.notes, *_notes(task, found, stopped, time_limit)]
+    notes = [*task.notes, *_notes(task, motion, found, stopped, time_limit)]
     W = task.rows.rows(*_scored_states(task, best.x)).reshape(-1, task.rows.count)
     information = W.T @ W / (len(W) / model.n)
     values = np.linalg.eigvalsh(information)
+    shown = bool(values[0] > _ROUNDING * values[-1])
     trajectory = task.trajectory(best.x)
     # Without earlier runs, which are about the plan's terms, the terms are those of `identify`.
     expected = expect(
@@ -224,22 +229,22 @@ def design_excitation(
         collision=task.collision,
         names=expected.names,
         standard_errors=expected.standard_errors,
-        condition_number=float(np.sqrt(values[-1] / max(values[0], np.finfo(float).tiny))),
-        log_det=float(np.log(np.maximum(values, np.finfo(float).tiny)).sum()),
+        condition_number=float(np.sqrt(values[-1] / values[0])) if shown else np.inf,
+        log_det=float(np.log(values).sum()) if shown else -np.inf,
         expected=expected,
         objective=task.criterion.objective.kind,
         purpose=purpose,
         motion=motion,
         notes=tuple(notes),
         settings=settings_of(
-            robot=robot,
+            robot=model.name if isinstance(robot, RobotModel) else robot,
             duration=duration,
             limits=limits,
             obstacles=around,
             collisions=collisions,
             friction=terms,
             prior=prior,
-            previous=previous,
+            previous=_named(previous),
             noise=noise,
             purpose=purpose,
             objective=objective,
@@ -296,10 +301,10 @@ def _scored_states(task: Task, x: Array) -> tuple[Array, Array, Array]:
 
 
 def _notes(
-    task: Task, found: list[Candidate], stopped: bool, time_limit: float | None
+    task: Task, motion: Motion, found: list[Candidate], stopped: bool, time_limit: float | None
 ) -> list[str]:
     kind = task.criterion.objective.kind
-    notes = [f"objective '{kind}': {WORDS[kind]}."]
+    notes = [f"motion '{motion}': {MOTIONS[motion]}.", f"objective '{kind}': {WORDS[kind]}."]
     values = ", ".join(f"{each.value:.3f}" for each in found)
     notes.append(
         f"the search found its best motion from one of {len(found)} starts (objectives {values}): "
@@ -310,6 +315,15 @@ def _notes(
     elif stopped:
         notes.append(f"the search ended at its time limit of {time_limit:g} s.")
     return notes
+
+
+def _named(previous: Previous | None) -> Any:
+    """Return the paths of earlier runs, or words for what has no path."""
+    if previous is None or isinstance(previous, str | os.PathLike):
+        return previous
+    if isinstance(previous, list | tuple):
+        return [_named(each) for each in previous]
+    return type(previous).__name__
 
 
 def _row(candidate: Candidate) -> dict[str, Any]:

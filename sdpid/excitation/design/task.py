@@ -39,6 +39,18 @@ from sdpid.robot.model.model import RobotModel
 
 Motion = Literal["spline", "fourier", "postures", "one_by_one"]
 
+# What each kind of motion is, and when to take it.
+MOTIONS: dict[str, str] = {
+    "spline": "splines of fifth degree, at rest at both ends; they show most in a given time, "
+    "friction included",
+    "fourier": "Fourier series, at rest where a period begins; for controllers that want them: "
+    "within the same limits they show less than splines",
+    "postures": "from posture to posture, each held for a while; for robots that are read out at "
+    "rest, to know gravity",
+    "one_by_one": "one joint at a time, the others at rest; for friction where joints disturb each "
+    "other: it shows little else",
+}
+
 # Samples a second of a plan's trajectory.
 RATE_HZ = 500.0
 # Highest frequency of a Fourier series, Hz, and least number of harmonics.

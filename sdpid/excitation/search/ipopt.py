@@ -62,6 +62,17 @@ class Found:
     stopped: bool
 
 
+def require_solver() -> Any:
+    """Import CasADi, which brings IPOPT.
+
+    Raises
+    ------
+    MissingExtraError
+        When it is not installed (extra ``excite``).
+    """
+    return require("casadi", extra="excite")
+
+
 def minimize(
     function: Callable[[Array], tuple[float, Array]],
     start: Array,
@@ -95,7 +106,7 @@ def minimize(
     MissingExtraError
         When CasADi is not installed (extra ``excite``).
     """
-    casadi = require("casadi", extra="excite")
+    casadi = require_solver()
     matrix, lower, upper = linear
     N = len(start)
     calls = _Calls(function)
