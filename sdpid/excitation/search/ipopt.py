@@ -21,6 +21,8 @@ _PUSH = 1e-6
 # Rows that stand for nonlinear limits count as held when they are short by no more than this share
 # of a limit: the grid on which they are held is coarse, and another margin stands for that.
 _HELD = 1e-6
+# How a search ended that its user interrupted.
+INTERRUPTED = "Interrupted"
 
 
 class Rows(Protocol):
@@ -157,7 +159,7 @@ def minimize(
         },
     )
     watch.offer(start, calls.cached(start)[0])
-    status = "Interrupted"
+    status = INTERRUPTED
     try:
         solver(
             x0=start,
@@ -172,7 +174,7 @@ def minimize(
         if calls.error is None:
             raise
     if isinstance(calls.error, KeyboardInterrupt):
-        status, watch.stopped = "Interrupted", True
+        status, watch.stopped = INTERRUPTED, True
     elif calls.error is not None:
         raise calls.error
     return Found(

@@ -1,10 +1,10 @@
-"""Search motions from several starts, and keep the best that each found."""
+"""Search motions from several starts, refine the best, and keep what each found."""
 
 from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
@@ -12,11 +12,23 @@ import numpy as np
 
 from sdpid._common.arrays import Array
 from sdpid.excitation.criterion.criterion import Criterion
-from sdpid.excitation.search.ipopt import Rows, minimize
+from sdpid.excitation.limits.joint_limits import JointLimits
+from sdpid.excitation.search.ipopt import INTERRUPTED, Rows, minimize
+from sdpid.excitation.search.linear import linear_limits
 from sdpid.excitation.search.space import Space
 
 # Steps of one start: nine tenths of what more would bring.
 MOST_STEPS = 250
+# The best motions go on with twice and four times the intervals: from 36 of them in 20 s, the
+# condition number of a UR10e falls by another tenth, in a third of the time of one start.
+_REFINED, _LEVELS, _REFINING_STEPS = 2, 2, 150
+# Share of the time after which starts end and the best are refined.
+_COARSE = 0.6
+
+
+def most_steps(starts: int) -> int:
+    """Return the largest number of steps of a search from a number of starts."""
+    return starts * MOST_STEPS + min(starts, _REFINED) * _LEVELS * _REFINING_STEPS
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -25,6 +37,8 @@ class Candidate:
 
     Attributes
     ----------
+    space : Space
+        The motions that it was searched among.
     x : ndarray, shape (N,)
         Its free numbers.
     value : float
@@ -39,6 +53,7 @@ class Candidate:
         Time that it took.
     """
 
+    space: Space
     x: Array
     value: float
     start: int
@@ -57,16 +72,28 @@ class Search:
         The motions.
     criterion : Criterion
         What is made small.
-    linear : tuple
-        Limits that hold at every instant, from `linear_limits`.
+    limits : JointLimits
+        Of positions, speeds, accelerations and jerks.
+    start : ndarray, shape (n,), optional
+        Where the motions begin.
     deadline : float
         Time of `time.monotonic` at which the search ends, infinite for none.
     """
 
     space: Space
     criterion: Criterion
-    linear: tuple[Any, Array, Array]
+    limits: JointLimits
+    start: Array | None = None
     deadline: float = np.inf
+
+    def on(self, space: Space) -> Search:
+        """Return the same search among other motions."""
+        return replace(self, space=space)
+
+    @cached_property
+    def linear(self) -> tuple[Any, Array, Array]:
+        """Matrix, lower and upper limits of rows that hold at every instant."""
+        return linear_limits(self.space, self.limits, self.start)
 
     def value_and_gradient(self, x: Array) -> tuple[float, Array]:
         """Return the objective of a motion (N,) and its gradient (N,)."""
@@ -120,6 +147,7 @@ class Search:
             stop=stop,
         )
         candidate = Candidate(
+            space=self.space,
             x=found.x,
             value=found.value,
             start=number,
@@ -132,24 +160,54 @@ class Search:
     def run(
         self,
         starts: Iterable[Array],
-        rows: Rows | None,
+        rows_of: Callable[[Space], Rows | None] = lambda space: None,
         *,
         step: Callable[[], None] = lambda: None,
     ) -> tuple[list[Candidate], bool]:
-        """Search from every start until the deadline or an interruption.
+        """Search from every start, refine the best, until the deadline or an interruption.
+
+        Parameters
+        ----------
+        starts : iterable of ndarray (N,)
+            Motions within all limits.
+        rows_of : callable, optional
+            Further limits of motions of a space.
+        step : callable, optional
+            Called after every step.
 
         Returns
         -------
         list of Candidate
             The best first.
         bool
-            Whether the search was stopped before the last start.
+            Whether the search was stopped before its end.
         """
+        now = time.monotonic()
+        coarse = replace(self, deadline=now + _COARSE * (self.deadline - now))
+        rows = rows_of(self.space)
         found: list[Candidate] = []
         stopped = False
         for number, start in enumerate(starts):
-            candidate, stopped = self.improve(start, rows, number=number, step=step)
+            candidate, stopped = coarse.improve(start, rows, number=number, step=step)
             found.append(candidate)
             if stopped:
                 break
-        return sorted(found, key=lambda each: each.value), stopped
+        interrupted = found[-1].status == INTERRUPTED if found else True
+        for candidate in sorted(found, key=_value)[: 0 if interrupted else _REFINED]:
+            for _ in range(_LEVELS):
+                refined = candidate.space.refined(candidate.x)
+                if refined is None or time.monotonic() > self.deadline:
+                    break
+                candidate, stopped = self.on(refined[0]).improve(
+                    refined[1],
+                    rows_of(refined[0]),
+                    number=candidate.start,
+                    most_steps=_REFINING_STEPS,
+                    step=step,
+                )
+                found.append(candidate)
+        return sorted(found, key=_value), stopped
+
+
+def _value(candidate: Candidate) -> float:
+    return candidate.value

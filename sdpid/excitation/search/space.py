@@ -84,6 +84,10 @@ class Space(ABC):
             [E.T @ column for E, column in zip(self.expansions, by_coefficients.T, strict=True)]
         )
 
+    def refined(self, x: Array) -> tuple[Space, Array] | None:
+        """Return a space that holds these motions and finer ones, and x in it; None for none."""
+        return None
+
     def grid(self, rate: float = SAMPLES_HZ, fewest: int = FEWEST_SAMPLES) -> Array:
         """Return the middles of equal parts of the duration, (K,) in s."""
         count = max(fewest, round(rate * self.duration))
@@ -106,7 +110,15 @@ class Space(ABC):
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class SplineSpace(Space):
-    """Splines of fifth degree that start and end at rest."""
+    """Splines of fifth degree that start and end at rest.
+
+    Attributes
+    ----------
+    closed : bool or None
+        Whether they end where they began; None for splines with less freedom than that.
+    """
+
+    closed: bool | None = None
 
     @classmethod
     def of(
@@ -115,7 +127,17 @@ class SplineSpace(Space):
         """Build for n joints; closed motions end where they began."""
         count = intervals or max(FEWEST_INTERVALS, round(INTERVALS_HZ * duration))
         E = Spline.expansion(count + 5, closed=closed).toarray()
-        return cls(n=n, duration=duration, expansions=(E,) * n)
+        return cls(n=n, duration=duration, expansions=(E,) * n, closed=closed)
+
+    def refined(self, x: Array) -> tuple[Space, Array] | None:
+        """Return the splines with twice the intervals, and the same motion among them."""
+        if self.closed is None:
+            return None
+        m = len(self.expansions[0])
+        finer = self.of(self.n, self.duration, closed=self.closed, intervals=2 * (m - 5))
+        points = Spline.control_matrix(m, self.duration, 0, 1) @ self.coefficients(x)
+        numbers = np.linalg.lstsq(finer.expansions[0], points, rcond=None)[0]
+        return finer, numbers.ravel(order="F")
 
     @classmethod
     def postures(cls, n: int, duration: float) -> SplineSpace:
