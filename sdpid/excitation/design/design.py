@@ -30,8 +30,7 @@ from sdpid.excitation.limits.limits import Limits
 from sdpid.excitation.plan.plan import Plan
 from sdpid.excitation.plan.settings import settings_of
 from sdpid.excitation.search.ipopt import require_solver
-from sdpid.excitation.search.linear import linear_limits
-from sdpid.excitation.search.search import MOST_STEPS, Candidate, Search
+from sdpid.excitation.search.search import Candidate, Search, most_steps
 from sdpid.excitation.search.starts import random_start
 from sdpid.experiment.trajectory.trajectory import Trajectory
 from sdpid.robot.friction.term import FrictionTerm
@@ -193,18 +192,20 @@ def design_excitation(
     search = Search(
         space=task.space,
         criterion=task.criterion,
-        linear=linear_limits(task.space, task.limits, task.start),
+        limits=task.limits,
+        start=task.start,
         deadline=deadline,
     )
     inequalities = Inequalities(task)
-    rows = inequalities.rows()
     with _steps(starts, began, deadline, progress) as step:
         count = starts if time_limit is None else None
-        begun = itertools.islice(_starts(task, search, rows, seed), count)
-        found, stopped = search.run(begun, rows, step=step)
+        begun = itertools.islice(_starts(task, search, inequalities.rows(task.space), seed), count)
+        found, stopped = search.run(begun, inequalities.rows, step=step)
+    task = replace(task, space=found[0].space)
     if time_limit is not None:
         deadline = began + time_limit - min(_KEPT_SECONDS, _KEPT_SHARE * time_limit) / 2.0
-    best, check = mend(task, replace(search, deadline=deadline), found[0], inequalities)
+    search = replace(search, space=task.space, deadline=deadline)
+    best, check = mend(task, search, found[0], inequalities)
     notes = [*task.notes, *_notes(task, motion, found, stopped, time_limit)]
     W = task.rows.rows(*_scored_states(task, best.x)).reshape(-1, task.rows.count)
     information = W.T @ W / (len(W) / model.n)
@@ -269,7 +270,7 @@ def _steps(
 ) -> Iterator[Callable[[], None]]:
     """Yield what to call after every step of the search, which moves a progress bar."""
     timed = np.isfinite(deadline)
-    total = deadline - began if timed else starts * MOST_STEPS
+    total = deadline - began if timed else most_steps(starts)
     last = began
     with progress_bar(total, "searching a motion", enabled=shown) as advance:
 
@@ -306,9 +307,11 @@ def _notes(
     kind = task.criterion.objective.kind
     notes = [f"motion '{motion}': {MOTIONS[motion]}.", f"objective '{kind}': {WORDS[kind]}."]
     values = ", ".join(f"{each.value:.3f}" for each in found)
+    starts = len({each.start for each in found})
     notes.append(
-        f"the search found its best motion from one of {len(found)} starts (objectives {values}): "
-        "others may be better, and no bound says by how much."
+        f"the search found its best motion from start {found[0].start + 1} of {starts} (objectives "
+        f"of coarse and refined motions {values}): others may be better, and no bound says by how "
+        "much."
     )
     if stopped and time_limit is None:
         notes.append("the search was interrupted: this is the best motion that it had found.")
@@ -329,6 +332,7 @@ def _named(previous: Previous | None) -> Any:
 def _row(candidate: Candidate) -> dict[str, Any]:
     return {
         "start": candidate.start,
+        "numbers": candidate.space.size,
         "objective": candidate.value,
         "steps": candidate.steps,
         "seconds": candidate.seconds,

@@ -14,6 +14,7 @@ from sdpid.excitation.limits.check import LimitCheck, check_trajectory
 from sdpid.excitation.limits.inequalities import ToolSpeedWithin, TorqueWithin
 from sdpid.excitation.search.inequalities import InstantRows, KeptDistance, StateInequality
 from sdpid.excitation.search.search import Candidate, Search
+from sdpid.excitation.search.space import Space
 
 # Instants a second at which distances, torques and tool speeds are held during the search.
 _RATE_HZ = 8.0
@@ -51,9 +52,8 @@ class Inequalities:
     share: float = _SHARE
     kinds: set[str] = field(default_factory=lambda: {"distance"})
 
-    def rows(self) -> InstantRows | None:
-        """Return the rows that a search holds; None where there are none."""
-        space = self.task.space
+    def rows(self, space: Space) -> InstantRows | None:
+        """Return the rows that a search among motions holds; None where there are none."""
         time = space.grid(rate=_RATE_HZ)
         parts = [(inequality, time) for inequality in self._parts()]
         return InstantRows(space=space, parts=parts) if parts else None
@@ -113,7 +113,7 @@ def mend(
         if check.ok:
             return candidate, check
         inequalities.learn(check)
-        rows = inequalities.rows()
+        rows = inequalities.rows(task.space)
         start = shrunk(task, candidate.x, rows)
         candidate, stopped = search.improve(start, rows, number=candidate.start, most_steps=_STEPS)
         check = checked(task, candidate.x)
@@ -128,14 +128,7 @@ def mend(
         if check.ok:
             value = search.value_and_gradient(x)[0]
             return (
-                Candidate(
-                    x=x,
-                    value=value,
-                    start=candidate.start,
-                    steps=candidate.steps,
-                    status=f"shrunk to {100.0 * share:g} %",
-                    seconds=candidate.seconds,
-                ),
+                replace(candidate, x=x, value=value, status=f"shrunk to {100.0 * share:g} %"),
                 check,
             )
     broken = "; ".join(

@@ -131,3 +131,29 @@ def test_the_largest_step_ends_at_the_first_limit() -> None:
 def test_a_single_harmonic_is_refused() -> None:
     with pytest.raises(DataError, match="at least 2"):
         FourierSpace.of(3, 8.0, 1)
+
+
+@given(st.booleans(), st.integers(0, 1000))
+def test_refined_splines_hold_the_motion_and_its_limits(closed: bool, seed: int) -> None:
+    space = SplineSpace.of(3, 8.0, closed=closed)
+    x = drawn(space, seed)
+    refined = space.refined(x)
+    assert refined is not None
+    finer, numbers = refined
+    assert finer.size > 1.5 * space.size
+    time = np.linspace(0.0, 8.0, 301)
+    for order in range(4):
+        expected = space.curve(x).evaluate(time, derivative=order)
+        found = finer.curve(numbers).evaluate(time, derivative=order)
+        np.testing.assert_allclose(found, expected, atol=1e-8 * np.abs(expected).max())
+        # Finer control points lie between those that they come from.
+        bounds = [s.bounds(order)[0] @ s.coefficients(y) for s, y in ((space, x), refined)]
+        size = np.abs(bounds[0]).max()
+        assert np.all(bounds[1].max(axis=0) <= bounds[0].max(axis=0) + 1e-8 * size)
+        assert np.all(bounds[1].min(axis=0) >= bounds[0].min(axis=0) - 1e-8 * size)
+
+
+@pytest.mark.parametrize("name", ["postures", "one_by_one", "fourier"])
+def test_other_motions_are_not_refined(name: str) -> None:
+    space = SPACES[name]()
+    assert space.refined(drawn(space, 0)) is None
