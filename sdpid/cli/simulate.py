@@ -39,6 +39,9 @@ def simulate(
         bool, typer.Option("--unmodeled", help="Add effects that no linear model has.")
     ] = False,
     noise: Annotated[bool, typer.Option(help="Add sensor noise and quantization.")] = True,
+    exact: Annotated[
+        bool, typer.Option("--exact", help="Follow the motion exactly, without a controller.")
+    ] = False,
 ) -> None:
     """Record a motion of a simulated robot."""
     if out.suffix.lower() != ".parquet":
@@ -81,6 +84,7 @@ def simulate(
         drives=load_drives(robot) if bundled else None,
         unmodeled=unmodeled,
         noise=noise,
+        exact=exact,
     )
     recording.to_parquet(out)
     files = [str(file) for file in (out, write_trajectory) if file is not None]

@@ -40,8 +40,8 @@ class ExactMotion:
     ) -> None:
         if unmodeled:
             raise DataError(
-                f"simulate: '{robot.name}' follows its motion exactly, for mimic joints or large "
-                "damping; unmodeled effects are not simulated."
+                f"simulate: '{robot.name}' follows its motion exactly, as asked, or for mimic "
+                "joints or large damping; unmodeled effects are not simulated."
             )
         self.drives = drives
         self._robot, self._trajectory = robot, trajectory

@@ -58,6 +58,7 @@ def simulate(
     drives: Drives | None = None,
     unmodeled: bool = False,
     noise: bool = True,
+    exact: bool = False,
     progress: bool | None = None,
 ) -> Recording:
     """Run a trajectory on a simulated robot and record positions and currents.
@@ -76,9 +77,10 @@ def simulate(
     the state at the end of a period equals that at its start to `SETTLED`, the remaining periods
     repeat the last one instead of being computed again; their noise is drawn anew.
 
-    A robot with mimic joints has no closed loop here: it follows the trajectory exactly, and its
-    efforts are those of its equation of motion. So does a robot whose description has so much
-    damping that default drives would not move it as desired. `Recording.notes` say so.
+    With `exact` there is no loop and no lag: the robot follows the trajectory exactly, and its
+    efforts are those of its equation of motion. So does a robot with mimic joints, and one whose
+    description has so much damping that default drives would not move it as desired.
+    `Recording.notes` say so.
 
     Parameters
     ----------
@@ -98,6 +100,8 @@ def simulate(
         Add `drives.unmodeled`.
     noise : bool
         Without it the same motion and torques are recorded without quantization and noise.
+    exact : bool
+        Follow the trajectory exactly, without a controller; MuJoCo is not needed.
     progress : bool, optional
         Show a progress bar; by default on a terminal.
 
@@ -120,7 +124,7 @@ def simulate(
         trajectory = default_motion(robot, rng)
     made_up = drives is None and robot.name not in bundled_robots()
     theta, drives = plant_parts(robot, trajectory, theta, drives)
-    exact = robot.expansion.shape != (robot.n, robot.n)
+    exact = exact or robot.expansion.shape != (robot.n, robot.n)
     if made_up and not exact:
         fastest, limit = fastest_pole(robot, trajectory, theta, drives)
         exact = fastest >= limit

@@ -344,8 +344,21 @@ def test_a_robot_of_large_damping_follows_its_motion_exactly() -> None:
     lead = trajectory.lead_samples
     np.testing.assert_array_equal(log.position[lead:], trajectory.sample(lead)[0])
     assert "without a controller" in log.notes[0]
-    with pytest.raises(DataError, match="large damping"):
+    with pytest.raises(DataError, match="exactly"):
         simulate(robot, trajectory, unmodeled=True)
+
+
+def test_any_robot_follows_its_motion_exactly_where_asked(
+    robot: RobotModel, theta: Array, short: Trajectory
+) -> None:
+    log = simulate(robot, short, theta=theta, noise=False, exact=True)
+    lead = short.lead_samples
+    q, v, a = (values[lead:] for values in short.sample())
+    np.testing.assert_array_equal(log.position[lead:], q)
+    n = robot.n
+    friction = theta[-2 * n : -n] * np.sign(v) + theta[-n:] * v
+    effort = robot.inverse_dynamics(theta[: -2 * n].reshape(-1, 10), q, v, a) + friction
+    np.testing.assert_allclose(log.effort[lead:], effort, atol=1e-9)
 
 
 def test_defaults_of_a_simulation() -> None:
