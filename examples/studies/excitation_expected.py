@@ -38,7 +38,6 @@ from sdpid.excitation.criterion.noise import ExpectedNoise, usual_effort
 from sdpid.excitation.expected.expect import expect
 from sdpid.excitation.expected.expected import Expected
 from sdpid.excitation.expected.rehearsal import rehearse
-from sdpid.experiment.plant.default_motion import default_motion
 from sdpid.experiment.plant.simulate import plant_parts
 from sdpid.experiment.trajectory.trajectory import Trajectory
 from sdpid.robot.consistent import raise_second_moments
@@ -88,12 +87,8 @@ class Twin:
 
 
 def plan_of(robot: sdpid.RobotModel, seed: int, duration: float) -> Trajectory:
-    """Return a plan from the robot's description, or random motion where there is no design."""
-    design = getattr(sdpid, "design_excitation", None)
-    if design is None:
-        return default_motion(robot, seed, period=duration, periods=1)
-    found: Trajectory = design(robot, duration=duration, seed=seed, time_limit=30.0).trajectory
-    return found
+    """Return a plan from the robot's description."""
+    return sdpid.design_excitation(robot, duration=duration, seed=seed, starts=1).trajectory
 
 
 def noise_of(robot: sdpid.RobotModel, trajectory: Trajectory) -> Array:

@@ -225,9 +225,10 @@ def _again(
     reading: Reading,
 ) -> RunErrors:
     """Return the sums over the rows that one more repetition of the motion adds."""
-    if reading == "record" and is_closed(trajectory.series):
+    leads = trajectory.lead_samples > 0 and is_closed(trajectory.series)
+    if reading == "record" and leads:
         longer = rehearsed(trajectory.with_periods(trajectory.periods + 1))
-        return RunErrors.of(longer.spectrum).plus(own, -1.0)
+        return RunErrors.of(longer.spectrum).beyond(own)
     return own.plus(own, 1.0 / trajectory.periods - 1.0)
 
 

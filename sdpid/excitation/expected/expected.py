@@ -12,6 +12,7 @@ from sdpid._common.arrays import Array
 from sdpid._common.tables import Table, plain
 from sdpid.excitation.criterion.noise import ExpectedNoise
 from sdpid.excitation.expected.open_directions import OpenDirection
+from sdpid.robot.inertia import PARAMETER_NAMES
 
 # A parameter is known in words when its interval is this narrow beside what was known before.
 _KNOWN = 0.1
@@ -19,7 +20,7 @@ _KNOWN = 0.1
 # A parameter is mostly from the prior where this much of its variance is.
 _FROM_PRIOR = 0.5
 
-# What was known before a run says nothing where it is this many times the effort.
+# An interval says nothing where it is this many times the value.
 _SAYS_NOTHING = 10.0
 
 # Parameters that a sentence lists.
@@ -188,7 +189,7 @@ class Expected:
         band = self.bands[k]
         size = max(float(np.linalg.norm(band.effort)), np.finfo(float).tiny)
         before = float(np.linalg.norm(band.before)) / size
-        known = f" (before the run ±{_percent(before)})" if before < _SAYS_NOTHING else ""
+        known = f" (before the run {_within(before)})" if before < _SAYS_NOTHING else ""
         return (
             f"efforts on {band.motion}: {self._times([d.bands[k] for d in self.durations])}{known}"
         )
@@ -196,7 +197,7 @@ class Expected:
     def _times(self, shares: Sequence[float]) -> str:
         """Return shares over the durations in words."""
         pairs = zip(self.durations, shares, strict=True)
-        return ", ".join(f"after {d.seconds:.3g} s ±{_percent(share)}" for d, share in pairs)
+        return ", ".join(f"after {d.seconds:.3g} s {_within(share)}" for d, share in pairs)
 
     def _outermost(self) -> list[str]:
         """Return how the mass of the outermost link that the run tells sharpens over time.
@@ -213,12 +214,21 @@ class Expected:
             shares = [NORMAL * d.masses[link] / masses[link] for d in self.durations]
             return [f"mass of {self.link_names[link]}: {self._times(shares)}"]
         known = (self.prior_share < _FROM_PRIOR) & (self.half_widths < np.abs(self.values))
-        known &= np.array([not name.startswith("F") for name in self.names])
+        symbols = (name.rstrip("0123456789").removesuffix("r") for name in self.names)
+        known &= np.array([symbol in PARAMETER_NAMES for symbol in symbols])
         if not known.any():
             return []
         k = int(np.flatnonzero(known)[-1])
         shares = [NORMAL * d.standard_errors[k] / abs(self.values[k]) for d in self.durations]
-        return [f"{self.names[k]} ({self.units[k]}): {self._times(shares)}"]
+        return [f"{self._described(k)}: {self._times(shares)}"]
+
+    def _described(self, k: int) -> str:
+        """Return a base parameter in words."""
+        name = self.names[k]
+        symbol = name.rstrip("0123456789")
+        link = self.link_names[int(name[len(symbol) :]) - 1]
+        kind = "first moment" if symbol.startswith("m") else "inertia"
+        return f"{kind} {name} of {link} ({self.units[k]})"
 
     def _open(self) -> list[str]:
         """Return the open directions, those with one reason together."""
@@ -233,29 +243,27 @@ class Expected:
         ]
 
     def _parameters(self) -> str:
-        finite = np.isfinite(self.before)
-        sharp = self.standard_errors < _KNOWN * self.before
-        open_ = self.prior_share > _FROM_PRIOR
-        words = (
-            f"{int(sharp.sum())} of {len(self.names)} base parameters will be known ten times as "
-            "well as before or better"
-            if finite.any()
-            else f"{len(self.names)} base parameters will be known from the run alone"
-        )
-        if open_.any():
-            listed = [name for name, is_open in zip(self.names, open_, strict=True) if is_open]
-            words += f"; {len(listed)} rest on the description more than on the run"
-        return words
+        count = len(self.names)
+        lost = ~np.isfinite(self.standard_errors)
+        believed = (self.prior_share > _FROM_PRIOR) & ~lost
+        if np.isfinite(self.before).any():
+            sharp = int(np.sum(self.standard_errors < _KNOWN * self.before))
+            words = f"{sharp} of {count} base parameters will be known ten times as well as before"
+        else:
+            words = f"{count - int(lost.sum())} of {count} base parameters will be known"
+        if believed.any():
+            words += f"; {int(believed.sum())} rest on the description more than on the run"
+        return f"{words}; {int(lost.sum())} stay open" if lost.any() else words
 
     def _friction(self) -> str:
         share = self.friction_half_widths / np.maximum(np.abs(self.friction), 1e-300)
         middle = len(self.speeds) // 2
         own = share[middle]
         worst = int(np.argmax(own))
-        usual, most = _percent(float(np.median(own))), _percent(float(own[worst]))
+        usual, most = _within(float(np.median(own))), _within(float(own[worst]))
         return (
-            f"friction at {self.speeds[middle]:g} rad/s: ±{usual} (median over the joints), worst "
-            f"±{most} at {self.joint_names[worst]}"
+            f"friction at {self.speeds[middle]:g} rad/s: {usual} (median over the joints), worst "
+            f"{most} at {self.joint_names[worst]}"
         )
 
     def table(self) -> Table:
@@ -319,6 +327,8 @@ def _finite(values: Array) -> list[float | None]:
     return [float(x) if np.isfinite(x) else None for x in values.tolist()]
 
 
-def _percent(share: float) -> str:
-    """Return a share in percent with two digits."""
-    return f"{100.0 * share:.2g} %"
+def _within(share: float) -> str:
+    """Return a half width as a share, in percent with two digits."""
+    if not share < _SAYS_NOTHING:
+        return f"not even to {100.0 * _SAYS_NOTHING:g} %"
+    return f"±{100.0 * share:.2g} %"

@@ -258,9 +258,9 @@ def _reason(asked: Asked, cause: str, joint: str | None) -> str:
 
 
 def _at_limit(asked: Asked, used: Array, limit: Array) -> list[str]:
-    """Return the joints that reach a limit."""
-    return [
-        name
-        for name, own, most in zip(asked.robot.joint_names, used, limit, strict=True)
-        if own >= _REACHED * most
-    ]
+    """Return the joints that reach a limit; all of them in two words."""
+    reached = used >= _REACHED * limit
+    names = asked.robot.joint_names
+    if reached.all():
+        return ["all joints"]
+    return [name for name, is_there in zip(names, reached, strict=True) if is_there]

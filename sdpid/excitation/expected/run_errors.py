@@ -51,6 +51,14 @@ class RunErrors:
             scores=frozen(self.scores + times * other.scores),
         )
 
+    def beyond(self, other: RunErrors) -> RunErrors:
+        """Return what this has more than `other`, whose rows it has too; nothing is negative."""
+        return replace(
+            self,
+            information=frozen(_positive(self.information - other.information)),
+            scores=frozen(_positive(self.scores - other.scores)),
+        )
+
     def with_earlier(self, information: Array) -> RunErrors:
         """Return the sums with those of earlier runs, from the inverse (b, b) of a covariance."""
         added = np.zeros_like(self.information)
@@ -72,3 +80,11 @@ class RunErrors:
     def freedom(self, functionals: Array) -> Array:
         """Return infinite degrees of freedom: the noise is believed, not estimated."""
         return np.full(len(functionals), np.inf)
+
+
+def _positive(matrix: Array) -> Array:
+    """Return the nearest positive semidefinite matrix, in units of its diagonal."""
+    size = np.sqrt(np.maximum(np.abs(np.diag(matrix)), np.finfo(float).tiny))
+    values, vectors = np.linalg.eigh(matrix / np.outer(size, size))
+    positive = (vectors * np.maximum(values, 0.0)) @ vectors.T
+    return np.asarray(positive * np.outer(size, size))
