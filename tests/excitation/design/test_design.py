@@ -77,7 +77,7 @@ def test_a_plan_begins_where_it_is_asked_to() -> None:
     assert found.limits.ok
 
 
-@pytest.mark.parametrize("motion", ["fourier", "postures"])
+@pytest.mark.parametrize("motion", ["fourier", "postures", "one_by_one"])
 def test_every_kind_of_motion_holds_its_limits(motion: Any) -> None:
     found = sdpid.design_excitation(
         "denso_vp6242", motion=motion, duration=20.0, starts=1, time_limit=8.0, objective="D"
