@@ -239,7 +239,8 @@ def _printed(plan: Plan, out: Path, names: list[str], notes: list[str]) -> str:
     from sdpid.output.plans.words import sentences
 
     parts = [f"{plan.robot.name}: written to {out}: {', '.join(names)}"]
-    for title, told in (("notes", [*plan.notes, *notes]), ("assumed", plan.limits.notes)):
+    noted = [note for note in (*plan.notes, *notes) if note not in plan.limits.notes]
+    for title, told in (("notes", noted), ("assumed", plan.limits.notes)):
         if told:
             parts.append(listed(title, told))
     lines = [f"{title.lower()}: {text}" for _, title, text in sentences(plan)]

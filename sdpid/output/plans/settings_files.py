@@ -12,6 +12,7 @@ from sdpid import __version__
 from sdpid._common.tables import plain
 from sdpid.excitation.geometry.obstacles import obstacles_to_dict
 from sdpid.excitation.plan.plan import Plan
+from sdpid.robot.description.catalog import robot_names
 
 PLAN = "plan.toml"
 LIMITS = "limits.toml"
@@ -70,10 +71,10 @@ def settings_files(plan: Plan, folder: Path) -> dict[str, str]:
 
 def _written(name: str, value: Any, folder: Path) -> Any:
     """Return a value for TOML, None where there is none."""
-    if isinstance(value, Mapping) or (name == "robot" and "(" in str(value)):
-        return None
     if name in _FILES and isinstance(value, str) and Path(value).exists():
         return os.path.relpath(Path(value).resolve(), folder.resolve())
+    if isinstance(value, Mapping) or (name == "robot" and value not in robot_names()):
+        return None
     return value
 
 

@@ -53,15 +53,12 @@ def sentences(plan: Plan) -> Iterator[tuple[str, str, str]]:
     yield "good" if plan.limits.ok else "bad", "Safe", safe_sentence(plan.limits)
     for text in plan.expected.sentences()[:2]:
         yield "good", "What it will buy", text
-    assumed = len(plan.joint_limits.assumed)
-    if assumed:
+    if assumed := len(plan.limits.notes):
         yield (
             "caution",
             "Careful",
-            (
-                f"{assumed} thing{' was' if assumed == 1 else 's were'} assumed about limits and "
-                "geometry; read the list below before the run."
-            ),
+            f"{assumed} thing{' was' if assumed == 1 else 's were'} assumed about limits, torques "
+            "and shapes: read them before the run.",
         )
 
 
