@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import cached_property
 from typing import Any
 
 import numpy as np
 
 from sdpid._common.arrays import Array, Indices
 from sdpid.errors import SolverError
+from sdpid.excitation.geometry.capsules import Capsules
 from sdpid.excitation.geometry.solids import Solid
 from sdpid.robot.model.model import RobotModel
 
@@ -60,43 +62,58 @@ class Measure:
         self.parts: Indices = np.array([part[1:] for part in parts], dtype=np.intp).reshape(-1, 2)
         # Where the solids of each pair of bodies begin; every body has a solid.
         self._starts = np.searchsorted(self.owners, np.arange(self._count))
-        self._simple = len(parts) == self._count
         self._found = self._geometry.createData()
         self._results = list(self._found.distanceResults)
         joint_of = {solid.body: solid.joint for solid in chosen}
         self._moves = _supports(self._model, [[joint_of[name] for name in pair] for pair in pairs])
 
-    def distances(self, configurations: Array) -> Array:
-        """Return the distances (K, P) at Pinocchio's configurations (K, nq)."""
+    @cached_property
+    def capsules(self) -> Capsules:
+        """Capsules around the solids, for bounds on the distances of `parts`."""
+        return Capsules(self.robot, self.solids, self.parts)
+
+    def distances(self, q: Array) -> Array:
+        """Return the distances (K, P) at joint positions (K, n)."""
         import pinocchio as pin
 
-        out = np.empty((len(configurations), len(self._results)))
+        found = np.empty((len(q), len(self._results)))
         if not self._count:
-            return out
-        for k, q in enumerate(configurations):
-            pin.updateGeometryPlacements(self._model, self._data, self._geometry, self._found, q)
+            return found
+        for k, configuration in enumerate(self.robot.configuration(q)):
+            pin.updateGeometryPlacements(
+                self._model, self._data, self._geometry, self._found, configuration
+            )
             pin.computeDistances(self._geometry, self._found)
-            out[k] = [result.min_distance for result in self._results]
-        _check(out)
-        return out if self._simple else np.minimum.reduceat(out, self._starts, axis=1)
+            found[k] = [result.min_distance for result in self._results]
+        _check(found)
+        return np.minimum.reduceat(found, self._starts, axis=1)
 
-    def gradients(self, configurations: Array) -> tuple[Array, Array]:
+    def gradients(self, q: Array) -> tuple[Array, Array]:
         """Return the distances (K, P) and their derivatives (K, P, n)."""
         import pinocchio as pin
 
-        K, P = len(configurations), self._count
-        found: list[Any] = []
-        jacobians = np.empty((K, 6, self._model.nv))
+        K, P = len(q), self._count
         if not P:
             return np.empty((K, 0)), np.empty((K, 0, self.robot.n))
-        for k, q in enumerate(configurations):
-            jacobians[k] = self.place(q)
+        jacobians = np.empty((K, 6, self._model.nv))
+        found: list[Witness] = []
+        for k, configuration in enumerate(self.robot.configuration(q)):
+            jacobians[k] = self.place(configuration)
             pin.computeDistances(self._geometry, self._found)
             found += [_copied(result) for result in self._nearest()]
         distances, gradients = self.derivatives(
             found, jacobians, np.repeat(np.arange(K), P), np.tile(np.arange(P), K)
         )
         return distances.reshape(K, P), gradients.reshape(K, P, -1)
+
+    def _nearest(self) -> list[Any]:
+        """Return the result of the nearest solids of each pair of bodies."""
+        found = [result.min_distance for result in self._results]
+        ends = [*self._starts[1:], len(found)]
+        return [
+            self._results[min(range(start, end), key=found.__getitem__)]
+            for start, end in zip(self._starts, ends, strict=True)
+        ]
 
     def place(self, configuration: Array) -> Array:
         """Put everything in its place at a configuration (nq,); return the Jacobian (6, nv)."""
@@ -140,17 +157,6 @@ class Measure:
             speed = np.einsum("ni,nij->nj", wrench, jacobians[samples])
             gradient += sign * speed * moves[pairs]
         return distances, gradient @ self.robot.expansion
-
-    def _nearest(self) -> list[Any]:
-        """Return the result of the nearest solids of each pair of bodies."""
-        if self._simple:
-            return self._results
-        found = [result.min_distance for result in self._results]
-        ends = [*self._starts[1:], len(found)]
-        return [
-            self._results[min(range(start, end), key=found.__getitem__)]
-            for start, end in zip(self._starts, ends, strict=True)
-        ]
 
 
 def _copied(result: Any) -> Witness:

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sdpid._common.arrays import Array
+from sdpid._common.arrays import Array, Indices, Mask
 from sdpid._common.seeds import generator
 from sdpid.errors import ModelError
 from sdpid.excitation.geometry.measure import Measure
@@ -222,7 +222,7 @@ class _Chooser:
         if rest is not None:
             self._check_rest(pairs, at_start[columns])
         elif len(pairs) and np.any(at_start[columns] < gaps):
-            rest = self._free(near, drawn, at_drawn[:, columns], columns, gaps, pairs)
+            rest = self._free(near, drawn, columns, gaps, pairs)
             notes = (self._moved(near, rest, pairs, at_start[columns], gaps),)
         return Choice(
             pairs=tuple(pairs),
@@ -232,7 +232,7 @@ class _Chooser:
         )
 
     def _distances(self, positions: Array) -> Array:
-        return self._measure.distances(self._robot.configuration(positions))
+        return self._measure.distances(positions)
 
     def _reason(self, p: int, at_rest: float, drawn: Array, given: bool) -> str:
         """Return why a pair is left out, judged by its distances, or nothing."""
@@ -278,35 +278,50 @@ class _Chooser:
             )
 
     def _free(
-        self,
-        near: Array,
-        drawn: Array,
-        distances: Array,
-        columns: Array,
-        gaps: Array,
-        pairs: Sequence[Pair],
+        self, near: Array, drawn: Array, columns: Indices, gaps: Array, pairs: Sequence[Pair]
     ) -> Array:
-        """Return a position without contact that differs from `near` in few joints."""
-        free = np.flatnonzero((distances >= gaps).all(axis=1))
-        if not len(free):
-            best = int(np.argmax((distances - gaps).min(axis=1)))
-            worst = pairs[int(np.argmin(distances[best] - gaps))]
-            raise ModelError(
-                f"'{self._robot.name}': none of {len(drawn)} drawn positions keeps every pair "
-                f"{1e3 * self._gap:.0f} mm apart; the best has {worst.first} and {worst.second} "
-                f"{1e3 * distances[best].min():.1f} mm apart. Give a rest position, move the "
-                "obstacles, or name pairs to ignore."
-            )
+        """Return a position without contact that differs from `near` in few joints.
+
+        Joints between bodies that are too close take drawn values; of the positions that come
+        closest to being free the search goes on.
+        """
+        movers = np.array([self._movers(pair.first, pair.second) for pair in pairs])
         span = np.maximum(np.ptp(drawn, axis=0), np.finfo(float).tiny)
-        steps = np.abs((drawn[free] - near) / span).sum(axis=1)
-        found: Array = drawn[free[np.argmin(steps)]]
+        found, lack = near, np.inf
+        while True:
+            short = gaps - self._distances(found[None])[0, columns]
+            moved = movers[short > 0.0].any(axis=0)
+            trials = np.where(moved, drawn, found)
+            shorts = np.maximum(gaps - self._distances(trials)[:, columns], 0.0).sum(axis=1)
+            if shorts.min() == 0.0:
+                break
+            if shorts.min() >= lack:
+                worst = pairs[int(np.argmax(short))]
+                raise ModelError(
+                    f"'{self._robot.name}': no position was found at which every pair is "
+                    f"{1e3 * self._gap:.0f} mm apart; at the best {worst.first} and "
+                    f"{worst.second} lack {1e3 * short.max():.1f} mm. Give a rest position, move "
+                    "the obstacles, or name pairs to ignore."
+                )
+            found, lack = trials[np.argmin(shorts)], shorts.min()
+        free = trials[shorts == 0.0]
+        found = free[np.argmin(np.abs((free - near) / span).sum(axis=1))]
         # Joint by joint, the largest change first, back to the usual position if that is free;
         # twice, for what was in the way of one joint may be gone by then.
-        for joint in 2 * list(np.argsort(-np.abs((found - near) / span))):
+        changed = [j for j in np.argsort(-np.abs((found - near) / span)) if found[j] != near[j]]
+        for joint in 2 * changed:
             trial = np.where(np.arange(len(near)) == joint, near, found)
             if (self._distances(trial[None])[0, columns] >= gaps).all():
                 found = trial
-        return found
+        return np.asarray(found)
+
+    def _movers(self, first: str, second: str) -> Mask:
+        """Return which coordinates (n,) move two bodies against each other."""
+        ends = (self._joint[first], self._joint.get(second, 0))
+        model = self._robot.pin_model
+        joints = [joint for part in way(self._parents, *ends) for joint in part]
+        rows = [model.joints[joint].idx_v for joint in joints]
+        return np.asarray(self._robot.expansion[rows].any(axis=0))
 
     def _moved(
         self, near: Array, rest: Array, pairs: Sequence[Pair], distances: Array, gaps: Array

@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 
 from sdpid._common.arrays import Array
-from sdpid.excitation.geometry.capsules import Capsules
 from sdpid.excitation.geometry.measure import Measure, Witness
 
 # Pairs whose share of the sum is below exp(-this) are left out of it.
@@ -23,7 +22,6 @@ class SoftMinimum:
 
     def __init__(self, measure: Measure) -> None:
         self._measure = measure
-        self._capsules = Capsules(measure.robot, measure.solids, measure.parts)
 
     def evaluate(
         self, q: Array, sharpness: float, clearances: Array, horizon: float
@@ -45,7 +43,7 @@ class SoftMinimum:
         """
         measure, gaps = self._measure, clearances[self._measure.owners]
         configurations = measure.robot.configuration(q)
-        below = self._capsules.below(q) - gaps
+        below = measure.capsules.below(q) - gaps
         margin = _NEGLIGIBLE / sharpness
         found: list[Witness] = []
         samples, parts = [], []

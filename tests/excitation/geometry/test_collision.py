@@ -12,7 +12,6 @@ from hypothesis import strategies as st
 
 from sdpid._common.arrays import Array
 from sdpid.errors import DataError, ModelError
-from sdpid.excitation.geometry.capsules import Capsules
 from sdpid.excitation.geometry.collision import CollisionModel
 from sdpid.excitation.geometry.measure import Measure
 from sdpid.excitation.geometry.obstacles import Box, Obstacle, table
@@ -185,7 +184,7 @@ def test_capsules_around_the_solids_bound_the_distances_of_bodies(name: str) -> 
     model = ROBOTS[name]
     q = positions(model.robot, 6, 50)
     measure = Measure(model.robot, model.solids, [(p.first, p.second) for p in model.pairs])
-    below = Capsules(model.robot, measure.solids, measure.parts).below(q)
+    below = measure.capsules.below(q)
     for k, configuration in enumerate(model.robot.configuration(q)):
         measure.place(configuration)
         found = [measure.part(part)[0] for part in range(len(measure.parts))]
@@ -211,7 +210,7 @@ def test_pairs_that_are_proven_apart_stay_apart(name: str) -> None:
     proven = [(a, b, reason) for a, b, reason in model.left_out if "proven" in reason]
     assert proven
     measure = Measure(model.robot, model.solids, [(a, b) for a, b, _ in proven])
-    distances = measure.distances(model.robot.configuration(positions(model.robot, 7, 2000)))
+    distances = measure.distances(positions(model.robot, 7, 2000))
     for p, (_, _, reason) in enumerate(proven):
         asked = 1e-3 * float(reason.split(" mm")[0].split()[-1])
         assert distances[:, p].min() >= asked - 5e-4
@@ -277,7 +276,7 @@ def test_links_built_close_to_each_other_are_asked_for_less() -> None:
     [
         (Box(size=(2, 2, 2)), "contains the base 'l0'"),
         (table(0.2), "contains the base 'l0'"),
-        (Box(size=(0.1, 3.0, 3.0), translation=(0.5, 0, 0)), "none of 500 drawn positions"),
+        (Box(size=(0.1, 3.0, 3.0), translation=(0.5, 0, 0)), "no position was found"),
     ],
 )
 def test_obstacles_that_leave_no_room_are_refused(obstacle: Obstacle, match: str) -> None:
