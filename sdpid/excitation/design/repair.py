@@ -25,6 +25,9 @@ _MARGIN = 4e-3
 _SHARE = 0.97
 # Rounds of search, check, and a wider margin; of steps of a search in one.
 _ROUNDS, _STEPS = 6, 60
+# Torques are held from the first step on where more than this share of drawn states are beyond
+# their limits; speeds and accelerations without a limit are taken to be this (rad/s, rad/s²).
+_OFTEN, _DRAWN, _FASTEST = 0.01, 500, 10.0
 # A margin grows by this much more than what was missing.
 _BEYOND = 1.5
 # Shares of a motion's way from standing still that are tried where no search mends it.
@@ -44,13 +47,18 @@ class Inequalities:
     share : float
         Share of torque and tool speed that is used.
     kinds : set of str
-        Which limits the search holds: distances from the start, others once one was broken.
+        Which limits the search holds: distances and those that are likely to stand in the way,
+        others once one was broken.
     """
 
     task: Task
     margin: float = _MARGIN
     share: float = _SHARE
-    kinds: set[str] = field(default_factory=lambda: {"distance"})
+    kinds: set[str] = field(default_factory=lambda: {"distance", "tool speed"})
+
+    def __post_init__(self) -> None:
+        if _torque_is_likely(self.task):
+            self.kinds.add("torque")
 
     def rows(self, space: Space) -> InstantRows | None:
         """Return the rows that a search among motions holds; None where there are none."""
@@ -76,15 +84,30 @@ class Inequalities:
             yield speed
 
     def learn(self, check: LimitCheck) -> None:
-        """Widen margins by what a check found missing."""
-        for row in check.rows:
-            if row.verdict == "held":
-                continue
-            self.kinds.add(row.kind)
-            if row.kind == "distance":
-                self.margin += _BEYOND * max(-row.slack, 1e-4)
-            else:
-                self.share *= 1.0 - _BEYOND * max(-row.slack / row.limit, 1e-3)
+        """Hold the kinds that a check found broken, and widen margins of those that were held."""
+        wrong = [row for row in check.rows if row.verdict != "held"]
+        missing = max((-row.slack for row in wrong if row.kind == "distance"), default=0.0)
+        if missing:
+            self.margin += _BEYOND * max(missing, 1e-4)
+        rates = [row for row in wrong if row.kind in self.kinds and row.kind != "distance"]
+        if rates:
+            over = max(-row.slack / row.limit for row in rates)
+            self.share /= 1.0 + _BEYOND * max(over, 1e-3)
+        self.kinds |= {row.kind for row in wrong}
+
+
+def _torque_is_likely(task: Task) -> bool:
+    """Return whether torques of random states within the limits are often beyond theirs."""
+    limits, n = task.limits, task.robot.n
+    rng = np.random.default_rng(0)
+    q = limits.lower + (limits.upper - limits.lower) * rng.uniform(size=(_DRAWN, n))
+    v, a = (
+        np.minimum(limit, _FASTEST) * rng.uniform(-1.0, 1.0, (_DRAWN, n))
+        for limit in (limits.velocity, limits.acceleration)
+    )
+    torque = np.abs(task.torque.torque(q, v, a)) + task.torque.spread(q, v, a)
+    beyond = np.any(torque > task.torque.allowed(limits.torque), axis=1)
+    return bool(np.mean(beyond) > _OFTEN)
 
 
 def checked(task: Task, x: Array) -> LimitCheck:

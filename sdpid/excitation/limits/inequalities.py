@@ -21,7 +21,7 @@ from sdpid.robot.model.model import RobotModel
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class TorqueWithin:
-    """Torques stay within their limits, both ways: 2 functions a limited joint.
+    """Torques stay within their limits: one function a limited joint, 1 − (torque/limit)².
 
     The added deviations and the steps of Coulomb friction are counted as constants at a state.
 
@@ -46,16 +46,16 @@ class TorqueWithin:
         return self.model.allowed(self.limits.torque)[self._limited]
 
     def evaluate(self, q: Array, v: Array, a: Array) -> Array:
-        """Return the slacks (K, 2 m) at states (K, n), in shares of the limits."""
-        torque = self.model.torque(q, v, a)[:, self._limited]
-        spread = self.model.spread(q, v, a)[:, self._limited]
-        return np.hstack([1.0 - (s * torque + spread) / self._allowed for s in (1.0, -1.0)])
+        """Return the slacks (K, m) at states (K, n), in shares of the limits squared."""
+        size = np.abs(self.model.torque(q, v, a)) + self.model.spread(q, v, a)
+        return np.asarray(1.0 - (size[:, self._limited] / self._allowed) ** 2)
 
     def derivatives(self, q: Array, v: Array, a: Array) -> tuple[Array | None, ...]:
-        """Return derivatives (K, 2 m, n) by position, velocity and acceleration."""
-        _, *slopes = self.model.torque_and_derivatives(q, v, a)
-        shares = [slope[:, self._limited] / self._allowed[:, None] for slope in slopes]
-        return tuple(np.concatenate([-share, share], axis=1) for share in shares)
+        """Return derivatives (K, m, n) by position, velocity and acceleration."""
+        torque, *slopes = self.model.torque_and_derivatives(q, v, a)
+        size = np.abs(torque) + self.model.spread(q, v, a)
+        scale = -2.0 * (np.sign(torque) * size)[:, self._limited] / self._allowed**2
+        return tuple(scale[:, :, None] * slope[:, self._limited] for slope in slopes)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
