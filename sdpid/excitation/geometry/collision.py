@@ -86,6 +86,7 @@ class CollisionModel:
         near: ArrayLike | None = None,
         lower: ArrayLike | None = None,
         upper: ArrayLike | None = None,
+        free_rest: bool = True,
         clearance: float = 0.0,
         ignore: Iterable[tuple[str, str]] = (),
         radius: float | None = None,
@@ -108,6 +109,9 @@ class CollisionModel:
             By default zero where that is within the limits, else their middle.
         lower, upper : array_like, shape (n,), optional
             Limits of the joints, by default those of the description.
+        free_rest : bool, optional
+            Whether the rest position must be free: False takes `near` as it is, for motions that
+            are there already.
         clearance : float, optional
             Distance that motions will keep, m: the rest position keeps it, too.
         ignore : iterable of (str, str), optional
@@ -142,6 +146,7 @@ class CollisionModel:
             upper=finite[1],
             rest=_position(robot, rest, "rest"),
             near=usual if near is None else _position(robot, near, "near"),
+            free_rest=free_rest,
             clearance=clearance,
             ignore=ignore,
             seed=seed,

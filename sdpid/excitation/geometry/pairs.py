@@ -33,8 +33,9 @@ _CONSTANT, _FIXED = 1e-3, 1e-5
 # shapes; half of the positions are enough where at most two joints lie between them.
 _ALWAYS, _OFTEN, _CLOSE_BY = 0.95, 0.5, 2
 
-# Pairs that stay farther apart than this at all drawn positions are left to the final check, m.
-_NEAR = 0.1
+# Pairs that stay farther apart than this at all drawn positions are left to the final check: m,
+# and a multiple of the clearance.
+_NEAR, _NEAR_SHARE = 0.1, 3.0
 
 # What a rest position that is looked for keeps from everything, at the least, m, unless a pair is
 # always nearer, and its share beyond the clearance: the motion needs room to begin.
@@ -95,6 +96,7 @@ def choose_pairs(
     upper: Array,
     rest: Array | None,
     near: Array,
+    free_rest: bool = True,
     clearance: float = 0.0,
     ignore: Iterable[tuple[str, str]] = (),
     seed: int = 0,
@@ -113,6 +115,8 @@ def choose_pairs(
         Where the motion begins; None looks for a position that is free.
     near : ndarray, shape (n,)
         The rest position if it is free, else the one that is found differs from it in few joints.
+    free_rest : bool
+        Whether the rest position must be free; if not, `near` is taken as it is.
     clearance : float
         Least distance at rest, m.
     ignore : iterable of (str, str)
@@ -126,7 +130,7 @@ def choose_pairs(
         When a name to ignore does not exist, a given rest position is not free, or none is found.
     """
     chooser = _Chooser(robot, solids, obstacles, ignore, clearance)
-    return chooser.choose(lower, upper, rest, near, seed)
+    return chooser.choose(lower, upper, rest, near, free_rest, seed)
 
 
 class _Chooser:
@@ -190,7 +194,13 @@ class _Chooser:
         return ""
 
     def choose(
-        self, lower: Array, upper: Array, rest: Array | None, near: Array, seed: int
+        self,
+        lower: Array,
+        upper: Array,
+        rest: Array | None,
+        near: Array,
+        free_rest: bool,
+        seed: int,
     ) -> Choice:
         count = int(np.clip(_DISTANCES // max(len(self.candidates), 1), _LEAST, _MOST))
         drawn = generator(seed).uniform(lower, upper, (count, self._robot.n))
@@ -209,7 +219,7 @@ class _Chooser:
                 Pair(
                     first=first,
                     second=second,
-                    searched=nearest < _NEAR,
+                    searched=nearest < max(_NEAR, _NEAR_SHARE * self._clearance),
                     nearest=nearest,
                     usual=float(np.median(at_drawn[:, p])),
                     farthest=float(found[:, p].max()),
@@ -221,7 +231,7 @@ class _Chooser:
         notes: tuple[str, ...] = ()
         if rest is not None:
             self._check_rest(pairs, at_start[columns])
-        elif len(pairs) and np.any(at_start[columns] < gaps):
+        elif free_rest and len(pairs) and np.any(at_start[columns] < gaps):
             rest = self._free(near, drawn, columns, gaps, pairs)
             notes = (self._moved(near, rest, pairs, at_start[columns], gaps),)
         return Choice(

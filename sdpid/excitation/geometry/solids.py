@@ -162,8 +162,9 @@ def robot_solids(
                 Solid(body=body_name(robot, joint), joint=joint, shape=shape)
                 for shape in assumed_shapes(robot, joint, radius)
             ]
+        lacks = "has no shapes" if elements else "is no URDF, so its shapes are not read"
         return tuple(solids), (
-            f"The description of '{robot.name}' has no shapes: links are taken as {capsules}.",
+            f"The description of '{robot.name}' {lacks}: links are taken as {capsules}.",
         )
     assumed = []
     if hulls:

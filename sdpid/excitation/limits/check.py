@@ -249,6 +249,7 @@ def check_trajectory(
                 obstacles,
                 package_dirs=package_dirs,
                 near=start,
+                free_rest=False,
                 lower=joints.lower,
                 upper=joints.upper,
                 clearance=clearance,

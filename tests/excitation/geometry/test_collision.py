@@ -248,6 +248,21 @@ def test_a_given_rest_position_that_is_not_free_is_refused_with_depth() -> None:
         CollisionModel.of(arm, [table(-0.15)], rest=np.zeros(3), clearance=0.08)
 
 
+def test_a_motion_that_is_there_already_need_not_begin_free() -> None:
+    arm = shaped_arm(BALL, BALL, BALL, BALL)
+    model = CollisionModel.of(arm, [table(-0.05)], near=np.zeros(3), free_rest=False)
+    assert not model.rest.any()
+    assert model.distances(model.rest[None])[0, column(model, "l3", "table")] < 0.0
+    assert not any("moved" in sentence for sentence in model.assumed)
+
+
+def test_two_arms_find_a_rest_position_joint_by_joint() -> None:
+    model = CollisionModel.of(load_robot("baxter_description/baxter"))
+    assert (model.distances(model.rest[None]) >= model.clearances(0.02)[None]).all()
+    (sentence,) = [sentence for sentence in model.assumed if "moved" in sentence]
+    assert sentence.count(" to ") <= 4
+
+
 def test_pairs_are_left_out_on_demand() -> None:
     arm = shaped_arm(BALL, BALL, BALL, BALL)
     model = CollisionModel.of(arm, [table(-0.05)], rest=np.zeros(3), ignore=[("l3", "table")])

@@ -9,6 +9,7 @@ import pytest
 
 from sdpid.excitation.geometry.solids import Solid, robot_solids
 from sdpid.robot.model.load import load_robot
+from sdpid.robot.model.model import RobotModel
 from sdpid.robot.model.shapes import Shape
 from tests.helpers.robots import TREE
 from tests.helpers.shapes import BALL, shaped_arm
@@ -74,6 +75,12 @@ def test_a_robot_without_shapes_has_capsules_from_joint_to_joint() -> None:
         at = np.round(model.jointPlacements[joint].translation, 9)
         assert (model.parents[joint], *at) in ends
     assert {solid.joint for solid in solids} == set(range(model.njoints))
+
+
+def test_a_robot_that_is_no_urdf_is_told_apart_from_one_without_shapes() -> None:
+    robot = RobotModel.from_pinocchio(load_robot(TREE).pin_model)
+    _, (sentence,) = robot_solids(robot)
+    assert "is no URDF, so its shapes are not read" in sentence
 
 
 @pytest.mark.parametrize(
