@@ -36,6 +36,9 @@ from sdpid.output.plans.words import sentences, tiles
 from sdpid.output.plots.inline_svg import image_source
 from sdpid.output.report.page import page
 
+# What falls by less than this share over all durations is no curve to look at.
+_FALLS = 0.8
+
 # Samples a second of the pictures.
 _RATE_HZ = 200.0
 
@@ -175,6 +178,7 @@ def _expected(plan: Plan, draw: bool) -> dict[str, Any]:
     shown = draw and len(seconds) > 1 and bool(curves)
     return {
         "expected": expected,
+        "open": _open(expected),
         "parameters": list(_parameters(expected)),
         "durations": [
             (each.seconds, each.repetitions, [share[k] for _, share in curves])
@@ -195,10 +199,37 @@ def _curves(expected: Expected) -> Iterator[tuple[str, Array]]:
     for k, band in enumerate(expected.bands):
         yield f"efforts on {band.motion}", np.array([each.bands[k] for each in durations])
     masses = expected.theta[: 10 * len(expected.link_names) : 10]
-    for k in np.flatnonzero(masses > 0.0)[::-1]:
-        half = NORMAL * np.array([each.masses[k] for each in durations])
-        if np.isfinite(half).all() and half[0] < masses[k]:
-            yield f"mass of {expected.link_names[k]}", half / masses[k]
+    words = [f"mass of {name}" for name in expected.link_names]
+    yield from _falling(words, masses, np.array([each.masses for each in durations]))
+    errors = np.array([each.standard_errors for each in durations])
+    yield from _falling(expected.names, expected.values, errors)
+
+
+def _falling(names: Sequence[str], values: Array, errors: Array) -> Iterator[tuple[str, Array]]:
+    """Yield those of some numbers that the run tells, and longer runs tell better; worst first.
+
+    Parameters
+    ----------
+    names : sequence of str
+        Of k numbers.
+    values : ndarray, shape (k,)
+        Of the numbers.
+    errors : ndarray, shape (D, k)
+        Their standard errors after some durations.
+    """
+    shares = NORMAL * errors / np.where(values == 0.0, np.nan, np.abs(values))
+    told = (shares[0] < 1.0) & (shares[-1] < _FALLS * shares[0])
+    for k in np.argsort(-np.nan_to_num(shares[0])):
+        if told[k]:
+            yield names[k], shares[:, k]
+
+
+def _open(expected: Expected) -> list[tuple[str, list[str]]]:
+    """Return what stays open, by what would help."""
+    found: dict[str, list[str]] = {}
+    for each in expected.open_directions:
+        found.setdefault(each.reason, []).append(", ".join(each.parameters))
+    return list(found.items())
 
 
 def _parameters(expected: Expected) -> Iterator[dict[str, Any]]:

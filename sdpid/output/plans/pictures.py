@@ -33,7 +33,7 @@ _FAR = 4.0
 _POINTS = 800
 
 # Amplitudes below this share of the highest are not shown.
-_FLOOR = 1e-4
+_FLOOR = 1e-3
 
 # More room than this is not shown, mm.
 _ROOM = 500.0

@@ -8,7 +8,7 @@
   const told = get("arm-told");
   const { rate, count, poses, q } = scene.frames;
   const colors = ["#8d99a6", "#0072b2", "#e69f00", "#009e73", "#cc79a7", "#56b4e9", "#d55e00"];
-  const home = { yaw: -0.9, pitch: 0.42, distance: 3.2 * scene.size, at: scene.center.slice() };
+  const home = { yaw: -0.9, pitch: 0.42, distance: 2.7 * scene.size, at: scene.center.slice() };
   let eye = { ...home, at: home.at.slice() };
   let time = 0, playing = false, before = null, wanted = true;
 
