@@ -17,6 +17,7 @@ from sdpid._common.progress import progress
 from sdpid._common.staging import RunFolder
 from sdpid._common.tables import plain
 from sdpid.excitation.plan.plan import Plan
+from sdpid.excitation.search.ipopt import INTERRUPTED
 from sdpid.output.plans.joint_trajectory import write_joint_trajectory
 from sdpid.output.plans.motion_files import (
     write_coefficients,
@@ -138,6 +139,19 @@ def plan_content(plan: Plan) -> dict[str, Any]:
     return values
 
 
+def ended_early(plan: Plan) -> str | None:
+    """Return why the options alone do not make a plan again, None where they do."""
+    if plan.settings.get("time_limit") is not None:
+        cause = "The search had a time limit"
+    elif any(row.get("status") == INTERRUPTED for row in plan.history):
+        cause = "The search was interrupted"
+    else:
+        return None
+    return (
+        f"{cause}: another run may end elsewhere. trajectory.toml holds this motion without loss."
+    )
+
+
 @dataclass(frozen=True)
 class _Writer:
     """Writes the files of a plan into an empty folder."""
@@ -191,6 +205,8 @@ class _Writer:
 
     def _config(self, config: str | None) -> Iterator[str]:
         texts = settings_files(self.plan, self.target) if config is None else {_CONFIG: config}
+        if (reason := ended_early(self.plan)) is not None:
+            texts[_CONFIG] = f"# {reason}\n{texts[_CONFIG]}"
         for name, text in texts.items():
             (self.folder / name).write_text(text, encoding="utf-8")
             yield name

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -14,6 +15,7 @@ from sdpid._common.toml import load_toml
 from sdpid.errors import ExportError
 from sdpid.excitation.geometry.obstacles import obstacles_from_toml
 from sdpid.excitation.limits.limits import Limits
+from sdpid.excitation.search.ipopt import INTERRUPTED
 from sdpid.experiment.trajectory.reading import read_trajectory
 from sdpid.experiment.trajectory.trajectory import Trajectory
 from sdpid.output.plans import write
@@ -92,6 +94,19 @@ def test_limits_and_obstacles_are_those_given(folder: Path) -> None:
     assert np.array_equal(one.jerk, other.jerk)
     assert one.clearance == other.clearance
     assert obstacles_from_toml(folder / "obstacles.toml") == AROUND
+
+
+def test_a_search_that_ended_early_says_so(tmp_path: Path) -> None:
+    """Options do not make the same plan again where time ended the search."""
+    plan = small_plan()
+    write_plan(plan, tmp_path, figures=False)
+    assert "another run" not in (tmp_path / "plan.toml").read_text()
+    timed = replace(plan, settings={**plan.settings, "time_limit": 3.0})
+    stopped = replace(plan, history=({**plan.history[0], "status": INTERRUPTED},))
+    for each, word in ((timed, "time limit"), (stopped, "interrupted")):
+        write_plan(each, tmp_path, figures=False)
+        assert word in (tmp_path / "plan.toml").read_text().splitlines()[0]
+        load_toml(tmp_path / "plan.toml")
 
 
 def test_a_plan_replaces_a_plan_and_nothing_else(tmp_path: Path) -> None:
