@@ -23,6 +23,10 @@ from sdpid.robot.model.model import RobotModel
 # friction, which takes 10 to 20 % of an arm's rated torque; an identified model leaves residuals.
 _WITHOUT_FRICTION, _WITH_FRICTION, _IDENTIFIED = 0.2, 0.1, 0.05
 
+# Descriptions have placeholders for friction, such as 1 N·m for every joint. What takes more than
+# this part of the torque limit at full speed is one.
+_MOST_FRICTION = 0.5
+
 # Step of the central differences of friction curves, rad/s: far below any width of a sign.
 _STEP = 1e-6
 
@@ -96,7 +100,7 @@ class TorqueModel:
         kept = usual if reserve is None else reserve
         if not 0.0 <= kept < 1.0:
             raise DataError(f"torque: reserve is {kept}; give a share from 0 to below 1.")
-        notes = [f"torques are those of {words}."]
+        notes = [*words]
         if kept:
             notes.append(
                 f"{100.0 * kept:g} % of every torque limit are kept for what the model lacks."
@@ -247,8 +251,8 @@ class TorqueModel:
 
 def _dynamics(
     robot: RobotModel, estimate: Estimate | RobotDynamics | None
-) -> tuple[RobotDynamics, str, float]:
-    """Return the model, the words for it, and the usual reserve."""
+) -> tuple[RobotDynamics, list[str], float]:
+    """Return the model, sentences about it, and the usual reserve."""
     if estimate is not None:
         found = estimate if isinstance(estimate, RobotDynamics) else estimate.model()
         if found.robot.joint_names != robot.joint_names:
@@ -257,14 +261,27 @@ def _dynamics(
                 f"{', '.join(found.robot.joint_names)}; '{robot.name}' has "
                 f"{', '.join(robot.joint_names)}."
             )
-        return found, "the estimate, friction included", _IDENTIFIED
+        return found, ["torques are those of the estimate, friction included."], _IDENTIFIED
     viscous, coulomb = robot.described_friction()
+    limit = robot.effort_limits
+    speed = np.where(np.isfinite(robot.velocity_limits), robot.velocity_limits, 0.0)
+    heavy = (limit > 0.0) & (coulomb + viscous * speed > _MOST_FRICTION * limit)
+    viscous, coulomb = (np.where(heavy, 0.0, friction) for friction in (viscous, coulomb))
     terms = FrictionModel.from_terms(("coulomb", "viscous", "rotor_inertia"), robot.joint_names)
     values = [robot.prior.ravel(), coulomb, viscous, robot.described_armature()]
     dynamics = RobotDynamics(robot=robot, terms=terms, theta=np.concatenate(values))
-    if np.any(coulomb > 0.0):
-        return dynamics, "the description, friction included", _WITH_FRICTION
-    return dynamics, "the description, which has no Coulomb friction", _WITHOUT_FRICTION
+    words = ["torques are those of the description, friction included."]
+    if heavy.any():
+        names = ", ".join(robot.joint_names[j] for j in np.flatnonzero(heavy))
+        words.append(
+            f"friction of {names} in the description would take more than "
+            f"{100.0 * _MOST_FRICTION:g} % of the torque limit: it is not counted."
+        )
+    if np.all(coulomb > 0.0):
+        return dynamics, words, _WITH_FRICTION
+    if not np.any(coulomb > 0.0):
+        words[0] = "torques are those of the description, which has no Coulomb friction."
+    return dynamics, words, _WITHOUT_FRICTION
 
 
 def _roots_of_estimate(estimate: Estimate, links: int) -> tuple[Array, Array]:

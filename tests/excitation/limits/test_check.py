@@ -331,3 +331,14 @@ def test_wrong_joints_are_told(denso: RobotModel) -> None:
         TorqueModel.of(denso, spread=-1.0)
     with pytest.raises(DataError, match="reserve is 1"):
         TorqueModel.of(denso, reserve=1.0)
+
+
+def test_friction_that_no_motor_overcomes_is_not_counted() -> None:
+    text = TREE.replace('velocity="3"/></joint>', 'velocity="3"/>{}</joint>', 1)
+    for coulomb, counted in ((3.0, True), (20.0, False)):
+        robot = load_robot(text.format(f'<dynamics friction="{coulomb}" damping="0"/>'))
+        model = TorqueModel.of(robot)
+        still, moving = np.zeros((1, robot.n)), np.full((1, robot.n), 1e-9)
+        friction = model.friction(moving, still)[0, robot.joint_names.index("right")]
+        assert friction == pytest.approx(coulomb if counted else 0.0)
+        assert any("right in the description would take" in note for note in model.notes) != counted
