@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from sdpid._common.arrays import Array
+from sdpid.experiment.plant.default_motion import default_motion
 from sdpid.experiment.plant.drives import Drives
 from sdpid.experiment.trajectory.trajectory import Trajectory
 from sdpid.robot.consistent import raise_second_moments
@@ -15,8 +16,8 @@ __all__ = ["default_drives", "default_parameters"]
 # A link without mass in its description gets that of a screw (kg), and every link second moments
 # (kg·m²) that a simulation can divide by.
 _LEAST_MASS, _LEAST_MOMENT = 1e-3, 1e-7
-# Friction where the description has none: Coulomb friction is this share of a joint's rms effort,
-# and viscous friction is as large at its rms speed.
+# Friction where the description has none: Coulomb friction is this share of a joint's rms effort
+# in the default motion, and viscous friction is as large at its rms speed.
 _FRICTION = 0.1
 # Poles of the velocity loop in 1/s, and of the position loop: far below what a step of 1 ms
 # allows, and slow against each other.
@@ -27,8 +28,10 @@ _COUNTS, _NOISE = 2**19, 0.01
 _STATES = 200
 
 
-def default_parameters(robot: RobotModel, trajectory: Trajectory) -> Array:
+def default_parameters(robot: RobotModel) -> Array:
     """Return theta from a robot's description, with assumed friction where it has none.
+
+    They do not depend on what is simulated: several motions are of one robot.
 
     Returns
     -------
@@ -40,7 +43,7 @@ def default_parameters(robot: RobotModel, trajectory: Trajectory) -> Array:
     bodies[massless] = 0.0
     bodies[massless, 0] = _LEAST_MASS
     bodies = raise_second_moments(bodies, _LEAST_MOMENT)
-    effort, speed = _usual(robot, bodies, trajectory)
+    effort, speed = _usual(robot, bodies, default_motion(robot))
     viscous, coulomb = robot.described_friction()
     coulomb = np.where(coulomb > 0.0, coulomb, _FRICTION * effort)
     viscous = np.where(viscous > 0.0, viscous, _FRICTION * effort / speed)

@@ -189,7 +189,7 @@ def plant_parts(
         )
     bundled = robot.name in bundled_robots()
     if theta is None:
-        theta = true_parameters(robot.name) if bundled else default_parameters(robot, trajectory)
+        theta = true_parameters(robot.name) if bundled else default_parameters(robot)
     parameters = _checked_theta(robot, theta)
     if drives is None:
         drives = (

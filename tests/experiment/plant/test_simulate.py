@@ -326,7 +326,7 @@ def test_any_robot_is_simulated_and_found_again(name: str) -> None:
     trajectory = default_motion(robot, 1, period=10.0, periods=2)
     log = simulate(robot, trajectory, noise=False, progress=False)
     assert log.n_samples == trajectory.n_samples
-    theta = default_parameters(robot, trajectory)
+    theta = default_parameters(robot)
     settings = Processing(covariance=None, cutoff_hz=20.0, order=4)
     problem = build_problem(robot, process(log, settings), friction=("coulomb", "viscous"))
     fit = solve_wls(problem)
