@@ -130,7 +130,8 @@ def design_excitation(
     starts : int, optional
         Number of starts of the search; ignored with a `time_limit`.
     time_limit : float, optional
-        Seconds that search and check may take; by default as long as the starts need.
+        Seconds that search and check may take; by default as long as the starts need. The first
+        plan on a machine takes some ten seconds more, for compiling.
     seed : int, optional
         Of everything that is random.
     progress : bool, optional
@@ -186,25 +187,22 @@ def design_excitation(
         package_dirs=folders,
         seed=seed,
     )
-    deadline = np.inf
+    search = Search(
+        space=task.space, criterion=task.criterion, limits=task.limits, start=task.start
+    )
+    began += _compiled(search)
     if time_limit is not None:
         deadline = began + time_limit - min(_KEPT_SECONDS, _KEPT_SHARE * time_limit)
-    search = Search(
-        space=task.space,
-        criterion=task.criterion,
-        limits=task.limits,
-        start=task.start,
-        deadline=deadline,
-    )
+        search = replace(search, deadline=deadline)
     inequalities = Inequalities(task)
-    with _steps(starts, began, deadline, progress) as step:
+    with _steps(starts, began, search.deadline, progress) as step:
         count = starts if time_limit is None else None
         begun = itertools.islice(_starts(task, search, inequalities.rows(task.space), seed), count)
         found, stopped = search.run(begun, inequalities.rows, step=step)
-    task = replace(task, space=found[0].space)
+    task, search = replace(task, space=found[0].space), search.on(found[0].space)
     if time_limit is not None:
         deadline = began + time_limit - min(_KEPT_SECONDS, _KEPT_SHARE * time_limit) / 2.0
-    search = replace(search, space=task.space, deadline=deadline)
+        search = replace(search, deadline=deadline)
     best, check = mend(task, search, found[0], inequalities)
     notes = [*task.notes, *_notes(task, motion, found, stopped, time_limit)]
     W = task.rows.rows(*_scored_states(task, best.x)).reshape(-1, task.rows.count)
@@ -262,6 +260,13 @@ def design_excitation(
         ),
         history=tuple(_row(candidate) for candidate in found),
     )
+
+
+def _compiled(search: Search) -> float:
+    """Evaluate the objective once, which compiles it on its first use; return the time in s."""
+    now = time.monotonic()
+    search.value_and_gradient(search.space.standing(np.zeros(search.space.n)))
+    return time.monotonic() - now
 
 
 @contextmanager
