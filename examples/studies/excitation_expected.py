@@ -38,6 +38,7 @@ from sdpid.excitation.criterion.noise import ExpectedNoise, usual_effort
 from sdpid.excitation.expected.expect import expect
 from sdpid.excitation.expected.expected import Expected
 from sdpid.excitation.expected.rehearsal import rehearse
+from sdpid.experiment.plant.default_motion import default_motion
 from sdpid.experiment.plant.simulate import plant_parts
 from sdpid.experiment.trajectory.trajectory import Trajectory
 from sdpid.robot.consistent import raise_second_moments
@@ -52,6 +53,9 @@ PERIODS = {"record": 1, "periods": 4}
 # Noise of the efforts, as a share of each joint's usual effort, at the trajectory's rate.
 NOISE = 0.03
 
+# Of a first run and the one after it, s; and of the motion on which widths are compared.
+SHORT, LONG = 10.0, 20.0
+
 # Standard deviation of the logarithms by which inertias differ from the description's, and the
 # radius of gyration that every link has at least, m.
 PERTURBED, RADIUS = 0.15, 0.02
@@ -59,6 +63,9 @@ PERTURBED, RADIUS = 0.15, 0.02
 # Drives that follow the plan: the default's velocity loop this many times as stiff, and the
 # position loop's pole, 1/s. The default's lags by 10 to 20 % of the motion, and stiff wrists stick.
 STIFFER, POSITION_POLE = 2.0, 200.0
+
+# Coulomb, sigmoid and viscous friction beside each other: single coefficients say little.
+TRADED = ("Fs", "Fsg", "Fv")
 
 # What the ratio of simulated to expected intervals must lie within.
 LEAST, MOST = 0.8, 1.25
@@ -79,10 +86,9 @@ class Row:
 
 @dataclass(frozen=True)
 class Twin:
-    """A robot that differs from its description."""
+    """A robot that differs from its description, and the noise of its efforts, N·m."""
 
     theta: Array
-    drives: sdpid.experiment.plant.drives.Drives
     noise: Array
 
 
@@ -107,23 +113,22 @@ def twin_of(robot: sdpid.RobotModel, trajectory: Trajectory, seed: int) -> Twin:
     coulomb = rng.uniform(0.05, 0.2, robot.n) * usual
     viscous = rng.uniform(0.5, 1.5, robot.n) * coulomb
     theta = np.concatenate([bodies.ravel(), coulomb, viscous])
-    noise = noise_of(robot, trajectory)
-    _, drives = plant_parts(robot, trajectory, theta, None)
-    drives = replace(
-        drives,
-        current_noise=noise / drives.effort_scale,
-        velocity_gain=STIFFER * drives.velocity_gain,
-        proportional_gain=np.full(robot.n, POSITION_POLE),
-    )
-    return Twin(theta, drives, noise)
+    return Twin(theta, noise_of(robot, trajectory))
 
 
 def log_of(
     robot: sdpid.RobotModel, trajectory: Trajectory, twin: Twin, seed: int, reading: str
 ) -> sdpid.Recording:
     """Return what a run records."""
+    _, drives = plant_parts(robot, trajectory, twin.theta, None)
+    drives = replace(
+        drives,
+        current_noise=twin.noise / drives.effort_scale,
+        velocity_gain=STIFFER * drives.velocity_gain,
+        proportional_gain=np.full(robot.n, POSITION_POLE),
+    )
     log = sdpid.simulate(
-        robot, trajectory, theta=twin.theta, drives=twin.drives, seed=seed, progress=False
+        robot, trajectory, theta=twin.theta, drives=drives, seed=seed, progress=False
     )
     return log if reading == "periods" else replace(log, period=None, start=None, periods=None)
 
@@ -194,7 +199,7 @@ def traded(row: Row) -> bool:
     Coulomb friction, a sigmoid and viscous friction beside each other are a curve: that is told,
     and its coefficients are not.
     """
-    return row.reading == "record" and row.name.rstrip("0123456789") in ("Fs", "Fsg", "Fv")
+    return row.reading == "record" and row.name.rstrip("0123456789") in TRADED
 
 
 def summary(rows: Sequence[Row]) -> list[str]:
@@ -223,6 +228,100 @@ def summary(rows: Sequence[Row]) -> list[str]:
                 f"{len(by_name)} | {middle:.2f} | {low:.2f} to {high:.2f} | {inside:.0f} | "
                 f"{held:.0f} |"
             )
+    return lines
+
+
+@dataclass(frozen=True)
+class Next:
+    """A run after a first one: the widest interval of the first, and the widest of all after it."""
+
+    robot: str
+    first: str
+    seed: int
+    widest: str
+    before: float
+    repeated: float
+    planned: float
+    all_repeated: float
+    all_planned: float
+
+
+def next_run(name: str, first: str, seed: int, data: Path | None) -> Next:
+    """Run a first motion, then the same again, or a plan made from the first run's estimate."""
+    robot = described(name, data)
+    if first == "plan":
+        motion = plan_of(robot, 0, SHORT)
+    else:
+        motion = default_motion(robot, seed, period=SHORT, periods=1)
+    twin = twin_of(robot, motion, seed)
+
+    def recorded(trajectory: Trajectory, number: int) -> sdpid.Recording:
+        return log_of(robot, trajectory, twin, 100 * seed + number, "record")
+
+    once, again = recorded(motion, 0), recorded(motion, 1)
+    known = sdpid.identify(robot, once, effects="none")
+    plan = sdpid.design_excitation(
+        robot, duration=motion.duration, seed=seed, starts=1, previous=known
+    )
+    other = recorded(plan.trajectory, 2)
+    found = [
+        known,
+        *(sdpid.identify(robot, [once, run], effects="none") for run in (again, other)),
+    ]
+    sizes = effort_sizes(robot, known.problem)
+    widths = []
+    for result in found:
+        pairs = zip(result.intervals.names, result.intervals.width.tolist(), strict=True)
+        widths.append({each: width * sizes[each] for each, width in pairs if each in sizes})
+    widest = max(widths[0], key=lambda each: widths[0][each])
+    return Next(
+        name,
+        first,
+        seed,
+        widest,
+        *(each[widest] for each in widths),
+        *(max(each.values()) for each in widths[1:]),
+    )
+
+
+def effort_sizes(
+    robot: sdpid.RobotModel, problem: sdpid.estimation.problem.Problem
+) -> dict[str, float]:
+    """Return the rms efforts that base parameters move per unit, on one motion for all runs.
+
+    Widths of intervals are compared in these units, N·m: parameters of an arm have many. Left out
+    are coefficients of friction that trade with each other (see `traded`).
+    """
+    q, v, a = (each[::25] for each in default_motion(robot, 77, period=LONG, periods=1).sample())
+    links = robot.regressor(q, v, a)
+    W = np.concatenate([links, problem.friction.columns(v, a)], axis=2)[:, :, problem.base.kept]
+    sizes = np.sqrt(np.mean(np.sum(W**2, axis=1), axis=0))
+    return {
+        name: float(size)
+        for name, size in zip(problem.base.names, sizes, strict=True)
+        if name.rstrip("0123456789") not in TRADED
+    }
+
+
+def next_summary(rows: Sequence[Next]) -> list[str]:
+    """Return the table of second runs."""
+    lines = [
+        "| robot | first run | runs | its widest interval after repeating it, of before | after a "
+        "plan from its estimate | widest of all, plan / repeated | plan is better, % |",
+        "|---|---|---|---|---|---|---|",
+    ]
+    for robot, first in dict.fromkeys((row.robot, row.first) for row in rows):
+        own = [row for row in rows if (row.robot, row.first) == (robot, first)]
+        again, planned = (
+            float(np.median([getattr(row, which) / row.before for row in own]))
+            for which in ("repeated", "planned")
+        )
+        ratio = float(np.median([row.all_planned / row.all_repeated for row in own]))
+        better = 100.0 * float(np.mean([row.planned < row.repeated for row in own]))
+        lines.append(
+            f"| {robot} | {first} | {len(own)} | {again:.2f} | {planned:.2f} | {ratio:.2f} | "
+            f"{better:.0f} |"
+        )
     return lines
 
 
@@ -280,13 +379,14 @@ def main() -> int:
     parser.add_argument("--data", type=Path, default=os.environ.get("SDPID_DATA"))
     parser.add_argument("--robot", action="append", choices=ROBOTS, help="a robot (default all)")
     parser.add_argument("--seeds", type=int, default=20, help="runs of each robot")
+    parser.add_argument("--next", type=int, default=3, help="second runs of each robot")
     parser.add_argument("--duration", type=float, default=20.0, help="of a period, s")
     parser.add_argument("--jobs", type=int, default=1)
     parser.add_argument("--quick", action="store_true", help="one short run")
     options = parser.parse_args()
     options.out.mkdir(parents=True, exist_ok=True)
     if options.quick:
-        options.robot, options.seeds, options.duration = ["ur10"], 1, 10.0
+        options.robot, options.seeds, options.next, options.duration = ["ur10"], 1, 1, 8.0
     from joblib import delayed
 
     rows: list[Row] = []
@@ -312,6 +412,12 @@ def main() -> int:
             if reading == "record" and found:
                 lost[name] = left_out(robot, trajectory, noise, rows)
         print("\n".join(summary(rows)), flush=True)
+    seconds = parallel(options.jobs)(
+        delayed(next_run)(name, first, seed, options.data)
+        for name in dict.fromkeys(row.robot for row in rows)
+        for first in (("random",) if options.quick else ("random", "plan"))
+        for seed in range(options.next)
+    )
     columns = tuple(field.name for field in fields(Row))
     Table(columns, tuple(astuple(row) for row in rows)).write(
         options.out / "excitation_expected.csv"
@@ -324,7 +430,12 @@ def main() -> int:
     ]
     for what in next(iter(lost.values()), {}):
         text.append(f"| {what} | {' | '.join(f'{each[what]:.2f}' for each in lost.values())} |")
+    text += ["", *next_summary(seconds)]
     print("\n".join(text))
+    columns = tuple(field.name for field in fields(Next))
+    Table(columns, tuple(astuple(row) for row in seconds)).write(
+        options.out / "excitation_next.csv"
+    )
     atomic_write_text(options.out / "excitation_expected.md", "\n".join(text) + "\n")
     return 0
 
