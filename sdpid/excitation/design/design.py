@@ -219,6 +219,7 @@ def design_excitation(
         prior=prior,
         earlier=task.earlier,
         limits=task.limits,
+        motions=None if predict is None else {"the motion to be predicted": predict.sample()},
     )
     return Plan(
         robot=model,

@@ -22,6 +22,7 @@ from sdpid.excitation.expected.expected import NORMAL, Band, Duration, Expected
 from sdpid.excitation.expected.open_directions import Asked, Bounds, open_directions
 from sdpid.excitation.expected.rehearsal import Reading, Rehearsal, rehearse
 from sdpid.excitation.expected.run_errors import RunErrors
+from sdpid.experiment.plant.default_motion import default_motion
 from sdpid.experiment.processing.samples import Samples
 from sdpid.experiment.trajectory.curve import is_closed
 from sdpid.experiment.trajectory.trajectory import Trajectory
@@ -40,8 +41,8 @@ REPETITIONS = (1, 2, 3, 5, 10)
 # Speeds of friction curves, rad/s, as far as a joint reaches them.
 _SPEEDS = (0.1, 0.3, 1.0)
 
-# States of a motion at which efforts are predicted.
-_STATES = 300
+# States of a motion at which efforts are predicted, and the seed of the random one.
+_STATES, _RANDOM = 300, 0
 
 # Degrees of freedom beyond which Student's t is normal.
 _ENDLESS = 1e9
@@ -95,7 +96,8 @@ def expect(
     limits : JointLimits, optional
         Named where they are why something stays open.
     motions : mapping of str to states, optional
-        Motions on which efforts are to be predicted, by what they are called; beside the run.
+        Motions on which efforts are to be predicted, by what they are called; beside the run and
+        a random motion within the description's limits.
     reading : {"record", "periods"}, optional
         Whether the log is fitted as one record, or averaged over its periods.
     repetitions : iterable of int, optional
@@ -128,7 +130,8 @@ def expect(
     told = np.zeros_like(believed) if earlier is None else earlier.information
     before = Known(believed + told)
     states = trajectory.sample()
-    asked = {"the motion of the run": states, **(motions or {})}
+    random = default_motion(robot, _RANDOM, periods=1).sample()
+    asked = {**(motions or {}), "the motion of the run": states, "random motion": random}
     rows = {name: _rows(run, each) for name, each in asked.items()}
     base, values = run.problem.base, run.theta
     known = _posterior(run, own.with_earlier(told))
