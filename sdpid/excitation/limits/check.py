@@ -230,10 +230,11 @@ def check_trajectory(
     if np.any(np.isfinite(joints.torque)):
         model = torque or TorqueModel.of(robot, estimate, spread=spread)
         notes += model.notes
-        allowed = model.allowed(joints.torque)
-        rows += _joint_rows(
-            "torque", joints, curves, TorqueMeasure(model), allowed, _RESOLUTION * allowed
-        )
+        if model.known:
+            allowed = model.allowed(joints.torque)
+            rows += _joint_rows(
+                "torque", joints, curves, TorqueMeasure(model), allowed, _RESOLUTION * allowed
+            )
     if joints.tool_speed is not None:
         frames = tool_frames(robot, joints.tool)
         limit = np.full(len(frames), joints.tool_speed)

@@ -79,7 +79,6 @@ def narrow(
         Share of the description's limits that is used.
     override : bool
         Whether given values hold where they are wider than the description's, too.
-
     assume : bool
         Whether missing limits are assumed, and the robot must be able to stand at rest.
 
@@ -196,6 +195,7 @@ class _Narrowing:
         real &= low < high
         low = np.where(real & np.isfinite(low), low, np.nan)
         high = np.where(real & np.isfinite(high), high, np.nan)
+        low, high = _within_mimics(self.robot, low, high)
         # NaN where an end is missing: then the other is used as it stands.
         spare = np.nan_to_num(0.5 * (1.0 - self.share) * (high - low))
         lower = self._merged("lower", low + spare, low)
@@ -240,12 +240,12 @@ class _Narrowing:
         wider = (beyond > 0.0) & (np.abs(given - described) > _SAME * np.abs(described))
         if self.override:
             values = np.where(np.isnan(given), used, given)
-            self._tell(wider, f"a {kind} limit beyond the description's, which is overridden")
+            self._tell(wider, f"{kind} limits beyond the description's, which they override")
         else:
             values = np.where(np.isnan(given), used, tighter(given, described))
             self._tell(
                 wider & np.isfinite(given),
-                f"a {kind} limit beyond the description's; the description's holds",
+                f"{kind} limits beyond the description's; the description's hold",
             )
         own = ~np.isnan(given) & (~(beyond > 0.0) | self.override)
         sources = np.where(own, GIVEN, np.where(np.isnan(described), NONE, DESCRIBED))
@@ -338,6 +338,26 @@ def sliding_joints(robot: RobotModel) -> Mask:
     model = robot.pin_model
     kinds = [model.joints[model.getJointId(name)].shortname() for name in robot.joint_names]
     return np.array([kind.startswith("JointModelP") for kind in kinds], dtype=np.bool_)
+
+
+def _within_mimics(robot: RobotModel, low: Array, high: Array) -> tuple[Array, Array]:
+    """Return limits (n,) narrowed to those of the joints that follow others; NaN for none."""
+    model, low, high = robot.pin_model, low.copy(), high.copy()
+    for i in range(1, model.njoints):
+        joint = model.joints[i]
+        if model.names[i] in robot.joint_names or joint.nq != 1:
+            continue
+        ends = model.lowerPositionLimit[joint.idx_q], model.upperPositionLimit[joint.idx_q]
+        column = int(np.argmax(np.abs(robot.expansion[joint.idx_v])))
+        factor = robot.expansion[joint.idx_v, column]
+        if factor == 0.0 or not -_UNBOUNDED < ends[0] < ends[1] < _UNBOUNDED:
+            continue
+        own = np.sort((np.array(ends) - robot.offset[joint.idx_v]) / factor)
+        narrowed = np.fmax(low[column], own[0]), np.fmin(high[column], own[1])
+        # Limits of followers that leave nothing are placeholders.
+        if narrowed[0] < narrowed[1]:
+            low[column], high[column] = narrowed
+    return low, high
 
 
 def _usual_rest(lower: Array, upper: Array) -> Array:

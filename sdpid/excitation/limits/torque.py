@@ -132,6 +132,11 @@ class TorqueModel:
         """The robot."""
         return self.dynamics.robot
 
+    @property
+    def known(self) -> bool:
+        """Whether any link has a mass: of a description without, torques cannot be checked."""
+        return bool(np.any(self.dynamics.theta[: 10 * self.robot.n_links : 10] != 0.0))
+
     def allowed(self, limit: Array) -> Array:
         """Return what the model's torques may use of limits (n,)."""
         return np.asarray((1.0 - self.reserve) * np.asarray(limit))
@@ -271,6 +276,11 @@ def _dynamics(
     values = [robot.prior.ravel(), coulomb, viscous, robot.described_armature()]
     dynamics = RobotDynamics(robot=robot, terms=terms, theta=np.concatenate(values))
     words = ["torques are those of the description, friction included."]
+    light = [name for name, body in zip(robot.link_names, robot.prior, strict=True) if not body[0]]
+    if len(light) == robot.n_links:
+        return dynamics, ["the description has no masses: torques are not checked."], 0.0
+    if light:
+        words.append(f"the description gives {', '.join(light)} no mass.")
     if heavy.any():
         names = ", ".join(robot.joint_names[j] for j in np.flatnonzero(heavy))
         words.append(

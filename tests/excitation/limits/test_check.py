@@ -342,3 +342,10 @@ def test_friction_that_no_motor_overcomes_is_not_counted() -> None:
         friction = model.friction(moving, still)[0, robot.joint_names.index("right")]
         assert friction == pytest.approx(coulomb if counted else 0.0)
         assert any("right in the description would take" in note for note in model.notes) != counted
+
+
+def test_a_description_without_masses_has_no_torques(denso: RobotModel) -> None:
+    curve = spline(denso.n, 0, size=0.1)
+    check = check_trajectory(denso, curve, Limits(torque=10.0), collision=False)
+    assert not by_kind(check, "torque")
+    assert "the description has no masses: torques are not checked." in check.notes

@@ -18,7 +18,7 @@ from sdpid.excitation.limits.limits import Limits
 from sdpid.robot.model.described_efforts import described_efforts
 from sdpid.robot.model.load import load_robot
 from sdpid.robot.model.model import RobotModel
-from tests.helpers.robots import TREE, planar_arm
+from tests.helpers.robots import TREE, TREE_MIMIC, planar_arm
 
 ARM = """<robot name="arm"><link name="base"/>{links}{joints}</robot>"""
 LINK = """<link name="l{0}"><inertial><origin xyz="0.3 0 0"/><mass value="4"/>
@@ -97,11 +97,11 @@ def test_wider_limits_are_told_and_may_override() -> None:
     assert found.upper.tolist() == [1.0, 1.0]
     assert found.velocity.tolist() == [3.0, 3.0]
     assert found.sources["upper"] == ("description", "description")
-    assert any(text.startswith("a has a upper limit beyond") for text in found.assumed)
+    assert any(text.startswith("a has upper limits beyond") for text in found.assumed)
     over = Limits(override=True, **wide).of(arm(*TWO))  # type: ignore[arg-type]
     assert over.upper.tolist() == [2.0, 1.0]
     assert over.velocity.tolist() == [4.0, 4.0]
-    assert any("overridden" in text for text in over.assumed)
+    assert any("override" in text for text in over.assumed)
 
 
 def test_infinity_is_no_limit() -> None:
@@ -298,3 +298,14 @@ def test_rest_is_where_the_motors_hold_the_arm() -> None:
     assert Limits().of(arm(*TWO, limit=weak), rest=[0.0, 0.0]).rest.tolist() == [0.0, 0.0]
     with pytest.raises(DataError, match="at the best of"):
         Limits().of(arm(*TWO, limit=LIMIT.replace("100", "1").replace("-2", "-0.5")))
+
+
+def test_limits_of_followers_hold_too() -> None:
+    # The thumb is at -0.7·finger + 0.2 and within ±0.3: the finger within -0.14 and 0.71.
+    text = TREE_MIMIC.replace(
+        'lower="-1" upper="1" effort="5" velocity="3"/><mimic',
+        'lower="-0.3" upper="0.3" effort="5" velocity="3"/><mimic',
+    )
+    found = Limits().of(load_robot(text))
+    j = found.joint_names.index("finger")
+    np.testing.assert_allclose([found.lower[j], found.upper[j]], [-0.1 / 0.7, 0.5 / 0.7])
