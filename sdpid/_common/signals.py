@@ -42,6 +42,43 @@ def keyboard_interrupts() -> Iterator[None]:
         signal.signal(signal.SIGINT, usual)
 
 
+class Interrupts:
+    """Whether an interrupt came.
+
+    Attributes
+    ----------
+    came : bool
+        True from the first on.
+    """
+
+    def __init__(self) -> None:
+        self.came = False
+
+    def note(self, number: int, frame: Any) -> None:
+        """Handle SIGINT: note the first, and let others raise."""
+        if self.came:
+            signal.default_int_handler(number, frame)
+        self.came = True
+
+
+@contextlib.contextmanager
+def noted_interrupts(noted: Interrupts) -> Iterator[None]:
+    """Note SIGINT within the block where it would raise KeyboardInterrupt.
+
+    For libraries that take an exception of a function they call for a failure of that function,
+    and go on.
+    """
+    in_main = threading.current_thread() is threading.main_thread()
+    if not in_main or signal.getsignal(signal.SIGINT) is not signal.default_int_handler:
+        yield
+        return
+    signal.signal(signal.SIGINT, noted.note)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, signal.default_int_handler)
+
+
 def clean_up_when_ended() -> None:
     """Let SIGINT, SIGTERM and SIGHUP raise `SystemExit`.
 

@@ -29,7 +29,7 @@ from sdpid.excitation.geometry.obstacles import Obstacle
 from sdpid.excitation.limits.limits import Limits
 from sdpid.excitation.plan.plan import Plan
 from sdpid.excitation.plan.settings import settings_of
-from sdpid.excitation.search.ipopt import require_solver
+from sdpid.excitation.search.ipopt import INTERRUPTED, require_solver
 from sdpid.excitation.search.search import Candidate, Search, most_steps
 from sdpid.excitation.search.starts import random_start
 from sdpid.experiment.trajectory.trajectory import Trajectory
@@ -319,7 +319,7 @@ def _notes(
         f"of coarse and refined motions {values}): others may be better, and no bound says by how "
         "much."
     )
-    if stopped and time_limit is None:
+    if stopped and (time_limit is None or any(each.status == INTERRUPTED for each in found)):
         notes.append("the search was interrupted: this is the best motion that it had found.")
     elif stopped:
         notes.append(f"the search ended at its time limit of {time_limit:g} s.")

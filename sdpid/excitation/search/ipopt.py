@@ -10,6 +10,7 @@ import numpy as np
 
 from sdpid._common.arrays import Array
 from sdpid._common.extras import require
+from sdpid._common.signals import Interrupts, noted_interrupts
 
 # A step that no longer changes value or limits by this share ends the search; a hundred times that
 # does so after some steps in a row. What is found is checked anew and exactly, elsewhere.
@@ -135,7 +136,14 @@ def minimize(
             count,
         )
         limits.append(nonlinear(x))
-    watch = _watch(casadi, N, len(lower) + count, len(lower), calls.guarded(stop))
+    interrupts = Interrupts()
+    watch = _watch(
+        casadi,
+        N,
+        len(lower) + count,
+        len(lower),
+        calls.guarded(lambda steps, value: stop(steps, value) or interrupts.came),
+    )
     solver = casadi.nlpsol(
         "search",
         "ipopt",
@@ -161,11 +169,13 @@ def minimize(
     watch.offer(start, calls.cached(start)[0])
     status = INTERRUPTED
     try:
-        solver(
-            x0=start,
-            lbg=np.concatenate([lower, np.zeros(count)]),
-            ubg=np.concatenate([upper, np.full(count, np.inf)]),
-        )
+        # IPOPT takes an exception for a point without a value, and goes on elsewhere.
+        with noted_interrupts(interrupts):
+            solver(
+                x0=start,
+                lbg=np.concatenate([lower, np.zeros(count)]),
+                ubg=np.concatenate([upper, np.full(count, np.inf)]),
+            )
         status = str(solver.stats()["return_status"])
     except KeyboardInterrupt:
         watch.stopped = True
@@ -173,7 +183,7 @@ def minimize(
         # CasADi turns exceptions of ours into words.
         if calls.error is None:
             raise
-    if isinstance(calls.error, KeyboardInterrupt):
+    if interrupts.came or isinstance(calls.error, KeyboardInterrupt):
         status, watch.stopped = INTERRUPTED, True
     elif calls.error is not None:
         raise calls.error
@@ -203,10 +213,12 @@ class _Calls:
         """Return a function whose exceptions are kept, to be raised when IPOPT has returned."""
 
         def call(*arguments: Any) -> Any:
+            if self.error is not None:
+                raise self.error
             try:
                 return function(*arguments)
             except BaseException as error:
-                self.error = self.error or error
+                self.error = error
                 raise
 
         return call

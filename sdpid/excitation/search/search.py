@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
@@ -182,18 +182,38 @@ class Search:
         bool
             Whether the search was stopped before its end.
         """
+        found: list[Candidate] = []
+        stopped = False
+        try:
+            for candidate, ended in self._candidates(starts, rows_of, step):
+                found.append(candidate)
+                stopped = ended
+                if candidate.status == INTERRUPTED:
+                    break
+        except KeyboardInterrupt:
+            if not found:
+                raise
+            stopped = True
+        return sorted(found, key=_value), stopped
+
+    def _candidates(
+        self,
+        starts: Iterable[Array],
+        rows_of: Callable[[Space], Rows | None],
+        step: Callable[[], None],
+    ) -> Iterator[tuple[Candidate, bool]]:
+        """Yield the best from every start, then refined; and whether each was stopped."""
         now = time.monotonic()
         coarse = replace(self, deadline=now + _COARSE * (self.deadline - now))
         rows = rows_of(self.space)
         found: list[Candidate] = []
-        stopped = False
         for number, start in enumerate(starts):
             candidate, stopped = coarse.improve(start, rows, number=number, step=step)
             found.append(candidate)
+            yield candidate, stopped
             if stopped:
                 break
-        interrupted = found[-1].status == INTERRUPTED if found else True
-        for candidate in sorted(found, key=_value)[: 0 if interrupted else _REFINED]:
+        for candidate in sorted(found, key=_value)[:_REFINED]:
             for _ in range(_LEVELS):
                 refined = candidate.space.refined(candidate.x)
                 if refined is None or time.monotonic() > self.deadline:
@@ -205,8 +225,7 @@ class Search:
                     most_steps=_REFINING_STEPS,
                     step=step,
                 )
-                found.append(candidate)
-        return sorted(found, key=_value), stopped
+                yield candidate, stopped
 
 
 def _value(candidate: Candidate) -> float:

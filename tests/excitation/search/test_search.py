@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+import signal
 from collections.abc import Iterator
 from typing import Any
 
@@ -102,3 +104,21 @@ def test_an_interrupted_search_is_not_refined(monkeypatch: pytest.MonkeyPatch) -
     assert holds(found[0], search)
     monkeypatch.setattr(module, "_LEVELS", 0)
     assert most_steps(2) == 2 * module.MOST_STEPS
+
+
+@pytest.mark.skipif(os.name != "posix", reason="sends a signal")
+def test_a_signal_ends_the_search_with_the_best_so_far() -> None:
+    search = search_of()
+    calls = 0
+
+    def interrupt() -> None:
+        nonlocal calls
+        calls += 1
+        if calls == 5:
+            os.kill(os.getpid(), signal.SIGINT)
+
+    found, stopped = search.run(starts_of(search, 3), step=interrupt)
+    assert stopped
+    assert [c.status for c in found] == [INTERRUPTED]
+    assert found[0].steps in (5, 6)
+    assert holds(found[0], search)
