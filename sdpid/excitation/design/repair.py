@@ -23,13 +23,15 @@ _RATE_HZ = 8.0
 _MARGIN = 4e-3
 # Torques and tool speeds are held to this share of their limits on the grid.
 _SHARE = 0.97
+# A joint's torque is held from the start where random motions use this share of its limit: each
+# joint adds two rows an instant, and most never come near.
+_NEAR = 0.5
 # Rounds of search, check, and a wider margin; of steps of a search in one.
 _ROUNDS, _STEPS = 6, 60
-# Torques are held from the first step on where more than this share of drawn states are beyond
-# their limits; speeds and accelerations without a limit are taken to be this (rad/s, rad/s²).
-_OFTEN, _DRAWN, _FASTEST = 0.01, 500, 10.0
 # A margin grows by this much more than what was missing.
 _BEYOND = 1.5
+# An arm whose joints move by less than this stands still, rad (m).
+_STILL = 1e-6
 # Shares of a motion's way from standing still that are tried where no search mends it.
 _SHRINKS = (0.98, 0.95, 0.9, 0.8, 0.65, 0.5, 0.3, 0.1)
 
@@ -46,19 +48,22 @@ class Inequalities:
         What is kept of distances beyond the clearance, m.
     share : float
         Share of torque and tool speed that is used.
-    kinds : set of str
-        Which limits the search holds: distances and those that are likely to stand in the way,
-        others once one was broken.
+    joints : set of str
+        Whose torques the search holds: those that random motions bring near their limits, and
+        those that a check found beyond.
     """
 
     task: Task
     margin: float = _MARGIN
     share: float = _SHARE
-    kinds: set[str] = field(default_factory=lambda: {"distance", "tool speed"})
+    joints: set[str] = field(default_factory=set)
 
     def __post_init__(self) -> None:
-        if _torque_is_likely(self.task):
-            self.kinds.add("torque")
+        task = self.task
+        near = task.usual_torque > _NEAR * task.torque.allowed(task.limits.torque)
+        self.joints |= {
+            name for name, is_near in zip(task.limits.joint_names, near, strict=True) if is_near
+        }
 
     def rows(self, space: Space) -> InstantRows | None:
         """Return the rows that a search among motions holds; None where there are none."""
@@ -72,42 +77,29 @@ class Inequalities:
             yield KeptDistance(
                 collision=task.collision.searched, clearance=task.clearance, margin=self.margin
             )
+        held = [name in self.joints for name in task.limits.joint_names]
         used = replace(
             task.limits,
-            torque=self.share * task.limits.torque,
+            torque=np.where(held, self.share * task.limits.torque, np.inf),
             tool_speed=task.limits.tool_speed and self.share * task.limits.tool_speed,
         )
-        if "torque" in self.kinds:
+        if np.isfinite(used.torque).any():
             yield TorqueWithin(model=task.torque, limits=used)
-        speed = ToolSpeedWithin.of(task.robot, used) if "tool speed" in self.kinds else None
+        speed = ToolSpeedWithin.of(task.robot, used)
         if speed is not None:
             yield speed
 
     def learn(self, check: LimitCheck) -> None:
-        """Hold the kinds that a check found broken, and widen margins of those that were held."""
+        """Hold the torques that a check found broken, and widen margins of what was held."""
         wrong = [row for row in check.rows if row.verdict != "held"]
         missing = max((-row.slack for row in wrong if row.kind == "distance"), default=0.0)
         if missing:
             self.margin += _BEYOND * max(missing, 1e-4)
-        rates = [row for row in wrong if row.kind in self.kinds and row.kind != "distance"]
+        rates = [row for row in wrong if row.kind == "tool speed" or row.subject in self.joints]
         if rates:
             over = max(-row.slack / row.limit for row in rates)
             self.share /= 1.0 + _BEYOND * max(over, 1e-3)
-        self.kinds |= {row.kind for row in wrong}
-
-
-def _torque_is_likely(task: Task) -> bool:
-    """Return whether torques of random states within the limits are often beyond theirs."""
-    limits, n = task.limits, task.robot.n
-    rng = np.random.default_rng(0)
-    q = limits.lower + (limits.upper - limits.lower) * rng.uniform(size=(_DRAWN, n))
-    v, a = (
-        np.minimum(limit, _FASTEST) * rng.uniform(-1.0, 1.0, (_DRAWN, n))
-        for limit in (limits.velocity, limits.acceleration)
-    )
-    torque = np.abs(task.torque.torque(q, v, a)) + task.torque.spread(q, v, a)
-    beyond = np.any(torque > task.torque.allowed(limits.torque), axis=1)
-    return bool(np.mean(beyond) > _OFTEN)
+        self.joints |= {row.subject for row in wrong if row.kind == "torque"}
 
 
 def checked(task: Task, x: Array) -> LimitCheck:
@@ -132,6 +124,7 @@ def mend(
         When none is found: it names the limits in the way.
     """
     check = checked(task, candidate.x)
+    _require_motion(task, candidate, check)
     for _ in range(_ROUNDS):
         if check.ok:
             return candidate, check
@@ -162,6 +155,18 @@ def mend(
     raise DataError(
         f"excitation of '{task.robot.name}': no motion was found that holds every limit. Even one "
         f"of a tenth of the size breaks: {broken}. Widen these limits, or give another start."
+    )
+
+
+def _require_motion(task: Task, candidate: Candidate, check: LimitCheck) -> None:
+    """Refuse a candidate that stands still: no start moved, or none was searched in time."""
+    if np.ptp(task.space.curve(candidate.x).evaluate(task.space.grid()), axis=0).max() > _STILL:
+        return
+    nearest = min(check.rows, key=lambda row: row.slack / (abs(row.limit) or 1.0))
+    raise DataError(
+        f"excitation of '{task.robot.name}': no motion was found, the arm stands still. Nearest to "
+        f"its limit is {nearest.kind} of {nearest.subject} ({nearest.slack:.3g} {nearest.unit} "
+        "left). Give the search more time, another start, or wider limits."
     )
 
 

@@ -77,6 +77,8 @@ class Task:
         Pairs that must not touch; None where collisions are left out.
     torque : TorqueModel
         The torques of its motions.
+    usual_torque : ndarray, shape (n,)
+        Largest torque of each joint on random motions, N·m (N).
     rows : BaseRows
         The regressor of the base parameters, signs as given.
     noise : ExpectedNoise
@@ -103,6 +105,7 @@ class Task:
     limits: JointLimits
     collision: CollisionModel | None
     torque: TorqueModel
+    usual_torque: Array
     rows: BaseRows
     noise: ExpectedNoise
     known: Array
@@ -198,6 +201,7 @@ class Task:
             limits=joints,
             collision=collision,
             torque=torque,
+            usual_torque=(np.abs(torque.torque(*usual)) + torque.spread(*usual)).max(axis=0),
             rows=rows,
             noise=expected,
             known=known,
