@@ -22,6 +22,7 @@ from collections import defaultdict
 from collections.abc import Sequence
 from dataclasses import astuple, dataclass, fields, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from simulated_logs import described, perturbed
@@ -67,6 +68,9 @@ STIFFER, POSITION_POLE = 2.0, 200.0
 # Coulomb, sigmoid and viscous friction beside each other: single coefficients say little.
 TRADED = ("Fs", "Fsg", "Fv")
 
+# What a search may take where all is to be quick, s.
+QUICK_SEARCH = 4.0
+
 # What the ratio of simulated to expected intervals must lie within.
 LEAST, MOST = 0.8, 1.25
 
@@ -92,9 +96,13 @@ class Twin:
     noise: Array
 
 
-def plan_of(robot: sdpid.RobotModel, seed: int, duration: float) -> Trajectory:
-    """Return a plan from the robot's description."""
-    return sdpid.design_excitation(robot, duration=duration, seed=seed, starts=1).trajectory
+def plan_of(
+    robot: sdpid.RobotModel, seed: int, duration: float, quick: bool, **given: Any
+) -> Trajectory:
+    """Return a plan from the robot's description, and from what else is given."""
+    search = {"time_limit": QUICK_SEARCH} if quick else {"starts": 1}
+    plan = sdpid.design_excitation(robot, duration=duration, seed=seed, **search, **given)
+    return plan.trajectory
 
 
 def noise_of(robot: sdpid.RobotModel, trajectory: Trajectory) -> Array:
@@ -117,7 +125,12 @@ def twin_of(robot: sdpid.RobotModel, trajectory: Trajectory, seed: int) -> Twin:
 
 
 def log_of(
-    robot: sdpid.RobotModel, trajectory: Trajectory, twin: Twin, seed: int, reading: str
+    robot: sdpid.RobotModel,
+    trajectory: Trajectory,
+    twin: Twin,
+    seed: int,
+    reading: str,
+    exact: bool = False,
 ) -> sdpid.Recording:
     """Return what a run records."""
     _, drives = plant_parts(robot, trajectory, twin.theta, None)
@@ -128,7 +141,13 @@ def log_of(
         proportional_gain=np.full(robot.n, POSITION_POLE),
     )
     log = sdpid.simulate(
-        robot, trajectory, theta=twin.theta, drives=drives, seed=seed, progress=False
+        robot,
+        trajectory,
+        theta=twin.theta,
+        drives=drives,
+        seed=seed,
+        exact=exact,
+        progress=False,
     )
     return log if reading == "periods" else replace(log, period=None, start=None, periods=None)
 
@@ -149,11 +168,12 @@ def run(
     trajectory: Trajectory,
     data: Path | None,
     expected: Expected,
+    exact: bool,
 ) -> list[Row]:
     """Simulate a run, identify, and compare with what was expected."""
     robot = described(name, data)
     twin = twin_of(robot, trajectory, seed)
-    log = log_of(robot, trajectory, twin, seed, reading)
+    log = log_of(robot, trajectory, twin, seed, reading, exact)
     try:
         result = sdpid.identify(robot, log, effects="none")
     except sdpid.errors.SdpidError as error:
@@ -246,11 +266,11 @@ class Next:
     all_planned: float
 
 
-def next_run(name: str, first: str, seed: int, data: Path | None) -> Next:
+def next_run(name: str, first: str, seed: int, data: Path | None, quick: bool) -> Next:
     """Run a first motion, then the same again, or a plan made from the first run's estimate."""
     robot = described(name, data)
     if first == "plan":
-        motion = plan_of(robot, 0, SHORT)
+        motion = plan_of(robot, 0, SHORT, quick)
     else:
         motion = default_motion(robot, seed, period=SHORT, periods=1)
     twin = twin_of(robot, motion, seed)
@@ -260,10 +280,8 @@ def next_run(name: str, first: str, seed: int, data: Path | None) -> Next:
 
     once, again = recorded(motion, 0), recorded(motion, 1)
     known = sdpid.identify(robot, once, effects="none")
-    plan = sdpid.design_excitation(
-        robot, duration=motion.duration, seed=seed, starts=1, previous=known
-    )
-    other = recorded(plan.trajectory, 2)
+    plan = plan_of(robot, seed, motion.duration, quick, previous=known)
+    other = recorded(plan, 2)
     found = [
         known,
         *(sdpid.identify(robot, [once, run], effects="none") for run in (again, other)),
@@ -382,11 +400,12 @@ def main() -> int:
     parser.add_argument("--next", type=int, default=3, help="second runs of each robot")
     parser.add_argument("--duration", type=float, default=20.0, help="of a period, s")
     parser.add_argument("--jobs", type=int, default=1)
+    parser.add_argument("--exact", action="store_true", help="robots that follow the plan exactly")
     parser.add_argument("--quick", action="store_true", help="one short run")
     options = parser.parse_args()
     options.out.mkdir(parents=True, exist_ok=True)
     if options.quick:
-        options.robot, options.seeds, options.next, options.duration = ["ur10"], 1, 1, 8.0
+        options.robot, options.seeds, options.next, options.duration = ["ur10"], 1, 1, SHORT
     from joblib import delayed
 
     rows: list[Row] = []
@@ -397,7 +416,7 @@ def main() -> int:
         except sdpid.errors.SdpidError as error:
             print(f"{name}: skipped, {error}", flush=True)
             continue
-        plan = plan_of(robot, 0, options.duration)
+        plan = plan_of(robot, 0, options.duration, options.quick)
         for reading, periods in PERIODS.items():
             trajectory = plan.with_periods(periods)
             noise = ExpectedNoise.white(noise_of(robot, trajectory), trajectory.rate_hz)
@@ -405,7 +424,7 @@ def main() -> int:
             if reading == "record":
                 print(f"{name}:", *expected.sentences(), sep="\n  ", flush=True)
             found = parallel(options.jobs)(
-                delayed(run)(name, reading, seed, trajectory, options.data, expected)
+                delayed(run)(name, reading, seed, trajectory, options.data, expected, options.exact)
                 for seed in range(options.seeds)
             )
             rows += [row for each in found for row in each]
@@ -413,9 +432,9 @@ def main() -> int:
                 lost[name] = left_out(robot, trajectory, noise, rows)
         print("\n".join(summary(rows)), flush=True)
     seconds = parallel(options.jobs)(
-        delayed(next_run)(name, first, seed, options.data)
+        delayed(next_run)(name, first, seed, options.data, options.quick)
         for name in dict.fromkeys(row.robot for row in rows)
-        for first in (("random",) if options.quick else ("random", "plan"))
+        for first in (("plan",) if options.quick else ("random", "plan"))
         for seed in range(options.next)
     )
     columns = tuple(field.name for field in fields(Row))

@@ -12,6 +12,7 @@ import numpy as np
 from sdpid._common.arrays import Array, frozen
 from sdpid._common.threads import one_thread
 from sdpid.estimation.compression.rows import RowSource
+from sdpid.estimation.effects.bending import Bending
 from sdpid.estimation.estimate import Estimate
 from sdpid.estimation.posterior import Posterior
 from sdpid.estimation.prior.prior import Prior
@@ -26,6 +27,7 @@ from sdpid.experiment.plant.default_motion import default_motion
 from sdpid.experiment.processing.samples import Samples
 from sdpid.experiment.trajectory.curve import is_closed
 from sdpid.experiment.trajectory.trajectory import Trajectory
+from sdpid.robot.friction.motion import Motion
 from sdpid.robot.friction.term import FrictionTerm
 from sdpid.robot.model.model import RobotModel
 
@@ -134,13 +136,16 @@ def expect(
     asked = {**(motions or {}), "the motion of the run": states, "random motion": random}
     rows = {name: _rows(run, each) for name, each in asked.items()}
     base, values = run.problem.base, run.theta
-    known = _posterior(run, own.with_earlier(told))
+    errors = own.with_earlier(told)
+    known = _posterior(run, errors)
     variance, share, _ = known.spread(base.matrix)
     theta_variance, theta_share, _ = known.spread(np.eye(run.problem.n_theta))
     freedom = run.spectrum.freedom(base.matrix @ known.from_fit)
     freedom /= np.maximum(1.0 - share, np.finfo(float).eps) ** 2
-    speeds, functions = _friction_functions(run)
-    friction_variance = known.spread(functions)[0].reshape(len(speeds), -1)
+    speeds, functions, slopes = _friction_functions(run)
+    moves = np.hstack([functions @ known.from_fit, slopes])
+    friction_variance = np.einsum("ki,ij,kj->k", moves, errors.whole_covariance, moves)
+    friction_variance += np.sum((functions @ known.from_prior) ** 2, axis=1)
     covariance = known.covariance(base.matrix)
     value, half = base.matrix @ values, _quantile(freedom) * np.sqrt(variance)
     least, most = run.problem.feasible.limits_of(base.matrix)
@@ -163,7 +168,7 @@ def expect(
         link_names=robot.link_names,
         speeds=speeds,
         friction=frozen((functions @ values).reshape(len(speeds), -1)),
-        friction_half_widths=frozen(NORMAL * np.sqrt(friction_variance)),
+        friction_half_widths=frozen(NORMAL * np.sqrt(friction_variance).reshape(len(speeds), -1)),
         bands=tuple(
             Band(
                 motion=name,
@@ -306,22 +311,36 @@ def _duration(
     )
 
 
-def _friction_functions(run: Rehearsal) -> tuple[Array, Array]:
-    """Return speeds, and friction there as functions (speeds·joints, p) of theta."""
-    friction, problem = run.problem.friction, run.problem
-    count = len(friction.joint_names)
-    top = np.abs(run.problem.samples.velocity).max()
-    speeds = np.array([speed for speed in _SPEEDS if speed <= top or speed == _SPEEDS[0]])
-    if not friction.parameters:
-        return frozen(np.zeros(0)), np.zeros((0, problem.n_theta))
-    out = np.zeros((len(speeds), count, problem.n_theta))
-    for k, speed in enumerate(speeds):
-        v = np.array([[speed], [-speed]]) * np.ones(count)
-        whole = np.zeros((2, friction.first + count))
-        whole[:, friction.first :] = v
-        ahead, back = friction.columns(whole, np.zeros_like(whole))[:, friction.first :]
-        out[k, :, -len(friction.parameters) :] = 0.5 * (ahead - back)
-    return frozen(speeds), out.reshape(-1, problem.n_theta)
+def _friction_functions(run: Rehearsal) -> tuple[Array, Array, Array]:
+    """Return speeds, and friction there by joint: as functions of theta, and by open speeds.
+
+    Returns
+    -------
+    ndarray, shape (s,)
+    ndarray, shape (s·joints, p)
+    ndarray, shape (s·joints, d)
+        Derivatives by the logarithms of the speeds that the data choose.
+    """
+    problem, friction = run.problem, run.problem.friction
+    tail = len(friction.parameters)
+    bending = Bending.of(friction, problem.profiled, run.sizes[problem.n_theta - tail :])
+    top = np.abs(problem.samples.velocity).max()
+    speeds = [speed for speed in _SPEEDS if speed <= top or speed == _SPEEDS[0]] if tail else []
+    functions, slopes = [], []
+    for speed in speeds:
+        v = np.array([[speed], [-speed]]) * np.ones(problem.robot.n)
+        columns = friction.columns(v, np.zeros_like(v))[:, friction.first :]
+        own = v[:, friction.first :]
+        motion = Motion(
+            position=own, velocity=own, acceleration=np.zeros_like(own), robot=problem.robot
+        )
+        bends = bending.columns(motion)[:, friction.first :]
+        columns, bends = (0.5 * (each[0] - each[1]) for each in (columns, bends))
+        functions.append(np.pad(columns, ((0, 0), (problem.n_theta - tail, 0))))
+        slopes.append(bends)
+    if not speeds:
+        return frozen([]), np.zeros((0, problem.n_theta)), np.zeros((0, len(bending.deviations)))
+    return frozen(speeds), np.concatenate(functions), np.concatenate(slopes)
 
 
 def _quantile(freedom: Array) -> Array:

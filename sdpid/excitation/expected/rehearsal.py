@@ -57,6 +57,9 @@ class Rehearsal:
         That `sdpid.identify` would solve, with nominal efforts.
     theta : ndarray, shape (p,)
         The nominal parameters.
+    sizes : ndarray, shape (p,)
+        The same, friction terms with speeds that the data choose as large as they will be found:
+        errors of those speeds matter as much.
     spectrum : NoiseSpectrum
         Errors of its unconstrained fit.
     noise : ExpectedNoise
@@ -71,6 +74,7 @@ class Rehearsal:
 
     problem: Problem
     theta: Array
+    sizes: Array
     spectrum: NoiseSpectrum
     noise: ExpectedNoise
     processing: Processing
@@ -149,10 +153,16 @@ def rehearse(
     def believed(frequency: Array) -> Array:
         return np.outer(density / sigma, gain(frequency * kept))
 
+    spectrum = NoiseSpectrum.of(problem, values, believed=believed)
+    sizes = values
+    if profiled:
+        sizes = _estimated_sizes(problem, values, spectrum.covariance)
+        spectrum = NoiseSpectrum.of(problem, sizes, believed=believed)
     return Rehearsal(
         problem=problem,
         theta=frozen(values),
-        spectrum=NoiseSpectrum.of(problem, values, believed=believed),
+        sizes=frozen(sizes),
+        spectrum=spectrum,
         noise=usual,
         processing=processing,
         log=log,
@@ -188,6 +198,23 @@ def _efforts(
         robot=robot,
     )
     return np.asarray(rigid + friction.columns_in(motion) @ theta[links:])
+
+
+def _estimated_sizes(problem: Problem, theta: Array, covariance: Array) -> Array:
+    """Return rms estimates of theta (p,) whose errors have a covariance (b, b).
+
+    Of friction terms alone. One that is zero and cannot be negative is estimated as zero half of
+    the time.
+    """
+    out = np.array(theta)
+    start = 10 * problem.robot.n_links
+    places = {name: k for k, name in enumerate(problem.base.names)}
+    for k, parameter in enumerate(problem.friction.parameters, start):
+        place = places.get(parameter.name)
+        if place is not None:
+            cut = parameter.nonnegative and theta[k] == 0.0
+            out[k] = np.sqrt(theta[k] ** 2 + covariance[place, place] * (0.5 if cut else 1.0))
+    return out
 
 
 def _gain(processing: Processing, rate_hz: float) -> tuple[Callable[[Array], Array], float]:

@@ -70,12 +70,16 @@ class RunErrors:
         """Information (b, b) that the fit's weights see, what is known of speeds left out."""
         return self.information[: self.base_count, : self.base_count]
 
-    @cached_property
+    @property
     def covariance(self) -> Array:
         """Covariance of the unconstrained fit, (b, b)."""
+        return self.whole_covariance[: self.base_count, : self.base_count]
+
+    @cached_property
+    def whole_covariance(self) -> Array:
+        """Covariance (c, c) of the fit and of the logarithms of speeds that the data choose."""
         root = information_root(self.information + np.diag(self.known))
-        whole = root @ (root.T @ (self.scores + np.diag(self.known)) @ root) @ root.T
-        return np.asarray(whole[: self.base_count, : self.base_count])
+        return np.asarray(root @ (root.T @ (self.scores + np.diag(self.known)) @ root) @ root.T)
 
     def freedom(self, functionals: Array) -> Array:
         """Return infinite degrees of freedom: the noise is believed, not estimated."""
