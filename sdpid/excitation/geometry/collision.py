@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 from sdpid._common.arrays import Array, Indices, frozen, real_array
 from sdpid.errors import DataError, ModelError
 from sdpid.excitation.geometry.measure import Measure
-from sdpid.excitation.geometry.obstacles import Obstacle, named_apart
+from sdpid.excitation.geometry.obstacles import Mesh, Obstacle, named_apart
 from sdpid.excitation.geometry.pairs import Pair, choose_pairs
 from sdpid.excitation.geometry.proof import proven_apart
 from sdpid.excitation.geometry.reach import pair_reaches, turning_coordinates
@@ -303,7 +303,7 @@ class CollisionModel:
 
         placements = link_placements(self.robot, self.rest)
         for obstacle in self.obstacles:
-            if any(
+            if isinstance(obstacle, Mesh) and any(
                 solid.body == obstacle.name and solid.shape is obstacle for solid in self.solids
             ):
                 for solid in self.solids:

@@ -221,10 +221,11 @@ class _Narrowing:
             self._mark(kind, missing, source)
         for j in np.flatnonzero(~(lower < upper)):
             sides = [self.sources[kind][j] for kind in ("lower", "upper")]
+            given = sides == [GIVEN, GIVEN]
+            remedy = "exchange them" if given else "give limits that overlap the description's"
             raise DataError(
                 f"limits: joint '{self.names[j]}': lower {lower[j]:g} ({sides[0]}) is not below "
-                f"upper {upper[j]:g} ({sides[1]}) {unit_of('lower', self.sliding[j])}; give limits "
-                "that overlap the description's."
+                f"upper {upper[j]:g} ({sides[1]}) {unit_of('lower', self.sliding[j])}; {remedy}."
             )
         return lower, upper
 

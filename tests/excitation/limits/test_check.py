@@ -349,3 +349,13 @@ def test_a_description_without_masses_has_no_torques(denso: RobotModel) -> None:
     check = check_trajectory(denso, curve, Limits(torque=10.0), collision=False)
     assert not by_kind(check, "torque")
     assert "the description has no masses: torques are not checked." in check.notes
+
+
+def test_a_motion_that_begins_below_the_table_is_broken() -> None:
+    robot = load_robot("ur10_robot")
+    below = np.zeros((10, robot.n))
+    below[:, 1] = 1.2
+    curve = Spline.from_free(below, 2.0, closed=True)
+    check = check_trajectory(robot, curve, obstacles=[table()])
+    rows = [row for row in by_kind(check, "distance") if row.verdict == "broken"]
+    assert any("table" in row.subject and row.excess > 0.3 for row in rows)
