@@ -146,8 +146,9 @@ def design_excitation(
     ModelError
         When the base floats, or the robot touches itself or an obstacle at rest.
     DataError
-        When arguments contradict each other, the duration is too short for the limits, or no
-        motion holds them all: it says which limit stands in the way.
+        When arguments contradict each other, or the duration is too short for the limits.
+    InfeasibleError
+        When no motion is found that moves and holds all limits: it says which stand in the way.
     MissingExtraError
         When CasADi is not installed (extra ``excite``).
 

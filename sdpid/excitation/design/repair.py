@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from sdpid._common.arrays import Array
-from sdpid.errors import DataError
+from sdpid.errors import InfeasibleError
 from sdpid.excitation.design.task import Task
 from sdpid.excitation.limits.check import LimitCheck, check_trajectory
 from sdpid.excitation.limits.inequalities import ToolSpeedWithin, TorqueWithin
@@ -120,7 +120,7 @@ def mend(
 
     Raises
     ------
-    DataError
+    InfeasibleError
         When none is found: it names the limits in the way.
     """
     check = checked(task, candidate.x)
@@ -152,7 +152,7 @@ def mend(
         for row in check.rows
         if row.verdict != "held"
     )
-    raise DataError(
+    raise InfeasibleError(
         f"excitation of '{task.robot.name}': no motion was found that holds every limit. Even one "
         f"of a tenth of the size breaks: {broken}. Widen these limits, or give another start."
     )
@@ -163,7 +163,7 @@ def _require_motion(task: Task, candidate: Candidate, check: LimitCheck) -> None
     if np.ptp(task.space.curve(candidate.x).evaluate(task.space.grid()), axis=0).max() > _STILL:
         return
     nearest = min(check.rows, key=lambda row: row.slack / (abs(row.limit) or 1.0))
-    raise DataError(
+    raise InfeasibleError(
         f"excitation of '{task.robot.name}': no motion was found, the arm stands still. Nearest to "
         f"its limit is {nearest.kind} of {nearest.subject} ({nearest.slack:.3g} {nearest.unit} "
         "left). Give the search more time, another start, or wider limits."
