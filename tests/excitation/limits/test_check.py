@@ -16,6 +16,7 @@ from hypothesis import strategies as st
 import sdpid
 from sdpid._common.arrays import Array
 from sdpid.errors import DataError, ModelError
+from sdpid.estimation.prior.prior import Prior, link_rows
 from sdpid.excitation.geometry.collision import CollisionModel
 from sdpid.excitation.geometry.obstacles import table
 from sdpid.excitation.limits.check import LimitCheck, LimitRow, check_trajectory
@@ -359,3 +360,34 @@ def test_a_motion_that_begins_below_the_table_is_broken() -> None:
     check = check_trajectory(robot, curve, obstacles=[table()])
     rows = [row for row in by_kind(check, "distance") if row.verdict == "broken"]
     assert any("table" in row.subject and row.excess > 0.3 for row in rows)
+
+
+@given(seed=SEEDS)
+def test_deviations_of_the_prior_are_bounded(seed: int) -> None:
+    robot = load_robot(TREE)
+    curve = spline(robot.n, seed, size=0.3)
+    model = TorqueModel.of(robot, spread=0.5, reserve=0.0)
+    time = np.linspace(0.0, curve.duration, 1001)
+    states = [curve.evaluate(time, derivative=order) for order in range(3)]
+    dense = (np.abs(model.torque(*states)) + model.spread(*states)).max(axis=0)
+    # A limit near what is reached makes the bound decide.
+    limits = unlimited(robot, torque=(dense * 1.05).tolist())
+    check = check_trajectory(robot, curve, limits, collision=False, torque=model)
+    rows = by_kind(check, "torque")
+    worst = np.array([row.worst for row in rows])
+    assert np.all(dense <= worst * (1.0 + 1e-9))
+    assert np.all(worst <= dense * 1.05)
+
+
+def test_deviations_are_those_of_the_prior() -> None:
+    robot = load_robot(TREE)
+    model = TorqueModel.of(robot, spread=0.1)
+    q, v, a = np.random.default_rng(0).normal(size=(3, 3, robot.n))
+    rows = link_rows(Prior(), robot)
+    covariance = np.zeros((10 * robot.n_links,) * 2)
+    for k, R in enumerate(rows):
+        own = slice(10 * k, 10 * k + 10)
+        covariance[own, own] = np.linalg.inv(R.T @ R)
+    Y = robot.regressor(q, v, a)
+    expected = 0.1 * np.sqrt(np.einsum("knp,pq,knq->kn", Y, covariance, Y))
+    np.testing.assert_allclose(model.spread(q, v, a), expected, rtol=1e-8)
