@@ -143,6 +143,7 @@ def expect(
     freedom = run.spectrum.freedom(base.matrix @ known.from_fit)
     freedom /= np.maximum(1.0 - share, np.finfo(float).eps) ** 2
     speeds, functions, slopes = _friction_functions(run)
+    shape = len(speeds), len(run.problem.friction.joint_names)
     moves = np.hstack([functions @ known.from_fit, slopes])
     friction_variance = np.einsum("ki,ij,kj->k", moves, errors.whole_covariance, moves)
     friction_variance += np.sum((functions @ known.from_prior) ** 2, axis=1)
@@ -167,8 +168,8 @@ def expect(
         joint_names=robot.joint_names,
         link_names=robot.link_names,
         speeds=speeds,
-        friction=frozen((functions @ values).reshape(len(speeds), -1)),
-        friction_half_widths=frozen(NORMAL * np.sqrt(friction_variance).reshape(len(speeds), -1)),
+        friction=frozen((functions @ values).reshape(shape)),
+        friction_half_widths=frozen(NORMAL * np.sqrt(friction_variance).reshape(shape)),
         bands=tuple(
             Band(
                 motion=name,
