@@ -21,6 +21,7 @@ from sdpid.estimation.prior.prior import Prior
 from sdpid.excitation.criterion.earlier import Previous
 from sdpid.excitation.criterion.noise import Given
 from sdpid.excitation.criterion.objectives import WORDS, ObjectiveKind
+from sdpid.excitation.criterion.rows import BaseRows
 from sdpid.excitation.design.homes import homes
 from sdpid.excitation.design.repair import Inequalities, mend
 from sdpid.excitation.design.task import MOTIONS, Motion, Task
@@ -44,6 +45,8 @@ STARTS = 4
 # Of a time limit, what is kept for the check and for what the run will buy: seconds, and at most
 # this share.
 _KEPT_SECONDS, _KEPT_SHARE = 5.0, 0.4
+# States enough for the compiled regressor to be worth its start.
+_STATES = 200
 # An eigenvalue of the information below this share of the largest is rounding.
 _ROUNDING = 1e-15
 # Instants a second of the regressor whose condition number is stated.
@@ -157,13 +160,15 @@ def design_excitation(
     Objectives of which a change of units changes the optimum say so: ``condition`` in SI units,
     ``A`` and ``E`` in units of what moves the efforts of usual motions by 1 N·m.
     """
-    began = time.monotonic()
     if starts < 1:
         raise DataError(f"starts: is {starts}; give at least 1.")
     if time_limit is not None and not time_limit > 0.0:
         raise DataError(f"time_limit: is {time_limit}; give a positive time in s.")
     require_solver()
     model = robot if isinstance(robot, RobotModel) else load_robot(robot)
+    if not model.n_base:
+        _compile(model)
+    began = time.monotonic()
     terms = FRICTION if friction is None else tuple(friction)
     around, folders = tuple(obstacles), tuple(package_dirs)
     task = Task.of(
@@ -191,7 +196,6 @@ def design_excitation(
     search = Search(
         space=task.space, criterion=task.criterion, limits=task.limits, start=task.start
     )
-    began += _compiled(search)
     if time_limit is not None:
         deadline = began + time_limit - min(_KEPT_SECONDS, _KEPT_SHARE * time_limit)
         search = replace(search, deadline=deadline)
@@ -264,11 +268,11 @@ def design_excitation(
     )
 
 
-def _compiled(search: Search) -> float:
-    """Evaluate the objective once, which compiles it on its first use; return the time in s."""
-    now = time.monotonic()
-    search.value_and_gradient(search.space.standing(np.zeros(search.space.n)))
-    return time.monotonic() - now
+def _compile(robot: RobotModel) -> None:
+    """Evaluate the regressor once, which compiles it on its first use on a machine."""
+    rows = BaseRows.of(robot, ())
+    still = np.zeros((_STATES, robot.n))
+    rows.gradient(rows.rows(still, still, still), still, still, still)
 
 
 @contextmanager
