@@ -83,7 +83,7 @@
         faces.push([p[2] + u[2] + v[2], shaded(color, Math.max(0, 0.5 + 0.5 * light)), p, u, v]);
       }
     });
-    line(scene.trace.map(onScreen), "rgba(31,41,51,0.35)", 1);
+    for (const trace of scene.traces) line(trace.map(onScreen), "rgba(31,41,51,0.35)", 1);
     faces.sort((a, b) => b[0] - a[0]);
     for (const [, style, p, u, v] of faces) {
       pen.beginPath();

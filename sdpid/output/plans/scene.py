@@ -51,8 +51,12 @@ def scene_of(
     origins = placements[:, :, :3, 3]
     solids = () if collision is None else collision.solids
     names = set() if collision is None else {each.name for each in collision.obstacles}
-    low, high = origins.min(axis=(0, 1)), origins.max(axis=(0, 1))
-    low, high = np.minimum(low, 0.0), np.maximum(high, 0.0)
+    bones = list(_bones(robot))
+    seen = [np.zeros((1, 3)), origins.reshape(-1, 3)]
+    for each in solids:
+        if each.joint == 0 and each.body not in names and isinstance(each.shape, Shape):
+            seen.append(each.shape.points())
+    low, high = (extreme(np.concatenate(seen), axis=0) for extreme in (np.min, np.max))
     size = max(float(np.linalg.norm(high - low)) / 2.0, 0.1)
     return {
         "center": (0.5 * (low + high)).tolist(),
@@ -66,8 +70,11 @@ def scene_of(
         "planes": [
             _grid(each.shape, _WIDE * size) for each in solids if isinstance(each.shape, Plane)
         ],
-        "bones": list(_bones(robot)),
-        "trace": origins[:, -1].round(_DIGITS).tolist(),
+        "bones": bones,
+        "traces": [
+            origins[:, link].round(_DIGITS).tolist()
+            for link in sorted(set(range(robot.n_links)) - {parent for parent, _ in bones})
+        ],
         "frames": {
             "rate": motion.rate_hz,
             "count": len(motion.time),

@@ -29,7 +29,8 @@ _LOOK_AHEAD, _GAIN = 0.1, 300
 _DECIMALS = 10
 
 _HEAD = """\
-# Excitation by sdpid {version}: {seconds:.6g} s, joint positions in rad.
+# Excitation by sdpid {version}: {seconds:.6g} s, joint positions in rad; for that arm of Universal
+# Robots only whose description and surroundings it was made for.
 # Needs PolyScope 3.14, 5.9 or newer. Before it runs: set the speed slider to 100 %, payload and
 # center of gravity as they are, and clear the way to the first position, which movej below takes
 # straight in joint space and nobody has checked for collisions. Let a first run be supervised.

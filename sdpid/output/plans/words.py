@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 from sdpid.excitation.limits.check import LimitCheck
 from sdpid.excitation.plan.plan import Plan
+from sdpid.output.report.page import number
 
 # Kinds of limits in the order in which they are told.
 KINDS = (
@@ -42,8 +43,8 @@ def tiles(plan: Plan) -> Iterator[Tile]:
     yield Tile("to run", f"{plan.trajectory.duration:.4g} s")
     verdict = "held" if plan.limits.ok else "not held"
     yield Tile("every limit, at every instant", verdict, "good" if plan.limits.ok else "bad")
-    yield Tile("condition number", f"{plan.condition_number:.4g}")
-    yield Tile("log det of the information", f"{plan.log_det:.4g}")
+    yield Tile("condition number", number(plan.condition_number))
+    yield Tile("log det of the information", number(plan.log_det))
     yield Tile("base parameters", str(len(plan.names)))
 
 
@@ -66,6 +67,8 @@ def run_sentence(plan: Plan) -> str:
     """Return what to run, and for how long."""
     motion = plan.trajectory
     lasts = f"{motion.duration:.4g} s at {motion.rate_hz:g} samples a second"
+    if motion.periods > 1:
+        lasts += f", {motion.periods} times the same {motion.period:.4g} s"
     repeat = (
         "it ends where it starts, at rest, so that it can be repeated and averaged"
         if motion.closed

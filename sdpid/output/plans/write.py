@@ -12,6 +12,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from sdpid import __version__
 from sdpid._common.progress import progress
 from sdpid._common.staging import RunFolder
@@ -194,13 +196,13 @@ class _Writer:
         motion = self.plan.trajectory
         write_joint_trajectory(motion, self.folder / "joint_trajectory.yaml")
         yield "joint_trajectory.yaml"
-        if motion.n == JOINTS:
+        if motion.n == JOINTS and not np.any(self.plan.joint_limits.sliding):
             write_urscript(motion, self.folder / "excitation.script")
             yield "excitation.script"
         else:
             self.note(
-                f"no excitation.script: arms of Universal Robots have {JOINTS} joints, this "
-                f"motion {motion.n}"
+                f"no excitation.script: arms of Universal Robots have {JOINTS} turning joints, "
+                "this robot has others"
             )
 
     def _config(self, config: str | None) -> Iterator[str]:

@@ -18,6 +18,7 @@ from scipy.spatial import ConvexHull
 from sdpid.output.plans.page import plan_html
 from sdpid.output.plans.played import played
 from sdpid.output.plans.scene import hull, scene_of
+from sdpid.output.report.page import number
 from sdpid.robot.model.geometry import link_placements
 from tests.helpers.browser import Tab, look
 from tests.helpers.plans import small_plan
@@ -66,7 +67,7 @@ def test_it_tells_the_plan(page: str) -> None:
     plan, shown = small_plan(), words(page)
     for text in (
         "Every limit holds at every instant",
-        f"{plan.condition_number:.4g}",
+        number(plan.condition_number),
         EVIL,
         "<b>box",
         "rad/s²",

@@ -45,7 +45,8 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     files = write_plan(small_plan(), out, report=told.append, figures=False)
     assert {file.name for file in files} == FILES
     assert told == [
-        "no excitation.script: arms of Universal Robots have 6 joints, this motion 2",
+        "no excitation.script: arms of Universal Robots have 6 turning joints, this robot has "
+        "others",
     ]
     return out
 
