@@ -331,4 +331,4 @@ def _within(share: float) -> str:
     """Return a half width as a share, in percent with two digits."""
     if not share < _SAYS_NOTHING:
         return f"not even to {100.0 * _SAYS_NOTHING:g} %"
-    return f"±{100.0 * share:.2g} %"
+    return f"±{100.0 * share:.2g} %" if share < 1.0 else f"±{100.0 * share:.0f} %"

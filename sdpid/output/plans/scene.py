@@ -134,11 +134,14 @@ def _bones(robot: RobotModel) -> Iterator[tuple[int, int]]:
 
 
 def _nearest(collision: CollisionModel, motion: Played, clearance: float) -> dict[str, Any] | None:
-    """Return which pair has the least room at each time, and its distance."""
+    """Return which pair has the least room at each time, and its distance, but for close ones."""
     if not collision.pairs:
         return None
     distances = collision.distances(motion.position)
-    nearest = (distances - collision.clearances(clearance)).argmin(axis=1)
+    asked = collision.clearances(clearance)
+    # Pairs that are always close are asked for less, and would be the nearest most of the time.
+    usual = asked >= clearance if np.any(asked >= clearance) else np.ones_like(asked, dtype=bool)
+    nearest = np.where(usual, distances - asked, np.inf).argmin(axis=1)
     values = distances[np.arange(len(nearest)), nearest].round(_DIGITS)
     names = [f"{pair.first} – {pair.second}" for pair in collision.pairs]
     used, index = np.unique(nearest, return_inverse=True)
