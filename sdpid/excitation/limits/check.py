@@ -37,6 +37,12 @@ Verdict = Literal["held", "broken", "undecided"]
 # until they are this many m from it.
 _RESOLUTION, _DISTANCE_RESOLUTION = 2e-3, 1e-3
 
+# A jump of a derivative counts as a change within this time, s: a cycle of a fast controller. Jumps
+# that a limit allows within it are those of rounded samples.
+_CYCLE = 1e-3
+# An arm that is slower than this is at rest, rad/s or m/s.
+_AT_REST = 1e-3
+
 # Derivatives of the positions that have limits.
 _RATES = {1: "velocity", 2: "acceleration", 3: "jerk"}
 
@@ -185,7 +191,8 @@ def check_trajectory(
     of its pieces, or bounds on a further derivative), torques and the speed of the tool by bounds
     on their first and second derivatives, distances by a bound on their rate. Cells of time on
     which a bound does not decide are cut in half until it does, or an instant is found at which the
-    limit is broken. Connections and rest count as well as the periods.
+    limit is broken. Connections and rest count as well as the periods. A jump of a derivative
+    between the pieces of a curve counts as a change within 1 ms.
 
     Parameters
     ----------
@@ -225,7 +232,7 @@ def check_trajectory(
     curves = curves_of(robot, trajectory)
     start = curves[0][1].evaluate(np.zeros(1))[0]
     joints = _joint_limits(robot, limits, start)
-    notes = list(joints.assumed)
+    notes = [*joints.assumed, *_in_motion(joints, curves)]
     rows = [*_motion_rows(curves, joints)]
     if np.any(np.isfinite(joints.torque)):
         model = torque or TorqueModel.of(robot, estimate, spread=spread)
@@ -245,14 +252,15 @@ def check_trajectory(
     if collision is not False:
         clearance = joints.clearance or 0.0
         if not isinstance(collision, CollisionModel):
+            lower, upper = _range(joints, curves)
             collision = CollisionModel.of(
                 robot,
                 obstacles,
                 package_dirs=package_dirs,
                 near=start,
                 free_rest=False,
-                lower=joints.lower,
-                upper=joints.upper,
+                lower=lower,
+                upper=upper,
                 clearance=clearance,
             )
         notes += [*collision.assumed, *collision.closer(clearance)]
@@ -289,8 +297,57 @@ def _motion_rows(curves: Sequence[tuple[float, Curve]], limits: JointLimits) -> 
         )
     for order, kind in _RATES.items():
         bound: Array = getattr(limits, kind)
-        rows += _joint_rows(kind, limits, curves, RateMeasure(order), bound, _RESOLUTION * bound)
+        jumps = _jumps(curves, order - 1)
+        rows += _joint_rows(
+            kind, limits, curves, RateMeasure(order), bound, _RESOLUTION * bound, jumps
+        )
     return rows
+
+
+def _jumps(curves: Sequence[tuple[float, Curve]], derivative: int) -> tuple[Array, Array]:
+    """Return the largest jump (n,) of a derivative at the breaks of curves, as a rate, and when."""
+    n = curves[0][1].n
+    rates, times = [np.zeros((1, n))], [np.zeros(1)]
+    for start, curve in curves:
+        inner = np.asarray(curve.breaks)[1:-1]
+        if len(inner):
+            before = curve.evaluate(np.nextafter(inner, -np.inf), derivative=derivative)
+            after = curve.evaluate(inner, derivative=derivative)
+            rates.append(np.abs(after - before) / _CYCLE)
+            times.append(start + inner)
+    rate, time = np.concatenate(rates), np.concatenate(times)
+    where = np.argmax(rate, axis=0)
+    return rate[where, np.arange(n)], time[where]
+
+
+def _range(joints: JointLimits, curves: Sequence[tuple[float, Curve]]) -> tuple[Array, Array]:
+    """Return the positions (n,), least and largest, that limits allow or the motion comes to."""
+    whole = [curve.enclose(np.array([0.0, curve.duration])) for _, curve in curves]
+    lower = np.min([low[0] for low, _ in whole], axis=0)
+    upper = np.max([high[0] for _, high in whole], axis=0)
+    return (
+        np.where(np.isfinite(joints.lower), np.minimum(joints.lower, lower), lower),
+        np.where(np.isfinite(joints.upper), np.maximum(joints.upper, upper), upper),
+    )
+
+
+def _in_motion(joints: JointLimits, curves: Sequence[tuple[float, Curve]]) -> list[str]:
+    """Return a sentence for each end at which the arm is not at rest: its limits are not known."""
+    (_, first), (_, last) = curves[0], curves[-1]
+    told = []
+    for verb, curve, time in (("starts", first, 0.0), ("ends", last, last.duration)):
+        speed, change = (
+            np.abs(curve.evaluate(np.array([time]), derivative=order)[0]) for order in (1, 2)
+        )
+        moving, jolted = speed > _AT_REST, change > _CYCLE * joints.jerk
+        for what, where in (("in motion", moving), ("with a jolt from rest", jolted & ~moving)):
+            if where.any():
+                names = ", ".join(joints.joint_names[j] for j in np.flatnonzero(where))
+                told.append(
+                    f"the motion {verb} {what} ({names}): the way from or to rest is no part of it "
+                    "and is not checked."
+                )
+    return told
 
 
 def _joint_rows(
@@ -300,12 +357,20 @@ def _joint_rows(
     measure: Measure,
     limits: Array,
     resolution: Array,
+    jumps: tuple[Array, Array] | None = None,
 ) -> list[LimitRow]:
-    """Return the rows of n functions, one a joint, of which there are limits."""
+    """Return the rows of n functions, one a joint, of which there are limits; jumps count too."""
     kept = np.flatnonzero(np.isfinite(limits))
     if not kept.size:
         return []
     found = _along(curves, measure, limits, np.where(np.isfinite(limits), resolution, np.inf))
+    if jumps is not None:
+        rate, time = jumps
+        found = Extremes(
+            np.maximum(found.worst, rate),
+            np.maximum(found.reached, rate),
+            np.where(rate > found.reached, time, found.time),
+        )
     part = Extremes(found.worst[kept], found.reached[kept], found.time[kept])
     units = [unit_of(kind, joints.sliding[j]) for j in kept]
     mirrored = isinstance(measure, PositionMeasure) and measure.sign < 0.0

@@ -18,7 +18,7 @@ from sdpid._common.arrays import Array
 from sdpid.errors import DataError, ModelError
 from sdpid.estimation.prior.prior import Prior, link_rows
 from sdpid.excitation.geometry.collision import CollisionModel
-from sdpid.excitation.geometry.obstacles import table
+from sdpid.excitation.geometry.obstacles import Box, table
 from sdpid.excitation.limits.check import LimitCheck, LimitRow, check_trajectory
 from sdpid.excitation.limits.limits import Limits
 from sdpid.excitation.limits.tool import tool_frames
@@ -391,3 +391,54 @@ def test_deviations_are_those_of_the_prior() -> None:
     Y = robot.regressor(q, v, a)
     expected = 0.1 * np.sqrt(np.einsum("knp,pq,knq->kn", Y, covariance, Y))
     np.testing.assert_allclose(model.spread(q, v, a), expected, rtol=1e-8)
+
+
+def test_jumps_of_acceleration_break_limits_of_jerk() -> None:
+    robot = load_robot(TREE)
+    time = np.linspace(0.0, 2.0, 201)
+    # Full acceleration, then full braking: a jump of 1 rad/s² at one second.
+    position = np.where(time < 1.0, 0.25 * time**2, 0.5 - 0.25 * (2.0 - time) ** 2)
+    velocity = np.where(time < 1.0, 0.5 * time, 0.5 * (2.0 - time))
+    columns = {"time": time, "position": position, "velocity": velocity}
+    motion = {
+        key: value if key == "time" else np.tile(value[:, None], robot.n)
+        for key, value in columns.items()
+    }
+    check = check_trajectory(robot, motion, Limits(jerk=400.0), collision=False)
+    rows = by_kind(check, "jerk")
+    assert {row.verdict for row in rows} == {"broken"}
+    np.testing.assert_allclose([row.time for row in rows], 1.0)
+    np.testing.assert_allclose([row.reached for row in rows], 1000.0, rtol=1e-6)
+    assert any("starts with a jolt from rest" in note for note in check.notes)
+    wide = check_trajectory(robot, motion, Limits(jerk=1001.0), collision=False)
+    assert {row.verdict for row in by_kind(wide, "jerk")} == {"held"}
+
+
+def test_motions_that_begin_in_motion_are_told(denso: RobotModel) -> None:
+    motion = default_motion(denso, 1, period=8.0)
+    assert not any(
+        "the motion" in n for n in check_trajectory(denso, motion, collision=False).notes
+    )
+    check = check_trajectory(denso, motion.series, collision=False)
+    assert sum("in motion" in note for note in check.notes) == 2
+
+
+SLIDER = """<robot name="slider"><link name="base"/><link name="cart"><inertial><mass value="1"/>
+  <inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial><collision><geometry>
+  <box size="0.2 0.2 0.2"/></geometry></collision></link>
+  <joint name="rail" type="prismatic"><parent link="base"/><child link="cart"/><axis xyz="1 0 0"/>
+  {}</joint></robot>"""
+
+
+@pytest.mark.parametrize(
+    "limit", ["", '<limit lower="-1" upper="1" effort="9" velocity="99"/>'], ids=["none", "beyond"]
+)
+def test_obstacles_outside_of_the_limits_are_met(limit: str) -> None:
+    robot = load_robot(SLIDER.format(limit or '<limit effort="9" velocity="99"/>'))
+    points = np.zeros((12, 1))
+    points[3:9] = 12.0
+    curve = Spline(duration=20.0, control_points=points)
+    box = Box(size=(0.5, 0.5, 0.5), translation=(10.0, 0.0, 0.0))
+    check = check_trajectory(robot, curve, obstacles=[box])
+    rows = by_kind(check, "distance")
+    assert any(row.verdict == "broken" for row in rows)
