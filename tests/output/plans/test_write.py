@@ -126,6 +126,23 @@ def test_a_plan_replaces_a_plan_and_nothing_else(tmp_path: Path) -> None:
     assert (tmp_path / "plan.toml").read_text() == "# my own\n"
 
 
+def test_what_is_not_installed_is_left_out(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(write.importlib.util, "find_spec", lambda name: None)
+    told: list[str] = []
+    names = {path.name for path in write_plan(small_plan(), tmp_path, report=told.append)}
+    assert FILES - names == {"trajectory.parquet", "report.html"}
+    assert any("pip install 'sdpid[report]'" in each for each in told)
+    assert any("pip install 'sdpid[io]'" in each for each in told)
+
+
+def test_a_plan_without_collisions(tmp_path: Path) -> None:
+    pytest.importorskip("jinja2")
+    plan = replace(small_plan(), collision=None)
+    names = {path.name for path in write_plan(plan, tmp_path)}
+    assert "report.html" in names
+    assert "no collisions were checked" in (tmp_path / "report.html").read_text()
+
+
 def test_nothing_half_written(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def fail(*_: object, **__: object) -> None:
         raise OSError(28, "No space left on device")
