@@ -29,7 +29,7 @@ _HORIZON = 0.2
 # distances, and by at least this distance, m: most clearances are less.
 _PROOF_JOINTS, _PROOF_MOST, _PROOF_LEAST = 3, 6000, 0.05
 
-# Joints without limits are drawn this far to either side, rad or m.
+# Joints without limits are drawn this far to either side, rad or m; it proves nothing.
 _FAR = np.pi
 
 
@@ -165,7 +165,7 @@ class CollisionModel:
             largest_clearance=max(clearance, _PROOF_LEAST),
         )
         found._check_surrounded()
-        return found._without_proven(*finite)
+        return found._without_proven(*bounds)
 
     @cached_property
     def _measure(self) -> Measure:
@@ -277,10 +277,10 @@ class CollisionModel:
 
     def _without_proven(self, lower: Array, upper: Array) -> CollisionModel:
         """Return the same without the pairs that are never near within the limits."""
-        # Whole turns repeat what a turn has shown.
-        upper = np.where(
-            turning_coordinates(self.robot), np.minimum(upper, lower + 2.0 * np.pi), upper
-        )
+        # Whole turns repeat what one has shown; of what slides without an end nothing is proven.
+        turning = turning_coordinates(self.robot)
+        lower = np.where(turning & ~np.isfinite(lower), -np.pi, lower)
+        upper = np.where(turning, np.minimum(upper, lower + 2.0 * np.pi), upper)
         kept, left_out = [], list(self.left_out)
         for p, pair in enumerate(self.pairs):
             asked = pair.clearance(self.largest_clearance)

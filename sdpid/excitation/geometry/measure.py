@@ -121,7 +121,7 @@ class Measure:
 
         pin.computeJointJacobians(self._model, self._data, configuration)
         pin.updateGeometryPlacements(self._model, self._data, self._geometry, self._found)
-        return np.asarray(self._data.J)
+        return np.reshape(self._data.J, (6, -1))
 
     def part(self, part: int) -> Witness:
         """Return the distance of one of the pairs of solids (`parts`) where they are placed."""
@@ -173,8 +173,7 @@ def _check(distances: Array) -> None:
     if failed.any():
         raise SolverError(
             f"{np.count_nonzero(failed)} of {distances.size} distances were not found by Coal, the "
-            f"first of sample {int(np.argwhere(failed)[0, 0])}; simplify the meshes, or name the "
-            "pairs to ignore."
+            f"first of sample {int(np.argwhere(failed)[0, 0])}; simplify the meshes."
         )
 
 

@@ -283,8 +283,8 @@ class _Chooser:
         if close:
             raise ModelError(
                 f"'{self._robot.name}': bodies touch or are nearer than the clearance at the rest "
-                f"position, in mm: {'; '.join(close)}. Give another rest position, move the "
-                "obstacle, or name pairs to ignore."
+                f"position, in mm: {'; '.join(close)}. Give another rest position, or move "
+                "the obstacle."
             )
 
     def _free(
@@ -310,8 +310,8 @@ class _Chooser:
                 raise ModelError(
                     f"'{self._robot.name}': no position was found at which every pair is "
                     f"{1e3 * self._gap:.0f} mm apart; at the best {worst.first} and "
-                    f"{worst.second} lack {1e3 * short.max():.1f} mm. Give a rest position, move "
-                    "the obstacles, or name pairs to ignore."
+                    f"{worst.second} lack {1e3 * short.max():.1f} mm. Give a rest position, or "
+                    "move the obstacles."
                 )
             found, lack = trials[np.argmin(shorts)], shorts.min()
         free = trials[shorts == 0.0]

@@ -42,9 +42,11 @@ def proven_apart(
         None where it is not so, or not found to be so.
     """
     moved = (reach > 0.0) & (upper > lower)
-    if not np.isfinite(reach[moved]).all():
+    if not np.isfinite([reach[moved], lower[moved], upper[moved]]).all():
         return None
-    middle, half = 0.5 * (lower + upper)[None], np.where(moved, 0.5 * (upper - lower), 0.0)[None]
+    still = np.where(np.isfinite(lower), lower, 0.0)
+    lower, upper = (np.where(moved, bound, still) for bound in (lower, upper))
+    middle, half = 0.5 * (lower + upper)[None], 0.5 * (upper - lower)[None]
     count = 0
     while len(middle):
         count += len(middle)

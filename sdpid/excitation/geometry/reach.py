@@ -36,6 +36,7 @@ def joint_axes(robot_model: Any) -> tuple[Array, Array]:
     turning, sliding = np.zeros((2, robot_model.njoints, 3))
     for i in range(1, robot_model.njoints):
         column = pin.getJointJacobian(robot_model, data, i, pin.ReferenceFrame.LOCAL)
+        # With a single joint the binding drops the axis of length one.
         column = column.reshape(6, -1)[:, robot_model.joints[i].idx_v]
         sliding[i], turning[i] = column[:3], column[3:]
     return turning, sliding

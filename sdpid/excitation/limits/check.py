@@ -9,7 +9,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from sdpid._common.arrays import Array
+from sdpid._common.arrays import Array, Mask
 from sdpid._common.tables import Table, plain
 from sdpid.errors import DataError
 from sdpid.excitation.geometry.collision import CollisionModel
@@ -25,6 +25,7 @@ from sdpid.excitation.limits.measures import (
     TorqueMeasure,
 )
 from sdpid.excitation.limits.motions import Motion, curves_of
+from sdpid.excitation.limits.narrowing import sliding_joints
 from sdpid.excitation.limits.tool import tool_frames
 from sdpid.excitation.limits.torque import TorqueModel
 from sdpid.experiment.trajectory.curve import Curve
@@ -252,7 +253,7 @@ def check_trajectory(
     if collision is not False:
         clearance = joints.clearance or 0.0
         if not isinstance(collision, CollisionModel):
-            lower, upper = _range(joints, curves)
+            lower, upper = _range(joints, curves, sliding_joints(robot))
             collision = CollisionModel.of(
                 robot,
                 obstacles,
@@ -320,14 +321,21 @@ def _jumps(curves: Sequence[tuple[float, Curve]], derivative: int) -> tuple[Arra
     return rate[where, np.arange(n)], time[where]
 
 
-def _range(joints: JointLimits, curves: Sequence[tuple[float, Curve]]) -> tuple[Array, Array]:
-    """Return the positions (n,), least and largest, that limits allow or the motion comes to."""
+def _range(
+    joints: JointLimits, curves: Sequence[tuple[float, Curve]], sliding: Mask
+) -> tuple[Array, Array]:
+    """Return the positions (n,), least and largest, that limits allow or the motion comes to.
+
+    Joints that turn without limits stay so: the little that a motion uses of their turn would not
+    show which pairs overlap by the coarseness of their shapes.
+    """
     whole = [curve.enclose(np.array([0.0, curve.duration])) for _, curve in curves]
     lower = np.min([low[0] for low, _ in whole], axis=0)
     upper = np.max([high[0] for _, high in whole], axis=0)
+    below, above = np.isfinite(joints.lower), np.isfinite(joints.upper)
     return (
-        np.where(np.isfinite(joints.lower), np.minimum(joints.lower, lower), lower),
-        np.where(np.isfinite(joints.upper), np.maximum(joints.upper, upper), upper),
+        np.where(below | ~sliding, np.minimum(joints.lower, lower), lower),
+        np.where(above | ~sliding, np.maximum(joints.upper, upper), upper),
     )
 
 

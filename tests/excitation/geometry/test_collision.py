@@ -256,6 +256,16 @@ def test_a_motion_that_is_there_already_need_not_begin_free() -> None:
     assert not any("moved" in sentence for sentence in model.assumed)
 
 
+def test_a_single_joint_is_enough() -> None:
+    wall = Box(size=(0.1, 2.0, 2.0), translation=(0.0, 1.2, 0.0))
+    arm = shaped_arm("", '<box size="2.0 0.1 0.1"/>')
+    model = CollisionModel.of(arm, [wall])
+    distances, gradients = model.distances_and_gradients([[0.5], [2.0]])
+    assert gradients.shape == (2, 1, 1)
+    assert (np.abs(gradients[:, 0]) <= model.reach[0]).all()
+    assert (distances[:, 0] < 1.2).all()
+
+
 def test_two_arms_find_a_rest_position_joint_by_joint() -> None:
     model = CollisionModel.of(load_robot("baxter_description/baxter"))
     assert (model.distances(model.rest[None]) >= model.clearances(0.02)[None]).all()

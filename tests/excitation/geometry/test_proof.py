@@ -40,3 +40,13 @@ def test_it_gives_up() -> None:
 @pytest.mark.parametrize("reach", [np.array([np.inf, 0.5, 0.0]), np.array([1.0, np.inf, 0.0])])
 def test_no_bound_no_proof(reach: Array) -> None:
     assert proven_apart(wave, reach, LOWER, UPPER, 0.0, most=1000) is None
+
+
+def test_joints_without_limits_and_joints_that_do_not_move() -> None:
+    endless = np.array([1.0, np.inf, 3.0])
+    assert proven_apart(wave, REACH, LOWER, endless, 0.0, most=1000) is None
+    # The third joint does not matter; the second stands where the function is largest.
+    half = 0.5 * np.pi
+    lower, upper = np.array([-1.0, half, -np.inf]), np.array([1.0, half, np.inf])
+    assert proven_apart(wave, REACH, lower, upper, 0.99, most=1000) is not None
+    assert proven_apart(wave, REACH, lower, upper, 1.01, most=1000) is None

@@ -352,6 +352,25 @@ def test_a_description_without_masses_has_no_torques(denso: RobotModel) -> None:
     assert "the description has no masses: torques are not checked." in check.notes
 
 
+def test_a_rail_without_limits_is_checked_as_far_as_the_motion_goes() -> None:
+    robot = load_robot(
+        """<robot name="rail"><link name="base"/><link name="cart"><collision><geometry>
+        <sphere radius="0.1"/></geometry></collision></link><joint name="slide" type="prismatic">
+        <parent link="base"/><child link="cart"/><axis xyz="1 0 0"/>
+        <limit lower="-1e10" upper="1e10" effort="9" velocity="99"/></joint></robot>"""
+    )
+    assert not np.isfinite(robot.position_limits).any()
+    points = np.repeat([0.0, 12.0, 0.0], [3, 20, 3])[:, None]
+    obstacles = [Box(size=(1.0, 1.0, 1.0), translation=(10.0, 0.0, 0.0))]
+    check = check_trajectory(
+        robot, Spline(duration=20.0, control_points=points), obstacles=obstacles
+    )
+    (row,) = [row for row in check.rows if row.kind == "distance"]
+    assert row.verdict == "broken"
+    near = Spline(duration=20.0, control_points=points / 2)
+    assert check_trajectory(robot, near, obstacles=obstacles).ok
+
+
 def test_a_motion_that_begins_below_the_table_is_broken() -> None:
     robot = load_robot("ur10_robot")
     below = np.zeros((10, robot.n))
