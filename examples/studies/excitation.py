@@ -279,9 +279,9 @@ def panda_case() -> Case:
     robot = sdpid.load_robot("panda_description/panda")
     return Case(
         name="Panda with hand",
-        limits="table, 30 mm, torque, jerk",
+        limits="table, 30 mm, 5 rad/s², 100 rad/s³",
         robot=robot,
-        task=Task(Bounds.of(robot), 20.0),
+        task=Task(Bounds.of(robot, acceleration=5.0), 20.0),
         columns=Columns(robot, rotors=False, friction=True),
         arguments={"friction": FRICTION},
         seconds=30.0,
