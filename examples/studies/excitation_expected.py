@@ -68,8 +68,8 @@ STIFFER, POSITION_POLE = 2.0, 200.0
 # Coulomb, sigmoid and viscous friction beside each other: single coefficients say little.
 TRADED = ("Fs", "Fsg", "Fv")
 
-# What a search may take where all is to be quick, s.
-QUICK_SEARCH = 4.0
+# What a search may take, and where all is to be quick, s.
+SEARCH, QUICK_SEARCH = 15.0, 4.0
 
 # What the ratio of simulated to expected intervals must lie within.
 LEAST, MOST = 0.8, 1.25
@@ -100,8 +100,10 @@ def plan_of(
     robot: sdpid.RobotModel, seed: int, duration: float, quick: bool, **given: Any
 ) -> Trajectory:
     """Return a plan from the robot's description, and from what else is given."""
-    search = {"time_limit": QUICK_SEARCH} if quick else {"starts": 1}
-    plan = sdpid.design_excitation(robot, duration=duration, seed=seed, **search, **given)
+    limit = QUICK_SEARCH if quick else SEARCH
+    plan = sdpid.design_excitation(
+        robot, duration=duration, seed=seed, time_limit=limit, progress=False, **given
+    )
     return plan.trajectory
 
 
