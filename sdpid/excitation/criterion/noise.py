@@ -36,7 +36,8 @@ def usual_effort(rms: Array) -> Array:
     It is never zero: of joints without any effort it is one.
     """
     largest = float(np.max(rms, initial=0.0)) or 1.0
-    return np.asarray(np.sqrt(np.maximum(rms, _SILENT * largest) * largest))
+    # Two roots: products of tiny numbers would be zero.
+    return np.asarray(np.sqrt(np.maximum(rms, _SILENT * largest)) * np.sqrt(largest))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -11,6 +11,7 @@ from sdpid._common.arrays import Array, frozen
 from sdpid.errors import DataError
 from sdpid.estimation.compression.rows import RowSource
 from sdpid.excitation.criterion.noise import usual_effort
+from sdpid.excitation.criterion.nominal import nominal_bodies
 from sdpid.experiment.processing.samples import Samples
 from sdpid.robot.friction.model import FrictionModel
 from sdpid.robot.model.base_parameters import BaseParameters
@@ -163,7 +164,7 @@ def effort_functionals(
             products[j] += W[:, j].T @ W[:, j]
     products /= len(zeros)
     if scale is None:
-        effort = robot.inverse_dynamics(robot.prior, position, velocity, acceleration)
+        effort = robot.inverse_dynamics(nominal_bodies(robot)[0], position, velocity, acceleration)
         scale = usual_effort(np.sqrt(np.mean(effort**2, axis=0)))
     mean = np.einsum("jab,j->ab", products, 1.0 / scale**2) / robot.n
     values, vectors = np.linalg.eigh(mean)

@@ -22,6 +22,7 @@ from sdpid.excitation.criterion.earlier import (
     earlier_information,
 )
 from sdpid.excitation.criterion.noise import ExpectedNoise, Given
+from sdpid.excitation.criterion.nominal import nominal_bodies
 from sdpid.excitation.criterion.objectives import Objective, ObjectiveKind
 from sdpid.excitation.criterion.purpose import Purpose, purpose_of
 from sdpid.excitation.criterion.rows import BaseRows
@@ -178,7 +179,9 @@ class Task:
         space = _space(robot.n, duration, motion, closed, harmonics)
         rows = BaseRows.of(robot, friction)
         usual = _usual_states(robot, joints, space, seed)
-        effort = np.sqrt(np.mean(robot.inverse_dynamics(robot.prior, *usual) ** 2, axis=0))
+        bodies, assumed = nominal_bodies(robot)
+        notes += assumed
+        effort = np.sqrt(np.mean(robot.inverse_dynamics(bodies, *usual) ** 2, axis=0))
         earlier = None
         if previous is not None:
             earlier = earlier_information(robot, rows.friction, rows.base, previous)

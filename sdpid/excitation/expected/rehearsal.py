@@ -27,7 +27,7 @@ from sdpid.estimation.prior.prior import Prior
 from sdpid.estimation.problem import Problem, build_problem
 from sdpid.excitation.criterion.belief import default_prior
 from sdpid.excitation.criterion.noise import ExpectedNoise, Given
-from sdpid.excitation.expected.nominal import nominal_theta
+from sdpid.excitation.criterion.nominal import nominal_theta
 from sdpid.experiment.preparation.for_robot import default_friction
 from sdpid.experiment.processing.choose import default_processing
 from sdpid.experiment.processing.process import process
