@@ -9,7 +9,7 @@ import numpy as np
 from sdpid._common.arrays import Array, frozen
 from sdpid._common.seeds import generator
 from sdpid.errors import DataError
-from sdpid.excitation.limits.joint_limits import JointLimits, unit_of
+from sdpid.excitation.limits.joint_limits import DESCRIBED, JointLimits, unit_of
 from sdpid.robot.model.described_efforts import described_efforts
 from sdpid.robot.model.model import RobotModel
 
@@ -36,7 +36,8 @@ def check_rest(robot: RobotModel, limits: JointLimits) -> None:
             f"limits: joint '{names[worst]}': gravity alone needs "
             f"{_of_torque(limits, worst, load[worst])} at "
             f"the rest position, the torque limit is {_of_torque(limits, worst)} "
-            f"({limits.sources['torque'][worst]}); give another rest position, or a larger limit."
+            f"({limits.sources['torque'][worst]}); give another rest position, or "
+            f"{_larger(limits, worst)}."
         )
 
 
@@ -65,8 +66,8 @@ def able_to_rest(robot: RobotModel, limits: JointLimits) -> JointLimits:
         raise DataError(
             f"limits: joint '{limits.joint_names[j]}': gravity alone needs "
             f"{_of_torque(limits, j, load[best])} at the best of {len(tried)} positions, the "
-            f"torque limit is {_of_torque(limits, j)} ({limits.sources['torque'][j]}); give a "
-            "larger limit, or a rest position."
+            f"torque limit is {_of_torque(limits, j)} ({limits.sources['torque'][j]}); give "
+            f"{_larger(limits, j)}, or a rest position."
         )
     told = (
         "the rest position is one that the motors hold easily: at the usual one "
@@ -85,3 +86,9 @@ def _of_torque(limits: JointLimits, joint: int, share: float = 1.0) -> str:
     """Return a share of a joint's torque limit in words."""
     unit = unit_of("torque", limits.sliding[joint])
     return f"{share * limits.torque[joint]:.4g} {unit}"
+
+
+def _larger(limits: JointLimits, joint: int) -> str:
+    """Return how to give a larger torque limit."""
+    described = limits.sources["torque"][joint] == DESCRIBED
+    return "a larger limit" + (" with override = true" if described else "")
