@@ -132,6 +132,7 @@ def test_bad_input_is_told_before_the_search(folder: Path, tmp_path: Path) -> No
     refused(run("excite", robot, "--duration", "nan", *out), 2, "nan")
     refused(run("excite", robot, "--wall", "up=1", *out), 2, "up")
     refused(run("excite", robot, "--wall", "-x", *out), 2, "--wall")
+    refused(run("excite", robot, "--wall", "-x=near", *out), 2, "--wall -x near")
     refused(run("excite", robot, "--limits", tmp_path / "none.toml", *out), 2, "none.toml")
     refused(run("excite", robot, "--noise", "x", *out), 2, "--noise")
     refused(run("excite", robot, "--previous", tmp_path, *out), 2, "run.toml")

@@ -110,7 +110,7 @@ class Surroundings:
         if self.table or self.table_height is not None:
             found.append(table(self.table_height or 0.0))
         for direction, distance in pairs(self.wall, "--wall").items():
-            if len(distances := numbers(distance, "--wall")) != 1:
+            if len(distances := numbers(distance, f"--wall {direction}")) != 1:
                 raise DataError(f"--wall {direction}={distance}: give one distance, m.")
             found.append(wall(distances[0], direction))
         if self.obstacles is not None:

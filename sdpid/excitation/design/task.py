@@ -52,6 +52,9 @@ MOTIONS: dict[str, str] = {
     "other: it shows little else",
 }
 
+# Longer motions are not searched, s: they have thousands of free numbers, and repeating a shorter
+# one tells as much.
+_LONGEST = 600.0
 # Samples a second of a plan's trajectory.
 RATE_HZ = 500.0
 # Highest frequency of a Fourier series, Hz, and least number of harmonics.
@@ -243,6 +246,11 @@ def _check(robot: RobotModel, duration: float, motion: str, periods: int) -> Non
         raise ModelError(f"excitation of '{robot.name}': a floating base has no motors to move it.")
     if not (np.isfinite(duration) and duration > 0.0):
         raise DataError(f"duration: is {duration}; give a positive time in s.")
+    if duration > _LONGEST:
+        raise DataError(
+            f"duration: is {duration:g} s, at most {_LONGEST:g} s are searched; repeat a shorter "
+            "motion (periods)."
+        )
     if motion not in get_args(Motion):
         raise DataError(f"motion: is {motion!r}; use one of {', '.join(get_args(Motion))}.")
     if int(periods) != periods or periods < 1:

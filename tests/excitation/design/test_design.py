@@ -131,6 +131,7 @@ def test_settings_are_plain(plan: Plan) -> None:
     [
         ({"duration": 0.2}, "too short for the limits"),
         ({"duration": -1.0}, "positive time"),
+        ({"duration": 1e9}, "repeat a shorter motion"),
         ({"starts": 0}, "at least 1"),
         ({"time_limit": 0.0}, "positive time"),
         ({"motion": "chirp"}, "use one of spline"),
