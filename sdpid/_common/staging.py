@@ -169,11 +169,14 @@ class RunFolder:
     config : str
         The options of the run. It replaces only one that an earlier run wrote: people have files
         of that name.
+    careful : bool
+        Whether that holds for every file: no run replaces one that no earlier run listed.
     """
 
     names: tuple[str, ...]
     listing: str
     config: str
+    careful: bool = False
 
     def require_writable(
         self,
@@ -215,7 +218,16 @@ class RunFolder:
                     f"cannot write {folder / name}: it is a folder or a device; move it away, or "
                     "choose another folder."
                 )
-        written = self._listed(folder).get(self.config)
+        listed = self._listed(folder)
+        if self.careful:
+            for name in (*self.names, self.listing):
+                ours = name in listed or (name == self.listing and bool(listed))
+                if (folder / name).exists() and not ours:
+                    raise ExportError(
+                        f"--out: would write over {folder / name}, which no run like this wrote; "
+                        "choose another folder."
+                    )
+        written = listed.get(self.config)
         if config is not None and config.is_file() and written != digest(config):
             inputs = (*inputs, config)
         require_other_files("--out", (folder / name for name in self.names), inputs)

@@ -63,7 +63,7 @@ def test_it_writes_and_says_what_to_run(folder: Path) -> None:
     names = {path.name for path in (folder / "plan").iterdir()}
     assert {"trajectory.csv", "trajectory.toml", "plan.toml", "plan.json"} <= names
     told = (folder / "told.txt").read_text()
-    last = [line.split(":")[0] for line in told.splitlines()[-5:]]
+    last = [line.split(":")[0] for line in told.splitlines()]
     assert "run" in last
     assert "safe" in last
     assert "Every limit holds at every instant" in told

@@ -52,7 +52,9 @@ def sentences(plan: Plan) -> Iterator[tuple[str, str, str]]:
     """Yield the plan in short: a level, a title and a sentence each."""
     yield "good", "Run", run_sentence(plan)
     yield "good" if plan.limits.ok else "bad", "Safe", safe_sentence(plan.limits)
-    for text in plan.expected.sentences()[:2]:
+    told = plan.expected.sentences()
+    # One band of efforts stands for all; then parameters, friction, and what stays open.
+    for text in (*told[:1], *told[len(plan.expected.bands) :]):
         yield "good", "What it will buy", text
     if assumed := len(plan.limits.notes):
         yield (

@@ -50,7 +50,7 @@ NAMES = (
     _RESULT,
 )
 
-_FOLDER = RunFolder(NAMES, _RESULT, _CONFIG)
+_FOLDER = RunFolder(NAMES, _RESULT, _CONFIG, careful=True)
 
 require_writable = _FOLDER.require_writable
 

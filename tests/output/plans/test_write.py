@@ -110,6 +110,15 @@ def test_a_search_that_ended_early_says_so(tmp_path: Path) -> None:
         load_toml(tmp_path / "plan.toml")
 
 
+@pytest.mark.parametrize("name", ["report.html", "trajectory.csv", "plan.json", "limits.toml"])
+def test_files_that_no_plan_wrote_are_not_replaced(tmp_path: Path, name: str) -> None:
+    (tmp_path / name).write_text("mine")
+    with pytest.raises(ExportError, match=f"{name}, which no run like this wrote"):
+        write_plan(small_plan(), tmp_path, figures=False)
+    assert [file.name for file in tmp_path.iterdir()] == [name]
+    assert (tmp_path / name).read_text() == "mine"
+
+
 def test_a_plan_replaces_a_plan_and_nothing_else(tmp_path: Path) -> None:
     (tmp_path / "mine.txt").write_text("mine")
     first = write_plan(small_plan(), tmp_path, figures=False)
