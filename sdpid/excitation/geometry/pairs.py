@@ -33,6 +33,9 @@ _CONSTANT, _FIXED = 1e-3, 1e-5
 # shapes; half of the positions are enough where at most two joints lie between them.
 _ALWAYS, _OFTEN, _CLOSE_BY = 0.95, 0.5, 2
 
+# Half of a usual distance beyond this is more than most clearances, m.
+_CLOSE = 0.1
+
 # Pairs that stay farther apart than this at all drawn positions are left to the final check: m,
 # and a multiple of the clearance.
 _NEAR, _NEAR_SHARE = 0.1, 3.0
@@ -54,7 +57,8 @@ class Pair:
         Whether they came near each other at any of the drawn positions: a search for a motion
         watches these, a check of a motion all.
     nearest, usual, farthest : float
-        Least, middle and largest signed distance at the drawn positions, m.
+        Least, middle and largest signed distance at the drawn positions, m; the latter two within
+        the description's limits where the pair is often close.
     obstacle : bool
         Whether the second is an obstacle.
     """
@@ -164,7 +168,8 @@ class _Chooser:
                 self.left_out.append((*pair, reason))
             else:
                 self.candidates.append(pair)
-        self._measure = Measure(robot, [*solids, *obstacles], self.candidates)
+        self._solids = [*solids, *obstacles]
+        self._measure = Measure(robot, self._solids, self.candidates)
 
     def _all(self) -> Iterable[tuple[str, str]]:
         bodies = list(self._joint)
@@ -207,9 +212,10 @@ class _Chooser:
         start = near if rest is None else rest
         found = self._distances(np.vstack([start, drawn]))
         at_start, at_drawn = found[0], found[1:]
+        judged = self._judged(at_drawn, lower, upper, seed)
         pairs, kept = [], []
         for p, (first, second) in enumerate(self.candidates):
-            reason = self._reason(p, at_start[p], at_drawn[:, p], rest is not None)
+            reason = self._reason(p, at_start[p], judged[:, p], rest is not None)
             if reason:
                 self.left_out.append((first, second, reason))
                 continue
@@ -221,8 +227,8 @@ class _Chooser:
                     second=second,
                     searched=nearest < max(_NEAR, _NEAR_SHARE * self._clearance),
                     nearest=nearest,
-                    usual=float(np.median(at_drawn[:, p])),
-                    farthest=float(found[:, p].max()),
+                    usual=float(np.median(judged[:, p])),
+                    farthest=float(judged[:, p].max()),
                     obstacle=second in self._obstacles,
                 )
             )
@@ -240,6 +246,25 @@ class _Chooser:
             rest=near if rest is None else rest,
             notes=notes,
         )
+
+    def _judged(self, distances: Array, lower: Array, upper: Array, seed: int) -> Array:
+        """Return the distances that tell which pairs are always close, (count, candidates).
+
+        Within narrow limits bodies may be close all the time for they do collide there. So those
+        that often are close are judged by positions within the limits of the description.
+        """
+        often = np.median(distances, axis=0) < max(_CLOSE, 2.0 * self._clearance)
+        described = self._robot.position_limits.T
+        bounds = np.where(np.isfinite(described), described, [[-np.pi], [np.pi]])
+        low, high = np.minimum(bounds[0], lower), np.maximum(bounds[1], upper)
+        if not often.any() or (np.array_equal(low, lower) and np.array_equal(high, upper)):
+            return distances
+        drawn = generator(seed).uniform(low, high, (len(distances), self._robot.n))
+        which = np.flatnonzero(often)
+        measure = Measure(self._robot, self._solids, [self.candidates[p] for p in which])
+        judged = distances.copy()
+        judged[:, which] = measure.distances(drawn)
+        return judged
 
     def _distances(self, positions: Array) -> Array:
         return self._measure.distances(positions)

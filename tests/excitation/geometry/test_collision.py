@@ -266,6 +266,17 @@ def test_a_single_joint_is_enough() -> None:
     assert (distances[:, 0] < 1.2).all()
 
 
+def test_narrow_limits_do_not_make_a_collision_look_like_coarse_shapes() -> None:
+    arm = shaped_arm(BALL, BALL, BALL, BALL, spacing=0.17)
+    # With the second joint turned by two the third ball overlaps the first.
+    bent = np.array([0.0, 2.0, 0.0])
+    with pytest.raises(ModelError, match="no position was found"):
+        CollisionModel.of(arm, lower=bent - 0.01, upper=bent + 0.01)
+    post = Box(size=(0.1, 0.1, 2.0), translation=(0.4, 0.0, 0.0), name="post")
+    with pytest.raises(ModelError, match="and post"):
+        CollisionModel.of(arm, [post], lower=[-1e-6] * 3, upper=[1e-6] * 3)
+
+
 def test_two_arms_find_a_rest_position_joint_by_joint() -> None:
     model = CollisionModel.of(load_robot("baxter_description/baxter"))
     assert (model.distances(model.rest[None]) >= model.clearances(0.02)[None]).all()
