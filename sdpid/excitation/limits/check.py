@@ -9,12 +9,13 @@ from typing import Any, Literal
 
 import numpy as np
 
-from sdpid._common.arrays import Array, Mask
+from sdpid._common.arrays import Array
 from sdpid._common.tables import Table, plain
 from sdpid.errors import DataError
 from sdpid.excitation.geometry.collision import CollisionModel
 from sdpid.excitation.geometry.obstacles import Obstacle
 from sdpid.excitation.limits.extremes import Extremes, Measure, extremes, with_tolerance
+from sdpid.excitation.limits.joins import in_motion, jumps_of, range_of
 from sdpid.excitation.limits.joint_limits import JointLimits, unit_of
 from sdpid.excitation.limits.limits import Limits
 from sdpid.excitation.limits.measures import (
@@ -37,12 +38,6 @@ Verdict = Literal["held", "broken", "undecided"]
 # Bounds are refined until they are this share of their limit from what is reached, and distances
 # until they are this many m from it.
 _RESOLUTION, _DISTANCE_RESOLUTION = 2e-3, 1e-3
-
-# A jump of a derivative counts as a change within this time, s: a cycle of a fast controller. Jumps
-# that a limit allows within it are those of rounded samples.
-_CYCLE = 1e-3
-# An arm that is slower than this is at rest, rad/s or m/s.
-_AT_REST = 1e-3
 
 # Derivatives of the positions that have limits.
 _RATES = {1: "velocity", 2: "acceleration", 3: "jerk"}
@@ -233,7 +228,7 @@ def check_trajectory(
     curves = curves_of(robot, trajectory)
     start = curves[0][1].evaluate(np.zeros(1))[0]
     joints = _joint_limits(robot, limits, start)
-    notes = [*joints.assumed, *_in_motion(joints, curves)]
+    notes = [*joints.assumed, *in_motion(joints, curves)]
     rows = [*_motion_rows(curves, joints)]
     if np.any(np.isfinite(joints.torque)):
         model = torque or TorqueModel.of(robot, estimate, spread=spread)
@@ -253,7 +248,7 @@ def check_trajectory(
     if collision is not False:
         clearance = joints.clearance or 0.0
         if not isinstance(collision, CollisionModel):
-            lower, upper = _range(joints, curves, sliding_joints(robot))
+            lower, upper = range_of(joints, curves, sliding_joints(robot))
             collision = CollisionModel.of(
                 robot,
                 obstacles,
@@ -298,64 +293,11 @@ def _motion_rows(curves: Sequence[tuple[float, Curve]], limits: JointLimits) -> 
         )
     for order, kind in _RATES.items():
         bound: Array = getattr(limits, kind)
-        jumps = _jumps(curves, order - 1)
+        jumps = jumps_of(curves, order - 1)
         rows += _joint_rows(
             kind, limits, curves, RateMeasure(order), bound, _RESOLUTION * bound, jumps
         )
     return rows
-
-
-def _jumps(curves: Sequence[tuple[float, Curve]], derivative: int) -> tuple[Array, Array]:
-    """Return the largest jump (n,) of a derivative at the breaks of curves, as a rate, and when."""
-    n = curves[0][1].n
-    rates, times = [np.zeros((1, n))], [np.zeros(1)]
-    for start, curve in curves:
-        inner = np.asarray(curve.breaks)[1:-1]
-        if len(inner):
-            before = curve.evaluate(np.nextafter(inner, -np.inf), derivative=derivative)
-            after = curve.evaluate(inner, derivative=derivative)
-            rates.append(np.abs(after - before) / _CYCLE)
-            times.append(start + inner)
-    rate, time = np.concatenate(rates), np.concatenate(times)
-    where = np.argmax(rate, axis=0)
-    return rate[where, np.arange(n)], time[where]
-
-
-def _range(
-    joints: JointLimits, curves: Sequence[tuple[float, Curve]], sliding: Mask
-) -> tuple[Array, Array]:
-    """Return the positions (n,), least and largest, that limits allow or the motion comes to.
-
-    Joints that turn without limits stay so: the little that a motion uses of their turn would not
-    show which pairs overlap by the coarseness of their shapes.
-    """
-    whole = [curve.enclose(np.array([0.0, curve.duration])) for _, curve in curves]
-    lower = np.min([low[0] for low, _ in whole], axis=0)
-    upper = np.max([high[0] for _, high in whole], axis=0)
-    below, above = np.isfinite(joints.lower), np.isfinite(joints.upper)
-    return (
-        np.where(below | ~sliding, np.minimum(joints.lower, lower), lower),
-        np.where(above | ~sliding, np.maximum(joints.upper, upper), upper),
-    )
-
-
-def _in_motion(joints: JointLimits, curves: Sequence[tuple[float, Curve]]) -> list[str]:
-    """Return a sentence for each end at which the arm is not at rest: its limits are not known."""
-    (_, first), (_, last) = curves[0], curves[-1]
-    told = []
-    for verb, curve, time in (("starts", first, 0.0), ("ends", last, last.duration)):
-        speed, change = (
-            np.abs(curve.evaluate(np.array([time]), derivative=order)[0]) for order in (1, 2)
-        )
-        moving, jolted = speed > _AT_REST, change > _CYCLE * joints.jerk
-        for what, where in (("in motion", moving), ("with a jolt from rest", jolted & ~moving)):
-            if where.any():
-                names = ", ".join(joints.joint_names[j] for j in np.flatnonzero(where))
-                told.append(
-                    f"the motion {verb} {what} ({names}): the way from or to rest is no part of it "
-                    "and is not checked."
-                )
-    return told
 
 
 def _joint_rows(
