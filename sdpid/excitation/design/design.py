@@ -214,6 +214,11 @@ def design_excitation(
     information = W.T @ W / (len(W) / model.n)
     values = np.linalg.eigvalsh(information)
     shown = bool(values[0] > _ROUNDING * values[-1])
+    if not shown:
+        notes.append(
+            "the motion alone does not show every base parameter: its condition number is "
+            "infinite. What stays open is named."
+        )
     trajectory = task.trajectory(best.x)
     # Without earlier runs, which are about the plan's terms, the terms are those of `identify`.
     expected = expect(

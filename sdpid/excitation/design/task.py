@@ -154,6 +154,11 @@ class Task:
             As `design_excitation`.
         """
         _check(robot, duration, motion, periods)
+        if not closed and periods > 1:
+            raise DataError(
+                f"periods: are {periods}, but an open motion ends elsewhere than it begins; leave "
+                "closed=False out, or run it once."
+            )
         if motion == "fourier" and not closed:
             raise DataError("motion: Fourier series are closed; leave closed=False out.")
         given = Limits() if limits is None else limits

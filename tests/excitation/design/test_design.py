@@ -140,6 +140,7 @@ def test_settings_are_plain(plan: Plan) -> None:
         ({"harmonics": 5}, "Fourier"),
         ({"motion": "fourier", "closed": False}, "closed"),
         ({"periods": 0}, "from 1"),
+        ({"periods": 2, "closed": False}, "ends elsewhere"),
         ({"purpose": "torque"}, "give the motion"),
     ],
 )
