@@ -52,9 +52,9 @@ MOTIONS: dict[str, str] = {
     "other: it shows little else",
 }
 
-# Longer motions are not searched, s: they have thousands of free numbers, and repeating a shorter
-# one tells as much.
-_LONGEST = 600.0
+# Longer motions are not searched, s: with thousands of free numbers a step takes seconds, and a
+# shorter motion tells as much when it is repeated.
+_LONGEST = 120.0
 # Samples a second of a plan's trajectory.
 RATE_HZ = 500.0
 # Highest frequency of a Fourier series, Hz, and least number of harmonics.
