@@ -42,6 +42,6 @@ def _free(task: Task, q: Array) -> Array:
     good = np.all(np.abs(task.torque.torque(q, still, still)) <= allowed, axis=1)
     if task.collision is not None and task.collision.pairs:
         distances = task.collision.distances(q[good])
-        wanted = task.collision.clearances(task.clearance) + _ROOM
+        wanted = task.collision.clearances(task.clearance, _ROOM)
         good[good] = np.all(distances >= wanted, axis=1)
     return np.asarray(good)

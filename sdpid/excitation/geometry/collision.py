@@ -203,8 +203,11 @@ class CollisionModel:
         """
         return self._measure.gradients(real_array(q, "q", ndim=2))
 
-    def clearances(self, clearance: float) -> Array:
+    def clearances(self, clearance: float, beyond: float = 0.0) -> Array:
         """Return the distance that is asked of each pair (P,) for a wanted clearance, m.
+
+        Pairs that are built close to each other are asked for less than the clearance, and for as
+        small a share of what is wanted `beyond` it.
 
         Raises
         ------
@@ -216,7 +219,8 @@ class CollisionModel:
                 f"clearance: {clearance} m, the pairs were chosen for at most "
                 f"{self.largest_clearance} m; make the model with clearance={clearance}."
             )
-        return np.array([pair.clearance(clearance) for pair in self.pairs])
+        asked = np.array([pair.clearance(clearance) for pair in self.pairs])
+        return asked + beyond * (asked / clearance if clearance > 0.0 else 1.0)
 
     def closer(self, clearance: float) -> tuple[str, ...]:
         """Return a sentence a pair that is asked for less than a wanted clearance (m), and why."""
@@ -234,6 +238,7 @@ class CollisionModel:
         sharpness: float,
         *,
         clearance: float = 0.0,
+        beyond: float = 0.0,
         horizon: float = _HORIZON,
     ) -> tuple[Array, Array]:
         """Return a smooth lower bound of the least slack of all pairs, and its gradient.
@@ -249,8 +254,8 @@ class CollisionModel:
             Joint positions.
         sharpness : float
             1/m.
-        clearance : float, optional
-            The wanted clearance, m.
+        clearance, beyond : float, optional
+            The wanted clearance and what is wanted beyond it, m; see `clearances`.
         horizon : float, optional
             Slack beyond which distances make no difference, m.
 
@@ -261,7 +266,8 @@ class CollisionModel:
         gradients : ndarray, shape (K, n)
         """
         positions = real_array(q, "q", ndim=2)
-        return self._soft.evaluate(positions, sharpness, self.clearances(clearance), horizon)
+        asked = self.clearances(clearance, beyond)
+        return self._soft.evaluate(positions, sharpness, asked, horizon)
 
     def only(self, which: Sequence[int] | Indices | Array) -> CollisionModel:
         """Return the same with only some pairs, by their indices or by P booleans."""

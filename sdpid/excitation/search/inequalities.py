@@ -139,8 +139,10 @@ class KeptDistance:
     def _least(self, q: Array) -> tuple[Array, Array]:
         key = q.tobytes()
         if self._last.get("key") != key:
-            found = self.collision.soft_minimum(q, _SHARPNESS, clearance=self.clearance)
-            slack = (found[0][:, None] - self.margin) / _LENGTH
+            found = self.collision.soft_minimum(
+                q, _SHARPNESS, clearance=self.clearance, beyond=self.margin
+            )
+            slack = found[0][:, None] / _LENGTH
             self._last.update(key=key, found=(slack, found[1][:, None, :] / _LENGTH))
         least: tuple[Array, Array] = self._last["found"]
         return least
