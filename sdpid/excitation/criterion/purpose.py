@@ -129,7 +129,10 @@ def purpose_of(
         words = "gravity: the efforts that hold the robot still, over its range"
         return _made(name, every, functionals, "sum", words)
     if motion is None:
-        raise DataError("purpose: is 'torque'; give the motion whose efforts are to be predicted.")
+        raise DataError(
+            "purpose: is 'torque'; give the motion whose efforts are to be predicted (predict=, or "
+            "--predict)."
+        )
     functionals = effort_functionals(robot, friction, base, *motion)
     return _made(name, every, functionals, "sum", "the efforts of the motion given")
 

@@ -25,6 +25,10 @@ _POSITION_STEP = 1e-5
 _FRICTION_STEP = 1e-5
 
 
+# Bytes of rows that are written at a time.
+_BLOCK = 1 << 26
+
+
 @dataclass(frozen=True, kw_only=True, eq=False)
 class BaseRows:
     """The regressor of a robot's base parameters, state by state.
@@ -81,9 +85,17 @@ class BaseRows:
         -------
         by_position, by_velocity, by_acceleration : ndarray, shape (K, n)
         """
-        on_links = self._links_gradient(C[:, :, self._inertial], q, v, a)
+        inertial = C[:, :, self._inertial]
+        # Bytes of a state's shifted rows; robots of a hundred joints go state by state.
+        size = 8 * (5 * self.robot.n + 1) * inertial[0].size
+        count = max(1, _BLOCK // max(size, 1))
+        parts = [
+            self._links_gradient(*(each[k : k + count] for each in (inertial, q, v, a)))
+            for k in range(0, len(q), count)
+        ]
+        on_links = tuple(np.concatenate(part) for part in zip(*parts, strict=True))
         if not self.friction.parameters:
-            return on_links
+            return on_links[0], on_links[1], on_links[2]
         on_friction = self._friction_gradient(C[:, :, ~self._inertial], q, v, a)
         by_position, by_velocity, by_acceleration = (
             links + friction for links, friction in zip(on_links, on_friction, strict=True)

@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike
 from sdpid._common.arrays import Array
 from sdpid._common.progress import progress as progress_bar
 from sdpid._common.seeds import generator
-from sdpid.errors import DataError
+from sdpid.errors import DataError, InfeasibleError
 from sdpid.estimation.prior.prior import Prior
 from sdpid.excitation.criterion.earlier import Previous
 from sdpid.excitation.criterion.noise import Given
@@ -45,8 +45,10 @@ STARTS = 4
 # Of a time limit, what is kept for the check and for what the run will buy: seconds, and at most
 # this share.
 _KEPT_SECONDS, _KEPT_SHARE = 5.0, 0.4
-# States enough for the compiled regressor to be worth its start.
-_STATES = 200
+# States, times joints, that are enough for the compiled regressor to be worth its start.
+_STATES = 600
+# A search of fewer steps than this has hardly begun.
+_FEW_STEPS = 60
 # An eigenvalue of the information below this share of the largest is rounding.
 _ROUNDING = 1e-15
 # Instants a second of the regressor whose condition number is stated.
@@ -221,16 +223,22 @@ def design_excitation(
         )
     trajectory = task.trajectory(best.x)
     # Without earlier runs, which are about the plan's terms, the terms are those of `identify`.
-    expected = expect(
-        model,
-        trajectory,
-        friction=terms if friction is not None or task.earlier is not None else None,
-        noise=task.noise,
-        prior=prior,
-        earlier=task.earlier,
-        limits=task.limits,
-        motions=None if predict is None else {"the motion to be predicted": predict.sample()},
-    )
+    try:
+        expected = expect(
+            model,
+            trajectory,
+            friction=terms if friction is not None or task.earlier is not None else None,
+            noise=task.noise,
+            prior=prior,
+            earlier=task.earlier,
+            limits=task.limits,
+            motions=None if predict is None else {"the motion to be predicted": predict.sample()},
+        )
+    except DataError as cause:
+        raise InfeasibleError(
+            f"excitation of '{model.name}': within these limits the best motion tells nothing that "
+            f"can be identified ({cause}) Widen the limits that slow it, or give it more time."
+        ) from cause
     return Plan(
         robot=model,
         trajectory=trajectory,
@@ -276,7 +284,7 @@ def design_excitation(
 def _compile(robot: RobotModel) -> None:
     """Evaluate the regressor once, which compiles it on its first use on a machine."""
     rows = BaseRows.of(robot, ())
-    still = np.zeros((_STATES, robot.n))
+    still = np.zeros((max(1, _STATES // robot.n), robot.n))
     rows.gradient(rows.rows(still, still, still), still, still, still)
 
 

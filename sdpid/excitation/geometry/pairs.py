@@ -45,6 +45,10 @@ _NEAR, _NEAR_SHARE = 0.1, 3.0
 _REST_GAP, _REST_ROOM = 0.02, 1.5
 
 
+# A clearance can be kept by bodies that come apart by this many times as much.
+_HOLDABLE = 1.25
+
+
 @dataclass(frozen=True, kw_only=True)
 class Pair:
     """Two bodies that must not touch.
@@ -72,12 +76,14 @@ class Pair:
     obstacle: bool = False
 
     def clearance(self, wanted: float) -> float:
-        """Return the distance that is asked of the pair: less than wanted if always close.
+        """Return the distance that is asked of the pair: less than wanted if never so far apart.
 
-        Links that are built close to each other, or mounted close to an obstacle, could never keep
-        a large clearance. Of links at most half of their usual distance is asked, of a link and
-        an obstacle half of the largest.
+        Links that are built close to each other, or mounted close to an obstacle, could not move
+        and keep a large clearance. Where the largest distance is little more than wanted, half of
+        the usual one is asked of links, half of the largest of a link and an obstacle.
         """
+        if self.farthest >= _HOLDABLE * wanted:
+            return wanted
         return min(wanted, max(0.5 * (self.farthest if self.obstacle else self.usual), 0.0))
 
 

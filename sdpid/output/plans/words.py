@@ -85,7 +85,17 @@ def safe_sentence(check: LimitCheck) -> str:
         return f"Not every limit is proven to hold: {' '.join(check.sentences()[:_FEW])}"
     least = [row for kind in KINDS if (row := check.least(kind)) is not None]
     slacks = "; ".join(f"{r.kind} {r.slack:.3g} {r.unit} ({r.subject})" for r in least)
-    return f"Every limit holds at every instant. Least slack: {slacks}."
+    return f"Every limit holds at every instant. Least slack: {slacks}.{_closer(check)}"
+
+
+def _closer(check: LimitCheck) -> str:
+    """Return how many pairs were asked for less than the clearance, as words to add."""
+    asked = [row.limit for row in check.rows if row.kind == "distance"]
+    less = sum(limit < max(asked) for limit in asked)
+    if not less:
+        return ""
+    pairs = "1 pair is" if less == 1 else f"{less} pairs are"
+    return f" {pairs} built too close for {1e3 * max(asked):.3g} mm and asked for less."
 
 
 # Limits that are not held, of which a sentence tells.

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import sdpid
-from sdpid.errors import DataError, MissingExtraError, ModelError
+from sdpid.errors import DataError, InfeasibleError, MissingExtraError, ModelError
 from sdpid.excitation.criterion.criterion import Criterion
 from sdpid.excitation.geometry.obstacles import table
 from sdpid.excitation.plan.plan import Plan
@@ -147,6 +147,15 @@ def test_settings_are_plain(plan: Plan) -> None:
 def test_bad_arguments_are_told_before_the_search(arguments: Any, words: str) -> None:
     with pytest.raises(DataError, match=words):
         sdpid.design_excitation("denso_vp6242", **{**QUICK, **arguments})
+
+
+def test_a_motion_that_tells_nothing_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
+    def nothing(*_: Any, **__: Any) -> Any:
+        raise DataError("mask: leaves none of 10 rows.")
+
+    monkeypatch.setattr("sdpid.excitation.design.design.expect", nothing)
+    with pytest.raises(InfeasibleError, match=r"tells nothing.*none of 10 rows"):
+        sdpid.design_excitation("denso_vp6242", collisions=False, time_limit=2.0, duration=6.0)
 
 
 def test_a_floating_base_is_refused() -> None:

@@ -15,6 +15,7 @@ from sdpid.errors import DataError, ModelError
 from sdpid.excitation.geometry.collision import CollisionModel
 from sdpid.excitation.geometry.measure import Measure
 from sdpid.excitation.geometry.obstacles import Box, Obstacle, table
+from sdpid.excitation.geometry.pairs import Pair
 from sdpid.robot.description.catalog import find_robot
 from sdpid.robot.model.load import load_robot
 from sdpid.robot.model.model import RobotModel
@@ -297,6 +298,14 @@ def test_links_without_shapes_are_assumed_and_told() -> None:
     assert "no shapes" in model.assumed[0]
     assert "70 mm" in model.assumed[0]
     assert ("link_5", "table") in {(pair.first, pair.second) for pair in model.pairs}
+
+
+def test_a_clearance_that_can_be_kept_is_asked_for_in_full() -> None:
+    assert Pair(first="a", second="b", usual=0.2, farthest=0.5).clearance(0.3) == 0.3
+    assert (
+        Pair(first="a", second="b", usual=0.2, farthest=0.25, obstacle=True).clearance(0.2) == 0.2
+    )
+    assert Pair(first="a", second="b", usual=0.030, farthest=0.032).clearance(0.03) == 0.015
 
 
 def test_links_built_close_to_each_other_are_asked_for_less() -> None:
