@@ -86,6 +86,11 @@ _AGAIN = (
     *(replace(_ATTEMPTS[1], proximal_weight=weight) for weight in (1e-12, 1e-10)),
 )
 
+# Where the gap is no larger, further multipliers are refined as far as they go: that takes less
+# time than another attempt, and attempts may end in the same point again and again (the TX40
+# without a prior, at 1.1e-6, as some processors round).
+_NEARLY = 1e-5
+
 
 @one_thread
 def solve_sdp(problem: Problem, *, verbose: bool = False) -> Estimate:
@@ -244,7 +249,7 @@ class _Search:
 
     def _keep(self, estimate: Estimate) -> None:
         """Keep a point, its proof, or both, and begin from there next time."""
-        bound = self._bound(estimate)
+        bound = self._bound(estimate, exhaustive=PROVEN < self.gap < _NEARLY)
         if self.best is None or _better(estimate, self.best):
             self.best = estimate
         if self.bound is None or bound.value > self.bound.value:
