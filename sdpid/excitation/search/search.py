@@ -17,7 +17,7 @@ from sdpid.excitation.search.ipopt import INTERRUPTED, Rows, minimize
 from sdpid.excitation.search.linear import linear_limits
 from sdpid.excitation.search.space import Space
 
-# Steps of one start: nine tenths of what more would bring.
+# Steps of one start: most end by themselves after 100 to 250 (UR10e, LWR 4+).
 MOST_STEPS = 250
 # The best motions go on with twice and four times the intervals: from 36 of them in 20 s, the
 # condition number of a UR10e falls by another tenth, in a third of the time of one start.
