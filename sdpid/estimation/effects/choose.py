@@ -93,32 +93,13 @@ def close_terms(
         What was chosen.
     """
     thin = samples.thinned(_MOST_SAMPLES)
-    speeds = _speeds(thin, friction.first)
-    opened: list[OpenTerm] = []
-    for place, term in enumerate(friction.terms):
-        parameters = term.open_parameters(speeds, friction.joint_names)
-        if parameters:
-            opened.append(OpenTerm(place, term, parameters))
+    opened = _opened(friction, _speeds(thin, friction.first))
     if not opened:
         return friction, ()
     middle = _closed(friction, opened)
     rows = RowSource(robot, middle, structural_base(robot, middle), thin)
     VariableProjection(rows, covariance(rows), opened).run()
-    chosen = tuple(
-        Profiled(
-            term=type(each.term).__name__,
-            name=parameter.name,
-            unit=parameter.unit,
-            value=value,
-            lower=parameter.lower,
-            upper=parameter.upper,
-            flat_from=flat[0],
-            flat_to=flat[1],
-        )
-        for each in opened
-        for parameter, value, flat in zip(each.parameters, each.values, each.flat, strict=True)
-    )
-    return _closed(friction, opened), chosen
+    return _closed(friction, opened), _profiled(opened, [each.flat for each in opened])
 
 
 def closed_in_the_middle(
@@ -135,13 +116,25 @@ def closed_in_the_middle(
     speed : ndarray, shape (K, n)
         Sizes of the velocities, rad/s or m/s.
     """
-    speeds = list(speed[:, friction.first :].T)
-    opened = [
+    opened = _opened(friction, list(speed[:, friction.first :].T))
+    flats = [[(p.lower, p.upper) for p in each.parameters] for each in opened]
+    return _closed(friction, opened), _profiled(opened, flats)
+
+
+def _opened(friction: FrictionModel, speeds: Sequence[Array]) -> list[OpenTerm]:
+    """Return the terms with open parameters, in the middle of the limits that speeds allow."""
+    return [
         OpenTerm(place, term, parameters)
         for place, term in enumerate(friction.terms)
         if (parameters := term.open_parameters(speeds, friction.joint_names))
     ]
-    chosen = tuple(
+
+
+def _profiled(
+    opened: Sequence[OpenTerm], flats: Sequence[Sequence[tuple[float, float]]]
+) -> tuple[Profiled, ...]:
+    """Return the values of open parameters, and the ranges in which others are as good."""
+    return tuple(
         Profiled(
             term=type(each.term).__name__,
             name=parameter.name,
@@ -149,13 +142,12 @@ def closed_in_the_middle(
             value=value,
             lower=parameter.lower,
             upper=parameter.upper,
-            flat_from=parameter.lower,
-            flat_to=parameter.upper,
+            flat_from=flat[0],
+            flat_to=flat[1],
         )
-        for each in opened
-        for parameter, value in zip(each.parameters, each.values, strict=True)
+        for each, own in zip(opened, flats, strict=True)
+        for parameter, value, flat in zip(each.parameters, each.values, own, strict=True)
     )
-    return _closed(friction, opened), chosen
 
 
 def _speeds(samples: Samples, first: int) -> list[Array]:
