@@ -54,6 +54,14 @@ class InstantRows:
     def _matrices(self) -> list[list[Array]]:
         return [[self.space.basis(time, order) for order in range(3)] for _, time in self.parts]
 
+    @cached_property
+    def _by_free(self) -> list[list[list[Array]]]:
+        """Matrices from the free numbers of each joint, part by part and order by order."""
+        return [
+            [[matrix @ E for E in self.space.expansions] for matrix in matrices]
+            for matrices in self._matrices
+        ]
+
     def _states(self, part: int, x: Array) -> list[Array]:
         c = self.space.coefficients(x)
         return [matrix @ c for matrix in self._matrices[part]]
@@ -93,12 +101,12 @@ class InstantRows:
         for i, (inequality, time) in enumerate(self.parts):
             by_state = inequality.derivatives(*self._states(i, x))
             out = np.zeros((len(time), self._counts[i], self.space.size))
-            for matrix, slopes in zip(self._matrices[i], by_state, strict=True):
+            for matrices, slopes in zip(self._by_free[i], by_state, strict=True):
                 if slopes is None:
                     continue
-                for j, E in enumerate(self.space.expansions):
+                for j, matrix in enumerate(matrices):
                     own = slice(self.space.splits[j], self.space.splits[j + 1])
-                    out[:, :, own] += slopes[:, :, j, None] * (matrix @ E)[:, None, :]
+                    out[:, :, own] += slopes[:, :, j, None] * matrix[:, None, :]
             blocks.append(out.reshape(-1, self.space.size))
         return np.vstack(blocks)
 
