@@ -55,11 +55,6 @@ class Criterion:
             C += (2.0 / K) * (flat @ by_plain).reshape(W.shape)
         return value, self.rows.gradient(C, q, v, a)
 
-    def information(self, q: Array, v: Array, a: Array, duration: float) -> Array:
-        """Return the information (b, b) of the base parameters that a motion brings, alone."""
-        W = self.rows.rows(q, v, a)
-        return self._matrices(W, duration)[0] - self.known
-
     def _value(self, total: Array, plain: Array) -> tuple[float, Array, Array]:
         D = self.directions
         if D is None:

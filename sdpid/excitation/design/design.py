@@ -173,28 +173,26 @@ def design_excitation(
     began = time.monotonic()
     terms = FRICTION if friction is None else tuple(friction)
     around, folders = tuple(obstacles), tuple(package_dirs)
-    task = Task.of(
-        model,
-        duration=duration,
-        limits=limits,
-        obstacles=around,
-        collisions=collisions,
-        friction=terms,
-        prior=prior,
-        previous=previous,
-        noise=noise,
-        purpose=purpose,
-        predict=predict,
-        objective=objective,
-        motion=motion,
-        closed=closed,
-        harmonics=harmonics,
-        start=start,
-        periods=periods,
-        torque_spread=torque_spread,
-        package_dirs=folders,
-        seed=seed,
-    )
+    asked: dict[str, Any] = {
+        "duration": duration,
+        "limits": limits,
+        "obstacles": around,
+        "collisions": collisions,
+        "friction": terms,
+        "prior": prior,
+        "previous": previous,
+        "noise": noise,
+        "purpose": purpose,
+        "objective": objective,
+        "motion": motion,
+        "closed": closed,
+        "harmonics": harmonics,
+        "start": start,
+        "periods": periods,
+        "torque_spread": torque_spread,
+        "package_dirs": folders,
+    }
+    task = Task.of(model, **asked, predict=predict, seed=seed)
     search = Search(
         space=task.space, criterion=task.criterion, limits=task.limits, start=task.start
     )
@@ -256,23 +254,7 @@ def design_excitation(
         notes=tuple(notes),
         settings=settings_of(
             robot=model.name if isinstance(robot, RobotModel) else robot,
-            duration=duration,
-            limits=limits,
-            obstacles=around,
-            collisions=collisions,
-            friction=terms,
-            prior=prior,
-            previous=_named(previous),
-            noise=noise,
-            purpose=purpose,
-            objective=objective,
-            motion=motion,
-            closed=closed,
-            harmonics=harmonics,
-            start=start,
-            periods=periods,
-            torque_spread=torque_spread,
-            package_dirs=folders,
+            **{**asked, "previous": _named(previous)},
             starts=starts,
             time_limit=time_limit,
             seed=seed,

@@ -230,7 +230,7 @@ class Task:
         """The distance that is kept between bodies, m."""
         return self.limits.clearance or 0.0
 
-    def trajectory(self, x: Array, periods: int | None = None) -> Trajectory:
+    def trajectory(self, x: Array) -> Trajectory:
         """Return the trajectory of free numbers x (N,)."""
         limits, duration = self.limits, self.space.duration
         return Trajectory(
@@ -238,7 +238,7 @@ class Task:
             series=self.space.curve(x),
             # Whole samples: the rate differs from the usual one by less than a sample a period.
             rate_hz=max(2, round(duration * RATE_HZ)) / duration,
-            periods=self.periods if periods is None else periods,
+            periods=self.periods,
             rest=0.0,
             connection=0.0,
             position_range=np.stack([limits.lower, limits.upper], axis=1),
