@@ -58,6 +58,7 @@ ROOMS = {
     "excitation": ["geometry", "limits", "criterion", "search", "expected", "plan", "design"],
     "assurance": [
         "certificate",
+        "log_proof",
         "intervals",
         "diagnostics",
         "tables",

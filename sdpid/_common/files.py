@@ -1,17 +1,22 @@
-"""Files that appear whole or not at all."""
+"""Files: written whole or not at all; known, when they were read, by their SHA-256."""
 
 from __future__ import annotations
 
 import contextlib
+import hashlib
 import os
 import secrets
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TypeAlias
+from typing import Any, TypeAlias
 
-from sdpid.errors import ExportError
+from sdpid.errors import DataError, ExportError
 
 PathLike: TypeAlias = "str | os.PathLike[str]"
+
+# Bytes hashed at a time.
+_BLOCK = 1 << 20
 
 
 def is_irregular(path: PathLike) -> bool:
@@ -88,3 +93,87 @@ def require_other_files(
             raise ExportError(
                 f"{option}: would write over {file}, which this run reads; choose another name."
             )
+
+
+@dataclass(frozen=True, kw_only=True)
+class Source:
+    """A file that was read.
+
+    Attributes
+    ----------
+    name : str
+        The file's name without its folder, or the name in a catalog that stands for it.
+    size : int
+        Bytes.
+    sha256 : str
+        Of the bytes; of a folder that of the SHA-256 and name of every file in it (see `of`).
+    options : mapping
+        How it was read: the arguments that read the same again, as plain values.
+    """
+
+    name: str
+    size: int
+    sha256: str
+    options: Mapping[str, Any] = field(default_factory=dict)
+
+    @classmethod
+    def of(cls, path: str | os.PathLike[str], options: Mapping[str, Any] | None = None) -> Source:
+        """Hash a file or a folder, whose files count in the order of their names.
+
+        A folder's digest is that of lines ``<SHA-256>  <relative path>``, as `sha256sum` prints.
+
+        Raises
+        ------
+        OSError
+            When it cannot be read.
+        """
+        whole = Path(path)
+        if not whole.is_dir():
+            return cls(name=whole.name, **_hashed(whole), options=options or {})
+        files = sorted(file.relative_to(whole).as_posix() for file in _files(whole))
+        found = [(name, _hashed(whole / name)) for name in files]
+        lines = "".join(f"{each['sha256']}  {name}\n" for name, each in found)
+        digest = hashlib.sha256(lines.encode("utf-8", "surrogateescape")).hexdigest()
+        size = sum(each["size"] for _, each in found)
+        return cls(name=whole.name, size=size, sha256=digest, options=options or {})
+
+    @classmethod
+    def of_bytes(cls, data: bytes, name: str, options: Mapping[str, Any] | None = None) -> Source:
+        """Hash what was read from a file of this name."""
+        digest = hashlib.sha256(data).hexdigest()
+        return cls(name=name, size=len(data), sha256=digest, options=options or {})
+
+
+@contextlib.contextmanager
+def unchanged(path: Path) -> Iterator[None]:
+    """Refuse a file, or a folder's files, that change while the block reads them.
+
+    Raises
+    ------
+    DataError
+        When one did: what was read may be neither the old nor the new content.
+    """
+    before = _states(path)
+    yield
+    if _states(path) != before:
+        raise DataError(f"{path}: changed while it was read; wait until it is written, and retry.")
+
+
+def _states(path: Path) -> list[tuple[str, int, int]]:
+    """Return name, size and time of the last change of a file, or of a folder's files."""
+    files = _files(path) if path.is_dir() else iter([path])
+    return sorted((str(f), (s := f.stat()).st_size, s.st_mtime_ns) for f in files if f.exists())
+
+
+def _files(folder: Path) -> Iterator[Path]:
+    return (path for path in folder.rglob("*") if path.is_file())
+
+
+def _hashed(path: Path) -> dict[str, Any]:
+    """Return size and SHA-256 of a file."""
+    digest, size = hashlib.sha256(), 0
+    with path.open("rb") as file:
+        while block := file.read(_BLOCK):
+            digest.update(block)
+            size += len(block)
+    return {"size": size, "sha256": digest.hexdigest()}

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import Any
 
+from sdpid._common.tables import plain
 from sdpid.errors import DataError
 from sdpid.experiment.readers.column_names import CONVENTIONS
 from sdpid.experiment.readers.mapping import find_mapping, read_mapping
@@ -49,6 +50,15 @@ class Arguments:
             "scaled": self.scaled,
             "timeless": self.rate_hz is not None,
         }
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the arguments that differ from their defaults, as plain values.
+
+        ``read_recording(path, mapping=False, **arguments)`` reads the same again.
+        """
+        given = {each.name: plain(getattr(self, each.name)) for each in fields(self)}
+        standard = plain(vars(Arguments()))
+        return {name: value for name, value in given.items() if value != standard[name]}
 
 
 def complete_arguments(

@@ -8,18 +8,19 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, TypeAlias, overload
 
+from sdpid._common.files import Source, unchanged
 from sdpid.errors import DataError
 from sdpid.experiment.readers.arguments import Arguments, complete_arguments
 from sdpid.experiment.readers.conversion import convert
 from sdpid.experiment.readers.formats.loaders import LOADERS, load_frame
 from sdpid.experiment.readers.selection import read_selection, select
 from sdpid.experiment.readers.table import row_number
-from sdpid.experiment.recording.recording import Recording
+from sdpid.experiment.recording.recording import Recording, with_source
 
 __all__ = ["Reading", "is_frame", "read_described", "read_recording"]
 
 # A file, or a data frame of pandas or polars.
-Source: TypeAlias = "str | os.PathLike[str] | Any"
+Readable: TypeAlias = "str | os.PathLike[str] | Any"
 
 # Formats whose loaders choose among topics and joints.
 _BAGS = (".db3", ".mcap", ".bag")
@@ -50,7 +51,7 @@ class Reading:
 @overload
 def read_recording(path: Sequence[str | os.PathLike[str]], **how: Any) -> list[Recording]: ...
 @overload
-def read_recording(path: Source, **how: Any) -> Recording: ...
+def read_recording(path: Readable, **how: Any) -> Recording: ...
 def read_recording(path: Any, **how: Any) -> Any:
     """Read a log, or several that were logged in the same way.
 
@@ -137,7 +138,7 @@ def read_recording(path: Any, **how: Any) -> Any:
 
 
 def read_described(
-    path: Source,
+    path: Readable,
     *,
     mapping: str | os.PathLike[str] | Mapping[str, Any] | bool | None = None,
     stored: bool | None = None,
@@ -156,11 +157,14 @@ def read_described(
     place: Callable[[int], str] = row_number
     if frame:
         found = select(file, load_frame(path), **arguments.selection)
+        recording, sources = convert(file, found, arguments, place)
     else:
         suffix = _suffix(file)
         choices = _choices(file, suffix, arguments, stored)
-        found, place = read_selection(file, suffix, choices, arguments.selection)
-    recording, sources = convert(file, found, arguments, place)
+        with unchanged(file):
+            found, place = read_selection(file, suffix, choices, arguments.selection)
+            recording, sources = convert(file, found, arguments, place)
+            recording = with_source(recording, Source.of(file, arguments.to_dict()))
     return Reading(recording=recording, file=str(file), mapping=mapped, sources=sources)
 
 

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from sdpid._common.arrays import Array, frozen_view, real_array
+from sdpid._common.files import Source
 from sdpid._common.text import printable
 from sdpid.errors import DataError
 from sdpid.experiment.recording.stored import StoredArray
@@ -60,6 +61,9 @@ class Recording:
     ----------
     stamps : Stamps
         The time stamps in numbers.
+    source : Source or None
+        The file that `read_recording` made it of, and how; None for arrays, and for a recording
+        that was changed since.
 
     Raises
     ------
@@ -79,6 +83,7 @@ class Recording:
     periods: int | None = None
     notes: tuple[str, ...] = ()
     stamps: Stamps = field(init=False)
+    source: Source | None = field(init=False, default=None)
 
     def __post_init__(self) -> None:
         for name in ("time", "position", "effort"):
@@ -249,6 +254,14 @@ def renamed(log: Recording, names: tuple[str, ...]) -> Recording:
         return log
     result = copy(log)
     object.__setattr__(result, "joint_names", checked_names(names, log.n))
+    object.__setattr__(result, "source", None)
+    return result
+
+
+def with_source(log: Recording, source: Source) -> Recording:
+    """Return a recording that knows the file it was read from."""
+    result = copy(log)
+    object.__setattr__(result, "source", source)
     return result
 
 

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from sdpid._common.files import Source
 from sdpid.errors import ModelError
 
 # The largest robot description seen in the wild is below 1 MB; this bounds a hostile one.
@@ -35,11 +36,14 @@ class Description:
         The file, None for text.
     what : str
         What it is called in messages.
+    source : Source or None
+        The file's name, size and SHA-256; of text those of its UTF-8, without a name.
     """
 
     text: str
     path: Path | None
     what: str
+    source: Source | None = None
 
 
 def is_xml(source: object) -> bool:
@@ -57,7 +61,8 @@ def read_description(source: str | os.PathLike[str]) -> Description:
         that it declares.
     """
     if isinstance(source, str) and is_xml(source):
-        return Description(source, None, "description")
+        origin = Source.of_bytes(source.encode("utf-8", "surrogatepass"), "")
+        return Description(source, None, "description", origin)
     path = Path(source)
     try:
         if path.exists() and not path.is_file():
@@ -68,7 +73,8 @@ def read_description(source: str | os.PathLike[str]) -> Description:
         raise ModelError(f"cannot read {path}: {cause}.") from None
     if len(data) > MAX_BYTES:
         raise ModelError(f"{path}: more than the {MAX_BYTES} bytes of XML that are allowed.")
-    return Description(decode_xml(data, path.name), path, path.name)
+    origin = Source.of_bytes(data, path.name)
+    return Description(decode_xml(data, path.name), path, path.name, origin)
 
 
 def decode_xml(data: bytes, what: str) -> str:

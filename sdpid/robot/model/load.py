@@ -8,6 +8,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any, Literal
 
+from sdpid._common.files import Source
 from sdpid.errors import ModelError
 from sdpid.robot.description.catalog import bundled_folder, bundled_robots, find_robot
 from sdpid.robot.description.dh_table import DhTable
@@ -67,6 +68,7 @@ def load_robot(
     found, default_gravity = _find(source)
     if gravity is None:
         gravity = default_gravity
+    origin = _origin(source, found, root, xacro_args)
     if is_xacro(found):
         found = expand_xacro(found, xacro_args)
     elif xacro_args is not None:
@@ -74,14 +76,16 @@ def load_robot(
     if not is_mjcf(found.text, found.what):
         floating = root is not None
         model, mimics = pinocchio_from_urdf(found.text, found.what, floating=floating)
-        return RobotModel.from_pinocchio(model, gravity=gravity, mimics=mimics, urdf=found.text)
+        robot = RobotModel.from_pinocchio(model, gravity=gravity, mimics=mimics, urdf=found.text)
+        return replace(robot, source=origin)
     if root is not None:
         raise ModelError(
             f"{found.what}: an MJCF says itself whether its base floats; leave root out, and give "
             "its first body a <freejoint/>."
         )
     model, mimics = pinocchio_from_mjcf(found.text, found.path, found.what)
-    return RobotModel.from_pinocchio(model, gravity=gravity, mimics=mimics)
+    robot = RobotModel.from_pinocchio(model, gravity=gravity, mimics=mimics)
+    return replace(robot, source=origin)
 
 
 def _find(source: str | os.PathLike[str]) -> tuple[Description, Sequence[float] | None]:
@@ -93,6 +97,24 @@ def _find(source: str | os.PathLike[str]) -> tuple[Description, Sequence[float] 
         if not _is_file(Path(source)):
             return read_description(find_robot(source)), None
     return read_description(source), None
+
+
+def _origin(
+    source: str | os.PathLike[str],
+    found: Description,
+    root: Root | None,
+    xacro_args: Mapping[str, str] | None,
+) -> Source | None:
+    """Return the description's file or catalog name, and the options that load it again."""
+    if found.source is None:
+        return None
+    options: dict[str, Any] = {} if root is None else {"root": root}
+    if xacro_args:
+        options["xacro_args"] = {str(key): str(value) for key, value in xacro_args.items()}
+    if found.path is None or found.path == Path(source):
+        return replace(found.source, options=options)
+    # A name in a catalog: whoever has the catalog needs no file.
+    return replace(found.source, name=str(source), options={**options, "catalog": True})
 
 
 def _is_file(path: Path) -> bool:

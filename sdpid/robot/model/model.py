@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from sdpid._common.arrays import Array, Indices, frozen, real_array
+from sdpid._common.files import Source
 from sdpid.errors import DataError, ModelError
 from sdpid.robot.description.dh_table import DhTable
 from sdpid.robot.description.urdf import Mimic, pinocchio_from_urdf
@@ -46,6 +47,8 @@ class RobotModel:
         Positions of Pinocchio's joints at zero coordinates (mimic offsets).
     urdf : str or None
         Text of the description, where there is one.
+    source : Source or None
+        The description that `load_robot` read, and how; None for a robot from elsewhere.
     """
 
     name: str
@@ -56,6 +59,7 @@ class RobotModel:
     expansion: Array
     offset: Array
     urdf: str | None = None
+    source: Source | None = None
 
     @classmethod
     def from_mdh(

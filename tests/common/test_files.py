@@ -1,0 +1,42 @@
+"""Files that were read are known by the SHA-256 of their bytes."""
+
+from __future__ import annotations
+
+import hashlib
+from pathlib import Path
+
+import pytest
+
+from sdpid._common.files import Source, unchanged
+from sdpid.errors import DataError
+
+
+def test_a_file_has_the_digest_of_its_bytes(tmp_path: Path) -> None:
+    file = tmp_path / "run.csv"
+    file.write_bytes(b"t,q1\n" * 1000)
+    found = Source.of(file)
+    assert (found.name, found.size) == ("run.csv", 5000)
+    assert found.sha256 == hashlib.sha256(file.read_bytes()).hexdigest()
+    assert found == Source.of_bytes(file.read_bytes(), "run.csv")
+
+
+def test_a_folder_counts_the_names_and_bytes_of_its_files(tmp_path: Path) -> None:
+    for number in range(2):
+        folder = tmp_path / str(number)
+        (folder / "deeper").mkdir(parents=True)
+        (folder / "a.db3").write_bytes(b"1")
+        (folder / "deeper" / "b.db3").write_bytes(b"23")
+    first, second = (Source.of(tmp_path / name) for name in "01")
+    assert first.sha256 == second.sha256
+    assert first.size == 3
+    (tmp_path / "1" / "a.db3").rename(tmp_path / "1" / "c.db3")
+    assert Source.of(tmp_path / "1").sha256 != first.sha256
+
+
+def test_a_file_that_grows_while_it_is_read_is_refused(tmp_path: Path) -> None:
+    file = tmp_path / "run.csv"
+    file.write_bytes(b"1")
+    with unchanged(file):
+        pass
+    with pytest.raises(DataError, match=r"run\.csv: changed while it was read"), unchanged(file):
+        file.write_bytes(b"12")
