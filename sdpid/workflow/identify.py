@@ -14,6 +14,8 @@ from sdpid.assurance.diagnostics.collinear_friction import collinear_friction, i
 from sdpid.assurance.diagnostics.held_out import hold_out
 from sdpid.assurance.diagnostics.validation import validate
 from sdpid.assurance.intervals.intervals import Intervals, Method, confidence_intervals
+from sdpid.assurance.log_proof.inputs import input_files
+from sdpid.assurance.log_proof.recipe import recipe_or_reason
 from sdpid.errors import DataError, IdentifiabilityError, SolverError
 from sdpid.estimation.compression.covariance import Weighting
 from sdpid.estimation.constraints.constraints import Constraints
@@ -170,6 +172,7 @@ def identify(
             **formulation,
         )
     predicted = None if fresh is None else validate(estimate, fresh.samples)
+    recipe, no_recipe = recipe_or_reason(problem, prepared)
     return Identification(
         problem=problem,
         wls=wls,
@@ -185,6 +188,9 @@ def identify(
         intervals_note=intervals_note,
         notes=tuple(notes),
         findings=findings,
+        inputs=tuple(input_files(model, prepared.logs, () if fresh is None else fresh.logs)),
+        recipe=recipe,
+        recipe_note=no_recipe,
     )
 
 

@@ -14,6 +14,7 @@ from sdpid.assurance.diagnostics.active_constraints import constraint_states
 from sdpid.assurance.diagnostics.held_out import HeldOut
 from sdpid.assurance.diagnostics.validation import Validation
 from sdpid.assurance.intervals.intervals import Intervals
+from sdpid.assurance.log_proof.recipe import Recipe
 from sdpid.estimation.effects.tried import Tried
 from sdpid.estimation.estimate import Estimate
 from sdpid.estimation.problem import Problem, describe
@@ -66,6 +67,12 @@ class Identification:
         The choices that were made, and the findings, in words.
     findings : tuple of Finding
         Findings of the inspection of the recordings (see `sdpid.inspect_recording`).
+    inputs : tuple of dict
+        Role, name, bytes and SHA-256 of the robot's description and of every recording.
+    recipe : Recipe or None
+        How the rows are made of the recordings, for who checks the result from the log.
+    recipe_note : str or None
+        Why there is no recipe.
     """
 
     problem: Problem
@@ -82,6 +89,9 @@ class Identification:
     intervals_note: str | None = None
     notes: tuple[str, ...] = ()
     findings: tuple[Finding, ...] = ()
+    inputs: tuple[dict[str, Any], ...] = ()
+    recipe: Recipe | None = None
+    recipe_note: str | None = None
 
     def __repr__(self) -> str:
         """Return the robot, the residual and the proof in a line."""

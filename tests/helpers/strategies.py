@@ -15,6 +15,19 @@ from hypothesis.extra import numpy as hnp
 
 from sdpid._common.arrays import Array
 from sdpid.robot.description.dh_table import DhJoint, DhTable
+from sdpid.robot.friction.posed import LoadFriction, Tilt
+from sdpid.robot.friction.term import FrictionTerm
+from sdpid.robot.friction.terms import (
+    AsymmetricCoulomb,
+    Coulomb,
+    Coupling,
+    Offset,
+    RotorInertia,
+    SigmoidFriction,
+    SquareRootFriction,
+    Stribeck,
+    Viscous,
+)
 from sdpid.robot.inertia import point_masses, transform
 
 # A core of six equal masses on the axes makes every body three-dimensional: its own second
@@ -131,3 +144,25 @@ def random_states(rng: np.random.Generator, n: int, count: int) -> tuple[Array, 
         rng.uniform(-3.0, 3.0, (count, n)),
         rng.uniform(-10.0, 10.0, (count, n)),
     )
+
+
+@st.composite
+def friction_terms_of(draw: st.DrawFn, n: int) -> FrictionTerm:
+    """One friction term of any kind for n joints, its numbers given or chosen joint by joint."""
+    speed = reals(1e-3, 10.0)
+    each = st.one_of(speed, st.tuples(*[speed] * n))
+    width = st.one_of(st.just(0.0), each)
+    bodies = st.none() | st.tuples(*[st.tuples(*[reals(-2.0, 2.0)] * 10)] * n)
+    shares = st.tuples(*[reals(0.0, 1.0)] * n)
+    kinds = (
+        st.builds(Coulomb, width=width, dead_zone=st.sampled_from([0.0, 0.05])),
+        st.builds(AsymmetricCoulomb, width=width),
+        st.sampled_from([Viscous(), Offset(), RotorInertia(), SquareRootFriction()]),
+        st.builds(SigmoidFriction, velocity=each),
+        st.builds(Stribeck, velocity=each, exponent=reals(0.5, 2.0), width=width),
+        st.builds(Coupling, first=st.just("b"), second=st.just("c"), width=speed),
+        st.builds(Tilt, bodies=bodies),
+        st.builds(LoadFriction, bodies=bodies, width=width),
+        st.builds(LoadFriction, share=shares, velocity=st.tuples(*[speed] * n)),
+    )
+    return draw(st.one_of(kinds))

@@ -1,0 +1,62 @@
+"""What a run was given: files by their SHA-256, and recordings in memory by theirs."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from sdpid._common.files import Source
+from sdpid._common.tables import plain
+from sdpid.experiment.recording.recording import Recording
+from sdpid.experiment.recording.stored import blocks
+from sdpid.robot.model.digest import kinematics_digest
+from sdpid.robot.model.model import RobotModel
+
+
+def input_files(
+    robot: RobotModel, logs: Sequence[Recording], validation: Sequence[Recording] = ()
+) -> list[dict[str, Any]]:
+    """Return role, name, bytes and SHA-256 of the robot's description and of every log, in order.
+
+    What came from no file has neither name nor bytes; its SHA-256 is that of its numbers
+    (`recording_digest`, `kinematics_digest`).
+    """
+    described = _entry("robot", robot.source, kinematics_digest(robot))
+    return [
+        *(log_entry(log, "log") for log in logs),
+        *(log_entry(log, "validation") for log in validation),
+        described,
+    ]
+
+
+def log_entry(log: Recording, role: str) -> dict[str, Any]:
+    """Return role, name, bytes and SHA-256 of a recording."""
+    return _entry(role, log.source, None if log.source else recording_digest(log))
+
+
+def _entry(role: str, source: Source | None, of_numbers: str | None) -> dict[str, Any]:
+    if source is None:
+        return {"role": role, "name": None, "bytes": None, "sha256": of_numbers}
+    name = source.name or None
+    return {"role": role, "name": name, "bytes": source.size, "sha256": source.sha256}
+
+
+def recording_digest(log: Recording) -> str:
+    """Return the SHA-256 of a recording's numbers: its names and periods, then its arrays.
+
+    Arrays count as their shape and little-endian doubles, row by row.
+    """
+    stated = plain({name: getattr(log, name) for name in ("period", "start", "periods")})
+    stated["joints"] = plain(log.joint_names)
+    digest = hashlib.sha256(json.dumps(stated, sort_keys=True).encode("ascii"))
+    for name in ("time", "position", "effort", "velocity"):
+        values = getattr(log, name)
+        shape = None if values is None else list(values.shape)
+        digest.update(f"\n{name} {shape}\n".encode())
+        for _, part in () if values is None else blocks(values):
+            digest.update(np.ascontiguousarray(part, dtype="<f8").data)
+    return digest.hexdigest()
