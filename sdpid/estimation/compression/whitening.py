@@ -50,7 +50,11 @@ def whiten(
 
     With a diagonal Sigma and nothing masked they are multiplied in place.
     """
-    powers, index = weights(sigma, mask, exponent)
+    return apply(*weights(sigma, mask, exponent), rows, out)
+
+
+def apply(powers: Array, index: Indices, rows: Array, out: Array | None = None) -> Array:
+    """Return every sample's rows (k, n, c) times its power, which `weights` found; as `whiten`."""
     if len(powers) > 1:
         return np.matmul(powers[index], rows, out=out)
     scale = np.diagonal(powers[0])

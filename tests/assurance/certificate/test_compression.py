@@ -1,0 +1,320 @@
+"""The compressed cost and that of the rows, compared without rounding wherever it is claimed."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+from fractions import Fraction
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from sdpid._common.arrays import Array, Mask
+from sdpid.assurance.certificate.compression import (
+    UNPROVEN,
+    Compression,
+    base_limit,
+    enclose_compression,
+    prove_compression,
+)
+from sdpid.assurance.certificate.row_sums import whitener_error
+from sdpid.estimation.compression.covariance import WEIGHTINGS, Weighting
+from sdpid.estimation.compression.triangle import Triangle
+from sdpid.estimation.compression.whitening import whiten
+from sdpid.estimation.problem import Problem, build_problem
+from tests.helpers.arm import ARM, arm_problem
+from tests.helpers.data import make_samples, random_covariance, random_theta
+
+Numbers = list[Fraction]
+
+
+def fractions(values: Any) -> Any:
+    """Return exact values of an array, in nested lists."""
+    return [fractions(x) for x in values] if np.ndim(values) else Fraction(float(values))
+
+
+def times(matrix: Any, vector: Numbers) -> Numbers:
+    """Return matrix·vector."""
+    return [sum((a * b for a, b in zip(row, vector, strict=True)), Fraction(0)) for row in matrix]
+
+
+def squared(vector: Numbers) -> Fraction:
+    """Return ‖vector‖²."""
+    return sum((x * x for x in vector), Fraction(0))
+
+
+def solve(matrix: Any, vector: Numbers) -> Numbers:
+    """Return matrix^-1·vector, by elimination."""
+    rows = [[*row, x] for row, x in zip(matrix, vector, strict=True)]
+    for k in range(len(rows)):
+        rows[k] = [x / rows[k][k] for x in rows[k]]
+        for i in range(len(rows)):
+            if i != k:
+                rows[i] = [x - rows[i][k] * y for x, y in zip(rows[i], rows[k], strict=True)]
+    return [row[-1] for row in rows]
+
+
+@dataclass(frozen=True)
+class GivenRows:
+    """Rows (K, n, c) that are given as they are, in chunks of any size, and in several pieces."""
+
+    block: Array
+    used: Mask
+    chunk_size: int
+    pieces: int = 1
+
+    @property
+    def robot(self) -> Any:
+        return SimpleNamespace(n=self.block.shape[1])
+
+    @property
+    def base(self) -> Any:
+        return SimpleNamespace(count=self.block.shape[2] - 1)
+
+    @property
+    def samples(self) -> Any:
+        return SimpleNamespace(effort=self.block[:, :, -1])
+
+    def parts(self, size: int) -> Iterator[slice]:
+        for start in range(0, len(self.block), size):
+            yield slice(start, min(start + size, len(self.block)))
+
+    def mask(self, part: slice) -> Mask:
+        return self.used[part]
+
+    def rows(self, part: slice, out: Array) -> Array:
+        found = out[: len(self.block[part])]
+        found[:] = self.block[part]
+        return found
+
+    def map(self, function: Callable[..., Any], *arguments: object, sigma: Array) -> list[Any]:
+        found = []
+        for part in np.array_split(np.arange(len(self.block)), self.pieces):
+            own = replace(self, block=self.block[part], used=self.used[part])
+            found.append(function(own, sigma if sigma.ndim == 2 else sigma[part], *arguments))
+        return found
+
+    def cost(self, sigma: Array, weighting: Weighting, base: Array) -> Fraction:
+        """Return the cost of the rows without rounding; for eq9 `sigma` is the root."""
+        z = [*fractions(base), Fraction(-1)]
+        total, normal = Fraction(0), [Fraction(0)] * len(base)
+        for k, (block, used) in enumerate(zip(self.block, self.used, strict=True)):
+            own = fractions(block[used])
+            left = times(own, z)
+            covariance = (sigma if sigma.ndim == 2 else sigma[k])[np.ix_(used, used)]
+            weighted = solve(fractions(covariance), left)
+            total += sum((x * y for x, y in zip(left, weighted, strict=True)), Fraction(0))
+            columns = [list(column) for column in zip(*own, strict=True)][:-1]
+            if columns:
+                added = times(columns, weighted)
+                normal = [x + y for x, y in zip(normal, added, strict=True)]
+        return total if weighting == "gls" else squared(normal)
+
+    def compressed(self, sigma: Array, weighting: Weighting) -> tuple[Array, Array, float]:
+        """Return A, rhs and floor as `build_problem` does."""
+        columns = self.block.shape[2]
+        exponent = -0.25 if weighting == "eq9" else -0.5
+        flat = whiten(self.block.copy(), sigma, self.used, exponent).reshape(-1, columns)
+        if weighting != "gls":
+            H = flat[:, :-1].T @ flat
+            return H[:, :-1], H[:, -1], 0.0
+        triangle = Triangle(columns)
+        triangle.add(flat)
+        return triangle.split()
+
+
+def compressed_cost(A: Array, rhs: Array, floor: float, base: Array) -> Fraction:
+    """Return ``‖A @ base − rhs‖² + floor`` without rounding."""
+    reached = times(fractions(A), fractions(base))
+    return squared([x - y for x, y in zip(reached, fractions(rhs), strict=True)]) + Fraction(floor)
+
+
+def holds(found: Compression, of_rows: Fraction, compressed: Fraction) -> bool:
+    """Whether the two costs of one point are as near as is claimed."""
+    share, constant = Fraction(found.relative), Fraction(found.absolute)
+    return abs(of_rows - compressed) <= share * compressed + constant
+
+
+SEEDS = st.integers(0, 2**32 - 1)
+
+
+def random_rows(rng: np.random.Generator, *, columns: int, count: int) -> GivenRows:
+    """Return rows with columns of very different size, some of which depend on each other."""
+    n = int(rng.integers(1, 4))
+    scale = 10.0 ** rng.uniform(-4, 4, columns)
+    block = rng.standard_normal((count, n, columns))
+    if columns > 2 and rng.random() < 0.5:
+        block[..., 1] = block[..., 0] + 10.0 ** rng.uniform(-18, 0) * block[..., 1]
+    if rng.random() < 0.3:
+        block[..., -1] = block[..., :-1] @ rng.standard_normal(columns - 1)
+    if rng.random() < 0.2:
+        block[..., 0] = 0.0
+    used = rng.random((count, n)) < rng.choice([0.7, 1.0])
+    size, pieces = int(rng.integers(1, count + 1)), int(rng.integers(1, min(count, 2) + 1))
+    return GivenRows(scale * block, used, size, pieces)
+
+
+def mirrored(matrix: Array) -> Array:
+    """Return symmetric matrices with the lower triangles of given ones."""
+    return np.asarray(np.tril(matrix) + np.swapaxes(np.tril(matrix, -1), -1, -2))
+
+
+def covariances(rng: np.random.Generator, rows: GivenRows, weighting: Weighting) -> Array:
+    """Return one covariance for all samples, or one a sample, with joints of different size.
+
+    For eq9 their roots, of small integers: then the covariance is right to the last bit.
+    """
+    count, n = rows.block.shape[:2]
+    each = count if rng.random() < 0.5 else None
+    if weighting == "eq9":
+        root = np.asarray(rng.integers(-3, 4, (n, n) if each is None else (count, n, n)), float)
+        return mirrored(root) + 30.0 * np.eye(n) * rng.integers(1, 30, n)
+    scale = 10.0 ** rng.uniform(-2, 2, n)
+    return mirrored(scale[:, None] * random_covariance(rng, n, each) * scale)
+
+
+@pytest.mark.parametrize("weighting", ["gls", "eq9", "eq18"])
+@given(seed=SEEDS)
+def test_no_point_of_the_box_leaves_the_enclosure(weighting: Weighting, seed: int) -> None:
+    """Whatever A, rhs and floor are: those of the rows, or spoiled in any digit."""
+    rng = np.random.default_rng(seed)
+    rows = random_rows(rng, columns=int(rng.integers(2, 5)), count=int(rng.integers(1, 9)))
+    given = covariances(rng, rows, weighting)
+    if weighting == "eq9":
+        # The root of a part of a covariance is no part of the root.
+        rows = replace(rows, used=np.repeat(rows.used[:, :1], rows.used.shape[1], axis=1))
+    sigma = given @ given if weighting == "eq9" else given
+    A, rhs, floor = rows.compressed(sigma, weighting)
+    spoil = rng.choice([0.0, 1e-14, 1e-8, 1e-2])
+    A = A * (1.0 + spoil * rng.standard_normal(A.shape))
+    rhs, floor = rhs * (1.0 + spoil * rng.standard_normal()), floor * (1.0 + spoil * rng.random())
+    limit = 10.0 ** rng.uniform(-2, 4, len(rhs)) * (rng.random(len(rhs)) < 0.9)
+    found = enclose_compression(rows, sigma, weighting, A=A, rhs=rhs, floor=floor, base_limit=limit)
+    if not found.proven:
+        return
+    best = np.linalg.lstsq(A, rhs)[0]
+    points = [np.zeros(len(limit)), limit, -limit, rng.uniform(-limit, limit), best]
+    points += list(best + np.linalg.svd(A)[2] * limit.max())
+    for point in points:
+        base = np.clip(point, -limit, limit)
+        of_rows = rows.cost(given, weighting, base)
+        assert holds(found, of_rows, compressed_cost(A, rhs, floor, base))
+
+
+@pytest.mark.parametrize("exponent", [-0.5, -0.25])
+@given(seed=SEEDS)
+def test_the_error_of_a_whitener_covers_the_exact_one(exponent: float, seed: int) -> None:
+    """A diagonal covariance that is a fourth power: its powers have no rounding but our own."""
+    rng = np.random.default_rng(seed)
+    root = 2.0 ** rng.integers(-8, 9, (1, 3))
+    used = rng.random((1, 3)) < 0.8
+    sigma = np.eye(3) * root[:, :, None] ** 4
+    spoil = rng.choice([0.0, 1e-15, 1e-8, 1e-2]) * rng.standard_normal((1, 3))
+    V = np.eye(3) * (used * root ** (4 * exponent) * (1.0 + spoil))[:, :, None]
+    found, enlarged = whitener_error(V, sigma, used, exponent)
+    # The exact weight is (E + J) times that of V.
+    exact = [
+        abs(Fraction(s) ** int(8 * exponent) / Fraction(v) ** 2 - 1)
+        for s, v, u in zip(root[0], np.diagonal(V[0]), used[0], strict=True)
+        if u
+    ]
+    assert all(value <= Fraction(found) for value in exact)
+    assert found <= 30.0 * np.abs(spoil * used).max() + 1e-12
+    assert enlarged == pytest.approx(np.sqrt(3.0), rel=1e-4)
+
+
+def problem_of(weighting: Weighting, **others: Any) -> Problem:
+    """Return a problem of noisy samples of the small arm, with masked rows."""
+    rng = np.random.default_rng(5)
+    theta = random_theta(ARM, rng)
+    each = 300 if weighting in ("gls_per_sample", "eq9", "eq18") else None
+    fields: dict[str, Any] = {
+        "count": 300,
+        "noise": 0.05,
+        "covariance": None if weighting == "residual" else random_covariance(rng, 2, each),
+        "mask": rng.random((300, 2)) < 0.9,
+        **others,
+    }
+    return build_problem(ARM, make_samples(ARM, theta, rng, **fields), weighting=weighting)
+
+
+@pytest.mark.parametrize("weighting", WEIGHTINGS)
+def test_what_a_problem_was_compressed_to_is_near_its_rows(weighting: Weighting) -> None:
+    problem = problem_of(weighting)
+    found = prove_compression(problem)
+    assert found is not None
+    # Normal equations square the condition number.
+    limit = 1e-7 if weighting in ("eq9", "eq18") else 1e-10
+    least = max(problem.floor, 1e-6 * float(problem.rhs @ problem.rhs))
+    assert 0.0 < found.relative < limit
+    assert 0.0 < found.absolute < 2.0 * limit * least
+
+
+@pytest.mark.parametrize("weighting", WEIGHTINGS)
+def test_efforts_without_noise_and_directions_without_data(weighting: Weighting) -> None:
+    """Costs next to zero, a joint without rows, and a base parameter that nothing shows."""
+    mask = np.ones((300, 2), dtype=bool)
+    mask[:, 1] = False
+    assert prove_compression(problem_of(weighting, noise=0.0)) is not None
+    rng = np.random.default_rng(6)
+    samples = make_samples(ARM, random_theta(ARM, rng), rng, count=300, noise=0.0, mask=mask)
+    weighting_known = "gls" if weighting == "gls_per_sample" else weighting
+    blind = build_problem(ARM, samples, weighting=weighting_known, check_excitation=False)
+    assert np.linalg.matrix_rank(blind.A) < blind.base.count
+    found = prove_compression(blind)
+    assert found is not None
+    assert found.relative < 1e-6
+
+
+def enclosed(problem: Problem, **others: Any) -> Compression:
+    """Return the enclosure of a problem's rows by another compressed cost."""
+    feasible = problem.feasible
+    given: dict[str, Any] = {
+        "A": problem.A,
+        "rhs": problem.rhs,
+        "floor": problem.floor,
+        "base_limit": base_limit(problem.base.matrix, feasible.lower, feasible.upper),
+        **others,
+    }
+    assert problem.rows is not None
+    return enclose_compression(problem.rows, problem.sigma, problem.weighting, **given)
+
+
+def test_forged_compressions_are_far_from_the_rows() -> None:
+    problem = arm_problem()
+    honest = enclosed(problem)
+    assert honest.relative < 1e-9
+    # Optimal for other rows: the cost at a bad theta is right, and nowhere else.
+    bad = problem.base_of(np.full(problem.n_theta, 0.3))
+    forged = enclosed(problem, rhs=problem.A @ bad, floor=problem.cost(bad))
+    assert forged == UNPROVEN
+    # One digit of A.
+    A = np.array(problem.A)
+    A[0, 0] *= 1.0 + 1e-6
+    changed = enclosed(problem, A=A)
+    assert changed.relative > 1e-7
+    # Another log's rows.
+    assert enclosed(problem_of("gls"), A=problem.A, rhs=problem.rhs).relative > 1e-2
+    for name, value in (("floor", -1.0), ("floor", np.nan), ("rhs", problem.rhs * np.inf)):
+        assert enclosed(problem, **{name: value}) == UNPROVEN
+
+
+def test_a_compression_holds_in_chunks_and_pieces_of_every_size() -> None:
+    problem = problem_of("gls")
+    assert problem.rows is not None
+    s = problem.samples
+    block = problem.rows.rows(slice(None))  # type: ignore[attr-defined]
+    found = [
+        enclosed(replace(problem, rows=GivenRows(block, s.mask, size, pieces)))
+        for size in (1, 7, 300)
+        for pieces in (1, 3)
+    ]
+    assert all(0.0 < each.relative < 1e-10 for each in found)
+
+
+def test_a_problem_without_rows_proves_nothing() -> None:
+    assert prove_compression(arm_problem().without_rows()) is None
