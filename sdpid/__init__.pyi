@@ -1,5 +1,5 @@
 from . import constraints, errors, friction, plots
-from .assurance.certificate.certificate import certify, verify
+from .assurance.certificate.certificate import certify
 from .assurance.descriptions.audit import audit_urdf
 from .assurance.diagnostics.cost_of_constraints import cost_of_constraints
 from .assurance.diagnostics.mass_matrix import smallest_mass_eigenvalue
@@ -40,6 +40,7 @@ from .workflow.adapt import adapt
 from .workflow.comparison import compare
 from .workflow.cross_validation import cross_validate
 from .workflow.identify import identify
+from .workflow.verify import verify
 
 __version__: str
 

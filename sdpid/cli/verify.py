@@ -22,14 +22,13 @@ def verify(
 
     Ends with status 1 when the proof does not hold.
     """
-    from sdpid.assurance.certificate.certificate import verify as run
+    from sdpid.workflow.verify import verify as run
 
     verification = run(certificate)
-    statements = map(printable, verification.statements)
-    verdict = "PROVEN." if verification.passed else "NOT PROVEN."
-    printing.show(verification, "\n".join((*statements, verdict)))
+    lines = map(printable, verification.lines)
+    printing.show(verification, "\n".join(lines))
     if not verification.passed:
         reasons = "; ".join(verification.problems)
-        text = f"sdpid: {certificate}: the certificate does not hold: {reasons}."
+        text = f"sdpid: {certificate}: the proof does not hold: {reasons}."
         typer.echo(printable(text), err=True)
         raise typer.Exit(OURS)

@@ -158,6 +158,7 @@ def identify(
         estimate = solve_sdp(problem)
         advance(1)
         certificate = certify(estimate)
+        estimate = certificate.certified
         advance(1)
         confidence, intervals_note = _intervals(estimate, intervals)
         advance(1)

@@ -16,7 +16,6 @@ from typer.testing import CliRunner, Result
 
 import sdpid
 from sdpid import cli
-from sdpid.assurance.certificate import verify
 from sdpid.cli import endings, printing, values
 from sdpid.errors import ModelError
 from sdpid.experiment.plant.simulate import true_parameters
@@ -303,7 +302,7 @@ def test_verify(results: Path, tmp_path: Path) -> None:
     done = run("verify", tmp_path / "forged.json", "--json")
     assert done.exit_code == 1
     assert json.loads(done.stdout)["passed"] is False
-    refused(run("verify", results / "result.json"), 2, "not a certificate")
+    refused(run("verify", results / "result.json"), 2, "not a proof")
 
 
 def test_validate(results: Path, log: Path, tmp_path: Path) -> None:
@@ -589,15 +588,15 @@ def test_what_a_terminal_would_obey_is_not_printed(
     results: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Names from files: escapes, a reversed line, and a line of its own that claims a proof."""
-    from sdpid.assurance.certificate import certificate
+    from sdpid.workflow import verify as module
 
     forged = replace(
-        certificate.verify(results / "certificate.json"),
+        module.verify(results / "certificate.json"),
         passed=False,
         statements=(f"Robot {HOSTILE}",),
         problems=(HOSTILE,),
     )
-    monkeypatch.setattr(certificate, "verify", lambda _: forged)
+    monkeypatch.setattr(module, "verify", lambda _: forged)
     done = run("verify", results / "certificate.json")
     assert done.exit_code == 1
     assert done.stdout.splitlines()[-1] == "NOT PROVEN."
@@ -656,7 +655,7 @@ def test_what_may_never_end_is_not_read(tmp_path: Path, kind: str) -> None:
         else:
             (tmp_path / name).symlink_to("/dev/zero")
     proof, table, robot = (str(tmp_path / n) for n in ("proof.json", "table.csv", "arm.urdf"))
-    script = [sys.executable, verify.__file__, proof]
+    script = [sys.executable, str(Path(sdpid.verifier.__path__[0])), proof]
     refusals = [
         shell("verify", proof),
         shell("audit", table, "--robot", "denso_vp6242"),

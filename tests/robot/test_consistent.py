@@ -9,9 +9,9 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
 from sdpid._common.arrays import Array
-from sdpid.assurance.certificate.verify import has_margin
 from sdpid.robot.consistent import raise_eigenvalues, raise_second_moments
 from sdpid.robot.inertia import Consistency, central_moments, margin
+from sdpid.verifier.bodies import has_margin
 from tests.helpers.strategies import LEAST_MARGIN, bodies, reals
 
 KINDS = st.sampled_from(["pseudo_inertia", "spatial_inertia"])

@@ -1,6 +1,6 @@
 """Certificates: proven bounds on how far an estimate is from the global optimum.
 
-What a certificate claims is proven in exact arithmetic by `sdpid.assurance.certificate.verify`,
+What a certificate claims is proven in exact arithmetic by `sdpid.verifier.certificate`,
 which needs nothing of this package.
 """
 
@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import json
 import os
-from dataclasses import dataclass, field
+from dataclasses import dataclass, replace
 from fractions import Fraction
 from functools import cached_property
 from typing import Any
@@ -20,22 +20,22 @@ from sdpid._common.arrays import Array, frozen
 from sdpid._common.files import atomic_write_text
 from sdpid._common.tables import facts_html
 from sdpid._common.threads import one_thread
-from sdpid.assurance.certificate import verify as exact
-from sdpid.assurance.certificate.compression_error import compression_error, rows_digest
+from sdpid.assurance.certificate.compression_error import rows_digest
 from sdpid.assurance.certificate.rounding import (
     downward,
     feasible_theta,
     proven_margins,
     semidefinite,
-    upward,
 )
 from sdpid.errors import CertificateError
 from sdpid.estimation.duality.bound import Bound, evaluate, relative_gap
 from sdpid.estimation.duality.refine_multipliers import lower_bound
 from sdpid.estimation.estimate import Estimate
 from sdpid.estimation.problem import Problem
-
-SCHEMA, VERSION = exact.SCHEMA, exact.VERSION
+from sdpid.verifier import certificate as checker
+from sdpid.verifier.exact import above, product
+from sdpid.verifier.reading import digest
+from sdpid.verifier.result import Result
 
 # A certificate passes when the cost is proven to be within this share of the global optimum.
 GAP = 1e-6
@@ -73,13 +73,45 @@ class Certificate:
         return frozen(feasible_theta(self.problem.feasible, self.estimate.theta))
 
     @cached_property
-    def _core(self) -> tuple[dict[str, Any], exact.Recomputed]:
+    def certified(self) -> Estimate:
+        """The estimate with the parameters that are certified, to the last digit.
+
+        Its base parameters are the doubles nearest to B·theta.
+        """
+        if self.theta is None:
+            return self.estimate
+        exact = product(self.problem.base.matrix.tolist(), self.theta.tolist())
+        base = frozen([float(value) for value in exact])
+        return replace(self.estimate, theta=self.theta, base=base)
+
+    @cached_property
+    def _stated(self) -> tuple[dict[str, Any], checker.Proof]:
         """Everything that the certificate states, and its exact evaluation."""
-        problem, dual = self.problem, self.bound.multipliers
+        problem, estimate, dual = self.problem, self.estimate, self.bound.multipliers
         feasible, theta = problem.feasible, self.theta
         limits = np.where(dual.rows > 0.0, feasible.row_lower, feasible.row_upper)
-        core: dict[str, Any] = {
+        stated: dict[str, Any] = {
+            "schema": checker.SCHEMA,
+            "version": checker.VERSION,
+            "metadata": {
+                "software": f"sdpid {__version__}",
+                "method": estimate.method,
+                "status": estimate.status,
+                "message": estimate.message,
+            },
+            "origin": {
+                "robot": problem.robot.name,
+                "links": list(problem.robot.link_names),
+                "joints": list(problem.robot.joint_names),
+                "weighting": problem.weighting,
+                "theta_names": list(problem.base.theta_names),
+                "base_names": list(problem.base.names),
+                "samples": problem.n_samples,
+                "rows": problem.n_rows,
+                "rows_sha256": rows_digest(problem),
+            },
             "problem": _problem(problem),
+            "compression": None,
             "theta": None if theta is None else theta.tolist(),
             "multipliers": {
                 "y": dual.y.tolist(),
@@ -88,27 +120,27 @@ class Certificate:
                 "W": None if not len(dual.W) else semidefinite(dual.W).tolist(),
             },
         }
-        found = exact.Recomputed(core)
-        bound = downward(found.lower_bound)
+        proof = checker.Proof(stated)
+        bound = downward(proof.lower_bound)
         claims: dict[str, Any] = {"lower_bound": bound, "margins": None}
         cost = violation = gap = None
         if theta is not None:
             claims["margins"] = proven_margins(feasible, theta)
-            violation = upward(found.violation)
-            if not found.broken:
-                cost = upward(found.cost)
-                gap = _gap(cost, bound, found)
-        core["claims"] = {**claims, "violation": violation, "cost": cost, "gap": gap}
-        return core, found
+            violation = above(proof.violation)
+            if not proof.broken:
+                cost = above(proof.cost)
+                gap = _gap(cost, bound, proof)
+        stated["claims"] = {**claims, "violation": violation, "cost": cost, "gap": gap}
+        return stated, proof
 
     @cached_property
-    def _proof(self) -> exact.Result:
+    def _proof(self) -> Result:
         """The result of the stand-alone check."""
-        return exact.prove(*self._core)
+        return checker.prove(*self._stated)
 
     @property
     def _claims(self) -> dict[str, Any]:
-        return dict(self._core[0]["claims"])
+        return dict(self._stated[0]["claims"])
 
     @property
     def cost(self) -> float:
@@ -141,7 +173,8 @@ class Certificate:
     @property
     def feasible(self) -> bool:
         """Whether the certified parameters are proven to satisfy every constraint."""
-        return self._proof.feasible
+        stated, proof = self._stated
+        return proof.theta is not None and not checker.infeasible(proof, stated["claims"])
 
     @property
     def passed(self) -> bool:
@@ -182,44 +215,19 @@ class Certificate:
         )
 
     def to_dict(self) -> dict[str, Any]:
-        """Return everything that is needed to check the certificate, as plain values.
-
-        The rows of the problem are gone through once, for the error of their compression.
-        """
-        problem, estimate = self.problem, self.estimate
-        base = estimate.base if self.theta is None else problem.base_of(self.theta)
-        data: dict[str, Any] = {
-            "schema": SCHEMA,
-            "version": VERSION,
-            "metadata": {
-                "software": f"sdpid {__version__}",
-                "method": estimate.method,
-                "status": estimate.status,
-                "message": estimate.message,
-            },
-            "origin": {
-                "robot": problem.robot.name,
-                "weighting": problem.weighting,
-                "theta_names": list(problem.base.theta_names),
-                "base_names": list(problem.base.names),
-                "samples": problem.n_samples,
-                "rows": problem.n_rows,
-                "rows_sha256": rows_digest(problem),
-                "compression_error": compression_error(problem, base),
-            },
-            **self._core[0],
-        }
-        return {**data, "sha256": exact.digest(data)}
+        """Return everything that is needed to check the certificate, as plain values."""
+        stated = self._stated[0]
+        return {**stated, "sha256": digest(stated)}
 
     def to_json(self, path: str | os.PathLike[str]) -> None:
         """Write the certificate to a file, whole or not at all."""
         atomic_write_text(path, _text(self.to_dict()) + "\n")
 
 
-def _gap(cost: float, bound: float, found: exact.Recomputed) -> float:
+def _gap(cost: float, bound: float, proof: checker.Proof) -> float:
     """Return (cost − bound) relative to the cost, rounded up."""
-    scale = max(Fraction(cost), found.scale)
-    return upward((Fraction(cost) - Fraction(bound)) / scale) if scale else 0.0
+    scale = max(Fraction(cost), proof.scale)
+    return above((Fraction(cost) - Fraction(bound)) / scale) if scale else 0.0
 
 
 def _problem(problem: Problem) -> dict[str, Any]:
@@ -336,81 +344,3 @@ def certify(estimate: Estimate, *, bound: Bound | Estimate | None = None) -> Cer
             "another problem."
         )
     return Certificate(estimate=estimate, bound=bound)
-
-
-@dataclass(frozen=True, kw_only=True)
-class Verification:
-    """Result of checking a certificate file, recomputed from its numbers.
-
-    Attributes
-    ----------
-    passed : bool
-        Whether every claim is proven.
-    cost : float or None
-        Of the parameters, recomputed and rounded up; None where there are none, or no proof.
-    lower_bound : float
-        What the multipliers prove, recomputed and rounded down.
-    gap : float or None
-        The one above the other, relative to the cost (see `Certificate.gap`).
-    margin : float or None
-        The worst link's margin, where all are proven.
-    problems : tuple of str
-        What is not proven.
-    statements : tuple of str
-        What is proven, in words.
-    sha256 : str
-        Digest of what was checked.
-    """
-
-    passed: bool
-    cost: float | None
-    lower_bound: float
-    gap: float | None
-    margin: float | None
-    problems: tuple[str, ...]
-    statements: tuple[str, ...] = field(default=())
-    sha256: str = ""
-
-
-def verify(path: str | os.PathLike[str]) -> Verification:
-    """Check a certificate file in exact arithmetic, from its own numbers alone.
-
-    The same as ``python verify.py certificate.json`` with the package's stand-alone script.
-
-    Parameters
-    ----------
-    path : path
-        A file written by `Certificate.to_json`.
-
-    Returns
-    -------
-    Verification
-
-    Raises
-    ------
-    CertificateError
-        When the file is not a certificate of this version.
-    """
-    try:
-        data = exact.read(path)
-        result = exact.check(data)
-        found = result.exact
-        bound = downward(found.lower_bound)
-        none = found.theta is None or bool(found.broken)
-        cost = None if none else upward(found.cost)
-        gap = None if cost is None else _gap(cost, bound, found)
-    except OSError as cause:
-        raise CertificateError(f"cannot read {path}: {cause.strerror}.") from None
-    except exact.REFUSED as cause:
-        raise CertificateError(f"{path}: not a certificate ({cause}).") from None
-    margins = data["claims"]["margins"] if result.feasible else None
-    return Verification(
-        passed=not result.problems,
-        cost=cost,
-        lower_bound=bound,
-        gap=gap,
-        margin=min(margins) if margins else None,
-        problems=result.problems,
-        statements=result.statements,
-        sha256=exact.digest(data),
-    )

@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-import math
 from fractions import Fraction
 
 import numpy as np
 
 from sdpid._common.arrays import Array
-from sdpid.assurance.certificate.verify import has_margin, positive_semidefinite
 from sdpid.estimation.constraints.feasible_set import FeasibleSet
 from sdpid.estimation.estimate import FEASIBLE
 from sdpid.robot.consistent import raise_second_moments
+from sdpid.verifier.bodies import has_margin
+from sdpid.verifier.exact import above, positive_semidefinite
 
 _EPS = float(np.finfo(np.float64).eps)
 
@@ -20,15 +20,9 @@ _EPS = float(np.finfo(np.float64).eps)
 _TRIES_OF_ENTRIES, _TRIES = 6, 17
 
 
-def upward(value: Fraction) -> float:
-    """Return the smallest double that is not below a rational."""
-    nearest = float(value)
-    return nearest if Fraction(nearest) >= value else math.nextafter(nearest, math.inf)
-
-
 def downward(value: Fraction) -> float:
     """Return the largest double that is not above a rational."""
-    return -upward(-value)
+    return -above(-value)
 
 
 def semidefinite(Z: Array) -> Array:

@@ -8,12 +8,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sdpid._common.arrays import Array
-from sdpid.assurance.certificate.verify import positive_semidefinite
 from sdpid.assurance.descriptions import findings
 from sdpid.assurance.descriptions.findings import Finding, Severity
 from sdpid.assurance.descriptions.link_shape import Shape
 from sdpid.robot.description.bodies import DescribedBody, exact_second_moment
 from sdpid.robot.inertia import complement, second_moment_from_inertia
+from sdpid.verifier.exact import positive_semidefinite
 
 # Loaders refuse what rounding cannot tell from impossible: principal moments below 1e-14 kg·m²
 # (MuJoCo), or triangle inequalities missed by a rounding. Bodies with less than this, in kg·m² or

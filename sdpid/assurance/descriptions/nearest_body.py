@@ -27,8 +27,8 @@ from fractions import Fraction
 import numpy as np
 
 from sdpid._common.arrays import Array
-from sdpid.assurance.certificate.verify import positive_semidefinite
 from sdpid.errors import CertificateError
+from sdpid.verifier.exact import positive_semidefinite
 
 # Second moments of a repaired body are at least this share of the largest eigenvalue, in
 # magnitude, of the given ones. Older releases of MuJoCo find principal moments to some 1e-7 only

@@ -19,10 +19,10 @@ from fractions import Fraction
 from functools import cached_property
 from typing import Any
 
-from sdpid.assurance.certificate.verify import positive_semidefinite
 from sdpid.assurance.tables.witness import Question, Vector, coefficient_matrices
 from sdpid.errors import CertificateError
 from sdpid.robot.inertia import TENSOR_INDEX, Consistency
+from sdpid.verifier.exact import positive_semidefinite
 
 _ZERO = Fraction(0)
 

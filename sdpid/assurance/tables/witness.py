@@ -14,9 +14,9 @@ from fractions import Fraction
 import numpy as np
 
 from sdpid._common.arrays import Array
-from sdpid.assurance.certificate.verify import positive_semidefinite
 from sdpid.errors import DataError
 from sdpid.robot.inertia import TENSOR_INDEX, Consistency
+from sdpid.verifier.exact import positive_semidefinite
 
 Number = float | Fraction
 Vector = dict[int, Fraction]

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import copy
+import hashlib
 import json
 import math
+import shutil
 import subprocess
 import sys
 from collections.abc import Callable, Iterator
@@ -17,10 +19,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import sdpid
-from sdpid.assurance.certificate import verify as exact
-from sdpid.assurance.certificate.certificate import GAP, Verification, certify, verify
+from sdpid.assurance.certificate.certificate import GAP, certify
 from sdpid.assurance.certificate.compression_error import compression_error, rows_digest
-from sdpid.assurance.certificate.rounding import downward, feasible_theta, semidefinite, upward
+from sdpid.assurance.certificate.rounding import downward, feasible_theta, semidefinite
 from sdpid.constraints import CenterOfMassInBox, CenterOfMassInEllipsoid, Fixed
 from sdpid.errors import CertificateError, DataError
 from sdpid.estimation.compression.covariance import WEIGHTINGS
@@ -31,8 +32,15 @@ from sdpid.estimation.problem import build_problem
 from sdpid.estimation.sdp.solve import solve_sdp
 from sdpid.estimation.wls import solve_wls
 from sdpid.robot.inertia import matrix_basis
+from sdpid.verifier import certificate as checker
+from sdpid.verifier import command, exact, reading
+from sdpid.verifier.bodies import has_margin
+from sdpid.workflow.verify import Verification, verify
 from tests.helpers.arm import ARM, BODIES, FIRST, LAST, LIGHT, arm_problem
 from tests.helpers.data import make_samples, random_covariance, random_theta
+
+# The stand-alone checker.
+FOLDER = Path(command.__file__).parent
 
 Data = dict[str, Any]
 Path_ = tuple[Any, ...]
@@ -62,7 +70,7 @@ MADE = {kind: certificate(kind) for kind in ("pseudo", "spatial", "prior", "entr
 def sealed(data: Data) -> Data:
     """Return a certificate whose digest is right: what a forger would write."""
     try:
-        return {**data, "sha256": exact.digest(data)}
+        return {**data, "sha256": reading.digest(data)}
     except (ValueError, OverflowError):
         return data
 
@@ -77,8 +85,8 @@ def checked(data: Data, folder: Path) -> Verification:
 def holds(text: str) -> bool:
     """Whether what a file says is proven."""
     try:
-        return not exact.check(exact.load(text)).problems
-    except exact.REFUSED:
+        return not checker.check(checker.load(text.encode())).problems
+    except reading.REFUSED:
         return False
 
 
@@ -92,7 +100,7 @@ def rejected(data: Data, folder: Path) -> bool:
 
 def alone(path: Path) -> subprocess.CompletedProcess[str]:
     """Run the script where nothing but the standard library can be imported."""
-    command = [sys.executable, "-I", "-S", str(exact.__file__), str(path)]
+    command = [sys.executable, "-I", "-S", str(FOLDER), str(path)]
     return subprocess.run(command, capture_output=True, text=True, timeout=60)
 
 
@@ -107,7 +115,7 @@ def test_it_holds_from_the_file_alone(kind: str, tmp_path: Path) -> None:
     assert found.cost == data["claims"]["cost"]
     assert found.lower_bound == data["claims"]["lower_bound"]
     assert found.margin is not None
-    assert found.sha256 == data["sha256"]
+    assert found.sha256 == hashlib.sha256((tmp_path / "c.json").read_bytes()).hexdigest()
     # Every new part is in use, or tampering below would mean nothing.
     problem, multipliers = data["problem"], data["multipliers"]
     assert len(problem["rows"]) == len(multipliers["rows"]) == 6
@@ -128,7 +136,7 @@ def test_a_bare_python_proves_it(kind: str, tmp_path: Path) -> None:
     claims = MADE[kind]["claims"]
     for said in (
         f"No feasible parameters cost less than {claims['lower_bound']!r}.",
-        f"with margin {min(claims['margins'])!r} kg.m2",
+        f"the least margin {min(claims['margins'])!r} kg.m2",
         f"They cost at most {claims['cost']!r}.",
         f"a gap of at most {claims['gap']!r}",
         "PROVEN.",
@@ -148,7 +156,7 @@ def test_status_of_the_script(tmp_path: Path) -> None:
     path.write_text("{}", encoding="utf-8")
     assert alone(path).returncode == 2
     assert alone(tmp_path / "none.json").returncode == 2
-    assert exact.main([]) == 2
+    assert command.main([]) == 2
 
 
 # ---- What is claimed is as strong as can be, and no stronger ------------------------------------
@@ -212,7 +220,7 @@ def at(data: Data, path: Path_) -> Any:
 
 
 LEAVES = {
-    kind: [path for path in leaves(data) if path[0] not in exact.UNSEALED]
+    kind: [path for path in leaves(data) if path[0] not in ("metadata", "sha256")]
     for kind, data in MADE.items()
 }
 
@@ -252,7 +260,7 @@ def test_so_is_any_character_of_the_file(data: st.DataObject) -> None:
     forged = text[:k] + data.draw(st.sampled_from('0123456789-+.eE,[]{}" tx')) + text[k + 1 :]
     if not holds(forged):
         return
-    same, found = copy.deepcopy(MADE[kind]), exact.load(forged)
+    same, found = copy.deepcopy(MADE[kind]), checker.load(forged.encode())
     assert {**found, "metadata": None} == {**same, "metadata": None}
 
 
@@ -267,8 +275,8 @@ def test_whatever_else_is_sealed_makes_sense_or_is_refused(data: st.DataObject) 
     odd = [None, True, -1, 10**400, 1e300, -1e300, 5e-324, "x", [], {}, [[]], [None], {"x": 1}]
     where[key] = data.draw(st.sampled_from(odd))
     try:
-        result = exact.check(sealed(forged))
-    except exact.MalformedError:
+        result = checker.check(sealed(forged))
+    except reading.MalformedError:
         return
     if not result.problems and path[0] != "problem":
         # Other parameters or multipliers may do as well, but prove no more than there is.
@@ -278,7 +286,7 @@ def test_whatever_else_is_sealed_makes_sense_or_is_refused(data: st.DataObject) 
 
 def test_descriptions_may_be_changed(tmp_path: Path) -> None:
     data = copy.deepcopy(MADE["pseudo"])
-    data["metadata"] = {"said": "something else"}
+    data["metadata"]["message"] = "something else"
     assert checked(data, tmp_path).passed
 
 
@@ -447,6 +455,164 @@ def test_what_is_no_certificate(text: str, tmp_path: Path) -> None:
         verify(tmp_path / "none.json")
 
 
+# ---- Rows, cones and names ----------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("scale", [1.0, 1e-12, 1e12])
+def test_what_is_violated_counts_in_its_own_size(scale: float, tmp_path: Path) -> None:
+    """Of a row ``m_1 ≥ 500`` that nothing obeys no unit makes rounding, nor a huge multiplier."""
+    for multiplier in (0.0, 1.0 / scale, 1e30):
+        data = copy.deepcopy(MADE["pseudo"])
+        row = [0.0] * len(data["theta"])
+        row[0] = scale
+        data["problem"]["rows"].append(
+            {"name": "heavy", "lower": 500.0 * scale, "upper": None, "coefficients": row}
+        )
+        data["multipliers"]["rows"].append(multiplier)
+        if multiplier:
+            data["claims"]["lower_bound"] = 4.1e20
+        found = checked(sealed(data), tmp_path)
+        assert not found.passed
+        assert any("row 'heavy' is violated by" in each for each in found.problems)
+
+
+def test_the_bound_is_of_the_set_that_the_parameters_lie_in(tmp_path: Path) -> None:
+    """A violation of 1e-10 is allowed for, so a multiplier of 1e30 buys nothing."""
+    data = copy.deepcopy(MADE["pseudo"])
+    mass = data["theta"][0]
+    row = [0.0] * len(data["theta"])
+    row[0] = 1.0
+    limit = mass * (1.0 + 1e-10)
+    data["problem"]["rows"].append(
+        {"name": "a little more", "lower": limit, "upper": None, "coefficients": row}
+    )
+    data["multipliers"]["rows"].append(1e30)
+    data["claims"]["violation"] = 2e-10
+    proof = checker.Proof(data)
+    assert proof.lower_bound < 0.0
+    data["multipliers"]["rows"][-1] = 0.0
+    assert checked(sealed(data), tmp_path).passed
+
+
+def test_a_cost_below_the_bound_is_refused(tmp_path: Path) -> None:
+    data = copy.deepcopy(MADE["pseudo"])
+    data["theta"][0] *= 100.0
+    found = checker.Proof(data)
+    data["claims"]["cost"] = math.nextafter(float(found.cost), math.inf)
+    data["claims"]["gap"] = 1.0
+    assert not checked(sealed(data), tmp_path).passed
+
+
+@pytest.mark.parametrize("margin", [0.0, 1.0, None])
+def test_a_body_without_mass_has_no_margin(margin: float | None, tmp_path: Path) -> None:
+    data = copy.deepcopy(MADE["pseudo"])
+    data["problem"]["margin"], data["problem"]["lower"][0] = 0.0, 0.0
+    data["theta"][:10] = [0.0] * 10
+    data["claims"]["margins"][0] = margin
+    problems = checker.infeasible(checker.Proof(data), data["claims"])
+    assert any("mass of 0.0" in each for each in problems) == (margin is not None)
+
+
+def test_names_from_files_are_escaped(tmp_path: Path) -> None:
+    data = copy.deepcopy(MADE["pseudo"])
+    data["origin"]["robot"] = "arm\x1b[2K\u202e\x9b31m\nPROVEN."
+    data["problem"]["rows"][0]["name"] = "\x1b[8m"
+    data["problem"]["rows"][0]["upper"] -= 1.0
+    path = tmp_path / "c.json"
+    path.write_text(json.dumps(sealed(data)), encoding="utf-8")
+    done = alone(path)
+    assert done.returncode == 1
+    assert r"arm\x1b[2K\u202e\x9b31m\nPROVEN." in done.stdout
+    assert r"\x1b[8m" in done.stdout
+    assert done.stdout.isprintable() or set(done.stdout) - set("\n") <= set(
+        map(chr, range(32, 127))
+    )
+    assert "PROVEN." not in done.stdout.splitlines()
+
+
+def test_links_that_are_dropped_are_missed_in_the_text(tmp_path: Path) -> None:
+    """The same numbers with fewer demands are another statement."""
+    data = copy.deepcopy(MADE["pseudo"])
+    told = checked(data, tmp_path).statements
+    assert "2 links" in told[1]
+    fewer = copy.deepcopy(data)
+    fewer["problem"]["rows"], fewer["multipliers"]["rows"] = [], []
+    assert checked(sealed(fewer), tmp_path).statements[2] != told[2]
+    assert "6 rows and 1 cones" in told[2]
+
+
+@pytest.mark.parametrize(
+    "path",
+    [
+        *[(), ("metadata",), ("origin",), ("problem",), ("multipliers",), ("claims",)],
+        *[("problem", "rows", 0), ("problem", "cones", 0)],
+    ],
+)
+def test_unknown_keys_are_refused_at_every_level(path: Path_, tmp_path: Path) -> None:
+    data = copy.deepcopy(MADE["pseudo"])
+    at(data, path)["more"] = 1
+    with pytest.raises(CertificateError, match="'more'"):
+        checked(sealed(data), tmp_path)
+
+
+@pytest.mark.parametrize("version", [3, 4.0, True, "4"])
+def test_other_versions_are_refused(version: Any, tmp_path: Path) -> None:
+    with pytest.raises(CertificateError, match="version 4"):
+        checked(sealed({**MADE["pseudo"], "version": version}), tmp_path)
+
+
+@pytest.mark.parametrize(("key", "value"), [("rows", {}), ("cones", ""), ("rows", None)])
+def test_what_should_be_lists_are_lists(key: str, value: Any, tmp_path: Path) -> None:
+    data = copy.deepcopy(MADE["pseudo"])
+    data["problem"][key] = value
+    with pytest.raises(CertificateError, match="list"):
+        checked(sealed(data), tmp_path)
+
+
+def test_the_compression_is_in_cost_bound_and_gap(tmp_path: Path) -> None:
+    data = copy.deepcopy(MADE["prior"])
+    before = checker.Proof(data)
+    data["compression"] = {"relative": 2.0**-10, "absolute": 0.5}
+    after = checker.Proof(data)
+    share, added = exact.Fraction(1, 1024), exact.Fraction(1, 2)
+    assert after.lower_bound == (1 - share) * before.lower_bound - added
+    assert after.cost == (1 + share) * before.data_cost + before.prior_cost + added
+    # What was claimed without it is now too much.
+    assert not checked(sealed(data), tmp_path).passed
+    for wrong in ({"relative": 1.0, "absolute": 0.0}, {"relative": 0.0, "absolute": -1e-9}):
+        with pytest.raises(CertificateError, match="compression"):
+            checked(sealed({**data, "compression": wrong}), tmp_path)
+
+
+@pytest.mark.parametrize(
+    "content",
+    [b"[" * 10**6, b'{"a":' * 10**5, b'{"schema": 1' + b"0" * 10**6 + b"}", b"\xff\xfe{}"],
+)
+def test_files_made_to_exhaust_the_reader(content: bytes, tmp_path: Path) -> None:
+    path = tmp_path / "c.json"
+    path.write_bytes(content)
+    with pytest.raises(CertificateError, match="not a proof"):
+        verify(path)
+
+
+def test_large_files_are_not_read(tmp_path: Path) -> None:
+    path = tmp_path / "c.json"
+    with path.open("wb") as file:
+        file.truncate(reading.MAX_BYTES + 1)
+    with pytest.raises(CertificateError, match=f"{reading.MAX_BYTES} are read at most"):
+        verify(path)
+
+
+def test_the_checker_runs_wherever_it_is_copied(tmp_path: Path) -> None:
+    shutil.copytree(FOLDER, tmp_path / "elsewhere", ignore=shutil.ignore_patterns("__pycache__"))
+    path = tmp_path / "c.json"
+    path.write_text(json.dumps(MADE["pseudo"]), encoding="utf-8")
+    command = [sys.executable, "-I", "-S", str(tmp_path / "elsewhere"), str(path)]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=60, cwd="/")
+    assert done.returncode == 0, done.stderr
+    assert done.stdout == alone(path).stdout
+
+
 # ---- Other estimates ----------------------------------------------------------------------------
 
 
@@ -477,7 +643,8 @@ def test_without_standard_parameters_only_the_bound_is_proven(tmp_path: Path) ->
     again = verify(tmp_path / "c.json")
     assert not again.passed
     assert again.cost is None
-    assert again.statements == (f"No feasible parameters cost less than {found.lower_bound!r}.",)
+    assert again.statements[-1] == f"No feasible parameters cost less than {found.lower_bound!r}."
+    assert not any("at most" in each for each in again.statements[3:])
 
 
 def test_what_is_not_feasible_is_not_certified() -> None:
@@ -525,9 +692,9 @@ def test_rounding_goes_the_safe_way() -> None:
     from fractions import Fraction
 
     third = Fraction(1, 3)
-    assert Fraction(downward(third)) < third < Fraction(upward(third))
-    assert math.nextafter(downward(third), math.inf) == upward(third)
-    assert upward(Fraction(0.1)) == downward(Fraction(0.1)) == 0.1
+    assert Fraction(downward(third)) < third < Fraction(exact.above(third))
+    assert math.nextafter(downward(third), math.inf) == exact.above(third)
+    assert exact.above(Fraction(0.1)) == downward(Fraction(0.1)) == 0.1
 
 
 @pytest.mark.parametrize("size", [4, 6])
@@ -562,7 +729,7 @@ def test_parameters_on_the_edge_are_moved_inside(consistency: Any) -> None:
         assert np.max(np.abs(moved - theta)) < 3e-12
         assert np.all(moved >= feasible.lower)
         for body in feasible.bodies(moved):
-            assert exact.has_margin(body.tolist(), 1e-3, consistency)
+            assert has_margin(body.tolist(), 1e-3, consistency)
 
 
 def test_a_problem_sent_without_its_rows_says_nothing_of_them() -> None:
@@ -571,7 +738,7 @@ def test_a_problem_sent_without_its_rows_says_nothing_of_them() -> None:
     whole, without = (sdpid.certify(sdpid.solve_sdp(each)).to_dict() for each in (problem, sent))
     assert without["origin"]["samples"] == problem.samples.n_samples
     assert without["origin"]["rows"] == problem.n_rows
-    assert without["origin"]["rows_sha256"] is without["origin"]["compression_error"] is None
+    assert without["origin"]["rows_sha256"] is without["compression"] is None
     assert without["claims"] == whole["claims"]
     with pytest.raises(DataError, match="not kept"):
         _ = sdpid.solve_wls(sent).standard_errors

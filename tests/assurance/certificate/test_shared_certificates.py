@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import subprocess
 import sys
 from pathlib import Path
@@ -12,9 +11,9 @@ import numpy as np
 import pytest
 
 import sdpid
-from sdpid.assurance.certificate import verify as exact
 from sdpid.assurance.certificate.certificate import Certificate
 from sdpid.robot.inertia import Consistency
+from sdpid.verifier import command
 from sdpid.workflow.formulate import formulate
 from tests.helpers.data import make_samples, random_links, random_theta
 
@@ -47,7 +46,7 @@ def proven_alone(certificate: Certificate, path: Path) -> None:
     assert certificate.passed, certificate.summary()
     certificate.to_json(path)
     done = subprocess.run(
-        [sys.executable, "-I", "-S", str(exact.__file__), str(path)],
+        [sys.executable, "-I", "-S", str(Path(command.__file__).parent), str(path)],
         capture_output=True,
         text=True,
         timeout=60,
@@ -67,8 +66,6 @@ def test_real_recordings(name: str, data_folder: Path, tmp_path: Path) -> None:
         for consistency in BOTH:
             estimate = sdpid.solve_sdp(problem.constrained(consistency=consistency))
             proven_alone(sdpid.certify(estimate), tmp_path / "c.json")
-        data = json.loads((tmp_path / "c.json").read_text(encoding="utf-8"))
-        assert data["origin"]["compression_error"] < 1e-12
 
 
 @pytest.mark.parametrize("consistency", BOTH)

@@ -12,7 +12,7 @@ from hypothesis import given
 from scipy.optimize import nnls
 
 from sdpid._common.arrays import Array
-from sdpid.assurance.certificate.certificate import certify, verify
+from sdpid.assurance.certificate.certificate import certify
 from sdpid.assurance.diagnostics.active_constraints import constraint_states
 from sdpid.constraints import (
     CenterOfMassInBox,
@@ -25,6 +25,7 @@ from sdpid.estimation.constraints.condition import Condition
 from sdpid.estimation.estimate import FEASIBLE, Estimate
 from sdpid.estimation.sdp.solve import solve_sdp
 from sdpid.robot.inertia import Consistency, point_masses, pseudo_inertia
+from sdpid.workflow.verify import verify
 from tests.helpers.arm import (
     ARM,
     BODIES,

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from sdpid.assurance.certificate.certificate import certify, verify
+from sdpid.assurance.certificate.certificate import certify
 from sdpid.errors import DataError, IdentifiabilityError
 from sdpid.estimation.compression.rows import RowSource
 from sdpid.estimation.local.slsqp import solve_slsqp
@@ -29,6 +29,7 @@ from sdpid.robot.inertia import (
 )
 from sdpid.robot.model.base_parameters import structural_base
 from sdpid.robot.model.load import load_robot
+from sdpid.workflow.verify import verify
 
 # Round-off of a few products of numbers of order one.
 ROUNDING = 1e-9

@@ -1,21 +1,18 @@
-"""The stand-alone check: its arithmetic, against floating point and against exact identities."""
+"""The arithmetic of the stand-alone checker, against floating point and exact identities."""
 
 from __future__ import annotations
 
-import ast
 import itertools
 import math
-import sys
 from fractions import Fraction
-from pathlib import Path
 
 import numpy as np
 import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
 
-from sdpid.assurance.certificate import verify
 from sdpid.robot.inertia import CONSISTENCIES, margin, matrix_of
+from sdpid.verifier import bodies, exact
 
 SMALL = st.integers(-9, 9)
 SHARES = st.fractions(0, 1, max_denominator=10**6).filter(bool)
@@ -44,7 +41,7 @@ def grams(draw: st.DrawFn) -> list[list[Fraction]]:
 
 @given(grams())
 def test_squares_are_positive_semidefinite(matrix: list[list[Fraction]]) -> None:
-    found, det = verify.factorize(matrix)
+    found, det = exact.factorize(matrix)
     assert found
     assert det == determinant(matrix)
 
@@ -57,27 +54,27 @@ def test_the_slightest_negative_direction_is_found(
     assume(determinant(matrix) == 0)
     share = data.draw(SHARES) / 10**30
     less = [[x - share * (i == j) for j, x in enumerate(row)] for i, row in enumerate(matrix)]
-    assert not verify.positive_semidefinite(less)
+    assert not exact.positive_semidefinite(less)
     more = [[x + share * (i == j) for j, x in enumerate(row)] for i, row in enumerate(matrix)]
-    assert verify.positive_semidefinite(more)
+    assert exact.positive_semidefinite(more)
 
 
 def test_other_matrices() -> None:
-    assert verify.positive_semidefinite([])
-    assert verify.positive_semidefinite([[0, 0], [0, 0.5]])
-    assert not verify.positive_semidefinite([[0, 1], [1, 1]])
-    assert not verify.positive_semidefinite([[1, 0], [1, 1]])
-    assert not verify.positive_semidefinite([[1, 0]])
+    assert exact.positive_semidefinite([])
+    assert exact.positive_semidefinite([[0, 0], [0, 0.5]])
+    assert not exact.positive_semidefinite([[0, 1], [1, 1]])
+    assert not exact.positive_semidefinite([[1, 0], [1, 1]])
+    assert not exact.positive_semidefinite([[1, 0]])
     # A tenth is not what the double of that name is.
     tenth = Fraction(1, 10)
-    assert verify.positive_semidefinite([[tenth, 1], [1, 10]])
-    assert verify.positive_semidefinite([[0.1, 1], [1, 10]]) == (Fraction(0.1) >= tenth)
-    assert not verify.positive_semidefinite([[math.nextafter(0.1, 0.0), 1], [1, 10]])
+    assert exact.positive_semidefinite([[tenth, 1], [1, 10]])
+    assert exact.positive_semidefinite([[0.1, 1], [1, 10]]) == (Fraction(0.1) >= tenth)
+    assert not exact.positive_semidefinite([[math.nextafter(0.1, 0.0), 1], [1, 10]])
 
 
 @given(POSITIVE, POSITIVE)
 def test_logarithms_are_enclosed(a: Fraction, b: Fraction) -> None:
-    (low_a, high_a), (low_b, high_b), (low, high) = map(verify.log_bounds, (a, b, a * b))
+    (low_a, high_a), (low_b, high_b), (low, high) = map(exact.log_bounds, (a, b, a * b))
     for value, ends in ((a, (low_a, high_a)), (b, (low_b, high_b))):
         assert ends[0] < ends[1] < ends[0] + Fraction(1, 2**52)
         nearest = math.log(value.numerator) - math.log(value.denominator)
@@ -94,17 +91,17 @@ def test_logarithms_known_otherwise() -> None:
         (2, "0.69314718055994530941723212"),
         (10, "2.30258509299404568401799145"),
     ):
-        low, high = verify.log_bounds(Fraction(value))
+        low, high = exact.log_bounds(Fraction(value))
         assert low < Fraction(digits) + Fraction(1, 10**26)
         assert high > Fraction(digits)
         assert high - low < Fraction(1, 10**17)
-    low, high = verify.log_bounds(Fraction(1))
+    low, high = exact.log_bounds(Fraction(1))
     assert low <= 0 <= high
 
 
 @given(st.fractions(0, 10**6))
 def test_roots_are_from_above(value: Fraction) -> None:
-    root = verify.root_above(value)
+    root = exact.root_above(value)
     assert value < root * root
     assert (root - Fraction(1, 2**78)) ** 2 <= value or root < Fraction(1, 2**77)
 
@@ -112,7 +109,7 @@ def test_roots_are_from_above(value: Fraction) -> None:
 @given(st.lists(st.lists(st.floats(-1e9, 1e9), min_size=3, max_size=3), min_size=1, max_size=4))
 def test_products(matrix: list[list[float]]) -> None:
     x = [1.5, -1e-200, 1e5]
-    for row, found in zip(matrix, verify.product(matrix, x), strict=True):
+    for row, found in zip(matrix, exact.product(matrix, x), strict=True):
         assert found == sum(Fraction(a) * Fraction(b) for a, b in zip(row, x, strict=True))
 
 
@@ -122,19 +119,11 @@ def test_bodies(consistency: str) -> None:
     body = rng.standard_normal(10)
     body[0] = 1.0
     matrix = matrix_of(body, consistency)  # type: ignore[arg-type]
-    found = verify.link_matrix(body.tolist(), consistency)
+    found = bodies.link_matrix(body.tolist(), consistency)
     np.testing.assert_allclose(np.array(found, dtype=float), matrix, rtol=1e-15)
     Z = rng.standard_normal(matrix.shape)
-    slopes = verify.adjoint(Z.tolist(), consistency)
-    assert float(verify.dot(slopes, body.tolist())) == pytest.approx(float(np.sum(Z * matrix)))
+    slopes = bodies.adjoint(Z.tolist(), consistency)
+    assert float(exact.dot(slopes, body.tolist())) == pytest.approx(float(np.sum(Z * matrix)))
     largest = float(margin(body, consistency))  # type: ignore[arg-type]
-    assert verify.has_margin(body.tolist(), largest - 1e-9, consistency)
-    assert not verify.has_margin(body.tolist(), largest + 1e-9, consistency)
-
-
-def test_it_needs_the_standard_library_only() -> None:
-    tree = ast.parse(Path(verify.__file__).read_text(encoding="utf-8"))
-    used = {node.module for node in ast.walk(tree) if isinstance(node, ast.ImportFrom)}
-    imports = [node for node in ast.walk(tree) if isinstance(node, ast.Import)]
-    used |= {name.name for node in imports for name in node.names}
-    assert used <= set(sys.stdlib_module_names)
+    assert bodies.has_margin(body.tolist(), largest - 1e-9, consistency)
+    assert not bodies.has_margin(body.tolist(), largest + 1e-9, consistency)

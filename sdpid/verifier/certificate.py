@@ -1,0 +1,267 @@
+"""Check a certificate: how far given parameters are from the best ones, at most.
+
+What its numbers prove is in `sdpid.verifier.bound`; here claims are compared with that, and put
+into words. The file is a JSON object with the keys of `KEYS`, described in docs/certificate.md.
+
+The rows of a log are compressed to A, rhs and floor. A certificate may claim how well, as
+``compression``: with f_c = ‖A·(B·theta) − rhs‖² + floor and f_rows the same cost summed over the
+rows, all theta within the bounds have
+
+    (1 − relative)·f_c − absolute ≤ f_rows ≤ (1 + relative)·f_c + absolute.
+
+All other parts of the cost are at least zero and the same in both, so that bounds on the one cost
+are bounds on the other. That this holds cannot be seen without the log.
+"""
+
+from __future__ import annotations
+
+from fractions import Fraction
+from typing import Any
+
+from .bodies import has_margin
+from .bound import Recomputed
+from .exact import above
+from .reading import (
+    REFUSED,
+    MalformedError,
+    digest,
+    index,
+    names,
+    numbers,
+    parse,
+    require_keys,
+    require_schema,
+    shown,
+    text,
+)
+from .result import Result
+
+SCHEMA, VERSION = "sdpid-certificate", 4
+KEYS = (
+    *("schema", "version", "metadata", "origin", "problem", "compression"),
+    *("theta", "multipliers", "claims", "sha256"),
+)
+_METADATA = ("software", "method", "status", "message")
+_ORIGIN = (
+    *("robot", "links", "joints", "weighting", "theta_names", "base_names"),
+    *("samples", "rows", "rows_sha256"),
+)
+_COMPRESSION = ("relative", "absolute")
+_CLAIMS = ("lower_bound", "margins", "violation", "cost", "gap")
+
+# Violations of rows and cones, relative to their size, that are a solver's rounding: some 1e-9 in
+# the unit of a row (N·m, kg·m), whose terms may be hundredths. The bound allows for them.
+TOLERANCE = Fraction(1e-7)
+
+# More links are not listed by name.
+_MOST_NAMES = 60
+
+# More rows than any log has.
+_MOST = 10**15
+
+_MATRICES = {"pseudo_inertia": "4x4 pseudo-inertia", "spatial_inertia": "6x6 spatial inertia"}
+
+
+def load(content: bytes) -> dict[str, Any]:
+    """Parse a certificate; MalformedError where it is none of this version."""
+    data = parse(content)
+    require_schema(data, SCHEMA, VERSION)
+    require_keys(data, KEYS, "the certificate")
+    return data
+
+
+class Proof(Recomputed):
+    """What the numbers of a certificate prove of the rows, as far as its compression holds."""
+
+    def __init__(self, data: dict[str, Any]) -> None:
+        super().__init__(data)
+        self.relative = self.absolute = Fraction(0)
+        if (given := data["compression"]) is not None:
+            require_keys(given, _COMPRESSION, "compression")
+            self.relative, self.absolute = (Fraction(numbers(given[k])) for k in _COMPRESSION)
+            if not (0 <= self.relative < 1 and self.absolute >= 0):
+                raise MalformedError("the compression's error is negative, or 1 and more")
+            self.lower_bound = (1 - self.relative) * self.lower_bound - self.absolute
+            self.data_cost = (1 + self.relative) * self.data_cost + self.absolute
+
+
+def check(data: dict[str, Any]) -> Result:
+    """Check the digest and every claim; MalformedError where the data make no sense."""
+    try:
+        result = prove(data, Proof(data))
+        sealed = digest(data) == text(data["sha256"], "sha256")
+    except REFUSED as cause:
+        raise MalformedError(str(cause) or repr(cause)) from cause
+    if sealed:
+        return result
+    return Result(problems=("the digest is another: something was changed",)) + result
+
+
+def claimed(data: dict[str, Any]) -> dict[str, float | None]:
+    """Return the numbers that a certificate which was checked claims."""
+    claims = data["claims"]
+    margins = [margin for margin in claims["margins"] or [] if margin is not None]
+    found = {key: claims[key] for key in ("cost", "lower_bound", "gap")}
+    return {**found, "margin": min(margins, default=None)}
+
+
+def prove(data: dict[str, Any], proof: Proof) -> Result:
+    """Compare every claim with what was recomputed."""
+    claims = require_keys(data["claims"], _CLAIMS, "claims")
+    require_keys(data["metadata"], _METADATA, "metadata")
+    described = _described(data, proof)
+    problems, said = list(proof.broken), []
+    bound = numbers(claims["lower_bound"])
+    if bound > proof.lower_bound:
+        problems.append(f"the lower bound {bound!r} is more than is proven")
+    elif not proof.broken:
+        said.append(f"No feasible parameters cost less than {bound!r}.")
+    if proof.theta is None:
+        if any(claims[key] is not None for key in _CLAIMS[1:]):
+            raise MalformedError("claims on parameters that are not given")
+        problems.append("no parameters are given: none are shown to be feasible")
+        return Result(described + tuple(said), tuple(problems), _unchecked(data, proof))
+    wrong = infeasible(proof, claims)
+    if not wrong:
+        said.append(f"The given parameters are feasible: {_feasible(proof, claims)}.")
+    said_of_cost, wrong_of_cost = _cost(proof, claims, not (problems or wrong))
+    statements = (*described, *said, *said_of_cost)
+    return Result(statements, (*problems, *wrong_of_cost, *wrong), _unchecked(data, proof))
+
+
+def _cost(proof: Proof, claims: dict[str, Any], feasible: bool) -> tuple[list[str], list[str]]:
+    """Return what is proven of cost and gap, and what is not."""
+    if claims["cost"] is None or claims["gap"] is None:
+        return [], ["no cost and gap are claimed"]
+    bound, cost, gap = (numbers(claims[key]) for key in ("lower_bound", "cost", "gap"))
+    said, problems = [], []
+    if cost < proof.cost:
+        problems.append(f"the cost is {float(proof.cost)!r}, above {cost!r}")
+    elif not proof.broken:
+        said.append(f"They cost at most {cost!r}.")
+    # Without a division, so that data without errors (cost 0) are no exception.
+    unit = "the cost" if cost >= proof.scale else f"{above(proof.scale)!r}, the cost being tiny"
+    if Fraction(cost) - Fraction(bound) > Fraction(gap) * max(Fraction(cost), proof.scale):
+        problems.append(f"the gap is above {gap!r}")
+    elif cost < bound:
+        # Of feasible parameters this cannot be.
+        problems.append(f"the cost {cost!r} is below the lower bound {bound!r}")
+    elif feasible and not problems:
+        said.append(f"They are optimal up to a gap of at most {gap!r} times {unit}.")
+    return said, problems
+
+
+def infeasible(proof: Proof, claims: dict[str, Any]) -> list[str]:
+    """Return why theta, which there is, is not shown to obey the constraints."""
+    found = []
+    ends = zip(proof.lower, proof.theta or [], proof.upper, strict=True)
+    for k, (low, value, high) in enumerate(ends):
+        if not low <= value <= high:
+            found.append(f"parameter {k + 1} is {value!r}, outside [{low!r}, {high!r}]")
+    if proof.consistency == "none":
+        if claims["margins"] is not None:
+            raise MalformedError("margins, and no consistency that they are of")
+    else:
+        found += _wrong_margins(proof, claims["margins"])
+    violation = numbers(claims["violation"])
+    if not proof.violation <= violation <= TOLERANCE:
+        found.append(
+            f"{proof.worst or 'no row or cone'} is violated by {above(proof.violation)!r} of its "
+            f"size, {violation!r} is claimed, and at most {float(TOLERANCE):g} is rounding"
+        )
+    return found
+
+
+def _wrong_margins(proof: Proof, margins: Any) -> list[str]:
+    """Return which links do not have the margins that are claimed, or asked for."""
+    found = []
+    if type(margins) is not list or len(margins) != proof.links:
+        raise MalformedError(f"expected the margins of {proof.links} links")
+    for link, margin in enumerate(margins):
+        body = proof.body(link) or []
+        if not has_margin(body, proof.margin, proof.consistency):
+            found.append(f"link {link + 1} does not have the margin {float(proof.margin)!r}")
+        # A body without a positive mass has no margin.
+        elif (margin is None) == (body[0] > 0.0):
+            found.append(f"link {link + 1} has a mass of {body[0]!r} and a margin of {margin!r}")
+        elif margin is not None and not has_margin(body, numbers(margin), proof.consistency):
+            found.append(f"link {link + 1} does not have the margin {margin!r}")
+    return found
+
+
+def _feasible(proof: Proof, claims: dict[str, Any]) -> str:
+    """Return what feasible parameters obey, in words."""
+    demands = ["bounds"]
+    if proof.consistency != "none":
+        margins = [margin for margin in claims["margins"] if margin is not None]
+        least = f", the least margin {min(margins)!r} kg.m2" if margins else ""
+        demands.append(f"{proof.consistency} of {proof.links} links{least}")
+    if count := len(proof.problem["rows"]) + len(proof.problem["cones"]):
+        demands.append(f"{count} rows and cones to within {claims['violation']!r} of their size")
+    return "they obey " + ", ".join(demands)
+
+
+def _described(data: dict[str, Any], proof: Proof) -> tuple[str, ...]:
+    """Return what the certificate is of, in words."""
+    origin = require_keys(data["origin"], _ORIGIN, "origin")
+    p, b, links = len(proof.c), len(proof.problem["rhs"]), proof.links
+    names(origin["theta_names"], p, "theta_names")
+    names(origin["base_names"], b, "base_names")
+    link_names = names(origin["links"], links, "links")
+    joints = names(origin["joints"], len(origin["joints"]), "joints")
+    of_links = ", ".join(map(shown, link_names[:_MOST_NAMES]))
+    if (more := links - _MOST_NAMES) > 0:
+        of_links += f" and {more} more"
+    first = (
+        f"Robot {shown(text(origin['robot'], 'robot'))}: {links} links ({of_links}), "
+        f"{len(joints)} joints, {p} parameters, {p - 10 * links} of them friction and drives, "
+        f"{b} base parameters; weighting {shown(text(origin['weighting'], 'weighting'))}."
+    )
+    return first, f"Feasible are parameters with {_constraints(proof)}."
+
+
+def _constraints(proof: Proof) -> str:
+    """Return the constraints of the problem, in words."""
+    links, problem = proof.links, proof.problem
+    demands = []
+    if links:
+        masses = range(0, 10 * links, 10)
+        least, most = (
+            pick(ends[k] for k in masses) for pick, ends in ((min, proof.lower), (max, proof.upper))
+        )
+        demands.append(f"masses from {least!r} to {most!r} kg")
+    largest = max((max(-a, b) for a, b in zip(proof.lower, proof.upper, strict=True)), default=0.0)
+    demands.append(f"every parameter within its bounds, {largest!r} at most")
+    if proof.consistency != "none":
+        matrix = _MATRICES[proof.consistency]
+        demands.append(f"a {matrix} with margin {float(proof.margin)!r} kg.m2 of each link")
+    else:
+        demands.append("no consistency of the links")
+    if problem["rows"] or problem["cones"]:
+        demands.append(f"{len(problem['rows'])} rows and {len(problem['cones'])} cones")
+    prior = []
+    if problem["prior_rhs"]:
+        prior.append(f"a prior of {len(problem['prior_rhs'])} rows")
+    if problem["entropic_prior"] is not None:
+        of = len(problem["entropic_prior"]["links"])
+        prior.append(f"a log-det prior of {of} links")
+    return "; ".join(demands) + "; the cost has " + (" and ".join(prior) or "no prior")
+
+
+def _unchecked(data: dict[str, Any], proof: Proof) -> tuple[str, ...]:
+    """Return what the certificate says of the log and cannot prove."""
+    origin = data["origin"]
+    samples, rows = (index(origin[key], _MOST) for key in ("samples", "rows"))
+    given = origin["rows_sha256"]
+    if given is not None:
+        text(given, "rows_sha256")
+    sealed = "" if given is None else f", SHA-256 {shown(given)}"
+    of = f"the {rows} rows of {samples} samples{sealed}"
+    if data["compression"] is None:
+        first = f"how near the compressed cost is to {of}: nothing is claimed"
+    else:
+        first = (
+            f"that A, rhs and floor stand for {of}, to within {float(proof.relative)!r} of the "
+            f"cost plus {float(proof.absolute)!r}, for every theta; that needs the log"
+        )
+    return first, "that rows and base matrix are those of this robot and of its log"

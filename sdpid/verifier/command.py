@@ -1,0 +1,55 @@
+"""The command: check one file or folder, and say what is proven of it."""
+
+from __future__ import annotations
+
+import hashlib
+import io
+import sys
+from dataclasses import dataclass, field
+from typing import Any
+
+from . import certificate
+from .reading import REFUSED, MalformedError, parse, read_bytes, shown
+from .result import Result
+
+# By schema: how a file is read and checked, and the numbers that it claims.
+CHECKS = {certificate.SCHEMA: (certificate.load, certificate.check, certificate.claimed)}
+
+
+@dataclass(frozen=True)
+class Checked:
+    """Result of checking a file: sentences, its SHA-256, and the numbers that it claims."""
+
+    result: Result
+    sha256: str
+    claims: dict[str, float | None] = field(default_factory=dict)
+
+
+def check_file(path: Any) -> Checked:
+    """Check one file of any schema; OSError or one of REFUSED where it is no proof."""
+    content = read_bytes(path)
+    schema = parse(content).get("schema")
+    if type(schema) is not str or schema not in CHECKS:
+        raise MalformedError(f"its schema is none of {', '.join(CHECKS)}")
+    load, check, claims = CHECKS[schema]
+    data, sha256 = load(content), hashlib.sha256(content).hexdigest()
+    result = Result((f"File {shown(str(path))}, SHA-256 {sha256}.",)) + check(data)
+    return Checked(result, sha256, claims(data))
+
+
+def main(arguments: list[str]) -> int:
+    """Check a file: status 0 where all is proven, 1 where not, 2 where it is no proof."""
+    for stream in (sys.stdout, sys.stderr):
+        # Names may have letters that a terminal's encoding lacks.
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="backslashreplace")
+    if len(arguments) != 1:
+        print("usage: python verifier FILE", file=sys.stderr)
+        return 2
+    try:
+        result = check_file(arguments[0]).result
+    except (OSError, *REFUSED) as cause:
+        print(f"{shown(arguments[0])}: not a proof: {cause}", file=sys.stderr)
+        return 2
+    print("\n".join(result.lines))
+    return 0 if result.passed else 1
