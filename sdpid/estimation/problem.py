@@ -76,6 +76,8 @@ class Problem:
     rows : Rows or None
         The rows that the cost is made of, here or on a cluster; None where they were not kept.
         Solvers do not need them, standard errors and residuals do.
+    constant : float
+        Part of `floor` that is of no row: what a robust loss adds to the weighted rows.
     """
 
     robot: RobotModel
@@ -93,6 +95,7 @@ class Problem:
     profiled: tuple[Profiled, ...] = ()
     effects: tuple[Tried, ...] = ()
     rows: Rows | None = None
+    constant: float = 0.0
 
     def __repr__(self) -> str:
         prior = "" if self.prior is None else ", with a prior"

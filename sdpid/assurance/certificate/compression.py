@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from fractions import Fraction
 
 import numpy as np
 
@@ -26,6 +27,7 @@ from sdpid.assurance.certificate.outward import (
     usable,
 )
 from sdpid.assurance.certificate.row_sums import RowSums
+from sdpid.errors import DataError
 from sdpid.estimation.compression.covariance import Weighting
 from sdpid.estimation.compression.rows import Rows
 from sdpid.estimation.problem import Problem
@@ -62,20 +64,29 @@ UNPROVEN = Compression(math.inf, math.inf)
 def prove_compression(problem: Problem) -> Compression | None:
     """Enclose the cost of a problem's rows by its compressed cost, for every theta of its box.
 
+    Of a robust problem the rows are the weighted ones, and its `constant` is added to their cost.
     None where the rows were not kept, and where nothing is proven (see `Compression.proven`).
     """
     if problem.rows is None:
         return None
-    found = enclose_compression(
-        problem.rows,
-        problem.sigma,
-        problem.weighting,
-        A=problem.A,
-        rhs=problem.rhs,
-        floor=problem.floor,
-        base_limit=base_limit(problem.base.matrix, problem.feasible.lower, problem.feasible.upper),
-    )
-    return found if found.proven else None
+    limit = base_limit(problem.base.matrix, problem.feasible.lower, problem.feasible.upper)
+    floor = max(problem.floor - problem.constant, 0.0)
+    rounded = abs(Fraction(problem.floor) - Fraction(problem.constant) - Fraction(floor))
+    try:
+        found = enclose_compression(
+            problem.rows,
+            problem.sigma,
+            problem.weighting,
+            A=problem.A,
+            rhs=problem.rhs,
+            floor=floor,
+            base_limit=limit,
+        )
+    except DataError:
+        # Weights of a robust loss can be too far from each other for a covariance of samples.
+        return None
+    absolute = SLACK * (found.absolute + float(rounded))
+    return Compression(found.relative, absolute) if found.proven else None
 
 
 def base_limit(matrix: Array, lower: Array, upper: Array) -> Array:

@@ -177,13 +177,14 @@ class HuberLoss:
         t = self.thresholds
         weights = t / np.maximum(size, t)
         A, rhs, floor = self.rows.compressed(weights).split()
-        floor += float(np.maximum(t * size - t**2, 0.0).sum())
+        constant = float(np.maximum(t * size - t**2, 0.0).sum())
         problem = self.rows.problem
         return replace(
             problem,
             A=frozen(A),
             rhs=frozen(rhs),
-            floor=floor,
+            floor=floor + constant,
+            constant=constant,
             sigma=frozen(_weighted_sigma(problem, weights)),
         )
 

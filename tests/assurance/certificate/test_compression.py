@@ -26,8 +26,9 @@ from sdpid.estimation.compression.covariance import WEIGHTINGS, Weighting
 from sdpid.estimation.compression.triangle import Triangle
 from sdpid.estimation.compression.whitening import whiten
 from sdpid.estimation.problem import Problem, build_problem
+from sdpid.estimation.robust.solve import solve_robust
 from tests.helpers.arm import ARM, arm_problem
-from tests.helpers.data import make_samples, random_covariance, random_theta
+from tests.helpers.data import brute_force_cost, make_samples, random_covariance, random_theta
 
 Numbers = list[Fraction]
 
@@ -314,6 +315,21 @@ def test_a_compression_holds_in_chunks_and_pieces_of_every_size() -> None:
         for pieces in (1, 3)
     ]
     assert all(0.0 < each.relative < 1e-10 for each in found)
+
+
+@pytest.mark.parametrize("weighting", ["gls", "gls_per_sample", "residual"])
+def test_weighted_rows_of_a_robust_loss_are_near_their_compression(weighting: Weighting) -> None:
+    """With what the loss adds to them; without it the floor would be another one."""
+    problem = solve_robust(problem_of(weighting, noise=1.0)).problem
+    assert problem.constant > 1e-3 * problem.floor
+    found = prove_compression(problem)
+    assert found is not None
+    assert found.relative < 1e-10
+    base = problem.base_of(np.ones(problem.n_theta))
+    of_rows = brute_force_cost(problem, base, problem.sigma) + problem.constant
+    assert of_rows == pytest.approx(problem.cost(base), rel=1e-9)
+    wrong = prove_compression(replace(problem, constant=0.5 * problem.constant))
+    assert wrong is None or wrong.relative > 1e-4
 
 
 def test_a_problem_without_rows_proves_nothing() -> None:
