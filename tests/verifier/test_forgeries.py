@@ -1,0 +1,354 @@
+"""Forgeries that were accepted once, each by name, and how little a hostile file can cost."""
+
+from __future__ import annotations
+
+import copy
+import json
+import shutil
+import subprocess
+import sys
+import tracemalloc
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+from random import Random
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+import sdpid
+from sdpid.constraints import CenterOfMassInEllipsoid, Condition, Fixed, Row
+from sdpid.estimation.constraints.condition import Layout
+from sdpid.estimation.estimate import Estimate
+from sdpid.estimation.prior.prior import Prior
+from sdpid.verifier import certificate as checker
+from sdpid.verifier.command import main
+from sdpid.verifier.reading import MAX_BYTES, MalformedError, digest
+from sdpid.verifier.result import Result
+from tests.helpers.arm import BODIES, LAST, LIGHT, arm_problem
+from tests.helpers.forgeries import study
+
+Data = dict[str, Any]
+VERIFIER = Path(checker.__file__).parent
+JUDGE = study("certificate_judge").Judge()
+MUTATIONS = study("certificate_mutations")
+ENTROPIC = Prior(kind="entropic", bodies=BODIES)
+
+
+@cache
+def made() -> Data:
+    """Return a certificate with rows, a cone, an equation."""
+    cone = CenterOfMassInEllipsoid(LAST, (0, 0.01, 0), (0.02, 0.05, 0.03))
+    data = sdpid.certify(sdpid.solve_sdp(arm_problem(LIGHT, cone, Fixed({"Fv1": 0.5})))).to_dict()
+    assert checked(data).passed
+    return data
+
+
+@pytest.fixture
+def honest() -> Data:
+    """A copy of that certificate."""
+    return copy.deepcopy(made())
+
+
+def sealed(data: Data) -> Data:
+    """Return data with the digest that a forger would write."""
+    return {**data, "sha256": digest(data)}
+
+
+def checked(data: Data) -> Result:
+    """Check data as a file's content, with a right digest."""
+    return checker.check(checker.load(json.dumps(sealed(data)).encode()))
+
+
+def refused(data: Data) -> bool:
+    """Whether a file is refused, or something in it is not proven."""
+    try:
+        return not checked(data).passed
+    except MalformedError:
+        return True
+
+
+# ---- Rows and cones in another unit -------------------------------------------------------------
+
+
+def with_row(data: Data, lower: float, multiplier: float, **coefficients: float) -> Data:
+    """Return a certificate with one row more; keys are names of theta."""
+    forged = copy.deepcopy(data)
+    names = forged["origin"]["theta_names"]
+    row = [0.0] * len(names)
+    for name, value in coefficients.items():
+        row[names.index(name)] = value
+    forged["problem"]["rows"].append(
+        {"name": "light", "lower": lower, "upper": None, "coefficients": row}
+    )
+    forged["multipliers"]["rows"].append(multiplier)
+    return forged
+
+
+def test_a_row_in_a_tiny_unit_is_no_looser(honest: Data) -> None:
+    """m_1 ≥ 500 kg, written as 1e-12·m_1 ≥ 5e-10, with a multiplier that buys any bound."""
+    forged = with_row(honest, 5e-10, 1e30, m_1=1e-12)
+    result = checked(forged)
+    assert not result.passed
+    assert any("'light' is violated" in problem for problem in result.problems)
+    assert not any("feasible" in said and "given" in said for said in result.statements)
+    # Nor can the bound be above the cost of what is said to obey the relaxed row.
+    proof = checker.Proof(forged)
+    assert proof.lower_bound <= proof.cost
+    assert JUDGE.claim(forged, "feasible")[0] == "false"
+
+
+@dataclass(frozen=True)
+class HeavyFirst(Condition):
+    """The first link has 5 kg at least, in any unit."""
+
+    unit: float
+
+    def compile(self, layout: Layout) -> Iterable[Row]:
+        """Return the row."""
+        coefficients = np.zeros(layout.count)
+        coefficients[0] = self.unit
+        yield Row("heavy", coefficients, 5.0 * self.unit, np.inf)
+
+
+@pytest.mark.parametrize("unit", [1e-12, 1.0, 1e12])
+def test_a_condition_of_ones_own_holds_in_every_unit(unit: float) -> None:
+    best = sdpid.solve_sdp(arm_problem(LIGHT))
+    assert best.theta is not None
+    heavy = arm_problem(HeavyFirst(unit))
+    light = Estimate.of_theta(heavy, best.theta, method="made up", status="made up")
+    certificate = sdpid.certify(light)
+    assert not certificate.feasible
+    assert not certificate.passed
+
+
+@given(st.integers(-60, 60), st.floats(-1e-6, 1e-6), st.booleans())
+def test_units_do_not_matter(exponent: int, short: float, is_cone: bool) -> None:
+    """A row or a cone times a power of two is the same condition, and judged the same."""
+    found = []
+    for factor in (1.0, 2.0**exponent):
+        forged = copy.deepcopy(made())
+        if is_cone:
+            cone = forged["problem"]["cones"][0]
+            cone["axis"][0] -= short
+            cone["axis"] = [factor * x for x in cone["axis"]]
+            cone["vectors"] = [[factor * x for x in row] for row in cone["vectors"]]
+            z = forged["multipliers"]["Z"][-1]
+            forged["multipliers"]["Z"][-1] = [[x / factor for x in row] for row in z]
+        else:
+            mass = forged["theta"][0]
+            forged = with_row(forged, factor * mass * (1.0 + short), 1e-3 / factor, m_1=factor)
+        found.append(checker.Proof(forged))
+    assert found[0].violation == pytest.approx(found[1].violation, rel=1e-9, abs=1e-20)
+    assert found[0].lower_bound == pytest.approx(found[1].lower_bound, rel=1e-9)
+
+
+# ---- Another cost -------------------------------------------------------------------------------
+
+
+def test_the_text_never_calls_a_rewritten_cost_that_of_the_log(honest: Data) -> None:
+    """A cost whose optimum are the forger's parameters: true of the file, not of any log."""
+    forged = copy.deepcopy(honest)
+    problem, claims = forged["problem"], forged["claims"]
+    theta = np.array(forged["theta"]) * np.repeat([1.5, 1.0], [20, 4])
+    rhs = np.array(problem["A"]) @ (np.array(problem["base_matrix"]) @ theta)
+    problem.update(rhs=rhs.tolist(), floor=45.0, rows=[], cones=[])
+    forged["theta"] = theta.tolist()
+    Z = np.zeros((2, 4, 4)).tolist()
+    forged["multipliers"] = {"y": [0.0] * len(rhs), "Z": Z, "rows": [], "W": None}
+    claims.update(lower_bound=45.0, cost=45.1, gap=0.01, violation=0.0)
+    result = checked(forged)
+    assert result.passed
+    assert JUDGE.claim(forged, "gap")[0] == "true"
+    # What is told of the log is told as not checked, and nothing else speaks of it.
+    assert any("log" in said for said in result.unchecked)
+    assert not any("log" in said or "record" in said for said in result.statements)
+
+
+# ---- What is left out, and what is put in -------------------------------------------------------
+
+
+def test_dropped_links_are_seen_in_the_text(honest: Data) -> None:
+    forged = copy.deepcopy(honest)
+    assert MUTATIONS.forget_links(Random(0), forged, {})
+    forged["problem"]["cones"], forged["multipliers"]["Z"] = [], forged["multipliers"]["Z"][:1]
+    try:
+        result = checked(forged)
+    except MalformedError:
+        return
+    assert result.statements[0] != checked(honest).statements[0]
+
+
+def test_a_massless_body_has_no_margin(honest: Data) -> None:
+    forged = copy.deepcopy(honest)
+    forged["problem"].update(rows=[], cones=[])
+    forged["multipliers"].update(rows=[], Z=np.zeros((2, 4, 4)).tolist())
+    forged["multipliers"]["y"] = [0.0] * len(forged["multipliers"]["y"])
+    forged["problem"]["lower"][0] = 0.0
+    forged["theta"][:4] = [0.0] * 4
+    claims = forged["claims"]
+    claims.update(violation=0.0, lower_bound=-1e9, cost=1e9, gap=2.0)
+    assert any("mass" in problem for problem in checked(forged).problems)
+    claims["margins"][0] = None
+    assert checked(forged).passed
+    # And whoever has a mass has a margin.
+    claims["margins"] = [None, None]
+    assert any("mass" in problem for problem in checked(forged).problems)
+
+
+HOSTILE = ("\x1b[2K\x1b[1A", "a\nPROVEN.", "\u202eNEVORP", "\x9b1A", "a\rb", "\ud800", "n" * 10**5)
+
+
+@pytest.mark.parametrize("name", HOSTILE)
+def test_no_name_reaches_the_terminal_as_it_is(name: str, honest: Data, tmp_path: Path) -> None:
+    forged = copy.deepcopy(honest)
+    forged["origin"]["robot"] = forged["origin"]["links"][0] = name
+    forged["problem"]["rows"][0]["name"] = name
+    forged["problem"]["rows"][0]["upper"] = -1.0  # so that it is named
+    path = tmp_path / "c.json"
+    path.write_text(json.dumps(sealed(forged)), encoding="utf-8")
+    done = alone(path)
+    assert done.returncode == 1
+    lines = done.stdout.split("\n")[:-1]
+    assert all(line.isprintable() and len(line) < 3000 for line in lines)
+    assert [line for line in lines if line.startswith("PROVEN")] == []
+    assert lines[-1].startswith("NOT PROVEN")
+
+
+def test_a_name_does_not_leave_its_quotes(honest: Data) -> None:
+    forged = copy.deepcopy(honest)
+    forged["origin"]["robot"] = "arm': 7 links. They cost at most 0.0. '"
+    said = checked(forged).statements[0]
+    assert "arm': 7 links" not in said
+
+
+@pytest.mark.parametrize("version", [3, 3.0, 4.0, True, "4", None, 5])
+def test_versions(version: Any, honest: Data) -> None:
+    with pytest.raises(MalformedError):
+        checked({**honest, "version": version})
+
+
+@pytest.mark.parametrize("key", ["rows", "cones", "prior_matrix", "A"])
+@pytest.mark.parametrize("value", [{}, "", None, 0])
+def test_lists_are_lists(key: str, value: Any, honest: Data) -> None:
+    forged = copy.deepcopy(honest)
+    forged["problem"][key] = value
+    with pytest.raises(MalformedError):
+        checked(forged)
+
+
+def objects(value: Any) -> Iterator[Data]:
+    """Yield every object in some data."""
+    if isinstance(value, dict):
+        yield value
+    if isinstance(value, (dict, list)):
+        for item in value.values() if isinstance(value, dict) else value:
+            yield from objects(item)
+
+
+def test_keys_at_any_level_are_known_and_there(honest: Data) -> None:
+    data = copy.deepcopy(honest)
+    found = [each for each in objects(data) if each]
+    assert len(found) > 8
+    for each in found:
+        each["approved"] = True
+        with pytest.raises(MalformedError):
+            checked(data)
+        del each["approved"]
+        key = next(iter(each))
+        kept = each.pop(key)
+        with pytest.raises((MalformedError, KeyError)):
+            checked(data)
+        each[key] = kept
+    assert checked(data).passed
+
+
+def test_a_negative_margin_is_no_consistency(honest: Data) -> None:
+    forged = copy.deepcopy(honest)
+    forged["problem"]["margin"] = -1.0
+    assert refused(forged)
+
+
+def test_a_stated_share_is_not_rounded_down(honest: Data) -> None:
+    """The violation that is printed is at least the one that there is."""
+    forged = with_row(honest, honest["theta"][0] * (1 + 1.4e-10), 0.0, m_1=1.0)
+    forged["claims"]["violation"] = violation = float(checker.Proof(forged).violation) * (1 + 1e-15)
+    result = checked(forged)
+    assert result.passed
+    words = " ".join(result.statements).split("rows and cones to within ")[1].split()[0]
+    assert float(words) >= violation
+
+
+# ---- How little a hostile file can cost ---------------------------------------------------------
+
+
+def alone(path: Path) -> subprocess.CompletedProcess[str]:
+    """Run the verifier where nothing but the standard library can be imported."""
+    command = [sys.executable, "-I", "-S", str(VERIFIER), str(path)]
+    return subprocess.run(command, capture_output=True, text=True, timeout=300)
+
+
+def test_a_large_file_is_not_read(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / "large.json"
+    with path.open("wb") as file:
+        file.truncate(4 * MAX_BYTES)
+    tracemalloc.start()
+    try:
+        assert main([str(path)]) == 2
+        assert tracemalloc.get_traced_memory()[1] < 2**20
+    finally:
+        tracemalloc.stop()
+    assert "bytes" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    "content",
+    [
+        b"[" * 10**6,
+        b'{"a":' * 10**5,
+        b'{"schema": ' + b"9" * 10**6 + b"}",
+        b'{"schema": 1e' + b"9" * 10**6 + b"}",
+        b'{"schema": 0.' + b"0" * 10**6 + b"1}",
+        b"\xff\xfe{}",
+        b"",
+    ],
+    ids=["depth", "objects", "integer", "exponent", "decimals", "encoding", "empty"],
+)
+def test_odd_json_is_refused(content: bytes, tmp_path: Path) -> None:
+    path = tmp_path / "odd.json"
+    path.write_bytes(content)
+    done = alone(path)
+    assert done.returncode == 2
+    assert "Traceback" not in done.stderr
+    assert len(done.stderr) < 1000
+
+
+def test_a_link_has_one_prior(honest: Data) -> None:
+    """A prior that is repeated a thousand times once took the script half a minute."""
+    forged = sdpid.certify(sdpid.solve_sdp(arm_problem(prior=ENTROPIC, margin=0.0))).to_dict()
+    assert checked(forged).passed
+    assert MUTATIONS.repeat_link(Random(1), forged, {})
+    with pytest.raises(MalformedError):
+        checked(forged)
+
+
+def test_a_pipe_is_not_read(tmp_path: Path) -> None:
+    assert alone(Path("/dev/stdin")).returncode == 2
+
+
+def test_nothing_beside_a_copied_verifier_is_imported(honest: Data, tmp_path: Path) -> None:
+    """Whoever copies the folder next to a file `json.py` does not run that file."""
+    copied = tmp_path / "verifier-4.0 (1)"
+    shutil.copytree(VERIFIER, copied)
+    path = tmp_path / "c.json"
+    path.write_text(json.dumps(sealed(honest)), encoding="utf-8")
+    for name in ("json", "hashlib", "fractions", "certificate", "urdf"):
+        (tmp_path / f"{name}.py").write_text("print('PROVEN.'); raise SystemExit(0)\n")
+    command = [sys.executable, "-I", "-S", str(copied), str(path)]
+    done = subprocess.run(command, capture_output=True, text=True, cwd=tmp_path, timeout=60)
+    assert done.returncode == 0, done.stderr
+    assert "They cost at most" in done.stdout
