@@ -79,9 +79,6 @@ _CONE = ["name", "link", "axis", "vectors"]
 _PRIOR = ["links", "inverses", "strength"]
 _MULTIPLIERS = ["y", "Z", "rows", "W"]
 
-# Entries of a link's ten parameters that are of one kind: mass, first and second moments.
-_KINDS = (range(1), range(1, 4), range(4, 10))
-
 
 class Recomputed:
     """What the numbers of a certificate prove, claims aside.
@@ -140,18 +137,15 @@ class Recomputed:
         return None if self.theta is None else self.theta[10 * link : 10 * link + 10]
 
     def _sizes_of_parameters(self) -> list[float]:
-        """Return for each parameter the largest of its kind: mass, moments, friction."""
-        theta, first = self.theta, 10 * self.links
-        if theta is None:
-            return [0.0] * len(self.lower)
-        friction = max(map(abs, theta[first:]), default=0.0)
-        body = [0.0] * 10
-        for kind in _KINDS:
-            of_kind = (theta[k + i] for k in range(0, first, 10) for i in kind)
-            largest = max(map(abs, of_kind), default=0.0)
-            for i in kind:
-                body[i] = largest
-        return body * self.links + [friction] * (len(theta) - first)
+        """Return the size of each parameter, at which a violation of it is judged.
+
+        That is its own value, but of a link's moments no less than its mass a meter away, and of
+        friction and drives no less than one unit: what is zero has a size, too. A size that other
+        links had a part in could be made as large as one likes.
+        """
+        theta, first = self.theta or [0.0] * len(self.lower), 10 * self.links
+        masses = (abs(theta[k // 10 * 10]) if k < first else 1.0 for k in range(len(theta)))
+        return [max(abs(value), least) for value, least in zip(theta, masses, strict=True)]
 
     def _add(self, first: int, slopes: list[Fraction]) -> None:
         """Add to entries of c."""

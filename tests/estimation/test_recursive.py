@@ -216,8 +216,8 @@ def test_the_rows_of_a_stream_are_gone(tmp_path: Path) -> None:
     with pytest.raises(DataError, match="not kept"):
         sdpid.confidence_intervals(estimate)
     certificate = sdpid.certify(estimate)
-    origin = certificate.to_dict()["origin"]
-    assert origin["rows_sha256"] is origin["compression_error"] is None
+    stated = certificate.to_dict()
+    assert stated["origin"]["rows_sha256"] is stated["compression"] is None
     certificate.to_json(tmp_path / "c.json")
     assert sdpid.verify(tmp_path / "c.json").passed
     # What is predicted for other samples is.

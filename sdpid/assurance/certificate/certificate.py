@@ -8,10 +8,11 @@ from __future__ import annotations
 
 import json
 import os
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from fractions import Fraction
 from functools import cached_property
 from typing import Any
+from weakref import WeakKeyDictionary
 
 import numpy as np
 
@@ -20,13 +21,14 @@ from sdpid._common.arrays import Array, frozen
 from sdpid._common.files import atomic_write_text
 from sdpid._common.tables import facts_html
 from sdpid._common.threads import one_thread
-from sdpid.assurance.certificate.compression_error import rows_digest
+from sdpid.assurance.certificate.compression import Compression, prove_compression
 from sdpid.assurance.certificate.rounding import (
     downward,
     feasible_theta,
     proven_margins,
     semidefinite,
 )
+from sdpid.assurance.certificate.rows_digest import rows_digest
 from sdpid.errors import CertificateError
 from sdpid.estimation.duality.bound import Bound, evaluate, relative_gap
 from sdpid.estimation.duality.refine_multipliers import lower_bound
@@ -39,6 +41,9 @@ from sdpid.verifier.result import Result
 
 # A certificate passes when the cost is proven to be within this share of the global optimum.
 GAP = 1e-6
+
+# Of problems that several estimates were certified of, as long as they are in use.
+_PROVEN: WeakKeyDictionary[Problem, Compression | None] = WeakKeyDictionary()
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -86,7 +91,10 @@ class Certificate:
 
     @cached_property
     def _stated(self) -> tuple[dict[str, Any], checker.Proof]:
-        """Everything that the certificate states, and its exact evaluation."""
+        """Everything that the certificate states, and its exact evaluation.
+
+        The rows of the problem are gone through for the error of their compression.
+        """
         problem, estimate, dual = self.problem, self.estimate, self.bound.multipliers
         feasible, theta = problem.feasible, self.theta
         limits = np.where(dual.rows > 0.0, feasible.row_lower, feasible.row_upper)
@@ -111,7 +119,7 @@ class Certificate:
                 "rows_sha256": rows_digest(problem),
             },
             "problem": _problem(problem),
-            "compression": None,
+            "compression": _compression(problem),
             "theta": None if theta is None else theta.tolist(),
             "multipliers": {
                 "y": dual.y.tolist(),
@@ -228,6 +236,14 @@ def _gap(cost: float, bound: float, proof: checker.Proof) -> float:
     """Return (cost − bound) relative to the cost, rounded up."""
     scale = max(Fraction(cost), proof.scale)
     return above((Fraction(cost) - Fraction(bound)) / scale) if scale else 0.0
+
+
+def _compression(problem: Problem) -> dict[str, float] | None:
+    """Return how well the rows are compressed, None where that is not proven."""
+    if problem not in _PROVEN:
+        _PROVEN[problem] = prove_compression(problem)
+    found = _PROVEN[problem]
+    return None if found is None else asdict(found)
 
 
 def _problem(problem: Problem) -> dict[str, Any]:
