@@ -498,6 +498,7 @@ def test_the_bound_is_of_the_set_that_the_parameters_lie_in(tmp_path: Path) -> N
 def test_the_mass_of_another_link_makes_no_violation_small(tmp_path: Path) -> None:
     data = copy.deepcopy(MADE["pseudo"])
     data["problem"]["upper"][0], data["theta"][0] = 1e12, 1e12
+    data["problem"]["rows"], data["multipliers"]["rows"] = [], []
     row = [0.0] * len(data["theta"])
     row[10] = 1.0
     data["problem"]["rows"].append(
