@@ -1,0 +1,336 @@
+"""How far the rows that were compressed are from those of the robot's equations of motion."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from sdpid._common.arrays import Array, frozen
+from sdpid.assurance.log_proof.box import Box
+from sdpid.assurance.log_proof.enclosure import TINY, UP, U, largest, root
+from sdpid.assurance.log_proof.friction_columns import enclosed_columns, has_formula
+from sdpid.assurance.log_proof.joints import Joint
+from sdpid.assurance.log_proof.regressor import motion, regressor
+from sdpid.assurance.log_proof.weights import diagonal_weights
+from sdpid.estimation.compression.covariance import Weighting
+from sdpid.estimation.compression.rows import Rows, RowSource
+from sdpid.estimation.constraints.feasible_set import FeasibleSet
+from sdpid.robot.model.base_parameters import BaseParameters
+from sdpid.robot.model.regressor_kernel import Tree, flatten
+
+# Samples of a chunk: its arrays stay in a second-level cache, and a call costs little beside them.
+CHUNK = 1024
+
+
+@dataclass(frozen=True)
+class WorstEntry:
+    """The entry of the rows that is farthest from the equations, times its parameter's bound.
+
+    Attributes
+    ----------
+    joint : str
+        Whose effort.
+    sample : int
+        Which sample, counted from 0.
+    parameter : str
+        Which parameter.
+    error : float
+        What the entry of the rows is off by, in the unit of effort over parameter.
+    """
+
+    joint: str
+    sample: int
+    parameter: str
+    error: float
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class RowError:
+    """A bound of the distance between rows as computed and rows of the equations of motion.
+
+    For every feasible theta ``|√f_true(theta) − √f_rows(theta)| ≤ at(theta) ≤ total``.
+
+    Attributes
+    ----------
+    columns : ndarray, shape (p,)
+        Bound of the weighted norm, over all rows, of what each parameter's column is off by.
+    links : ndarray, shape (links, 3)
+        The same of what the enclosure leaves open of each link, over its m, |h| and ‖I‖.
+    constant : float
+        Further share that does not depend on theta: zero but for eq9 and eq18.
+    box : Box
+        Bounds of everything feasible.
+    taken_as_computed : tuple of str
+        Friction terms whose columns are results of processing: these are not compared.
+    worst : WorstEntry
+        Where the rows are farthest off.
+    """
+
+    columns: Array
+    links: Array
+    constant: float
+    box: Box
+    taken_as_computed: tuple[str, ...]
+    worst: WorstEntry
+
+    @cached_property
+    def total(self) -> float:
+        """The bound rho for every theta in the box."""
+        return self._over(self.box)
+
+    def at(self, theta: Array) -> float:
+        """Return the bound at some parameters (p,)."""
+        return self._over(Box.around(theta, len(self.links)))
+
+    def _over(self, box: Box) -> float:
+        terms = np.concatenate([box.theta * self.columns, (box.bodies * self.links).ravel()])
+        # A sum of numbers that are not negative rounds as often as there are numbers.
+        found = float((np.sum(terms) + self.constant) * (1.0 + 2.0 * len(terms) * U) * UP + TINY)
+        return found if np.isfinite(found) else np.inf
+
+
+def row_error(
+    rows: Rows, sigma: Array, weighting: Weighting, feasible: FeasibleSet
+) -> RowError | None:
+    """Return how far rows are from those of the robot's equations, None for other joints.
+
+    The regressor is enclosed at the samples' own positions, velocities and accelerations, from the
+    placements, axes and gravity as stored (`sdpid.robot.model.regressor_kernel.Tree`), and compared
+    with the base regressor as it is computed, times B: what is found covers rounding and mistakes
+    of the regressor, the sine and cosine, and B. See docs/theory.md, "Rows hold for the robot's
+    equations".
+
+    Parameters
+    ----------
+    rows : Rows
+        The rows that are compressed.
+    sigma : ndarray, shape (n, n) or (K, n, n)
+        Effort covariance.
+    weighting : str
+        As for `sdpid.build_problem`.
+    feasible : FeasibleSet
+        The box, and the links' consistency.
+
+    Returns
+    -------
+    RowError or None
+        None where joints are neither revolute, prismatic nor a floating base.
+    """
+    tree = flatten(rows.robot.pin_model, rows.robot.expansion)
+    if tree is None:
+        return None
+    box = Box.of(feasible)
+    exponent = -0.5 if weighting == "eq9" else -1.0
+    printed = weighting in ("eq9", "eq18")
+    if sigma.ndim == 2:
+        weights = diagonal_weights(sigma, exponent)
+        pieces = rows.map(_piece_of_one, weights, box, printed)
+    else:
+        pieces = rows.map(_piece_of_many, exponent, box, printed, sigma=sigma)
+    up = (1.0 + 2.0 * len(pieces) * U) * UP
+    columns = root(np.sum([piece.columns**2 for piece in pieces], axis=0)) * up
+    links = root(np.sum([piece.links**2 for piece in pieces], axis=0)) * up
+    constant = 0.0
+    if printed:
+        base = root(np.sum([piece.base**2 for piece in pieces], axis=0)) * up
+        efforts = float(root(np.sum([piece.efforts**2 for piece in pieces]))) * up
+        columns, links, constant = _printed(rows.base, columns, links, base, efforts)
+    first, best = 0, pieces[0]
+    start = 0
+    for piece in pieces:
+        if piece.score > best.score:
+            first, best = start, piece
+        start += piece.count
+    joint, sample, column, error = best.worst
+    return RowError(
+        columns=frozen(columns),
+        links=frozen(links),
+        constant=constant,
+        box=box,
+        taken_as_computed=_as_computed(rows),
+        worst=WorstEntry(
+            rows.robot.joint_names[joint], first + sample, rows.base.theta_names[column], error
+        ),
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class _Piece:
+    """What the rows of a piece are off by: weighted norms of columns, and the worst entry."""
+
+    columns: Array
+    links: Array
+    base: Array
+    efforts: float
+    score: float
+    worst: tuple[int, int, int, float]
+    count: int
+
+
+def _piece_of_one(source: RowSource, weights: Array, box: Box, printed: bool) -> _Piece:
+    """Compare the rows of a piece, all with the same weights (n,)."""
+    return _Comparison(source, box, printed).run(lambda part: weights)
+
+
+def _piece_of_many(
+    source: RowSource, sigma: Array, exponent: float, box: Box, printed: bool
+) -> _Piece:
+    """Compare the rows of a piece whose samples have covariances of their own."""
+    return _Comparison(source, box, printed).run(
+        lambda part: diagonal_weights(sigma[part], exponent)
+    )
+
+
+class _Comparison:
+    """The rows of a piece beside the equations, chunk by chunk."""
+
+    def __init__(self, source: RowSource, box: Box, printed: bool) -> None:
+        self.source, self.box, self.printed = source, box, printed
+        tree = flatten(source.robot.pin_model, source.robot.expansion)
+        assert tree is not None  # `row_error` has looked
+        self.tree: Tree = tree
+        self.joints = [Joint.of(tree, i) for i in range(len(tree.kind))]
+        matrix = source.base.matrix
+        unit = (np.count_nonzero(matrix, axis=0) == 1) & (matrix.max(axis=0, initial=0.0) == 1.0)
+        # Columns that are one of the base regressor's, and those that are combinations.
+        self.plain = np.flatnonzero(unit)
+        self.leads = np.argmax(matrix[:, self.plain], axis=0)
+        self.folded = np.flatnonzero(~unit)
+        self.turn = np.ascontiguousarray(matrix[:, self.folded].T)
+        # A sum of k products rounds at most k times each, in any order.
+        terms = np.count_nonzero(self.turn, axis=1)
+        self.rounding = terms * U / (1.0 - terms * U)
+        filtered = source.samples.wide is not None
+        names = source.friction.joint_names
+        self.terms = []
+        start = 10 * source.robot.n_links
+        for term in source.friction.terms:
+            stop = start + len(term.parameters(names))
+            self.terms.append((term, slice(start, stop), has_formula(term, filtered=filtered)))
+            start = stop
+
+    def run(self, weights_of: Callable[[slice], Array]) -> _Piece:
+        """Return what the rows are off by."""
+        source, found = self.source, _Sums(self.box, self.source.base.count)
+        memory = np.zeros((source.robot.n, len(self.box.theta), CHUNK))
+        again = np.zeros((CHUNK, source.robot.n, source.base.count + 1))
+        for part in source.parts(CHUNK):
+            rows, error = source.rows(part, again), memory[:, :, : part.stop - part.start]
+            # An overflow leaves a bound that is infinite or no number.
+            with np.errstate(over="ignore", invalid="ignore"):
+                rad, open_links = self._difference(part, rows, error)
+                factor = np.where(source.mask(part), weights_of(part), 0.0).T
+                found.add(part, error, rad, open_links, factor)
+                if self.printed:
+                    found.add_rows(rows, factor)
+        return found.piece(source.n_samples)
+
+    def _difference(self, part: slice, rows: Array, error: Array) -> tuple[Array, Array]:
+        """Write the equations' rows less the computed ones (n, p, k).
+
+        Returns what each entry (n, p) and each link (n, links, 3) leaves open, for all samples.
+        """
+        source, samples = self.source, self.source.samples
+        n, links = source.robot.n, source.robot.n_links
+        computed = np.ascontiguousarray(rows[:, :, :-1].transpose(1, 2, 0))
+        rad, open_links = np.zeros(error.shape[:2]), np.zeros((n, links, 3))
+        position, velocity = samples.position[part], samples.velocity[part]
+        states = motion(
+            self.tree, source.robot.offset, position, velocity, samples.acceleration[part]
+        )
+        error[:] = 0.0
+        regressor(self.joints, states, error[:, : 10 * links], open_links)
+        self._friction(part, error, rad)
+        error[:, self.plain] -= computed[:, self.leads]
+        error[:, self.folded] -= np.matmul(self.turn, computed)
+        rad[:, self.folded] += self.rounding * (largest(computed) @ np.abs(self.turn).T)
+        return rad * UP, open_links * UP
+
+    def _friction(self, part: slice, error: Array, rad: Array) -> None:
+        """Write the friction terms' columns; what has no formula is taken from the rows."""
+        source = self.source
+        to = source.friction.first
+        names = source.friction.joint_names
+        moving = source.motion(part)
+        for term, columns, formula in self.terms:
+            if formula:
+                error[to:, columns], rad[to:, columns] = enclosed_columns(term, moving, names)
+            elif columns.stop > columns.start:
+                found = term.columns_in(moving, names)
+                error[to:, columns] = found.transpose(1, 2, 0)
+
+
+class _Sums:
+    """Weighted squares of columns, added up over the chunks of a piece."""
+
+    def __init__(self, box: Box, base: int) -> None:
+        self.box = box
+        self.columns, self.links = np.zeros(len(box.theta)), np.zeros(box.bodies.shape)
+        self.rows = np.zeros(base + 1)
+        self.score, self.worst = -1.0, (0, 0, 0, 0.0)
+        self.up = 1.0
+
+    def add(self, part: slice, error: Array, rad: Array, open_links: Array, factor: Array) -> None:
+        """Add the errors (n, p, k) with radii (n, p) and (n, links, 3), times factors (n, k)."""
+        count = factor.shape[1]
+        error *= factor[:, None, :]
+        # Sums of k squares, and of as many chunks, round once a term.
+        up = (1.0 + 2.0 * (count + len(factor)) * U) * UP
+        self.up += 2.0 * U
+        share = root(np.sum(factor**2, axis=1)) * up
+        # Minkowski's inequality for what is computed and what is open.
+        norms = root(np.einsum("jck,jck->jc", error, error)) * up + share[:, None] * rad + TINY
+        added = np.sum(norms**2, axis=0)
+        self.columns += added
+        self.links += np.sum((share[:, None, None] * open_links) ** 2, axis=0) * up
+        score = float(np.sqrt(added / count) @ self.box.theta)
+        if not score <= self.score:
+            self.score, self.worst = score, self._worst(part, error, factor)
+
+    def add_rows(self, rows: Array, factor: Array) -> None:
+        """Add the rows (k, n, b + 1) themselves."""
+        weighted = rows.transpose(1, 2, 0) * factor[:, None, :]
+        up = (1.0 + 4.0 * factor.size * U) * UP
+        self.rows += np.einsum("jbk,jbk->b", weighted, weighted) * up
+
+    def piece(self, count: int) -> _Piece:
+        """Return the norms."""
+        up = self.up * UP
+        columns, links, rows = (root(x) * up for x in (self.columns, self.links, self.rows))
+        return _Piece(columns, links, rows[:-1], float(rows[-1]), self.score, self.worst, count)
+
+    def _worst(self, part: slice, error: Array, factor: Array) -> tuple[int, int, int, float]:
+        """Return joint, sample and column of the largest error times its bound, and the error."""
+        size = np.abs(error) * self.box.theta[:, None]
+        j, column, k = (int(x) for x in np.unravel_index(int(np.argmax(size)), size.shape))
+        scale = factor[j, k] if factor[j, k] > 0.0 else 1.0
+        return j, part.start + k, column, float(error[j, column, k] / scale)
+
+
+def _printed(
+    base: BaseParameters, columns: Array, links: Array, norms: Array, efforts: float
+) -> tuple[Array, Array, float]:
+    """Return columns, links and constant for the costs ``‖W^T Sigma^e (y − Y theta)‖²``.
+
+    With ^ for what was computed and E = Y − Ŷ the residual differs by ``Ŵ^T Sigma^e E theta +
+    (W − Ŵ)^T Sigma^e (y − Ŷ theta − E theta)``.
+    """
+    rows = float(root(np.sum(norms**2)))
+    # One parameter's column, with its share of what is open of its link.
+    whole = columns.copy()
+    whole[: 10 * len(links)] += np.repeat(links, (1, 3, 6), axis=1).ravel()
+    wrong = float(root(np.sum(whole[base.kept] ** 2)))
+    up = (1.0 + 4.0 * (len(norms) + len(columns)) * U) * UP
+    found = rows * columns + wrong * (norms @ np.abs(base.matrix) + whole)
+    return found * up, rows * links * up, wrong * efforts * up
+
+
+def _as_computed(rows: Rows) -> tuple[str, ...]:
+    """Return the friction terms that are results of processing."""
+    filtered = rows.samples.wide is not None
+    return tuple(
+        type(t).__name__ for t in rows.friction.terms if not has_formula(t, filtered=filtered)
+    )
