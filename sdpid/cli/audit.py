@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import functools
-import json
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -60,7 +59,9 @@ class TableOptions:
             "parameters the table names.",
         ),
     ] = None
-    proof: Annotated[Path | None, _table(help="JSON file for the proof, in exact numbers.")] = None
+    proof: Annotated[
+        Path | None, _table(help="JSON file for the proof, which `sdpid verify` checks.")
+    ] = None
 
 
 def audit(
@@ -119,6 +120,7 @@ def _audit_table(source: Path, table: TableOptions, printing: Printing) -> bool:
         margin=table.margin,
         mass_max=table.mass_max,
         friction=terms,
+        table=published.file,
     )
     if table.proof is not None:
         _write_proof(table.proof, result)
@@ -128,12 +130,10 @@ def _audit_table(source: Path, table: TableOptions, printing: Printing) -> bool:
 
 def _write_proof(path: Path, result: BaseAudit) -> None:
     """Write the proof of an audit, or say that there is none."""
-    from sdpid._common.files import atomic_write_text
-
     if result.certificate is None:
-        typer.echo(f"sdpid: {path}: not written, as there is no proof to write.", err=True)
+        typer.echo(f"sdpid: {path}: not written: undecided, so there is no proof.", err=True)
         return
-    atomic_write_text(path, json.dumps(result.certificate.to_dict(), indent=1) + "\n")
+    result.certificate.to_json(path)
 
 
 def _audit_description(source: Path, repair: Path | None, printing: Printing) -> bool:

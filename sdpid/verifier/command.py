@@ -8,12 +8,15 @@ import sys
 from dataclasses import dataclass, field
 from typing import Any
 
-from . import certificate
+from . import certificate, tables
 from .reading import REFUSED, MalformedError, parse, read_bytes, shown
 from .result import Result
 
 # By schema: how a file is read and checked, and the numbers that it claims.
-CHECKS = {certificate.SCHEMA: (certificate.load, certificate.check, certificate.claimed)}
+CHECKS = {
+    certificate.SCHEMA: (certificate.load, certificate.check, certificate.claimed),
+    **dict.fromkeys(tables.SCHEMAS, (tables.load, tables.check, tables.claimed)),
+}
 
 
 @dataclass(frozen=True)

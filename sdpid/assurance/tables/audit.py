@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from decimal import Decimal
@@ -13,15 +14,20 @@ import numpy as np
 from sdpid._common.arrays import Array, frozen
 from sdpid._common.tables import facts_html
 from sdpid._common.threads import one_thread
+from sdpid.assurance.tables.proof_file import TableFile
 from sdpid.assurance.tables.proof_search import bound_margin, refute, strongest
 from sdpid.assurance.tables.question import base_question
-from sdpid.assurance.tables.refutation import Refutation, decimal_text
-from sdpid.assurance.tables.witness import Number, Question, exact
+from sdpid.assurance.tables.refutation import Refutation
+from sdpid.assurance.tables.witness import Number, Question, Realization, exact, realization
 from sdpid.assurance.tables.witness_search import Search
 from sdpid.robot.friction.term import FrictionTerm
 from sdpid.robot.inertia import Consistency
 from sdpid.robot.model.base_parameters import BaseParameters, characteristic_length
 from sdpid.robot.model.model import RobotModel
+from sdpid.verifier.decimals import decimal_text
+
+# Beside halfwidths next to zero a change may have more units than a double holds.
+_LARGEST = Fraction(sys.float_info.max)
 
 Verdict = Literal["realisable", "not realisable", "undecided"]
 
@@ -50,10 +56,10 @@ class BaseAudit:
     margin_bound : float or None
         No links whatever have a larger margin than this, proven under the bound on masses; None
         where no bound was found.
-    exact_witness : tuple of Fraction, or None
-        Standard parameters of links that can exist and have the base parameters.
-    certificate : Refutation or None
-        The proof that there are none, as short as was found.
+    certificate : Realization, Refutation or None
+        The proof, which `to_json` writes for ``sdpid verify``: links that can exist and have the
+        base parameters, or an inequality that says that there are none, as short as was found.
+        None when undecided.
     change : float or None
         By what factor, less one, all halfwidths must grow for a witness: a witness was found
         there. 0 when realisable.
@@ -71,8 +77,7 @@ class BaseAudit:
     verdict: Verdict
     margin: float | None
     margin_bound: float | None
-    exact_witness: tuple[Fraction, ...] | None = None
-    certificate: Refutation | None = None
+    certificate: Realization | Refutation | None = None
     change: float | None = None
     change_bound: float | None = None
     changes: Mapping[str, float]
@@ -82,7 +87,7 @@ class BaseAudit:
         return f"BaseAudit(robot={self.robot!r}, verdict={self.verdict!r})"
 
     def _repr_html_(self) -> str:
-        proof = self.certificate
+        proof = self.refutation
         facts = {
             "verdict": self.verdict,
             "largest margin found, kg·m²": self.margin,
@@ -93,26 +98,34 @@ class BaseAudit:
         return facts_html(f"Audit of base parameters of {self.robot}", facts)
 
     @property
+    def refutation(self) -> Refutation | None:
+        """The proof that no links have the table; None unless *not realisable*."""
+        return self.certificate if isinstance(self.certificate, Refutation) else None
+
+    @property
+    def exact_witness(self) -> tuple[Fraction, ...] | None:
+        """Standard parameters of links that can exist and have the table; None without."""
+        return self.certificate.theta if isinstance(self.certificate, Realization) else None
+
+    @property
     def witness(self) -> Array | None:
         """The witness in floating point, shape (p,); None where there is none."""
         found = self.exact_witness
         return None if found is None else frozen([float(x) for x in found])
 
     def holds(self) -> bool:
-        """Check the witness or the proof anew, in exact arithmetic; False when undecided."""
-        if self.exact_witness is not None:
-            return self.question.is_witness(self.exact_witness)
+        """Check the proof anew, in exact arithmetic; False when undecided."""
         return self.certificate is not None and self.certificate.holds
 
     @property
     def needs_mass_bound(self) -> bool | None:
-        """Whether the proof that was found needs the bound on masses; None without a proof."""
-        return None if self.certificate is None else self.certificate.uses_mass_bound
+        """Whether the refutation that was found needs the bound on masses; None without one."""
+        return None if self.refutation is None else self.refutation.uses_mass_bound
 
     @property
     def needs_theta_max(self) -> bool | None:
-        """Whether the proof that was found needs `theta_max`; None without a proof."""
-        return None if self.certificate is None else self.certificate.uses_theta_max
+        """Whether the refutation that was found needs `theta_max`; None without one."""
+        return None if self.refutation is None else self.refutation.uses_theta_max
 
     @property
     def blamed(self) -> tuple[str, ...]:
@@ -133,7 +146,7 @@ class BaseAudit:
             lines.append(f"largest margin found: {self.margin:.4g} kg.m2")
         if self.margin_bound is not None:
             lines.append(f"no links have a margin above {self.margin_bound:.4g} kg.m2 (proven)")
-        proof = self.certificate
+        proof = self.refutation
         if proof is not None:
             needs = [
                 name
@@ -170,7 +183,7 @@ class BaseAudit:
 
     def to_dict(self) -> dict[str, Any]:
         """Return the findings as plain values."""
-        q, proof, witness = self.question, self.certificate, self.witness
+        q, proof, witness = self.question, self.refutation, self.witness
         return {
             "robot": self.robot,
             "verdict": self.verdict,
@@ -192,7 +205,7 @@ class BaseAudit:
             "change_bound": self.change_bound,
             "changes": dict(self.changes),
             "blamed": list(self.blamed),
-            "certificate": None if proof is None else proof.to_dict(),
+            "certificate": None if self.certificate is None else self.certificate.to_dict(),
         }
 
 
@@ -210,6 +223,7 @@ def audit_base_parameters(
     friction: Iterable[str | FrictionTerm] | None = None,
     friction_nonnegative: bool = True,
     base: BaseParameters | None = None,
+    table: TableFile | None = None,
 ) -> BaseAudit:
     """Decide whether links that can exist have given base parameters.
 
@@ -240,6 +254,8 @@ def audit_base_parameters(
         Whether Coulomb, viscous and rotor terms are not negative.
     base : BaseParameters, optional
         Of the robot with these terms, where they are known already.
+    table : TableFile, optional
+        The file that the values come from, for the proof to name.
 
     Returns
     -------
@@ -269,6 +285,7 @@ def audit_base_parameters(
         friction=friction,
         friction_nonnegative=friction_nonnegative,
         base=base,
+        table=table,
     )
     return _audited(robot.name, question, characteristic_length(robot))
 
@@ -289,12 +306,12 @@ def _audited(name: str, question: Question, length: float) -> BaseAudit:
         "units": units,
     }
     if theta is not None and (best is None or best >= float(question.margin) - 1e-6):
-        witness = search.made_exact(theta)
-        if question.is_witness(witness):
+        found = realization(question, search.made_exact(theta))
+        if found is not None:
             return BaseAudit(
                 **common,
                 verdict="realisable",
-                exact_witness=tuple(witness),
+                certificate=found,
                 change=0.0,
                 changes={},
             )
@@ -309,7 +326,7 @@ def _audited(name: str, question: Question, length: float) -> BaseAudit:
         verdict="undecided" if proof is None else "not realisable",
         certificate=proof,
         change=change,
-        change_bound=None if least is None else float(least),
+        change_bound=None if least is None else float(min(least, _LARGEST)),
         changes=changes,
     )
 

@@ -7,11 +7,13 @@ import os
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass
-from decimal import Decimal, InvalidOperation
+from decimal import Decimal
 from fractions import Fraction
 from pathlib import Path
 
 from sdpid._common.files import is_irregular
+from sdpid.assurance.tables.proof_file import TableFile
+from sdpid.assurance.tables.witness import exact_decimal
 from sdpid.errors import DataError
 
 _NAMES = ("name", "parameter")
@@ -19,10 +21,6 @@ _NAMES = ("name", "parameter")
 # The column that says what folds into a base parameter, and a name in it.
 _REGROUPING = "regrouping"
 _NAME = re.compile(r"[A-Za-z]\w*")
-
-# No parameter of a robot has more digits before the point, or more after it. Exponents beyond
-# would be written out in exact arithmetic.
-_BEFORE, _AFTER = 12, 400
 
 
 @dataclass(frozen=True)
@@ -35,11 +33,14 @@ class BaseTable:
         By name, as exact numbers.
     mentioned : frozenset of str
         Names in the table: of its parameters, and in its column ``regrouping`` if it has one.
+    file : TableFile or None
+        The file.
     """
 
     values: Mapping[str, Fraction]
     halfwidths: Mapping[str, Fraction]
     mentioned: frozenset[str]
+    file: TableFile | None = None
 
 
 def half_unit(text: str) -> Fraction:
@@ -83,8 +84,9 @@ def read_base_table(
     """
     if is_irregular(path):
         raise DataError(f"{path}: is no regular file; give a CSV file.")
+    content = Path(path).read_bytes()
     try:
-        text = Path(path).read_text(encoding="utf-8-sig")
+        text = content.decode("utf-8-sig")
     except UnicodeDecodeError:
         raise DataError(f"{path}: is not text; expected CSV.") from None
     reader = csv.DictReader(text.splitlines(), skipinitialspace=True)
@@ -127,23 +129,12 @@ def read_base_table(
     if not values:
         raise DataError(f"{path}: column {value!r} has no values.")
     regrouped = " ".join(row.get(_REGROUPING) or "" for row in rows)
-    return BaseTable(values, halves, frozenset(values).union(_NAME.findall(regrouped)))
+    mentioned = frozenset(values).union(_NAME.findall(regrouped))
+    return BaseTable(values, halves, mentioned, TableFile.of(path, content))
 
 
 def _decimal(text: str, what: str) -> Decimal:
     try:
-        number = Decimal(text)
-    except InvalidOperation:
-        number = Decimal("nan")
-    if not number.is_finite():
-        raise DataError(f"{what}: {_brief(text)} is not a number.")
-    if number.adjusted() > _BEFORE or int(number.as_tuple().exponent) < -_AFTER:
-        raise DataError(
-            f"{what}: {_brief(text)} has more than {_BEFORE} digits before the point or {_AFTER} "
-            "after it; no robot has such a parameter."
-        )
-    return number
-
-
-def _brief(text: str) -> str:
-    return repr(text if len(text) <= 40 else text[:37] + "...")
+        return exact_decimal(text, text)
+    except DataError as cause:
+        raise DataError(f"{what}: {cause}") from None

@@ -16,8 +16,9 @@ from fractions import Fraction
 import numpy as np
 
 from sdpid._common.arrays import Array
-from sdpid.assurance.tables.witness import Question, Vector
+from sdpid.assurance.tables.witness import Question
 from sdpid.robot.inertia import TENSOR_INDEX
+from sdpid.verifier.realizable import Vector
 
 # Coefficients of a link's ten parameters in the entries of its matrices.
 _TENSOR = {pair: 4 + k for k, pair in enumerate(TENSOR_INDEX)}

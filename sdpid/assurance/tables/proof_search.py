@@ -16,9 +16,10 @@ from sdpid._common.arrays import Array
 from sdpid.assurance.tables.facial_reduction import Face, find_face
 from sdpid.assurance.tables.refutation import Refutation
 from sdpid.assurance.tables.weight_program import WeightProgram, Weights
-from sdpid.assurance.tables.witness import Question, coefficient_matrices
+from sdpid.assurance.tables.witness import Question
 from sdpid.assurance.tables.witness_search import Search
 from sdpid.verifier.exact import positive_semidefinite
+from sdpid.verifier.realizable import coefficient_matrices
 
 # A contradiction below this, with weights of size one, is a solver's rounding.
 _CONTRADICTS = 1e-7

@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from sdpid.assurance.tables.proof_file import TableFile
 from sdpid.assurance.tables.witness import Number, Question, exact
 from sdpid.errors import DataError
 from sdpid.robot.friction.model import BY_NAME, FrictionModel
@@ -39,6 +40,7 @@ def base_question(
     friction: Iterable[str | FrictionTerm] | None = None,
     friction_nonnegative: bool = True,
     base: BaseParameters | None = None,
+    table: TableFile | None = None,
 ) -> Question:
     """Return the question of a table; for the arguments see `sdpid.audit_base_parameters`.
 
@@ -78,12 +80,15 @@ def base_question(
     first = 10 * robot.n_links
     signs = (first + i for i, p in enumerate(model.parameters) if p.nonnegative)
     return Question(
+        robot=robot.name,
+        link_names=tuple(robot.link_names),
+        table=None if table is None else table.name,
+        table_sha256=None if table is None else table.sha256,
         names=tuple(values),
         rows=tuple(rows),
         values=tuple(exact(value) for value in values.values()),
         halfwidths=tuple(_halfwidth(halfwidths, name) for name in values),
         theta_names=base.theta_names,
-        n_links=robot.n_links,
         nonnegative=frozenset(signs if friction_nonnegative else ()),
         consistency=consistency,
         leading=tuple(leading),

@@ -13,8 +13,8 @@ import numpy as np
 
 from sdpid._common.arrays import Array
 from sdpid.assurance.tables.facial_reduction import Face
-from sdpid.assurance.tables.witness import coefficient_matrices
 from sdpid.assurance.tables.witness_search import Search
+from sdpid.verifier.realizable import coefficient_matrices
 
 # Gap and residuals at which the solver stops.
 _TOLERANCE = 1e-10
