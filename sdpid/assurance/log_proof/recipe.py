@@ -15,6 +15,7 @@ from sdpid.estimation.compression.covariance import WEIGHTINGS, Weighting
 from sdpid.estimation.problem import Problem
 from sdpid.experiment.preparation.several import Prepared
 from sdpid.experiment.processing.settings import Processing
+from sdpid.experiment.readers.arguments import Arguments
 from sdpid.robot.friction.posed import PosedTerm
 from sdpid.robot.friction.stored import term_from_dict, term_to_dict
 from sdpid.robot.friction.term import FrictionTerm
@@ -24,6 +25,7 @@ from sdpid.robot.model.model import RobotModel
 # Weightings with a covariance for each sample: it comes from the log's periods, as do the rows.
 PER_SAMPLE: tuple[Weighting, ...] = ("gls_per_sample", "eq9", "eq18")
 
+_READING = {each.name for each in fields(Arguments)}
 _SETTINGS = tuple(each.name for each in fields(Processing) if each.name != "reasons")
 
 
@@ -170,6 +172,8 @@ class Recipe:
         _require_keys(processing, _SETTINGS)
         for log in given["logs"]:
             _require_keys(log, ["reading"])
+            if log["reading"] is not None and (wrong := set(log["reading"]) - _READING):
+                raise ValueError(f"reading has {', '.join(sorted(map(repr, wrong)))[:200]}")
         if given["weighting"] not in WEIGHTINGS:
             raise ValueError(f"weighting is {given['weighting']!r:.80}")
         gravity = tuple(float(each) for each in robot["gravity"])

@@ -1,0 +1,341 @@
+"""Recompute a result's chain from its logs: files, samples, rows, compression, bound."""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Iterable
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+
+from sdpid._common.arrays import frozen
+from sdpid._common.progress import progress
+from sdpid._common.threads import one_thread
+from sdpid.assurance.certificate.certificate import GAP
+from sdpid.assurance.certificate.compression import Compression, base_limit, enclose_compression
+from sdpid.assurance.log_proof.inputs import log_entry, recording_digest
+from sdpid.assurance.log_proof.links import Bounds, Link, LogProof, State
+from sdpid.assurance.log_proof.robots import find_robot
+from sdpid.assurance.log_proof.sealed import Sealed
+from sdpid.assurance.log_proof.row_error import row_error
+from sdpid.assurance.log_proof.totals import Totals, of_rows, of_true_rows
+from sdpid.errors import DataError, MissingExtraError, SdpidError
+from sdpid.estimation.compression.rows import RowSource
+from sdpid.estimation.constraints.condition import Layout
+from sdpid.estimation.constraints.constraints import Constraints
+from sdpid.estimation.constraints.feasible_set import FeasibleSet
+from sdpid.experiment.preparation.several import Logs, prepare_recordings
+from sdpid.experiment.processing.samples import Samples
+from sdpid.experiment.readers.read import is_frame, read_recording
+from sdpid.experiment.recording.recording import Recording
+from sdpid.robot.friction.model import FrictionModel
+from sdpid.robot.model.base_parameters import structural_base
+from sdpid.robot.model.model import RobotModel
+from sdpid.verifier.reading import shown
+
+# The links, in the order in which they are checked.
+_LINKS = ("log", "robot", "samples", "base parameters", "compression", "rows", "total")
+
+# Base parameters regroup columns to this accuracy, relative to the largest entry: rounding of a
+# least-squares fit, with room for other processors.
+_REGROUPED = 1e-9
+
+
+@one_thread
+def check_log(
+    folder: str | os.PathLike[str],
+    logs: Logs,
+    *,
+    robot: RobotModel | str | os.PathLike[str] | None = None,
+) -> LogProof:
+    """Recompute what a results folder says from the logs that it was made of.
+
+    Parameters
+    ----------
+    folder : path
+        Written by `identify`. What is in it is taken as it stands: `sdpid.verify` checks it.
+    logs : Recording or path, or a sequence of these
+        The logs of the run, in its order.
+    robot : RobotModel, name or path, optional
+        The robot of the run; by default identified.urdf of the folder where it has the robot's
+        kinematics, or the robot of that name.
+
+    Returns
+    -------
+    LogProof
+
+    Raises
+    ------
+    CertificateError
+        When the folder has no recipe, or a file of it cannot be read.
+    DataError
+        When there is no such log.
+    MissingExtraError
+        When a package is missing that the log's format needs.
+    """
+    check, given = _Check(Sealed.read(folder)), _several(logs)
+    steps = (
+        lambda: check.read(given),
+        lambda: check.find(robot),
+        check.process,
+        check.regroup,
+        check.compress,
+        check.rows,
+        check.add_up,
+    )
+    with progress(len(steps), "checking the log") as advance:
+        for name, step in zip(_LINKS, steps, strict=True):
+            if not check.broken:
+                try:
+                    step()
+                except MissingExtraError:
+                    raise
+                except SdpidError as cause:
+                    check.say(name, "not proven", str(cause).rstrip("."), stop=True)
+            else:
+                check.say(name, "not checked", f"needs the link '{check.broken}'")
+            advance(1)
+    return check.proof()
+
+
+def _several(logs: Logs) -> list[Any]:
+    """Return logs as a list."""
+    if isinstance(logs, (Recording, str, os.PathLike)) or is_frame(logs):
+        return [logs]
+    given = list(logs) if isinstance(logs, Iterable) else [logs]
+    for log in given:
+        if isinstance(log, (str, os.PathLike)) and not os.path.exists(log):  # noqa: PTH110
+            raise DataError(f"{log}: there is no such file.")
+    return given
+
+
+@dataclass(eq=False)
+class _Check:
+    """The links so far, and what later ones need of earlier ones."""
+
+    sealed: Sealed
+    links: list[Link] = field(default_factory=list)
+    broken: str = ""
+    logs: list[Recording] = field(default_factory=list)
+    robot: Any = None
+    samples: Any = None
+    source: Any = None
+    sigma: Any = None
+    compression: Compression | None = None
+    row_error: float | None = None
+    totals: Any = None
+    equations: Totals | None = None
+
+    def say(self, name: str, state: State, text: str, *, stop: bool = False) -> None:
+        """Add a link; `stop` where those that follow cannot be checked."""
+        self.links.append(Link(name, state, text))
+        if stop:
+            self.broken = name
+
+    def read(self, given: list[Any]) -> None:
+        """Compare the logs' SHA-256, and read them as the recipe says."""
+        entries, reading = self.sealed.logs, self.sealed.recipe.reading
+        if len(given) != len(entries):
+            names = ", ".join(shown(each["name"] or "in memory") for each in entries)
+            text = f"{len(given)} are given, the result is of {len(entries)}: {names}"
+            self.say("log", "not proven", text, stop=True)
+            return
+        for number, (log, how) in enumerate(zip(given, reading, strict=True)):
+            self.logs.append(_read(log, how or {}))
+            self._compare(number, self.logs[-1], entries[number])
+
+    def _compare(self, number: int, log: Recording, entry: dict[str, Any]) -> None:
+        """Compare the SHA-256 of one log with the manifest's."""
+        found = log_entry(log, "log")
+        if entry["bytes"] is None:
+            found = {"name": found["name"], "sha256": recording_digest(log)}
+        name = "the recording in memory" if found["name"] is None else shown(found["name"])
+        if found["sha256"] == entry["sha256"]:
+            how = self.sealed.recipe.reading[number]
+            text = f"{name} has the SHA-256 of the manifest, {entry['sha256']}"
+            text += f"; read with {_options(how)}" if how else ""
+            self.say("log", "proven", text)
+            return
+        order = [each["sha256"] for each in self.sealed.logs]
+        text = (
+            f"{name} has the SHA-256 {found['sha256']}, the manifest names "
+            f"{shown(entry['name'] or 'a recording in memory')} with {entry['sha256']}"
+        )
+        if found["sha256"] in order:
+            where = order.index(found["sha256"]) + 1
+            text += f"; it is log {where} of the run, not log {number + 1}: give them in that order"
+        self.say("log", "not proven", text)
+
+    def find(self, robot: RobotModel | str | os.PathLike[str] | None) -> None:
+        """Find the robot."""
+        self.robot, link = find_robot(self.sealed, robot)
+        self.say(link.name, link.state, link.text, stop=self.robot is None)
+
+    def process(self) -> None:
+        """Process the logs as the recipe says."""
+        recipe, origin = self.sealed.recipe, self.sealed.data["origin"]
+        samples: Samples = prepare_recordings(
+            self.robot, self.logs, recipe.processing, without_effort=recipe.without_effort
+        ).samples
+        rows = int(np.count_nonzero(samples.used))
+        text = f"{samples.n_samples} samples, {rows} rows, by {recipe.processing!r}"
+        if recipe.without_effort:
+            text += f", without the efforts of {', '.join(map(shown, recipe.without_effort))}"
+        if (samples.n_samples, rows) != (origin["samples"], origin["rows"]):
+            text += f"; the certificate is of {origin['samples']} samples and {origin['rows']} rows"
+            self.say("samples", "not proven", text)
+        else:
+            self.say("samples", "proven", text)
+        self.samples = samples
+
+    def regroup(self) -> None:
+        """Find the base parameters, and compare them with the certificate's."""
+        sealed, recipe, robot = self.sealed, self.sealed.recipe, self.robot
+        origin, given = sealed.data["origin"], sealed.data["problem"]["base_matrix"]
+        friction = FrictionModel.from_terms(recipe.friction, robot.joint_names, first=robot.n_base)
+        base = structural_base(robot, friction)
+        found = {
+            "links": robot.link_names,
+            "joints": robot.joint_names,
+            "theta_names": base.theta_names,
+            "base_names": base.names,
+            "weighting": recipe.weighting,
+        }
+        for name, value in found.items():
+            wanted = origin[name]
+            if (value if isinstance(value, str) else list(value)) != wanted:
+                text = f"{name} of the certificate are others than those of robot and recipe"
+                self.say("base parameters", "not proven", text, stop=True)
+                return
+        B = np.array(given, dtype=np.float64)
+        self.source = RowSource(robot, friction, replace(base, matrix=frozen(B)), self.samples)
+        off = float(np.abs(B - base.matrix).max(initial=0.0))
+        terms = ", ".join(type(term).__name__ for term in recipe.friction) or "none"
+        text = (
+            f"{base.count} base parameters of {len(base.theta_names)}, friction and effects "
+            f"{terms}; the matrix is "
+        )
+        if off == 0.0:
+            self.say("base parameters", "proven", text + "number for number the certificate's")
+        elif off <= _REGROUPED * np.abs(B).max(initial=0.0):
+            self.say("base parameters", "proven", text + f"the certificate's to within {off:.3g}")
+        else:
+            text += f"not the certificate's: entries differ by up to {off:.3g}"
+            self.say("base parameters", "not proven", text)
+
+    def compress(self) -> None:
+        """Enclose the cost of the rows by the certificate's compressed cost."""
+        sealed, problem = self.sealed, self.sealed.data["problem"]
+        sigma = self.samples.covariance if sealed.recipe.sigma is None else sealed.recipe.sigma
+        n = self.robot.n
+        if sigma is None or sigma.shape[-2:] != (n, n):
+            raise DataError("the recipe has no covariance of these joints' efforts")
+        bounds = (np.array(problem[end]) for end in ("lower", "upper"))
+        found = enclose_compression(
+            self.source,
+            sigma,
+            sealed.recipe.weighting,
+            A=np.array(problem["A"], dtype=np.float64).reshape(len(problem["rhs"]), -1),
+            rhs=np.array(problem["rhs"], dtype=np.float64),
+            floor=float(problem["floor"]),
+            base_limit=base_limit(self.source.base.matrix, *bounds),
+        )
+        if not found.proven:
+            text = "A, rhs and floor of the certificate are not of the rows of this log"
+            self.say("compression", "not proven", text, stop=True)
+            return
+        self.compression, self.sigma = found, sigma
+        self.totals = of_rows(sealed.found, found.relative, found.absolute)
+        text = (
+            f"for every theta within the bounds the cost of the rows is within {found.relative!r} "
+            f"of the compressed one, plus {found.absolute!r}; {_weights(sigma)}"
+        )
+        self.say("compression", "proven", text)
+
+    def rows(self) -> None:
+        """Bound how far the rows are from those of the robot's equations of motion."""
+        sealed, problem, source = self.sealed, self.sealed.data["problem"], self.source
+        layout = Layout(self.robot, source.friction)
+        feasible = FeasibleSet.build(Constraints(), problem["consistency"], layout)
+        lower, upper = (frozen(np.array(problem[end])) for end in ("lower", "upper"))
+        found = row_error(
+            source,
+            self.sigma,
+            sealed.recipe.weighting,
+            replace(feasible, lower=lower, upper=upper),
+        )
+        if found is None or not np.isfinite(found.total):
+            text = "how far they are from the equations of motion is not bounded for these joints"
+            self.say("rows", "not checked", text)
+            return
+        worst, theta = found.worst, sealed.found.theta
+        here = found.total if theta is None else found.at(np.array(theta))
+        self.row_error = found.total
+        self.equations = of_true_rows(sealed.found, self.totals, here, found.total)
+        text = (
+            "the roots of their cost and of that of the equations of motion differ by at most "
+            f"{found.total!r}, at the given parameters by {here!r}; the worst entry is "
+            f"{shown(worst.parameter)} of joint {shown(worst.joint)} at sample {worst.sample + 1}, "
+            f"off by {worst.error:.3g} at most"
+        )
+        if found.taken_as_computed:
+            terms = ", ".join(found.taken_as_computed)
+            self.say("rows", "not checked", f"columns of {terms} are taken as computed: they are results of processing")
+        self.say("rows", "proven", text)
+
+    def add_up(self) -> None:
+        """Say what is proven of the rows of this log."""
+        found, claimed = Bounds.of(self.totals), self.sealed.data["claims"]["gap"]
+        text = f"on the rows of this log, as computed, {found}"
+        if found.gap is None or claimed is None:
+            self.say("total", "not proven", text)
+        elif found.gap > claimed + GAP:
+            self.say("total", "not proven", f"{text}, where the certificate claims {claimed!r}")
+        else:
+            self.say("total", "proven", text)
+        if self.equations is not None:
+            text = f"on the rows of the equations of motion {Bounds.of(self.equations)}"
+            self.say("total", "proven", text)
+
+    def proof(self) -> LogProof:
+        """Return what was found."""
+        found = self.compression
+        return LogProof(
+            links=tuple(self.links),
+            relative=None if found is None else found.relative,
+            absolute=None if found is None else found.absolute,
+            row_error=self.row_error,
+            rows=None if self.totals is None else Bounds.of(self.totals),
+            equations=None if self.equations is None else Bounds.of(self.equations),
+        )
+
+
+def _read(log: Any, how: dict[str, Any]) -> Recording:
+    """Read a log as the recipe says.
+
+    Raises
+    ------
+    DataError
+        When it cannot be read so.
+    """
+    if isinstance(log, Recording):
+        return log
+    try:
+        return read_recording(log, mapping=False, **how)
+    except (TypeError, ValueError, AttributeError) as cause:
+        raise DataError(f"cannot be read with {_options(how)}: {cause}") from None
+
+
+def _options(how: dict[str, Any]) -> str:
+    """Return how a log is read, in words."""
+    return ", ".join(f"{name}={shown(json.dumps(value))}" for name, value in how.items())
+
+
+def _weights(sigma: Any) -> str:
+    """Return the weights of the rows in words: what counts as an error of one."""
+    variance = np.diagonal(sigma, axis1=-2, axis2=-1).reshape(-1, sigma.shape[-1])
+    deviations = np.sqrt(np.maximum(variance.mean(axis=0), 0.0))
+    shown_numbers = ", ".join(f"{each:.3g}" for each in deviations)
+    return f"errors count in units of {shown_numbers} N·m (N) at joints 1 to {len(deviations)}"

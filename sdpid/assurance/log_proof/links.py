@@ -1,0 +1,99 @@
+"""The links of the chain from a log to a bound, and what a check found of each."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+from sdpid.assurance.log_proof.totals import Totals
+from sdpid.verifier.exact import above
+from sdpid.verifier.result import Result
+
+State = Literal["proven", "not proven", "not checked"]
+
+
+@dataclass(frozen=True)
+class Link:
+    """One link of the chain.
+
+    Attributes
+    ----------
+    name : str
+        Which: log, robot, samples, base parameters, compression, rows or total.
+    state : {"proven", "not proven", "not checked"}
+        What was found.
+    text : str
+        Why, with the numbers.
+    """
+
+    name: str
+    state: State
+    text: str
+
+
+@dataclass(frozen=True, kw_only=True)
+class Bounds:
+    """What is proven of one cost, rounded outward.
+
+    Attributes
+    ----------
+    cost : float or None
+        The given parameters cost at most this; None where that is not shown.
+    lower_bound : float
+        No feasible parameters cost less.
+    gap : float or None
+        The one above the other, relative to the cost (see `Certificate.gap`).
+    """
+
+    cost: float | None
+    lower_bound: float
+    gap: float | None
+
+    @classmethod
+    def of(cls, totals: Totals) -> Bounds:
+        """Round outward."""
+        return cls(
+            cost=None if totals.cost is None else above(totals.cost),
+            lower_bound=-above(-totals.lower_bound),
+            gap=None if totals.gap is None else above(totals.gap),
+        )
+
+    def __str__(self) -> str:
+        bound = f"no feasible ones cost less than {self.lower_bound!r}"
+        if self.cost is None:
+            return f"the parameters' cost is not shown, {bound}"
+        gap = f": a gap of at most {self.gap!r}"
+        return f"the parameters cost at most {self.cost!r}, {bound}{gap}"
+
+
+@dataclass(frozen=True, kw_only=True)
+class LogProof:
+    """What a log proves of a result, link by link.
+
+    Attributes
+    ----------
+    links : tuple of Link
+        From the file to the bound.
+    relative, absolute : float or None
+        The cost of the rows is within this share, plus this constant, of the compressed one.
+    row_error : float or None
+        By how much the root of the cost of the robot's equations differs from that of the rows.
+    rows, equations : Bounds or None
+        On the rows of this log as computed, and on those of the robot's equations of motion.
+    """
+
+    links: tuple[Link, ...]
+    relative: float | None = None
+    absolute: float | None = None
+    row_error: float | None = None
+    rows: Bounds | None = None
+    equations: Bounds | None = None
+
+    @property
+    def result(self) -> Result:
+        """The links as sentences."""
+        texts = {
+            state: tuple(f"{each.name}: {each.text}" for each in self.links if each.state == state)
+            for state in ("proven", "not proven", "not checked")
+        }
+        return Result(texts["proven"], texts["not proven"], texts["not checked"])

@@ -1,0 +1,97 @@
+"""Find the robot of a results folder, and say what is known of it."""
+
+from __future__ import annotations
+
+import os
+
+from sdpid.assurance.log_proof.links import Link, State
+from sdpid.assurance.log_proof.recipe import RobotRecipe
+from sdpid.assurance.log_proof.sealed import Sealed
+from sdpid.errors import ModelError
+from sdpid.robot.description.catalog import bundled_robots, example_robots
+from sdpid.robot.model.digest import kinematics_digest
+from sdpid.robot.model.load import load_robot
+from sdpid.robot.model.model import RobotModel
+from sdpid.verifier.reading import shown
+
+# The file in a results folder that has the robot's kinematics.
+_URDF = "identified.urdf"
+
+
+def find_robot(
+    sealed: Sealed, given: RobotModel | str | os.PathLike[str] | None
+) -> tuple[RobotModel | None, Link]:
+    """Return the robot, and whether it is the one of the run.
+
+    Rows depend on the kinematics alone. Without a given robot, identified.urdf has them if they
+    are, number for number, those that the manifest names; so has a robot that a catalog names.
+    """
+    recipe = sealed.recipe.robot
+    if given is not None:
+        loaded = isinstance(given, RobotModel)
+        robot = given if isinstance(given, RobotModel) else load_robot(given, **recipe.arguments)
+        return robot, _judged(sealed, robot, "the given robot" if loaded else shown(str(given)))
+    if (robot := _of_folder(sealed)) is not None:
+        text = (
+            f"the kinematics of {_URDF} in the folder are, number for number, those that the "
+            f"manifest names (SHA-256 {recipe.kinematics}); gravity {_gravity(recipe)} m/s²"
+        )
+        return robot, Link("robot", "proven", text)
+    if recipe.catalog and recipe.source is not None and _installed(recipe.source):
+        robot = load_robot(recipe.source, **recipe.arguments)
+        return robot, _judged(sealed, robot, shown(recipe.source))
+    named = "" if recipe.source is None else f" {shown(recipe.source)}"
+    how = "the model in Python (robot=)" if recipe.source is None else f"{named.strip()} (--robot)"
+    text = f"the robot's description{named} is not in the folder: give {how}"
+    return None, Link("robot", "not proven", text)
+
+
+def _of_folder(sealed: Sealed) -> RobotModel | None:
+    """Return the robot of identified.urdf, None where its kinematics are not the manifest's."""
+    recipe = sealed.recipe.robot
+    if recipe.kinematics is None or not (sealed.folder / _URDF).is_file():
+        return None
+    try:
+        robot = load_robot(sealed.folder / _URDF, root=recipe.root, gravity=recipe.gravity)
+    except ModelError:
+        return None
+    return robot if kinematics_digest(robot) == recipe.kinematics else None
+
+
+def _installed(name: str) -> bool:
+    """Return whether a name is that of a robot on this machine: a manifest may name any file."""
+    known = (*bundled_robots(), *example_robots())
+    return name in known or name in {each.split("/")[-1] for each in known}
+
+
+def _judged(sealed: Sealed, robot: RobotModel, name: str) -> Link:
+    """Compare text and kinematics of a robot with those of the manifest."""
+    recipe, entry = sealed.recipe.robot, sealed.robot
+    kinematics = kinematics_digest(robot)
+    same = kinematics is not None and kinematics == recipe.kinematics
+    sealed_text = None if entry is None or recipe.source is None else entry["sha256"]
+    text = None if robot.source is None else robot.source.sha256
+    gravity = f"gravity {_gravity(recipe)} m/s²"
+    state: State = "proven"
+    if text is not None and text == sealed_text:
+        said = f"{name} has the SHA-256 of the manifest, {text}; {gravity}"
+        if not same:
+            said += "; its kinematics differ from those of the run in the last digits"
+    elif same:
+        said = (
+            f"the kinematics of {name} are, number for number, those that the manifest names "
+            f"(SHA-256 {kinematics}); {gravity}"
+        )
+    else:
+        state = "not proven"
+        said = (
+            f"{name} is another robot: SHA-256 {text or kinematics}, the manifest names "
+            f"{shown(recipe.source or recipe.name)} with {sealed_text or recipe.kinematics}"
+        )
+    return Link("robot", state, said)
+
+
+def _gravity(recipe: RobotRecipe) -> str:
+    return "({:g}, {:g}, {:g})".format(*recipe.gravity)
+
+

@@ -1,0 +1,241 @@
+"""From the log to the bound: every link is named, as proven or not."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import sdpid
+from sdpid.assurance.log_proof.check import check_log
+from sdpid.assurance.log_proof.links import LogProof
+from sdpid.errors import CertificateError, DataError
+from tests.helpers.arm_files import ARM_URDF
+from tests.helpers.runs import arm, recorded
+
+LINKS = ("log", "robot", "samples", "base parameters", "compression", "rows", "total")
+
+Edit = Callable[[dict[str, Any], dict[str, Any]], None]
+
+
+def write_log(path: Path, log: sdpid.Recording) -> Path:
+    """Write a recording as text, every digit of it."""
+    table = np.column_stack([log.time, log.position, log.effort])
+    header = "t,q_a,q_b,tau_a,tau_b"
+    np.savetxt(path, table, delimiter=",", header=header, comments="", fmt="%.17g")
+    return path
+
+
+def saved(result: Any, folder: Path) -> Path:
+    """Save a result with its inputs and recipe."""
+    result.save(folder, figures=False)
+    manifest = {"inputs": list(result.inputs), "recipe": result.recipe.to_dict()}
+    (folder / "manifest.json").write_text(json.dumps(manifest))
+    return folder
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with log, robot and results."""
+    folder = tmp_path_factory.mktemp("run")
+    write_log(folder / "run.csv", recorded(1))
+    (folder / "arm.urdf").write_text(ARM_URDF)
+    result = sdpid.identify(folder / "arm.urdf", folder / "run.csv", intervals=False)
+    saved(result, folder / "results")
+    return folder
+
+
+def changed(run: Path, target: Path, edit: Edit) -> Path:
+    """Return a copy of the results whose certificate and manifest were edited."""
+    shutil.copytree(run / "results", target)
+    files = [target / name for name in ("certificate.json", "manifest.json")]
+    contents = [json.loads(file.read_text()) for file in files]
+    edit(*contents)
+    for file, content in zip(files, contents, strict=True):
+        file.write_text(json.dumps(content))
+    return target
+
+
+def states(proof: LogProof) -> dict[str, str]:
+    """Return the state of each link; what is not proven wins."""
+    found: dict[str, str] = {}
+    for link in proof.links:
+        found[link.name] = min(found.get(link.name, "proven"), link.state)
+    return found
+
+
+def test_the_whole_chain_holds(run: Path) -> None:
+    proof = check_log(run / "results", run / "run.csv")
+    assert tuple(dict.fromkeys(link.name for link in proof.links)) == LINKS
+    assert proof.result.passed, proof.result.problems
+    certificate = json.loads((run / "results" / "certificate.json").read_text())
+    for bounds in (proof.rows, proof.equations):
+        assert bounds is not None
+        assert bounds.cost == pytest.approx(certificate["claims"]["cost"], rel=1e-6)
+        assert bounds.lower_bound <= bounds.cost
+    assert proof.rows is not None
+    assert proof.rows.gap is not None
+    assert proof.rows.gap < 1e-6
+    # What friction passed through the filter is a result of processing, and says so.
+    (unchecked,) = proof.result.unchecked
+    assert "rows: columns of" in unchecked
+
+
+def test_the_robots_description_counts_where_it_is_given(run: Path) -> None:
+    proof = check_log(run / "results", [run / "run.csv"], robot=run / "arm.urdf")
+    assert proof.result.passed
+    assert "'arm.urdf'" not in proof.links[1].text
+    assert "has the SHA-256 of the manifest" in proof.links[1].text
+
+
+def test_a_log_edited_by_one_digit_is_named(run: Path, tmp_path: Path) -> None:
+    lines = (run / "run.csv").read_text().splitlines()
+    fields = lines[200].split(",")
+    digit = fields[3][6]
+    fields[3] = fields[3][:6] + ("1" if digit != "1" else "2") + fields[3][7:]
+    lines[200] = ",".join(fields)
+    (tmp_path / "run.csv").write_text("\n".join(lines) + "\n")
+    proof = check_log(run / "results", tmp_path / "run.csv")
+    assert states(proof)["log"] == "not proven"
+    assert "'run.csv' has the SHA-256" in proof.links[0].text
+    # The rows are others, too, if only a little.
+    assert states(proof)["total"] == "not proven"
+    assert proof.rows is not None
+    assert proof.rows.gap is not None
+    assert 1e-6 < proof.rows.gap < 1e-2
+
+
+def test_another_log_of_the_same_name_is_named(run: Path, tmp_path: Path) -> None:
+    proof = check_log(run / "results", write_log(tmp_path / "run.csv", recorded(2)))
+    found = states(proof)
+    assert found["log"] == "not proven"
+    assert found["compression"] == "not proven"
+    assert found["total"] == "not checked"
+    assert proof.rows is None
+
+
+def test_another_robot_is_named(run: Path, tmp_path: Path) -> None:
+    other = tmp_path / "arm.urdf"
+    other.write_text(ARM_URDF.replace('xyz="0.4 0 0"', 'xyz="0.41 0 0"'))
+    proof = check_log(run / "results", run / "run.csv", robot=other)
+    found = states(proof)
+    assert found["robot"] == found["compression"] == "not proven"
+    assert "is another robot: SHA-256" in proof.links[1].text
+
+
+def test_a_robot_with_other_inertias_has_the_same_rows(run: Path, tmp_path: Path) -> None:
+    other = tmp_path / "arm.urdf"
+    other.write_text(ARM_URDF.replace('<mass value="3.0"/>', '<mass value="4.0"/>'))
+    proof = check_log(run / "results", run / "run.csv", robot=other)
+    assert proof.result.passed
+    assert "number for number" in proof.links[1].text
+
+
+def forge(certificate: dict[str, Any], manifest: dict[str, Any]) -> None:
+    """Make bad parameters optimal: of other rows, with all hashes right."""
+    problem, theta = certificate["problem"], np.array(certificate["theta"])
+    A, B = np.array(problem["A"]), np.array(problem["base_matrix"])
+    wrong = A @ (B @ (1.3 * theta))
+    residual = wrong - np.array(problem["rhs"])
+    problem["floor"] += float(residual @ residual)
+    problem["rhs"], certificate["theta"] = wrong.tolist(), (1.3 * theta).tolist()
+    dual = certificate["multipliers"]
+    for name in ("y", "Z", "rows"):
+        dual[name] = np.zeros_like(np.array(dual[name])).tolist()
+    dual["W"] = None
+    certificate["claims"].update(cost=1.1 * problem["floor"], lower_bound=0.9 * problem["floor"])
+
+
+def edit_of(path: str, change: Callable[[Any], Any]) -> Edit:
+    """Return an edit of one value, such as ``recipe.sigma.0.0``."""
+    first, *keys = path.split(".")
+
+    def edit(certificate: dict[str, Any], manifest: dict[str, Any]) -> None:
+        place: Any = {"certificate": certificate, "manifest": manifest}[first]
+        *way, last = (int(key) if key.isdigit() else key for key in keys)
+        for key in way:
+            place = place[key]
+        place[last] = change(place[last])
+
+    return edit
+
+
+@pytest.mark.parametrize(
+    ("link", "edit"),
+    [
+        pytest.param("compression", forge, id="rows of someone else"),
+        ("total", edit_of("certificate.problem.A.3.3", lambda x: x * (1 + 1e-5))),
+        ("total", edit_of("certificate.problem.rhs.2", lambda x: x + 1e-3)),
+        ("total", edit_of("certificate.problem.floor", lambda x: x * 1.01)),
+        ("base parameters", edit_of("certificate.problem.base_matrix.0.1", lambda x: x + 1e-3)),
+        ("base parameters", edit_of("certificate.origin.links.0", lambda x: x + "_2")),
+        ("base parameters", edit_of("certificate.origin.weighting", lambda _: "gls")),
+        ("total", edit_of("manifest.recipe.processing.cutoff_hz", lambda x: 1.001 * x)),
+        ("total", edit_of("manifest.recipe.sigma.0.0", lambda x: 1.1 * x)),
+        ("total", edit_of("manifest.recipe.friction.1.velocity.0", lambda x: 1.01 * x)),
+        ("samples", edit_of("manifest.recipe.without_effort", lambda _: ["a"])),
+        ("robot", edit_of("manifest.recipe.robot.gravity.2", lambda x: x + 0.01)),
+        ("log", edit_of("manifest.recipe.logs.0.reading", lambda _: {"units": 3})),
+        ("log", edit_of("manifest.inputs.0.sha256", lambda x: "0" + x[1:] if x[0] != "0" else x)),
+    ],
+)
+def test_what_was_forged_is_named(run: Path, tmp_path: Path, link: str, edit: Edit) -> None:
+    proof = check_log(changed(run, tmp_path / "forged", edit), run / "run.csv")
+    assert states(proof)[link] == "not proven"
+    assert not proof.result.passed
+
+
+@pytest.mark.parametrize(
+    ("edit", "message"),
+    [
+        (edit_of("manifest.recipe", lambda _: None), "has no recipe"),
+        (edit_of("manifest.recipe.logs", lambda _: []), "names 1 logs and how 0 are read"),
+        (edit_of("manifest.recipe.logs.0.reading", lambda _: {"path": "x"}), "'path'"),
+        (edit_of("manifest.inputs", lambda _: 3), "3 does not name an input"),
+        (edit_of("certificate.problem.A", lambda _: []), "certificate.json: expected a list"),
+    ],
+)
+def test_a_folder_that_cannot_be_followed_is_refused(
+    run: Path, tmp_path: Path, edit: Edit, message: str
+) -> None:
+    with pytest.raises(CertificateError, match=message):
+        check_log(changed(run, tmp_path / "forged", edit), run / "run.csv")
+
+
+def test_a_log_that_is_not_there_is_bad_input(run: Path) -> None:
+    with pytest.raises(DataError, match="there is no such file"):
+        check_log(run / "results", run / "missing.csv")
+    with pytest.raises(CertificateError, match="is no folder"):
+        check_log(run / "run.csv", run / "run.csv")
+
+
+def test_several_logs_have_an_order(tmp_path: Path) -> None:
+    logs = [write_log(tmp_path / f"{k}.csv", recorded(k, seconds=14.0)) for k in (1, 2)]
+    (tmp_path / "arm.urdf").write_text(ARM_URDF)
+    result = sdpid.identify(tmp_path / "arm.urdf", logs, intervals=False, effects="none")
+    folder = saved(result, tmp_path / "results")
+    assert check_log(folder, logs).result.passed
+    proof = check_log(folder, logs[::-1])
+    assert [link.state for link in proof.links[:2]] == ["not proven", "not proven"]
+    assert "'2.csv' has the SHA-256" in proof.links[0].text
+    assert "it is log 2 of the run, not log 1" in proof.links[0].text
+    proof = check_log(folder, logs[0])
+    assert proof.links[0].text == "1 are given, the result is of 2: '1.csv', '2.csv'"
+
+
+@pytest.mark.parametrize("weighting", ["gls", "gls_per_sample", "eq18"])
+def test_a_recording_in_memory_with_periods(tmp_path: Path, weighting: Any) -> None:
+    log = recorded(3, seconds=40.0, period=5.0)
+    result = sdpid.identify(
+        arm(), log, weighting=weighting, prior=False, intervals=False, effects="none"
+    )
+    folder = saved(result, tmp_path / "results")
+    proof = check_log(folder, log)
+    assert proof.result.passed, proof.result.problems
+    assert "the recording in memory has the SHA-256 of the manifest" in proof.links[0].text
+    assert states(check_log(folder, recorded(4, seconds=40.0, period=5.0)))["log"] == "not proven"
