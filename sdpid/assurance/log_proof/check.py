@@ -18,8 +18,8 @@ from sdpid.assurance.certificate.compression import Compression, base_limit, enc
 from sdpid.assurance.log_proof.inputs import log_entry, recording_digest
 from sdpid.assurance.log_proof.links import Bounds, Link, LogProof, State
 from sdpid.assurance.log_proof.robots import find_robot
-from sdpid.assurance.log_proof.sealed import Sealed
 from sdpid.assurance.log_proof.row_error import row_error
+from sdpid.assurance.log_proof.sealed import Sealed
 from sdpid.assurance.log_proof.totals import Totals, of_rows, of_true_rows
 from sdpid.errors import DataError, MissingExtraError, SdpidError
 from sdpid.estimation.compression.rows import RowSource
@@ -102,9 +102,8 @@ def check_log(
 
 def _several(logs: Logs) -> list[Any]:
     """Return logs as a list."""
-    if isinstance(logs, (Recording, str, os.PathLike)) or is_frame(logs):
-        return [logs]
-    given = list(logs) if isinstance(logs, Iterable) else [logs]
+    alone = isinstance(logs, (Recording, str, os.PathLike)) or is_frame(logs)
+    given = list(logs) if isinstance(logs, Iterable) and not alone else [logs]
     for log in given:
         if isinstance(log, (str, os.PathLike)) and not os.path.exists(log):  # noqa: PTH110
             raise DataError(f"{log}: there is no such file.")
@@ -282,7 +281,11 @@ class _Check:
         )
         if found.taken_as_computed:
             terms = ", ".join(found.taken_as_computed)
-            self.say("rows", "not checked", f"columns of {terms} are taken as computed: they are results of processing")
+            self.say(
+                "rows",
+                "not checked",
+                f"columns of {terms} are taken as computed: they are results of processing",
+            )
         self.say("rows", "proven", text)
 
     def add_up(self) -> None:
@@ -323,9 +326,10 @@ def _read(log: Any, how: dict[str, Any]) -> Recording:
     if isinstance(log, Recording):
         return log
     try:
-        return read_recording(log, mapping=False, **how)
+        recording: Recording = read_recording(log, mapping=False, **how)
     except (TypeError, ValueError, AttributeError) as cause:
         raise DataError(f"cannot be read with {_options(how)}: {cause}") from None
+    return recording
 
 
 def _options(how: dict[str, Any]) -> str:

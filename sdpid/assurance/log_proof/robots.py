@@ -31,12 +31,12 @@ def find_robot(
         loaded = isinstance(given, RobotModel)
         robot = given if isinstance(given, RobotModel) else load_robot(given, **recipe.arguments)
         return robot, _judged(sealed, robot, "the given robot" if loaded else shown(str(given)))
-    if (robot := _of_folder(sealed)) is not None:
+    if (ours := _of_folder(sealed)) is not None:
         text = (
             f"the kinematics of {_URDF} in the folder are, number for number, those that the "
             f"manifest names (SHA-256 {recipe.kinematics}); gravity {_gravity(recipe)} m/s²"
         )
-        return robot, Link("robot", "proven", text)
+        return ours, Link("robot", "proven", text)
     if recipe.catalog and recipe.source is not None and _installed(recipe.source):
         robot = load_robot(recipe.source, **recipe.arguments)
         return robot, _judged(sealed, robot, shown(recipe.source))
@@ -93,5 +93,3 @@ def _judged(sealed: Sealed, robot: RobotModel, name: str) -> Link:
 
 def _gravity(recipe: RobotRecipe) -> str:
     return "({:g}, {:g}, {:g})".format(*recipe.gravity)
-
-
