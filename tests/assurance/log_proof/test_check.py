@@ -12,8 +12,8 @@ import numpy as np
 import pytest
 
 import sdpid
-from sdpid.assurance.log_proof.check import check_log
-from sdpid.assurance.log_proof.links import LogProof
+from sdpid.assurance.log_proof.chain.check import check_log
+from sdpid.assurance.log_proof.chain.links import LogProof
 from sdpid.errors import CertificateError, DataError
 from tests.helpers.arm_files import ARM_URDF
 from tests.helpers.runs import arm, recorded

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import os
 
-from sdpid.assurance.log_proof.links import Link, State
+from sdpid.assurance.log_proof.chain.links import Link, State
+from sdpid.assurance.log_proof.chain.sealed import Sealed
 from sdpid.assurance.log_proof.recipe import RobotRecipe
-from sdpid.assurance.log_proof.sealed import Sealed
 from sdpid.errors import ModelError
 from sdpid.robot.description.catalog import bundled_robots, example_robots
 from sdpid.robot.model.digest import kinematics_digest

@@ -15,12 +15,12 @@ from sdpid._common.progress import progress
 from sdpid._common.threads import one_thread
 from sdpid.assurance.certificate.certificate import GAP
 from sdpid.assurance.certificate.compression import Compression, base_limit, enclose_compression
+from sdpid.assurance.log_proof.chain.links import Bounds, Link, LogProof, State
+from sdpid.assurance.log_proof.chain.robots import find_robot
+from sdpid.assurance.log_proof.chain.sealed import Sealed
+from sdpid.assurance.log_proof.chain.totals import Totals, of_rows, of_true_rows
 from sdpid.assurance.log_proof.inputs import log_entry, recording_digest
-from sdpid.assurance.log_proof.links import Bounds, Link, LogProof, State
-from sdpid.assurance.log_proof.robots import find_robot
 from sdpid.assurance.log_proof.row_error import row_error
-from sdpid.assurance.log_proof.sealed import Sealed
-from sdpid.assurance.log_proof.totals import Totals, of_rows, of_true_rows
 from sdpid.errors import DataError, MissingExtraError, SdpidError
 from sdpid.estimation.compression.rows import RowSource
 from sdpid.estimation.constraints.condition import Layout

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal
 
-from sdpid.assurance.log_proof.totals import Totals
+from sdpid.assurance.log_proof.chain.totals import Totals
 from sdpid.verifier.exact import above
 from sdpid.verifier.result import Result
 
