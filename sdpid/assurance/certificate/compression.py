@@ -23,7 +23,6 @@ from sdpid.assurance.certificate.outward import (
     gamma,
     lengths,
     norm,
-    quotient,
     usable,
 )
 from sdpid.assurance.certificate.row_sums import RowSums
@@ -189,12 +188,12 @@ class _Compressed:
         off = norm(gram - np.eye(count)) + error + _root_error(R, M)
         # Without a limit there is no D, and 0·∞ is zero.
         slack = SLACK * norm(np.multiply(D, limit, where=D > 0.0, out=np.zeros(count))) ** 2
-        return None if below_one(off) == 0.0 else cls(R, M, off, slack)
+        return cls(R, M, off, slack) if below_one(off) else None
 
     @property
     def least(self) -> float:
         """``‖R·z‖² + ‖D·z‖²`` is at least this times ‖w‖²."""
-        return below_one(self.off)
+        return float(below_one(self.off))
 
 
 def _small(R: Array, limit: Array) -> Array:
@@ -230,9 +229,15 @@ def _gram(factor: Array, M: Array) -> tuple[Array, float]:
     count = len(factor)
     product = factor @ M
     shift = gamma(count) * norm(lengths(factor) @ np.abs(M))
-    whole = norm(product)
-    error = (2.0 * whole + shift) * shift + gamma(count) * whole**2
-    return product.T @ product, SLACK * error + UNDERFLOW
+    gram = product.T @ product
+    rounding = gamma(count) * norm(product) ** 2
+    error = (2.0 * _root(gram, rounding) + shift) * shift + rounding
+    return gram, SLACK * error + UNDERFLOW
+
+
+def _root(gram: Array, error: float) -> float:
+    """Bound the spectral norm of the matrix with this Gram matrix, known to an error."""
+    return SLACK * math.sqrt(float(np.abs(gram).sum(axis=0).max()) + error)
 
 
 def _root_error(R: Array, M: Array) -> float:
@@ -248,13 +253,13 @@ def _of_squares(sums: RowSums, compressed: _Compressed) -> float:
     R, M = compressed.R, compressed.M
     gram, error = _gram(R, M)
     # ‖fl(X·M) − X·M‖, from the rounding of the rows and from that of the product.
-    moved = quotient(sums.whitening, below_one(sums.whitening)) + gamma(len(R))
+    moved = sums.whitening + gamma(len(R))
     shift = SLACK * moved * norm(sums.lengths @ np.abs(M))
     summed = sums.rounding * sums.squares
-    largest = math.sqrt(min(float(np.abs(sums.gram).sum(axis=0).max()), sums.squares) + summed)
-    total = norm(sums.gram - gram) + error + summed + (2.0 * largest + shift) * shift
+    total = norm(sums.gram - gram) + error + summed
+    total += (2.0 * _root(sums.gram, summed) + shift) * shift
     total += _root_error(R, M) + UNDERFLOW
-    return quotient(SLACK * total, compressed.least)
+    return SLACK * total / compressed.least
 
 
 def _of_normal_equations(sums: RowSums, compressed: _Compressed) -> float:
@@ -263,11 +268,12 @@ def _of_normal_equations(sums: RowSums, compressed: _Compressed) -> float:
     With ‖(G − R)·M‖ ≤ h, ‖G·z‖ is within h·‖w‖ of ‖R·z‖.
     """
     R, M, sizes = compressed.R[:-1], compressed.M, sums.lengths
-    whitening = quotient(sums.whitening, below_one(sums.whitening))
-    share = sums.rounding + (2.0 + whitening) * whitening
-    share += sums.weight * (1.0 + whitening) ** 2
+    share = sums.rounding + (2.0 + sums.whitening) * sums.whitening
     left = sums.gram[:-1] - R
     off = norm(left @ M) + gamma(len(M) + 1) * norm(np.abs(left) @ np.abs(M))
     off += SLACK * share * norm(sizes[:-1]) * norm(sizes @ np.abs(M)) + UNDERFLOW
-    h = quotient(SLACK * off, math.sqrt(compressed.least))
+    # Every sample's rows have a weight of their own.
+    sizes = sums.off_lengths * (1.0 + sums.whitening)
+    off += SLACK * norm(sizes[:-1]) * norm(sizes @ np.abs(M))
+    h = SLACK * off / math.sqrt(compressed.least)
     return SLACK * (2.0 + h) * h

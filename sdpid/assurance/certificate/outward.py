@@ -12,9 +12,8 @@ as harmless.
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
+from numpy.typing import ArrayLike
 
 from sdpid._common.arrays import Array
 
@@ -40,14 +39,17 @@ def gamma(operations: int) -> float:
     return operations * UNIT / (1.0 - operations * UNIT) * SLACK
 
 
-def below_one(bound: float) -> float:
+def below_one(bound: ArrayLike) -> Array:
     """Return ``1 − bound``, rounded down, or zero where the bound is no longer small."""
-    return (1.0 - SLACK * bound) / SLACK if bound < _HALF else 0.0
+    values = np.asarray(bound, dtype=np.float64)
+    return np.where(values < _HALF, (1.0 - SLACK * values) / SLACK, 0.0)
 
 
-def quotient(numerator: float, denominator: float) -> float:
+def quotient(numerator: ArrayLike, denominator: ArrayLike) -> Array:
     """Return a quotient of bounds; infinite where nothing is known of the denominator."""
-    return numerator / denominator if denominator > 0.0 else math.inf
+    above, below = np.asarray(numerator, dtype=np.float64), np.asarray(denominator)
+    known = below > 0.0
+    return np.where(known, above / np.where(known, below, 1.0), np.inf)
 
 
 def norm(matrix: Array) -> float:

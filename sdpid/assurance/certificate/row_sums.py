@@ -34,7 +34,7 @@ _BLOCK = 128
 _CARRIED = 4
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, kw_only=True, eq=False)
 class RowSums:
     """Products of all whitened rows X, or of X·M, with what bounds their errors.
 
@@ -42,8 +42,9 @@ class RowSums:
     ----------
     gram : ndarray, shape (c, c)
         (X·M)^T·(X·M), or X^T·X.
-    lengths : ndarray, shape (c,)
-        Norms of the columns of X, as computed, rounded up.
+    lengths, off_lengths : ndarray, shape (c,)
+        Norms of the columns of X, as computed, rounded up; and those of X with the rows of each
+        sample times the root of the error of its weight (see `weight`).
     squares : float
         Sum of the squared entries of X·M, or of X, as computed, rounded up.
     operations : int
@@ -52,11 +53,13 @@ class RowSums:
         Every sample's weight is within this share of the exact one: with Sigma the covariance,
         ``Sigma^(2e) = V^T·(E + J)·V`` with ‖J‖ at most this.
     whitening : float
-        The columns of X, as computed, are off by at most this share of their exact norms.
+        The columns of X, as computed, are off by at most this share of their computed norms, of
+        all samples and of each.
     """
 
     gram: Array
     lengths: Array
+    off_lengths: Array
     squares: float
     operations: int
     weight: float
@@ -84,12 +87,13 @@ class RowSums:
         for piece in pieces:
             total.add(piece.gram)
         return cls(
-            total.value,
-            lengths(np.array([piece.lengths for piece in pieces])),
-            SLACK * sum(piece.squares for piece in pieces),
-            max(piece.operations for piece in pieces),
-            max(piece.weight for piece in pieces),
-            max(piece.whitening for piece in pieces),
+            gram=total.value,
+            lengths=lengths(np.array([piece.lengths for piece in pieces])),
+            off_lengths=lengths(np.array([piece.off_lengths for piece in pieces])),
+            squares=SLACK * sum(piece.squares for piece in pieces),
+            operations=max(piece.operations for piece in pieces),
+            weight=max(piece.weight for piece in pieces),
+            whitening=max(piece.whitening for piece in pieces),
         )
 
 
@@ -117,7 +121,7 @@ def _sums(rows: RowSource, sigma: Array, exponent: float, M: Array | None) -> Ro
     n, columns = rows.robot.n, rows.base.count + 1
     size = min(rows.chunk_size, len(rows.samples.effort))
     memory = np.empty((2, size, n, columns))
-    total, squared, squares = _CarriedSum((columns, columns)), np.zeros(columns), 0.0
+    total, squared, squares = _CarriedSum((columns, columns)), np.zeros((2, columns)), 0.0
     operations, weight, whitening = 0, 0.0, 0.0
     for part in rows.parts(size):
         mask, own = rows.mask(part), sigma if sigma.ndim == 2 else sigma[part]
@@ -125,23 +129,28 @@ def _sums(rows: RowSource, sigma: Array, exponent: float, M: Array | None) -> Ro
         used = np.zeros((len(powers), n), dtype=bool)
         used[index] = mask
         off, enlarged = whitener_error(powers, own, used, exponent)
-        weight, whitening = max(weight, off), max(whitening, gamma(n + 1) * enlarged)
+        weight = max(weight, float(off.max()))
+        moved = gamma(n + 1) * enlarged
+        whitening = max(whitening, float(quotient(moved, below_one(moved)).max()))
         block = rows.rows(part, memory[0])
         X = apply(powers, index, block, memory[1][: len(block)]).reshape(-1, columns)
-        squared += np.einsum("ij,ij->j", X, X)
+        each = np.einsum("kij,kij->kj", *[X.reshape(block.shape)] * 2)
+        squared += each.sum(axis=0), np.minimum(off, 1.0)[index] @ each
         Y = X if M is None else X @ M
         gram, depth = _gram(Y)
         total.add(gram)
         squares += float(np.trace(gram))
         operations = max(operations, depth)
     # Of positive numbers: rounding is a small share of each.
+    sizes, off_sizes = SLACK * np.sqrt(squared)
     return RowSums(
-        total.value,
-        SLACK * np.sqrt(squared),
-        SLACK * squares,
-        operations + _CARRIED,
-        SLACK * weight,
-        SLACK * whitening,
+        gram=total.value,
+        lengths=sizes,
+        off_lengths=off_sizes,
+        squares=SLACK * squares,
+        operations=operations + _CARRIED,
+        weight=SLACK * weight,
+        whitening=SLACK * whitening,
     )
 
 
@@ -154,7 +163,7 @@ def _gram(rows: Array) -> tuple[Array, int]:
     return gram + rows[cut:].T @ rows[cut:], _BLOCK + blocks + 1
 
 
-def whitener_error(powers: Array, sigma: Array, used: Mask, exponent: float) -> tuple[float, float]:
+def whitener_error(powers: Array, sigma: Array, used: Mask, exponent: float) -> tuple[Array, Array]:
     """Return how far powers V of covariances are from exact ones, and how much V enlarges errors.
 
     With ``V·Sigma·V^T = E + H`` and ‖H‖ ≤ d < 1, ``Sigma^-1 = V^T·(E + H)^-1·V``, so that the
@@ -178,38 +187,37 @@ def whitener_error(powers: Array, sigma: Array, used: Mask, exponent: float) -> 
 
     Returns
     -------
-    weight : float
-        Bound of that share over all m; infinite where none is found.
-    enlarged : float
-        Bound of the norm of ``|V|·|V^-1|``.
+    weight : ndarray, shape (m,)
+        Bounds of that share; infinite where none is found.
+    enlarged : ndarray, shape (m,)
+        Bounds of the norm of ``|V|·|V^-1|``.
     """
     n = used.shape[1]
+    nothing = np.full(len(used), math.inf), np.full(len(used), math.inf)
     both = used[:, :, None] & used[:, None, :]
     lower = np.tril(sigma)
     S = np.where(both, lower + np.swapaxes(np.tril(sigma, -1), -1, -2), 0.0)
     V, size = powers, np.abs(powers)
     if not usable(S, V):
-        return math.inf, math.inf
-    T, T_size = V, size
+        return nothing
+    # Each of two products for T·Sigma·T rounds n times, and so does that for each T.
+    T, T_size, operations = V, size, 2 * n + 2
     if exponent != -0.5:
         T, T_size = np.swapaxes(V, -1, -2) @ V, np.swapaxes(size, -1, -2) @ size
+        operations = 4 * n + 4
     H = T @ (S @ np.swapaxes(T, -1, -2)) - np.eye(n) * used[:, None, :]
-    # Two products for V·Sigma·V^T; another for each T.
-    rounding = gamma(4 * n + 4) * (T_size @ (np.abs(S) @ np.swapaxes(T_size, -1, -2)))
-    off = _worst(np.abs(H) + rounding)
+    rounding = gamma(operations) * (T_size @ (np.abs(S) @ np.swapaxes(T_size, -1, -2)))
+    off = _norms(np.abs(H) + rounding)
     filled = V + np.eye(n) * ~used[:, None, :]
     try:
         inverse = np.linalg.inv(filled)
     except np.linalg.LinAlgError:
-        return math.inf, math.inf
+        return nothing
     product = np.abs(filled) @ np.abs(inverse)
-    left = _worst(np.abs(np.eye(n) - filled @ inverse) + gamma(n + 1) * product)
-    return (
-        quotient(off, below_one(off)),
-        quotient(_worst(product), below_one(left)),
-    )
+    left = _norms(np.abs(np.eye(n) - filled @ inverse) + gamma(n + 1) * product)
+    return quotient(off, below_one(off)), quotient(_norms(product), below_one(left))
 
 
-def _worst(matrices: Array) -> float:
-    """Return the largest Frobenius norm of some matrices, rounded up."""
-    return SLACK * math.sqrt(np.max(np.sum(np.square(matrices), axis=(1, 2)))) + UNDERFLOW
+def _norms(matrices: Array) -> Array:
+    """Return the Frobenius norms of some matrices, rounded up."""
+    return np.asarray(SLACK * np.sqrt(np.sum(np.square(matrices), axis=(1, 2))) + UNDERFLOW)

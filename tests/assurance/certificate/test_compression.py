@@ -216,7 +216,7 @@ def test_the_error_of_a_whitener_covers_the_exact_one(exponent: float, seed: int
     sigma = np.eye(3) * root[:, :, None] ** 4
     spoil = rng.choice([0.0, 1e-15, 1e-8, 1e-2]) * rng.standard_normal((1, 3))
     V = np.eye(3) * (used * root ** (4 * exponent) * (1.0 + spoil))[:, :, None]
-    found, enlarged = whitener_error(V, sigma, used, exponent)
+    (found,), (enlarged,) = whitener_error(V, sigma, used, exponent)
     # The exact weight is (E + J) times that of V.
     exact = [
         abs(Fraction(s) ** int(8 * exponent) / Fraction(v) ** 2 - 1)
