@@ -105,6 +105,11 @@ def digest(file: Path) -> str:
     return hashlib.sha256(file.read_bytes()).hexdigest()
 
 
+def _sealed(file: Path) -> dict[str, Any]:
+    """Return the size and the SHA-256 of a file's content."""
+    return {"bytes": file.stat().st_size, "sha256": digest(file)}
+
+
 def exchange(stage: Path, folder: Path, new: Sequence[str], stale: Sequence[str]) -> None:
     """Move files from a stage into a folder and remove others from it: all, or nothing.
 
@@ -165,18 +170,21 @@ class RunFolder:
     names : tuple of str
         Every file that a run may write.
     listing : str
-        The JSON file that is written last and holds the digests of the others.
+        The JSON file that is written last and holds sizes and digests of the others.
     config : str
         The options of the run. It replaces only one that an earlier run wrote: people have files
         of that name.
     careful : bool
         Whether that holds for every file: no run replaces one that no earlier run listed.
+    seal : callable
+        Returns the content of the listing from that without a digest of its own.
     """
 
     names: tuple[str, ...]
     listing: str
     config: str
     careful: bool = False
+    seal: Callable[[dict[str, Any]], dict[str, Any]] = dict
 
     def require_writable(
         self,
@@ -253,8 +261,8 @@ class RunFolder:
             with staged(folder) as path:
                 stage = RunStage(path)
                 yield stage
-                digests = {name: digest(path / name) for name in stage.names}
-                content = {**stage.content, "files": digests}
+                files = {name: _sealed(path / name) for name in stage.names}
+                content = self.seal({**stage.content, "files": files})
                 (path / self.listing).write_text(json_text(content) + "\n", encoding="utf-8")
                 stage.names.append(self.listing)
                 exchange(path, folder, stage.names, self._stale(folder, stage.names, note))
@@ -267,7 +275,7 @@ class RunFolder:
         """Return the digests of the files that an earlier run wrote, by name."""
         try:
             listed = json.loads((folder / self.listing).read_text(encoding="utf-8"))["files"]
-            return {name: listed[name] for name in self.names if name in listed}
+            return {name: listed[name]["sha256"] for name in self.names if name in listed}
         except (OSError, ValueError, LookupError, TypeError, RecursionError):
             return {}  # no earlier run, or a file that none wrote
 
@@ -294,7 +302,7 @@ class RunStage:
     names : list of str
         Files in it that the run wrote, but for the listing.
     content : dict
-        What the listing holds beside the digests.
+        What the listing holds beside the files.
     """
 
     def __init__(self, folder: Path) -> None:

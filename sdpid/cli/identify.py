@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib.util
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -10,6 +11,7 @@ import typer
 
 import sdpid.cli.options as opt
 from sdpid._common.extras import require
+from sdpid._common.files import Source
 from sdpid._common.text import printable
 from sdpid.cli.config import config_text
 from sdpid.cli.endings import OURS, command_line
@@ -60,6 +62,7 @@ def identify(
     ] = False,
 ) -> None:
     """Identify a robot: URDF and logs in; consistent URDF, tables, report, certificate out."""
+    from sdpid.assurance.log_proof.inputs import file_entry
     from sdpid.workflow.results_folder import require_writable
 
     config = printing.config
@@ -95,6 +98,8 @@ def identify(
     if result.intervals_note:
         notes.append(result.intervals_note)
     exports: list[ExportReport] = []
+    if config is not None:
+        result = replace(result, inputs=(*result.inputs, file_entry("config", Source.of(config))))
     saved = result.save(
         out,
         figures=draw,

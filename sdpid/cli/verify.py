@@ -1,4 +1,4 @@
-"""The command ``sdpid verify``: a proof, checked from its file alone."""
+"""The command ``sdpid verify``: proofs, checked from their files alone."""
 
 from __future__ import annotations
 
@@ -13,22 +13,26 @@ from sdpid.cli.printing import Printing
 
 
 def verify(
-    certificate: Annotated[
-        Path, typer.Argument(metavar="FILE", help="Certificate that `sdpid identify` wrote.")
+    path: Annotated[
+        Path,
+        typer.Argument(
+            metavar="PATH",
+            help="Folder that `sdpid identify` wrote, with all its files; or one proof.",
+        ),
     ],
     printing: Printing,
 ) -> None:
-    """Check a certificate in exact arithmetic, from its own numbers.
+    """Check a folder of results, or one proof, in exact arithmetic, from its own numbers.
 
     Ends with status 1 when the proof does not hold.
     """
     from sdpid.workflow.verify import verify as run
 
-    verification = run(certificate)
+    verification = run(path)
     lines = map(printable, verification.lines)
     printing.show(verification, "\n".join(lines))
     if not verification.passed:
         reasons = "; ".join(verification.problems)
-        text = f"sdpid: {certificate}: the proof does not hold: {reasons}."
+        text = f"sdpid: {path}: the proof does not hold: {reasons}."
         typer.echo(printable(text), err=True)
         raise typer.Exit(OURS)

@@ -6,11 +6,13 @@ import hashlib
 import io
 import sys
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any
 
 from . import certificate, tables
 from .reading import REFUSED, MalformedError, parse, read_bytes, shown
 from .result import Result
+from .results import folder
 
 # By schema: how a file is read and checked, and the numbers that it claims.
 CHECKS = {
@@ -21,11 +23,16 @@ CHECKS = {
 
 @dataclass(frozen=True)
 class Checked:
-    """Result of checking a file: sentences, its SHA-256, and the numbers that it claims."""
+    """Result of a check: sentences, the file's SHA-256 or the manifest's digest, and claims."""
 
     result: Result
     sha256: str
     claims: dict[str, float | None] = field(default_factory=dict)
+
+
+def check_path(path: Any) -> Checked:
+    """Check a results folder, or one file; OSError or one of REFUSED where it is no proof."""
+    return Checked(*folder.check(path)) if Path(path).is_dir() else check_file(path)
 
 
 def check_file(path: Any) -> Checked:
@@ -41,16 +48,16 @@ def check_file(path: Any) -> Checked:
 
 
 def main(arguments: list[str]) -> int:
-    """Check a file: status 0 where all is proven, 1 where not, 2 where it is no proof."""
+    """Check a path: status 0 where all is proven, 1 where not, 2 where there is no proof."""
     for stream in (sys.stdout, sys.stderr):
         # Names may have letters that a terminal's encoding lacks.
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="backslashreplace")
     if len(arguments) != 1:
-        print("usage: python verifier FILE", file=sys.stderr)
+        print("usage: python verifier FILE_OR_FOLDER", file=sys.stderr)
         return 2
     try:
-        result = check_file(arguments[0]).result
+        result = check_path(arguments[0]).result
     except (OSError, *REFUSED) as cause:
         print(f"{shown(arguments[0])}: not a proof: {cause}", file=sys.stderr)
         return 2

@@ -156,11 +156,12 @@ class Identification:
                 for each in grades_of(self)
             },
             "status": estimate.status,
-            "cost": estimate.cost,
+            "cost": self.certificate.cost,
             "cost_unconstrained": self.wls.cost,
             "lower_bound": self.certificate.lower_bound,
             "gap": self.certificate.gap,
             "certified": self.certificate.passed,
+            "certificate": self.certificate.to_dict()["sha256"],
             "worst_margin": estimate.worst_margin,
             "constraints": [s.to_dict() for s in constraint_states(estimate) if s.active],
             "solve_time": estimate.solve_time,

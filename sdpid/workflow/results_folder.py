@@ -9,11 +9,15 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
 
+from sdpid import __version__
 from sdpid._common.progress import progress
 from sdpid._common.staging import RunFolder
+from sdpid._common.tables import json_text
+from sdpid.assurance.log_proof.recipe import Recipe
 from sdpid.errors import MissingExtraError, SdpidError
 from sdpid.output.report.judged import Judged
 from sdpid.output.tables.intervals_shown import GivenIntervals
+from sdpid.verifier.results.manifest import contents, sealed
 
 if TYPE_CHECKING:
     from sdpid.output.robots.export_report import ExportReport
@@ -24,8 +28,8 @@ _KIND = "\0"
 # Of the figures: a screen's width, and 170 dots an inch on a printed page.
 _DPI = 110.0
 
-# Written last: it lists the other files.
-_RESULT = "result.json"
+# Written last: it seals the other files.
+MANIFEST = "manifest.json"
 
 # The options of the run.
 _CONFIG = "run.toml"
@@ -42,18 +46,31 @@ NAMES = (
     "validation.png",
     "report.html",
     _CONFIG,
-    _RESULT,
+    "result.json",
+    MANIFEST,
 )
 
 
 class Result(Judged, Protocol):
     """The part of an `Identification` that is written."""
 
+    @property
+    def inputs(self) -> Sequence[dict[str, Any]]:
+        """What the run was given."""
+
+    @property
+    def recipe(self) -> Recipe | None:
+        """How the rows are made of the recordings."""
+
+    @property
+    def recipe_note(self) -> str | None:
+        """Why there is no recipe."""
+
     def to_dict(self) -> dict[str, Any]:
         """Return plain values for JSON."""
 
 
-_FOLDER = RunFolder(NAMES, _RESULT, _CONFIG)
+_FOLDER = RunFolder(NAMES, MANIFEST, _CONFIG, seal=sealed)
 
 require_writable = _FOLDER.require_writable
 
@@ -76,8 +93,12 @@ def save(
     with _FOLDER.written(target, note) as stage:
         writer = _Writer(result, stage.folder, intervals, note)
         stage.names += writer.write(figures=figures, command=command, config=config)
-        exports = [export.to_dict() for export in writer.exports]
-        stage.content.update({**result.to_dict(), "exports": exports})
+        recipe = None if result.recipe is None else result.recipe.to_dict()
+        software = f"sdpid {__version__}"
+        digest = result.certificate.to_dict()["sha256"]
+        if result.recipe_note is not None:
+            note(result.recipe_note)
+        stage.content |= contents(result.inputs, recipe, digest, software)
     if exported is not None:
         for export in writer.exports:
             exported(export)
@@ -95,7 +116,7 @@ class _Writer:
     exports: list[ExportReport] = field(default_factory=list)
 
     def write(self, *, figures: bool, command: str | None, config: str | None) -> list[str]:
-        """Write all files but result.json, and return their names."""
+        """Write all files but the manifest, and return their names."""
         steps: list[Callable[[], Iterator[Path]]] = [
             self._tables,
             self._certificate,
@@ -103,6 +124,7 @@ class _Writer:
             lambda: self._figures() if figures else iter(()),
             lambda: self._report(command, figures),
             lambda: self._config(config),
+            self._result,
         ]
         names: list[str] = []
         with progress(len(steps), "writing results") as advance:
@@ -122,12 +144,19 @@ class _Writer:
         ):
             table.write(self.folder / name)
             yield self.folder / name
-        path = self.folder / "parameters.json"
-        yield write_parameters(estimate, path, intervals=self.intervals)
+        path, certificate = self.folder / "parameters.json", self.result.certificate
+        yield write_parameters(estimate, path, intervals=self.intervals, certificate=certificate)
 
     def _certificate(self) -> Iterator[Path]:
         path = self.folder / "certificate.json"
         self.result.certificate.to_json(path)
+        yield path
+
+    def _result(self) -> Iterator[Path]:
+        path = self.folder / "result.json"
+        exports = [export.to_dict() for export in self.exports]
+        content = {**self.result.to_dict(), "exports": exports}
+        path.write_text(json_text(content) + "\n", encoding="utf-8")
         yield path
 
     def _robots(self) -> Iterator[Path]:
@@ -181,7 +210,7 @@ class _Writer:
         if importlib.util.find_spec("jinja2") is None:
             self.note("no report.html: jinja2 is not installed (pip install 'sdpid[report]')")
             return
-        from sdpid.output.report.report import certificate_digest, write_report
+        from sdpid.output.report.report import write_report
 
         yield write_report(
             self.result,
@@ -190,7 +219,7 @@ class _Writer:
             intervals=self.intervals,
             figures=figures,
             exports=self.exports,
-            sha256=certificate_digest(self.folder / "certificate.json"),
+            sha256=self.result.certificate.to_dict()["sha256"],
         )
 
     def _config(self, config: str | None) -> Iterator[Path]:

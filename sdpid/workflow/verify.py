@@ -6,7 +6,7 @@ import os
 from dataclasses import dataclass
 
 from sdpid.errors import CertificateError
-from sdpid.verifier.command import check_file
+from sdpid.verifier.command import check_path
 from sdpid.verifier.reading import REFUSED
 from sdpid.verifier.result import Result
 
@@ -26,7 +26,7 @@ class Verification:
     unchecked : tuple of str
         What a reader may take for proven and was not checked.
     sha256 : str
-        SHA-256 of the file.
+        SHA-256 of the file; of a folder the digest in its manifest.
     cost : float or None
         Claimed, and proven where `passed`, as the next three: the cost of the certified parameters
         is at most this.
@@ -55,14 +55,14 @@ class Verification:
 
 
 def verify(path: str | os.PathLike[str]) -> Verification:
-    """Check a proof in exact arithmetic, from the numbers in its file alone.
+    """Check a proof in exact arithmetic, from the numbers in its files alone.
 
-    The same as ``python sdpid/verifier FILE`` with the stand-alone checker.
+    The same as ``python sdpid/verifier FILE_OR_FOLDER`` with the stand-alone checker.
 
     Parameters
     ----------
     path : path
-        A file written by `Certificate.to_json`.
+        A file written by `Certificate.to_json`, or a folder written by `Identification.save`.
 
     Returns
     -------
@@ -71,10 +71,10 @@ def verify(path: str | os.PathLike[str]) -> Verification:
     Raises
     ------
     CertificateError
-        When the file is no proof of this version.
+        When it is no proof of this version.
     """
     try:
-        checked = check_file(path)
+        checked = check_path(path)
     except OSError as cause:
         raise CertificateError(f"cannot read {path}: {cause.strerror}.") from None
     except REFUSED as cause:

@@ -90,6 +90,7 @@ def test_identify_prints_and_writes(results: Path, log: Path) -> None:
     assert names == {
         "base_parameters.csv",
         "parameters.csv",
+        "manifest.json",
         "result.json",
         "run.toml",
         "certificate.json",

@@ -72,7 +72,7 @@ def same(one: Path, other: Path) -> bool:
     """Return whether two runs found the same."""
     found = [json.loads((path / "result.json").read_text()) for path in (one, other)]
     for content in found:
-        del content["files"], content["solve_time"]
+        del content["solve_time"]
     return found[0] == found[1]
 
 
@@ -94,13 +94,13 @@ def test_the_written_file_repeats_the_run(folder: Path, monkeypatch: pytest.Monk
     assert "cutoff" not in written
     assert not {"json", "quiet", "config", "help"} & set(written)
     before = (folder / "deep/out/run.toml").read_bytes()
-    (folder / "deep/out/result.json").rename(folder / "first.json")
+    (folder / "deep/out/manifest.json").rename(folder / "first.json")
     monkeypatch.chdir("/")
     # Without the list of files it is not known who wrote the configuration: it is not replaced.
     again = run("identify", "--config", folder / "deep/out/run.toml")
     assert again.exit_code == 2
     assert "run.toml, which this run reads" in again.stderr
-    (folder / "first.json").rename(folder / "deep/out/result.json")
+    (folder / "first.json").rename(folder / "deep/out/manifest.json")
     repeated = run("identify", "--config", folder / "deep/out/run.toml", "--out", folder / "second")
     assert repeated.exit_code == 0, repeated.output
     assert same(folder / "deep/out", folder / "second")

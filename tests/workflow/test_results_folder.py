@@ -130,16 +130,18 @@ def test_a_list_of_files_that_is_none(other: Identification, tmp_path: Path, tex
     (tmp_path / "x").write_text("kept")
     out = tmp_path / "out"
     out.mkdir()
-    (out / "result.json").write_text(text)
+    (out / "manifest.json").write_text(text)
     other.save(out, figures=False)
     assert (tmp_path / "x").exists()
 
 
 def test_the_list_names_every_file_with_its_digest(result: Identification, tmp_path: Path) -> None:
     files = result.save(tmp_path)
-    listed = json.loads((tmp_path / "result.json").read_text())["files"]
-    assert set(listed) | {"result.json"} == {path.name for path in files}
-    assert all(staging.digest(tmp_path / name) == listed[name] for name in listed)
+    listed = json.loads((tmp_path / "manifest.json").read_text())["files"]
+    assert set(listed) | {"manifest.json"} == {path.name for path in files}
+    for name, entry in listed.items():
+        assert staging.digest(tmp_path / name) == entry["sha256"]
+        assert (tmp_path / name).stat().st_size == entry["bytes"]
 
 
 @pytest.mark.parametrize("earlier", [False, True])
@@ -173,8 +175,8 @@ def test_whatever_fails_all_or_none(
         injector.arm(None)
         if saved:
             # What failed was the removal of what is not needed, or nothing did.
-            assert json.loads((out / "result.json").read_text())["files"].keys() == {
-                path.name for path in out.iterdir() if path.name != "result.json"
+            assert json.loads((out / "manifest.json").read_text())["files"].keys() == {
+                path.name for path in out.iterdir() if path.name != "manifest.json"
             } - {path.name for path in out.glob(".sdpid-*")}
             if not reached:
                 break
@@ -435,8 +437,8 @@ def test_numbers_that_json_cannot_hold_are_null(tmp_path: Path) -> None:
 
     content = json.loads((tmp_path / "result.json").read_text(), parse_constant=refuse)
     assert content["training"]["joints"]["b"]["r2"] is None
-    assert {*content} == {*found.to_dict(), "files", "exports"}
-    assert content == found.to_dict() | {key: content[key] for key in ("files", "exports")}
+    assert {*content} == {*found.to_dict(), "exports"}
+    assert content == found.to_dict() | {"exports": content["exports"]}
 
 
 def test_results_are_short_in_a_console_and_whole_in_a_notebook(

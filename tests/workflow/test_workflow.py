@@ -67,6 +67,7 @@ def test_everything_is_saved_and_loads(result: Identification, tmp_path: Path) -
     assert {path.name for path in files} == {
         "base_parameters.csv",
         "parameters.csv",
+        "manifest.json",
         "result.json",
         "certificate.json",
         "identified.urdf",

@@ -38,11 +38,16 @@ def log_entry(log: Recording, role: str) -> dict[str, Any]:
     return _entry(role, log.source, None if log.source else recording_digest(log))
 
 
+def file_entry(role: str, source: Source) -> dict[str, Any]:
+    """Return role, name, bytes and SHA-256 of a file."""
+    name = source.name or None
+    return {"role": role, "name": name, "bytes": source.size, "sha256": source.sha256}
+
+
 def _entry(role: str, source: Source | None, of_numbers: str | None) -> dict[str, Any]:
     if source is None:
         return {"role": role, "name": None, "bytes": None, "sha256": of_numbers}
-    name = source.name or None
-    return {"role": role, "name": name, "bytes": source.size, "sha256": source.sha256}
+    return file_entry(role, source)
 
 
 def recording_digest(log: Recording) -> str:

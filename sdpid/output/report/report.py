@@ -7,7 +7,6 @@ rest. Names of robots, joints and links, and notes, are escaped.
 from __future__ import annotations
 
 import importlib.util
-import json
 import os
 from collections.abc import Iterator, Sequence
 from pathlib import Path
@@ -125,11 +124,6 @@ def report_html(
         sha256=sha256,
         drawable=drawable,
     )
-
-
-def certificate_digest(path: str | os.PathLike[str]) -> str:
-    """Return the SHA-256 digest that a certificate file contains."""
-    return str(json.loads(Path(path).read_text(encoding="utf-8"))["sha256"])
 
 
 def _context(result: Judged, draw: bool, intervals: GivenIntervals | None) -> dict[str, Any]:

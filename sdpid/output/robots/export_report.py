@@ -73,6 +73,9 @@ class ExportReport:
     triangle_violations : tuple of str
         Moving links whose principal moments violate the triangle inequality. Readers that ask for
         it (MuJoCo) reject them; estimates under ``consistency="pseudo_inertia"`` have none.
+    friction_fitted : bool
+        Whether friction and damping were fitted to the efforts anew, because some terms have no
+        place; else they are the identified numbers.
     kind : str
         What was written.
     notes : tuple of str
@@ -89,6 +92,7 @@ class ExportReport:
     lumped: tuple[str, ...] = ()
     left_out: tuple[LeftOut, ...] = ()
     triangle_violations: tuple[str, ...] = ()
+    friction_fitted: bool = False
     kind: str = "a URDF"
     notes: tuple[str, ...] = ()
     training: Errors | None = None
@@ -142,6 +146,7 @@ class ExportReport:
             "training": None if self.training is None else asdict(self.training),
             "validation": None if self.validation is None else asdict(self.validation),
             "left_out": [asdict(lost) for lost in self.left_out],
+            "friction_fitted": self.friction_fitted,
             "lumped": list(self.lumped),
             "triangle_violations": list(self.triangle_violations),
             "notes": list(self.notes),

@@ -79,11 +79,14 @@ class JointAttributes:
         Terms for which there is no attribute.
     notes : tuple of str
         How the numbers differ from the identified ones.
+    fitted : bool
+        Whether they are not the identified numbers.
     """
 
     values: dict[str, dict[str, float]]
     left_out: tuple[LeftOut, ...] = ()
     notes: tuple[str, ...] = ()
+    fitted: bool = False
 
 
 def joint_attributes(
@@ -121,7 +124,7 @@ def joint_attributes(
     if problem.rows is None:
         places.require_nonnegative(what)
         left_out = tuple(LeftOut(type(part.term).__name__, part.names) for part in places.lost)
-        return JointAttributes(places.by_joint(values), left_out)
+        return JointAttributes(places.by_joint(values), left_out, fitted=True)
     rows = _Rows(problem, theta, places)
     for j in np.flatnonzero(rows.shown) if places.kinds else ():
         for kind, value in zip(places.kinds, rows.fitted(int(j)), strict=True):
@@ -130,6 +133,7 @@ def joint_attributes(
         places.by_joint(values),
         tuple(rows.left_out(part, lost) for part, lost in zip(places.lost, rows.lost, strict=True)),
         (rows.note(values),) if places.kinds else (),
+        fitted=True,
     )
 
 

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
+from fractions import Fraction
 from pathlib import Path
 
 import numpy as np
@@ -21,7 +22,8 @@ from sdpid.output.robots.urdf_tree import FixedChild, UrdfTree
 from sdpid.output.robots.written_bodies import (
     SEED,
     STATES,
-    lifted,
+    possible_body,
+    readable,
     require_consistent,
     require_same_efforts,
     rest_of,
@@ -36,6 +38,7 @@ from sdpid.robot.inertia import transform
 from sdpid.robot.model.base_parameters import generic_states
 from sdpid.robot.model.geometry import link_placements, neutral
 from sdpid.robot.model.model import RobotModel
+from sdpid.verifier.results.mjcf import Mjcf
 
 _PLACES: dict[Kind, str] = {
     Coulomb: "frictionloss",
@@ -142,6 +145,7 @@ def write_mjcf(
         joints_changed=tuple(patch.joints_changed),
         lumped=tuple(patch.lumped),
         left_out=friction.left_out,
+        friction_fitted=friction.fitted,
         kind="an MJCF",
         notes=notes,
         training=file.errors(),
@@ -279,6 +283,7 @@ class _Patch(_Compiled):
         parse_xml(text, what)  # refuses document types, so that nothing is expanded below
         super().__init__(robot, text, what, folder=folder, ours=ours)
         self.document = Document(text)
+        self.exact = readable(Mjcf, text, what) if ours else None
         self.elements = self._elements()
         for k in self.carriers:
             if self.carriers.count(k) > 1:
@@ -317,19 +322,23 @@ class _Patch(_Compiled):
             for k, other in enumerate(self.bodies)
             if k != carrier and other.carrier == own.carrier and np.any(other.theta)
         }
-        rest = rest_of(body, list(children.values()), "pseudo_inertia")
-        if rest is not None:
-            body = rest
-        else:
-            self.lumped.append(self._name(carrier))
+        rest, name = rest_of(body, list(children.values()), "pseudo_inertia"), self._name(carrier)
+        if rest is None:
+            self.lumped.append(name)
             for number in children:
-                self._write(number, np.zeros(10))
-        self._write(carrier, lifted(body, "pseudo_inertia"))
+                self._write(number, [Fraction(0)] * 10)
+        # In a text of our own, frames are those of the links.
+        whole = body if self.exact is None else identified
+        if rest is not None and self.exact is not None:
+            exact = self.exact.rest(name, identified.tolist())
+        else:
+            exact = [Fraction(x) for x in (whole if rest is None else rest).tolist()]
+        self._write(carrier, possible_body(exact, "pseudo_inertia", name, self.what))
 
     def _name(self, body: int) -> str:
         return self.bodies[body].name or f"body {body}"
 
-    def _write(self, body: int, values: Array) -> None:
+    def _write(self, body: int, values: Sequence[Fraction]) -> None:
         element, markup = self.elements[body], inertial_markup(values)
         inertial = element.find("inertial")
         if inertial is None:

@@ -6,18 +6,21 @@ every link stays a body under its name, and every number is written in full.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
+from fractions import Fraction
 
 import numpy as np
 
 from sdpid._common.arrays import Array
 from sdpid.experiment.plant.mujoco_model import joint_axis
+from sdpid.output.robots.principal_axes import principal_axes
 from sdpid.output.robots.urdf_tree import FixedChild, UrdfTree
-from sdpid.output.robots.written_bodies import lifted, possible
+from sdpid.output.robots.written_bodies import possible, possible_body
 from sdpid.robot.description.mjcf import quaternion_of
 from sdpid.robot.description.origin import numbers
-from sdpid.robot.inertia import physical_parameters
 from sdpid.robot.model.model import RobotModel
+from sdpid.verifier.results.inertials import central, rounded
 
 
 def quoted(text: str) -> str:
@@ -32,19 +35,18 @@ def _body(link: str) -> str:
     return quoted("world_link" if link == "world" else link)
 
 
-def inertial_markup(body: Array) -> str:
+def inertial_markup(body: Sequence[Fraction]) -> str:
     """Return the <inertial> of a body given by its ten parameters; zeros are a body without mass.
 
     Principal moments and their axes rather than ``fullinertia``: releases of MuJoCo differ in how
-    exactly they take a full tensor apart.
+    exactly they take a full tensor apart. Every number is the double nearest to the exact one.
     """
-    if not np.any(body):
+    if not any(body):
         return '<inertial pos="0 0 0" mass="0" diaginertia="0 0 0"/>'
-    mass, com, inertia = physical_parameters(body)
-    moments, axes = np.linalg.eigh(inertia)
-    axes[:, 0] *= np.sign(np.linalg.det(axes))
+    quaternion, moments = principal_axes(central(body)[2])
+    mass, com, _ = rounded(body)
     return (
-        f'<inertial pos="{numbers(com)}" quat="{numbers(quaternion_of(axes))}" '
+        f'<inertial pos="{numbers(com)}" quat="{numbers(quaternion)}" '
         f'mass="{numbers(mass)}" diaginertia="{numbers(moments)}"/>'
     )
 
@@ -79,12 +81,9 @@ def mjcf_skeleton(robot: RobotModel, tree: UrdfTree | None) -> tuple[str, tuple[
         out.append(f"{pad}  {_joint(robot, i, columns.get(model.names[i]))}")
         for child in [] if tree is None else tree.fixed_children(names[i - 1]):
             inertial = child.body
-            if inertial is not None and np.any(inertial):
-                if possible(inertial, "pseudo_inertia"):
-                    inertial = lifted(inertial, "pseudo_inertia")
-                else:
-                    impossible.append(child.name)
-                    inertial = None
+            if inertial is not None and not _possible(inertial):
+                impossible.append(child.name)
+                inertial = None
             out += _fixed(replace(child, body=inertial), depth + 1)
         for k in children.get(i, ()):
             out += body(k, depth + 1)
@@ -107,6 +106,11 @@ def mjcf_skeleton(robot: RobotModel, tree: UrdfTree | None) -> tuple[str, tuple[
     return "\n".join([*lines, "</mujoco>", ""]), tuple(impossible)
 
 
+def _possible(inertial: Array) -> bool:
+    """Return whether there is nothing, or a body that MuJoCo loads."""
+    return not np.any(inertial) or possible(inertial, "pseudo_inertia")
+
+
 def _pose(placement: Array) -> str:
     quaternion = quaternion_of(placement[:3, :3])
     return f' pos="{numbers(placement[:3, 3])}" quat="{numbers(quaternion)}"'
@@ -117,7 +121,9 @@ def _fixed(child: FixedChild, depth: int) -> list[str]:
     opening = f"{pad}<body name={_body(child.name)}{_pose(child.placement)}"
     if child.body is None or not np.any(child.body):
         return [opening + "/>"]
-    return [opening + ">", f"{pad}  {inertial_markup(child.body)}", f"{pad}</body>"]
+    body = [Fraction(x) for x in child.body.tolist()]
+    markup = inertial_markup(possible_body(body, "pseudo_inertia", child.name, "MJCF"))
+    return [opening + ">", f"{pad}  {markup}", f"{pad}</body>"]
 
 
 def _joint(robot: RobotModel, i: int, column: int | None) -> str:

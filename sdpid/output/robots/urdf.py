@@ -23,19 +23,21 @@ from sdpid.output.robots.urdf_tree import FixedChild, UrdfTree
 from sdpid.output.robots.written_bodies import (
     SEED,
     STATES,
-    lifted,
+    possible_body,
+    readable,
     require_consistent,
     require_same_efforts,
     rest_of,
     standard_parameters,
 )
-from sdpid.robot.description.urdf import inertial_values
+from sdpid.robot.description.urdf import inertial_values, written_values
 from sdpid.robot.description.xml import encode_xml, read_description
 from sdpid.robot.description.xml_edits import Document, Element
-from sdpid.robot.inertia import margin
 from sdpid.robot.model.base_parameters import generic_states
 from sdpid.robot.model.load import Root, load_robot
 from sdpid.robot.model.model import RobotModel
+from sdpid.verifier.results.inertials import exists, rounded
+from sdpid.verifier.results.urdf import Urdf
 
 # How a body is split among a moving link and those fixed to it.
 Fixed: TypeAlias = Literal["keep", "merge"] | Mapping[str, ArrayLike]
@@ -104,7 +106,8 @@ def write_urdf(
     _require_known(fixed, [child.name for family in families.values() for child in family])
     for link, body in zip(links, bodies, strict=True):
         children = [c for c in families[link] if c.body is not None and np.any(c.body)]
-        rest = None if fixed == "merge" and children else rest_of(body, children, consistency)
+        merged = fixed == "merge" and bool(children)
+        rest = None if merged else rest_of(body, children, consistency)
         given = () if isinstance(fixed, str) else [c for c in families[link] if c.name in fixed]
         if given and rest is None:
             names = ", ".join(child.name for child in children)
@@ -114,19 +117,22 @@ def write_urdf(
                 "fixed='keep'."
             )
         for child in given:
-            _write_inertial(document, tree.links[child.name], np.asarray(child.body))
+            _write_inertial(
+                document, tree.links[child.name], inertial_values(np.asarray(child.body))
+            )
             changed.append(child.name)
-        if rest is not None:
-            body = rest
-        else:
+        if rest is None:
             lumped.append(link)
             for child in children:
-                _write_inertial(document, tree.links[child.name], np.zeros(10))
+                _write_inertial(document, tree.links[child.name], inertial_values(np.zeros(10)))
                 changed.append(child.name)
-        body = lifted(body, consistency)
-        if not margin(body, "pseudo_inertia") >= 0.0:
+    # What is fixed to others is as it stays, and the moving links take the exact rest.
+    exact = readable(Urdf, document.text(), what)
+    for link, body in zip(links, bodies.tolist(), strict=True):
+        written = rounded(possible_body(exact.rest(link, body), consistency, link, what))
+        if not exists(written.mass, written.moments, "pseudo_inertia"):
             flat.append(link)
-        _write_inertial(document, tree.links[link], body)
+        _write_inertial(document, tree.links[link], written_values(written))
         changed.append(link)
     friction = _write_friction(tree, problem, theta)
     result = document.text()
@@ -140,6 +146,7 @@ def write_urdf(
         joints_changed=tuple(friction.values),
         lumped=tuple(lumped),
         left_out=friction.left_out,
+        friction_fitted=friction.fitted,
         triangle_violations=tuple(flat),
         notes=friction.notes,
         training=file.errors(),
@@ -201,8 +208,9 @@ def source_text(robot: RobotModel, source: str | os.PathLike[str] | None, what: 
         raise ExportError(f"{what}: {cause}") from None
 
 
-def _write_inertial(document: Document, link: Element, body: Array) -> None:
-    values = inertial_values(body)
+def _write_inertial(
+    document: Document, link: Element, values: Mapping[str, Mapping[str, str]]
+) -> None:
     inertial = link.find("inertial")
     lines = [
         f"  <{tag} " + " ".join(f'{key}="{value}"' for key, value in attributes.items()) + "/>"

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from fractions import Fraction
+from typing import TypeVar
 
 import numpy as np
 
@@ -10,13 +12,16 @@ from sdpid._common.arrays import Array
 from sdpid.errors import ExportError
 from sdpid.estimation.estimate import Estimate
 from sdpid.output.robots.urdf_tree import FixedChild
-from sdpid.robot.consistent import raise_second_moments
 from sdpid.robot.inertia import (
     Consistency,
     margin,
     transform,
 )
 from sdpid.robot.model.model import RobotModel
+from sdpid.verifier.reading import REFUSED
+from sdpid.verifier.results.inertials import inside
+
+_File = TypeVar("_File")
 
 # Rounding in the inertia about the center of mass, as a fraction of the size of the inertia that
 # it is the difference of. A margin negative by no more than this is not negative.
@@ -120,6 +125,34 @@ def rest_of(body: Array, children: Sequence[FixedChild], consistency: Consistenc
     return rest if enough else None
 
 
-def lifted(body: Array, consistency: Consistency) -> Array:
-    """Return the body, moved off the boundary of the consistent set by a few roundings."""
-    return raise_second_moments(body, _INSIDE + _rounding(body), consistency=consistency)
+def possible_body(
+    body: Sequence[Fraction], consistency: Consistency, link: str, what: str
+) -> list[Fraction]:
+    """Return a body off the edge of the consistent set by a few roundings, exactly.
+
+    Raises
+    ------
+    ExportError
+        When it is further outside than rounding.
+    """
+    found = inside(body, consistency)
+    if found is None:
+        raise ExportError(
+            f"{what}: link '{link}' is not consistent; solve with a consistency, or with a "
+            "positive Constraints.margin if the solver stopped just outside."
+        )
+    return found
+
+
+def readable(read: Callable[[str], _File], text: str, what: str) -> _File:
+    """Return a robot's text as the verifier reads it.
+
+    Raises
+    ------
+    ExportError
+        When readers might see different robots in it.
+    """
+    try:
+        return read(text)
+    except REFUSED as cause:
+        raise ExportError(f"{what}: readers may differ on the source: {cause}.") from None

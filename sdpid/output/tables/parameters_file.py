@@ -14,6 +14,7 @@ import numpy as np
 from sdpid._common.extras import require
 from sdpid._common.files import atomic_write_text
 from sdpid._common.tables import plain
+from sdpid.assurance.certificate.certificate import Certificate
 from sdpid.assurance.diagnostics.provenance import provenance
 from sdpid.errors import DataError, ExportError, IdentifiabilityError
 from sdpid.estimation.estimate import Estimate
@@ -31,6 +32,7 @@ def write_parameters(
     path: str | os.PathLike[str],
     *,
     intervals: GivenIntervals | None = None,
+    certificate: Certificate | None = None,
 ) -> Path:
     """Write all parameters of an estimate as JSON or YAML, by the file's suffix.
 
@@ -49,6 +51,8 @@ def write_parameters(
         all.
     intervals : Intervals, optional
         What has names, lower and upper ends (and, where it tells them apart, their kinds).
+    certificate : Certificate, optional
+        Of these parameters: the file then names its digest, and the cost that it proves.
 
     Returns
     -------
@@ -63,7 +67,7 @@ def write_parameters(
         When YAML is asked and PyYAML is not installed.
     """
     target = Path(path)
-    content = parameters_dict(estimate, intervals=intervals)
+    content = parameters_dict(estimate, intervals=intervals, certificate=certificate)
     if target.suffix.lower() == ".json":
         text = json.dumps(content, indent=1, allow_nan=False, ensure_ascii=False) + "\n"
     elif target.suffix.lower() in (".yaml", ".yml"):
@@ -78,7 +82,10 @@ def write_parameters(
 
 
 def parameters_dict(
-    estimate: Estimate, *, intervals: GivenIntervals | None = None
+    estimate: Estimate,
+    *,
+    intervals: GivenIntervals | None = None,
+    certificate: Certificate | None = None,
 ) -> dict[str, Any]:
     """Return the content that `write_parameters` writes, as plain values."""
     from sdpid import __version__
@@ -120,7 +127,8 @@ def parameters_dict(
         "status": estimate.status,
         "consistency": problem.consistency,
         "weighting": problem.weighting,
-        "cost": estimate.cost,
+        "cost": estimate.cost if certificate is None else certificate.cost,
+        "certificate": None if certificate is None else certificate.to_dict()["sha256"],
         "friction_terms": problem.friction.described(),
         "effects": [asdict(each) for each in problem.effects],
         "interval_method": getattr(intervals, "method", None),

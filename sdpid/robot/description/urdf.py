@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from dataclasses import dataclass
+from fractions import Fraction
 from typing import Any
 
 import numpy as np
@@ -13,7 +14,7 @@ from sdpid.errors import ModelError
 from sdpid.robot.description.origin import LARGEST, numbers
 from sdpid.robot.description.quiet import Caught, caught_stderr
 from sdpid.robot.description.xml import parse_xml, undeclared
-from sdpid.robot.inertia import physical_parameters
+from sdpid.verifier.results.inertials import Inertial, rounded
 
 # Parsers recurse into the tree of links: tens of thousands overflow the stack and end the process.
 MOST_LINKS = 2000
@@ -194,15 +195,16 @@ def inertial_values(body: ArrayLike) -> dict[str, dict[str, str]]:
     The inertia is about the center of mass, along the axes of the link; ten zeros stand for a
     link without mass.
     """
-    body = np.asarray(body, dtype=np.float64)
-    if np.any(body):
-        mass, com, inertia = physical_parameters(body)
-    else:
-        mass, com, inertia = np.zeros(()), np.zeros(3), np.zeros((3, 3))
+    return written_values(rounded([Fraction(x) for x in np.ravel(body).tolist()]))
+
+
+def written_values(inertial: Inertial) -> dict[str, dict[str, str]]:
+    """Return the attributes of origin, mass and inertia of numbers that are rounded already."""
+    named = inertial.named()
     return {
-        "origin": {"xyz": numbers(com), "rpy": "0 0 0"},
-        "mass": {"value": numbers(mass)},
-        "inertia": {key: numbers(inertia[ij]) for key, ij in TENSOR_PLACES.items()},
+        "origin": {"xyz": numbers(inertial.com), "rpy": "0 0 0"},
+        "mass": {"value": numbers(inertial.mass)},
+        "inertia": {key: numbers(named[key]) for key in TENSOR_PLACES},
     }
 
 

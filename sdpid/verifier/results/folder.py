@@ -1,0 +1,132 @@
+"""Check a results folder: its seal, its proof, and that all its files hold the numbers proven.
+
+A digest finds what was changed after the manifest was written; whoever writes a manifest anew can
+make one for any files. So every number that follows from the certificate is compared with it too.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+from .. import certificate
+from ..reading import REFUSED, MalformedError, read_bytes, shown
+from ..result import Result
+from . import manifest, mjcf, urdf
+from .joint_friction import Friction
+from .parameters import Certified, check_parameters, check_result, check_table, exports
+
+CERTIFICATE, RESULT = "certificate.json", "result.json"
+_URDF, _MJCF = "identified.urdf", "identified.xml"
+
+# Descriptions of robots may be larger than proofs.
+_LARGEST = 64 * 2**20
+
+
+def check(path: Any) -> tuple[Result, str, dict[str, float | None]]:
+    """Check a folder that `sdpid identify` wrote, with nothing but what lies in it.
+
+    Returns
+    -------
+    Result
+        Every sentence names the file that it is of.
+    str
+        The manifest's digest.
+    dict
+        What the certificate claims.
+
+    Raises
+    ------
+    OSError, or one of REFUSED
+        When manifest or certificate are missing or make no sense.
+    """
+    folder = Path(path)
+    if not (folder / manifest.NAME).is_file():
+        raise MalformedError(f"it has no {manifest.NAME}: no results of this version")
+    sealed = manifest.load(read_bytes(folder / manifest.NAME))
+    name = CERTIFICATE
+    if name not in sealed["files"]:
+        raise MalformedError(f"its {manifest.NAME} lists no {name}")
+    data = certificate.load(read_bytes(folder / name))
+    proof = certificate.check(data)
+    result = manifest.check(folder, sealed) + _named(name, proof)
+    if sealed["certificate"] != data["sha256"]:
+        problem = f"{manifest.NAME}: sealed with certificate {sealed['certificate']}, not this one"
+        result += Result(problems=(problem,))
+    certified = Certified.of(data)
+    for name, found in _files(folder, sealed, certified, proof.passed):
+        result += _named(name, found)
+    result += Result(unchecked=(*manifest.given(sealed), *_only_sealed(sealed)))
+    return result, sealed["sha256"], certificate.claimed(data)
+
+
+def _named(name: str, found: Result) -> Result:
+    """Return the sentences with the name of the file that they are of."""
+    return Result(
+        tuple(f"{name}: {each}" for each in found.statements),
+        tuple(f"{name}: {each}" for each in found.problems),
+        tuple(f"{name}: {each}" for each in found.unchecked),
+    )
+
+
+def _checks(
+    certified: Certified, holds: bool, refitted: Mapping[str, bool]
+) -> dict[str, Callable[[bytes], Result]]:
+    """Return the check of every file that repeats numbers of the certificate."""
+    consistency = certified.stated["consistency"]
+
+    def friction(name: str) -> Friction:
+        return Friction.of(certified.stated["joints"], certified.theta or {}, refitted[name])
+
+    return {
+        RESULT: lambda content: check_result(content, certified, holds),
+        "parameters.json": lambda content: check_parameters(content, certified),
+        "parameters.csv": lambda content: check_table(content, certified.theta),
+        "base_parameters.csv": lambda content: check_table(content, certified.base),
+        _URDF: lambda content: urdf.check(content, certified.bodies, consistency, friction(_URDF)),
+        _MJCF: lambda content: mjcf.check(content, certified.bodies, friction(_MJCF)),
+    }
+
+
+def _files(
+    folder: Path, sealed: Mapping[str, Any], certified: Certified, holds: bool
+) -> Iterator[tuple[str, Result]]:
+    """Yield what was found in each file that repeats numbers of the certificate."""
+    try:
+        refitted = exports(read_bytes(folder / RESULT))
+    except (OSError, *REFUSED) as cause:
+        refitted = {}
+        yield RESULT, Result(problems=(f"the robots it names cannot be read: {_reason(cause)}",))
+    for name, check_file in _checks(certified, holds, refitted).items():
+        written = name not in (_URDF, _MJCF) or name in refitted
+        if name not in sealed["files"]:
+            if written:
+                yield name, Result(problems=("the run wrote it, and it is not sealed",))
+            continue
+        if not written:
+            yield name, Result(problems=(f"{RESULT} does not name it among what was written",))
+            continue
+        try:
+            yield name, check_file(read_bytes(folder / name, _LARGEST))
+        except (OSError, *REFUSED) as cause:
+            yield name, Result(problems=(f"cannot be read: {_reason(cause)}",))
+
+
+def _reason(cause: BaseException) -> str:
+    """Return why something cannot be read; what is no message of ours is shown as a name."""
+    if isinstance(cause, MalformedError):
+        return str(cause)
+    return f"{type(cause).__name__} {shown(str(cause))}"
+
+
+def _only_sealed(sealed: Mapping[str, Any]) -> tuple[str, ...]:
+    """Return what nothing but its digest speaks for."""
+    compared = {CERTIFICATE, RESULT, "parameters.json", "parameters.csv", "base_parameters.csv"}
+    others = sorted(sealed["files"].keys() - compared - {_URDF, _MJCF})
+    said = [f"{manifest.listed(others)}: sealed, and not derivable"] if others else []
+    return (
+        *said,
+        f"that {manifest.NAME} is the one that the run wrote: compare its digest "
+        f"{sealed['sha256']} with one from whom you trust; a digest is no signature",
+    )

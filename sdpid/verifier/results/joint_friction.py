@@ -1,0 +1,71 @@
+"""Compare the friction of joints in a robot's file with certified parameters."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+from ..reading import shown
+from ..result import Result
+
+# What a file of a robot has room for: dry friction, damping, armature.
+_SYMBOLS = ("Fs", "Fv", "Ia")
+
+
+@dataclass(frozen=True)
+class Friction:
+    """Certified parameters of joints, and whether a file claims to hold them.
+
+    Attributes
+    ----------
+    joints : sequence of str
+        The joints that parameters are of: parameter ``Fs2`` is of the second.
+    parameters : mapping of str to float
+        All certified parameters by name.
+    fitted : bool
+        Whether the file says that its friction was fitted to efforts anew, because it has no
+        place for some of the parameters.
+    """
+
+    joints: Sequence[str]
+    parameters: Mapping[str, float]
+    fitted: bool
+
+    @classmethod
+    def of(cls, joints: Sequence[str], parameters: Mapping[str, float], fitted: bool) -> Friction:
+        """Return the friction of a robot; a floating base's coordinates come first, without any."""
+        numbers = range(1, len(joints) + 1)
+        count = max(sum(f"{symbol}{k}" in parameters for k in numbers) for symbol in _SYMBOLS)
+        return cls(joints[len(joints) - count :], parameters, fitted)
+
+
+def compared(
+    found: Mapping[str, Mapping[str, float]], friction: Friction, places: Mapping[str, str]
+) -> Result:
+    """Compare the attributes of joints with the parameters that belong there, by their symbols."""
+    if friction.fitted:
+        return Result(
+            unchecked=(
+                f"{', '.join(places)} of its joints: fitted to the efforts anew, since it has no "
+                "place for some parameters; sealed, and not derivable from the certificate",
+            )
+        )
+    problems, equal = [], set()
+    for number, joint in enumerate(friction.joints, 1):
+        for attribute, symbol in places.items():
+            if (value := friction.parameters.get(f"{symbol}{number}")) is None:
+                continue
+            # What a solver left below zero is written as zero.
+            wanted, given = max(value, 0.0), found.get(joint, {}).get(attribute)
+            equal.add(attribute)
+            if given != wanted:
+                problems.append(
+                    f"joint {shown(joint)}: {attribute} is {given!r}, the certified parameter "
+                    f"{symbol}{number} is {wanted!r}"
+                )
+    others = [attribute for attribute in places if attribute not in equal]
+    unchecked = (f"{', '.join(others)} of its joints: the description's",) if others else ()
+    if problems or not equal:
+        return Result(problems=tuple(problems), unchecked=unchecked)
+    said = f"{', '.join(sorted(equal))} of its joints are the certified parameters"
+    return Result((said,), unchecked=unchecked)

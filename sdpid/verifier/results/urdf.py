@@ -1,0 +1,196 @@
+"""Compare a URDF with certified parameters: links with what is fixed to them, joints' friction.
+
+What moves with a joint is a link and the links fixed to it. A URDF holds the certified parameters
+where the link that the joint moves has, to the last digit, what they give less the links fixed to
+it (`sdpid.verifier.results.inertials`). The writer computes its numbers by the same functions.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from fractions import Fraction
+
+from ..reading import MalformedError, shown
+from ..result import Result
+from .inertials import MOMENTS, Inertial, at_most, body_of, exists, inside, less, moved, rounded
+from .joint_friction import Friction, compared
+from .markup import Node, parse
+from .placements import HERE, Placement, from_rpy
+
+# The attributes of <dynamics> and the parameters that they hold.
+PLACES = {"friction": "Fs", "damping": "Fv"}
+
+_PLAIN = ("link", "joint", "material", "transmission")
+
+
+class Urdf:
+    """Links and joints of a URDF; MalformedError where readers might see different ones."""
+
+    def __init__(self, source: str | bytes) -> None:
+        root = parse(source)
+        if root.tag != "robot":
+            raise MalformedError(f"its root is <{shown(root.tag)}>, not <robot>")
+        self.links, self.joints = _named(root, "link"), _named(root, "joint")
+        self.others = sorted({child.tag for child in root.children} - set(_PLAIN))
+        self.movers: dict[str, Node] = {}
+        self._fixed: dict[str, list[tuple[str, Placement]]] = {}
+        children = set()
+        for joint in self.joints.values():
+            parent, child = (_end(joint, end) for end in ("parent", "child"))
+            if child in children or not {parent, child} <= self.links.keys():
+                raise MalformedError(f"joint {shown(joint.name)} makes no tree of its links")
+            children.add(child)
+            if joint.attributes.get("type") == "fixed":
+                self._fixed.setdefault(parent, []).append((child, _origin(joint)))
+            else:
+                self.movers[child] = joint
+        self.roots = self.links.keys() - children
+
+    def attached(self, link: str) -> list[tuple[str, Placement]]:
+        """Return the links that are fixed to a link, directly or through others."""
+        found, waiting = [], [(link, HERE)]
+        while waiting:
+            name, place = waiting.pop()
+            for child, own in self._fixed.get(name, ()):
+                there = own if place is HERE else place.then(own)
+                found.append((child, there))
+                waiting.append((child, there))
+        return found
+
+    def inertial(self, link: str) -> tuple[Inertial, Placement] | None:
+        """Return the inertial of a link and the axes of its moments; None without one."""
+        node = self.links[link].only("inertial")
+        if node is None:
+            return None
+        mass, inertia, place = node.only("mass"), node.only("inertia"), _origin(node)
+        if mass is None or inertia is None:
+            raise MalformedError(f"link {shown(link)} has an <inertial> without mass or inertia")
+        com = tuple(map(float, place.translation))
+        moments = tuple(inertia.number(key) for key in MOMENTS)
+        return Inertial(mass.number("value"), com, moments), place
+
+    def rest(self, link: str, body: Sequence[float]) -> list[Fraction]:
+        """Return the body of a link without those of the links that are fixed to it."""
+        parts = []
+        for child, place in self.attached(link):
+            if (found := self.inertial(child)) is not None:
+                parts.append(moved(body_of(*found), place))
+        return less([Fraction(x) for x in body], parts)
+
+
+def _named(root: Node, tag: str) -> dict[str, Node]:
+    """Return the elements of a tag by name."""
+    found = root.all(tag)
+    by_name = {node.name: node for node in found}
+    if len(by_name) != len(found):
+        raise MalformedError(f"several of its <{tag}> have the same name")
+    return by_name
+
+
+def _end(joint: Node, end: str) -> str:
+    node = joint.only(end)
+    return "" if node is None else node.attributes.get("link", "")
+
+
+def _origin(node: Node) -> Placement:
+    """Return the placement that an element's <origin> gives it."""
+    origin = node.only("origin")
+    return HERE if origin is None else from_rpy(origin.triple("rpy"), origin.triple("xyz"))
+
+
+def check(
+    source: bytes,
+    bodies: Mapping[str, Sequence[float]],
+    consistency: str,
+    friction: Friction,
+) -> Result:
+    """Check a URDF against the ten parameters of every moving link, and against friction.
+
+    Parameters
+    ----------
+    source : bytes
+        The file.
+    bodies : mapping of str to sequence of float
+        The certified parameters of the links.
+    consistency : str
+        What every link must have.
+    friction : Friction
+        The certified parameters of the joints.
+    """
+    urdf = Urdf(source)
+    problems, raised = [], Fraction(0)
+    floating = urdf.roots & bodies.keys()
+    for link in (urdf.movers.keys() | floating) ^ bodies.keys():
+        where = "the file" if link in bodies else "the certificate"
+        problems.append(f"link {shown(link)}: {where} has no such moving link")
+    for link in (name for name in bodies if name in urdf.links):
+        rest = urdf.rest(link, bodies[link])
+        expected, found = inside(rest, consistency), urdf.inertial(link)
+        problems += _differences(link, expected, found)
+        if expected is not None:
+            raised = max(raised, expected[4] - rest[4])
+        for name in (link, *(child for child, _ in urdf.attached(link))):
+            problems += _impossible(name, urdf.inertial(name), consistency, name == link)
+    said = () if problems else (agreement(len(bodies), raised, consistency),)
+    result = Result(said, tuple(problems), _unchecked(urdf, bodies))
+    return result + compared(_values(urdf, friction.joints), friction, PLACES)
+
+
+def agreement(count: int, raised: Fraction, consistency: str) -> str:
+    """Return that a file has the certified bodies, in words."""
+    off = f" (inertias raised by at most {at_most(raised)} kg.m2, off the edge)" if raised else ""
+    return (
+        f"{count} moving links, with the links fixed to them, have the certified parameters to the "
+        f"last digit{off}, and each is a body: {consistency} holds exactly"
+    )
+
+
+def _differences(
+    link: str, expected: list[Fraction] | None, found: tuple[Inertial, Placement] | None
+) -> list[str]:
+    """Return the numbers of a link that are not those of its parameters."""
+    if expected is None:
+        return [f"link {shown(link)}: no body is what the links fixed to it leave of it"]
+    if found is None:
+        return [f"link {shown(link)} has no inertial"]
+    inertial, axes = found
+    wrong = [] if axes.rotation == HERE.rotation else ["its axes are turned"]
+    for (name, value), wanted in zip(
+        inertial.named().items(), rounded(expected).named().values(), strict=True
+    ):
+        if value != wanted:
+            wrong.append(f"{name} is {value!r}, the certified parameters give {wanted!r}")
+    return [f"link {shown(link)}: {each}" for each in wrong]
+
+
+def _impossible(
+    link: str, found: tuple[Inertial, Placement] | None, consistency: str, moving: bool
+) -> list[str]:
+    """Return why a link is no body; what is fixed to others may have no mass at all."""
+    if found is None or (not moving and not any(found[0].named().values())):
+        return []
+    if exists(found[0].mass, found[0].moments, consistency):
+        return []
+    return [f"link {shown(link)} is no body: {consistency} does not hold"]
+
+
+def _values(urdf: Urdf, joints: Sequence[str]) -> dict[str, dict[str, float]]:
+    """Return the friction of every joint by attribute."""
+    found = {}
+    for name in (joint for joint in joints if joint in urdf.joints):
+        node = urdf.joints[name].only("dynamics")
+        given = () if node is None else [key for key in PLACES if key in node.attributes]
+        found[name] = {key: node.number(key) for key in given} if node is not None else {}
+    return found
+
+
+def _unchecked(urdf: Urdf, bodies: Mapping[str, Sequence[float]]) -> tuple[str, ...]:
+    """Return what a URDF says beside the certified parameters."""
+    carried = {child for link in bodies if link in urdf.links for child, _ in urdf.attached(link)}
+    still = urdf.links.keys() - carried - bodies.keys()
+    said = ["its joints (places, axes, limits) and shapes: they are the description's"]
+    if still:
+        said.append(f"the inertials of {len(still)} links that do not move: the description's")
+    if urdf.others:
+        said.append(f"its elements {', '.join(map(shown, urdf.others))}: the description's")
+    return tuple(said)
