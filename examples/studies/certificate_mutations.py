@@ -18,6 +18,9 @@ from pathlib import Path
 from random import Random
 from typing import Any
 
+import numpy as np
+from certificate_judge import second_moments
+
 Data = dict[str, Any]
 Mutation = Callable[[Random, Data, dict[str, Data]], bool]
 
@@ -374,6 +377,34 @@ def made_up(rng: Random, data: Data, zoo: dict[str, Data]) -> bool:
     return True
 
 
+def bent(rng: Random, data: Data, zoo: dict[str, Data]) -> bool:
+    """Give multipliers that fit all equations and bound the cost too high, were they ⪰ 0.
+
+    They are those of bodies without mass, as if each matrix inequality were an equation; mixed with
+    the file's own by a share from next to nothing to all.
+    """
+    problem, multipliers = data["problem"], data["multipliers"]
+    kind, links = problem["consistency"], problem["links"]
+    if kind == "none" or not links:
+        return False
+    A, B, R = (np.array(problem[key], dtype=float) for key in ("A", "base_matrix", "prior_matrix"))
+    G = np.vstack([A @ B, R.reshape(-1, B.shape[1])])
+    point = np.array(data["theta"] or [0.0] * B.shape[1])
+    point[: 10 * links] = 0.0
+    y = G @ point - np.array([*problem["rhs"], *problem["prior_rhs"]])
+    slopes = 2.0 * G.T @ y
+    share = rng.choice([1.0, 1e-2, 1e-4, 1e-6])
+    units = second_moments(kind)
+    size = units.shape[1]
+    for i in range(links):
+        flat, *_ = np.linalg.lstsq(units.reshape(10, -1), slopes[10 * i : 10 * i + 10])
+        Z = flat.reshape(size, size)
+        mixed = (1.0 - share) * np.array(multipliers["Z"][i]) + 0.5 * share * (Z + Z.T)
+        multipliers["Z"][i] = (0.5 * (mixed + mixed.T)).tolist()
+    multipliers["y"] = ((1.0 - share) * np.array(multipliers["y"]) + share * y).tolist()
+    return True
+
+
 def move(rng: Random, data: Data, zoo: dict[str, Data]) -> bool:
     """Move the parameters, by rounding or by much, or give others."""
     theta = data["theta"]
@@ -508,6 +539,7 @@ MUTATIONS: dict[str, Mutation] = {
     "bounds": box,
     "consistency": consistency,
     "multipliers": made_up,
+    "bent multipliers": bent,
     "parameters": move,
     "another robot's part": transplant,
     "extreme number": extreme,
