@@ -46,9 +46,8 @@ class Box:
 
         Of a positive semidefinite matrix every 2×2 minor is. The 6×6 matrix gives ``h_x² ≤ m
         I_yy``, ``h_x² ≤ m I_zz``, ``I_xy² ≤ I_xx I_yy``, and I − S(h)S(h)^T/m ⪰ 0, so that
-        ``2|h|² ≤ m tr I``. With the 4×4 matrix, whose block Σ is ``tr(I)/2·E − I``, ``Σ_xx ≤ (I_yy
-        + I_zz)/2``, ``h_x² ≤ m Σ_xx``, ``|I_xy| = |Σ_xy| ≤ √(Σ_xx Σ_yy) ≤ I_zz/2``, and
-        ``‖I‖ ≤ tr(I)/2``.
+        ``2|h|² ≤ m tr I``. With the 4×4 matrix, whose block Σ is ``tr(I)/2·E − I``, also
+        ``|I_xy| = |Σ_xy| ≤ √(Σ_xx Σ_yy) ≤ I_zz/2`` and ``‖I‖ ≤ tr(I)/2``.
 
         Parameters
         ----------

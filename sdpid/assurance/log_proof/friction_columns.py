@@ -78,22 +78,27 @@ def _sign(term: Any, v: Enclosed) -> Enclosed:
 
 
 def _smooth_sign(v: Enclosed, width: Array) -> Enclosed:
-    """Return sign(v), or tanh(v/width) where the width is positive."""
+    """Return sign(v), or tanh(v/width) where the width is positive, as for `_bend`."""
     smooth = width > 0.0
     sign = Enclosed.exact(np.sign(v.mid))
     if not smooth.any():
         return sign
-    curve = hyperbolic_tangent(_over(v, np.where(smooth, width, 1.0)))
+    curve = _bend(v, np.where(smooth, width, 1.0))
     mid = np.where(smooth[:, None], curve.mid, sign.mid)
-    rad = np.where(smooth, curve.rad, np.where(v.rad > 0.0, 2.0, 0.0))
-    return Enclosed(mid, rad, sign.size)
+    return Enclosed(mid, np.where(smooth, curve.rad, 0.0), sign.size)
 
 
-def _over(v: Enclosed, speed: Array) -> Enclosed:
-    """Return v/speed: a quotient rounds once."""
-    size = v.size / speed
-    mid = v.mid / speed[:, None]
-    return Enclosed(mid, np.zeros_like(size), size).off(v.rad / speed + 2.0 * U * size)
+def _bend(v: Enclosed, speed: Array) -> Enclosed:
+    """Return tanh(v/speed) of velocities that are right but for one rounding.
+
+    With the quotient's the argument is off by 2u of itself, and x·tanh′(x) is at most 0.45.
+    """
+    return hyperbolic_tangent(_quotient(v, speed)).off(U)
+
+
+def _quotient(v: Enclosed, speed: Array) -> Enclosed:
+    """Return the midpoints over speeds, as they are rounded."""
+    return Enclosed.exact(v.mid / speed[:, None])
 
 
 def _square_root(term: Any, v: Enclosed, a: Enclosed) -> Enclosed:
@@ -105,15 +110,15 @@ def _square_root(term: Any, v: Enclosed, a: Enclosed) -> Enclosed:
 def _peak(term: Any, v: Enclosed, a: Enclosed) -> Enclosed:
     """Return the Stribeck peak, exp(−|v/speed|^exponent)·sign(v)."""
     n = len(v.mid)
-    ratio = _over(replace(v, mid=np.abs(v.mid)), joint_speeds(term, "velocity", n))
-    # A curve of slope below one: far out it is zero, and what is left out counts for less.
-    power = ratio * ratio if term.exponent == 2.0 else ratio
-    return decaying(power) * _smooth_sign(v, joint_speeds(term, "width", n))
+    ratio = _quotient(replace(v, mid=np.abs(v.mid)), joint_speeds(term, "velocity", n))
+    power = Enclosed.exact(ratio.mid**2) if term.exponent == 2.0 else ratio
+    # The exponent is off by 3u of itself at most, and x·exp(−x) is at most 0.37.
+    return decaying(power).off(2.0 * U) * _smooth_sign(v, joint_speeds(term, "width", n))
 
 
 def _sigmoid(term: Any, v: Enclosed, a: Enclosed) -> Enclosed:
     """Return tanh(v/speed)."""
-    return hyperbolic_tangent(_over(v, joint_speeds(term, "velocity", len(v.mid))))
+    return _bend(v, joint_speeds(term, "velocity", len(v.mid)))
 
 
 _SHAPES: dict[type[FrictionTerm], Callable[[Any, Enclosed, Enclosed], Enclosed]] = {
@@ -130,10 +135,7 @@ _SHAPES: dict[type[FrictionTerm], Callable[[Any, Enclosed, Enclosed], Enclosed]]
 def _coupling(term: Coupling, v: Enclosed, a: Enclosed, names: Sequence[str]) -> Columns:
     """Return the three columns of a coupling; the sign of a sum survives its rounding."""
     i, j = (list(names).index(name) for name in (term.first, term.second))
-    total = v.at([i]) + v.at([j])
-    if not term.width:
-        total = replace(total, rad=np.zeros(1))
-    sign = _smooth_sign(total, np.full(1, term.width))
+    sign = _smooth_sign(v.at([i]) + v.at([j]), np.full(1, term.width))
     n, count = v.mid.shape
     mid, rad = np.zeros((n, 3, count)), np.zeros((n, 3))
     for own, other in ((i, j), (j, i)):

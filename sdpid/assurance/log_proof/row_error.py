@@ -246,7 +246,9 @@ class _Comparison:
         self._friction(part, error, rad)
         error[:, self.plain] -= computed[:, self.leads]
         error[:, self.folded] -= np.matmul(self.turn, computed)
-        rad[:, self.folded] += self.rounding * (largest(computed) @ np.abs(self.turn).T)
+        sums = largest(computed) @ np.abs(self.turn).T
+        # As many roundings as base parameters.
+        rad[:, self.folded] += self.rounding * sums * (1.0 + 2.0 * source.base.count * U)
         return rad * UP, open_links * UP
 
     def _friction(self, part: slice, error: Array, rad: Array) -> None:
