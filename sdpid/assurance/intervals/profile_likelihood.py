@@ -12,15 +12,11 @@ for every such theta, whatever the multipliers, rho² being the level. The brack
 rounding, and what it can amount to is bounded by the box that theta lies in: first the declared
 one, then the one of the bounds found so, at the highest of all levels.
 
-**The level.** The cost is a log-likelihood only up to the size and correlation of the errors. Were
-it one, a rise of z² would make an interval. Where the extreme is taken, theta has moved away from
-the estimate by a residual d = G·(theta − theta*), and to first order it is this combination of the
-data, d·h, that decides how far. So the rise is t²·(d^T·N·d)/(d^T·d) with N the covariance of h that
-the residuals show (the prior's rows count as stated: variance one), t the quantile of Student's t
-with the degrees of freedom of that combination. For a base parameter of a problem without active
-constraints that is Gauss-Markov's interval; where a constraint is active only the directions count
-along which it lets theta move. d is known when the program is solved: it is solved again where the
-level changes by much.
+**The level** depends on where the extreme is (see `sdpid.assurance.intervals.level`), which is
+known when the program is solved: it is solved again where the level changes by much. Among all
+values of c·theta that the rule admits the outermost is wanted, so the search comes from above: from
+the level at which the fit loses all its degrees of freedom, down to the first that the rule does
+not lower.
 """
 
 from __future__ import annotations
@@ -28,16 +24,18 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 
 from sdpid._common.arrays import Array
 from sdpid._common.jobs import parallel
+from sdpid.assurance.intervals.level import Level, Move
 from sdpid.errors import DataError, SolverError
+from sdpid.estimation.conic.fit_response import FitResponse
 from sdpid.estimation.conic.retry import solve_with_retries
-from sdpid.estimation.conic.solve import ConicFamily, ConicSolution
-from sdpid.estimation.duality.bound import clip_psd, cost_scale
+from sdpid.estimation.conic.solve import ConicFamily, ConicSolution, solve_conic
+from sdpid.estimation.duality.bound import clip_psd
 from sdpid.estimation.posterior import FitErrors
 from sdpid.estimation.problem import Problem
 from sdpid.estimation.scaling import Scaling
@@ -46,13 +44,10 @@ from sdpid.estimation.sdp.program import Coordinates, SdpProgram
 # A level that changes by less than this share is not worth another solve: the multipliers found
 # before prove a bound at the new level too, worse by the square of that share.
 _SETTLED = 0.1
-_ROUNDS = 4
+_ROUNDS = 8
 
 # Ends that are one job: their levels are found together.
 _TOGETHER = 8
-
-# The estimate itself is known to this share of its cost.
-_LEAST_RISE = 1e-6
 
 # Regularizations, tried until the bound proven is within this share of the point found.
 _REGULARIZATIONS = (1e-10, 1e-8, 1e-12)
@@ -99,6 +94,9 @@ class End:
     solves: int = 0
 
 
+# An end, how the residual moves there, and the solution.
+Found: TypeAlias = tuple[End, Array, ConicSolution]
+
 _NONE = np.zeros(0)
 _NOTHING = End(0.0, _NONE, _NONE, _NONE, 0.0, 0.0, (False, False), 0.0)
 
@@ -124,14 +122,12 @@ class ProfileLikelihood:
                 "profile intervals: a log-det prior makes the cost more than squares; use "
                 "method='bootstrap'."
             )
-        self.problem, self.theta, self.fit, self.level = problem, theta, errors, level
+        self.problem, self.theta = problem, theta
         self.residual = problem.squared.residual(theta)
-        self.least = _LEAST_RISE * max(float(self.residual @ self.residual), cost_scale(problem))
-        data = problem.A @ errors.covariance @ problem.A.T
-        self.noise = np.eye(len(self.residual))
-        self.noise[: len(data), : len(data)] = data
+        self.cost = float(self.residual @ self.residual)
+        self.level = Level(problem, errors, level, self.cost)
         # The size of the level sets, for numbers of order one.
-        self.unit = float(np.sqrt(self.residual @ self.residual + self._start()))
+        self.unit = float(np.sqrt(self.cost + self.level.typical))
         scaling = replace(Scaling.of(problem), cost=self.unit**2)
         coordinates = Coordinates.of(problem, scaling.basis(), np.array(theta))
         if coordinates is None:
@@ -143,32 +139,13 @@ class ProfileLikelihood:
             problem, scaling, coordinates, np.ones(problem.n_theta, dtype=bool)
         )
         self.family = ConicFamily(replace(self.program.conic, cost=None, radius=1.0))
+        self.response = FitResponse(self.program.conic)
 
-    def _start(self) -> float:
-        """Return the rise of the cost for a direction of average variance."""
-        count = self.problem.base.count
-        return max(4.0 * float(np.trace(self.noise[:count, :count])) / count, self.least)
-
-    def rises(self, moved: Sequence[Array | None]) -> list[float]:
-        """Return the rise for each extreme, the residual having moved by some vector there.
-
-        Where that is None or next to nothing, it is the rise of a typical direction.
-        """
-        from scipy.special import stdtrit
-
-        count = self.problem.base.count
-        sizes = [0.0 if each is None else float(each @ each) for each in moved]
-        out = [self._start()] * len(moved)
-        known = [i for i, size in enumerate(sizes) if size > self.least * 1e-3]
-        if not known:
-            return out
-        D = np.array([moved[i] for i in known])
-        freedom = self.fit.freedom(D[:, :count] @ self.problem.A)
-        quantiles = stdtrit(freedom, 0.5 * (1.0 + self.level))
-        variances = np.einsum("ki,ki->k", D @ self.noise, D)
-        for i, quantile, variance in zip(known, quantiles, variances, strict=True):
-            out[i] = max(float(quantile**2 * variance) / sizes[i], self.least)
-        return out
+    @cached_property
+    def _free(self) -> Array:
+        """The derivative (r, r) of the fitted rows with respect to the data, at the optimum."""
+        found = solve_conic(self.program.conic)
+        return self.response.at(np.asarray(found.x), found.rows, found.blocks)
 
     def expected(self, functional: Array) -> Array:
         """Return how the residual moves at the extreme of a function (b,) of the base parameters.
@@ -209,12 +186,12 @@ class ProfileLikelihood:
 
     def _some(self, wanted: Sequence[tuple[Array, Array | None]]) -> list[End]:
         """Return the minima of a few functions, whose levels are updated together."""
-        levels = self.rises([moved for _, moved in wanted])
+        levels = self.level.highest([moved for _, moved in wanted], float(np.trace(self._free)))
         ends: dict[int, End] = {}
         left = list(range(len(wanted)))
         for _ in range(_ROUNDS):
             found = [self._at(wanted[i][0], levels[i]) for i in left]
-            updated = self.rises([moved for _, moved in found])
+            updated = self.level.rises([move for _, move in found])
             for i, (end, _), rise in zip(left, found, updated, strict=True):
                 before = ends.get(i, _NOTHING)
                 seconds, solves = before.seconds + end.seconds, before.solves + end.solves
@@ -243,20 +220,20 @@ class ProfileLikelihood:
         """
         return self._some([(c, moved)])[0]
 
-    def _at(self, c: Array, rise: float) -> tuple[End, Array]:
-        """Return the minimum at a level, and how the residual has moved there."""
+    def _at(self, c: Array, rise: float) -> tuple[End, Move]:
+        """Return the minimum at a level, and what the fit loses there."""
         directions = self.program.coordinates.directions
         slope = directions.T @ c
         size = float(np.linalg.norm(slope)) or 1.0
         radius = self._radius(rise)
         box = self.problem.feasible.lower, self.problem.feasible.upper
 
-        def judge(_: Array, solution: ConicSolution) -> tuple[tuple[End, Array], float] | None:
+        def judge(x: Array, solution: ConicSolution) -> tuple[Found, float] | None:
             if len(solution.ball) == 0:
                 return None
             end, moved = self._end(c, size, solution, rise)
             width = max(abs(end.found - float(c @ self.theta)), 1e-12)
-            return (end, moved), (end.found - self.proven(c, end, box, rise)) / width
+            return (end, moved, solution), (end.found - self.proven(c, end, box, rise)) / width
 
         # One that is not as close will do: the interval ends at the bound that it proves.
         best = solve_with_retries(
@@ -273,11 +250,22 @@ class ProfileLikelihood:
                 "method='gauss_markov' or 'bootstrap'.",
                 problem=self.problem,
             )
-        end, moved = best.value
-        return replace(end, seconds=best.seconds, solves=best.solves), moved
+        end, moved, solution = best.value
+        lost = self._lost(slope, radius / self.unit, solution)
+        return replace(end, seconds=best.seconds, solves=best.solves), Move(moved, lost)
+
+    def _lost(self, slope: Array, radius: float, found: ConicSolution) -> Array | None:
+        """Return by how much less the fitted rows move at an extreme than at the estimate."""
+        pull = float(found.ball[0])
+        if found.x is None or pull <= 0.0 or not np.any(slope):
+            return None
+        # The multiplier of the radius, per unit of the squares: both in units of the slope's size.
+        weight = 2.0 * radius / pull
+        there = self.response.at(found.x, found.rows, found.blocks, weight=weight, held=slope)
+        return self._free - there
 
     def _radius(self, rise: float) -> float:
-        return float(np.sqrt(self.residual @ self.residual + rise))
+        return float(np.sqrt(self.cost + rise))
 
     def _end(
         self, c: Array, size: float, solution: ConicSolution, rise: float

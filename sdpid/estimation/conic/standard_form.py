@@ -33,6 +33,10 @@ class Matrix:
     linear: Array
     constant: Array
 
+    def at(self, x: Array) -> Array:
+        """Return the matrix (s, s) at a point (n,)."""
+        return np.asarray(self.constant + np.einsum("k,kij->ij", x[self.index], self.linear))
+
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ConicProgram:
