@@ -43,5 +43,12 @@ class Result:
             *self.statements,
             *(f"not checked: {each}" for each in self.unchecked),
             *(f"NOT PROVEN: {each}" for each in self.problems),
-            "PROVEN." if self.passed else "NOT PROVEN.",
+            self.verdict,
         )
+
+    @property
+    def verdict(self) -> str:
+        """Whether everything that is claimed holds, in a word."""
+        if not self.passed:
+            return "NOT PROVEN."
+        return "PROVEN, but for what was not checked." if self.unchecked else "PROVEN."

@@ -290,7 +290,7 @@ def test_verify(results: Path, tmp_path: Path) -> None:
     certificate = results / "certificate.json"
     done = run("verify", certificate)
     assert done.exit_code == 0, done.output
-    assert done.stdout.splitlines()[-1] == "PROVEN."
+    assert done.stdout.splitlines()[-1].startswith("PROVEN")
     assert "No feasible parameters cost less than" in done.stdout
     assert json.loads(run("verify", certificate, "--json").stdout)["passed"] is True
     forged = json.loads(certificate.read_text())
@@ -601,7 +601,7 @@ def test_what_a_terminal_would_obey_is_not_printed(
     done = run("verify", results / "certificate.json")
     assert done.exit_code == 1
     assert done.stdout.splitlines()[-1] == "NOT PROVEN."
-    assert "PROVEN." not in done.stdout.splitlines()
+    assert not any(line.startswith("PROVEN") for line in done.stdout.splitlines())
     assert len(done.stderr.splitlines()) == 1
     assert not set(done.output) & set("\x1b\u202e\x9b")
     text = printing.listed("notes", [HOSTILE])
