@@ -41,11 +41,10 @@ def check(path: Any) -> tuple[Result, str, dict[str, float | None]]:
     OSError, or one of REFUSED
         When manifest or certificate are missing or make no sense.
     """
-    folder = Path(path)
+    folder, name = Path(path), CERTIFICATE
     if not (folder / manifest.NAME).is_file():
         raise MalformedError(f"it has no {manifest.NAME}: no results of this version")
     sealed = manifest.load(read_bytes(folder / manifest.NAME))
-    name = CERTIFICATE
     if name not in sealed["files"]:
         raise MalformedError(f"its {manifest.NAME} lists no {name}")
     data = certificate.load(read_bytes(folder / name))

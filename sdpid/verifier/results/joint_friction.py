@@ -63,9 +63,16 @@ def compared(
                     f"joint {shown(joint)}: {attribute} is {given!r}, the certified parameter "
                     f"{symbol}{number} is {wanted!r}"
                 )
+    for joint in found.keys() - set(friction.joints):
+        for attribute in equal:
+            if value := found[joint].get(attribute, 0.0):
+                problems.append(
+                    f"joint {shown(joint)}: {attribute} is {value!r}, and its friction counts at "
+                    "the joint that it follows"
+                )
     others = [attribute for attribute in places if attribute not in equal]
-    unchecked = (f"{', '.join(others)} of its joints: the description's",) if others else ()
+    unchecked = (f"{', '.join(others)} of its joints: not certified",) if others else ()
     if problems or not equal:
         return Result(problems=tuple(problems), unchecked=unchecked)
-    said = f"{', '.join(sorted(equal))} of its joints are the certified parameters"
+    said = f"Of its joints, {' and '.join(sorted(equal))} are the certified parameters."
     return Result((said,), unchecked=unchecked)

@@ -98,7 +98,7 @@ def check(folder: Path, data: Mapping[str, Any]) -> Result:
         problems.append(f"{NAME}: its digest is another: something in it was changed")
     for name, entry in data["files"].items():
         path = folder / name
-        if path.is_symlink() or not path.is_file():
+        if not path.is_file():
             problems.append(f"{shown(name)} is missing, or no regular file")
         elif (found := _sha256(path)) != entry["sha256"]:
             problems.append(
@@ -110,7 +110,7 @@ def check(folder: Path, data: Mapping[str, Any]) -> Result:
     if others:
         unchecked.append(f"{listed(others)}: not of this run")
     count = len(data["files"])
-    said = () if problems else (f"All {count} files are those that the run sealed: {NAME}.",)
+    said = () if problems else (f"All {count} files have the SHA-256 that {NAME} lists.",)
     return Result(said, tuple(problems), tuple(unchecked))
 
 

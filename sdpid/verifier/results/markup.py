@@ -11,6 +11,9 @@ from ..reading import MalformedError, shown
 # The largest description seen has below 1 MB and 20 levels.
 _LARGEST, _DEEPEST = 64 * 2**20, 1000
 
+# The links or joints of a robot; of each the exact body costs some milliseconds.
+_MOST_NAMES = 2000
+
 # The numbers that readers of robots understand; Python's own are more.
 _NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d{1,4})?", re.ASCII)
 
@@ -66,6 +69,16 @@ class Node:
         if len(values) != 1:
             raise MalformedError(f"{key} of <{shown(self.tag)}> has {len(values)} numbers, not 1")
         return values[0]
+
+
+def by_name(nodes: list[Node], what: str) -> dict[str, Node]:
+    """Return elements by name; of two with one name, readers might take either."""
+    found = {node.name: node for node in nodes}
+    if len(nodes) > _MOST_NAMES:
+        raise MalformedError(f"it has {len(nodes)} {what}, at most {_MOST_NAMES} are read")
+    if len(found) != len(nodes):
+        raise MalformedError(f"several of its {what} have the same name")
+    return found
 
 
 def parse(source: str | bytes) -> Node:

@@ -2,7 +2,7 @@
 
 Inertias are principal moments with a quaternion of their axes. If d and q are the exact ones, the
 file has doubles d' and q' within a unit u of their last digits. Rotations by q' and by q differ
-by an angle of at most 2·‖q' − q‖, and so the tensors in norm by at most
+by an angle of at most 2·‖q' − q‖ (both of length 1), and so the tensors in norm by at most
 
     2·Σ u(q_k)·(max d − min d) + max u(d_i).
 """
@@ -27,7 +27,7 @@ from .inertials import (
     rounded,
 )
 from .joint_friction import Friction, compared
-from .markup import Node, parse
+from .markup import Node, by_name, parse
 from .placements import HERE, Placement, from_quaternion
 from .urdf import agreement
 
@@ -36,6 +36,9 @@ PLACES = {"frictionloss": "Fs", "damping": "Fv", "armature": "Ia"}
 
 # MuJoCo has no other bodies.
 CONSISTENCY = "pseudo_inertia"
+
+# Rounding the four entries of a unit quaternion changes the square of its length by less.
+_UNIT = Fraction(1, 2**50)
 
 # All that such a file holds: the children and the attributes of its elements. Others could change
 # what the numbers mean.
@@ -69,10 +72,7 @@ class Mjcf:
             raise MalformedError(f"its root is <{shown(self.root.tag)}>, not <mujoco>")
         _require_known(self.root)
         world = self.root.only("worldbody")
-        found = [] if world is None else list(_bodies(world))
-        self.bodies = {body.name: body for body in found}
-        if len(self.bodies) != len(found):
-            raise MalformedError("several of its bodies have the same name")
+        self.bodies = by_name([] if world is None else list(_bodies(world)), "bodies")
 
         self.moving = {name: body for name, body in self.bodies.items() if _joint(body)}
 
@@ -131,8 +131,9 @@ def _attached(body: Node, place: Placement) -> Iterator[tuple[Node, Placement]]:
 
 def _place(node: Node) -> Placement:
     quaternion = node.numbers("quat", "1 0 0 0")
-    if len(quaternion) != 4 or not any(quaternion):
-        raise MalformedError(f"quat of <{shown(node.tag)}> is no quaternion")
+    square = sum((Fraction(entry) ** 2 for entry in quaternion), Fraction(0))
+    if len(quaternion) != 4 or abs(square - 1) > _UNIT:
+        raise MalformedError(f"quat of <{shown(node.tag)}> is no quaternion of length 1")
     return from_quaternion(quaternion, node.triple("pos"))
 
 
@@ -168,7 +169,7 @@ def check(source: bytes, bodies: Mapping[str, Sequence[float]], friction: Fricti
         if not exists(found[0].mass, found[0].moments, CONSISTENCY):
             problems.append(f"body {shown(name)} is none: {CONSISTENCY} does not hold")
     said = () if problems else (agreement(len(bodies), raised, CONSISTENCY),)
-    unchecked = ("its joints (places, axes, limits): they are the description's",)
+    unchecked = ("its gravity and joints (places, axes, limits): they are the description's",)
     result = Result(said, tuple(problems), unchecked)
     return result + compared(_values(moving.values()), friction, PLACES)
 

@@ -167,6 +167,6 @@ def _short(value: Any) -> str:
 
 def _result(problems: Sequence[str], others: str) -> Result:
     if not problems:
-        return Result(("the certificate's numbers, to the last digit",), (), (others,))
+        return Result(("Its numbers are the certificate's, to the last digit.",), (), (others,))
     more = [f"{len(problems) - _MOST} other differences"] if len(problems) > _MOST else []
     return Result((), (*problems[:_MOST], *more), (others,))

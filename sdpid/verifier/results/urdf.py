@@ -14,7 +14,7 @@ from ..reading import MalformedError, shown
 from ..result import Result
 from .inertials import MOMENTS, Inertial, at_most, body_of, exists, inside, less, moved, rounded
 from .joint_friction import Friction, compared
-from .markup import Node, parse
+from .markup import Node, by_name, parse
 from .placements import HERE, Placement, from_rpy
 
 # The attributes of <dynamics> and the parameters that they hold.
@@ -30,7 +30,7 @@ class Urdf:
         root = parse(source)
         if root.tag != "robot":
             raise MalformedError(f"its root is <{shown(root.tag)}>, not <robot>")
-        self.links, self.joints = _named(root, "link"), _named(root, "joint")
+        self.links, self.joints = (by_name(root.all(tag), f"{tag}s") for tag in ("link", "joint"))
         self.others = sorted({child.tag for child in root.children} - set(_PLAIN))
         self.movers: dict[str, Node] = {}
         self._fixed: dict[str, list[tuple[str, Placement]]] = {}
@@ -78,15 +78,6 @@ class Urdf:
         return less([Fraction(x) for x in body], parts)
 
 
-def _named(root: Node, tag: str) -> dict[str, Node]:
-    """Return the elements of a tag by name."""
-    found = root.all(tag)
-    by_name = {node.name: node for node in found}
-    if len(by_name) != len(found):
-        raise MalformedError(f"several of its <{tag}> have the same name")
-    return by_name
-
-
 def _end(joint: Node, end: str) -> str:
     node = joint.only(end)
     return "" if node is None else node.attributes.get("link", "")
@@ -129,19 +120,19 @@ def check(
         problems += _differences(link, expected, found)
         if expected is not None:
             raised = max(raised, expected[4] - rest[4])
-        for name in (link, *(child for child, _ in urdf.attached(link))):
-            problems += _impossible(name, urdf.inertial(name), consistency, name == link)
+        if found is not None and not exists(found[0].mass, found[0].moments, consistency):
+            problems.append(f"link {shown(link)} is no body: {consistency} does not hold")
     said = () if problems else (agreement(len(bodies), raised, consistency),)
-    result = Result(said, tuple(problems), _unchecked(urdf, bodies))
-    return result + compared(_values(urdf, friction.joints), friction, PLACES)
+    result = Result(said, tuple(problems), _unchecked(urdf, bodies, consistency))
+    return result + compared(_values(urdf), friction, PLACES)
 
 
 def agreement(count: int, raised: Fraction, consistency: str) -> str:
     """Return that a file has the certified bodies, in words."""
     off = f" (inertias raised by at most {at_most(raised)} kg.m2, off the edge)" if raised else ""
     return (
-        f"{count} moving links, with the links fixed to them, have the certified parameters to the "
-        f"last digit{off}, and each is a body: {consistency} holds exactly"
+        f"Its {count} moving links, with what is fixed to them, have the certified parameters, "
+        f"rounded to doubles{off}, and each is a body: {consistency} holds exactly."
     )
 
 
@@ -163,32 +154,28 @@ def _differences(
     return [f"link {shown(link)}: {each}" for each in wrong]
 
 
-def _impossible(
-    link: str, found: tuple[Inertial, Placement] | None, consistency: str, moving: bool
-) -> list[str]:
-    """Return why a link is no body; what is fixed to others may have no mass at all."""
-    if found is None or (not moving and not any(found[0].named().values())):
-        return []
-    if exists(found[0].mass, found[0].moments, consistency):
-        return []
-    return [f"link {shown(link)} is no body: {consistency} does not hold"]
-
-
-def _values(urdf: Urdf, joints: Sequence[str]) -> dict[str, dict[str, float]]:
-    """Return the friction of every joint by attribute."""
+def _values(urdf: Urdf) -> dict[str, dict[str, float]]:
+    """Return the friction of every joint that moves by attribute."""
     found = {}
-    for name in (joint for joint in joints if joint in urdf.joints):
-        node = urdf.joints[name].only("dynamics")
-        given = () if node is None else [key for key in PLACES if key in node.attributes]
-        found[name] = {key: node.number(key) for key in given} if node is not None else {}
+    for joint in urdf.movers.values():
+        node = joint.only("dynamics") or Node("dynamics", {})
+        found[joint.name] = {k: node.number(k) for k in PLACES if k in node.attributes}
     return found
 
 
-def _unchecked(urdf: Urdf, bodies: Mapping[str, Sequence[float]]) -> tuple[str, ...]:
+def _unchecked(
+    urdf: Urdf, bodies: Mapping[str, Sequence[float]], consistency: str
+) -> tuple[str, ...]:
     """Return what a URDF says beside the certified parameters."""
     carried = {child for link in bodies if link in urdf.links for child, _ in urdf.attached(link)}
     still = urdf.links.keys() - carried - bodies.keys()
     said = ["its joints (places, axes, limits) and shapes: they are the description's"]
+    for link in sorted(carried):
+        found = urdf.inertial(link)
+        if found is None or not any(found[0].named().values()):
+            continue
+        if not exists(found[0].mass, found[0].moments, consistency):
+            said.append(f"link {shown(link)}, fixed to another, is no body in the description")
     if still:
         said.append(f"the inertials of {len(still)} links that do not move: the description's")
     if urdf.others:

@@ -1,0 +1,402 @@
+"""A results folder whose files do not hold the proven numbers is named, sealed anew or not."""
+
+from __future__ import annotations
+
+import json
+import re
+import shutil
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+from hypothesis import assume, given, settings
+from hypothesis import strategies as st
+
+import sdpid
+import sdpid.verifier
+from sdpid._common.staging import digest
+from sdpid.verifier.command import check_path
+from sdpid.verifier.reading import MalformedError
+from sdpid.verifier.result import Result
+from sdpid.verifier.results.manifest import sealed
+from tests.helpers.runs import arm, recorded
+
+SHARP = ("coulomb", "viscous")
+
+
+def saved(seed: int, folder: Path, **options: Any) -> Path:
+    result = sdpid.identify(arm(), recorded(seed), intervals=False, **options)
+    result.save(folder, figures=False, config="# options\n")
+    return folder
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return saved(1, tmp_path_factory.mktemp("runs") / "one", friction=SHARP)
+
+
+@pytest.fixture(scope="module")
+def other(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return the results of another log."""
+    return saved(2, tmp_path_factory.mktemp("runs") / "other", friction=SHARP)
+
+
+@pytest.fixture
+def copy(folder: Path, tmp_path: Path) -> Path:
+    return Path(shutil.copytree(folder, tmp_path / "copy"))
+
+
+def verified(path: Path) -> Result:
+    return check_path(path).result
+
+
+def reseal(path: Path) -> None:
+    """Write the manifest anew, as a forger does: every digest in it is right."""
+    data = json.loads((path / "manifest.json").read_text())
+    data["files"] = {
+        name: {"bytes": (path / name).stat().st_size, "sha256": digest(path / name)}
+        for name in data["files"]
+        if (path / name).exists()
+    }
+    data["certificate"] = json.loads((path / "certificate.json").read_text())["sha256"]
+    del data["sha256"]
+    (path / "manifest.json").write_text(json.dumps(sealed(data)))
+
+
+def edit(path: Path, change: Callable[[str], str]) -> None:
+    before = path.read_text(encoding="utf-8")
+    after = change(before)
+    assert after != before
+    path.write_text(after, encoding="utf-8")
+
+
+def test_what_was_written_holds(folder: Path) -> None:
+    result = verified(folder)
+    assert result.problems == ()
+    for name in ("result.json", "parameters.json", "parameters.csv", "base_parameters.csv"):
+        assert f"{name}: Its numbers are the certificate's, to the last digit." in result.statements
+    for name, words in {
+        "identified.urdf": "damping and friction",
+        "identified.xml": "damping",
+    }.items():
+        assert any(f"{name}: Its 2 moving links" in said for said in result.statements)
+        assert any(f"{name}: Of its joints, {words}" in said for said in result.statements)
+    assert any("the log" in said for said in result.unchecked)
+    assert any("a digest is no signature" in said for said in result.unchecked)
+
+
+def test_friction_that_was_fitted_anew_is_told(tmp_path: Path) -> None:
+    result = verified(saved(1, tmp_path, friction=(*SHARP, "offset")))
+    assert result.problems == ()
+    for name in ("identified.urdf", "identified.xml"):
+        assert any(said.startswith(name) and "anew" in said for said in result.unchecked)
+
+
+def test_the_copied_checker_says_the_same(folder: Path, tmp_path: Path) -> None:
+    """With the standard library alone, wherever it lies and whatever it is called."""
+    source = Path(sdpid.verifier.__file__).parent
+    there = shutil.copytree(source, tmp_path / "checker-1", ignore=shutil.ignore_patterns("*.pyc"))
+    command = [sys.executable, "-I", "-S", str(there), str(folder)]
+    done = subprocess.run(command, capture_output=True, text=True, check=False, cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.splitlines() == list(verified(folder).lines)
+
+
+@given(data=st.data())
+@settings(max_examples=40, deadline=None)
+def test_any_digit_of_any_file(folder: Path, tmp_path_factory: Any, data: st.DataObject) -> None:
+    name = data.draw(st.sampled_from(sorted(path.name for path in folder.iterdir())))
+    text = (folder / name).read_bytes()
+    # The name of the software, at the manifest's head, is not sealed.
+    start = text.index(b"inputs") if name == "manifest.json" else 0
+    digits = [m.start() for m in re.finditer(rb"\d", text) if m.start() > start]
+    assume(digits)
+    at = data.draw(st.sampled_from(digits))
+    new = data.draw(st.sampled_from(sorted({*b"0123456789"} - {text[at]})))
+    path = Path(shutil.copytree(folder, tmp_path_factory.mktemp("digit") / "copy"))
+    (path / name).write_bytes(text[:at] + bytes([new]) + text[at + 1 :])
+    try:
+        problems = verified(path).problems
+    except MalformedError:
+        assert name in ("manifest.json", "certificate.json")
+        return
+    assert any(name in problem for problem in problems)
+
+
+URDF_NUMBER = re.compile(r'(?:value|xyz|i[xyz]{2}|damping|friction)="([^"]*)"')
+
+
+@given(data=st.data())
+@settings(max_examples=40, deadline=None)
+def test_any_digit_of_a_urdf_that_is_sealed_anew(
+    folder: Path, tmp_path_factory: Any, data: st.DataObject
+) -> None:
+    """Of inertials and friction: the link or the joint is named, with both numbers."""
+    text = (folder / "identified.urdf").read_text()
+    moving = text.index('<link name="upper"')
+    places = [
+        m.start(1) + k
+        for part in re.finditer(r"<inertial>.*?</inertial>|<dynamics[^>]*>", text, re.DOTALL)
+        if part.start() > moving
+        for m in URDF_NUMBER.finditer(text, part.start(), part.end())
+        for k, letter in enumerate(m.group(1))
+        if letter.isdigit()
+    ]
+    at = data.draw(st.sampled_from(places))
+    new = data.draw(st.sampled_from(sorted({*"0123456789"} - {text[at]})))
+    changed = text[:at] + new + text[at + 1 :]
+    numbers = [[float(x) for x in re.findall(r"[-+.\de]*\d[-+.\de]*", t)] for t in (text, changed)]
+    assume(numbers[0] != numbers[1])  # not 17 digits that denote the same double
+    path = Path(shutil.copytree(folder, tmp_path_factory.mktemp("digit") / "copy"))
+    (path / "identified.urdf").write_text(changed)
+    reseal(path)
+    problems = verified(path).problems
+    assert problems
+    assert all(each.startswith("identified.urdf: ") for each in problems)
+    assert any(re.search(r"(link|joint) '\w+'", each) for each in problems)
+
+
+FORGERIES = {
+    "mass of a link": (
+        "identified.urdf",
+        lambda text: re.sub(r'(name="upper".*?<mass value=")[^"]*', r"\g<1>1.5", text, flags=re.S),
+        r"link 'upper': mass is 1\.5, the certified parameters give \d",
+    ),
+    "a turned inertial": (
+        "identified.urdf",
+        lambda text: text.replace('rpy="0 0 0"', 'rpy="0 0 1e-9"'),
+        "its axes are turned",
+    ),
+    "damping": (
+        "identified.urdf",
+        lambda text: re.sub(r'damping="[^"]*', 'damping="0.125', text, count=1),
+        r"joint 'a': damping is 0\.125, the certified parameter Fv1 is \d",
+    ),
+    "two inertials": (
+        "identified.urdf",
+        lambda text: text.replace("</inertial>", "</inertial><inertial/>"),
+        "has several <inertial>",
+    ),
+    "two links of a name": (
+        "identified.urdf",
+        lambda text: text.replace("</robot>", '<link name="upper"/></robot>'),
+        "the same name",
+    ),
+    "another moving link": (
+        "identified.urdf",
+        lambda text: text.replace(
+            "</robot>",
+            '<link name="more"/><joint name="m" type="revolute"><parent link="fore"/>'
+            '<child link="more"/></joint></robot>',
+        ),
+        "link 'more': the certificate has no such moving link",
+    ),
+    "something fixed to a link": (
+        "identified.urdf",
+        lambda text: text.replace(
+            "</robot>",
+            '<link name="load"><inertial><mass value="1"/><inertia ixx="1" ixy="0" ixz="0" '
+            'iyy="1" iyz="0" izz="1"/></inertial></link><joint name="f" type="fixed">'
+            '<parent link="fore"/><child link="load"/></joint></robot>',
+        ),
+        "link 'fore'",
+    ),
+    "an entity": (
+        "identified.urdf",
+        lambda text: '<!DOCTYPE robot [<!ENTITY m "1">]>' + text,
+        "it has a document type",
+    ),
+    "mass in the MJCF": (
+        "identified.xml",
+        lambda text: re.sub(r' mass="[^"]*', ' mass="1.5', text, count=1),
+        r"link 'upper': mass is 1\.5, the certified parameters give \d",
+    ),
+    "a turned body": (
+        "identified.xml",
+        lambda text: re.sub(r'(<inertial [^>]*quat=")[^"]*', r"\g<1>1.0 0.0 0.0 0.0", text),
+        r"link '\w+': i\w\w is [-\d.e]+, the certified parameters give [-\d.e]+",
+    ),
+    "a long quaternion": (
+        "identified.xml",
+        lambda text: re.sub(r'(<inertial [^>]*quat=")[^"]*', r"\g<1>1e12 0.0 0.0 0.0", text),
+        "no quaternion of length 1",
+    ),
+    "a compiler's option": (
+        "identified.xml",
+        lambda text: text.replace("<compiler ", '<compiler settotalmass="9" '),
+        "settotalmass",
+    ),
+    "a geom": (
+        "identified.xml",
+        lambda text: text.replace("</body>", '<geom size="1"/></body>', 1),
+        "which sdpid does not write",
+    ),
+    "dry friction in the MJCF": (
+        "identified.xml",
+        lambda text: re.sub(r'frictionloss="[^"]*', 'frictionloss="9', text, count=1),
+        r"joint 'a': frictionloss is 9\.0, the certified parameter Fs1",
+    ),
+    "a base parameter": (
+        "parameters.json",
+        lambda text: re.sub(r'("base": \{\s*"(\w+)": \{\s*"value": )[^,]*', r"\g<1>1.25", text),
+        r"base parameter '\w+' is 1\.25, the certificate has ",
+    ),
+    "another robot": (
+        "parameters.json",
+        lambda text: text.replace('"robot": "arm"', '"robot": "leg"'),
+        "robot is 'leg', the certificate has 'arm'",
+    ),
+    "parameters in another order": (
+        "parameters.json",
+        lambda text: json.dumps(
+            {**json.loads(text), "standard": dict(reversed(json.loads(text)["standard"].items()))}
+        ),
+        "their order",
+    ),
+    "a cell": (
+        "parameters.csv",
+        lambda text: re.sub(r"(m_2,kg,)[^,]*", r"\g<1>0.5", text),
+        r"parameter 'm_2' is 0\.5, the certificate has \d",
+    ),
+    "a missing row": (
+        "base_parameters.csv",
+        lambda text: "\n".join(text.splitlines()[:-1]) + "\n",
+        "not those of the certificate",
+    ),
+    "a gap": (
+        "result.json",
+        lambda text: re.sub(r'"gap": [^,]*', '"gap": 0.0', text),
+        r"gap is 0\.0, the certificate has ",
+    ),
+    "a certificate that others name": (
+        "result.json",
+        lambda text: re.sub(r'("certificate": ")[0-9a-f]{8}', r"\g<1>00000000", text),
+        "certificate is '00000000",
+    ),
+}
+
+
+@pytest.mark.parametrize("kind", FORGERIES)
+def test_forgeries_that_are_sealed_anew(copy: Path, kind: str) -> None:
+    """The manifest is right, and the numbers are named all the same."""
+    name, change, words = FORGERIES[kind]
+    edit(copy / name, change)
+    changed = verified(copy).problems
+    assert any(f"'{name}' was changed: its SHA-256 is " in problem for problem in changed)
+    reseal(copy)
+    problems = verified(copy).problems
+    assert problems
+    assert all(problem.startswith(f"{name}: ") for problem in problems)
+    assert any(re.search(words, problem) for problem in problems), problems
+
+
+def test_two_links_that_are_swapped(copy: Path) -> None:
+    def swap(text: str) -> str:
+        inertial = r'<link name="%s">.*?(<inertial>.*?</inertial>)'
+        first, second = (
+            match.group(1)
+            for link in ("upper", "fore")
+            if (match := re.search(inertial % link, text, re.DOTALL))
+        )
+        return text.replace(first, "@").replace(second, first).replace("@", second)
+
+    edit(copy / "identified.urdf", swap)
+    reseal(copy)
+    problems = " ".join(verified(copy).problems)
+    assert "link 'upper': mass is" in problems
+    assert "link 'fore'" in problems
+
+
+@pytest.mark.parametrize(
+    "name",
+    ["identified.urdf", "identified.xml", "parameters.json", "parameters.csv", "result.json"],
+)
+def test_a_file_of_another_run(copy: Path, other: Path, name: str) -> None:
+    shutil.copy(other / name, copy / name)
+    assert any(f"'{name}' was changed" in problem for problem in verified(copy).problems)
+    reseal(copy)
+    problems = verified(copy).problems
+    assert problems
+    assert all(problem.startswith(f"{name}: ") for problem in problems)
+
+
+def test_a_certificate_of_another_run(copy: Path, other: Path) -> None:
+    """It proves its own numbers, and every other file has different ones."""
+    shutil.copy(other / "certificate.json", copy / "certificate.json")
+    problems = verified(copy).problems
+    assert any("sealed with certificate" in problem for problem in problems)
+    reseal(copy)
+    named = {problem.split(":")[0] for problem in verified(copy).problems}
+    assert named == {
+        *("result.json", "parameters.json", "parameters.csv", "base_parameters.csv"),
+        *("identified.urdf", "identified.xml"),
+    }
+
+
+@pytest.mark.parametrize("name", ["identified.urdf", "parameters.csv", "report.html", "run.toml"])
+def test_a_file_that_is_gone(copy: Path, name: str) -> None:
+    (copy / name).unlink()
+    assert any(f"'{name}' is missing" in problem for problem in verified(copy).problems)
+    reseal(copy)
+    problems = verified(copy).problems
+    # Of a robot and of tables it is known that they were written.
+    derivable = name not in ("report.html", "run.toml")
+    assert any("is not sealed" in problem for problem in problems) == derivable
+
+
+def test_files_of_others_are_told(copy: Path) -> None:
+    (copy / "notes\x1b[2J.txt").write_text("mine")
+    result = verified(copy)
+    assert result.passed
+    assert any("'notes\\x1b[2J.txt': not of this run" in said for said in result.unchecked)
+
+
+def test_a_certificate_that_does_not_hold(copy: Path) -> None:
+    data = json.loads((copy / "certificate.json").read_text())
+    data["claims"]["lower_bound"] = data["claims"]["cost"]
+    (copy / "certificate.json").write_text(json.dumps(data))
+    reseal(copy)
+    problems = verified(copy).problems
+    assert any(problem.startswith("certificate.json: ") for problem in problems)
+    assert any("it says 'certified'" in problem for problem in problems)
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        lambda data: data.update(version=1.0),
+        lambda data: data.update(version=True),
+        lambda data: data.update(more=1),
+        lambda data: data.pop("inputs"),
+        lambda data: data["files"].update({"../x": {"bytes": 0, "sha256": "0" * 64}}),
+        lambda data: data["files"].update({"": {"bytes": 0, "sha256": "0" * 64}}),
+        lambda data: data["files"].update({"x": {"bytes": -1, "sha256": "0" * 64}}),
+        lambda data: data["files"].update({"x": {"bytes": 0, "sha256": "0" * 63}}),
+        lambda data: data["files"].pop("certificate.json"),
+        lambda data: data["inputs"].append({}),
+        lambda data: data["inputs"][0].update(role="friend"),
+        lambda data: data.update(recipe=1),
+        lambda data: data.update(certificate=1),
+    ],
+)
+def test_a_manifest_that_is_none(copy: Path, change: Callable[[Any], Any]) -> None:
+    data = json.loads((copy / "manifest.json").read_text())
+    change(data)
+    (copy / "manifest.json").write_text(json.dumps(data))
+    with pytest.raises(MalformedError):
+        verified(copy)
+
+
+def test_a_folder_without_a_manifest(tmp_path: Path) -> None:
+    with pytest.raises(sdpid.errors.CertificateError, match=r"no manifest\.json"):
+        sdpid.verify(tmp_path)
+
+
+def test_through_the_package(folder: Path) -> None:
+    found = sdpid.verify(folder)
+    assert found.passed
+    assert found.sha256 == json.loads((folder / "manifest.json").read_text())["sha256"]
+    assert found.cost == json.loads((folder / "result.json").read_text())["cost"]
