@@ -267,13 +267,10 @@ def _of_normal_equations(sums: RowSums, compressed: _Compressed) -> float:
 
     With ‖(G − R)·M‖ ≤ h, ‖G·z‖ is within h·‖w‖ of ‖R·z‖.
     """
-    R, M, sizes = compressed.R[:-1], compressed.M, sums.lengths
-    share = sums.rounding + (2.0 + sums.whitening) * sums.whitening
+    R, M = compressed.R[:-1], compressed.M
     left = sums.gram[:-1] - R
-    off = norm(left @ M) + gamma(len(M) + 1) * norm(np.abs(left) @ np.abs(M))
-    off += SLACK * share * norm(sizes[:-1]) * norm(sizes @ np.abs(M)) + UNDERFLOW
-    # Every sample's rows have a weight of their own.
-    sizes = sums.off_lengths * (1.0 + sums.whitening)
-    off += SLACK * norm(sizes[:-1]) * norm(sizes @ np.abs(M))
+    off = norm(left @ M) + gamma(len(M) + 1) * norm(np.abs(left) @ np.abs(M)) + UNDERFLOW
+    for share, sizes in ((sums.rounding, sums.lengths), (1.0, sums.off_lengths)):
+        off += SLACK * share * norm(sizes[:-1]) * norm(sizes @ np.abs(M))
     h = SLACK * off / math.sqrt(compressed.least)
     return SLACK * (2.0 + h) * h

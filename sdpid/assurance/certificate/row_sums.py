@@ -1,28 +1,25 @@
 """Sums of products over all weighted rows of a problem, with bounds of every rounding in them.
 
-The rows of a sample are W_k, the efforts last, and its weight is a power of its covariance Sigma_k.
-What computers have is V_k with ``V_k^T·V_k ≈ Sigma_k^(2e)``. How near is found for each V_k, from
-``V·Sigma·V^T − E``, not taken from the way in which it was made.
+The rows of a sample, the efforts last, are multiplied by V_k with ``V_k^T·V_k ≈ Sigma_k^(2e)``, its
+weight; see `whitener_errors` for how near that is. X are the whitened rows of all samples.
 """
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from sdpid._common.arrays import Array, Mask
+from sdpid._common.arrays import Array
 from sdpid.assurance.certificate.outward import (
+    LARGEST,
     SLACK,
-    UNDERFLOW,
-    below_one,
     gamma,
     lengths,
-    quotient,
     usable,
 )
+from sdpid.assurance.certificate.whitener_errors import WhitenerErrors
 from sdpid.estimation.compression.rows import Rows, RowSource
 from sdpid.estimation.compression.whitening import apply, weights
 
@@ -36,25 +33,27 @@ _CARRIED = 4
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class RowSums:
-    """Products of all whitened rows X, or of X·M, with what bounds their errors.
+    """Products of all whitened rows X with themselves or of X·M, with bounds of their errors.
+
+    With J the block-diagonal error of the weights (see `WhitenerErrors`), X·M is used with X^T·X,
+    and X alone with X^T·(E + J)·X, for which J is taken in as far as it is known.
 
     Attributes
     ----------
     gram : ndarray, shape (c, c)
-        (X·M)^T·(X·M), or X^T·X.
+        (X·M)^T·(X·M), or X^T·(E + J)·X.
     lengths, off_lengths : ndarray, shape (c,)
         Norms of the columns of X, as computed, rounded up; and those of X with the rows of each
-        sample times the root of the error of its weight (see `weight`).
+        sample times the root of a share e_k: entry (i, j) of `gram` without M is off by at most
+        the product of the two norms, beside `rounding`.
     squares : float
         Sum of the squared entries of X·M, or of X, as computed, rounded up.
     operations : int
         Every product in `gram` goes through at most so many additions.
     weight : float
-        Every sample's weight is within this share of the exact one: with Sigma the covariance,
-        ``Sigma^(2e) = V^T·(E + J)·V`` with ‖J‖ at most this.
+        Largest ‖J‖.
     whitening : float
-        The columns of X, as computed, are off by at most this share of their computed norms, of
-        all samples and of each.
+        The columns of X, as computed, are off by at most this share of their computed norms.
     """
 
     gram: Array
@@ -128,16 +127,21 @@ def _sums(rows: RowSource, sigma: Array, exponent: float, M: Array | None) -> Ro
         powers, index = weights(own, mask, exponent)
         used = np.zeros((len(powers), n), dtype=bool)
         used[index] = mask
-        off, enlarged = whitener_error(powers, own, used, exponent)
-        weight = max(weight, float(off.max()))
-        moved = gamma(n + 1) * enlarged
-        whitening = max(whitening, float(quotient(moved, below_one(moved)).max()))
+        errors = WhitenerErrors.of(powers, own, used, exponent)
+        weight = max(weight, float(errors.weight.max()))
+        whitening = max(whitening, float(errors.rounding.max()))
         block = rows.rows(part, memory[0])
-        X = apply(powers, index, block, memory[1][: len(block)]).reshape(-1, columns)
-        each = np.einsum("kij,kij->kj", *[X.reshape(block.shape)] * 2)
-        squared += each.sum(axis=0), np.minimum(off, 1.0)[index] @ each
-        Y = X if M is None else X @ M
-        gram, depth = _gram(Y)
+        X = apply(powers, index, block, memory[1][: len(block)])
+        each = np.einsum("kij,kij->kj", X, X)
+        off = np.minimum(_shares(errors, n), LARGEST)
+        squared += each.sum(axis=0), off[index] @ each
+        X = X.reshape(-1, columns)
+        if M is None:
+            nearly = errors.nearly[index] @ X.reshape(block.shape)
+            gram, depth = _gram(X, X + nearly.reshape(X.shape))
+        else:
+            Y = X @ M
+            gram, depth = _gram(Y, Y)
         total.add(gram)
         squares += float(np.trace(gram))
         operations = max(operations, depth)
@@ -154,70 +158,22 @@ def _sums(rows: RowSource, sigma: Array, exponent: float, M: Array | None) -> Ro
     )
 
 
-def _gram(rows: Array) -> tuple[Array, int]:
-    """Return rows^T·rows, and through how many additions a product goes at most."""
-    blocks = len(rows) // _BLOCK
-    cut = blocks * _BLOCK
-    stacked = rows[:cut].reshape(blocks, _BLOCK, rows.shape[1])
-    gram = np.matmul(stacked.transpose(0, 2, 1), stacked).sum(axis=0)
-    return gram + rows[cut:].T @ rows[cut:], _BLOCK + blocks + 1
+def _shares(errors: WhitenerErrors, n: int) -> Array:
+    """Return bounds of the error of X^T·(E + J)·X for one sample, over the norms of two columns.
 
-
-def whitener_error(powers: Array, sigma: Array, used: Mask, exponent: float) -> tuple[Array, Array]:
-    """Return how far powers V of covariances are from exact ones, and how much V enlarges errors.
-
-    With ``V·Sigma·V^T = E + H`` and ‖H‖ ≤ d < 1, ``Sigma^-1 = V^T·(E + H)^-1·V``, so that the
-    weight ``V^T·V`` is off by a share of at most d/(1 − d). For the exponent -1/4 the same follows
-    from ``T·Sigma·T = E + H``, ``T = V^T·V``: with S the root of Sigma, the eigenvalues of T·S are
-    those of the positive definite ``N = V·S·V^T`` and lie between the singular values of T·S, which
-    are the roots of the eigenvalues of E + H; and ``S^-1 = V^T·N^-1·V``.
-
-    Rounding in ``V·rows`` is at most a multiple of ``|V|·|rows| ≤ |V|·|V^-1|·|V·rows|``.
-
-    Parameters
-    ----------
-    powers : ndarray, shape (m, n, n)
-        V, zero in rows and columns that are not used.
-    sigma : ndarray, shape (n, n) or (m, n, n)
-        Covariances, of which the lower triangles count.
-    used : ndarray of bool, shape (m, n)
-        Rows that are used.
-    exponent : float
-        -1/2 or -1/4.
-
-    Returns
-    -------
-    weight : ndarray, shape (m,)
-        Bounds of that share; infinite where none is found.
-    enlarged : ndarray, shape (m,)
-        Bounds of the norm of ``|V|·|V^-1|``.
+    The columns as computed are off, what J is nearly is rounded as it is multiplied and added, and
+    there is what is not known of J.
     """
-    n = used.shape[1]
-    nothing = np.full(len(used), math.inf), np.full(len(used), math.inf)
-    both = used[:, :, None] & used[:, None, :]
-    lower = np.tril(sigma)
-    S = np.where(both, lower + np.swapaxes(np.tril(sigma, -1), -1, -2), 0.0)
-    V, size = powers, np.abs(powers)
-    if not usable(S, V):
-        return nothing
-    # Each of two products for T·Sigma·T rounds n times, and so does that for each T.
-    T, T_size, operations = V, size, 2 * n + 2
-    if exponent != -0.5:
-        T, T_size = np.swapaxes(V, -1, -2) @ V, np.swapaxes(size, -1, -2) @ size
-        operations = 4 * n + 4
-    H = T @ (S @ np.swapaxes(T, -1, -2)) - np.eye(n) * used[:, None, :]
-    rounding = gamma(operations) * (T_size @ (np.abs(S) @ np.swapaxes(T_size, -1, -2)))
-    off = _norms(np.abs(H) + rounding)
-    filled = V + np.eye(n) * ~used[:, None, :]
-    try:
-        inverse = np.linalg.inv(filled)
-    except np.linalg.LinAlgError:
-        return nothing
-    product = np.abs(filled) @ np.abs(inverse)
-    left = _norms(np.abs(np.eye(n) - filled @ inverse) + gamma(n + 1) * product)
-    return quotient(off, below_one(off)), quotient(_norms(product), below_one(left))
+    moved = errors.rounding
+    share = errors.rest + (2.0 + moved) * moved + gamma(n + 2)
+    return SLACK * share * (1.0 + moved) ** 2 * (1.0 + errors.weight)
 
 
-def _norms(matrices: Array) -> Array:
-    """Return the Frobenius norms of some matrices, rounded up."""
-    return np.asarray(SLACK * np.sqrt(np.sum(np.square(matrices), axis=(1, 2))) + UNDERFLOW)
+def _gram(left: Array, right: Array) -> tuple[Array, int]:
+    """Return left^T·right, and through how many additions a product goes at most."""
+    blocks, columns = len(left) // _BLOCK, left.shape[1]
+    cut = blocks * _BLOCK
+    shape = blocks, _BLOCK, columns
+    stacked = left[:cut].reshape(shape).transpose(0, 2, 1)
+    gram = np.matmul(stacked, right[:cut].reshape(shape)).sum(axis=0)
+    return gram + left[cut:].T @ right[cut:], _BLOCK + blocks + 1

@@ -13,6 +13,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+import sdpid
 from sdpid._common.arrays import Array, Mask
 from sdpid.assurance.certificate.compression import (
     UNPROVEN,
@@ -21,14 +22,20 @@ from sdpid.assurance.certificate.compression import (
     enclose_compression,
     prove_compression,
 )
-from sdpid.assurance.certificate.row_sums import whitener_error
+from sdpid.assurance.certificate.whitener_errors import WhitenerErrors
 from sdpid.estimation.compression.covariance import WEIGHTINGS, Weighting
 from sdpid.estimation.compression.triangle import Triangle
 from sdpid.estimation.compression.whitening import whiten
 from sdpid.estimation.problem import Problem, build_problem
 from sdpid.estimation.robust.solve import solve_robust
 from tests.helpers.arm import ARM, arm_problem
-from tests.helpers.data import brute_force_cost, make_samples, random_covariance, random_theta
+from tests.helpers.data import (
+    brute_force_cost,
+    make_samples,
+    random_covariance,
+    random_links,
+    random_theta,
+)
 
 Numbers = list[Fraction]
 
@@ -216,16 +223,21 @@ def test_the_error_of_a_whitener_covers_the_exact_one(exponent: float, seed: int
     sigma = np.eye(3) * root[:, :, None] ** 4
     spoil = rng.choice([0.0, 1e-15, 1e-8, 1e-2]) * rng.standard_normal((1, 3))
     V = np.eye(3) * (used * root ** (4 * exponent) * (1.0 + spoil))[:, :, None]
-    (found,), (enlarged,) = whitener_error(V, sigma, used, exponent)
+    errors = WhitenerErrors.of(V, sigma, used, exponent)
     # The exact weight is (E + J) times that of V.
     exact = [
-        abs(Fraction(s) ** int(8 * exponent) / Fraction(v) ** 2 - 1)
+        Fraction(s) ** int(8 * exponent) / Fraction(v) ** 2 - 1
         for s, v, u in zip(root[0], np.diagonal(V[0]), used[0], strict=True)
         if u
     ]
-    assert all(value <= Fraction(found) for value in exact)
-    assert found <= 30.0 * np.abs(spoil * used).max() + 1e-12
-    assert enlarged == pytest.approx(np.sqrt(3.0), rel=1e-4)
+    known = np.diagonal(errors.nearly[0])[used[0]]
+    assert all(abs(value) <= Fraction(errors.weight[0]) for value in exact)
+    rest = Fraction(errors.rest[0])
+    assert all(abs(x - Fraction(y)) <= rest for x, y in zip(exact, known, strict=True))
+    largest = np.abs(spoil * used).max()
+    assert errors.weight <= 30.0 * largest + 1e-15
+    assert errors.rest <= (1e3 * largest**2 if exponent == -0.5 else 30.0 * largest) + 1e-15
+    assert 1e-16 < errors.rounding < 1e-14
 
 
 def problem_of(weighting: Weighting, **others: Any) -> Problem:
@@ -269,6 +281,27 @@ def test_efforts_without_noise_and_directions_without_data(weighting: Weighting)
     found = prove_compression(blind)
     assert found is not None
     assert found.relative < 1e-6
+
+
+@pytest.mark.parametrize("weighting", WEIGHTINGS)
+def test_the_arm_of_the_case_study_is_certified_with_its_rows(
+    denso: sdpid.RobotModel, weighting: Weighting
+) -> None:
+    """With covariances of twelve periods, some of which are far from round."""
+    rng = np.random.default_rng(7)
+    theta = random_theta(denso, rng)
+    theta[: 10 * denso.n_links] = random_links(rng, denso.n_links, points=1).ravel()
+    deviations = 10.0 ** rng.uniform(-1.5, 0.0, denso.n)
+    errors = deviations * rng.standard_normal((500, 12, denso.n))
+    covariance = np.array([np.cov(each, rowvar=False) for each in errors])
+    samples = make_samples(
+        denso, theta, rng, count=500, noise=errors.mean(axis=1), covariance=covariance
+    )
+    constraints = sdpid.Constraints(margin=1e-3)
+    problem = build_problem(denso, samples, weighting=weighting, constraints=constraints)
+    certificate = sdpid.certify(sdpid.solve_sdp(problem))
+    assert certificate.to_dict()["compression"] is not None
+    assert certificate.passed, certificate.summary()
 
 
 def enclosed(problem: Problem, **others: Any) -> Compression:
