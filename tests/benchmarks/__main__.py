@@ -27,7 +27,7 @@ from sdpid.experiment.processing.process import process
 from sdpid.experiment.recording.recording import Recording
 from sdpid.experiment.trajectory.paper import paper_excitation
 from sdpid.robot.model.load import load_robot
-from tests.benchmarks import chain, kernels, resolves, solvers, whole_job
+from tests.benchmarks import chain, from_log, kernels, resolves, solvers, whole_job
 from tests.benchmarks.timing import Row, table
 
 ROBOT = "denso_vp6242"
@@ -36,7 +36,7 @@ PERIODS, PERIOD, SEED = 8, 38.0, 0
 # Fewer have no spread worth printing.
 LEAST_REPEATS = 5
 
-PARTS = ("import", "processing", "kernels", "solvers", "resolves", "job")
+PARTS = ("import", "processing", "kernels", "solvers", "resolves", "log", "job")
 
 
 @functools.cache
@@ -66,6 +66,8 @@ def measured(part: str, repeats: int, log: Path | None) -> Iterator[Row]:
         yield from solvers.measure(experiment()[1], repeats)
     elif part == "resolves":
         yield from resolves.measure(experiment()[1], repeats)
+    elif part == "log":
+        yield from from_log.measure(repeats)
     else:
         with tempfile.TemporaryDirectory() as folder:
             file = log or Path(folder) / "paper.parquet"

@@ -277,7 +277,7 @@ class _Check:
             "the roots of their cost and of that of the equations of motion differ by at most "
             f"{found.total!r}, at the given parameters by {here!r}; the worst entry is "
             f"{shown(worst.parameter)} of joint {shown(worst.joint)} at sample {worst.sample + 1}, "
-            f"off by {worst.error:.3g} at most"
+            f"off by {abs(worst.error):.3g} at most"
         )
         if found.taken_as_computed:
             terms = ", ".join(found.taken_as_computed)
