@@ -7,6 +7,7 @@ from typing import Annotated
 
 import typer
 
+import sdpid.cli.options as opt
 from sdpid._common.text import printable
 from sdpid.cli.endings import OURS
 from sdpid.cli.printing import Printing
@@ -21,6 +22,23 @@ def verify(
         ),
     ],
     printing: Printing,
+    data: Annotated[
+        list[Path] | None,
+        typer.Option(
+            metavar="LOG",
+            help="Log that the folder's result was made of: samples, rows and compression are "
+            "made of it again. Repeat for several, in the order of the run.",
+        ),
+    ] = None,
+    robot: Annotated[
+        str | None,
+        typer.Option(
+            metavar="ROBOT",
+            help="The run's robot, beside --data: URDF or MJCF file, or name. Default: "
+            "identified.urdf, where it has the run's kinematics.",
+            autocompletion=opt.complete_robot,
+        ),
+    ] = None,
 ) -> None:
     """Check a folder of results, or one proof, in exact arithmetic, from its own numbers.
 
@@ -28,7 +46,7 @@ def verify(
     """
     from sdpid.workflow.verify import verify as run
 
-    verification = run(path)
+    verification = run(path, data=data or None, robot=robot)
     lines = map(printable, verification.lines)
     printing.show(verification, "\n".join(lines))
     if not verification.passed:

@@ -120,13 +120,13 @@ def prove(data: dict[str, Any], proof: Proof) -> Result:
         if any(claims[key] is not None for key in _CLAIMS[1:]):
             raise MalformedError("claims on parameters that are not given")
         problems.append("no parameters are given: none are shown to be feasible")
-        return Result(described + tuple(said), tuple(problems), _unchecked(data, proof))
+        return Result(described + tuple(said), tuple(problems), unchecked(data, proof))
     wrong = infeasible(proof, claims)
     if not wrong:
         said.append(f"The given parameters are feasible: {_feasible(proof, claims)}.")
     said_of_cost, wrong_of_cost = _cost(proof, claims, not (problems or wrong))
     statements = (*described, *said, *said_of_cost)
-    return Result(statements, (*problems, *wrong_of_cost, *wrong), _unchecked(data, proof))
+    return Result(statements, (*problems, *wrong_of_cost, *wrong), unchecked(data, proof))
 
 
 def _cost(proof: Proof, claims: dict[str, Any], feasible: bool) -> tuple[list[str], list[str]]:
@@ -248,7 +248,7 @@ def _constraints(proof: Proof) -> str:
     return "; ".join(demands) + "; the cost has " + (" and ".join(prior) or "no prior")
 
 
-def _unchecked(data: dict[str, Any], proof: Proof) -> tuple[str, ...]:
+def unchecked(data: dict[str, Any], proof: Proof) -> tuple[str, ...]:
     """Return what the certificate says of the log and cannot prove."""
     origin = data["origin"]
     samples, rows = (index(origin[key], _MOST) for key in ("samples", "rows"))

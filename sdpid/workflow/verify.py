@@ -3,12 +3,21 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Iterator
 from dataclasses import dataclass
+from pathlib import Path
 
+from sdpid.assurance.log_proof.chain.check import check_log
+from sdpid.assurance.log_proof.chain.links import LogProof
 from sdpid.errors import CertificateError
+from sdpid.experiment.preparation.several import Logs
+from sdpid.robot.model.model import RobotModel
+from sdpid.verifier import certificate
 from sdpid.verifier.command import check_path
-from sdpid.verifier.reading import REFUSED
+from sdpid.verifier.reading import REFUSED, read_bytes
 from sdpid.verifier.result import Result
+from sdpid.verifier.results import manifest
+from sdpid.verifier.results.folder import CERTIFICATE
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -36,6 +45,8 @@ class Verification:
         The one above the other, relative to the cost (see `Certificate.gap`).
     margin : float or None
         The worst link's margin.
+    log : LogProof or None
+        What the logs show, link by link, where they were given.
     """
 
     passed: bool
@@ -47,6 +58,7 @@ class Verification:
     lower_bound: float | None = None
     gap: float | None = None
     margin: float | None = None
+    log: LogProof | None = None
 
     @property
     def lines(self) -> tuple[str, ...]:
@@ -54,15 +66,27 @@ class Verification:
         return Result(self.statements, self.problems, self.unchecked).lines
 
 
-def verify(path: str | os.PathLike[str]) -> Verification:
-    """Check a proof in exact arithmetic, from the numbers in its files alone.
+def verify(
+    path: str | os.PathLike[str],
+    *,
+    data: Logs | None = None,
+    robot: RobotModel | str | os.PathLike[str] | None = None,
+) -> Verification:
+    """Check a proof in exact arithmetic, from the numbers in its files, or from the log on.
 
-    The same as ``python sdpid/verifier FILE_OR_FOLDER`` with the stand-alone checker.
+    Without `data` the same as ``python sdpid/verifier FILE_OR_FOLDER`` with the stand-alone
+    checker. With it samples, rows and their compression are made of the logs again, as the folder's
+    recipe says, and every link from file to bound is proven or named.
 
     Parameters
     ----------
     path : path
         A file written by `Certificate.to_json`, or a folder written by `Identification.save`.
+    data : Recording or path, or a sequence of these, optional
+        The logs that the folder's result was made of, in their order.
+    robot : RobotModel, name or path, optional
+        The robot's description, beside `data`; by default identified.urdf of the folder where its
+        kinematics are those of the run.
 
     Returns
     -------
@@ -71,20 +95,42 @@ def verify(path: str | os.PathLike[str]) -> Verification:
     Raises
     ------
     CertificateError
-        When it is no proof of this version.
+        When it is no proof of this version, or has no recipe to make rows of `data`.
+    DataError
+        When there is no such log.
+    MissingExtraError
+        When a package is missing that the log's format needs.
     """
+    if robot is not None and data is None:
+        raise CertificateError("verify: a robot is given and no log; give data (--data) too.")
     try:
         checked = check_path(path)
     except OSError as cause:
         raise CertificateError(f"cannot read {path}: {cause.strerror}.") from None
     except REFUSED as cause:
         raise CertificateError(f"{path}: not a proof ({cause}).") from None
-    result = checked.result
+    result, log = checked.result, None
+    if data is not None:
+        log = check_log(path, data, robot=robot)
+        known = set(_covered(Path(path), log))
+        left = tuple(each for each in result.unchecked if each not in known)
+        result = Result(result.statements, result.problems, left) + log.result
     return Verification(
         passed=result.passed,
         statements=result.statements,
         problems=result.problems,
         unchecked=result.unchecked,
         sha256=checked.sha256,
+        log=log,
         **checked.claims,
     )
+
+
+def _covered(folder: Path, log: LogProof) -> Iterator[str]:
+    """Yield what a folder alone cannot show, and its logs can."""
+    sealed = manifest.load(read_bytes(folder / manifest.NAME))
+    data = certificate.load(read_bytes(folder / CERTIFICATE))
+    inputs = [entry for entry in sealed["inputs"] if entry["role"] in log.roles]
+    yield from manifest.given({"inputs": inputs})
+    for sentence in certificate.unchecked(data, certificate.Proof(data)):
+        yield f"{CERTIFICATE}: {sentence}"

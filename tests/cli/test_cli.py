@@ -306,6 +306,28 @@ def test_verify(results: Path, tmp_path: Path) -> None:
     refused(run("verify", results / "result.json"), 2, "not a proof")
 
 
+def test_verify_from_the_log(results: Path, log: Path, tmp_path: Path) -> None:
+    without = run("verify", results)
+    assert without.exit_code == 0, without.output
+    assert "the log 'run.parquet', SHA-256 " in without.stdout
+    done = run("verify", results, "--data", log, "--robot", ROBOT, "--json")
+    assert done.exit_code == 0, done.output
+    content = json.loads(done.stdout)
+    assert content["passed"] is True
+    assert {each["name"] for each in content["log"]["links"]} >= {"log", "compression", "total"}
+    assert not any("it is not here" in each for each in content["unchecked"])
+    assert content["log"]["rows"]["gap"] < 1e-6
+    other = sdpid.read_recording(log)
+    effort = np.array(other.effort)
+    effort[100, 2] += 1e-3
+    replace(other, effort=effort).to_parquet(tmp_path / "run.parquet")
+    done = run("verify", results, "--data", tmp_path / "run.parquet")
+    refused(done, 1, "the proof does not hold: log: 'run.parquet' has the SHA-256")
+    refused(run("verify", results, "--data", tmp_path / "none.csv"), 2, "there is no such file")
+    refused(run("verify", results, "--robot", ROBOT), 2, "give data (--data) too")
+    refused(run("verify", results / "certificate.json", "--data", log), 2, "is no folder")
+
+
 def test_validate(results: Path, log: Path, tmp_path: Path) -> None:
     urdf, figure = results / "identified.urdf", tmp_path / "f.png"
     done = run("validate", log, "--robot", urdf, "--figure", figure)
@@ -597,7 +619,7 @@ def test_what_a_terminal_would_obey_is_not_printed(
         statements=(f"Robot {HOSTILE}",),
         problems=(HOSTILE,),
     )
-    monkeypatch.setattr(module, "verify", lambda _: forged)
+    monkeypatch.setattr(module, "verify", lambda *_, **__: forged)
     done = run("verify", results / "certificate.json")
     assert done.exit_code == 1
     assert done.stdout.splitlines()[-1] == "NOT PROVEN."

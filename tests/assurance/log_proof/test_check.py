@@ -32,10 +32,8 @@ def write_log(path: Path, log: sdpid.Recording) -> Path:
 
 
 def saved(result: Any, folder: Path) -> Path:
-    """Save a result with its inputs and recipe."""
+    """Save a result."""
     result.save(folder, figures=False)
-    manifest = {"inputs": list(result.inputs), "recipe": result.recipe.to_dict()}
-    (folder / "manifest.json").write_text(json.dumps(manifest))
     return folder
 
 
@@ -195,7 +193,7 @@ def test_what_was_forged_is_named(run: Path, tmp_path: Path, link: str, edit: Ed
         (edit_of("manifest.recipe", lambda _: None), "has no recipe"),
         (edit_of("manifest.recipe.logs", lambda _: []), "names 1 logs and how 0 are read"),
         (edit_of("manifest.recipe.logs.0.reading", lambda _: {"path": "x"}), "'path'"),
-        (edit_of("manifest.inputs", lambda _: 3), "3 does not name an input"),
+        (edit_of("manifest.inputs", lambda _: 3), "inputs is no list"),
         (edit_of("certificate.problem.A", lambda _: []), "certificate.json: expected a list"),
     ],
 )

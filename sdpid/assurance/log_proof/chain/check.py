@@ -16,7 +16,7 @@ from sdpid._common.threads import one_thread
 from sdpid.assurance.certificate.certificate import GAP
 from sdpid.assurance.certificate.compression import Compression, base_limit, enclose_compression
 from sdpid.assurance.log_proof.chain.links import Bounds, Link, LogProof, State
-from sdpid.assurance.log_proof.chain.robots import find_robot
+from sdpid.assurance.log_proof.chain.robots import URDF, find_robot
 from sdpid.assurance.log_proof.chain.sealed import Sealed
 from sdpid.assurance.log_proof.chain.totals import Totals, of_rows, of_true_rows
 from sdpid.assurance.log_proof.inputs import log_entry, recording_digest
@@ -116,6 +116,7 @@ class _Check:
 
     sealed: Sealed
     links: list[Link] = field(default_factory=list)
+    roles: tuple[str, ...] = ("log",)
     broken: str = ""
     logs: list[Recording] = field(default_factory=list)
     robot: Any = None
@@ -170,6 +171,9 @@ class _Check:
     def find(self, robot: RobotModel | str | os.PathLike[str] | None) -> None:
         """Find the robot."""
         self.robot, link = find_robot(self.sealed, robot)
+        if self.robot is not None and self.robot.source is not None:
+            of_folder = self.robot.source.name == URDF and robot is None
+            self.roles = ("log",) if of_folder else ("log", "robot")
         self.say(link.name, link.state, link.text, stop=self.robot is None)
 
     def process(self) -> None:
@@ -307,6 +311,7 @@ class _Check:
         found = self.compression
         return LogProof(
             links=tuple(self.links),
+            roles=self.roles,
             relative=None if found is None else found.relative,
             absolute=None if found is None else found.absolute,
             row_error=self.row_error,

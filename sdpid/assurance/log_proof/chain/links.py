@@ -78,11 +78,15 @@ class LogProof:
         The cost of the rows is within this share, plus this constant, of the compressed one.
     row_error : float or None
         By how much the root of the cost of the robot's equations differs from that of the rows.
+    roles : tuple of str
+        Inputs of the run that were compared: the log, and the robot's description where it was at
+        hand.
     rows, equations : Bounds or None
         On the rows of this log as computed, and on those of the robot's equations of motion.
     """
 
     links: tuple[Link, ...]
+    roles: tuple[str, ...] = ("log",)
     relative: float | None = None
     absolute: float | None = None
     row_error: float | None = None

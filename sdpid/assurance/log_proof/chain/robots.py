@@ -15,7 +15,7 @@ from sdpid.robot.model.model import RobotModel
 from sdpid.verifier.reading import shown
 
 # The file in a results folder that has the robot's kinematics.
-_URDF = "identified.urdf"
+URDF = "identified.urdf"
 
 
 def find_robot(
@@ -33,7 +33,7 @@ def find_robot(
         return robot, _judged(sealed, robot, "the given robot" if loaded else shown(str(given)))
     if (ours := _of_folder(sealed)) is not None:
         text = (
-            f"the kinematics of {_URDF} in the folder are, number for number, those that the "
+            f"the kinematics of {URDF} in the folder are, number for number, those that the "
             f"manifest names (SHA-256 {recipe.kinematics}); gravity {_gravity(recipe)} m/s²"
         )
         return ours, Link("robot", "proven", text)
@@ -49,10 +49,10 @@ def find_robot(
 def _of_folder(sealed: Sealed) -> RobotModel | None:
     """Return the robot of identified.urdf, None where its kinematics are not the manifest's."""
     recipe = sealed.recipe.robot
-    if recipe.kinematics is None or not (sealed.folder / _URDF).is_file():
+    if recipe.kinematics is None or not (sealed.folder / URDF).is_file():
         return None
     try:
-        robot = load_robot(sealed.folder / _URDF, root=recipe.root, gravity=recipe.gravity)
+        robot = load_robot(sealed.folder / URDF, root=recipe.root, gravity=recipe.gravity)
     except ModelError:
         return None
     return robot if kinematics_digest(robot) == recipe.kinematics else None

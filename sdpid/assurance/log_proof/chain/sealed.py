@@ -11,9 +11,9 @@ from sdpid.assurance.log_proof.recipe import Recipe
 from sdpid.errors import CertificateError
 from sdpid.verifier import certificate
 from sdpid.verifier.bound import Recomputed
-from sdpid.verifier.reading import REFUSED, parse, read_bytes
-
-_ENTRY = {"role": (str,), "name": (str, type(None)), "bytes": (int, type(None)), "sha256": (str,)}
+from sdpid.verifier.reading import REFUSED, read_bytes
+from sdpid.verifier.results import manifest
+from sdpid.verifier.results.folder import CERTIFICATE
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,30 +58,28 @@ class Sealed:
                 f"{folder}: is no folder; a log is checked against the whole folder that "
                 "'sdpid identify' wrote."
             )
-        manifest, data = (
-            _read(whole / name, load)
-            for name, load in (("manifest.json", parse), ("certificate.json", certificate.load))
-        )
-        inputs, given = manifest.get("inputs"), manifest.get("recipe")
-        if given is None:
+        sealed = _read(whole / manifest.NAME, manifest.load)
+        data = _read(whole / CERTIFICATE, certificate.load)
+        if sealed["recipe"] is None:
             raise CertificateError(
-                f"{whole / 'manifest.json'}: has no recipe, so that the rows cannot be made again "
+                f"{whole / manifest.NAME}: has no recipe, so that the rows cannot be made again "
                 "from the log: the run was not one of 'identify', or had friction terms of a class "
                 "of its own."
             )
-        recipe = Recipe.from_dict(given)
-        entries = _entries(whole / "manifest.json", inputs)
-        logs = tuple(entry for entry in entries if entry["role"] == "log")
-        robots = [entry for entry in entries if entry["role"] == "robot"]
+        recipe = Recipe.from_dict(sealed["recipe"])
+        logs, robots = (
+            tuple(entry for entry in sealed["inputs"] if entry["role"] == role)
+            for role in ("log", "robot")
+        )
         if len(logs) != len(recipe.reading):
             raise CertificateError(
-                f"{whole / 'manifest.json'}: names {len(logs)} logs and how {len(recipe.reading)} "
+                f"{whole / manifest.NAME}: names {len(logs)} logs and how {len(recipe.reading)} "
                 "are read."
             )
         try:
             found = Recomputed(data)
         except REFUSED as cause:
-            raise CertificateError(f"{whole / 'certificate.json'}: {cause}.") from None
+            raise CertificateError(f"{whole / CERTIFICATE}: {cause}.") from None
         return cls(whole, logs, robots[0] if robots else None, recipe, data, found)
 
 
@@ -94,16 +92,3 @@ def _read(path: Path, load: Any) -> dict[str, Any]:
     except REFUSED as cause:
         raise CertificateError(f"{path}: {cause}.") from None
     return content
-
-
-def _entries(path: Path, given: Any) -> list[dict[str, Any]]:
-    """Return the manifest's inputs, each of the expected keys and kinds."""
-    entries = given if isinstance(given, list) else [given]
-    for entry in entries:
-        if not (
-            isinstance(entry, dict)
-            and entry.keys() == _ENTRY.keys()
-            and all(type(entry[key]) in kinds for key, kinds in _ENTRY.items())
-        ):
-            raise CertificateError(f"{path}: {entry!r:.80} does not name an input.")
-    return entries
