@@ -10,13 +10,14 @@ from typing import Annotated
 import typer
 
 from sdpid._common.signals import clean_up_when_ended
-from sdpid.cli.audit import audit
 from sdpid.cli.compare import compare
 from sdpid.cli.config import expand_groups
 from sdpid.cli.endings import Commands, open_standard_streams
 from sdpid.cli.excite.command import excite
 from sdpid.cli.identify import identify
 from sdpid.cli.info import info
+from sdpid.cli.judge.audit import audit
+from sdpid.cli.judge.certify import certify
 from sdpid.cli.payload import payload
 from sdpid.cli.simulate import simulate
 from sdpid.cli.validate import validate
@@ -53,7 +54,18 @@ def common(
     """Declare the options that stand before a command."""
 
 
-for command in (identify, excite, info, validate, compare, simulate, payload, audit, verify):
+for command in (
+    identify,
+    excite,
+    info,
+    validate,
+    compare,
+    simulate,
+    payload,
+    audit,
+    certify,
+    verify,
+):
     app.command()(expand_groups(command))
 
 

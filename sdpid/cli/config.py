@@ -34,6 +34,9 @@ _PERHAPS_FILES = ("robot", "mapping")
 # Keys that differ from the parameter's name.
 _KEYS = {"logs": "log", "purpose": "for"}
 
+# Commands that take the file of another one's run: options that they do not have are passed over.
+_FILES_OF = {"certify": "identify"}
+
 # Near names that a message lists.
 _NEAR = 3
 
@@ -122,15 +125,18 @@ def read_config(ctx: typer.Context, value: Path | None) -> Path | None:
 
     from sdpid._common.toml import load_toml
 
-    entries = _entries(str(ctx.command.name))
+    command = str(ctx.command.name)
+    entries = _entries(command)
+    passed_over = _entries(_FILES_OF[command]) if command in _FILES_OF else {}
     values: dict[str, Any] = {}
     for name, content in load_toml(value).items():
         entry = entries.get(name.replace("-", "_"))
+        if entry is None and name.replace("-", "_") in passed_over:
+            continue
         if entry is None:
             near = get_close_matches(name, entries, n=_NEAR) or sorted(entries)
             raise DataError(
-                f"{value}: {name!r} is no option of 'sdpid {ctx.command.name}'; there is "
-                f"{', '.join(near)}."
+                f"{value}: {name!r} is no option of 'sdpid {command}'; there is {', '.join(near)}."
             )
         values[entry.parameter] = _values(f"{value}: {name}", content, entry, value.parent)
     ctx.default_map = {**(ctx.default_map or {}), **values}

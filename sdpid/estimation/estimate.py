@@ -17,7 +17,7 @@ from sdpid.estimation.problem import Problem
 from sdpid.robot.inertia import margin
 from sdpid.robot.model.dynamics import RobotDynamics
 
-Status = Literal["optimal", "infeasible", "iteration limit", "stalled", "failed"]
+Status = Literal["optimal", "infeasible", "iteration limit", "stalled", "failed", "given"]
 
 # A point this far outside a constraint (kg·m², kg, …) counts as feasible: rounding of its own.
 FEASIBLE = 1e-9
@@ -41,14 +41,15 @@ class Estimate:
     problem : Problem
         What was solved.
     method : str
-        ``"wls"``, ``"slsqp"``, ``"log_cholesky"`` or ``"sdp"``.
+        ``"wls"``, ``"slsqp"``, ``"log_cholesky"`` or ``"sdp"``; ``"given"`` for parameters that
+        were found elsewhere.
     base : ndarray, shape (b,)
         Base parameters, in the units of ``problem.base.units``.
     theta : ndarray, shape (p,), or None
         Standard parameters; None where the method has none.
     status : str
         ``"optimal"`` or what went wrong: ``"infeasible"``, ``"iteration limit"``, ``"stalled"``
-        or ``"failed"``.
+        or ``"failed"``; ``"given"`` for parameters that no solver found.
     message : str
         What the solver said, in words.
     iterations : int

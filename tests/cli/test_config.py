@@ -154,7 +154,17 @@ def test_a_missing_file(folder: Path) -> None:
 
 @pytest.mark.parametrize(
     "command",
-    ["identify", "info", "validate", "compare", "simulate", "payload", "audit", "verify"],
+    [
+        "identify",
+        "info",
+        "validate",
+        "compare",
+        "simulate",
+        "payload",
+        "audit",
+        "certify",
+        "verify",
+    ],
 )
 def test_every_command_has_the_shared_options(command: str) -> None:
     done = run(command, "--help")

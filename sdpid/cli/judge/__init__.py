@@ -1,0 +1,1 @@
+"""Commands that judge what was made elsewhere: descriptions, tables, parameters."""

@@ -1,0 +1,349 @@
+"""Judge parameters that were found elsewhere against the proven optimum of a problem."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from sdpid._common.arrays import Array, Indices
+from sdpid._common.tables import plain
+from sdpid._common.threads import one_thread
+from sdpid.assurance.certificate.certificate import Certificate, certify
+from sdpid.assurance.diagnostics.validation import validate, validate_robot
+from sdpid.assurance.tables.audit import BaseAudit, audit_base_parameters
+from sdpid.errors import DataError, InfeasibleError, SolverError
+from sdpid.estimation.conic.solve import ConicProgram, solve_conic
+from sdpid.estimation.constraints.feasible_set import FeasibleSet
+from sdpid.estimation.estimate import FEASIBLE, Estimate
+from sdpid.estimation.problem import Problem
+from sdpid.estimation.sdp.solve import solve_sdp
+from sdpid.estimation.wls import solve_wls
+from sdpid.workflow.given_parameters import GivenParameters
+
+# Violated constraints, and refitted parameters, that are named; of more, how many there are.
+_NAMED = 6
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Judgment:
+    """How far given parameters are from the best feasible ones.
+
+    Attributes
+    ----------
+    given : GivenParameters
+        What was judged.
+    estimate : Estimate
+        The given parameters, friction that they lack refitted. Without standard parameters
+        ``estimate.theta`` is None, and a prior is left out of the problem.
+    refitted : tuple of str
+        Friction parameters that were not given: the best ones beside those that were.
+    optimum : Estimate
+        The best feasible parameters that were found.
+    certificate : Certificate
+        Of `estimate`, by the optimum's multipliers.
+    violations : tuple of str
+        Constraints that the given parameters break, number against limit.
+    residuals : dict
+        Relative residual on the rows in use: ``"given"``, ``"optimum"``, ``"unconstrained"`` and,
+        where the robot's description has masses, ``"description"``.
+    audit : BaseAudit or None
+        Whether any bodies have the given base parameters; None for standard ones.
+    """
+
+    given: GivenParameters
+    estimate: Estimate
+    refitted: tuple[str, ...]
+    optimum: Estimate
+    certificate: Certificate
+    violations: tuple[str, ...]
+    residuals: Mapping[str, float]
+    audit: BaseAudit | None = None
+
+    @property
+    def cost(self) -> float:
+        """Cost of the given parameters; rounded up where they are standard ones."""
+        return self.certificate.cost
+
+    @property
+    def gap(self) -> float:
+        """(cost − lower bound) relative to the cost; negative below the bound."""
+        return self.certificate.gap
+
+    @property
+    def feasible(self) -> bool | None:
+        """Whether they satisfy every constraint; None for base parameters, which bodies may have.
+
+        Of base parameters it is False where no bodies have them, or they cost less than any.
+        """
+        if self.estimate.theta is not None:
+            return self.certificate.feasible
+        refuted = self.audit is not None and self.audit.verdict == "not realisable"
+        return False if refuted or self.gap < 0.0 else None
+
+    def summary(self) -> str:
+        """Return the judgment in words, line by line."""
+        problem, cost, bound = self.estimate.problem, self.cost, self.certificate.lower_bound
+        standard = self.estimate.theta is not None
+        what = "standard" if standard else "base"
+        lines = [f"{self.given.source}: {len(self.given.values)} {what} parameters given"]
+        if self.refitted:
+            held = "the links" if standard else "the other base parameters"
+            lines.append(f"friction refitted with {held} held: {_some(self.refitted)}")
+        lines.append(self._feasibility())
+        of_it = ""
+        if standard and problem.prior is not None:
+            of_it = f" ({cost - problem.cost(self.estimate.base):.4g} of it for the prior)"
+        lines.append(
+            f"cost {cost:.10g}{of_it}; no feasible parameters cost less than {bound:.10g} (proven)"
+        )
+        if self.gap >= 0.0:
+            lines.append(f"at most {100 * self.gap:.3g} % of its cost above the optimum")
+        else:
+            lines.append(
+                f"{100 * -self.gap:.3g} % of its cost below the bound: no feasible parameters are "
+                "there"
+            )
+        residuals = (f"{name} {100 * x:.2f} %" for name, x in self.residuals.items())
+        lines.append(f"relative residual: {', '.join(residuals)}")
+        return "\n".join(lines)
+
+    def _feasibility(self) -> str:
+        """Return in words whether the parameters are feasible."""
+        if self.estimate.theta is not None:
+            if self.certificate.feasible:
+                return "feasible: every constraint holds (proven)"
+            return f"not feasible: {_some(self.violations, '; ')}"
+        if self.audit is None:
+            return "base parameters only: not compared with the constraints of bodies"
+        found = self.audit
+        proof = found.refutation
+        why = "" if proof is None else f": {proof.inequality()}"
+        return f"bodies that have these base parameters: {found.verdict}{why}"
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the judgment as plain values."""
+        found: dict[str, Any] = plain(
+            {
+                "source": self.given.source,
+                "standard": self.estimate.theta is not None,
+                "feasible": self.feasible,
+                "violations": list(self.violations),
+                "refitted": list(self.refitted),
+                "cost": self.cost,
+                "lower_bound": self.certificate.lower_bound,
+                "gap": self.gap,
+                "optimum": self.optimum.cost,
+                "relative_residuals": dict(self.residuals),
+                "audit": None if self.audit is None else self.audit.to_dict(),
+            }
+        )
+        return found
+
+
+@one_thread
+def certify_parameters(problem: Problem, given: GivenParameters) -> Judgment:
+    """Say how far given parameters are from the best feasible ones of a problem, with a proof.
+
+    The program is solved for a lower bound on the cost of all feasible parameters. Friction that
+    is not given is refitted with everything else held, as it would be to use the parameters.
+
+    Parameters
+    ----------
+    problem : Problem
+        As `formulate` and `build_problem` make it.
+    given : GivenParameters
+        All standard parameters of the links, or all base parameters; friction as far as it is
+        known. (See `read_given`.)
+
+    Returns
+    -------
+    Judgment
+
+    Raises
+    ------
+    DataError
+        When names are not the problem's, or parameters are missing.
+    SolverError, InfeasibleError
+        When there is no optimum, or no friction that its own constraints allow.
+    """
+    standard = given.standard(problem)
+    if not standard and problem.prior is not None:
+        # What a prior on the links costs cannot be told of base parameters.
+        problem = replace(problem, prior=None)
+    estimate, refitted = (_of_theta if standard else _of_base)(problem, given)
+    optimum = _optimum(problem)
+    certificate = certify(estimate, bound=optimum)
+    wls = solve_wls(replace(problem, prior=None))
+    residuals = {
+        name: validate(each).relative
+        for name, each in (("given", estimate), ("optimum", optimum), ("unconstrained", wls))
+    }
+    robot = problem.robot
+    if not robot.free_flyer and np.any(robot.prior[:, 0] > 0.0):
+        residuals["description"] = validate_robot(robot, problem.samples).relative
+    return Judgment(
+        given=given,
+        estimate=estimate,
+        refitted=refitted,
+        optimum=optimum,
+        certificate=certificate,
+        violations=() if estimate.theta is None else violations(problem.feasible, estimate.theta),
+        residuals=residuals,
+        audit=None if standard else _audit(problem, given),
+    )
+
+
+def _optimum(problem: Problem) -> Estimate:
+    """Return the best feasible parameters; those that were found, where the last digits lack.
+
+    Whatever multipliers came with them, what these prove is proven.
+    """
+    try:
+        return solve_sdp(problem)
+    except InfeasibleError:
+        raise
+    except SolverError as stopped:
+        if isinstance(stopped.found, Estimate) and stopped.found.multipliers is not None:
+            return stopped.found
+        raise
+
+
+def _of_theta(problem: Problem, given: GivenParameters) -> tuple[Estimate, tuple[str, ...]]:
+    """Return the estimate with given standard parameters, and the names of those refitted."""
+    names = problem.base.theta_names
+    theta = np.array([given.values.get(name, 0.0) for name in names])
+    free = np.array([k for k, name in enumerate(names) if name not in given.values], dtype=np.intp)
+    if len(free):
+        squared = problem.squared
+        theta[free] = _refitted(problem.feasible, squared.matrix, squared.rhs, theta, free)
+    status = "optimal" if problem.feasible.violation(theta) <= FEASIBLE else "infeasible"
+    estimate = Estimate.of_theta(
+        problem, theta, method="given", status="given", message=f"{given.source}: {status}"
+    )
+    return estimate, tuple(names[k] for k in free)
+
+
+def _of_base(problem: Problem, given: GivenParameters) -> tuple[Estimate, tuple[str, ...]]:
+    """Return the estimate with given base parameters, and the names of those refitted."""
+    names, theta_names = problem.base.names, problem.base.theta_names
+    base = np.array([given.values.get(name, 0.0) for name in names])
+    free = np.array([k for k, name in enumerate(names) if name not in given.values], dtype=np.intp)
+    if len(free):
+        # Friction that is a base parameter by itself, with its bounds.
+        own = [theta_names.index(names[k]) for k in free]
+        rest = problem.rhs - problem.A @ base
+        lower, upper = problem.feasible.lower[own], problem.feasible.upper[own]
+        base[free] = _least(problem.A[:, free], rest, np.eye(len(own)), lower, upper)
+    estimate = Estimate(
+        problem=problem,
+        method="given",
+        base=base,
+        theta=None,
+        status="given",
+        message=given.source,
+    )
+    return estimate, tuple(names[k] for k in free)
+
+
+def _refitted(
+    feasible: FeasibleSet, matrix: Array, rhs: Array, theta: Array, free: Indices
+) -> Array:
+    """Return the friction (at `free`) of least cost beside the rest of theta, which is held."""
+    touched = np.flatnonzero(np.any(feasible.rows[:, free] != 0.0, axis=1))
+    held = feasible.rows[touched] @ theta
+    return _least(
+        matrix[:, free],
+        rhs - matrix @ theta,
+        np.vstack([np.eye(len(free)), feasible.rows[np.ix_(touched, free)]]),
+        np.concatenate([feasible.lower[free], feasible.row_lower[touched] - held]),
+        np.concatenate([feasible.upper[free], feasible.row_upper[touched] - held]),
+    )
+
+
+def _least(matrix: Array, rhs: Array, C: Array, lower: Array, upper: Array) -> Array:
+    """Return x of least ``‖matrix·x − rhs‖`` with ``lower ≤ C·x ≤ upper``."""
+    size = np.linalg.norm(matrix, axis=0)
+    size[size == 0.0] = 1.0
+    whole = max(float(np.linalg.norm(rhs)), np.finfo(float).tiny)
+    unit = whole / size
+    rows = np.abs(C) @ unit
+    rows[rows == 0.0] = 1.0
+    program = ConicProgram(
+        M=matrix / size,
+        m=-rhs / whole,
+        C=C * unit / rows[:, None],
+        lower=lower / rows,
+        upper=upper / rows,
+    )
+    solution = solve_conic(program)
+    if solution.x is None or "Infeasible" in solution.status:
+        raise SolverError(
+            f"certify: no friction beside the given parameters satisfies its own constraints "
+            f"({solution.status}); give all friction parameters, or fewer conditions."
+        )
+    # Bounds hold to rounding only; what is a bound itself is made exact.
+    x = np.asarray(solution.x * unit)
+    own = len(x)
+    return np.asarray(np.clip(x, lower[:own], upper[:own]))
+
+
+def violations(feasible: FeasibleSet, theta: Array) -> tuple[str, ...]:
+    """Return the constraints that theta breaks beyond rounding, number against limit, in words."""
+    margins, slacks = feasible.margins(theta), feasible.slacks(theta)
+    found = []
+    for each in feasible.named:
+        k, limit = each.index, 0.0 if each.limit is None else each.limit
+        unit = "" if each.unit is None else f" {each.unit}"
+        if each.kind == "consistency":
+            if not np.isfinite(margins[k]):
+                found.append(
+                    (np.inf, f"{each.name}: the mass {theta[10 * k]:.6g} kg has no margin")
+                )
+                continue
+            short, what = limit - margins[k], f"margin {margins[k]:.6g}{unit}, at least {limit:g}"
+        elif each.kind == "cone":
+            slack = slacks[k - feasible.n_own]
+            short, what = -slack, f"slack {slack:.6g}{unit}, at least 0"
+        else:
+            value = feasible.rows[k] @ theta if each.kind == "row" else theta[k]
+            short = each.sign * (limit - value)
+            short = abs(short) if each.side is None else short
+            what = f"is {value:.6g}{unit}"
+            what += f", not {limit:g}" if each.side is None else ""
+        if short > FEASIBLE:
+            found.append((float(short), f"{each.name}: {what}"))
+    return tuple(text for _, text in sorted(found, key=lambda pair: -pair[0]))
+
+
+def _audit(problem: Problem, given: GivenParameters) -> BaseAudit | None:
+    """Return whether any bodies have given base parameters; None where that cannot be asked."""
+    if problem.consistency == "none":
+        return None
+    names = [name for name in given.values if name in problem.base.names]
+    limits = problem.constraints
+    try:
+        return audit_base_parameters(
+            problem.robot,
+            {name: given.values[name] for name in names},
+            {name: given.halfwidths.get(name, 0) for name in names},
+            consistency=problem.consistency,
+            margin=limits.margin,
+            mass_min=limits.mass_min,
+            mass_max=limits.mass_max,
+            theta_max=limits.theta_max,
+            friction=problem.friction.terms,
+            friction_nonnegative=limits.friction_nonnegative,
+            base=problem.base,
+        )
+    except DataError:
+        # Effects that were taken at links which a table does not hold.
+        return None
+
+
+def _some(words: tuple[str, ...], between: str = ", ") -> str:
+    """Return the first few of many words, and how many more there are."""
+    more = f" and {len(words) - _NAMED} more" if len(words) > _NAMED else ""
+    return between.join(words[:_NAMED]) + more
