@@ -100,8 +100,8 @@ def _files(
     for name, check_file in _checks(certified, holds, refitted).items():
         written = name not in (_URDF, _MJCF) or name in refitted
         if name not in sealed["files"]:
-            if written:
-                yield name, Result(problems=("the run wrote it, and it is not sealed",))
+            if written or (folder / name).exists():
+                yield name, Result(problems=("it is a result, and not sealed",))
             continue
         if not written:
             yield name, Result(problems=(f"{RESULT} does not name it among what was written",))

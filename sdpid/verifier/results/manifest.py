@@ -100,12 +100,15 @@ def check(folder: Path, data: Mapping[str, Any]) -> Result:
         path = folder / name
         if not path.is_file():
             problems.append(f"{shown(name)} is missing, or no regular file")
+        elif (size := path.stat().st_size) != entry["bytes"]:
+            # Not read: it may have no end.
+            problems.append(
+                f"{shown(name)} was changed: it has {size} bytes, sealed are {entry['bytes']}"
+            )
         elif (found := _sha256(path)) != entry["sha256"]:
             problems.append(
                 f"{shown(name)} was changed: its SHA-256 is {found}, sealed is {entry['sha256']}"
             )
-        elif path.stat().st_size != entry["bytes"]:
-            problems.append(f"{shown(name)} has not the {entry['bytes']} bytes that are sealed")
     others = sorted({path.name for path in folder.iterdir()} - {NAME, *data["files"]})
     if others:
         unchecked.append(f"{listed(others)}: not of this run")

@@ -21,6 +21,15 @@ _NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d{1,4})?", re.ASCII)
 _MOST = 1e12
 
 
+def number(text: str) -> float:
+    """Return the double that a decimal number denotes."""
+    if not _NUMBER.fullmatch(text):
+        raise MalformedError(f"{shown(text)} is no number")
+    if not abs(value := float(text)) <= _MOST:
+        raise MalformedError(f"{shown(text)} is above {_MOST:g}")
+    return value
+
+
 @dataclass
 class Node:
     """An element: its tag, its attributes, and the elements in it."""
@@ -48,13 +57,11 @@ class Node:
     def numbers(self, key: str, default: str | None = None) -> list[float]:
         """Return the doubles that the numbers of an attribute denote."""
         text = self.attributes.get(key, default)
-        words = (text or "").split()
-        if not words or not all(map(_NUMBER.fullmatch, words)):
-            raise MalformedError(f"{key} of <{shown(self.tag)}> is {shown(str(text))}: no number")
-        values = [float(word) for word in words]
-        if not all(abs(value) <= _MOST for value in values):
-            raise MalformedError(f"{key} of <{shown(self.tag)}> is above {_MOST:g}")
-        return values
+        try:
+            # What else Python takes for spaces separates nothing for other readers.
+            return [number(word) for word in re.split("[ \t\r\n]+", (text or "").strip(" \t\r\n"))]
+        except MalformedError as cause:
+            raise MalformedError(f"{key} of <{shown(self.tag)}>: {cause}") from None
 
     def triple(self, key: str) -> list[float]:
         """Return three doubles, zeros where there is no such attribute."""

@@ -29,7 +29,7 @@ from .inertials import (
 from .joint_friction import Friction, compared
 from .markup import Node, by_name, parse
 from .placements import HERE, Placement, from_quaternion
-from .urdf import agreement
+from .urdf import agreement, leftover
 
 # The attributes of <joint> and the parameters that they hold.
 PLACES = {"frictionloss": "Fs", "damping": "Fv", "armature": "Ia"}
@@ -159,9 +159,12 @@ def check(source: bytes, bodies: Mapping[str, Sequence[float]], friction: Fricti
     for link in (name for name in bodies if name in moving):
         rest = mjcf.rest(link, bodies[link])
         expected = inside(rest, CONSISTENCY)
-        problems += [f"link {shown(link)}: {e}" for e in _differences(moving[link], expected)]
-        if expected is not None:
+        if expected is None:
+            wrong = [leftover(rest, [child.name for child, _ in _attached(moving[link], HERE)])]
+        else:
+            wrong = _differences(moving[link], expected)
             raised = max(raised, expected[4] - rest[4])
+        problems += [f"link {shown(link)}: {each}" for each in wrong]
     for name, body in mjcf.bodies.items():
         found = inertial(body)
         if found is None or not (_joint(body) or any(found[0].named().values())):
@@ -184,11 +187,9 @@ def _values(bodies: Iterable[Node]) -> dict[str, dict[str, float]]:
     return found
 
 
-def _differences(body: Node, expected: list[Fraction] | None) -> list[str]:
+def _differences(body: Node, expected: list[Fraction]) -> list[str]:
     """Return the numbers of a body that are not those of its parameters."""
     found = inertial(body)
-    if expected is None:
-        return ["no body is what the bodies fixed to it leave of it"]
     if found is None:
         return ["it has no inertial"]
     named, wanted = found[0].named(), rounded(expected).named()

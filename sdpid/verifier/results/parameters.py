@@ -11,6 +11,7 @@ from typing import Any
 from ..exact import product
 from ..reading import MalformedError, items, parse, require_keys, shown
 from ..result import Result
+from .markup import number
 
 # Differences of one file that are told one by one; more say no more.
 _MOST = 20
@@ -117,16 +118,19 @@ def exports(content: bytes) -> dict[str, bool]:
 
 def check_table(content: bytes, values: Mapping[str, float] | None) -> Result:
     """Check the columns `parameter` and `value` of a CSV table."""
-    rows = list(csv.reader(io.StringIO(content.decode("utf-8"), newline=""), strict=True))
+    try:
+        rows = list(csv.reader(io.StringIO(content.decode("utf-8"), newline=""), strict=True))
+    except csv.Error as cause:
+        raise MalformedError(f"it is no CSV ({shown(str(cause))})") from None
     header = rows[0]
     if len(set(header)) != len(header):
         raise MalformedError("two of its columns have the same name")
     name, value = header.index("parameter"), header.index("value")
-    if len({row[name] for row in rows[1:]}) != len(rows) - 1:
-        raise MalformedError("two of its rows have the same name")
     if any(len(row) != len(header) for row in rows):
         raise MalformedError("its rows have not as many fields as its header")
-    found = {row[name]: float(row[value]) if row[value] else None for row in rows[1:]}
+    if len({row[name] for row in rows[1:]}) != len(rows) - 1:
+        raise MalformedError("two of its rows have the same name")
+    found = {row[name]: number(row[value]) if row[value] else None for row in rows[1:]}
     if values is None:
         found_or_none = None if not any(v is not None for v in found.values()) else found
         return _result(_other_values(found_or_none, None, "parameter"), "its other columns")

@@ -14,6 +14,7 @@ from ..reading import MalformedError, shown
 from ..result import Result
 from .inertials import MOMENTS, Inertial, at_most, body_of, exists, inside, less, moved, rounded
 from .joint_friction import Friction, compared
+from .manifest import listed
 from .markup import Node, by_name, parse
 from .placements import HERE, Placement, from_rpy
 
@@ -34,20 +35,23 @@ class Urdf:
         self.others = sorted({child.tag for child in root.children} - set(_PLAIN))
         self.movers: dict[str, Node] = {}
         self._fixed: dict[str, list[tuple[str, Placement]]] = {}
-        children = set()
+        carried: dict[str, list[str]] = {link: [] for link in self.links}
         for joint in self.joints.values():
             parent, child = (_end(joint, end) for end in ("parent", "child"))
-            if child in children or not {parent, child} <= self.links.keys():
-                raise MalformedError(f"joint {shown(joint.name)} makes no tree of its links")
-            children.add(child)
+            if not {parent, child} <= self.links.keys():
+                raise MalformedError(f"joint {shown(joint.name)} is of no links")
+            carried[parent].append(child)
             if joint.attributes.get("type") == "fixed":
                 self._fixed.setdefault(parent, []).append((child, _origin(joint)))
             else:
                 self.movers[child] = joint
-        self.roots = self.links.keys() - children
+        self.root = _root(carried)
 
     def attached(self, link: str) -> list[tuple[str, Placement]]:
-        """Return the links that are fixed to a link, directly or through others."""
+        """Return the links that are fixed to a link, directly or through others.
+
+        They are finitely many, since links make a tree.
+        """
         found, waiting = [], [(link, HERE)]
         while waiting:
             name, place = waiting.pop()
@@ -76,6 +80,19 @@ class Urdf:
             if (found := self.inertial(child)) is not None:
                 parts.append(moved(body_of(*found), place))
         return less([Fraction(x) for x in body], parts)
+
+
+def _root(carried: Mapping[str, Sequence[str]]) -> str:
+    """Return the link that carries all others, directly or not, each in one way."""
+    children = [child for several in carried.values() for child in several]
+    reached = [link for link in carried if link not in children][:1]
+    for link in reached:
+        reached += carried[link]
+        if len(reached) > len(carried):
+            break
+    if sorted(reached) != sorted(carried):
+        raise MalformedError("its joints make no tree of its links")
+    return reached[0]
 
 
 def _end(joint: Node, end: str) -> str:
@@ -110,21 +127,32 @@ def check(
     """
     urdf = Urdf(source)
     problems, raised = [], Fraction(0)
-    floating = urdf.roots & bodies.keys()
+    floating = {urdf.root} & bodies.keys()
     for link in (urdf.movers.keys() | floating) ^ bodies.keys():
         where = "the file" if link in bodies else "the certificate"
         problems.append(f"link {shown(link)}: {where} has no such moving link")
     for link in (name for name in bodies if name in urdf.links):
         rest = urdf.rest(link, bodies[link])
         expected, found = inside(rest, consistency), urdf.inertial(link)
+        if expected is None:
+            fixed = [child for child, _ in urdf.attached(link)]
+            problems.append(f"link {shown(link)}: {leftover(rest, fixed)}")
+            continue
         problems += _differences(link, expected, found)
-        if expected is not None:
-            raised = max(raised, expected[4] - rest[4])
+        raised = max(raised, expected[4] - rest[4])
         if found is not None and not exists(found[0].mass, found[0].moments, consistency):
             problems.append(f"link {shown(link)} is no body: {consistency} does not hold")
     said = () if problems else (agreement(len(bodies), raised, consistency),)
     result = Result(said, tuple(problems), _unchecked(urdf, bodies, consistency))
     return result + compared(_values(urdf), friction, PLACES)
+
+
+def leftover(rest: Sequence[Fraction], fixed: Sequence[str]) -> str:
+    """Return that what is fixed to a link leaves no body of it, in words."""
+    return (
+        f"no body is what the links fixed to it ({listed(fixed)}) leave of its certified "
+        f"parameters, {float(rest[0])!r} kg"
+    )
 
 
 def agreement(count: int, raised: Fraction, consistency: str) -> str:
@@ -137,11 +165,9 @@ def agreement(count: int, raised: Fraction, consistency: str) -> str:
 
 
 def _differences(
-    link: str, expected: list[Fraction] | None, found: tuple[Inertial, Placement] | None
+    link: str, expected: list[Fraction], found: tuple[Inertial, Placement] | None
 ) -> list[str]:
     """Return the numbers of a link that are not those of its parameters."""
-    if expected is None:
-        return [f"link {shown(link)}: no body is what the links fixed to it leave of it"]
     if found is None:
         return [f"link {shown(link)} has no inertial"]
     inertial, axes = found
