@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import os
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -76,7 +76,7 @@ def check_log(
         When a package is missing that the log's format needs.
     """
     check, given = _Check(Sealed.read(folder)), _several(logs)
-    steps = (
+    steps: tuple[Callable[[], None], ...] = (
         lambda: check.read(given),
         lambda: check.find(robot),
         check.process,
