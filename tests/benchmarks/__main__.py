@@ -27,7 +27,15 @@ from sdpid.experiment.processing.process import process
 from sdpid.experiment.recording.recording import Recording
 from sdpid.experiment.trajectory.paper import paper_excitation
 from sdpid.robot.model.load import load_robot
-from tests.benchmarks import chain, from_log, kernels, resolves, solvers, whole_job
+from tests.benchmarks import (
+    chain,
+    compression_proof,
+    from_log,
+    kernels,
+    resolves,
+    solvers,
+    whole_job,
+)
 from tests.benchmarks.timing import Row, table
 
 ROBOT = "denso_vp6242"
@@ -36,7 +44,7 @@ PERIODS, PERIOD, SEED = 8, 38.0, 0
 # Fewer have no spread worth printing.
 LEAST_REPEATS = 5
 
-PARTS = ("import", "processing", "kernels", "solvers", "resolves", "log", "job")
+PARTS = ("import", "processing", "kernels", "compression", "solvers", "resolves", "log", "job")
 
 
 @functools.cache
@@ -62,6 +70,8 @@ def measured(part: str, repeats: int, log: Path | None) -> Iterator[Row]:
         yield from chain.processing(experiment()[0], repeats)
     elif part == "kernels":
         yield from kernels.measure(repeats)
+    elif part == "compression":
+        yield from compression_proof.proofs(repeats)
     elif part == "solvers":
         yield from solvers.measure(experiment()[1], repeats)
     elif part == "resolves":
