@@ -34,8 +34,9 @@ def verify(
         str | None,
         typer.Option(
             metavar="ROBOT",
-            help="The run's robot, beside --data: URDF or MJCF file, or name. Default: "
-            "identified.urdf, where it has the run's kinematics.",
+            help="URDF or MJCF file, or name. Beside --data the run's robot; default: "
+            "identified.urdf, where it has the run's kinematics. Of a proof about a table: the "
+            "robot whose coefficients it must have.",
             autocompletion=opt.complete_robot,
         ),
     ] = None,

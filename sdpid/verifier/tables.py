@@ -248,11 +248,12 @@ def _constraints(q: Question) -> str:
     )
 
 
-def _unchecked(q: Question) -> tuple[str, ...]:
-    """Return what these numbers say nothing of."""
+def unchecked(q: Question) -> tuple[str, ...]:
+    """Return what these numbers say nothing of; the first is what the robot's kinematics say."""
     where = "what was published" if q.table is None else f"what {shown(q.table)} says"
     return (
-        f"that the coefficients are those of robot {shown(q.robot)}, with these constraints",
+        f"that the coefficients are those of robot {shown(q.robot)}: sdpid verify FILE --robot "
+        "ROBOT computes them anew",
         f"that values and halfwidths are {where}: compare them",
     )
 
@@ -282,7 +283,7 @@ def _refuted(proof: Refutation) -> Result:
             f"In the table: {_numbers(q, proof.weights)}.",
             f"The inequality needs the links' consistency, and {needed}.",
         ]
-    return Result(tuple(said), tuple(problems), _unchecked(q))
+    return Result(tuple(said), tuple(problems), unchecked(q))
 
 
 def _numbers(q: Question, used: Any) -> str:
@@ -309,7 +310,7 @@ def _realized(answer: Realization) -> Result:
     faults, more = answer.faults[:_MOST_SHOWN], len(answer.faults) - _MOST_SHOWN
     if more > 0:
         faults = [*faults, f"and {more} more"]
-    return Result(tuple(said), tuple(faults), _unchecked(q))
+    return Result(tuple(said), tuple(faults), unchecked(q))
 
 
 def claimed(_: dict[str, Any]) -> dict[str, float | None]:

@@ -9,12 +9,15 @@ from pathlib import Path
 
 from sdpid.assurance.log_proof.chain.check import check_log
 from sdpid.assurance.log_proof.chain.links import LogProof
+from sdpid.assurance.tables.robot_check import check_coefficients
 from sdpid.errors import CertificateError
 from sdpid.experiment.preparation.several import Logs
+from sdpid.robot.model.load import load_robot
 from sdpid.robot.model.model import RobotModel
-from sdpid.verifier import certificate
+from sdpid.verifier import certificate, tables
 from sdpid.verifier.command import check_path
-from sdpid.verifier.reading import REFUSED, read_bytes
+from sdpid.verifier.reading import REFUSED, parse, read_bytes
+from sdpid.verifier.realizable import Question
 from sdpid.verifier.result import Result
 from sdpid.verifier.results import manifest
 from sdpid.verifier.results.folder import CERTIFICATE
@@ -86,7 +89,8 @@ def verify(
         The logs that the folder's result was made of, in their order.
     robot : RobotModel, name or path, optional
         The robot's description, beside `data`; by default identified.urdf of the folder where its
-        kinematics are those of the run.
+        kinematics are those of the run. Without `data`, of a proof about a table: the
+        coefficients in it are compared with the robot's.
 
     Returns
     -------
@@ -101,15 +105,16 @@ def verify(
     MissingExtraError
         When a package is missing that the log's format needs.
     """
-    if robot is not None and data is None:
-        raise CertificateError("verify: a robot is given and no log; give data (--data) too.")
     try:
         checked = check_path(path)
+        question = _question(Path(path)) if robot is not None and data is None else None
     except OSError as cause:
         raise CertificateError(f"cannot read {path}: {cause.strerror}.") from None
     except REFUSED as cause:
         raise CertificateError(f"{path}: not a proof ({cause}).") from None
     result, log = checked.result, None
+    if robot is not None and question is not None:
+        result = _of_robot(result, question, robot)
     if data is not None:
         log = check_log(path, data, robot=robot)
         known = set(_covered(Path(path), log))
@@ -124,6 +129,25 @@ def verify(
         log=log,
         **checked.claims,
     )
+
+
+def _question(path: Path) -> Question:
+    """Return the question of a proof about a table; CertificateError where it is none."""
+    if not path.is_dir() and (data := parse(read_bytes(path))).get("schema") in tables.SCHEMAS:
+        return tables.answer_of(data).question
+    raise CertificateError(
+        f"{path}: is no proof about a table, and no log is given; give data (--data) beside robot."
+    )
+
+
+def _of_robot(
+    result: Result, question: Question, robot: RobotModel | str | os.PathLike[str]
+) -> Result:
+    """Return a result with the coefficients compared with those of the robot."""
+    model = robot if isinstance(robot, RobotModel) else load_robot(robot)
+    found = check_coefficients(question, model)
+    left = tuple(each for each in result.unchecked if each != tables.unchecked(question)[0])
+    return Result(result.statements, result.problems, left) + found
 
 
 def _covered(folder: Path, log: LogProof) -> Iterator[str]:

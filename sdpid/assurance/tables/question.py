@@ -76,7 +76,7 @@ def base_question(
     model = FrictionModel.from_terms(friction, robot.joint_names, first=robot.n_base)
     base = structural_base(robot, model) if base is None else base
     _check_posed(model, base)
-    rows, leading = zip(*(_row(robot, base, name) for name in values), strict=True)
+    rows, leading = zip(*(coefficients(robot, base, name) for name in values), strict=True)
     first = 10 * robot.n_links
     signs = (first + i for i, p in enumerate(model.parameters) if p.nonnegative)
     return Question(
@@ -134,10 +134,16 @@ def _check_posed(model: FrictionModel, base: BaseParameters) -> None:
             )
 
 
-def _row(
+def coefficients(
     robot: RobotModel, base: BaseParameters, name: str
 ) -> tuple[dict[int, Fraction], int | None]:
-    """Return a parameter's coefficients in theta, and a column that is its own."""
+    """Return a parameter's coefficients in theta, and a column that is its own.
+
+    Raises
+    ------
+    DataError
+        When the robot has no such parameter.
+    """
     if name in base.names:
         k = base.names.index(name)
         used = np.flatnonzero(base.matrix[k])

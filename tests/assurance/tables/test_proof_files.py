@@ -17,8 +17,10 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from typer.testing import CliRunner
 
 import sdpid
+from sdpid import cli
 from sdpid.assurance.tables.csv_table import read_base_table
 from sdpid.assurance.tables.witness import Question
 from sdpid.assurance.tables.witness_search import Search
@@ -253,6 +255,56 @@ def test_numbers_are_printed_exactly_or_marked() -> None:
     problems = check(require_form(sealed(changed))).problems
     assert len(problems) < 20
     assert problems[-1].endswith("more")
+
+
+# -------------------------------------------------------------------- the robot
+
+
+def verified(tmp_path: Path, data: dict[str, Any], robot: str = "denso_vp6242") -> Any:
+    path = tmp_path / "proof.json"
+    path.write_text(json.dumps(sealed(data)), encoding="utf-8")
+    return sdpid.verify(path, robot=robot)
+
+
+@pytest.mark.parametrize("kind", ["refutation", "realization", "paper"])
+def test_coefficients_are_those_of_the_robot(kind: str, tmp_path: Path) -> None:
+    found = verified(tmp_path, proof(kind))
+    assert found.passed
+    assert "are those of robot 'denso_vp6242', computed anew" in found.statements[-1]
+    assert not any("coefficients" in each for each in found.unchecked)
+    done = CliRunner().invoke(
+        cli.app, ["verify", str(tmp_path / "proof.json"), "--robot", "denso_vp6242"]
+    )
+    assert done.exit_code == 0, done.output
+
+
+def test_other_coefficients_are_named(tmp_path: Path) -> None:
+    data = proof("paper")
+    row = data["parameters"][4]["coefficients"]
+    last = list(row)[-1]
+    row[last] = str(Fraction(row[last]) + Fraction(1, 10**9))
+    assert holds(data)
+    found = verified(tmp_path, data)
+    assert found.problems == (
+        f"the coefficients of {data['parameters'][4]['name']} are other ones",
+    )
+    data = proof("paper")
+    data["parameters"][0]["name"] = "zz99"
+    assert "has no parameter 'zz99'" in verified(tmp_path, data).problems[0]
+    data = proof("realization")
+    data["theta_names"][0] = "m_9"
+    assert "theta is not that" in verified(tmp_path, data).problems[0]
+    assert "the links are not those" in verified(tmp_path, proof("paper"), "ur5_robot").problems[0]
+
+
+def test_signs_that_physics_does_not_give_are_named(tmp_path: Path) -> None:
+    robot = load_robot("denso_vp6242")
+    made = sdpid.audit_base_parameters(robot, {"zz6": "0.05", "Fo1": "1"}, "0.005")
+    assert made.certificate is not None
+    data = made.certificate.to_dict()
+    assert data["constraints"]["nonnegative"] == []
+    data["constraints"]["nonnegative"] = [data["theta_names"].index("Fo1")]
+    assert verified(tmp_path, data).problems == ("Fo1 may be negative",)
 
 
 # -------------------------------------------------------------------- mutations
