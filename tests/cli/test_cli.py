@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 import os
+import shutil
 import subprocess
 import sys
 from dataclasses import replace
@@ -304,6 +306,23 @@ def test_verify(results: Path, tmp_path: Path) -> None:
     assert done.exit_code == 1
     assert json.loads(done.stdout)["passed"] is False
     refused(run("verify", results / "result.json"), 2, "not a proof")
+
+
+def test_verify_a_folder(results: Path, log: Path, tmp_path: Path) -> None:
+    inputs = json.loads((results / "manifest.json").read_text())["inputs"]
+    described, recorded = ({e["role"]: e for e in inputs}[role] for role in ("robot", "log"))
+    assert described["name"] == ROBOT
+    assert recorded["name"] == log.name
+    assert recorded["sha256"] == hashlib.sha256(log.read_bytes()).hexdigest()
+    assert recorded["bytes"] == log.stat().st_size
+    copy = shutil.copytree(results, tmp_path / "copy")
+    urdf = copy / "identified.urdf"
+    urdf.write_text(urdf.read_text().replace('<mass value="', '<mass value="1'))
+    done = run("verify", copy)
+    refused(done, 1, "'identified.urdf' was changed", "mass is 1", "certified parameters give")
+    assert done.stdout.splitlines()[-1] == "NOT PROVEN."
+    (copy / "manifest.json").unlink()
+    refused(run("verify", copy), 2, "it has no manifest.json")
 
 
 def test_verify_from_the_log(results: Path, log: Path, tmp_path: Path) -> None:

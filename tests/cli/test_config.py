@@ -56,6 +56,8 @@ def test_a_run_from_a_file_is_that_of_the_options(folder: Path) -> None:
     (folder / "my.toml").write_text(CONFIG)
     done = run("identify", "--config", folder / "my.toml", "--no-figures", "--json")
     assert done.exit_code == 0, done.output
+    inputs = json.loads((folder / "results" / "manifest.json").read_text())["inputs"]
+    assert [each["name"] for each in inputs if each["role"] == "config"] == ["my.toml"]
     options = ("--cutoff", 6, "--no-prior", "--friction", "coulomb=0.05", "--friction", "viscous")
     reading = ("--unit", "position=deg", "--column", "position=enc", "--column", "effort=i1,i2")
     typed = run(
