@@ -22,7 +22,7 @@ import hashlib
 import json
 import sys
 import warnings
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
 
@@ -350,7 +350,7 @@ ATTEMPTS: tuple[tuple[str, dict[str, Any]], ...] = (
     (cp.CLARABEL, {}),
     (cp.CLARABEL, {"equilibrate_enable": False}),
     (cp.CLARABEL, {"equilibrate_max_iter": 50, "static_regularization_constant": 1e-10}),
-    (cp.SCS, {"eps_abs": 1e-9, "eps_rel": 1e-9, "max_iters": 20_000}),
+    (cp.SCS, {"eps_abs": 1e-9, "eps_rel": 1e-9, "max_iters": 5_000}),
 )
 
 
@@ -370,16 +370,24 @@ def optimum(data: dict[str, Any], solver: str, options: dict[str, Any]) -> Optim
     delta, epsilon = compression(data)
     constant = (1.0 - delta) * data["problem"]["floor"] - epsilon
     cost, demands, x = model(data)
-    program = cp.Problem(cp.Minimize(cost), demands)
+    found = solved(cp.Problem(cp.Minimize(cost), demands), x, solver, options)
+    return replace(found, cost=found.cost + constant)
+
+
+def solved(program: Any, x: Any, solver: str, options: dict[str, Any]) -> Optimum:
+    """Return what a solver finds, whatever happens to it."""
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # what is inaccurate is said by the status
             program.solve(solver=solver, **options)
-    except (cp.SolverError, ValueError, ArithmeticError) as error:
+    except BaseException as error:
+        # Clarabel panics at numbers of 1e300, which is no Exception.
+        if not isinstance(error, Exception) and type(error).__name__ != "PanicException":
+            raise
         return Optimum(f"{type(error).__name__}: {error}"[:80], np.nan, None)
     if x.value is None or program.value is None:
         return Optimum(program.status, np.nan, None)
-    return Optimum(program.status, float(program.value) + constant, np.array(x.value))
+    return Optimum(program.status, float(program.value), np.array(x.value))
 
 
 def witness(data: dict[str, Any], theta: np.ndarray, claimed: float) -> str | None:
@@ -430,11 +438,7 @@ def interior(data: dict[str, Any]) -> np.ndarray | None:
         axis = np.array(cone["axis"]) @ body - 1e-3 * depth * size
         demands.append(cp.SOC(axis, np.array(cone["vectors"]) @ body))
     demands.append(depth <= 0.1)
-    try:
-        cp.Problem(cp.Maximize(depth), demands).solve(solver=cp.CLARABEL)
-    except (cp.SolverError, ValueError, ArithmeticError):
-        return None
-    return None if x.value is None else np.array(x.value)
+    return solved(cp.Problem(cp.Maximize(depth), demands), x, cp.CLARABEL, {}).theta
 
 
 def repaired(data: dict[str, Any], theta: np.ndarray) -> Any:

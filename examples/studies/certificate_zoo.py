@@ -1,16 +1,22 @@
 """Write certificates of every kind: what an attack on the verifier starts from.
 
-Fourteen small problems of robots that come with the package or with example-robot-data, at random
+Eighteen small problems of robots that come with the package or with example-robot-data, at random
 states and with noise from a seed: both consistencies and none, both kinds of prior, rows, cones and
 equations, a local solver's result, parameters that are not feasible, data without noise and with
 next to nothing else, a tree.
 
     python examples/studies/certificate_zoo.py --out results
+
+Told are the size of each file and the processor time of ``python -I -S sdpid/verifier`` for it.
+``--large`` adds two humanoids, a minute of work.
 """
 
 from __future__ import annotations
 
 import argparse
+import json
+import resource
+import subprocess
 import sys
 from collections.abc import Callable
 from pathlib import Path
@@ -20,6 +26,8 @@ import numpy as np
 
 import sdpid
 from sdpid import constraints as of
+from sdpid import verifier
+from sdpid._common.tables import Table
 
 # States drawn for each problem, and their ranges (rad, rad/s, rad/s²).
 SAMPLES, RANGES = 60, (1.5, 1.5, 5.0)
@@ -151,26 +159,58 @@ ZOO: dict[str, Callable[[], dict[str, Any]]] = {
 }
 
 
+# More parameters than samples show: a prior.
+LARGE_ROBOTS: dict[str, Callable[[], dict[str, Any]]] = {
+    "iCub": lambda: certified(problem("icub", seed=19, prior=sdpid.Prior())),
+    "Talos, 6x6": lambda: certified(
+        problem(
+            "talos_full_v2",
+            seed=20,
+            consistency="spatial_inertia",
+            prior=sdpid.Prior(kind="entropic"),
+        )
+    ),
+}
+
+
 def made(quick: bool = False) -> dict[str, dict[str, Any]]:
     """Return the certificates by name; quick: those of small robots and few conditions alone."""
     return {name: make() for name, make in ZOO.items() if not (quick and name in LARGE)}
 
 
+def verified(path: Path) -> tuple[str, float]:
+    """Return the last line of the stand-alone verifier, and its processor time in seconds."""
+    folder = str(Path(verifier.__file__).parent)
+    before = resource.getrusage(resource.RUSAGE_CHILDREN)
+    done = subprocess.run(
+        [sys.executable, "-I", "-S", folder, str(path)], capture_output=True, text=True, check=False
+    )
+    after = resource.getrusage(resource.RUSAGE_CHILDREN)
+    seconds = after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
+    return (done.stdout.splitlines() or [done.stderr])[-1], seconds
+
+
 def main() -> None:
-    """Write every certificate."""
+    """Write every certificate, and verify it."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--out", type=Path, default=Path("results"))
     parser.add_argument("--quick", action="store_true", help="without the larger robots")
+    parser.add_argument("--large", action="store_true", help="humanoids too")
     arguments = parser.parse_args()
     arguments.out.mkdir(parents=True, exist_ok=True)
-    import json
-
-    for name, data in made(arguments.quick).items():
+    zoo = made(arguments.quick)
+    if arguments.large:
+        zoo |= {name: make() for name, make in LARGE_ROBOTS.items()}
+    rows = []
+    for name, data in zoo.items():
         path = arguments.out / f"{name.replace(' ', '_')}.json"
         path.write_text(json.dumps(data), encoding="utf-8")
-        done = sdpid.verify(path)
-        words = "proven" if done.passed else "; ".join(done.problems)[:120]
-        print(f"{name:14} {path.stat().st_size / 1e3:7.1f} kB  {words}")
+        problem = data["problem"]
+        sizes = len(problem["lower"]), len(problem["rhs"])
+        verdict, seconds = verified(path)
+        rows.append((name, *sizes, path.stat().st_size / 1e6, seconds, verdict))
+    header = ("certificate", "p", "b", "MB", "seconds", "verdict")
+    print(Table(header, tuple(rows), {"MB": ".2f", "seconds": ".2f"}).text())
 
 
 if __name__ == "__main__":

@@ -209,13 +209,14 @@ def main() -> int:
     parser.add_argument("--out", type=Path, default=Path("results"))
     parser.add_argument("--count", type=int, default=12_000)
     parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--first", type=int, default=0, help="number of the first forgery")
     parser.add_argument("--jobs", type=int, default=1)
     parser.add_argument("--quick", action="store_true", help="200 forgeries of small robots")
     arguments = parser.parse_args()
     arguments.out.mkdir(parents=True, exist_ok=True)
     zoo = made(arguments.quick)
-    count = 200 if arguments.quick else arguments.count
-    chunks = [range(k, min(k + CHUNK, count)) for k in range(0, count, CHUNK)]
+    first, count = arguments.first, 200 if arguments.quick else arguments.count
+    chunks = [range(k, min(k + CHUNK, first + count)) for k in range(first, first + count, CHUNK)]
     work = partial(some, seed=arguments.seed, zoo=zoo)
     outcomes = list[Outcome]()
     with ProcessPoolExecutor(arguments.jobs) as pool, progress(count, "forgeries") as advance:
@@ -226,7 +227,7 @@ def main() -> int:
     print(counts.text())
     counts.write(arguments.out / "forgeries.csv")
     wrong = 0
-    for number, each in enumerate(outcomes):
+    for number, each in enumerate(outcomes, first):
         if each.data is None:
             continue
         wrong += bool(each.false)
