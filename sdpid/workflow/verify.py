@@ -6,14 +6,9 @@ import os
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-from sdpid.assurance.log_proof.chain.check import check_log
-from sdpid.assurance.log_proof.chain.links import LogProof
-from sdpid.assurance.tables.robot_check import check_coefficients
 from sdpid.errors import CertificateError
-from sdpid.experiment.preparation.several import Logs
-from sdpid.robot.model.load import load_robot
-from sdpid.robot.model.model import RobotModel
 from sdpid.verifier import certificate, tables
 from sdpid.verifier.command import check_path
 from sdpid.verifier.reading import REFUSED, parse, read_bytes
@@ -21,6 +16,11 @@ from sdpid.verifier.realizable import Question
 from sdpid.verifier.result import Result
 from sdpid.verifier.results import manifest
 from sdpid.verifier.results.folder import CERTIFICATE
+
+if TYPE_CHECKING:
+    from sdpid.assurance.log_proof.chain.links import LogProof
+    from sdpid.experiment.preparation.several import Logs
+    from sdpid.robot.model.model import RobotModel
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -116,6 +116,9 @@ def verify(
     if robot is not None and question is not None:
         result = _of_robot(result, question, robot)
     if data is not None:
+        # Files alone are checked without waiting for the libraries that rows need.
+        from sdpid.assurance.log_proof.chain.check import check_log
+
         log = check_log(path, data, robot=robot)
         known = set(_covered(Path(path), log))
         left = tuple(each for each in result.unchecked if each not in known)
@@ -144,6 +147,10 @@ def _of_robot(
     result: Result, question: Question, robot: RobotModel | str | os.PathLike[str]
 ) -> Result:
     """Return a result with the coefficients compared with those of the robot."""
+    from sdpid.assurance.tables.robot_check import check_coefficients
+    from sdpid.robot.model.load import load_robot
+    from sdpid.robot.model.model import RobotModel
+
     model = robot if isinstance(robot, RobotModel) else load_robot(robot)
     found = check_coefficients(question, model)
     left = tuple(each for each in result.unchecked if each != tables.unchecked(question)[0])
