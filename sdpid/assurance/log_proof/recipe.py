@@ -25,6 +25,7 @@ from sdpid.robot.model.model import RobotModel
 # Weightings with a covariance for each sample: it comes from the log's periods, as do the rows.
 PER_SAMPLE: tuple[Weighting, ...] = ("gls_per_sample", "eq9", "eq18")
 
+_TEXT = (str, type(None))
 _READING = {each.name for each in fields(Arguments)}
 _SETTINGS = tuple(each.name for each in fields(Processing) if each.name != "reasons")
 
@@ -73,6 +74,25 @@ class RobotRecipe:
             gravity=tuple(robot.gravity.tolist()),
             kinematics=kinematics_digest(robot),
         )
+
+    @classmethod
+    def from_dict(cls, given: Any) -> RobotRecipe:
+        """Return the recipe of `plain` values; TypeError or ValueError where it is none."""
+        _require_keys(given, [each.name for each in fields(cls)])
+        kinds: dict[str, Any] = {
+            "name": str,
+            "source": _TEXT,
+            "catalog": bool,
+            "root": _TEXT,
+            "kinematics": _TEXT,
+        }
+        for name, kind in kinds.items():
+            if not isinstance(given[name], kind):
+                raise TypeError(f"{name} of the robot is {given[name]!r:.80}")
+        arguments = given["xacro_args"]
+        if not (isinstance(arguments, dict) and all(type(x) is str for x in arguments.values())):
+            raise TypeError(f"xacro_args of the robot are {arguments!r:.80}")
+        return cls(**{**given, "gravity": tuple(float(each) for each in given["gravity"])})
 
     @property
     def arguments(self) -> dict[str, Any]:
@@ -168,7 +188,6 @@ class Recipe:
     def _from(cls, given: Any) -> Recipe:
         _require_keys(given, [each.name for each in fields(cls) if each.name != "reading"], "logs")
         robot, processing = given["robot"], given["processing"]
-        _require_keys(robot, [each.name for each in fields(RobotRecipe)])
         _require_keys(processing, _SETTINGS)
         for log in given["logs"]:
             _require_keys(log, ["reading"])
@@ -176,9 +195,8 @@ class Recipe:
                 raise ValueError(f"reading has {', '.join(sorted(map(repr, wrong)))[:200]}")
         if given["weighting"] not in WEIGHTINGS:
             raise ValueError(f"weighting is {given['weighting']!r:.80}")
-        gravity = tuple(float(each) for each in robot["gravity"])
         return cls(
-            robot=RobotRecipe(**{**robot, "gravity": gravity}),
+            robot=RobotRecipe.from_dict(robot),
             reading=tuple(log["reading"] for log in given["logs"]),
             processing=Processing(**processing),
             without_effort=tuple(map(str, given["without_effort"])),

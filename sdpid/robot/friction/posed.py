@@ -25,6 +25,9 @@ Bodies = tuple[tuple[float, ...], ...]
 # Robots are set up by spirit level and by eye: most stand upright within some degrees.
 _UPRIGHT = 0.03  # rad
 
+# No mass, moment or inertia of a link is larger, in SI units; squares are far from overflow.
+LARGEST = 1e12
+
 # Gears lose some percent of the load that they carry.
 _LOSS = 0.1
 
@@ -42,6 +45,17 @@ class PosedTerm(FrictionTerm):
 
     bodies: Bodies | None = None
     posed: ClassVar[bool] = True
+
+    def __post_init__(self) -> None:
+        for body in self.bodies or ():
+            numbers = body if isinstance(body, tuple) else ()
+            if len(numbers) != 10 or not all(
+                isinstance(x, (int, float)) and abs(x) <= LARGEST for x in numbers
+            ):
+                raise ModelError(
+                    f"{type(self).__name__}: a body is {body!r:.80}; give ten numbers of at most "
+                    f"{LARGEST:g} for each link."
+                )
 
     def columns(self, velocity: Array, acceleration: Array, joint_names: Sequence[str]) -> Array:
         """Refuse: velocities and accelerations alone do not determine the columns.
@@ -125,8 +139,11 @@ class LoadFriction(PosedTerm):
     symbol: ClassVar[str] = "Fl"
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         check_speeds(self, ("width",))
         check_speeds(self, ("velocity",), positive=True)
+        if not all(isinstance(x, (int, float)) and 0.0 <= x <= 1.0 for x in self.share):
+            raise ModelError(f"LoadFriction: share is {self.share!r:.80}; give numbers in [0, 1].")
         if len(self.share) != len(self.velocity):
             raise ModelError(
                 f"LoadFriction: share has {len(self.share)} values, velocity {len(self.velocity)}; "

@@ -162,6 +162,11 @@ def edit_of(path: str, change: Callable[[Any], Any]) -> Edit:
     return edit
 
 
+def with_bodies(bodies: list[list[float]]) -> Callable[[Any], Any]:
+    """Return a change of any term to a tilt of some bodies."""
+    return lambda _: {"term": "Tilt", "bodies": bodies}
+
+
 @pytest.mark.parametrize(
     ("link", "edit"),
     [
@@ -176,6 +181,12 @@ def edit_of(path: str, change: Callable[[Any], Any]) -> Edit:
         ("total", edit_of("manifest.recipe.sigma.0.0", lambda x: 1.1 * x)),
         ("total", edit_of("manifest.recipe.friction.1.velocity.0", lambda x: 1.01 * x)),
         ("samples", edit_of("manifest.recipe.without_effort", lambda _: ["a"])),
+        # First moments without a mass have no center: their columns are no numbers.
+        (
+            "base parameters",
+            edit_of("manifest.recipe.friction.1", with_bodies([[0.0, *[1.0] * 9]] * 2)),
+        ),
+        ("total", edit_of("certificate.problem.prior_matrix.0.0", lambda _: 1e308)),
         ("robot", edit_of("manifest.recipe.robot.gravity.2", lambda x: x + 0.01)),
         ("log", edit_of("manifest.recipe.logs.0.reading", lambda _: {"units": 3})),
         ("log", edit_of("manifest.inputs.0.sha256", lambda x: "0" + x[1:] if x[0] != "0" else x)),
@@ -194,6 +205,10 @@ def test_what_was_forged_is_named(run: Path, tmp_path: Path, link: str, edit: Ed
         (edit_of("manifest.recipe.logs", lambda _: []), "names 1 logs and how 0 are read"),
         (edit_of("manifest.recipe.logs.0.reading", lambda _: {"path": "x"}), "'path'"),
         (edit_of("manifest.inputs", lambda _: 3), "inputs is no list"),
+        (edit_of("manifest.recipe.robot.source", lambda _: 3), "source of the robot is 3"),
+        (edit_of("manifest.recipe.robot.xacro_args", lambda _: [1]), "xacro_args of the robot"),
+        (edit_of("manifest.recipe.friction.1", with_bodies([[1.0] * 9])), "a body is"),
+        (edit_of("manifest.recipe.friction.1", with_bodies([[1e308] * 10])), "a body is"),
         (edit_of("certificate.problem.A", lambda _: []), "certificate.json: expected a list"),
     ],
 )

@@ -33,7 +33,7 @@ from sdpid.experiment.recording.recording import Recording
 from sdpid.robot.friction.model import FrictionModel
 from sdpid.robot.model.base_parameters import structural_base
 from sdpid.robot.model.model import RobotModel
-from sdpid.verifier.reading import shown
+from sdpid.verifier.reading import REFUSED, shown
 
 # The links, in the order in which they are checked.
 _LINKS = ("log", "robot", "samples", "base parameters", "compression", "rows", "total")
@@ -94,6 +94,10 @@ def check_log(
                     raise
                 except SdpidError as cause:
                     check.say(name, "not proven", str(cause).rstrip("."), stop=True)
+                except REFUSED as cause:
+                    # Numbers of a manifest may be any: infinite, of other shapes, singular.
+                    text = f"cannot be made again: {type(cause).__name__}, {str(cause)[:200]}"
+                    check.say(name, "not proven", shown(text)[1:-1], stop=True)
             else:
                 check.say(name, "not checked", f"needs the link '{check.broken}'")
             advance(1)
@@ -127,6 +131,8 @@ class _Check:
     row_error: float | None = None
     totals: Any = None
     equations: Totals | None = None
+    bounds: Bounds | None = None
+    of_equations: Bounds | None = None
 
     def say(self, name: str, state: State, text: str, *, stop: bool = False) -> None:
         """Add a link; `stop` where those that follow cannot be checked."""
@@ -295,6 +301,7 @@ class _Check:
     def add_up(self) -> None:
         """Say what is proven of the rows of this log."""
         found, claimed = Bounds.of(self.totals), self.sealed.data["claims"]["gap"]
+        self.bounds = found
         text = f"on the rows of this log, as computed, {found}"
         if found.gap is None or claimed is None:
             self.say("total", "not proven", text)
@@ -303,7 +310,8 @@ class _Check:
         else:
             self.say("total", "proven", text)
         if self.equations is not None:
-            text = f"on the rows of the equations of motion {Bounds.of(self.equations)}"
+            self.of_equations = Bounds.of(self.equations)
+            text = f"on the rows of the equations of motion {self.of_equations}"
             self.say("total", "proven", text)
 
     def proof(self) -> LogProof:
@@ -315,8 +323,8 @@ class _Check:
             relative=None if found is None else found.relative,
             absolute=None if found is None else found.absolute,
             row_error=self.row_error,
-            rows=None if self.totals is None else Bounds.of(self.totals),
-            equations=None if self.equations is None else Bounds.of(self.equations),
+            rows=self.bounds,
+            equations=self.of_equations,
         )
 
 
@@ -332,7 +340,7 @@ def _read(log: Any, how: dict[str, Any]) -> Recording:
         return log
     try:
         recording: Recording = read_recording(log, mapping=False, **how)
-    except (TypeError, ValueError, AttributeError) as cause:
+    except REFUSED as cause:
         raise DataError(f"cannot be read with {_options(how)}: {cause}") from None
     return recording
 
