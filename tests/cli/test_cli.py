@@ -343,7 +343,7 @@ def test_verify_from_the_log(results: Path, log: Path, tmp_path: Path) -> None:
     done = run("verify", results, "--data", tmp_path / "run.parquet")
     refused(done, 1, "the proof does not hold: log: 'run.parquet' has the SHA-256")
     refused(run("verify", results, "--data", tmp_path / "none.csv"), 2, "there is no such file")
-    refused(run("verify", results, "--robot", ROBOT), 2, "give data (--data) too")
+    refused(run("verify", results, "--robot", ROBOT), 2, "give data (--data)")
     refused(run("verify", results / "certificate.json", "--data", log), 2, "is no folder")
 
 

@@ -153,6 +153,7 @@ class Processing:
             "derivative": DERIVATIVES,
             "filter": FILTERS,
             "filter_friction": (True, False),
+            "filter_alike": (True, False),
         }
         for name, allowed in choices.items():
             if getattr(self, name) not in allowed:

@@ -12,9 +12,10 @@ import numpy as np
 import pytest
 
 import sdpid
+from sdpid.assurance.log_proof.chain import check
 from sdpid.assurance.log_proof.chain.check import check_log
 from sdpid.assurance.log_proof.chain.links import LogProof
-from sdpid.errors import CertificateError, DataError
+from sdpid.errors import CertificateError, DataError, MissingExtraError
 from tests.helpers.arm_files import ARM_URDF
 from tests.helpers.runs import arm, recorded
 
@@ -224,6 +225,27 @@ def test_a_log_that_is_not_there_is_bad_input(run: Path) -> None:
         check_log(run / "results", run / "missing.csv")
     with pytest.raises(CertificateError, match="is no folder"):
         check_log(run / "run.csv", run / "run.csv")
+
+
+def test_a_missing_package_is_no_finding(run: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def refuse(*_: Any, **__: Any) -> None:
+        raise MissingExtraError("h5py is not installed")
+
+    monkeypatch.setattr(check, "read_recording", refuse)
+    with pytest.raises(MissingExtraError):
+        check_log(run / "results", run / "run.csv")
+
+
+def test_a_real_log_holds_to_the_equations_of_motion(data_folder: Path, tmp_path: Path) -> None:
+    robot, log = (data_folder / "ur10_unisa" / name for name in ("ur10.urdf", "ur10_exciting.npz"))
+    result = sdpid.identify(robot, log, effects="none", intervals=False)
+    proof = check_log(saved(result, tmp_path / "results"), log, robot=robot)
+    assert proof.result.passed, proof.result.problems
+    assert {name for name, state in states(proof).items() if state != "proven"} == {"rows"}
+    for bounds in (proof.rows, proof.equations):
+        assert bounds is not None
+        assert bounds.gap is not None
+        assert bounds.gap < 1e-5
 
 
 def test_several_logs_have_an_order(tmp_path: Path) -> None:
