@@ -9,6 +9,7 @@ text, a decimal or a fraction, and nothing is rounded. What answers prove, and w
 
 from __future__ import annotations
 
+import re
 from typing import Any
 
 from .decimals import Rationals, decimal_text, linear_text, number_text, parameter, rounded
@@ -42,8 +43,13 @@ _PARAMETER = ("name", "coefficients", "value", "halfwidth")
 _REFUTATION = ("weights", "masses", "slack")
 _REALIZATION = ("theta", "margins")
 
+_INDEX = re.compile("0|[1-9][0-9]{0,8}")
+
 # More links than any robot has.
 _MOST_LINKS = 1000
+
+# Terms of an inequality that are printed: all of those that people make.
+_MOST_TERMS = 200
 
 # Parameters, signs or faults that are printed; of more, how many there are.
 _MOST_SHOWN = 12
@@ -125,11 +131,13 @@ def _vector(data: Any, count: int, read: Any, where: str) -> Vector:
     """Return numbers by index, of which there may be none twice."""
     if type(data) is not dict:
         raise MalformedError(f"{where} is no object")
-    # One way to write an index, so that none stands for another.
-    known = {str(j): j for j in range(count)}
-    if not data.keys() <= known.keys():
-        raise MalformedError(f"{where} has an index that is no integer from 0 to {count - 1}")
-    return {known[j]: read(x, where) for j, x in data.items()}
+    found = {}
+    for key, value in data.items():
+        # One way to write an index, so that none stands for another.
+        if not _INDEX.fullmatch(key) or int(key) >= count:
+            raise MalformedError(f"{where} has an index that is no integer from 0 to {count - 1}")
+        found[int(key)] = read(value, where)
+    return found
 
 
 def _refutation(data: Any, question: Question, read: Any) -> Refutation:
@@ -208,8 +216,10 @@ def inequality(proof: Refutation) -> str:
         if above < below:
             least, most = below, above
             break
+    terms, more = dict(list(proof.weights.items())[:_MOST_TERMS]), len(proof.weights) - _MOST_TERMS
+    left = linear_text(terms) + (f" and {more} more terms" if more > 0 else "")
     return (
-        f"{linear_text(proof.weights)} >= {decimal_text(least)} for links that can exist, but "
+        f"{left} >= {decimal_text(least)} for links that can exist, but "
         f"at most {decimal_text(most)} in the table"
     )
 

@@ -115,7 +115,8 @@ class Judgment:
         if self.estimate.theta is not None:
             if self.certificate.feasible:
                 return "feasible: every constraint holds (proven)"
-            return f"not feasible: {_some(self.violations, '; ')}"
+            broken = self.violations or (f"by less than {FEASIBLE:g}, where rounding ends",)
+            return f"not feasible: {_some(broken, '; ')}"
         if self.audit is None:
             return "base parameters only: not compared with the constraints of bodies"
         found = self.audit
@@ -280,7 +281,7 @@ def _least(matrix: Array, rhs: Array, C: Array, lower: Array, upper: Array) -> A
     )
     solution = solve_conic(program)
     if solution.x is None or "Infeasible" in solution.status:
-        raise SolverError(
+        raise InfeasibleError(
             f"certify: no friction beside the given parameters satisfies its own constraints "
             f"({solution.status}); give all friction parameters, or fewer conditions."
         )

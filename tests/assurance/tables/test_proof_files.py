@@ -7,7 +7,7 @@ import json
 import subprocess
 import sys
 from collections.abc import Callable, Iterator
-from dataclasses import fields
+from dataclasses import fields, replace
 from fractions import Fraction
 from functools import cache
 from pathlib import Path
@@ -24,6 +24,7 @@ from sdpid import cli
 from sdpid.assurance.tables.csv_table import read_base_table
 from sdpid.assurance.tables.witness import Question
 from sdpid.assurance.tables.witness_search import Search
+from sdpid.cli.judge.audit import _write_proof
 from sdpid.errors import CertificateError, ExportError
 from sdpid.robot.description.catalog import bundled_folder
 from sdpid.robot.friction.model import FrictionModel
@@ -33,7 +34,7 @@ from sdpid.robot.model.load import load_robot
 from sdpid.verifier.decimals import decimal_text
 from sdpid.verifier.reading import MalformedError, digest
 from sdpid.verifier.realizable import Realization, Refutation
-from sdpid.verifier.tables import answer_of, check, require_form
+from sdpid.verifier.tables import answer_of, check, inequality, require_form
 
 VERIFIER = Path(sdpid.__file__).parent / "verifier"
 TABLE_IV = bundled_folder("denso_vp6242") / "table_iv.csv"
@@ -257,6 +258,21 @@ def test_numbers_are_printed_exactly_or_marked() -> None:
     assert problems[-1].endswith("more")
 
 
+def test_long_inequalities_are_cut() -> None:
+    answer = answer_of(require_form(proof("refutation")))
+    assert isinstance(answer, Refutation)
+    weights = {f"p{k}": Fraction(1) for k in range(300)}
+    same = {name: getattr(answer.question, name) for name in vars(answer.question)}
+    count = len(weights)
+    rows, halves = ({},) * count, (Fraction(0),) * count
+    question = type(answer.question)(
+        **{**same, "names": tuple(weights), "rows": rows, "values": halves, "halfwidths": halves}
+    )
+    text = inequality(Refutation(question=question, weights=weights))
+    assert "p199 and 100 more terms >= 0" in text
+    assert "p200" not in text
+
+
 # -------------------------------------------------------------------- the robot
 
 
@@ -406,6 +422,15 @@ def test_files_appear_whole_or_not_at_all(tmp_path: Path) -> None:
         found.certificate.to_json(tmp_path / "missing" / "proof.json")
     found.certificate.to_json(tmp_path / "proof.json")
     assert [path.name for path in tmp_path.iterdir()] == ["proof.json"]
+
+
+def test_undecided_writes_nothing_and_says_so(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    found = sdpid.audit_base_parameters(load_robot("denso_vp6242"), {"zz6": "0.05"}, "0.005")
+    _write_proof(tmp_path / "proof.json", replace(found, verdict="undecided", certificate=None))
+    assert "not written: undecided, so there is no proof" in capsys.readouterr().err
+    assert not list(tmp_path.iterdir())
 
 
 def test_numbers_too_long_for_the_checker_are_not_written(tmp_path: Path) -> None:
