@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from fractions import Fraction
 from types import SimpleNamespace
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import pytest
@@ -18,16 +18,22 @@ from sdpid._common.arrays import Array, Mask
 from sdpid.assurance.certificate.compression import (
     UNPROVEN,
     Compression,
+    _Compressed,
+    _of_squares,
+    _small,
     base_limit,
     enclose_compression,
     prove_compression,
 )
+from sdpid.assurance.certificate.row_sums import RowSums
 from sdpid.assurance.certificate.whitener_errors import WhitenerErrors
 from sdpid.estimation.compression.covariance import WEIGHTINGS, Weighting
+from sdpid.estimation.compression.rows import Rows
 from sdpid.estimation.compression.triangle import Triangle
 from sdpid.estimation.compression.whitening import whiten
 from sdpid.estimation.problem import Problem, build_problem
 from sdpid.estimation.robust.solve import solve_robust
+from sdpid.verifier.exact import positive_semidefinite
 from tests.helpers.arm import ARM, arm_problem
 from tests.helpers.data import (
     brute_force_cost,
@@ -211,6 +217,55 @@ def test_no_point_of_the_box_leaves_the_enclosure(weighting: Weighting, seed: in
         base = np.clip(point, -limit, limit)
         of_rows = rows.cost(given, weighting, base)
         assert holds(found, of_rows, compressed_cost(A, rhs, floor, base))
+
+
+def exact_gram(matrix: Array) -> Any:
+    """Return matrix^T·matrix without rounding."""
+    columns = [list(column) for column in zip(*fractions(matrix), strict=True)]
+    return [times(columns, column) for column in columns]
+
+
+@given(seed=SEEDS)
+def test_the_quadratic_forms_are_enclosed_for_every_vector(seed: int) -> None:
+    """All vectors at once: ``share·(R^T·R + D²) ± (X^T·X − R^T·R)`` are positive semidefinite."""
+    rng = np.random.default_rng(seed)
+    rows = random_rows(rng, columns=int(rng.integers(2, 5)), count=int(rng.integers(1, 30)))
+    joints, columns = rows.block.shape[1:]
+    A, rhs, floor = rows.compressed(np.eye(joints), "gls")
+    limit = 10.0 ** rng.uniform(-2, 4, len(rhs))
+    compressed = _Compressed.of(A, rhs, floor, limit)
+    if compressed is None:
+        return
+    sums = RowSums.of(cast(Rows, rows), np.eye(joints), -0.5, compressed.M)
+    share = Fraction(_of_squares(sums, compressed))
+    D = _small(compressed.R, np.append(limit, 1.0))
+    own = exact_gram(rows.block[rows.used] if rows.used.any() else np.zeros((1, columns)))
+    kept = exact_gram(np.column_stack([A, rhs]))
+    kept[-1][-1] += Fraction(floor)
+    size = range(columns)
+    bound = [[share * x for x in row] for row in kept]
+    for i in size:
+        bound[i][i] += share * Fraction(D[i]) ** 2
+    for sign in (1, -1):
+        difference = [[bound[i][j] + sign * (own[i][j] - kept[i][j]) for j in size] for i in size]
+        assert positive_semidefinite(difference)
+
+
+@given(seed=SEEDS)
+def test_sums_of_products_are_off_by_what_is_said(seed: int) -> None:
+    """Weights are one, so that the rows are exact and their sums are not."""
+    rng = np.random.default_rng(seed)
+    count = int(rng.integers(100, 400))
+    rows = GivenRows(rng.standard_normal((count, 1, 2)), np.ones((count, 1), bool), 300)
+    sums = RowSums.of(cast(Rows, rows), np.eye(1), -0.5)
+    exact = exact_gram(rows.block[:, 0])
+    for i, j in ((0, 0), (0, 1), (1, 1)):
+        off = abs(Fraction(sums.gram[i, j]) - exact[i][j])
+        sizes = Fraction(sums.lengths[i]) * Fraction(sums.lengths[j])
+        assert off <= Fraction(sums.rounding) * sizes
+    assert sums.rounding < 1e-13
+    assert sums.weight < 1e-28
+    assert sums.whitening < 1e-15
 
 
 @pytest.mark.parametrize("exponent", [-0.5, -0.25])
