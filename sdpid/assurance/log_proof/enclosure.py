@@ -25,6 +25,9 @@ U = 2.0**-53
 # More than underflow takes from the results of an operation on three numbers.
 TINY = 2.0**-1000
 
+# More than the root of what it takes from a sum of squares.
+SMALL = 2.0**-500
+
 # Covers the rounding of 30 operations on bounds, and of the few that make a product's size.
 UP = 1.0 + 2.0**-47
 
@@ -79,8 +82,7 @@ class Enclosed:
     def measured(self) -> Enclosed:
         """Return the same vectors with their size as it is, not as it was bounded."""
         square = np.einsum("...ik,...ik->...k", self.mid, self.mid)
-        # The sum of three squares and the root: less than 4u.
-        return replace(self, size=np.sqrt(np.max(square, axis=-1)) * UP + TINY)
+        return replace(self, size=root(np.max(square, axis=-1)))
 
     def off(self, error: Any) -> Enclosed:
         """Return the same with a further error of at most this."""
@@ -160,5 +162,8 @@ def largest(values: Array) -> Array:
 
 
 def root(values: Any) -> Any:
-    """Return an upper bound of the root of numbers, none negative."""
-    return np.sqrt(values) * UP
+    """Return an upper bound of the roots of numbers that are not negative, such as squares' sums.
+
+    The squares may have rounded to nothing.
+    """
+    return np.sqrt(values) * UP + SMALL

@@ -184,7 +184,7 @@ def _quaternion(q: Enclosed) -> Enclosed:
 
 def _frobenius(matrix: Array) -> float:
     """Return an upper bound of the norm of a vector or the Frobenius norm of a 3×3 matrix."""
-    return float(np.sqrt(np.sum(matrix * matrix))) * UP + TINY
+    return float(root(np.sum(matrix * matrix)))
 
 
 def constant_vector(values: Array) -> Enclosed:

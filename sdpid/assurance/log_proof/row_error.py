@@ -284,7 +284,7 @@ class _Sums:
         self.up += 2.0 * U
         share = root(np.sum(factor**2, axis=1)) * up
         # Minkowski's inequality for what is computed and what is open.
-        norms = root(np.einsum("jck,jck->jc", error, error)) * up + share[:, None] * rad + TINY
+        norms = root(np.einsum("jck,jck->jc", error, error)) * up + share[:, None] * rad
         added = np.sum(norms**2, axis=0)
         self.columns += added
         self.links += np.sum((share[:, None, None] * open_links) ** 2, axis=0) * up

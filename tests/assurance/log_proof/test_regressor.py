@@ -13,6 +13,7 @@ from sdpid._common.arrays import Array
 from sdpid.assurance.log_proof.enclosure import U
 from sdpid.assurance.log_proof.joints import Joint
 from sdpid.assurance.log_proof.regressor import motion, regressor
+from sdpid.robot.description.dh_table import DhJoint, DhTable
 from sdpid.robot.inertia import inertia_tensor
 from sdpid.robot.model.base_parameters import generic_states
 from sdpid.robot.model.load import load_robot
@@ -72,6 +73,11 @@ def test_serial_arms(table: Any, seed: int) -> None:
 @pytest.mark.parametrize("text", [TREE, TREE_MIMIC])
 def test_trees_and_mimics(text: str) -> None:
     check(load_robot(text), 3)
+
+
+def test_lengths_whose_squares_are_no_doubles() -> None:
+    joints = (DhJoint(d=1e-236), DhJoint(), DhJoint(d=1e-170, r=0.3))
+    check(RobotModel.from_mdh(DhTable(joints=joints, gravity=(0.0, 10.0, 0.0))), 0)
 
 
 def test_a_pendulum() -> None:
