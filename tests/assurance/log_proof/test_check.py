@@ -126,6 +126,19 @@ def test_another_robot_is_named(run: Path, tmp_path: Path) -> None:
     assert "is another robot: SHA-256" in proof.links[1].text
 
 
+def test_a_written_robot_that_is_mounted_otherwise_is_named(run: Path, tmp_path: Path) -> None:
+    """Also where the robot of the run is given."""
+    results = Path(shutil.copytree(run / "results", tmp_path / "results"))
+    urdf, robot = results / "identified.urdf", run / "arm.urdf"
+    assert states(check_log(results, run / "run.csv", robot=robot))["robot"] == "proven"
+    urdf.write_text(urdf.read_text().replace('rpy="0 0.3 0"', 'rpy="0 0.3000001 0"'))
+    proof = check_log(results, run / "run.csv", robot=robot)
+    assert states(proof)["robot"] == "not proven"
+    assert any(
+        "the kinematics of identified.urdf are not those" in x for x in proof.result.problems
+    )
+
+
 def test_a_robot_with_other_inertias_has_the_same_rows(run: Path, tmp_path: Path) -> None:
     other = tmp_path / "arm.urdf"
     other.write_text(ARM_URDF.replace('<mass value="3.0"/>', '<mass value="4.0"/>'))

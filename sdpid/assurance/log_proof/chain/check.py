@@ -16,7 +16,7 @@ from sdpid._common.threads import one_thread
 from sdpid.assurance.certificate.certificate import GAP
 from sdpid.assurance.certificate.compression import Compression, base_limit, enclose_compression
 from sdpid.assurance.log_proof.chain.links import Bounds, Link, LogProof, State
-from sdpid.assurance.log_proof.chain.robots import URDF, find_robot
+from sdpid.assurance.log_proof.chain.robots import URDF, find_robot, robot_file
 from sdpid.assurance.log_proof.chain.sealed import Sealed
 from sdpid.assurance.log_proof.chain.totals import Totals, of_rows, of_true_rows
 from sdpid.assurance.log_proof.inputs import log_entry, recording_digest
@@ -177,10 +177,13 @@ class _Check:
     def find(self, robot: RobotModel | str | os.PathLike[str] | None) -> None:
         """Find the robot."""
         self.robot, link = find_robot(self.sealed, robot)
-        if self.robot is not None and self.robot.source is not None:
-            of_folder = self.robot.source.name == URDF and robot is None
-            self.roles = ("log",) if of_folder else ("log", "robot")
+        source = None if self.robot is None else self.robot.source
+        of_folder = robot is None and source is not None and source.name == URDF
+        if source is not None and not of_folder:
+            self.roles = ("log", "robot")
         self.say(link.name, link.state, link.text, stop=self.robot is None)
+        if not of_folder and (written := robot_file(self.sealed)) is not None:
+            self.say(written.name, written.state, written.text)
 
     def process(self) -> None:
         """Process the logs as the recipe says."""

@@ -32,11 +32,7 @@ def find_robot(
         robot = given if isinstance(given, RobotModel) else load_robot(given, **recipe.arguments)
         return robot, _judged(sealed, robot, "the given robot" if loaded else shown(str(given)))
     if (ours := _of_folder(sealed)) is not None:
-        text = (
-            f"the kinematics of {URDF} in the folder are, number for number, those that the "
-            f"manifest names (SHA-256 {recipe.kinematics}); gravity {_gravity(recipe)} m/s²"
-        )
-        return ours, Link("robot", "proven", text)
+        return ours, Link("robot", "proven", f"{_same(recipe)}; gravity {_gravity(recipe)} m/s²")
     if recipe.catalog and recipe.source is not None and _installed(recipe.source):
         robot = load_robot(recipe.source, **recipe.arguments)
         return robot, _judged(sealed, robot, shown(recipe.source))
@@ -44,6 +40,24 @@ def find_robot(
     how = "the model in Python (robot=)" if recipe.source is None else f"{named.strip()} (--robot)"
     text = f"the robot's description{named} is not in the folder: give {how}"
     return None, Link("robot", "not proven", text)
+
+
+def robot_file(sealed: Sealed) -> Link | None:
+    """Return whether identified.urdf has the kinematics of the run; None where there is none."""
+    recipe = sealed.recipe.robot
+    if recipe.kinematics is None or not (sealed.folder / URDF).is_file():
+        return None
+    if _of_folder(sealed) is not None:
+        return Link("robot", "proven", _same(recipe))
+    text = f"the kinematics of {URDF} are not those that the manifest names: {recipe.kinematics}"
+    return Link("robot", "not proven", text)
+
+
+def _same(recipe: RobotRecipe) -> str:
+    return (
+        f"the kinematics of {URDF} in the folder are, number for number, those that the manifest "
+        f"names (SHA-256 {recipe.kinematics})"
+    )
 
 
 def _of_folder(sealed: Sealed) -> RobotModel | None:
