@@ -3,36 +3,46 @@
 from __future__ import annotations
 
 import hashlib
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 
 from sdpid.estimation.compression.rows import RowSource
 from sdpid.estimation.problem import Problem
+from sdpid.experiment.processing.samples import Samples
 
 # What the rows are made of, in the order in which it is hashed.
 _FIELDS = ("position", "velocity", "acceleration", "effort", "mask", "covariance")
 
 
 def rows_digest(problem: Problem) -> str | None:
-    """Return the SHA-256 of the samples: shape and little-endian doubles of each array.
+    """Return the SHA-256 of the samples; None where the rows were not kept."""
+    return None if problem.rows is None else _joined(problem.rows.map(_of_rows))
 
-    Of several pieces it is that of their digests, one behind the other. None where the rows were
-    not kept.
+
+def samples_digest(samples: Samples) -> str:
+    """Return the SHA-256 of samples: shape and little-endian doubles of each array.
+
+    Of several pieces it is that of their digests, one behind the other.
     """
-    if problem.rows is None:
-        return None
-    digests = problem.rows.map(_digest)
+    return _joined([_of_piece(piece) for piece in samples.pieces])
+
+
+def _joined(digests: Sequence[str]) -> str:
     if len(digests) == 1:
         return digests[0]
     return hashlib.sha256("".join(digests).encode()).hexdigest()
 
 
-def _digest(rows: RowSource) -> str:
-    """Return the SHA-256 of the samples of one piece."""
+def _of_rows(rows: RowSource) -> str:
+    return _of_piece(rows.samples)
+
+
+def _of_piece(samples: Samples) -> str:
     found = hashlib.sha256()
     for name in _FIELDS:
-        values: Any = getattr(rows.samples, name)
+        values: Any = getattr(samples, name)
         if values is None:
             found.update(f"{name}: none\n".encode())
             continue

@@ -87,6 +87,7 @@ def test_the_whole_chain_holds(run: Path) -> None:
 def test_the_robots_description_counts_where_it_is_given(run: Path) -> None:
     proof = check_log(run / "results", [run / "run.csv"], robot=run / "arm.urdf")
     assert proof.result.passed
+    assert "number for number those of the run" in proof.links[2].text
     assert "'arm.urdf'" not in proof.links[1].text
     assert "has the SHA-256 of the manifest" in proof.links[1].text
 
