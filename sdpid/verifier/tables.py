@@ -286,12 +286,12 @@ def _refuted(proof: Refutation) -> Result:
             ("the bound on all parameters", proof.uses_theta_max),
             ("the margin", q.margin > 0 and proof.spread != 0),
         )
-        needed = ", ".join(name for name, is_used in used if is_used) or "no bound and no margin"
+        needed = [name for name, is_used in used if is_used] or ["nothing else"]
         said += [
             "No links that obey the constraints have these numbers.",
             f"{inequality(proof)}.",
             f"In the table: {_numbers(q, proof.weights)}.",
-            f"The inequality needs the links' consistency, and {needed}.",
+            f"The inequality needs the links' consistency and {', '.join(needed)}.",
         ]
     return Result(tuple(said), tuple(problems), unchecked(q))
 

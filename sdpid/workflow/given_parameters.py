@@ -20,6 +20,9 @@ from sdpid.robot.model.model import RobotModel
 # Joints of two descriptions that are this near to each other (m, rad) are the same.
 _SAME_PLACE = 1e-6
 
+# No parameter of a robot is larger or, unless it is zero, smaller: squares of them are doubles.
+_LARGEST, _SMALLEST = 1e12, 1e-100
+
 # Names of parameters that a message lists.
 _LISTED = 8
 
@@ -51,7 +54,7 @@ class GivenParameters:
         Raises
         ------
         DataError
-            When neither is so, or a name is not one of the problem's.
+            When neither is so, a name is not one of the problem's, or a number no robot's.
         """
         base = problem.base
         rigid = base.theta_names[: 10 * problem.robot.n_links]
@@ -63,6 +66,12 @@ class GivenParameters:
                 "friction terms that have them with friction=(...) (--friction TERM), or leave "
                 "them out."
             )
+        for name, x in self.values.items():
+            if x and not _SMALLEST <= abs(x) <= _LARGEST:
+                raise DataError(
+                    f"{self.source}: {name} is {x:g}; no robot has a parameter beyond "
+                    f"{_LARGEST:g}, or that near to zero (give 0)."
+                )
         lacking = [name for name in rigid if name not in self.values]
         if not lacking:
             return True

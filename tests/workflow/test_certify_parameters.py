@@ -179,6 +179,13 @@ def test_names_must_be_the_problems_and_complete() -> None:
         certify_parameters(problem, given(values))
 
 
+@pytest.mark.parametrize("wrong", [1e13, -1e300, 5e-324, float("inf"), float("nan")])
+def test_numbers_that_no_robot_has_are_refused(wrong: float) -> None:
+    problem, theta, _ = arm()
+    with pytest.raises(DataError, match=r"other.csv: zz_2 is .*no robot has"):
+        certify_parameters(problem, given({**named(problem, theta), "zz_2": wrong}))
+
+
 # -------------------------------------------------------------------- files
 
 

@@ -94,7 +94,7 @@ def test_proofs_are_checked_by_the_folder_alone(kind: str, tmp_path: Path) -> No
         assert "'table_iv.csv'" in said
         assert "48 parameters" in said
         assert "a margin of at least 0.005 kg.m2" in said
-        assert "needs the links' consistency, and the margin" in said
+        assert "needs the links' consistency and the margin" in said
     changed = proof(kind)
     changed["parameters"][0]["value"] = "17"
     path.write_text(json.dumps(changed), encoding="utf-8")
