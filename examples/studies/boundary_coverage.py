@@ -13,7 +13,7 @@ import argparse
 import sys
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -23,12 +23,14 @@ from sdpid._common.progress import progress
 from sdpid._common.tables import Table
 from sdpid.experiment.plant.simulate import true_parameters
 from sdpid.robot.inertia import (
+    Consistency,
     complement,
     physical_parameters,
     point_masses,
     second_moment_from_inertia,
     theta_from_physical,
 )
+from sdpid.robot.model.base_parameters import BaseParameters
 
 # Margin of the Denso on its boundary, kg·m².
 MARGIN = 0.02
@@ -44,19 +46,18 @@ class Case:
     robot: sdpid.RobotModel
     theta: np.ndarray
     constraints: sdpid.Constraints
-    consistency: str = "pseudo_inertia"
+    consistency: Consistency = "pseudo_inertia"
     noise: float = 0.5
     count: int = 200
 
 
-def arm(last: np.ndarray, mass_max: float = 1.0, **fields: object) -> Case:
+def arm(last: np.ndarray, mass_max: float = 1.0, noise: float = 0.5) -> Case:
     """Return a two-link arm with crossing axes whose last link is given, (10,)."""
     rows = [{"r": 0.2}, {"alpha": np.pi / 2}]
     robot = sdpid.RobotModel.from_mdh(rows, name="arm")
     first = body(0.1, [0.1, 0.05, 0.0])
     theta = np.concatenate([first, last, [0.5, 0.4, 0.8, 0.6]])
-    limits = sdpid.Constraints(mass_max=mass_max)
-    return Case(robot, theta, limits, **fields)  # type: ignore[arg-type]
+    return Case(robot, theta, sdpid.Constraints(mass_max=mass_max), noise=noise)
 
 
 def body(size: float, center: list[float]) -> np.ndarray:
@@ -81,9 +82,8 @@ def plate() -> np.ndarray:
 def on_the_margin(center: list[float], inertia: list[float]) -> Case:
     """Return an arm whose last link's 6×6 spatial inertia has exactly the margin asked for."""
     last = theta_from_physical(1.0, np.array(center), np.diag(inertia))
-    case = arm(last, consistency="spatial_inertia")
     limits = sdpid.Constraints(mass_max=1.0, margin=min(inertia))
-    return Case(case.robot, case.theta, limits, case.consistency)
+    return replace(arm(last), constraints=limits, consistency="spatial_inertia")
 
 
 def denso(*, boundary: bool) -> Case:
@@ -126,78 +126,73 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--out", type=Path, default=Path("results"))
     parser.add_argument("--draws", type=int, default=200)
+    parser.add_argument("--first", type=int, default=0, help="seed of the first draw")
     parser.add_argument("--cases", nargs="*", choices=list(CASES), default=list(CASES))
-    parser.add_argument("--method", default="profile")
+    parser.add_argument(
+        "--method", choices=("profile", "gauss_markov", "bootstrap"), default="profile"
+    )
     parser.add_argument("--base", action="store_true", help="base parameters only")
     parser.add_argument("--quick", action="store_true", help="10 draws")
     options = parser.parse_args()
-    global OUT
-    OUT = options.out
     options.out.mkdir(parents=True, exist_ok=True)
     draws = 10 if options.quick else options.draws
-    rows = [run(case, draws, options.method, options.base) for case in options.cases]
-    names = ("case", "draws", "worst", "its_percent", "next", "mean_percent", "width", "seconds")
+    seeds = range(options.first, options.first + draws)
+    rows = [run(case, seeds, options) for case in options.cases]
+    names = ("case", "draws", "held_least_percent", "mean_percent", "width_of_first", "seconds")
     table = Table(names, tuple(rows))
     table.write(options.out / "boundary_coverage.csv")
     print(table.text(4))
     return 0
 
 
-def run(name: str, draws: int, method: str, base_only: bool) -> tuple[object, ...]:
-    """Return the worst parameter of one case."""
+def run(name: str, seeds: range, options: argparse.Namespace) -> tuple[object, ...]:
+    """Return one case's parameters that are held least often."""
     case = CASES[name]()
-    rng = np.random.default_rng(20)
-    n = case.robot.n
-    q, v, a = (rng.uniform(-s, s, (case.count, n)) for s in (np.pi, 3.0, 10.0))
-    base = None
-    held, widths = [], []
-    seconds = 0.0
-    with progress(draws, name) as advance:
-        for draw in range(draws):
-            noise = case.noise * np.random.default_rng(draw).standard_normal((case.count, n))
-            if base is None:
-                samples = sdpid.Samples(position=q, velocity=v, acceleration=a, effort=noise)
-                blank = sdpid.build_problem(case.robot, samples)
-                base = blank.base
-                exact = blank.predict(base.matrix @ case.theta)
-            samples = sdpid.Samples(
-                position=q, velocity=v, acceleration=a, effort=exact + noise, block=4
-            )
+    motion, exact, base = measured(case)
+    names = (*base.names, *base.theta_names)
+    truth = dict(zip(names, [*(base.matrix @ case.theta), *case.theta], strict=True))
+    held, widths, seconds = [], [], 0.0
+    with progress(len(seeds), name) as advance:
+        for seed in seeds:
+            noise = case.noise * np.random.default_rng(seed).standard_normal(exact.shape)
             problem = sdpid.build_problem(
                 case.robot,
-                samples,
+                sdpid.Samples(**motion, effort=exact + noise, block=4),
                 base=base,
                 constraints=case.constraints,
-                consistency=case.consistency,  # type: ignore[arg-type]
+                consistency=case.consistency,
             )
             estimate = sdpid.solve_sdp(problem)
             begin = time.perf_counter()
             found = sdpid.confidence_intervals(
                 estimate,
-                method=method,  # type: ignore[arg-type]
-                parameters=base.names if base_only else None,
+                method=options.method,
+                parameters=base.names if options.base else None,
                 n_jobs=1,
             )
             seconds += time.perf_counter() - begin
-            theta = dict(zip(base.theta_names, case.theta, strict=True))
-            truth = {**theta, **dict(zip(base.names, base.matrix @ case.theta, strict=True))}
             held.append(found.contains([truth[each] for each in found.names]))
             widths.append(found.width)
             advance(1)
+    file = options.out / f"{name.replace(' ', '_')}_{seeds.start}.npz"
+    np.savez(file, names=found.names, held=held, widths=widths)
     share = 100.0 * np.mean(held, axis=0)
     order = np.argsort(share)
-    listed = ", ".join(f"{found.names[i]} {share[i]:.1f}" for i in order[1:6])
-    np.savez(OUT / (name.replace(" ", "_") + ".npz"), names=found.names, held=held, widths=widths)
-    return (
-        name,
-        draws,
-        found.names[order[0]],
-        float(share[order[0]]),
-        listed,
-        float(share.mean()),
-        float(np.median(widths, axis=0)[order[0]]),
-        seconds / draws,
-    )
+    listed = ", ".join(f"{found.names[i]} {share[i]:.1f}" for i in order[:6])
+    mean, width = float(share.mean()), float(np.median(widths, axis=0)[order[0]])
+    return name, len(seeds), listed, mean, width, seconds / len(seeds)
+
+
+def measured(case: Case) -> tuple[dict[str, np.ndarray], np.ndarray, BaseParameters]:
+    """Return the motion of a case, its exact efforts (K, n), and the base parameters."""
+    rng = np.random.default_rng(20)
+    shape = (case.count, case.robot.n)
+    # Ranges of positions, velocities and accelerations, rad and s.
+    ranges = {"position": np.pi, "velocity": 3.0, "acceleration": 10.0}
+    motion = {name: rng.uniform(-most, most, shape) for name, most in ranges.items()}
+    samples = sdpid.Samples(**motion, effort=np.ones(shape))
+    problem = sdpid.build_problem(case.robot, samples)
+    return motion, problem.predict(problem.base_of(case.theta)), problem.base
 
 
 if __name__ == "__main__":

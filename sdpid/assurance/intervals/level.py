@@ -53,10 +53,13 @@ class Move:
         How the residual moves from the estimate; None where that is not known.
     lost : ndarray, shape (r, r), or None
         By how much less the fitted rows move with the data; None where a single direction is lost.
+    to_limit : float or None
+        Where constraints alone end the function: the rise at which it gets there.
     """
 
     residual: Array | None = None
     lost: Array | None = None
+    to_limit: float | None = None
 
 
 class Level:

@@ -46,6 +46,13 @@ from sdpid.estimation.sdp.program import Coordinates, SdpProgram
 _SETTLED = 0.1
 _ROUNDS = 8
 
+# Nor is a lower level where the multipliers prove a bound this close, in shares of the end's
+# distance, to a point between the extreme and the estimate.
+_TIGHT = 1e-4
+
+# An extreme that moves by less than this share with the radius is a limit of the constraints.
+_FLAT = 1e-4
+
 # Ends that are one job: their levels are found together.
 _TOGETHER = 8
 
@@ -71,7 +78,7 @@ class End:
     rise : float
         The level, above the estimate's cost.
     solved : float
-        The level at which it was found.
+        The level of that point.
     rests : tuple of bool
         Whether it rests on theta_max, and on the largest mass.
     prior_share : float
@@ -139,7 +146,12 @@ class ProfileLikelihood:
             problem, scaling, coordinates, np.ones(problem.n_theta, dtype=bool)
         )
         self.family = ConicFamily(replace(self.program.conic, cost=None, radius=1.0))
-        self.response = FitResponse(self.program.conic)
+        conic = self.program.conic
+        self.response = FitResponse(conic)
+        pattern = np.vstack([conic.M != 0.0, np.ones((1, conic.n), dtype=bool)])
+        self.held = ConicFamily(
+            replace(conic, M=pattern * 1.0, m=np.zeros(len(pattern))), pattern=pattern
+        )
 
     @cached_property
     def _free(self) -> Array:
@@ -196,12 +208,35 @@ class ProfileLikelihood:
                 before = ends.get(i, _NOTHING)
                 seconds, solves = before.seconds + end.seconds, before.solves + end.solves
                 ends[i] = replace(end, rise=rise, seconds=seconds, solves=solves)
-            left = [i for i in left if abs(ends[i].rise - levels[i]) > _SETTLED * levels[i]]
+            moves = dict(zip(left, (move for _, move in found), strict=True))
+            left = []
+            for i, move in moves.items():
+                nearer = self._nearer(wanted[i][0], ends[i], move)
+                ends[i] = nearer or ends[i]
+                if nearer is None:
+                    left.append(i)
+                    levels[i] = ends[i].rise
             if not left:
                 break
-            for i in left:
-                levels[i] = ends[i].rise
         return [ends[i] for i in range(len(wanted))]
+
+    def _nearer(self, c: Array, end: End, move: Move) -> End | None:
+        """Return the end at its new level where that needs no other solve, else None."""
+        if move.to_limit is not None:
+            return end if move.to_limit <= end.rise else None
+        if abs(end.rise - end.solved) <= _SETTLED * end.solved:
+            return end
+        if move.residual is None or end.rise > end.solved:
+            return None
+        # Inside of all constraints extremes lie on a line through the estimate.
+        square, product = float(move.residual @ move.residual), float(move.residual @ self.residual)
+        share = min((np.sqrt(product**2 + square * end.rise) - product) / square, 1.0)
+        here = float(c @ self.theta)
+        found = here + share * (end.found - here)
+        box = self.problem.feasible.lower, self.problem.feasible.upper
+        if found - self.proven(c, end, box) > _TIGHT * (here - found):
+            return None
+        return replace(end, found=found, solved=end.rise)
 
     def minimum(self, c: Array, moved: Array | None = None) -> End:
         """Return the minimum of c·theta.
@@ -251,18 +286,33 @@ class ProfileLikelihood:
                 problem=self.problem,
             )
         end, moved, solution = best.value
-        lost = self._lost(slope, radius / self.unit, solution)
-        return replace(end, seconds=best.seconds, solves=best.solves), Move(moved, lost)
+        end = replace(end, seconds=best.seconds, solves=best.solves)
+        return self._with_move(end, moved, slope / size, radius / self.unit, solution)
 
-    def _lost(self, slope: Array, radius: float, found: ConicSolution) -> Array | None:
-        """Return by how much less the fitted rows move at an extreme than at the estimate."""
+    def _with_move(
+        self, end: End, moved: Array, slope: Array, radius: float, found: ConicSolution
+    ) -> tuple[End, Move]:
+        """Return an end and what the fit loses there, the slope being of size one."""
         pull = float(found.ball[0])
-        if found.x is None or pull <= 0.0 or not np.any(slope):
-            return None
-        # The multiplier of the radius, per unit of the squares: both in units of the slope's size.
-        weight = 2.0 * radius / pull
-        there = self.response.at(found.x, found.rows, found.blocks, weight=weight, held=slope)
-        return self._free - there
+        if found.x is None or not np.any(slope):
+            return end, Move(moved)
+        value = float(slope @ found.x)
+        if pull * radius > _FLAT * abs(value):
+            # The multiplier of the radius, per unit of the squares.
+            weight = 2.0 * radius / pull
+            there = self.response.at(found.x, found.rows, found.blocks, weight=weight, held=slope)
+            return end, Move(moved, self._free - there)
+        # The data have no say at this level: what do they say of parameters at that limit?
+        conic, stiff = self.program.conic, self.response.stiff
+        squares = np.vstack([conic.M, stiff * slope]), np.append(conic.m, -stiff * value)
+        held = self.held.solve(squares=squares)
+        end = replace(end, seconds=end.seconds + held.seconds, solves=end.solves + 1)
+        if held.x is None:
+            return end, Move(moved)
+        there = self.response.at(held.x, held.rows, held.blocks, held=slope)
+        moved = self.problem.squared.residual(self.program.theta(held)) - self.residual
+        to_limit = float(moved @ moved + 2.0 * moved @ self.residual)
+        return end, Move(moved, self._free - there, to_limit)
 
     def _radius(self, rise: float) -> float:
         return float(np.sqrt(self.cost + rise))

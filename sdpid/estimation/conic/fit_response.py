@@ -44,12 +44,18 @@ class FitResponse:
     ----------
     program : ConicProgram
         Its squares, matrices and limits are used, in units of order one.
+
+    Attributes
+    ----------
+    stiff : float
+        Stiffness of a pinned direction, of size one.
     """
 
     def __init__(self, program: ConicProgram) -> None:
         self.program = program
         U, singular, _ = np.linalg.svd(program.M, full_matrices=False)
         self._size = float(singular[0])
+        self.stiff = _STIFF * self._size
         U = U[:, singular > _OPEN * singular[0]]
         # Where no constraint is active.
         self._unconstrained: Array = np.asarray(U @ U.T)
@@ -82,7 +88,7 @@ class FitResponse:
         """
         stiff = [*self._limits(x, weight * rows), *self._matrices(x, weight, blocks)]
         if held is not None:
-            stiff.append(held[None] * (_STIFF * self._size / np.linalg.norm(held)))
+            stiff.append(held[None] * (self.stiff / np.linalg.norm(held)))
         if not stiff:
             return self._unconstrained
         M = self.program.M
@@ -98,12 +104,12 @@ class FitResponse:
         root = np.sqrt(0.5 * np.abs(pull) / np.maximum(room, _INSIDE))
         active = root * size > _SLACK * self._size
         if np.any(active):
-            most = _STIFF * self._size / size[active]
+            most = self.stiff / size[active]
             yield np.minimum(root[active], most)[:, None] * C[active]
 
     def _matrices(self, x: Array, weight: float, blocks: tuple[Array, ...]) -> Iterator[Array]:
         """Yield the rows of K's root of each matrix inequality that is active."""
-        least, most = _SLACK * self._size, _STIFF * self._size
+        least, most = _SLACK * self._size, self.stiff
         pairs = zip(self.program.blocks, blocks, strict=True)
         for _, run in groupby(pairs, key=lambda pair: len(pair[1])):
             matrices, duals = zip(*run, strict=True)
