@@ -199,14 +199,15 @@ class _Compressed:
 def _small(R: Array, limit: Array) -> Array:
     """Return columns' weights D so small that ``‖D·z‖²`` hardly counts beside the floor.
 
-    They make directions definite that no data show. A base parameter that is zero in the whole box
-    gets the size of its own column: whatever it is, it contributes nothing.
+    They make directions definite that no data show. None is above the size of its own column, or
+    above 1 where the column is zero: a base parameter may be zero in the whole box.
     """
     efforts = float(np.sum(np.square(R[:, -1])))
     scale = max(float(R[-1, -1]) ** 2, TINY_COST * efforts) or 1.0
     own = np.sqrt(np.einsum("ij,ij->j", R, R))
+    most = own + (own == 0.0)
     share = math.sqrt(scale / len(limit))
-    return np.where(limit > 0.0, share / np.where(limit > 0.0, limit, 1.0), own + (own == 0.0))
+    return np.asarray(share / np.maximum(limit, share / most))
 
 
 def _inverse(factor: Array) -> Array | None:
@@ -268,9 +269,9 @@ def _of_normal_equations(sums: RowSums, compressed: _Compressed) -> float:
     With ‖(G − R)·M‖ ≤ h, ‖G·z‖ is within h·‖w‖ of ‖R·z‖.
     """
     R, M = compressed.R[:-1], compressed.M
-    left = sums.gram[:-1] - R
+    left, larger = sums.gram[:-1] - R, 1.0 + sums.weight
     off = norm(left @ M) + gamma(len(M) + 1) * norm(np.abs(left) @ np.abs(M)) + UNDERFLOW
-    for share, sizes in ((sums.rounding, sums.lengths), (1.0, sums.off_lengths)):
+    for share, sizes in ((larger * sums.rounding, sums.lengths), (1.0, sums.off_lengths)):
         off += SLACK * share * norm(sizes[:-1]) * norm(sizes @ np.abs(M))
     h = SLACK * off / math.sqrt(compressed.least)
     return SLACK * (2.0 + h) * h

@@ -66,7 +66,7 @@ class RowSums:
 
     @property
     def rounding(self) -> float:
-        """Every entry of `gram` is off by at most this share of the two columns' norms."""
+        """Every entry of `gram` is off by at most this share of its factors' columns' norms."""
         return gamma(self.operations)
 
     @property
