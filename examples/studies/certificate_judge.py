@@ -22,6 +22,7 @@ import hashlib
 import json
 import sys
 import warnings
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
@@ -40,6 +41,9 @@ BOUND = 1e-6
 
 # Where a solver calls its own optimum inaccurate, so much is left open.
 INACCURATE = 1e-2
+
+# Bounds on parameters beyond this size (SI units) are not put to a solver.
+FAR = 1e6
 
 # Eigenvalues, relative to the matrix's own size; sums, relative to the sum of their terms' sizes.
 ROUNDING = mp.mpf(10) ** -40
@@ -123,14 +127,21 @@ class Judge:
         made = ["lower bound"]
         if data["theta"] is not None:
             made += ["feasible"] if data["claims"]["cost"] is None else ["feasible", "cost", "gap"]
-        return {claim: self.claim(data, claim) for claim in made}
+        return self.claims(data, made)
 
     def claim(self, data: dict[str, Any], claim: str) -> tuple[Verdict, str]:
-        """Return the verdict on one claim; numbers of the file stand for doubles."""
+        """Return the verdict on one claim."""
+        return self.claims(data, [claim])[claim]
+
+    def claims(self, data: dict[str, Any], made: Sequence[str]) -> dict[str, tuple[Verdict, str]]:
+        """Return the verdict on some claims; numbers of the file stand for doubles."""
         data = doubles(data)
-        if claim == "lower bound":
-            return self.bound(data)
-        return {"feasible": feasible, "cost": cost_claim, "gap": gap_claim}[claim](data)
+        # The cost of the parameters themselves is needed again and again.
+        if data["theta"] is not None and {*made} & {"lower bound", "cost"}:
+            data["costs"] = costs(data, data["theta"])
+        judges = {"lower bound": self.bound, "feasible": feasible}
+        judges |= {"cost": cost_claim, "gap": gap_claim}
+        return {claim: judges[claim](data) for claim in made}
 
     def bound(self, data: dict[str, Any]) -> tuple[Verdict, str]:
         """Judge: no feasible parameters cost less than the claimed bound."""
@@ -183,7 +194,10 @@ def tiny(problem: dict[str, Any]) -> float:
 def costs(data: dict[str, Any], theta: Any) -> tuple[mp.mpf, mp.mpf]:
     """Return the data's and the prior's share of the cost, with 50 digits."""
     problem = data["problem"]
-    base = [mp.fdot(row, theta) for row in problem["base_matrix"]]
+    base = [
+        mp.fdot((a, x) for a, x in zip(row, theta, strict=True) if a)
+        for row in problem["base_matrix"]
+    ]
     left = [mp.fdot(row, base) - h for row, h in zip(problem["A"], problem["rhs"], strict=True)]
     prior = [
         mp.fdot(row, theta) - h
@@ -202,15 +216,20 @@ def costs(data: dict[str, Any], theta: Any) -> tuple[mp.mpf, mp.mpf]:
     return own, beside
 
 
+def known_costs(data: dict[str, Any], theta: Any) -> tuple[mp.mpf, mp.mpf]:
+    """Return the two shares, computed before where theta are the file's parameters."""
+    return data["costs"] if theta is data["theta"] else costs(data, theta)
+
+
 def least(data: dict[str, Any], theta: Any) -> mp.mpf:
     """Return the least cost of theta that the compression's error leaves possible."""
-    (delta, epsilon), (own, beside) = compression(data), costs(data, theta)
+    (delta, epsilon), (own, beside) = compression(data), known_costs(data, theta)
     return (1 - mp.mpf(delta)) * own - epsilon + beside
 
 
 def most(data: dict[str, Any], theta: Any) -> mp.mpf:
     """Return the largest one."""
-    (delta, epsilon), (own, beside) = compression(data), costs(data, theta)
+    (delta, epsilon), (own, beside) = compression(data), known_costs(data, theta)
     return (1 + mp.mpf(delta)) * own + epsilon + beside
 
 
@@ -311,7 +330,10 @@ def model(data: dict[str, Any]) -> tuple[Any, list[Any], Any]:
     # As many rows as columns say the same, and the rest is a constant.
     R = np.linalg.qr(np.column_stack([np.vstack(matrices), np.concatenate(sides)]), mode="r")
     cost = cp.sum_squares(R[:, :-1] @ x - R[:, -1])
-    demands = [x >= np.array(problem["lower"]), x <= np.array(problem["upper"])]
+    lower, upper = np.array(problem["lower"]), np.array(problem["upper"])
+    # Without bounds that no solver can work with, the optimum is the same or lower.
+    far = (np.abs(lower) < FAR, np.abs(upper) < FAR)
+    demands = [x[far[0]] >= lower[far[0]], x[far[1]] <= upper[far[1]]]
     kind = problem["consistency"]
     bodies = [x[10 * i : 10 * i + 10] for i in range(problem["links"])]
     if kind != "none":

@@ -30,7 +30,7 @@ from pathlib import Path
 from random import Random
 from typing import Any
 
-from certificate_judge import Judge
+from certificate_judge import Judge, doubles
 from certificate_mutations import MUTATIONS, Data
 from certificate_zoo import made
 
@@ -117,8 +117,7 @@ def judged(judge: Judge, data: Data) -> tuple[str, list[str], list[str]]:
     answer = "accepted" if result.passed else "not proven"
     said = [CLAIMS[start] for start in CLAIMS for s in result.statements if s.startswith(start)]
     false, undecided = list(wrong_words(result, read)), []
-    for claim in said:
-        verdict, why = judge.claim(read, claim)
+    for claim, (verdict, why) in judge.claims(read, said).items():
         if verdict != "true":
             (false if verdict == "false" else undecided).append(f"{claim}: {why}")
     return answer, false, undecided
@@ -126,6 +125,7 @@ def judged(judge: Judge, data: Data) -> tuple[str, list[str], list[str]]:
 
 def wrong_words(result: Any, data: Data) -> Iterator[str]:
     """Yield what the sentences say that is not so in the file."""
+    data = doubles(data)
     claims, problem, origin = data["claims"], data["problem"], data["origin"]
     if not all(
         each.isprintable() for each in (*result.statements, *result.problems, *result.unchecked)
@@ -161,7 +161,7 @@ def wrong_words(result: Any, data: Data) -> Iterator[str]:
     if problem["rows"] or problem["cones"]:
         counts[f"{len(problem['rows'])} rows and {len(problem['cones'])} cones"] = "conditions"
     if problem["consistency"] != "none":
-        counts[f"margin {float(problem['margin'])!r} kg.m2 of each link"] = "the margin"
+        counts[f"margin {0.0 + problem['margin']!r} kg.m2 of each link"] = "the margin"
     for words, what in counts.items():
         if words not in rest:
             yield f"nothing said of {what} ({words})"
