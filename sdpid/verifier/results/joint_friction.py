@@ -46,8 +46,9 @@ def compared(
     if friction.fitted:
         return Result(
             unchecked=(
-                f"{', '.join(places)} of its joints: fitted to the efforts anew, since it has no "
-                "place for some parameters; sealed, and not derivable from the certificate",
+                f"{', '.join(places)} of its joints: result.json says that they were fitted to the "
+                "efforts anew, as some parameters have no place in it; the certificate does not "
+                "tell them",
             )
         )
     problems, equal = [], set()

@@ -172,7 +172,7 @@ def check(source: bytes, bodies: Mapping[str, Sequence[float]], friction: Fricti
         if not exists(found[0].mass, found[0].moments, CONSISTENCY):
             problems.append(f"body {shown(name)} is none: {CONSISTENCY} does not hold")
     said = () if problems else (agreement(len(bodies), raised, CONSISTENCY),)
-    unchecked = ("its gravity and joints (places, axes, limits): they are the description's",)
+    unchecked = ("that gravity and its joints (places, axes, limits) are the description's",)
     result = Result(said, tuple(problems), unchecked)
     return result + compared(_values(moving.values()), friction, PLACES)
 

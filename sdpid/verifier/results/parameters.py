@@ -89,7 +89,7 @@ def check_parameters(content: bytes, certified: Certified) -> Result:
             raise MalformedError(f"{key} is no object")
         found = None if given is None else {name: given[name]["value"] for name in given}
         problems += _other_values(found, values, f"{key} parameter")
-    return _result(problems, "intervals, standard errors, shares, units and expressions")
+    return _result(problems, "its intervals, standard errors, shares, units and expressions")
 
 
 def check_result(content: bytes, certified: Certified, holds: bool) -> Result:
@@ -103,7 +103,7 @@ def check_result(content: bytes, certified: Certified, holds: bool) -> Result:
         ("base_parameters", certified.base),
     ):
         problems += _other_values(data[key], values, key.replace("_", " ")[:-1])
-    return _result(problems, "errors of prediction, intervals, findings and what it says in words")
+    return _result(problems, "its errors of prediction, intervals, findings and words")
 
 
 def exports(content: bytes) -> dict[str, bool]:

@@ -195,15 +195,15 @@ def _unchecked(
     """Return what a URDF says beside the certified parameters."""
     carried = {child for link in bodies if link in urdf.links for child, _ in urdf.attached(link)}
     still = urdf.links.keys() - carried - bodies.keys()
-    said = ["its joints (places, axes, limits) and shapes: they are the description's"]
+    said = ["that its joints (places, axes, limits) and shapes are the description's"]
     for link in sorted(carried):
         found = urdf.inertial(link)
         if found is None or not any(found[0].named().values()):
             continue
         if not exists(found[0].mass, found[0].moments, consistency):
-            said.append(f"link {shown(link)}, fixed to another, is no body in the description")
+            said.append(f"link {shown(link)}, fixed to another: it is no body, and not estimated")
     if still:
-        said.append(f"the inertials of {len(still)} links that do not move: the description's")
+        said.append(f"that {len(still)} links which do not move have the description's inertials")
     if urdf.others:
-        said.append(f"its elements {', '.join(map(shown, urdf.others))}: the description's")
+        said.append(f"that its elements {listed(urdf.others)} are the description's")
     return tuple(said)
