@@ -26,6 +26,9 @@ from sdpid.robot.model.model import RobotModel
 PER_SAMPLE: tuple[Weighting, ...] = ("gls_per_sample", "eq9", "eq18")
 
 _TEXT = (str, type(None))
+# More than on any planet, m/s².
+_MOST_GRAVITY = 100.0
+
 _READING = {each.name for each in fields(Arguments)}
 _SETTINGS = tuple(each.name for each in fields(Processing) if each.name != "reasons")
 
@@ -92,7 +95,10 @@ class RobotRecipe:
         arguments = given["xacro_args"]
         if not (isinstance(arguments, dict) and all(type(x) is str for x in arguments.values())):
             raise TypeError(f"xacro_args of the robot are {arguments!r:.80}")
-        return cls(**{**given, "gravity": tuple(float(each) for each in given["gravity"])})
+        gravity = tuple(float(each) for each in given["gravity"])
+        if len(gravity) != 3 or not all(abs(each) <= _MOST_GRAVITY for each in gravity):
+            raise ValueError(f"gravity is {given['gravity']!r:.80}")
+        return cls(**{**given, "gravity": gravity})
 
     @property
     def arguments(self) -> dict[str, Any]:
@@ -151,7 +157,7 @@ class Recipe:
             without_effort=prepared.without_effort,
             friction=tuple(_explicit(term, problem.robot) for term in problem.friction.terms),
             weighting=problem.weighting,
-            sigma=None if each else frozen(problem.sigma),
+            sigma=None if each else _symmetric(problem.sigma),
         )
         recipe.to_dict()
         return recipe
@@ -199,7 +205,7 @@ class Recipe:
             robot=RobotRecipe.from_dict(robot),
             reading=tuple(log["reading"] for log in given["logs"]),
             processing=Processing(**processing),
-            without_effort=tuple(map(str, given["without_effort"])),
+            without_effort=_texts(given["without_effort"], "without_effort"),
             friction=tuple(term_from_dict(term) for term in given["friction"]),
             weighting=given["weighting"],
             sigma=None if given["sigma"] is None else _covariance(given["sigma"]),
@@ -226,7 +232,21 @@ def _covariance(given: Any) -> Array:
     values = np.array(given, dtype=np.float64)
     if values.ndim != 2 or values.shape[0] != values.shape[1] or not np.isfinite(values).all():
         raise ValueError(f"sigma has the shape {values.shape}, expected a square matrix")
+    if not np.array_equal(values, values.T):
+        raise ValueError("sigma is not symmetric")
     return frozen(values)
+
+
+def _symmetric(covariance: Array) -> Array:
+    """Return a covariance (n, n) without rounding beside its diagonal: the lower half counts."""
+    return frozen(np.tril(covariance) + np.tril(covariance, -1).T)
+
+
+def _texts(given: Any, name: str) -> tuple[str, ...]:
+    """Return a list of texts."""
+    if not isinstance(given, list) or not all(type(each) is str for each in given):
+        raise TypeError(f"{name} is {given!r:.80}, expected a list of names")
+    return tuple(given)
 
 
 def _require_keys(given: Any, *names: Sequence[str] | str) -> None:

@@ -12,6 +12,7 @@ import numpy as np
 
 from sdpid._common.arrays import frozen
 from sdpid._common.progress import progress
+from sdpid._common.text import printable
 from sdpid._common.threads import one_thread
 from sdpid.assurance.certificate.certificate import GAP
 from sdpid.assurance.certificate.compression import Compression, base_limit, enclose_compression
@@ -137,7 +138,7 @@ class _Check:
 
     def say(self, name: str, state: State, text: str, *, stop: bool = False) -> None:
         """Add a link; `stop` where those that follow cannot be checked."""
-        self.links.append(Link(name, state, text))
+        self.links.append(Link(name, state, printable(text)))
         if stop:
             self.broken = name
 
