@@ -2,27 +2,30 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 
-from sdpid._common.arrays import Array, frozen
+from sdpid._common.arrays import Array, Indices, frozen
 from sdpid.assurance.log_proof.box import Box
 from sdpid.assurance.log_proof.enclosure import TINY, UP, U, largest, root
 from sdpid.assurance.log_proof.friction_columns import enclosed_columns, has_formula
 from sdpid.assurance.log_proof.joints import Joint
 from sdpid.assurance.log_proof.regressor import motion, regressor
-from sdpid.assurance.log_proof.weights import diagonal_weights
+from sdpid.assurance.log_proof.weights import diagonal_weights, lesser_weights
 from sdpid.estimation.compression.covariance import Weighting
 from sdpid.estimation.compression.rows import Rows, RowSource
 from sdpid.estimation.constraints.feasible_set import FeasibleSet
-from sdpid.robot.model.base_parameters import BaseParameters
 from sdpid.robot.model.regressor_kernel import Tree, flatten
 
 # Samples of a chunk: its arrays stay in a second-level cache, and a call costs little beside them.
 CHUNK = 1024
+
+# Of a humanoid's rows so many make hundreds of megabytes: no more bytes than this, but at least so
+# many samples that calls do not count.
+_BYTES, _LEAST = 1 << 24, 64
 
 
 @dataclass(frozen=True)
@@ -51,7 +54,8 @@ class WorstEntry:
 class RowError:
     """A bound of the distance between rows as computed and rows of the equations of motion.
 
-    For every feasible theta ``|√f_true(theta) − √f_rows(theta)| ≤ at(theta) ≤ total``.
+    For every feasible theta ``|√f_true − √f_rows| ≤ share·√f_rows + at(theta)``, all at theta, and
+    ``at(theta) ≤ total``.
 
     Attributes
     ----------
@@ -59,8 +63,8 @@ class RowError:
         Bound of the weighted norm, over all rows, of what each parameter's column is off by.
     links : ndarray, shape (links, 3)
         The same of what the enclosure leaves open of each link, over its m, |h| and ‖I‖.
-    constant : float
-        Further share that does not depend on theta: zero but for eq9 and eq18.
+    constant, share : float
+        What does not depend on theta, and what grows with the cost: zero but for eq9 and eq18.
     box : Box
         Bounds of everything feasible.
     taken_as_computed : tuple of str
@@ -72,6 +76,7 @@ class RowError:
     columns: Array
     links: Array
     constant: float
+    share: float
     box: Box
     taken_as_computed: tuple[str, ...]
     worst: WorstEntry
@@ -126,18 +131,19 @@ def row_error(
     exponent = -0.5 if weighting == "eq9" else -1.0
     printed = weighting in ("eq9", "eq18")
     if sigma.ndim == 2:
-        weights = diagonal_weights(sigma, exponent)
+        weights = diagonal_weights(sigma, exponent), lesser_weights(sigma, exponent)
         pieces = rows.map(_piece_of_one, weights, box, printed)
     else:
         pieces = rows.map(_piece_of_many, exponent, box, printed, sigma=sigma)
     up = (1.0 + 2.0 * len(pieces) * U) * UP
     columns = root(np.sum([piece.columns**2 for piece in pieces], axis=0)) * up
     links = root(np.sum([piece.links**2 for piece in pieces], axis=0)) * up
-    constant = 0.0
+    constant = share = 0.0
     if printed:
-        base = root(np.sum([piece.base**2 for piece in pieces], axis=0)) * up
-        efforts = float(root(np.sum([piece.efforts**2 for piece in pieces]))) * up
-        columns, links, constant = _printed(rows.base, columns, links, base, efforts)
+        whole = _Rows.of(pieces)
+        columns, links, constant, share = whole.printed(rows.base.kept, columns, links)
+        if not np.array_equal(rows.base.matrix[:, rows.base.kept], np.eye(rows.base.count)):
+            share = np.inf  # the columns of W are not what B says
     first, best = 0, pieces[0]
     start = 0
     for piece in pieces:
@@ -149,6 +155,7 @@ def row_error(
         columns=frozen(columns),
         links=frozen(links),
         constant=constant,
+        share=share,
         box=box,
         taken_as_computed=_as_computed(rows),
         worst=WorstEntry(
@@ -163,14 +170,17 @@ class _Piece:
 
     columns: Array
     links: Array
-    base: Array
-    efforts: float
+    squares: Array
+    gram: Array
+    rounding: float
     score: float
     worst: tuple[int, int, int, float]
     count: int
 
 
-def _piece_of_one(source: RowSource, weights: Array, box: Box, printed: bool) -> _Piece:
+def _piece_of_one(
+    source: RowSource, weights: tuple[Array, Array], box: Box, printed: bool
+) -> _Piece:
     """Compare the rows of a piece, all with the same weights (n,)."""
     return _Comparison(source, box, printed).run(lambda part: weights)
 
@@ -180,7 +190,10 @@ def _piece_of_many(
 ) -> _Piece:
     """Compare the rows of a piece whose samples have covariances of their own."""
     return _Comparison(source, box, printed).run(
-        lambda part: diagonal_weights(sigma[part], exponent)
+        lambda part: (
+            diagonal_weights(sigma[part], exponent),
+            lesser_weights(sigma[part], exponent),
+        )
     )
 
 
@@ -212,20 +225,23 @@ class _Comparison:
             self.terms.append((term, slice(start, stop), has_formula(term, filtered=filtered)))
             start = stop
 
-    def run(self, weights_of: Callable[[slice], Array]) -> _Piece:
+    def run(self, weights_of: Callable[[slice], tuple[Array, Array]]) -> _Piece:
         """Return what the rows are off by."""
         source, found = self.source, _Sums(self.box, self.source.base.count)
-        memory = np.zeros((source.robot.n, len(self.box.theta), CHUNK))
-        again = np.zeros((CHUNK, source.robot.n, source.base.count + 1))
-        for part in source.parts(CHUNK):
+        n, p = source.robot.n, len(self.box.theta)
+        size = min(max(_BYTES // (8 * n * p), _LEAST), CHUNK)
+        memory = np.zeros((n, p, size))
+        again = np.zeros((size, n, source.base.count + 1))
+        for part in source.parts(size):
             rows, error = source.rows(part, again), memory[:, :, : part.stop - part.start]
             # An overflow leaves a bound that is infinite or no number.
             with np.errstate(over="ignore", invalid="ignore"):
                 rad, open_links = self._difference(part, rows, error)
-                factor = np.where(source.mask(part), weights_of(part), 0.0).T
+                mask = source.mask(part)
+                factor, lesser = (np.where(mask, w, 0.0).T for w in weights_of(part))
                 found.add(part, error, rad, open_links, factor)
                 if self.printed:
-                    found.add_rows(rows, factor)
+                    found.add_rows(rows, factor, lesser)
         return found.piece(source.n_samples)
 
     def _difference(self, part: slice, rows: Array, error: Array) -> tuple[Array, Array]:
@@ -271,7 +287,7 @@ class _Sums:
     def __init__(self, box: Box, base: int) -> None:
         self.box = box
         self.columns, self.links = np.zeros(len(box.theta)), np.zeros(box.bodies.shape)
-        self.rows = np.zeros(base + 1)
+        self.squares, self.gram, self.rounding = np.zeros(2), np.zeros((base, base)), 0.0
         self.score, self.worst = -1.0, (0, 0, 0, 0.0)
         self.up = 1.0
 
@@ -292,17 +308,27 @@ class _Sums:
         if not score <= self.score:
             self.score, self.worst = score, self._worst(part, error, factor)
 
-    def add_rows(self, rows: Array, factor: Array) -> None:
-        """Add the rows (k, n, b + 1) themselves."""
-        weighted = rows.transpose(1, 2, 0) * factor[:, None, :]
-        up = (1.0 + 4.0 * factor.size * U) * UP
-        self.rows += np.einsum("jbk,jbk->b", weighted, weighted) * up
+    def add_rows(self, rows: Array, factor: Array, lesser: Array) -> None:
+        """Add squares of the rows (k, n, b + 1) and of their efforts, and a Gram matrix.
+
+        That is of the rows times the lesser weights, so its entries round no more than the squares.
+        """
+        squares = np.einsum("knb,nk->b", rows**2, factor**2)
+        # As many roundings as there are numbers, and some of each.
+        up = (1.0 + 4.0 * rows.size * U) * UP
+        self.squares += np.array([squares[:-1].sum(), squares[-1]]) * up
+        W = (rows[:, :, :-1] * lesser.T[:, :, None]).reshape(-1, len(self.gram))
+        self.gram += W.T @ W
+        self.rounding += 2.0 * (len(W) + 4.0) * U * float(squares[0])
 
     def piece(self, count: int) -> _Piece:
         """Return the norms."""
         up = self.up * UP
-        columns, links, rows = (root(x) * up for x in (self.columns, self.links, self.rows))
-        return _Piece(columns, links, rows[:-1], float(rows[-1]), self.score, self.worst, count)
+        columns, links = (root(x) * up for x in (self.columns, self.links))
+        # The sums over the chunks round, too.
+        rounding = (self.rounding + (self.up - 1.0) * float(self.squares[0])) * up
+        squares = self.squares * up**2
+        return _Piece(columns, links, squares, self.gram, rounding, self.score, self.worst, count)
 
     def _worst(self, part: slice, error: Array, factor: Array) -> tuple[int, int, int, float]:
         """Return joint, sample and column of the largest error times its bound, and the error."""
@@ -312,22 +338,61 @@ class _Sums:
         return j, part.start + k, column, float(error[j, column, k] / scale)
 
 
-def _printed(
-    base: BaseParameters, columns: Array, links: Array, norms: Array, efforts: float
-) -> tuple[Array, Array, float]:
-    """Return columns, links and constant for the costs ``‖W^T Sigma^e (y − Y theta)‖²``.
+@dataclass(frozen=True, eq=False)
+class _Rows:
+    """The weighted rows of all pieces: what the costs of the paper need beside their errors.
 
-    With ^ for what was computed and E = Y − Ŷ the residual differs by ``Ŵ^T Sigma^e E theta +
-    (W − Ŵ)^T Sigma^e (y − Ŷ theta − E theta)``.
+    With P² = Sigma^e, Ŵ what was computed, W the truth and E theta what the efforts are off by, the
+    residual of the normal equations n = Ŵ^T P² r changes by ``−Ŵ^T P² E theta + (W − Ŵ)^T P² (r −
+    E theta)``; and ``‖P r‖² ≤ ‖P y‖² + n^T H^(−1) n``, H = Ŵ^T P² Ŵ, since the least ‖P r‖ is no
+    larger than that of no parameters.
     """
-    rows = float(root(np.sum(norms**2)))
-    # One parameter's column, with its share of what is open of its link.
-    whole = columns.copy()
-    whole[: 10 * len(links)] += np.repeat(links, (1, 3, 6), axis=1).ravel()
-    wrong = float(root(np.sum(whole[base.kept] ** 2)))
-    up = (1.0 + 4.0 * (len(norms) + len(columns)) * U) * UP
-    found = rows * columns + wrong * (norms @ np.abs(base.matrix) + whole)
-    return found * up, rows * links * up, wrong * efforts * up
+
+    norm: float
+    efforts: float
+    least: float
+
+    @classmethod
+    def of(cls, pieces: Sequence[_Piece]) -> _Rows:
+        """Add the pieces up.
+
+        Their Gram matrix is that of weights w with ``diag(w²) ⪯ P²``, so below H.
+        """
+        up = (1.0 + 2.0 * len(pieces) * U) * UP
+        squares = np.sum([piece.squares for piece in pieces], axis=0) * up
+        gram = np.sum([piece.gram for piece in pieces], axis=0)
+        rounding = sum(piece.rounding for piece in pieces) + 2.0 * len(pieces) * U * squares[0]
+        norm, efforts = map(float, root(squares))
+        return cls(norm, efforts, _least_eigenvalue(gram, rounding * up))
+
+    def printed(
+        self, kept: Indices, columns: Array, links: Array
+    ) -> tuple[Array, Array, float, float]:
+        """Return columns, links, constant and share of the normal equations' residual."""
+        # One parameter's column, with its share of what is open of its link.
+        whole = columns.copy()
+        whole[: 10 * len(links)] += np.repeat(links, (1, 3, 6), axis=1).ravel()
+        wrong = float(root(np.sum(whole[kept] ** 2)))
+        up = (1.0 + 4.0 * len(columns) * U) * UP
+        share = wrong / np.sqrt(self.least) * up if self.least > 0.0 else np.inf
+        both = (self.norm + wrong) * up
+        return both * columns * UP, both * links * UP, wrong * self.efforts * up, float(share)
+
+
+def _least_eigenvalue(gram: Array, error: float) -> float:
+    """Return a lower bound of the eigenvalues of matrices this near, zero without proof.
+
+    Cholesky's method ends for what is positive semidefinite but for its rounding [rump2006]_.
+    """
+    m, trace = len(gram), float(np.trace(gram))
+    if not np.isfinite(gram).all():
+        return 0.0
+    least = 0.5 * float(np.linalg.eigvalsh(gram)[0])
+    try:
+        np.linalg.cholesky(gram - least * np.eye(m))
+    except np.linalg.LinAlgError:
+        return 0.0
+    return max((least - error - 4.0 * m * (m + 2.0) * U * trace) / UP, 0.0)
 
 
 def _as_computed(rows: Rows) -> tuple[str, ...]:

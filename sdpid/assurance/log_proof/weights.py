@@ -40,6 +40,19 @@ def diagonal_weights(sigma: Array, exponent: float) -> Array:
     return np.asarray(root(square) if exponent == -1.0 else root(root(square)))
 
 
+def lesser_weights(sigma: Array, exponent: float) -> Array:
+    """Return roots of weights (..., n) with ``diag(w²) ⪯ Sigma^exponent``.
+
+    A covariance is at most n times its diagonal, since correlations are at most one; the rest is
+    as for `diagonal_weights`.
+    """
+    n = sigma.shape[-1]
+    variance = np.diagonal(sigma, axis1=-2, axis2=-1)
+    square = 1.0 / (n * np.maximum(variance, _LEAST)) / UP
+    found = np.sqrt(square) if exponent == -1.0 else np.sqrt(np.sqrt(square))
+    return np.asarray(np.where(variance > _LEAST, found / UP, 0.0))
+
+
 def _proven_share(sigma: Array, variance: Array, n: int) -> Array:
     """Return s with Sigma ⪰ s·diag(Sigma) for every covariance, zero where nothing is proven."""
     deviation = np.sqrt(np.maximum(variance, _LEAST))

@@ -189,8 +189,10 @@ def test_the_bound_holds_for_weights(seed: int, weighting: Any, masked: bool) ->
 @pytest.mark.parametrize("weighting", ["eq9", "eq18"])
 def test_the_bound_holds_for_normal_equations(weighting: Any) -> None:
     rng = np.random.default_rng(5)
-    problem = problem_of(weighting=weighting, covariance=random_covariance(rng, 2, 6))
+    covariance = random_covariance(rng, 2, 12)
+    problem = problem_of(weighting=weighting, covariance=covariance, count=12)
     result = found(problem)
+    assert result.share < 1e-6
     exponent = -0.5 if weighting == "eq9" else -1.0
     with mp.workdps(DIGITS):
         true, computed = rows_of(problem)
@@ -209,7 +211,13 @@ def test_the_bound_holds_for_normal_equations(weighting: Any) -> None:
                     power = np.array((V * mp.diag([x**exponent for x in w]) * V.T).tolist())
                     normal = normal + W[k].T.dot(power.dot(e[k]))
                 costs.append(mp.sqrt(np.sum(normal * normal)))
-            assert abs(costs[0] - costs[1]) <= mp.mpf(result.at(theta))
+            bound = mp.mpf(result.share) * costs[1] + mp.mpf(result.at(theta))
+            assert abs(costs[0] - costs[1]) <= bound
+
+
+def test_normal_equations_that_are_singular_have_no_bound() -> None:
+    covariance = random_covariance(np.random.default_rng(5), 2, 6)
+    assert found(problem_of(weighting="eq9", covariance=covariance)).share == np.inf
 
 
 def test_a_mimic_joint() -> None:

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from sdpid.assurance.log_proof.weights import diagonal_weights
+from sdpid.assurance.log_proof.weights import diagonal_weights, lesser_weights
 from tests.helpers.data import matrix_power, random_covariance
 from tests.helpers.strategies import SEEDS
 
@@ -28,6 +28,9 @@ def test_the_difference_is_positive(seed: int, n: int, exponent: float) -> None:
                 continue
             power = matrix_power(sigma[np.ix_(part, part)], exponent)
             least = np.linalg.eigvalsh(np.diag(w[part] ** 2) - power)[0]
+            assert least >= -ROUNDING * np.abs(power).max()
+            lesser = lesser_weights(sigma, exponent)[part]
+            least = np.linalg.eigvalsh(power - np.diag(lesser**2))[0]
             assert least >= -ROUNDING * np.abs(power).max()
 
 

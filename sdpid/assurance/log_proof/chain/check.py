@@ -284,14 +284,14 @@ class _Check:
             sealed.recipe.weighting,
             replace(feasible, lower=lower, upper=upper),
         )
-        if found is None or not np.isfinite(found.total):
+        if found is None or not np.isfinite([found.total, found.share]).all():
             text = "how far they are from the equations of motion is not bounded for these joints"
             self.say("rows", "not checked", text)
             return
         worst, theta = found.worst, sealed.found.theta
         here = found.total if theta is None else found.at(np.array(theta))
         self.row_error = found.total
-        self.equations = of_true_rows(sealed.found, self.totals, here, found.total)
+        self.equations = of_true_rows(sealed.found, self.totals, here, found.total, found.share)
         text = (
             "the roots of their cost and of that of the equations of motion differ by at most "
             f"{found.total!r}, at the given parameters by {here!r}; the worst entry is "

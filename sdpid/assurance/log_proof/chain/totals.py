@@ -4,7 +4,7 @@ With f_c the compressed cost, f_rows that of the rows as computed and f_true tha
 equations, all theta of the box have
 
     (1 − relative)·f_c − absolute ≤ f_rows ≤ (1 + relative)·f_c + absolute,
-    |√f_true − √f_rows| ≤ row_error(theta) ≤ row_error over the box.
+    |√f_true − √f_rows| ≤ share·√f_rows + row_error(theta), at most row_error over the box.
 
 The prior's cost is at least zero and the same in all three. docs/theory.md ("From the log to the
 bound") has the proofs.
@@ -67,7 +67,9 @@ def of_rows(found: Recomputed, relative: float, absolute: float) -> Totals:
     return Totals(cost, (1 - share) * found.lower_bound - constant, found.scale)
 
 
-def of_true_rows(found: Recomputed, rows: Totals, here: float, anywhere: float) -> Totals:
+def of_true_rows(
+    found: Recomputed, rows: Totals, here: float, anywhere: float, share: float = 0.0
+) -> Totals:
     """Return what is proven of the rows of the robot's equations.
 
     Parameters
@@ -79,13 +81,16 @@ def of_true_rows(found: Recomputed, rows: Totals, here: float, anywhere: float) 
     here, anywhere : float
         By how much the roots of the two costs of the data differ at most, at the given parameters
         and over the box.
+    share : float
+        How much more they may differ, relative to the root of the rows' cost.
     """
     cost = None
     if rows.cost is not None:
         data = rows.cost - found.prior_cost
-        cost = (root_above(data) + Fraction(here)) ** 2 + found.prior_cost
+        cost = ((1 + Fraction(share)) * root_above(data) + Fraction(here)) ** 2 + found.prior_cost
     # With the prior's cost under both roots, they are no further apart.
-    root = root_below(max(rows.lower_bound, Fraction(0))) - Fraction(anywhere)
+    below = root_below(max(rows.lower_bound, Fraction(0)))
+    root = max(1 - Fraction(share), Fraction(0)) * below - Fraction(anywhere)
     least = max(root, Fraction(0)) ** 2
     return Totals(cost, least, rows.scale)
 
