@@ -206,6 +206,7 @@ def with_bodies(bodies: list[list[float]]) -> Callable[[Any], Any]:
         ("total", edit_of("certificate.problem.prior_matrix.0.0", lambda _: 1e308)),
         ("robot", edit_of("manifest.recipe.robot.gravity.2", lambda x: x + 0.01)),
         ("log", edit_of("manifest.recipe.logs.0.reading", lambda _: {"units": 3})),
+        ("log", edit_of("manifest.inputs.0.bytes", lambda x: x + 1)),
         ("log", edit_of("manifest.inputs.0.sha256", lambda x: "0" + x[1:] if x[0] != "0" else x)),
     ],
 )

@@ -158,13 +158,16 @@ class _Check:
         """Compare the SHA-256 of one log with the manifest's."""
         found = log_entry(log, "log")
         if entry["bytes"] is None:
-            found = {"name": found["name"], "sha256": recording_digest(log)}
+            found = {**found, "bytes": None, "sha256": recording_digest(log)}
         name = "the recording in memory" if found["name"] is None else shown(found["name"])
         if found["sha256"] == entry["sha256"]:
             how = self.sealed.recipe.reading[number]
             text = f"{name} has the SHA-256 of the manifest, {entry['sha256']}"
             text += f"; read with {_options(how)}" if how else ""
-            self.say("log", "proven", text)
+            if found["bytes"] != entry["bytes"]:
+                text += f"; but {found['bytes']} bytes, where the manifest has {entry['bytes']}"
+            state: State = "proven" if found["bytes"] == entry["bytes"] else "not proven"
+            self.say("log", state, text)
             return
         order = [each["sha256"] for each in self.sealed.logs]
         text = (
