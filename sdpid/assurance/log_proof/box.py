@@ -7,7 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from sdpid._common.arrays import Array
-from sdpid.assurance.log_proof.enclosure import UP, root
+from sdpid.assurance.certificate.outward import SLACK as UP
+from sdpid.assurance.log_proof.enclosure import root
 from sdpid.estimation.constraints.feasible_set import FeasibleSet
 
 # A link's first moments beside the two inertias about the other axes, its products of inertia

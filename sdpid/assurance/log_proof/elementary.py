@@ -13,7 +13,9 @@ from fractions import Fraction
 import numpy as np
 
 from sdpid._common.arrays import Array
-from sdpid.assurance.log_proof.enclosure import TINY, UP, Enclosed, U, largest
+from sdpid.assurance.certificate.outward import SLACK as UP
+from sdpid.assurance.certificate.outward import UNIT as U
+from sdpid.assurance.log_proof.enclosure import TINY, Enclosed, largest
 
 # π and ln 2 to 40 digits, so to 1e-39.
 _PI = Fraction("3.1415926535897932384626433832795028841971")

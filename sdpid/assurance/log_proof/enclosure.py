@@ -5,9 +5,9 @@ samples of a chunk, so that the radii cost next to nothing. Of a vector the radi
 Euclidean norm of the error, of a matrix the spectral norm: a rotation then leaves it as it is.
 
 An operation of doubles returns ``x (1 + d) + e`` for the exact x, ``|d| ≤ u``, ``|e| ≤ TINY``
-(IEEE 754, to nearest). Bounds are sums of products of numbers that are not negative, at most 30
-operations one after the other, so their own rounding is covered by the factor `UP`. They hold for
-any order of summation, with or without fused operations. An overflow makes a radius infinite.
+(IEEE 754, to nearest). Bounds are sums and products of numbers that are not negative, so their own
+rounding is covered by `sdpid.assurance.certificate.outward.SLACK`, here `UP`. They hold for any
+order of summation, with or without fused operations. An overflow makes a radius infinite.
 """
 
 from __future__ import annotations
@@ -18,9 +18,8 @@ from typing import Any
 import numpy as np
 
 from sdpid._common.arrays import Array
-
-# The unit of rounding, 2⁻⁵³.
-U = 2.0**-53
+from sdpid.assurance.certificate.outward import SLACK as UP
+from sdpid.assurance.certificate.outward import UNIT as U
 
 # More than underflow takes from the results of an operation on three numbers.
 TINY = 2.0**-1000
@@ -28,11 +27,9 @@ TINY = 2.0**-1000
 # More than the root of what it takes from a sum of squares.
 SMALL = 2.0**-500
 
-# Covers the rounding of 30 operations on bounds, and of the few that make a product's size.
-UP = 1.0 + 2.0**-47
-
-# Rounding of a sum of three products: γ₃ = 3u/(1 − 3u), per product of the norms. A component of a
-# cross product has two, and its terms have at most √2 times the norms' product: 2·√2 < 3.
+# Rounding of a sum of three products: γ₃ = 3u/(1 − 3u) ≤ 3u·UP, per product of the norms. A
+# component of a cross product has two, and its terms have at most √2 times the norms' product: 2·√2
+# < 3.
 _DOT = 3.0 * U
 _CROSS = 3.0 * U
 

@@ -9,8 +9,9 @@ from typing import Any
 import numpy as np
 
 from sdpid._common.arrays import Array
+from sdpid.assurance.certificate.outward import UNIT as U
 from sdpid.assurance.log_proof.elementary import decaying, hyperbolic_tangent
-from sdpid.assurance.log_proof.enclosure import Enclosed, U
+from sdpid.assurance.log_proof.enclosure import Enclosed
 from sdpid.robot.friction.motion import Motion
 from sdpid.robot.friction.term import FrictionTerm, joint_speeds
 from sdpid.robot.friction.terms import (

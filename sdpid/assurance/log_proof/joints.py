@@ -7,8 +7,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from sdpid._common.arrays import Array
+from sdpid.assurance.certificate.outward import SLACK as UP
+from sdpid.assurance.certificate.outward import UNIT as U
 from sdpid.assurance.log_proof.elementary import sine_cosine
-from sdpid.assurance.log_proof.enclosure import TINY, UP, Enclosed, U, root
+from sdpid.assurance.log_proof.enclosure import TINY, Enclosed, root
 from sdpid.robot.model.regressor_kernel import FLOATING, PRISMATIC, REVOLUTE, Tree
 
 # Rounding of an entry of a quaternion's matrix, four operations on numbers whose absolute sum is at

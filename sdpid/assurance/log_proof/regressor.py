@@ -25,7 +25,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from sdpid._common.arrays import Array
-from sdpid.assurance.log_proof.enclosure import TINY, UP, Enclosed, U, largest, root
+from sdpid.assurance.certificate.outward import SLACK as UP
+from sdpid.assurance.certificate.outward import UNIT as U
+from sdpid.assurance.log_proof.enclosure import TINY, Enclosed, largest, root
 from sdpid.assurance.log_proof.joints import Joint, constant_vector
 from sdpid.robot.model.regressor_kernel import FLOATING, REVOLUTE, Tree
 

@@ -9,8 +9,11 @@ from functools import cached_property
 import numpy as np
 
 from sdpid._common.arrays import Array, Indices, frozen
+from sdpid.assurance.certificate.outward import SLACK as UP
+from sdpid.assurance.certificate.outward import UNIT as U
+from sdpid.assurance.certificate.outward import gamma
 from sdpid.assurance.log_proof.box import Box
-from sdpid.assurance.log_proof.enclosure import TINY, UP, U, largest, root
+from sdpid.assurance.log_proof.enclosure import TINY, largest, root
 from sdpid.assurance.log_proof.friction_columns import enclosed_columns, has_formula
 from sdpid.assurance.log_proof.joints import Joint
 from sdpid.assurance.log_proof.regressor import motion, regressor
@@ -92,8 +95,7 @@ class RowError:
 
     def _over(self, box: Box) -> float:
         terms = np.concatenate([box.theta * self.columns, (box.bodies * self.links).ravel()])
-        # A sum of numbers that are not negative rounds as often as there are numbers.
-        found = float((np.sum(terms) + self.constant) * (1.0 + 2.0 * len(terms) * U) * UP + TINY)
+        found = float((np.sum(terms) + self.constant) * UP + TINY)
         return found if np.isfinite(found) else np.inf
 
 
@@ -135,9 +137,8 @@ def row_error(
         pieces = rows.map(_piece_of_one, weights, box, printed)
     else:
         pieces = rows.map(_piece_of_many, exponent, box, printed, sigma=sigma)
-    up = (1.0 + 2.0 * len(pieces) * U) * UP
-    columns = root(np.sum([piece.columns**2 for piece in pieces], axis=0)) * up
-    links = root(np.sum([piece.links**2 for piece in pieces], axis=0)) * up
+    columns = root(np.sum([piece.columns**2 for piece in pieces], axis=0))
+    links = root(np.sum([piece.links**2 for piece in pieces], axis=0))
     constant = share = 0.0
     if printed:
         whole = _Rows.of(pieces)
@@ -213,9 +214,7 @@ class _Comparison:
         self.leads = np.argmax(matrix[:, self.plain], axis=0)
         self.folded = np.flatnonzero(~unit)
         self.turn = np.ascontiguousarray(matrix[:, self.folded].T)
-        # A sum of k products rounds at most k times each, in any order.
-        terms = np.count_nonzero(self.turn, axis=1)
-        self.rounding = terms * U / (1.0 - terms * U)
+        self.rounding = np.array([gamma(int(np.count_nonzero(row))) for row in self.turn])
         filtered = source.samples.wide is not None
         names = source.friction.joint_names
         self.terms = []
@@ -262,9 +261,7 @@ class _Comparison:
         self._friction(part, error, rad)
         error[:, self.plain] -= computed[:, self.leads]
         error[:, self.folded] -= np.matmul(self.turn, computed)
-        sums = largest(computed) @ np.abs(self.turn).T
-        # As many roundings as base parameters.
-        rad[:, self.folded] += self.rounding * sums * (1.0 + 2.0 * source.base.count * U)
+        rad[:, self.folded] += self.rounding * (largest(computed) @ np.abs(self.turn).T)
         return rad * UP, open_links * UP
 
     def _friction(self, part: slice, error: Array, rad: Array) -> None:
@@ -289,22 +286,19 @@ class _Sums:
         self.columns, self.links = np.zeros(len(box.theta)), np.zeros(box.bodies.shape)
         self.squares, self.gram, self.rounding = np.zeros(2), np.zeros((base, base)), 0.0
         self.score, self.worst = -1.0, (0, 0, 0, 0.0)
-        self.up = 1.0
+        self.chunks = 0
 
     def add(self, part: slice, error: Array, rad: Array, open_links: Array, factor: Array) -> None:
         """Add the errors (n, p, k) with radii (n, p) and (n, links, 3), times factors (n, k)."""
-        count = factor.shape[1]
         error *= factor[:, None, :]
-        # Sums of k squares, and of as many chunks, round once a term.
-        up = (1.0 + 2.0 * (count + len(factor)) * U) * UP
-        self.up += 2.0 * U
-        share = root(np.sum(factor**2, axis=1)) * up
+        share = root(np.sum(factor**2, axis=1))
         # Minkowski's inequality for what is computed and what is open.
-        norms = root(np.einsum("jck,jck->jc", error, error)) * up + share[:, None] * rad
+        norms = root(np.einsum("jck,jck->jc", error, error)) + share[:, None] * rad
         added = np.sum(norms**2, axis=0)
         self.columns += added
-        self.links += np.sum((share[:, None, None] * open_links) ** 2, axis=0) * up
-        score = float(np.sqrt(added / count) @ self.box.theta)
+        self.links += np.sum((share[:, None, None] * open_links) ** 2, axis=0)
+        self.chunks += 1
+        score = float(np.sqrt(added / factor.shape[1]) @ self.box.theta)
         if not score <= self.score:
             self.score, self.worst = score, self._worst(part, error, factor)
 
@@ -314,21 +308,19 @@ class _Sums:
         That is of the rows times the lesser weights, so its entries round no more than the squares.
         """
         squares = np.einsum("knb,nk->b", rows**2, factor**2)
-        # As many roundings as there are numbers, and some of each.
-        up = (1.0 + 4.0 * rows.size * U) * UP
-        self.squares += np.array([squares[:-1].sum(), squares[-1]]) * up
+        self.squares += np.array([squares[:-1].sum(), squares[-1]])
         W = (rows[:, :, :-1] * lesser.T[:, :, None]).reshape(-1, len(self.gram))
         self.gram += W.T @ W
-        self.rounding += 2.0 * (len(W) + 4.0) * U * float(squares[0])
+        # Four roundings of each entry's factors.
+        self.rounding += gamma(len(W) + 4) * float(squares[:-1].sum())
 
     def piece(self, count: int) -> _Piece:
         """Return the norms."""
-        up = self.up * UP
-        columns, links = (root(x) * up for x in (self.columns, self.links))
-        # The sums over the chunks round, too.
-        rounding = (self.rounding + (self.up - 1.0) * float(self.squares[0])) * up
-        squares = self.squares * up**2
-        return _Piece(columns, links, squares, self.gram, rounding, self.score, self.worst, count)
+        columns, links = root(self.columns), root(self.links)
+        rounding = self.rounding + gamma(self.chunks) * float(self.squares[0])
+        return _Piece(
+            columns, links, self.squares, self.gram, rounding, self.score, self.worst, count
+        )
 
     def _worst(self, part: slice, error: Array, factor: Array) -> tuple[int, int, int, float]:
         """Return joint, sample and column of the largest error times its bound, and the error."""
@@ -358,12 +350,11 @@ class _Rows:
 
         Their Gram matrix is that of weights w with ``diag(w²) ⪯ P²``, so below H.
         """
-        up = (1.0 + 2.0 * len(pieces) * U) * UP
-        squares = np.sum([piece.squares for piece in pieces], axis=0) * up
+        squares = np.sum([piece.squares for piece in pieces], axis=0) * UP
         gram = np.sum([piece.gram for piece in pieces], axis=0)
-        rounding = sum(piece.rounding for piece in pieces) + 2.0 * len(pieces) * U * squares[0]
+        rounding = sum(piece.rounding for piece in pieces) + gamma(len(pieces)) * squares[0]
         norm, efforts = map(float, root(squares))
-        return cls(norm, efforts, _least_eigenvalue(gram, rounding * up))
+        return cls(norm, efforts, _least_eigenvalue(gram, rounding * UP))
 
     def printed(
         self, kept: Indices, columns: Array, links: Array
@@ -373,10 +364,9 @@ class _Rows:
         whole = columns.copy()
         whole[: 10 * len(links)] += np.repeat(links, (1, 3, 6), axis=1).ravel()
         wrong = float(root(np.sum(whole[kept] ** 2)))
-        up = (1.0 + 4.0 * len(columns) * U) * UP
-        share = wrong / np.sqrt(self.least) * up if self.least > 0.0 else np.inf
-        both = (self.norm + wrong) * up
-        return both * columns * UP, both * links * UP, wrong * self.efforts * up, float(share)
+        share = wrong / np.sqrt(self.least) * UP if self.least > 0.0 else np.inf
+        both = (self.norm + wrong) * UP
+        return both * columns * UP, both * links * UP, wrong * self.efforts * UP, float(share)
 
 
 def _least_eigenvalue(gram: Array, error: float) -> float:

@@ -5,7 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 from sdpid._common.arrays import Array
-from sdpid.assurance.log_proof.enclosure import UP, U, root
+from sdpid.assurance.certificate.outward import SLACK as UP
+from sdpid.assurance.certificate.outward import UNIT as U
+from sdpid.assurance.log_proof.enclosure import root
 
 # Half of the least eigenvalue of the correlations costs a factor √2 and is easily proven.
 _SHARE = 0.5
