@@ -28,8 +28,8 @@ _SPLIT = 2.0**27 + 1.0
 
 # Errors of a product of pairs, in squares of the error of a plain one. Of a product of doubles
 # there is one for the sum of the roundings; others come from the two small parts, from their
-# product, which is left out, and from what three factors bring along.
-_PAIRED = 16.0
+# product, which is left out, and from what five factors bring along.
+_PAIRED = 32.0
 
 # A number and what is missing in it.
 Pair = tuple[Array, Array]
@@ -44,7 +44,7 @@ class WhitenerErrors:
     weight : ndarray, shape (m,)
         Bounds of ‖J‖; infinite where none is found.
     nearly : ndarray, shape (m, n, n)
-        What J nearly is; zero for e = -1/4.
+        What J nearly is, symmetric.
     rest : ndarray, shape (m,)
         Bounds of ‖J − nearly‖.
     rounding : ndarray, shape (m,)
@@ -64,7 +64,9 @@ class WhitenerErrors:
         ‖J‖ ≤ d/(1 − d), and ``J = −H`` up to d²/(1 − d). For e = -1/4 the first bound follows from
         ``T·Sigma·T = E + H``, ``T = V^T·V``: with S the root of Sigma, the eigenvalues of T·S are
         those of the positive definite ``N = V·S·V^T`` and lie between the singular values of T·S,
-        which are the roots of the eigenvalues of E + H; and ``S^-1 = V^T·N^-1·V``.
+        which are the roots of the eigenvalues of E + H; and ``S^-1 = V^T·N^-1·V``. There J is
+        nearly a first-order solution K, and the same bound for ``C^T·V`` in place of V, with
+        ``C·C^T = E + K``, gives ``‖J − K‖ ≤ (1 + ‖K‖)·d'/(1 − d')``.
 
         Rounding in ``V·rows`` is at most a multiple of ``|V|·|rows| ≤ |V|·|V^-1|·|V·rows|``.
 
@@ -91,27 +93,51 @@ class WhitenerErrors:
         if not usable(S, powers, inverse):
             nothing = np.full(len(used), np.inf)
             return cls(weight=nothing, nearly=np.zeros_like(powers), rest=nothing, rounding=nothing)
-        H, error = _defect(powers, S, used, exponent)
+        H, error = _defect(powers, S, used, exponent, np.zeros_like(powers))
         off = _norms(np.abs(H) + error)
         weight = quotient(off, below_one(off))
+        if exponent == -0.5:
+            nearly = -0.5 * (H + _turned(H))
+            rest = _norms(error + np.abs(H + nearly)) + off * weight
+        else:
+            nearly = _first_order(filled, H)
+            left = _norms(np.add(*map(np.abs, _defect(powers, S, used, exponent, nearly))))
+            # Less than 1/2, K leaves E + K positive definite.
+            size = quotient(1.0 + _norms(nearly), below_one(_norms(nearly)) > 0.0)
+            rest = size * quotient(left, below_one(left))
         enlarged = np.abs(filled) @ np.abs(inverse)
-        left = _norms(np.abs(np.eye(n) - filled @ inverse) + gamma(n + 1) * enlarged)
-        moved = gamma(n + 1) * quotient(_norms(enlarged), below_one(left))
-        plain = exponent == -0.5
+        wrong = _norms(np.abs(np.eye(n) - filled @ inverse) + gamma(n + 1) * enlarged)
+        moved = gamma(n + 1) * quotient(_norms(enlarged), below_one(wrong))
         return cls(
             weight=weight,
-            nearly=-H if plain else np.zeros_like(H),
-            rest=SLACK * (_norms(error) + off * weight) if plain else weight,
+            nearly=nearly,
+            rest=SLACK * rest,
             rounding=quotient(moved, below_one(moved)),
         )
 
 
-def _defect(V: Array, S: Array, used: Mask, exponent: float) -> Pair:
-    """Return ``T·S·T^T − E``, T being V or V^T·V, and a bound of the error of each entry."""
+def _first_order(V: Array, H: Array) -> Array:
+    """Return K with ``V^T·(E + K)·V·Sigma·V^T·(E + K)·V ≈ E``, H being what is left without K.
+
+    To first order ``V·K·V^-1 + V^-1·K·V = −H``, as V is symmetric but for rounding.
+    """
+    values, vectors = np.linalg.eigh(V)
+    ratio = values[:, :, None] / values[:, None, :]
+    turned = _turned(vectors) @ H @ vectors
+    K = -vectors @ (turned / (ratio + _turned(ratio))) @ _turned(vectors)
+    return np.asarray(0.5 * (K + _turned(K)))
+
+
+def _defect(V: Array, S: Array, used: Mask, exponent: float, K: Array) -> Pair:
+    """Return ``T·S·T^T − E``, T being V or V^T·(E + K)·V, and a bound of each entry's error."""
     zero = np.zeros_like(V)
     T, size = (V, zero), np.abs(V)
     if exponent != -0.5:
-        T, size = _product((_turned(V), zero), (V, zero)), _turned(size) @ size
+        one = np.eye(V.shape[1])
+        between = one + K
+        middle = between, K - (between - one)
+        T = _product((_turned(V), zero), _product(middle, (V, zero)))
+        size = _turned(size) @ (np.abs(one) + np.abs(K)) @ size
     high, low = _product(T, _product((S, np.zeros_like(S)), (_turned(T[0]), _turned(T[1]))))
     # The products are near one or zero: nothing is lost.
     above = high - np.eye(V.shape[1]) * used[:, None, :]
