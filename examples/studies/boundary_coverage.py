@@ -131,6 +131,7 @@ def main() -> int:
     parser.add_argument(
         "--method", choices=("profile", "gauss_markov", "bootstrap"), default="profile"
     )
+    parser.add_argument("--parameters", nargs="*", help="by default all")
     parser.add_argument("--base", action="store_true", help="base parameters only")
     parser.add_argument("--quick", action="store_true", help="10 draws")
     options = parser.parse_args()
@@ -167,7 +168,7 @@ def run(name: str, seeds: range, options: argparse.Namespace) -> tuple[object, .
             found = sdpid.confidence_intervals(
                 estimate,
                 method=options.method,
-                parameters=base.names if options.base else None,
+                parameters=base.names if options.base else options.parameters,
                 n_jobs=1,
             )
             seconds += time.perf_counter() - begin
