@@ -9,7 +9,8 @@ from typing import Any
 from hypothesis import given
 from hypothesis import strategies as st
 
-from sdpid.assurance.log_proof.chain.totals import of_rows, of_true_rows, root_below
+from sdpid.assurance.log_proof.chain.totals import of_rows, of_true_rows
+from sdpid.verifier.exact import root_below
 from tests.helpers.strategies import reals
 
 SIZES = st.one_of(st.just(0.0), reals(1e-12, 1e6))

@@ -12,15 +12,11 @@ bound") has the proofs.
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from fractions import Fraction
 
 from sdpid.verifier.bound import Recomputed
-from sdpid.verifier.exact import root_above
-
-# Binary digits of a root behind its point, beyond those that a small number needs.
-_DIGITS = 80
+from sdpid.verifier.exact import root_above, root_below
 
 
 @dataclass(frozen=True)
@@ -93,10 +89,3 @@ def of_true_rows(
     root = max(1 - Fraction(share), Fraction(0)) * below - Fraction(anywhere)
     least = max(root, Fraction(0)) ** 2
     return Totals(cost, least, rows.scale)
-
-
-def root_below(value: Fraction) -> Fraction:
-    """Return a rational just below the square root of value ≥ 0."""
-    small = value.denominator.bit_length() - value.numerator.bit_length()
-    bits = _DIGITS + max(0, small if value else 0)
-    return Fraction(math.isqrt(math.floor(value * 4**bits)), 2**bits)
