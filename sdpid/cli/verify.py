@@ -51,7 +51,9 @@ def verify(
     lines = map(printable, verification.lines)
     printing.show(verification, "\n".join(lines))
     if not verification.passed:
-        reasons = "; ".join(verification.problems)
-        text = f"sdpid: {path}: the proof does not hold: {reasons}."
+        count = len(verification.problems)
+        where = "; ".join(verification.problems) if printing.quiet else "above"
+        claims = f"{count} claims do" if count > 1 else "1 claim does"
+        text = f"sdpid: {path}: NOT PROVEN: {claims} not hold ({where})."
         typer.echo(printable(text), err=True)
         raise typer.Exit(OURS)

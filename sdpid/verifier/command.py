@@ -12,7 +12,7 @@ from typing import Any
 from . import certificate, tables
 from .reading import REFUSED, MalformedError, parse, read_bytes, shown
 from .result import Result
-from .results import folder
+from .results import folder, manifest
 
 # By schema: how a file is read and checked, and the numbers that it claims.
 CHECKS = {
@@ -40,7 +40,9 @@ def check_file(path: Any) -> Checked:
     content = read_bytes(path)
     schema = parse(content).get("schema")
     if type(schema) is not str or schema not in CHECKS:
-        raise MalformedError(f"its schema is none of {', '.join(CHECKS)}")
+        part = (Path(path).parent / manifest.NAME).is_file()
+        advice = "; it is part of a results folder: give the folder" if part else ""
+        raise MalformedError(f"its schema is none of {', '.join(CHECKS)}{advice}")
     load, check, claims = CHECKS[schema]
     data, sha256 = load(content), hashlib.sha256(content).hexdigest()
     result = Result((f"File {shown(str(path))}, SHA-256 {sha256}.",)) + check(data)
@@ -58,7 +60,10 @@ def main(arguments: list[str]) -> int:
         return 2
     try:
         result = check_path(arguments[0]).result
-    except (OSError, *REFUSED) as cause:
+    except OSError as cause:
+        print(f"{shown(arguments[0])}: cannot be read: {cause.strerror}", file=sys.stderr)
+        return 2
+    except REFUSED as cause:
         print(f"{shown(arguments[0])}: not a proof: {cause}", file=sys.stderr)
         return 2
     print("\n".join(result.lines))

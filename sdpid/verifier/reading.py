@@ -92,7 +92,8 @@ def require_schema(data: dict[str, Any], schema: str, version: int) -> None:
     given = data.get("version")
     # True and 3.0 equal integers.
     if data.get("schema") != schema or type(given) is not int or given != version:
-        raise MalformedError(f"not schema {schema}, version {version}")
+        found = f"{shown(str(data.get('schema')))}, version {shown(str(given))}"
+        raise MalformedError(f"not schema {schema}, version {version}, but {found}")
 
 
 def require_keys(data: Any, expected: Iterable[str], where: str) -> dict[str, Any]:

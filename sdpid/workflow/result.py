@@ -156,7 +156,8 @@ class Identification:
                 for each in grades_of(self)
             },
             "status": estimate.status,
-            "cost": self.certificate.cost,
+            "cost": estimate.cost,
+            "cost_at_most": self.certificate.cost,
             "cost_unconstrained": self.wls.cost,
             "lower_bound": self.certificate.lower_bound,
             "gap": self.certificate.gap,

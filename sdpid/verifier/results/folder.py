@@ -6,7 +6,7 @@ make one for any files. So every number that follows from the certificate is com
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -49,24 +49,27 @@ def check(path: Any) -> tuple[Result, str, dict[str, float | None]]:
         raise MalformedError(f"its {manifest.NAME} lists no {name}")
     data = certificate.load(read_bytes(folder / name))
     proof = certificate.check(data)
-    result = manifest.check(folder, sealed) + _named(name, proof)
+    result = manifest.check(folder, sealed) + _named([(name, proof)])
     if sealed["certificate"] != data["sha256"]:
         problem = f"{manifest.NAME}: sealed with certificate {sealed['certificate']}, not this one"
         result += Result(problems=(problem,))
     certified = Certified.of(data)
-    for name, found in _files(folder, sealed, certified, proof.passed):
-        result += _named(name, found)
+    result += _named(list(_files(folder, sealed, certified, proof.passed)))
     result += Result(unchecked=(*manifest.given(sealed), *_only_sealed(sealed)))
     return result, sealed["sha256"], certificate.claimed(data)
 
 
-def _named(name: str, found: Result) -> Result:
-    """Return the sentences with the name of the file that they are of."""
-    return Result(
-        tuple(f"{name}: {each}" for each in found.statements),
-        tuple(f"{name}: {each}" for each in found.problems),
-        tuple(f"{name}: {each}" for each in found.unchecked),
-    )
+def _named(found: Sequence[tuple[str, Result]]) -> Result:
+    """Return sentences with the names of the files that they are of; one for files alike."""
+
+    def merged(kind: str) -> tuple[str, ...]:
+        files: dict[str, dict[str, None]] = {}
+        for name, result in found:
+            for sentence in getattr(result, kind):
+                files.setdefault(sentence, {})[name] = None
+        return tuple(f"{', '.join(names)}: {said}" for said, names in files.items())
+
+    return Result(merged("statements"), merged("problems"), merged("unchecked"))
 
 
 def _checks(

@@ -46,9 +46,8 @@ def compared(
     if friction.fitted:
         return Result(
             unchecked=(
-                f"{', '.join(places)} of its joints: result.json says that they were fitted to the "
-                "efforts anew, as some parameters have no place in it; the certificate does not "
-                "tell them",
+                "friction of the joints: result.json says that it was fitted to the efforts anew, "
+                "since not all parameters have a place there; the certificate does not tell it",
             )
         )
     problems, equal = [], set()
@@ -72,8 +71,9 @@ def compared(
                     "the joint that it follows"
                 )
     others = [attribute for attribute in places if attribute not in equal]
-    unchecked = (f"{', '.join(others)} of its joints: not certified",) if others else ()
+    unchecked = (f"{', '.join(others)} of the joints: no certified parameter",) if others else ()
     if problems or not equal:
         return Result(problems=tuple(problems), unchecked=unchecked)
-    said = f"Of its joints, {' and '.join(sorted(equal))} are the certified parameters."
+    symbols = " and ".join(places[attribute] for attribute in places if attribute in equal)
+    said = f"the joints have the certified friction, {symbols}."
     return Result((said,), unchecked=unchecked)

@@ -29,7 +29,7 @@ from .inertials import (
 from .joint_friction import Friction, compared
 from .markup import Node, by_name, parse
 from .placements import HERE, Placement, from_quaternion
-from .urdf import agreement, leftover
+from .urdf import DESCRIBED, agreement, leftover
 
 # The attributes of <joint> and the parameters that they hold.
 PLACES = {"frictionloss": "Fs", "damping": "Fv", "armature": "Ia"}
@@ -172,8 +172,7 @@ def check(source: bytes, bodies: Mapping[str, Sequence[float]], friction: Fricti
         if not exists(found[0].mass, found[0].moments, CONSISTENCY):
             problems.append(f"body {shown(name)} is none: {CONSISTENCY} does not hold")
     said = () if problems else (agreement(len(bodies), raised, CONSISTENCY),)
-    unchecked = ("that gravity and its joints (places, axes, limits) are the description's",)
-    result = Result(said, tuple(problems), unchecked)
+    result = Result(said, tuple(problems), (DESCRIBED,))
     return result + compared(_values(moving.values()), friction, PLACES)
 
 

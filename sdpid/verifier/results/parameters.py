@@ -6,19 +6,33 @@ import csv
 import io
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from fractions import Fraction
 from typing import Any
 
+from ..bound import Recomputed
 from ..exact import product
-from ..reading import MalformedError, items, parse, require_keys, shown
+from ..reading import MalformedError, items, numbers, parse, require_keys, shown
 from ..result import Result
 from .markup import number
 
 # Differences of one file that are told one by one; more say no more.
 _MOST = 20
 
+# Costs are sums of squares, computed in floating point from numbers of up to some 1e6 times their
+# size.
+_ROUNDING = Fraction(1e-9)
+
 _KEYS = (
     *("format", "version", "made_by", "robot", "joints", "links", "frames", "method", "status"),
-    *("consistency", "weighting", "cost", "certificate", "friction_terms", "effects"),
+    *(
+        "consistency",
+        "weighting",
+        "cost",
+        "cost_at_most",
+        "certificate",
+        "friction_terms",
+        "effects",
+    ),
     *("interval_method", "interval_level", "standard", "base"),
 )
 
@@ -37,6 +51,8 @@ class Certified:
         Cost, lower bound and gap.
     theta, base : mapping of str to float, or None
         The parameters by name. Base parameters are the doubles nearest to B·theta.
+    cost, scale : Fraction
+        The compressed cost of theta, and the least that differences of it are relative to.
     """
 
     digest: str
@@ -44,6 +60,8 @@ class Certified:
     claims: Mapping[str, Any]
     theta: Mapping[str, float] | None
     base: Mapping[str, float] | None
+    cost: Fraction | None
+    scale: Fraction
 
     @classmethod
     def of(cls, data: Mapping[str, Any]) -> Certified:
@@ -53,16 +71,19 @@ class Certified:
         theta = base = None
         if data["theta"] is not None:
             values = [float(value) for value in data["theta"]]
-            exact = product(problem["base_matrix"], values)
+            nearest = map(float, product(problem["base_matrix"], values))
             theta = dict(zip(origin["theta_names"], values, strict=True))
-            base = dict(zip(origin["base_names"], map(float, exact), strict=True))
+            base = dict(zip(origin["base_names"], nearest, strict=True))
         claims = {key: data["claims"][key] for key in ("cost", "lower_bound", "gap")}
+        exact = Recomputed(dict(data))
         return cls(
             digest=data["sha256"],
             stated={**stated, "consistency": problem["consistency"]},
             claims=claims,
             theta=theta,
             base=base,
+            cost=None if theta is None or exact.broken else exact.cost,
+            scale=exact.scale,
         )
 
     @property
@@ -80,22 +101,24 @@ def check_parameters(content: bytes, certified: Certified) -> Result:
         **certified.stated,
         "links": links,
         "certificate": certified.digest,
-        "cost": certified.claims["cost"],
+        "cost_at_most": certified.claims["cost"],
     }
-    problems = _unlike(data, wanted)
+    problems = [*_unlike(data, wanted), *_other_cost(data["cost"], certified)]
     for key, values in (("standard", certified.theta), ("base", certified.base)):
         given = data[key]
         if given is not None and type(given) is not dict:
             raise MalformedError(f"{key} is no object")
         found = None if given is None else {name: given[name]["value"] for name in given}
         problems += _other_values(found, values, f"{key} parameter")
-    return _result(problems, "its intervals, standard errors, shares, units and expressions")
+    return _result(problems, "intervals, standard errors, shares, units and expressions")
 
 
 def check_result(content: bytes, certified: Certified, holds: bool) -> Result:
     """Check result.json, which may say `certified` where the certificate's proof holds."""
     data = parse(content)
-    problems = _unlike(data, {**certified.claims, "certificate": certified.digest})
+    claims = {key: certified.claims[key] for key in ("lower_bound", "gap")}
+    wanted = {**claims, "cost_at_most": certified.claims["cost"], "certificate": certified.digest}
+    problems = [*_unlike(data, wanted), *_other_cost(data["cost"], certified)]
     if data["certified"] is not False and not holds:
         problems.append("it says 'certified', and the certificate does not hold")
     for key, values in (
@@ -103,7 +126,7 @@ def check_result(content: bytes, certified: Certified, holds: bool) -> Result:
         ("base_parameters", certified.base),
     ):
         problems += _other_values(data[key], values, key.replace("_", " ")[:-1])
-    return _result(problems, "its errors of prediction, intervals, findings and words")
+    return _result(problems, "errors of prediction, intervals, findings and words")
 
 
 def exports(content: bytes) -> dict[str, bool]:
@@ -133,8 +156,8 @@ def check_table(content: bytes, values: Mapping[str, float] | None) -> Result:
     found = {row[name]: number(row[value]) if row[value] else None for row in rows[1:]}
     if values is None:
         found_or_none = None if not any(v is not None for v in found.values()) else found
-        return _result(_other_values(found_or_none, None, "parameter"), "its other columns")
-    return _result(_other_values(found, values, "parameter"), "its other columns")
+        return _result(_other_values(found_or_none, None, "parameter"), "the other columns")
+    return _result(_other_values(found, values, "parameter"), "the other columns")
 
 
 def _unlike(data: Mapping[str, Any], wanted: Mapping[str, Any]) -> list[str]:
@@ -162,6 +185,16 @@ def _other_values(found: Any, wanted: Mapping[str, float] | None, what: str) -> 
     ]
 
 
+def _other_cost(found: Any, certified: Certified) -> list[str]:
+    """Return that a compressed cost, computed in floating point, is not the exact one."""
+    if certified.cost is None:
+        return []
+    cost = Fraction(numbers(found))
+    if abs(cost - certified.cost) <= _ROUNDING * max(certified.cost, certified.scale):
+        return []
+    return [f"cost is {found!r}, that of the certified parameters {float(certified.cost)!r}"]
+
+
 def _short(value: Any) -> str:
     """Return a value for a sentence."""
     if type(value) in (int, float, bool) or value is None:
@@ -171,6 +204,6 @@ def _short(value: Any) -> str:
 
 def _result(problems: Sequence[str], others: str) -> Result:
     if not problems:
-        return Result(("Its numbers are the certificate's, to the last digit.",), (), (others,))
+        return Result(("the numbers are the certificate's, to the last digit.",), (), (others,))
     more = [f"{len(problems) - _MOST} other differences"] if len(problems) > _MOST else []
     return Result((), (*problems[:_MOST], *more), (others,))

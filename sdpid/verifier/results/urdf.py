@@ -7,7 +7,7 @@ it (`sdpid.verifier.results.inertials`). The writer computes its numbers by the 
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from fractions import Fraction
 
 from ..reading import MalformedError, shown
@@ -23,6 +23,24 @@ PLACES = {"friction": "Fs", "damping": "Fv"}
 
 _PLAIN = ("link", "joint", "material", "transmission")
 
+# All that an <inertial> has. Others, such as quat_xyzw, turn or scale it for some readers only.
+_KNOWN: dict[str, set[str]] = {
+    "inertial": set(),
+    "origin": {"xyz", "rpy"},
+    "mass": {"value"},
+    "inertia": {*MOMENTS},
+}
+
+# URDF reads the upper triangle of a tensor; some files write the lower one, too.
+_LOWER = {"iyx": "ixy", "izx": "ixz", "izy": "iyz"}
+
+# Versions that mean the same by these elements; an empty one is that of a file without.
+_VERSIONS = ("", "1.0", "1.1", "1.2")
+
+
+# What nothing in the folder speaks for.
+DESCRIBED = "that joints (places, axes, limits), shapes and gravity are the description's"
+
 
 class Urdf:
     """Links and joints of a URDF; MalformedError where readers might see different ones."""
@@ -31,10 +49,12 @@ class Urdf:
         root = parse(source)
         if root.tag != "robot":
             raise MalformedError(f"its root is <{shown(root.tag)}>, not <robot>")
+        self.version = root.attributes.get("version", "")
         self.links, self.joints = (by_name(root.all(tag), f"{tag}s") for tag in ("link", "joint"))
         self.others = sorted({child.tag for child in root.children} - set(_PLAIN))
         self.movers: dict[str, Node] = {}
         self._fixed: dict[str, list[tuple[str, Placement]]] = {}
+        self._fixing: dict[str, Node] = {}
         carried: dict[str, list[str]] = {link: [] for link in self.links}
         for joint in self.joints.values():
             parent, child = (_end(joint, end) for end in ("parent", "child"))
@@ -43,6 +63,7 @@ class Urdf:
             carried[parent].append(child)
             if joint.attributes.get("type") == "fixed":
                 self._fixed.setdefault(parent, []).append((child, _origin(joint)))
+                self._fixing[child] = joint
             else:
                 self.movers[child] = joint
         self.root = _root(carried)
@@ -60,6 +81,13 @@ class Urdf:
                 found.append((child, there))
                 waiting.append((child, there))
         return found
+
+    def parts(self, link: str) -> list[Node]:
+        """Return the inertials of a link and of those fixed to it, and where these are."""
+        fixed = [child for child, _ in self.attached(link)]
+        found = [self.links[name].only("inertial") for name in (link, *fixed)]
+        found += [self._fixing[child].only("origin") for child in fixed]
+        return [node for node in found if node is not None]
 
     def inertial(self, link: str) -> tuple[Inertial, Placement] | None:
         """Return the inertial of a link and the axes of its moments; None without one."""
@@ -127,11 +155,18 @@ def check(
     """
     urdf = Urdf(source)
     problems, raised = [], Fraction(0)
+    if urdf.version not in _VERSIONS:
+        problems.append(f"its version is {shown(urdf.version)}, which readers may take differently")
     floating = {urdf.root} & bodies.keys()
     for link in (urdf.movers.keys() | floating) ^ bodies.keys():
         where = "the file" if link in bodies else "the certificate"
         problems.append(f"link {shown(link)}: {where} has no such moving link")
     for link in (name for name in bodies if name in urdf.links):
+        problems += [
+            f"link {shown(link)}: {odd}, which readers may take differently"
+            for node in urdf.parts(link)
+            for odd in _odd(node)
+        ]
         rest = urdf.rest(link, bodies[link])
         expected, found = inside(rest, consistency), urdf.inertial(link)
         if expected is None:
@@ -155,11 +190,23 @@ def leftover(rest: Sequence[Fraction], fixed: Sequence[str]) -> str:
     )
 
 
+def _odd(node: Node) -> Iterator[str]:
+    """Yield what in an <inertial> or <origin> is not what every reader takes the same way."""
+    for element in (node, *node.children):
+        if (known := _KNOWN.get(element.tag)) is None:
+            yield f"<{shown(element.tag)}>"
+            continue
+        for key in sorted(element.attributes.keys() - known):
+            upper = _LOWER.get(key) if element.tag == "inertia" else None
+            if upper is None or element.number(key) != element.number(upper):
+                yield f"{shown(key)} of <{element.tag}>"
+
+
 def agreement(count: int, raised: Fraction, consistency: str) -> str:
     """Return that a file has the certified bodies, in words."""
     off = f" (inertias raised by at most {at_most(raised)} kg.m2, off the edge)" if raised else ""
     return (
-        f"Its {count} moving links, with what is fixed to them, have the certified parameters, "
+        f"{count} moving links, with what is fixed to them, have the certified parameters, "
         f"rounded to doubles{off}, and each is a body: {consistency} holds exactly."
     )
 
@@ -195,7 +242,7 @@ def _unchecked(
     """Return what a URDF says beside the certified parameters."""
     carried = {child for link in bodies if link in urdf.links for child, _ in urdf.attached(link)}
     still = urdf.links.keys() - carried - bodies.keys()
-    said = ["that its joints (places, axes, limits) and shapes are the description's"]
+    said = [DESCRIBED]
     for link in sorted(carried):
         found = urdf.inertial(link)
         if found is None or not any(found[0].named().values()):
