@@ -55,7 +55,7 @@ from .reading import MalformedError, index, items, numbers, require_keys, shown,
 
 CONSISTENCIES = ("pseudo_inertia", "spatial_inertia", "none")
 
-# The gap is relative to the cost, or to this share of ‖h‖² + floor where the cost is next to zero.
+# The gap is relative to the cost, or to this share of ‖rhs‖² + floor where that is next to zero.
 TINY_COST = Fraction(1e-6)
 
 _PROBLEM = [
@@ -93,8 +93,10 @@ class Recomputed:
         Of the worst row or cone, relative to its size (rounded up where there are roots).
     worst : str
         Its name.
+    floor : Fraction
+        No numbers at all, feasible or not, cost less on the data.
     scale : Fraction
-        The least cost that gaps are relative to.
+        The least cost that gaps are relative to; a prior has no part in it.
     broken : list of str
         Why multipliers or theta prove nothing.
     """
@@ -167,7 +169,7 @@ class Recomputed:
         h = rhs + prior_rhs
         if (floor := Fraction(numbers(problem["floor"]))) < 0:
             raise MalformedError("the floor is negative")
-        self.scale = TINY_COST * (dot(h, h) + floor)
+        self.floor, self.scale = floor, TINY_COST * (dot(rhs, rhs) + floor)
         if self.theta is not None:
             self.data_cost = floor + _squared(product(A, product(B, self.theta)), rhs)
             self.prior_cost = _squared(product(R, self.theta), prior_rhs)

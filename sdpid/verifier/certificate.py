@@ -43,7 +43,7 @@ KEYS = (
 )
 _METADATA = ("software", "method", "status", "message")
 _ORIGIN = (
-    *("robot", "links", "joints", "weighting", "theta_names", "base_names"),
+    *("robot", "links", "joints", "weighting", "loss", "theta_names", "base_names"),
     *("samples", "rows", "rows_sha256"),
 )
 _COMPRESSION = ("relative", "absolute")
@@ -71,10 +71,23 @@ def load(content: bytes) -> dict[str, Any]:
 
 
 class Proof(Recomputed):
-    """What the numbers of a certificate prove of the rows, as far as its compression holds."""
+    """What the numbers of a certificate prove of the rows, as far as its compression holds.
+
+    Attributes
+    ----------
+    outside : bool
+        Whether theta is outside its bounds, where nothing is known of the compression.
+    names : list of str
+        Of the parameters, quoted where they are no plain names.
+    """
 
     def __init__(self, data: dict[str, Any]) -> None:
         super().__init__(data)
+        origin = require_keys(data["origin"], _ORIGIN, "origin")
+        self.names = list(map(shown, names(origin["theta_names"], len(self.c), "theta_names")))
+        self.link_names = list(map(shown, names(origin["links"], self.links, "links")))
+        box = zip(self.lower, self.theta or [], self.upper, strict=False)
+        self.outside = not all(low <= value <= high for low, value, high in box)
         self.relative = self.absolute = Fraction(0)
         if (given := data["compression"]) is not None:
             require_keys(given, _COMPRESSION, "compression")
@@ -83,6 +96,9 @@ class Proof(Recomputed):
                 raise MalformedError("the compression's error is negative, or 1 and more")
             self.lower_bound = (1 - self.relative) * self.lower_bound - self.absolute
             self.data_cost = (1 + self.relative) * self.data_cost + self.absolute
+        # Squares and divergences are never below zero.
+        self.floor = max((1 - self.relative) * self.floor - self.absolute, Fraction(0))
+        self.lower_bound = max(self.lower_bound, self.floor)
 
 
 def check(data: dict[str, Any]) -> Result:
@@ -137,8 +153,10 @@ def _cost(proof: Proof, claims: dict[str, Any], feasible: bool) -> tuple[list[st
     said, problems = [], []
     if cost < proof.cost:
         problems.append(f"the cost is {float(proof.cost)!r}, above {cost!r}")
+    elif proof.outside:
+        said.append("Outside its bounds nothing is known of the cost of the given parameters.")
     elif not proof.broken:
-        said.append(f"They cost at most {cost!r}.")
+        said += [f"They cost at most {cost!r}.", _shares(proof)]
     # Without a division, so that data without errors (cost 0) are no exception.
     unit = "the cost" if cost >= proof.scale else f"{above(proof.scale)!r}, the cost being tiny"
     if Fraction(cost) - Fraction(bound) > Fraction(gap) * max(Fraction(cost), proof.scale):
@@ -151,13 +169,22 @@ def _cost(proof: Proof, claims: dict[str, Any], feasible: bool) -> tuple[list[st
     return said, problems
 
 
+def _shares(proof: Proof) -> str:
+    """Return what of the cost is of the data, beside what any numbers cost there, in words."""
+    prior = f" and {above(proof.prior_cost)!r} for the prior" if proof.prior_cost else ""
+    return (
+        f"Of it at most {above(proof.data_cost)!r} is on the data{prior}; no numbers at all, "
+        f"feasible or not, cost less than {-above(-proof.floor)!r} on the data."
+    )
+
+
 def infeasible(proof: Proof, claims: dict[str, Any]) -> list[str]:
     """Return why theta, which there is, is not shown to obey the constraints."""
     found = []
     ends = zip(proof.lower, proof.theta or [], proof.upper, strict=True)
     for k, (low, value, high) in enumerate(ends):
         if not low <= value <= high:
-            found.append(f"parameter {k + 1} is {value!r}, outside [{low!r}, {high!r}]")
+            found.append(f"parameter {proof.names[k]} is {value!r}, outside [{low!r}, {high!r}]")
     if proof.consistency == "none":
         if claims["margins"] is not None:
             raise MalformedError("margins, and no consistency that they are of")
@@ -177,15 +204,15 @@ def _wrong_margins(proof: Proof, margins: Any) -> list[str]:
     found = []
     if type(margins) is not list or len(margins) != proof.links:
         raise MalformedError(f"expected the margins of {proof.links} links")
-    for link, margin in enumerate(margins):
+    for link, (name, margin) in enumerate(zip(proof.link_names, margins, strict=True)):
         body = proof.body(link) or []
         if not has_margin(body, proof.margin, proof.consistency):
-            found.append(f"link {link + 1} does not have the margin {float(proof.margin)!r}")
+            found.append(f"link {name} does not have the margin {float(proof.margin)!r}")
         # A body without a positive mass has no margin.
         elif (margin is None) == (body[0] > 0.0):
-            found.append(f"link {link + 1} has a mass of {body[0]!r} and a margin of {margin!r}")
+            found.append(f"link {name} has a mass of {body[0]!r} and a margin of {margin!r}")
         elif margin is not None and not has_margin(body, numbers(margin), proof.consistency):
-            found.append(f"link {link + 1} does not have the margin {margin!r}")
+            found.append(f"link {name} does not have the margin {margin!r}")
     return found
 
 
@@ -203,19 +230,18 @@ def _feasible(proof: Proof, claims: dict[str, Any]) -> str:
 
 def _described(data: dict[str, Any], proof: Proof) -> tuple[str, ...]:
     """Return what the certificate is of, in words."""
-    origin = require_keys(data["origin"], _ORIGIN, "origin")
+    origin = data["origin"]
     p, b, links = len(proof.c), len(proof.problem["rhs"]), proof.links
-    names(origin["theta_names"], p, "theta_names")
     names(origin["base_names"], b, "base_names")
-    link_names = names(origin["links"], links, "links")
     joints = names(origin["joints"], len(origin["joints"]), "joints")
-    of_links = ", ".join(map(shown, link_names[:_MOST_NAMES]))
+    of_links = ", ".join(proof.link_names[:_MOST_NAMES])
     if (more := links - _MOST_NAMES) > 0:
         of_links += f" and {more} more"
+    loss = "" if origin["loss"] is None else f", loss {shown(text(origin['loss'], 'loss'))}"
     first = (
         f"Robot {shown(text(origin['robot'], 'robot'))}: {links} links ({of_links}), "
         f"{len(joints)} joints, {p} parameters, {p - 10 * links} of them friction and drives, "
-        f"{b} base parameters; weighting {shown(text(origin['weighting'], 'weighting'))}."
+        f"{b} base parameters; weighting {shown(text(origin['weighting'], 'weighting'))}{loss}."
     )
     return first, f"Feasible are parameters with {_constraints(proof)}."
 
@@ -230,8 +256,7 @@ def _constraints(proof: Proof) -> str:
             pick(ends[k] for k in masses) for pick, ends in ((min, proof.lower), (max, proof.upper))
         )
         demands.append(f"masses from {least!r} to {most!r} kg")
-    largest = max((max(-a, b) for a, b in zip(proof.lower, proof.upper, strict=True)), default=0.0)
-    demands.append(f"every parameter within its bounds, {largest!r} at most")
+    demands.append(_bounds(proof))
     if proof.consistency != "none":
         matrix = _MATRICES[proof.consistency]
         demands.append(f"a {matrix} with margin {float(proof.margin)!r} kg.m2 of each link")
@@ -246,6 +271,20 @@ def _constraints(proof: Proof) -> str:
         of = len(problem["entropic_prior"]["links"])
         prior.append(f"a log-det prior of {of} links")
     return "; ".join(demands) + "; the cost has " + (" and ".join(prior) or "no prior")
+
+
+def _bounds(proof: Proof) -> str:
+    """Return how far the bounds leave each parameter free, in words."""
+    ends = list(zip(proof.lower, proof.upper, strict=True))
+    largest = max((max(-low, high) for low, high in ends), default=0.0)
+    fixed = sum(low == high for low, high in ends)
+    widths = [(high - low, name) for (low, high), name in zip(ends, proof.names, strict=True)]
+    free = [each for each in widths if each[0] > 0.0]
+    narrowest = f", the narrowest {min(free)[0]!r} wide ({min(free)[1]})" if free else ""
+    return (
+        f"every parameter within its bounds, {largest!r} at most in size, {fixed} fixed by them"
+        f"{narrowest}"
+    )
 
 
 def unchecked(data: dict[str, Any], proof: Proof) -> tuple[str, ...]:
@@ -264,4 +303,8 @@ def unchecked(data: dict[str, Any], proof: Proof) -> tuple[str, ...]:
             f"that A, rhs and floor stand for {of}, to within {float(proof.relative)!r} of the "
             f"cost plus {float(proof.absolute)!r}, for every theta; that needs the log"
         )
-    return first, "that rows and base matrix are those of this robot and of its log"
+    return (
+        first,
+        "that rows and base matrix are those of this robot and of its log",
+        "that bounds, margin, rows, cones and prior are what you would ask for",
+    )

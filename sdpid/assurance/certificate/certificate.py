@@ -112,6 +112,7 @@ class Certificate:
                 "links": list(problem.robot.link_names),
                 "joints": list(problem.robot.joint_names),
                 "weighting": problem.weighting,
+                "loss": _loss(problem),
                 "theta_names": list(problem.base.theta_names),
                 "base_names": list(problem.base.names),
                 "samples": problem.n_samples,
@@ -218,9 +219,15 @@ class Certificate:
         how = f" with margin {min(margins):.6g} kg.m2" if margins else ""
         return (
             f"feasible{how}; cost {self.cost:.10g}; no feasible parameters cost less than "
-            f"{self.lower_bound:.10g}; at most {100 * max(self.gap, 0.0):.2e} % above the global "
-            "optimum."
+            f"{self.lower_bound:.10g}; {self._distance()}."
         )
+
+    def _distance(self) -> str:
+        """Return how far the cost is from the optimum, in words."""
+        gap, scale = max(self.gap, 0.0), float(self._stated[1].scale)
+        if self.cost >= scale:
+            return f"at most {100 * gap:.2e} % above the global optimum"
+        return f"at most {gap:.2e} times {scale:.3g} above the global optimum, the cost being tiny"
 
     def to_dict(self) -> dict[str, Any]:
         """Return everything that is needed to check the certificate, as plain values."""
@@ -244,6 +251,13 @@ def _compression(problem: Problem) -> dict[str, float] | None:
         _PROVEN[problem] = prove_compression(problem)
     found = _PROVEN[problem]
     return None if found is None else asdict(found)
+
+
+def _loss(problem: Problem) -> str | None:
+    """Return what a robust loss made of the rows, None where there is none."""
+    if not problem.constant:
+        return None
+    return f"robust: rows are weighted by it, and it adds {problem.constant!r} to the floor"
 
 
 def _problem(problem: Problem) -> dict[str, Any]:
