@@ -99,16 +99,23 @@ class Judgment:
         lines.append(
             f"cost {cost:.10g}{of_it}; no feasible parameters cost less than {bound:.10g} (proven)"
         )
-        if self.gap >= 0.0:
-            lines.append(f"at most {100 * self.gap:.3g} % of its cost above the optimum")
-        else:
-            lines.append(
-                f"{100 * -self.gap:.3g} % of its cost below the bound: no feasible parameters are "
-                "there"
-            )
+        lines.append(self._distance())
         residuals = (f"{name} {100 * x:.2f} %" for name, x in self.residuals.items())
         lines.append(f"relative residual: {', '.join(residuals)}")
         return "\n".join(lines)
+
+    def _distance(self) -> str:
+        """Return in words how far the cost is from the bound."""
+        cost, bound = self.cost, self.certificate.lower_bound
+        if self.gap < 0.0:
+            return (
+                f"{100 * -self.gap:.3g} % of its cost below the bound: no feasible parameters are "
+                "there"
+            )
+        if not bound > 0.0:
+            return f"at most {self.gap:.3g} times its cost above the optimum"
+        share = 100.0 * (cost / bound - 1.0)
+        return f"{cost / bound:.4g} times the bound: at most {share:.3g} % above the optimum"
 
     def _feasibility(self) -> str:
         """Return in words whether the parameters are feasible."""
