@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import pickle
 from dataclasses import replace
 from typing import Any
 
@@ -276,6 +277,26 @@ def test_a_mistake_in_a_later_piece_is_named(monkeypatch: pytest.MonkeyPatch) ->
     worst = found(problem).worst
     assert worst.joint == ONE
     assert worst.sample in (7, 37)  # it is planted in both
+
+
+@pytest.mark.parametrize("weighting", ["gls", "eq18"])
+def test_rows_may_be_elsewhere(weighting: Any) -> None:
+    problem = problem_of(weighting=weighting, count=30)
+    rows = problem.require_rows_here("test")
+
+    class Sent:
+        """Rows of another process: what goes there and comes back is pickled."""
+
+        robot, friction, base, samples, n_samples = ARM, rows.friction, rows.base, rows.samples, 30
+
+        def map(self, function: Any, *arguments: Any, sigma: Array | None = None) -> list[Any]:
+            there, given = pickle.loads(pickle.dumps((function, arguments)))
+            found: list[Any] = pickle.loads(pickle.dumps(rows.map(there, *given, sigma=sigma)))
+            return found
+
+    result = row_error(Sent(), problem.sigma, weighting, problem.feasible)
+    assert result is not None
+    assert result.total == found(problem).total
 
 
 def test_a_wrong_regrouping_is_found() -> None:
