@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from fractions import Fraction
 from pathlib import Path
 from typing import Literal, TypeAlias
 
@@ -127,9 +128,9 @@ def write_urdf(
                 _write_inertial(document, tree.links[child.name], inertial_values(np.zeros(10)))
                 changed.append(child.name)
     # What is fixed to others is as it stays, and the moving links take the exact rest.
-    exact = readable(Urdf, document.text(), what)
-    for link, body in zip(links, bodies.tolist(), strict=True):
-        written = rounded(possible_body(exact.rest(link, body), consistency, link, what))
+    rests = readable(lambda text: _rests(text, links, bodies), document.text(), what)
+    for link, rest_exactly in zip(links, rests, strict=True):
+        written = rounded(possible_body(rest_exactly, consistency, link, what))
         if not exists(written.mass, written.moments, "pseudo_inertia"):
             flat.append(link)
         _write_inertial(document, tree.links[link], written_values(written))
@@ -152,6 +153,12 @@ def write_urdf(
         training=file.errors(),
         _written=file,
     )
+
+
+def _rests(text: str, links: Sequence[str], bodies: Array) -> list[list[Fraction]]:
+    """Return the bodies of moving links, without those that a text has fixed to them."""
+    exact = Urdf(text)
+    return [exact.rest(link, body) for link, body in zip(links, bodies.tolist(), strict=True)]
 
 
 def _asked(children: Sequence[FixedChild], fixed: Fixed) -> list[FixedChild]:

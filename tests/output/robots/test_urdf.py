@@ -291,6 +291,14 @@ def test_lump_when_a_child_is_no_body(tmp_path: Path) -> None:
     assert write_urdf(estimate_of(problem, links), target=tmp_path / "o.urdf").lumped == ("slide",)
 
 
+def test_what_readers_may_take_differently_is_refused(tmp_path: Path) -> None:
+    text = ARM.replace('<origin xyz="0.02 0 0.01" rpy="0.3 0 0.1"/>', "<origin/><origin/>")
+    problem = problem_of(load_robot(text))
+    estimate = estimate_of(problem, bodies(np.random.default_rng(0), 3))
+    with pytest.raises(ExportError, match=r"may differ on the source: .* several <origin>"):
+        write_urdf(estimate, target=tmp_path / "o.urdf")
+
+
 def test_written_bodies_are_consistent(tmp_path: Path, arm: Problem) -> None:
     rng = np.random.default_rng(8)
     for points in (1, 2, 3, 4, 8):
