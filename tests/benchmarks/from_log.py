@@ -50,20 +50,16 @@ def write_log(path: Path) -> Path:
 
 
 def saved(log: Path, folder: Path) -> Problem:
-    """Identify from the log and save what a check needs."""
+    """Identify from the log and save the results."""
     result = sdpid.identify(ROBOT, log, processing=_PROCESSING, effects="none", intervals=False)
-    assert result.recipe is not None
-    result.certificate.to_json(folder / "certificate.json")
-    manifest = {"inputs": list(result.inputs), "recipe": result.recipe.to_dict()}
-    (folder / "manifest.json").write_text(json.dumps(manifest))
+    result.save(folder, figures=False)
     return result.problem
 
 
 def measure(repeats: int) -> Iterator[Row]:
     """Measure the whole check, and its two passes over the rows."""
     with tempfile.TemporaryDirectory() as name:
-        folder = Path(name)
-        log = write_log(folder / "run.npz")
+        folder, log = Path(name) / "results", write_log(Path(name) / "run.npz")
         problem = saved(log, folder)
         print(f"{problem.robot.name}: {problem.samples.n_samples} samples, {problem.n_rows} rows")
         yield from _passes(problem, repeats)

@@ -10,6 +10,7 @@ import numpy as np
 
 from sdpid._common.arrays import Array, frozen
 from sdpid._common.tables import plain
+from sdpid.assurance.log_proof.stated_problem import StatedProblem
 from sdpid.errors import CertificateError, ModelError, SdpidError
 from sdpid.estimation.compression.covariance import WEIGHTINGS, Weighting
 from sdpid.estimation.problem import Problem
@@ -128,6 +129,8 @@ class Recipe:
         How rows are weighted.
     sigma : ndarray, shape (n, n), or None
         Their covariance; None where it is that of each sample, from the spread of the periods.
+    problem : StatedProblem or None
+        What was asked of the parameters; None where that is no plain value.
     """
 
     robot: RobotRecipe
@@ -137,6 +140,7 @@ class Recipe:
     friction: tuple[FrictionTerm, ...]
     weighting: Weighting
     sigma: Array | None
+    problem: StatedProblem | None = None
 
     @classmethod
     def of(cls, problem: Problem, prepared: Prepared) -> Recipe:
@@ -158,6 +162,7 @@ class Recipe:
             friction=tuple(_explicit(term, problem.robot) for term in problem.friction.terms),
             weighting=problem.weighting,
             sigma=None if each else _symmetric(problem.sigma),
+            problem=StatedProblem.of(problem),
         )
         recipe.to_dict()
         return recipe
@@ -172,6 +177,7 @@ class Recipe:
             "friction": [term_to_dict(term) for term in self.friction],
             "weighting": self.weighting,
             "sigma": None if self.sigma is None else self.sigma.tolist(),
+            "problem": None if self.problem is None else self.problem.to_dict(),
         }
 
     @classmethod
@@ -195,6 +201,8 @@ class Recipe:
         _require_keys(given, [each.name for each in fields(cls) if each.name != "reading"], "logs")
         robot, processing = given["robot"], given["processing"]
         _require_keys(processing, _SETTINGS)
+        if (stated := given["problem"]) is not None:
+            _require_keys(stated, [each.name for each in fields(StatedProblem)])
         for log in given["logs"]:
             _require_keys(log, ["reading"])
             if log["reading"] is not None and (wrong := set(log["reading"]) - _READING):
@@ -209,6 +217,7 @@ class Recipe:
             friction=tuple(term_from_dict(term) for term in given["friction"]),
             weighting=given["weighting"],
             sigma=None if given["sigma"] is None else _covariance(given["sigma"]),
+            problem=None if stated is None else StatedProblem.from_dict(stated),
         )
 
 

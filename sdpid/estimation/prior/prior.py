@@ -143,11 +143,14 @@ class PriorTerms:
         What was repaired, left out or chosen.
     strength : float
         The links' strength, nats.
+    source : Prior or None
+        What they were made of.
     """
 
     terms: tuple[CostTerm, ...]
     notes: tuple[str, ...]
     strength: float
+    source: Prior | None = None
 
 
 def repaired(bodies: Array) -> tuple[Array, tuple[int, ...], tuple[int, ...]]:
@@ -218,7 +221,7 @@ def prior_terms(prior: Prior, rows: Rows, *, data: tuple[Array, Array] | None = 
         R, r = R[vague], r[vague]
     root = np.sqrt(strength)
     squared = SquaredTerm(frozen(np.vstack([root * R, F])), frozen(np.concatenate([root * r, f])))
-    return PriorTerms((squared, *terms), tuple(notes), strength)
+    return PriorTerms((squared, *terms), tuple(notes), strength, prior)
 
 
 def link_rows(prior: Prior, robot: RobotModel) -> Array:

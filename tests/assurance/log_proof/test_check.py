@@ -15,11 +15,12 @@ import sdpid
 from sdpid.assurance.log_proof.chain import check
 from sdpid.assurance.log_proof.chain.check import check_log
 from sdpid.assurance.log_proof.chain.links import LogProof
-from sdpid.errors import CertificateError, DataError, MissingExtraError
+from sdpid.errors import CertificateError, DataError, MissingExtraError, ModelError
+from sdpid.estimation.constraints.mass import TotalMass
 from tests.helpers.arm_files import ARM_URDF
 from tests.helpers.runs import arm, recorded
 
-LINKS = ("log", "robot", "samples", "base parameters", "compression", "rows", "total")
+LINKS = ("log", "robot", "samples", "base parameters", "problem", "compression", "rows", "total")
 
 Edit = Callable[[dict[str, Any], dict[str, Any]], None]
 
@@ -91,6 +92,9 @@ def test_the_robots_description_counts_where_it_is_given(run: Path) -> None:
     assert "number for number those of the run" in samples
     assert "'arm.urdf'" not in proof.links[1].text
     assert "has the SHA-256 of the manifest" in proof.links[1].text
+    (problem,) = (link.text for link in proof.links if link.name == "problem")
+    assert "the defaults for this robot" in problem
+    assert "towards the description's bodies" in problem
 
 
 def test_a_log_edited_by_one_digit_is_named(run: Path, tmp_path: Path) -> None:
@@ -205,7 +209,13 @@ def with_bodies(bodies: list[list[float]]) -> Callable[[Any], Any]:
         ),
         ("total", edit_of("certificate.problem.prior_matrix.0.0", lambda _: 1e308)),
         ("robot", edit_of("manifest.recipe.robot.gravity.2", lambda x: x + 0.01)),
-        ("log", edit_of("manifest.recipe.logs.0.reading", lambda _: {"units": 3})),
+        ("problem", edit_of("certificate.problem.upper.0", lambda x: 2.0 * x)),
+        ("problem", edit_of("certificate.problem.margin", lambda _: 1e-6)),
+        ("problem", edit_of("certificate.problem.prior_rhs.0", lambda x: x + 1e-3)),
+        ("problem", edit_of("manifest.recipe.problem.constraints.mass_max", lambda x: x + 1.0)),
+        ("problem", edit_of("manifest.recipe.problem.prior.strength", lambda _: 1.1)),
+        ("problem", edit_of("manifest.recipe.problem.prior", lambda _: None)),
+        ("problem", edit_of("manifest.recipe.problem.consistency", lambda _: "none")),
         ("log", edit_of("manifest.inputs.0.bytes", lambda x: x + 1)),
         ("log", edit_of("manifest.inputs.0.sha256", lambda x: "0" + x[1:] if x[0] != "0" else x)),
     ],
@@ -225,6 +235,9 @@ def test_what_was_forged_is_named(run: Path, tmp_path: Path, link: str, edit: Ed
         (edit_of("manifest.recipe.logs.0.reading", lambda _: {"path": "x"}), "'path'"),
         (edit_of("manifest.inputs", lambda _: 3), "inputs is no list"),
         (edit_of("manifest.recipe.robot.source", lambda _: 3), "source of the robot is 3"),
+        (edit_of("manifest.recipe.logs.0.reading", lambda _: {"units": 3}), "is not read with"),
+        (edit_of("manifest.recipe.problem.constraints", lambda _: {}), "constraints are {}"),
+        (edit_of("manifest.recipe.problem.prior.kind", lambda _: "x"), "kind is 'x'"),
         (edit_of("manifest.recipe.robot.xacro_args", lambda _: [1]), "xacro_args of the robot"),
         (edit_of("manifest.recipe.robot.gravity.0", lambda _: 1e300), "gravity is"),
         (edit_of("manifest.recipe.sigma.0.1", lambda _: 1e-9), "sigma is not symmetric"),
@@ -244,6 +257,10 @@ def test_a_folder_that_cannot_be_followed_is_refused(
 def test_a_log_that_is_not_there_is_bad_input(run: Path) -> None:
     with pytest.raises(DataError, match="there is no such file"):
         check_log(run / "results", run / "missing.csv")
+    with pytest.raises(DataError, match="format"):
+        check_log(run / "results", run / "arm.urdf")
+    with pytest.raises(ModelError, match="no robot 'nobody'"):
+        check_log(run / "results", run / "run.csv", robot="nobody")
     with pytest.raises(CertificateError, match="is no folder"):
         check_log(run / "run.csv", run / "run.csv")
 
@@ -281,6 +298,23 @@ def test_several_logs_have_an_order(tmp_path: Path) -> None:
     assert "it is log 2 of the run, not log 1" in proof.links[0].text
     proof = check_log(folder, logs[0])
     assert proof.links[0].text == "1 are given, the result is of 2: '1.csv', '2.csv'"
+
+
+@pytest.mark.parametrize(
+    ("options", "state"),
+    [
+        ({"prior": sdpid.Prior(kind="entropic", strength="evidence")}, "proven"),
+        ({"consistency": "spatial_inertia", "prior": False}, "proven"),
+        ({"constraints": sdpid.Constraints(others=TotalMass(4.9, tolerance=0.5))}, "not checked"),
+    ],
+)
+def test_what_was_asked_of_the_parameters(
+    tmp_path: Path, options: dict[str, Any], state: str
+) -> None:
+    result = sdpid.identify(arm(), recorded(1), effects="none", intervals=False, **options)
+    proof = check_log(saved(result, tmp_path / "results"), recorded(1), robot=arm())
+    assert proof.result.passed, proof.result.problems
+    assert states(proof)["problem"] == state
 
 
 @pytest.mark.parametrize("weighting", ["gls", "gls_per_sample", "eq18"])

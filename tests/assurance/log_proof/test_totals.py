@@ -21,6 +21,9 @@ def compressed(cost: Fraction, prior: Fraction) -> Any:
     """Return the parts of `Recomputed` at a point where the bound is sharp."""
     return SimpleNamespace(
         theta=[0.0],
+        lower=[-1.0],
+        upper=[1.0],
+        problem={"floor": 0.0},
         broken=[],
         data_cost=cost,
         prior_cost=prior,
@@ -51,7 +54,7 @@ def test_every_cost_that_the_premises_allow_is_between_the_bounds(
     assert rows.cost is not None
     assert rows.lower_bound <= rows_cost + found.prior_cost <= rows.cost
     true_root = max(rows_root + (2 * of_error_share - 1) * Fraction(error), Fraction(0))
-    true = of_true_rows(found, rows, error, error)
+    true = of_true_rows(rows, error, error)
     assert true.cost is not None
     assert true.lower_bound <= true_root**2 + found.prior_cost <= true.cost
     assert true.gap is not None
@@ -65,10 +68,16 @@ def test_a_root_below_is_just_below(value: Fraction) -> None:
     assert value < (root + Fraction(1, 2**80)) ** 2
 
 
+def test_parameters_outside_their_bounds_have_no_cost() -> None:
+    found = compressed(Fraction(3), Fraction(1))
+    found.theta = [2.0]
+    assert of_rows(found, 0.5, 0.0).cost is None
+
+
 def test_without_parameters_there_is_a_bound_and_no_cost() -> None:
     found = compressed(Fraction(3), Fraction(1))
     found.theta = None
-    true = of_true_rows(found, of_rows(found, 0.5, 0.0), 0.0, 0.0)
+    true = of_true_rows(of_rows(found, 0.5, 0.0), 0.0, 0.0)
     assert true.cost is None
     assert true.gap is None
     assert Fraction(19, 10) < true.lower_bound <= 2

@@ -20,10 +20,11 @@ from sdpid.assurance.certificate.rows_digest import samples_digest
 from sdpid.assurance.log_proof.chain.links import Bounds, Link, LogProof, State
 from sdpid.assurance.log_proof.chain.robots import URDF, find_robot, robot_file
 from sdpid.assurance.log_proof.chain.sealed import Sealed
+from sdpid.assurance.log_proof.chain.stated import stated_problem
 from sdpid.assurance.log_proof.chain.totals import Totals, of_rows, of_true_rows
 from sdpid.assurance.log_proof.inputs import log_entry, recording_digest
 from sdpid.assurance.log_proof.row_error import row_error
-from sdpid.errors import DataError, MissingExtraError, SdpidError
+from sdpid.errors import CertificateError, DataError, MissingExtraError, SdpidError
 from sdpid.estimation.compression.rows import RowSource
 from sdpid.estimation.constraints.condition import Layout
 from sdpid.estimation.constraints.constraints import Constraints
@@ -32,13 +33,19 @@ from sdpid.experiment.preparation.several import Logs, prepare_recordings
 from sdpid.experiment.processing.samples import Samples
 from sdpid.experiment.readers.read import is_frame, read_recording
 from sdpid.experiment.recording.recording import Recording
-from sdpid.robot.friction.model import FrictionModel
+from sdpid.robot.friction.model import BY_NAME, FrictionModel
 from sdpid.robot.model.base_parameters import structural_base
 from sdpid.robot.model.model import RobotModel
 from sdpid.verifier.reading import REFUSED, shown
 
+# Terms whose columns depend on bodies.
+_POSED = {each.__name__ for each in BY_NAME.values() if each.posed}
+
 # The links, in the order in which they are checked.
-_LINKS = ("log", "robot", "samples", "base parameters", "compression", "rows", "total")
+_LINKS = ("log", "robot", "samples", "base parameters", "problem", "compression", "rows", "total")
+
+# Links of what the caller gives: what cannot be read there is bad input, and no finding.
+_GIVEN = ("log", "robot")
 
 # Base parameters regroup columns to this accuracy, relative to the largest entry: rounding of a
 # least-squares fit, with room for other processors.
@@ -72,8 +79,8 @@ def check_log(
     ------
     CertificateError
         When the folder has no recipe, or a file of it cannot be read.
-    DataError
-        When there is no such log.
+    DataError, ModelError
+        When there is no such log or robot, or it cannot be read.
     MissingExtraError
         When a package is missing that the log's format needs.
     """
@@ -83,6 +90,7 @@ def check_log(
         lambda: check.find(robot),
         check.process,
         check.regroup,
+        check.ask,
         check.compress,
         check.rows,
         check.add_up,
@@ -95,7 +103,11 @@ def check_log(
                 except MissingExtraError:
                     raise
                 except SdpidError as cause:
-                    check.say(name, "not proven", str(cause).rstrip("."), stop=True)
+                    if name in _GIVEN:
+                        raise
+                    # What is wrong; what to record or to set otherwise is no help here.
+                    text = str(cause).split(";")[0].rstrip(".")
+                    check.say(name, "not proven", text, stop=True)
                 except REFUSED as cause:
                     # Numbers of a manifest may be any: infinite, of other shapes, singular.
                     text = f"cannot be made again: {type(cause).__name__}, {str(cause)[:200]}"
@@ -246,6 +258,11 @@ class _Check:
             text += f"not the certificate's: entries differ by up to {off:.3g}"
             self.say("base parameters", "not proven", text)
 
+    def ask(self) -> None:
+        """Compare bounds and prior with those that the recipe states."""
+        link = stated_problem(self.sealed, self.source)
+        self.say(link.name, link.state, link.text)
+
     def compress(self) -> None:
         """Enclose the cost of the rows by the certificate's compressed cost."""
         sealed, problem = self.sealed, self.sealed.data["problem"]
@@ -294,20 +311,21 @@ class _Check:
         worst, theta = found.worst, sealed.found.theta
         here = found.total if theta is None else found.at(np.array(theta))
         self.row_error = found.total
-        self.equations = of_true_rows(sealed.found, self.totals, here, found.total, found.share)
+        self.equations = of_true_rows(self.totals, here, found.total, found.share)
         text = (
             "the roots of their cost and of that of the equations of motion differ by at most "
             f"{found.total!r}, at the given parameters by {here!r}; the worst entry is "
             f"{shown(worst.parameter)} of joint {shown(worst.joint)} at sample {worst.sample + 1}, "
             f"off by {abs(worst.error):.3g} at most"
         )
-        if found.taken_as_computed:
-            terms = ", ".join(found.taken_as_computed)
-            self.say(
-                "rows",
-                "not checked",
-                f"columns of {terms} are taken as computed: they are results of processing",
-            )
+        reasons = {
+            "have passed the filter of the efforts": set(found.taken_as_computed) - _POSED,
+            "are of bodies that the recipe states": set(found.taken_as_computed) & _POSED,
+        }
+        for why, terms in reasons.items():
+            if terms:
+                text_of = f"columns of {', '.join(sorted(terms))} are taken as computed: they {why}"
+                self.say("rows", "not checked", text_of)
         self.say("rows", "proven", text)
 
     def add_up(self) -> None:
@@ -347,13 +365,18 @@ def _read(log: Any, how: dict[str, Any]) -> Recording:
     ------
     DataError
         When it cannot be read so.
+    CertificateError
+        When these are no options.
     """
     if isinstance(log, Recording):
         return log
     try:
         recording: Recording = read_recording(log, mapping=False, **how)
     except REFUSED as cause:
-        raise DataError(f"cannot be read with {_options(how)}: {cause}") from None
+        raise CertificateError(
+            f"manifest.json: its recipe cannot be followed: {log} is not read with "
+            f"{_options(how)} ({cause})."
+        ) from None
     return recording
 
 
@@ -367,4 +390,10 @@ def _weights(sigma: Any) -> str:
     variance = np.diagonal(sigma, axis1=-2, axis2=-1).reshape(-1, sigma.shape[-1])
     deviations = np.sqrt(np.maximum(variance.mean(axis=0), 0.0))
     shown_numbers = ", ".join(f"{each:.3g}" for each in deviations)
-    return f"errors count in units of {shown_numbers} N·m (N) at joints 1 to {len(deviations)}"
+    values = np.linalg.eigvalsh(sigma)
+    least, most = (float(np.sqrt(max(pick(values), 0.0))) for pick in (np.min, np.max))
+    condition = float((values[..., -1] / values[..., 0]).max())
+    return (
+        f"errors count in units of {shown_numbers} N·m (N) at joints 1 to {len(deviations)}, and "
+        f"of {least:.3g} to {most:.3g} in any direction (condition {condition:.3g})"
+    )

@@ -43,11 +43,15 @@ class Bounds:
         No feasible parameters cost less.
     gap : float or None
         The one above the other, relative to the cost (see `Certificate.gap`).
+    data, prior : float or None, float
+        What of the cost is at most of the rows, and at most of the prior.
     """
 
     cost: float | None
     lower_bound: float
     gap: float | None
+    data: float | None
+    prior: float
 
     @classmethod
     def of(cls, totals: Totals) -> Bounds:
@@ -56,14 +60,18 @@ class Bounds:
             cost=None if totals.cost is None else above(totals.cost),
             lower_bound=-above(-totals.lower_bound),
             gap=None if totals.gap is None else above(totals.gap),
+            data=None if totals.data is None else above(totals.data),
+            prior=above(totals.prior),
         )
 
     def __str__(self) -> str:
-        bound = f"no feasible ones cost less than {self.lower_bound!r}"
+        what = "rows and prior together cost" if self.prior else "the rows cost"
+        bound = f"no less than {self.lower_bound!r} at any feasible ones"
         if self.cost is None:
-            return f"the parameters' cost is not shown, {bound}"
+            return f"{what} {bound}; at the given parameters no cost is shown"
+        shares = f" (rows {self.data!r}, prior {self.prior!r})" if self.prior else ""
         gap = f": a gap of at most {self.gap!r}"
-        return f"the parameters cost at most {self.cost!r}, {bound}{gap}"
+        return f"{what} at most {self.cost!r} at the given parameters{shares}, {bound}{gap}"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -92,6 +100,14 @@ class LogProof:
     row_error: float | None = None
     rows: Bounds | None = None
     equations: Bounds | None = None
+
+    @property
+    def proven(self) -> set[str]:
+        """Names of the links that are proven, but for what is named as not checked."""
+        states: dict[str, set[str]] = {}
+        for each in self.links:
+            states.setdefault(each.name, set()).add(each.state)
+        return {name for name, found in states.items() if found - {"not checked"} == {"proven"}}
 
     @property
     def result(self) -> Result:

@@ -25,17 +25,26 @@ class Totals:
 
     Attributes
     ----------
-    cost : Fraction or None
-        The given parameters cost at most this; None where there are none.
+    data : Fraction or None
+        The rows cost at most this at the given parameters; None where there are none within their
+        bounds.
+    prior : Fraction
+        The prior costs at most this there.
     lower_bound : Fraction
-        No feasible parameters cost less.
+        Rows and prior together cost no less at any feasible parameters.
     scale : Fraction
         The least cost that a gap is relative to.
     """
 
-    cost: Fraction | None
+    data: Fraction | None
+    prior: Fraction
     lower_bound: Fraction
     scale: Fraction
+
+    @property
+    def cost(self) -> Fraction | None:
+        """What rows and prior together cost at most at the given parameters."""
+        return None if self.data is None else self.data + self.prior
 
     @property
     def gap(self) -> Fraction | None:
@@ -57,21 +66,23 @@ def of_rows(found: Recomputed, relative: float, absolute: float) -> Totals:
         How near it is to that of the rows, relative below one.
     """
     share, constant = Fraction(relative), Fraction(absolute)
-    cost = None
+    data = None
     if found.theta is not None and not found.broken:
-        cost = (1 + share) * found.data_cost + constant + found.prior_cost
-    return Totals(cost, (1 - share) * found.lower_bound - constant, found.scale)
+        box = zip(found.lower, found.theta, found.upper, strict=True)
+        # Nothing is known of how near the two costs are outside the bounds.
+        if all(low <= value <= high for low, value, high in box):
+            data = (1 + share) * found.data_cost + constant
+    # A cost is no less than its floor, and no less than zero.
+    least = max(found.lower_bound, Fraction(found.problem["floor"]))
+    bound = max((1 - share) * least - constant, Fraction(0))
+    return Totals(data, found.prior_cost, bound, found.scale)
 
 
-def of_true_rows(
-    found: Recomputed, rows: Totals, here: float, anywhere: float, share: float = 0.0
-) -> Totals:
+def of_true_rows(rows: Totals, here: float, anywhere: float, share: float = 0.0) -> Totals:
     """Return what is proven of the rows of the robot's equations.
 
     Parameters
     ----------
-    found : Recomputed
-        What is proven of the compressed cost.
     rows : Totals
         What is proven of the rows as computed.
     here, anywhere : float
@@ -80,12 +91,11 @@ def of_true_rows(
     share : float
         How much more they may differ, relative to the root of the rows' cost.
     """
-    cost = None
-    if rows.cost is not None:
-        data = rows.cost - found.prior_cost
-        cost = ((1 + Fraction(share)) * root_above(data) + Fraction(here)) ** 2 + found.prior_cost
+    data = None
+    if rows.data is not None:
+        data = ((1 + Fraction(share)) * root_above(rows.data) + Fraction(here)) ** 2
     # With the prior's cost under both roots, they are no further apart.
-    below = root_below(max(rows.lower_bound, Fraction(0)))
+    below = root_below(rows.lower_bound)
     root = max(1 - Fraction(share), Fraction(0)) * below - Fraction(anywhere)
     least = max(root, Fraction(0)) ** 2
-    return Totals(cost, least, rows.scale)
+    return Totals(data, rows.prior, least, rows.scale)

@@ -1,0 +1,116 @@
+"""Compare what a certificate asks of parameters with what the recipe says was asked."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+import numpy as np
+
+from sdpid._common.arrays import Array
+from sdpid.assurance.log_proof.chain.links import Link
+from sdpid.assurance.log_proof.chain.sealed import Sealed
+from sdpid.assurance.log_proof.stated_problem import StatedProblem
+from sdpid.estimation.compression.rows import RowSource
+from sdpid.estimation.constraints.condition import Layout
+from sdpid.estimation.constraints.constraints import Constraints
+from sdpid.estimation.constraints.feasible_set import FeasibleSet
+from sdpid.estimation.prior.cost_terms import SquaredTerm
+from sdpid.estimation.prior.log_det import LogDetTerm
+from sdpid.estimation.prior.prior import prior_terms
+from sdpid.verifier.reading import shown
+
+NAME = "problem"
+
+# Numbers of a prior come from factorizations, and from sums over the rows, which another processor
+# may round otherwise.
+_ROUNDED = 1e-9
+
+
+def stated_problem(sealed: Sealed, source: RowSource) -> Link:
+    """Return whether bounds, margin, rows, cones and prior are those that the recipe states."""
+    stated, given = sealed.recipe.problem, sealed.data["problem"]
+    if stated is None:
+        text = (
+            "that bounds, margin, rows, cones and prior are what you would ask for: the recipe "
+            "holds no such conditions or prior"
+        )
+        return Link(NAME, "not checked", text)
+    if wrong := list(_differences(stated, given, source)):
+        return Link(NAME, "not proven", "; ".join(wrong))
+    text = f"bounds, margin and prior are those of {_in_words(sealed, stated, source)}"
+    return Link(NAME, "proven", text)
+
+
+def _differences(
+    stated: StatedProblem, given: Mapping[str, Any], source: RowSource
+) -> Iterator[str]:
+    """Yield what of the certificate's problem is not as stated."""
+    layout = Layout(source.robot, source.friction)
+    feasible = FeasibleSet.build(stated.constraints, stated.consistency, layout)
+    if given["consistency"] != stated.consistency:
+        yield f"the consistency is {given['consistency']}, stated is {stated.consistency}"
+    if given["margin"] != stated.constraints.margin:
+        yield f"the margin is {given['margin']!r}, stated is {stated.constraints.margin!r}"
+    for end in ("lower", "upper"):
+        bounds = zip(source.base.theta_names, given[end], getattr(feasible, end), strict=True)
+        others = [each for each in bounds if each[1] != each[2]]
+        for name, found, wanted in others[:1]:
+            more = f" (and {len(others) - 1} more)" if len(others) > 1 else ""
+            yield f"the {end} bound of {shown(name)} is {found!r}, stated is {wanted!r}{more}"
+    for kind in ("rows", "cones"):
+        if given[kind]:
+            yield f"it has {len(given[kind])} {kind}, and none are stated"
+    yield from _differences_of_prior(stated, given, source)
+
+
+def _differences_of_prior(
+    stated: StatedProblem, given: Mapping[str, Any], source: RowSource
+) -> Iterator[str]:
+    """Yield what of the certificate's prior is not as stated."""
+    terms = () if stated.prior is None else prior_terms(stated.prior, source).terms
+    squared = [term for term in terms if isinstance(term, SquaredTerm)]
+    log_det = [term for term in terms if isinstance(term, LogDetTerm)]
+    rows = sum(len(term.rhs) for term in squared)
+    if len(given["prior_rhs"]) != rows:
+        yield f"the prior has {len(given['prior_rhs'])} rows, stated are {rows}"
+    elif squared:
+        for key, wanted in (("prior_matrix", squared[0].matrix), ("prior_rhs", squared[0].rhs)):
+            if not _alike(np.array(given[key], dtype=np.float64), wanted):
+                yield f"{key} holds other numbers than stated"
+    entropic = given["entropic_prior"]
+    if (entropic is None) == bool(log_det):
+        yield "a log-det prior is stated or given, and not both"
+    elif log_det:
+        found = np.array(entropic["inverses"], dtype=np.float64)
+        same = entropic["links"] == log_det[0].links.tolist()
+        same = same and _alike(np.array(entropic["strength"]), np.array(log_det[0].strength))
+        if not (same and _alike(found, log_det[0].inverses)):
+            yield "the log-det prior is another than stated"
+
+
+def _alike(found: Array, wanted: Array) -> bool:
+    """Return whether arrays are the same but for rounding."""
+    if found.shape != wanted.shape:
+        return False
+    size = float(np.abs(wanted).max(initial=0.0))
+    return bool(np.abs(found - wanted).max(initial=0.0) <= _ROUNDED * size)
+
+
+def _in_words(sealed: Sealed, stated: StatedProblem, source: RowSource) -> str:
+    """Return what is asked, and whether it is what `sdpid identify` asks of this robot."""
+    robot, constraints, prior = source.robot, stated.constraints, stated.prior
+    entry, own = sealed.robot, robot.source
+    described = entry is not None and own is not None and own.sha256 == entry["sha256"]
+    numbers = (
+        f"{stated.consistency}, margin {constraints.margin!r} kg.m2, masses from "
+        f"{constraints.mass_min!r} to {constraints.mass_max!r} kg, parameters to "
+        f"{constraints.theta_max!r}"
+    )
+    usual = described and constraints == Constraints.of_size(robot)
+    said = f"the recipe ({numbers}{', the defaults for this robot' if usual else ''}"
+    if prior is None:
+        return said + "; no prior)"
+    same = described and prior.bodies is not None and np.array_equal(prior.bodies, robot.prior)
+    towards = "the description's bodies" if same else "bodies that the recipe states"
+    return f"{said}; prior {prior.kind} of {prior.strength!r} nats towards {towards})"

@@ -1,0 +1,80 @@
+"""What was asked of the parameters: consistency, bounds and prior, as plain values."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, fields
+from typing import Any
+
+from sdpid._common.tables import plain
+from sdpid.estimation.constraints.constraints import Constraints
+from sdpid.estimation.prior.prior import Prior
+from sdpid.estimation.problem import Problem
+from sdpid.robot.inertia import CONSISTENCIES, Consistency
+
+_NUMBERS = tuple(each.name for each in fields(Constraints) if each.name != "others")
+_PRIOR = tuple(each.name for each in fields(Prior))
+
+
+@dataclass(frozen=True, kw_only=True)
+class StatedProblem:
+    """The part of a problem that comes from no log.
+
+    Attributes
+    ----------
+    consistency : str
+        What every link must have.
+    constraints : Constraints
+        Margin and bounds, without further conditions.
+    prior : Prior or None
+        Its bodies and its strength as numbers.
+    """
+
+    consistency: Consistency
+    constraints: Constraints
+    prior: Prior | None
+
+    @classmethod
+    def of(cls, problem: Problem) -> StatedProblem | None:
+        """Return what was asked; None where conditions or a prior are not plain values."""
+        constraints, terms = problem.constraints, problem.prior
+        if constraints.others or (terms is not None and terms.source is None):
+            return None
+        prior = None
+        if terms is not None and (source := terms.source) is not None:
+            prior = Prior(
+                strength=terms.strength,
+                kind=source.kind,
+                friction=source.friction,
+                bodies=problem.robot.prior if source.bodies is None else source.bodies,
+            )
+        return cls(consistency=problem.consistency, constraints=constraints, prior=prior)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return plain values for JSON."""
+        prior = self.prior
+        return {
+            "consistency": self.consistency,
+            "constraints": {name: plain(getattr(self.constraints, name)) for name in _NUMBERS},
+            "prior": None if prior is None else {n: plain(getattr(prior, n)) for n in _PRIOR},
+        }
+
+    @classmethod
+    def from_dict(cls, given: Mapping[str, Any]) -> StatedProblem:
+        """Return what `to_dict` wrote; ValueError, TypeError or SdpidError where it is none."""
+        consistency, numbers, prior = (
+            given[name] for name in ("consistency", "constraints", "prior")
+        )
+        if consistency not in CONSISTENCIES:
+            raise ValueError(f"consistency is {consistency!r:.80}")
+        if numbers.keys() != set(_NUMBERS) or not all(
+            type(value) in (int, float, bool) for value in numbers.values()
+        ):
+            raise ValueError(f"constraints are {numbers!r:.200}")
+        if prior is not None and prior.keys() != set(_PRIOR):
+            raise ValueError(f"prior has the keys {', '.join(map(str, prior))[:200]}")
+        return cls(
+            consistency=consistency,
+            constraints=Constraints(**numbers),
+            prior=None if prior is None else Prior(**prior),
+        )
