@@ -160,7 +160,8 @@ def known_costs(data: dict[str, Any], theta: Any) -> tuple[mp.mpf, mp.mpf]:
 def least(data: dict[str, Any], theta: Any) -> mp.mpf:
     """Return the least cost of theta that the compression's error leaves possible."""
     (delta, epsilon), (own, beside) = compression(data), known_costs(data, theta)
-    return (1 - mp.mpf(delta)) * own - epsilon + beside
+    # The cost of rows is a sum of squares.
+    return max((1 - mp.mpf(delta)) * own - epsilon, mp.mpf(0)) + beside
 
 
 def most(data: dict[str, Any], theta: Any) -> mp.mpf:
@@ -244,8 +245,7 @@ def cost_claim(data: dict[str, Any]) -> tuple[Verdict, str]:
 def gap_claim(data: dict[str, Any]) -> tuple[Verdict, str]:
     """Judge: (cost − bound) is at most the claimed share of the cost, or of its least scale."""
     claims, problem = data["claims"], data["problem"]
-    h = [*problem["rhs"], *problem["prior_rhs"]]
-    scale = mp.mpf(1e-6) * (mp.fdot(h, h) + problem["floor"])
+    scale = mp.mpf(1e-6) * (mp.fdot(problem["rhs"], problem["rhs"]) + problem["floor"])
     cost, bound = mp.mpf(claims["cost"]), mp.mpf(claims["lower_bound"])
     allowed = mp.mpf(claims["gap"]) * max(cost, scale)
     if cost - bound > allowed + ROUNDING * (abs(cost) + abs(bound)):

@@ -30,7 +30,8 @@ from pathlib import Path
 from random import Random
 from typing import Any
 
-from certificate_judge import Judge, doubles
+import mpmath as mp
+from certificate_judge import Judge, compression, costs, doubles
 from certificate_mutations import MUTATIONS, Data
 from certificate_zoo import made
 
@@ -116,7 +117,7 @@ def judged(judge: Judge, data: Data) -> tuple[str, list[str], list[str]]:
         return "refused", [], []
     answer = "accepted" if result.passed else "not proven"
     said = [CLAIMS[start] for start in CLAIMS for s in result.statements if s.startswith(start)]
-    false, undecided = list(wrong_words(result, read)), []
+    false, undecided = [*wrong_words(result, read), *wrong_shares(result, read)], []
     for claim, (verdict, why) in judge.claims(read, said).items():
         if verdict != "true":
             (false if verdict == "false" else undecided).append(f"{claim}: {why}")
@@ -141,7 +142,7 @@ def wrong_words(result: Any, data: Data) -> Iterator[str]:
         for each in result.statements:
             if (
                 each.startswith(start)
-                and float(each[len(start) :].split()[0].rstrip(".")) != claims[key]
+                and float(each[len(start) :].split()[0].rstrip(".,:")) != claims[key]
             ):
                 yield f"{each} It is {claims[key]!r} in the file"
     links, p = problem["links"], len(problem["lower"])
@@ -160,6 +161,8 @@ def wrong_words(result: Any, data: Data) -> Iterator[str]:
         counts[f"masses from {least!r} to {most!r} kg"] = "masses"
     if problem["rows"] or problem["cones"]:
         counts[f"{len(problem['rows'])} rows and {len(problem['cones'])} cones"] = "conditions"
+    fixed = sum(a == b for a, b in zip(problem["lower"], problem["upper"], strict=True))
+    counts[f"{fixed} fixed by them"] = "parameters that their bounds fix"
     if problem["consistency"] != "none":
         counts[f"margin {0.0 + problem['margin']!r} kg.m2 of each link"] = "the margin"
     for words, what in counts.items():
@@ -169,6 +172,32 @@ def wrong_words(result: Any, data: Data) -> Iterator[str]:
         float(found.group(1)) < claims["violation"]
     ):
         yield f"to within {found.group(1)}, but the file claims {claims['violation']!r}"
+
+
+def wrong_shares(result: Any, data: Data) -> Iterator[str]:
+    """Yield what the sentence on the cost says of data and prior that is not so."""
+    said = next((s for s in result.statements if s.startswith("Of it at most ")), None)
+    if said is None:
+        if "cost" in said_claims(result):
+            yield "nothing said of the cost on the data"
+        return
+    data = doubles(data)
+    own, beside = costs(data, data["theta"])
+    delta, epsilon = map(mp.mpf, compression(data))
+    least = max((1 - delta) * data["problem"]["floor"] - epsilon, mp.mpf(0))
+    wanted = re.fullmatch(
+        r"Of it at most (\S+) is on the data(?: and (\S+) for the prior)?; no numbers at all, "
+        r"feasible or not, cost less than (\S+) on the data.",
+        said,
+    )
+    if wanted is None:
+        yield f"words that are not known: {said}"
+        return
+    stated = [mp.mpf(number or 0) for number in wanted.groups()]
+    true = [(1 + delta) * own + epsilon, beside, -least]
+    for given, share in zip([*stated[:2], -stated[2]], true, strict=True):
+        if given < share:
+            yield f"{said} But there are {mp.nstr(share, 17)} for {mp.nstr(given, 17)}"
 
 
 def said_claims(result: Any) -> set[str]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 import json
+import re
 import shutil
 import subprocess
 import sys
@@ -36,6 +37,7 @@ Data = dict[str, Any]
 VERIFIER = Path(checker.__file__).parent
 JUDGE = study("certificate_judge").Judge()
 MUTATIONS = study("certificate_mutations")
+FORGERIES = study("forgeries")
 ENTROPIC = Prior(kind="entropic", bodies=BODIES)
 
 
@@ -167,6 +169,96 @@ def test_the_text_never_calls_a_rewritten_cost_that_of_the_log(honest: Data) -> 
     # What is told of the log is told as not checked, and nothing else speaks of it.
     assert any("log" in said for said in result.unchecked)
     assert not any("log" in said or "record" in said for said in result.statements)
+
+
+# ---- Another question ---------------------------------------------------------------------------
+
+
+def heavier(data: Data) -> Data:
+    """Return a certificate of links that are 1.3 times as heavy, which nobody wants."""
+    forged = copy.deepcopy(data)
+    forged["theta"][:20] = [1.3 * x for x in forged["theta"][:20]]
+    forged["problem"].update(rows=[], cones=[])
+    forged["multipliers"].update(Z=np.zeros((2, 4, 4)).tolist(), rows=[])
+    forged["claims"]["margins"] = [0.0, 0.0]
+    forged["problem"]["margin"] = 0.0
+    return forged
+
+
+def residual(data: Data) -> list[float]:
+    """Return A·B·theta − rhs."""
+    A, B, rhs = (np.array(data["problem"][key]) for key in ("A", "base_matrix", "rhs"))
+    found: list[float] = (A @ (B @ np.array(data["theta"])) - rhs).tolist()
+    return found
+
+
+def test_a_box_of_one_point_is_told(honest: Data) -> None:
+    """Where bounds leave nothing free, anything is optimal: the text says how much they fix."""
+    forged = heavier(honest)
+    forged["problem"]["lower"] = forged["problem"]["upper"] = list(forged["theta"])
+    forged["multipliers"]["y"] = residual(forged)
+    assert FORGERIES.fit(forged)
+    result = checked(forged)
+    assert result.passed
+    assert "24 fixed by them" in result.statements[1]
+    assert " 0 fixed by them" in checked(honest).statements[1]
+    # And that the box is anybody's choice is not left out.
+    assert any("bounds" in said and "prior" in said for said in result.unchecked)
+
+
+def shares(result: Result) -> list[float]:
+    """Return the costs on the data and of the prior that a text tells apart, and the least."""
+    said = next(said for said in result.statements if said.startswith("Of it at most "))
+    found = re.fullmatch(
+        r"Of it at most (\S+) is on the data and (\S+) for the prior; "
+        r".* cost less than (\S+) on the data.",
+        said,
+    )
+    assert found is not None
+    return [float(number) for number in found.groups()]
+
+
+def test_a_prior_that_holds_bad_parameters_is_told_apart(honest: Data) -> None:
+    """A prior of a million nats makes any parameters optimal; their cost on the data is told."""
+    forged = heavier(honest)
+    problem, y = forged["problem"], residual(forged)
+    A, B = np.array(problem["A"]), np.array(problem["base_matrix"])
+    problem["prior_matrix"] = (1e6 * np.eye(24)).tolist()
+    problem["prior_rhs"] = [1e6 * x for x in forged["theta"]]
+    of_prior = -(B.T @ (A.T @ np.array(y))) / 1e6
+    forged["multipliers"]["y"] = [*y, *of_prior.tolist()]
+    assert FORGERIES.fit(forged)
+    result = checked(forged)
+    assert result.passed
+    # All of the cost is that on the data, far above what any numbers cost: the fit is bad.
+    data_cost, prior_cost, least = shares(result)
+    assert prior_cost < 1e-6 * data_cost
+    assert least <= problem["floor"] < 0.9 * data_cost
+    assert any("prior" in said for said in result.unchecked)
+
+
+def test_a_prior_of_nothing_does_not_dilute_the_gap(honest: Data) -> None:
+    """A row of zeros with a large right-hand side costs the same everywhere: it is told apart."""
+    forged = heavier(honest)
+    forged["problem"].update(prior_matrix=[[0.0] * 24], prior_rhs=[3e6])
+    forged["multipliers"]["y"] = [*honest["multipliers"]["y"], -3e6]
+    assert FORGERIES.fit(forged)
+    data_cost, prior_cost, least = shares(checked(forged))
+    assert prior_cost == 9e12
+    assert least <= data_cost < 1e-6 * prior_cost
+
+
+def test_a_strong_prior_through_the_front_door_is_told() -> None:
+    """No forging at all: a run whose prior outweighs the log says so in its text."""
+    prior = Prior(strength=1e7, bodies=1.5 * BODIES)
+    data = sdpid.certify(sdpid.solve_sdp(arm_problem(prior=prior))).to_dict()
+    result = checked(data)
+    assert result.passed
+    data_cost, prior_cost, least = shares(result)
+    assert data_cost > 1.1 * least
+    assert prior_cost > 0.0
+    assert "a prior of" in result.statements[1]
+    assert any("prior" in said for said in result.unchecked)
 
 
 # ---- What is left out, and what is put in -------------------------------------------------------
