@@ -104,7 +104,7 @@ def model(data: dict[str, Any]) -> tuple[Any, list[Any], Any]:
     cost = cp.sum_squares(R[:, :-1] @ x - R[:, -1])
     lower, upper = np.array(problem["lower"]), np.array(problem["upper"])
     # Without bounds that no solver can work with, the optimum is the same or lower.
-    far = (np.abs(lower) < FAR, np.abs(upper) < FAR)
+    far = (lower > -FAR, upper < FAR)
     demands = [x[far[0]] >= lower[far[0]], x[far[1]] <= upper[far[1]]]
     kind = problem["consistency"]
     bodies = [x[10 * i : 10 * i + 10] for i in range(problem["links"])]
@@ -127,7 +127,9 @@ def model(data: dict[str, Any]) -> tuple[Any, list[Any], Any]:
             demands.append(value / size @ x <= row["upper"] / size)
     for cone in problem["cones"]:
         body = bodies[cone["link"]]
-        demands.append(cp.SOC(np.array(cone["axis"]) @ body, np.array(cone["vectors"]) @ body))
+        axis, vectors = np.array(cone["axis"]), np.array(cone["vectors"])
+        size = max(np.abs(axis).max(), np.abs(vectors).max()) or 1.0
+        demands.append(cp.SOC(axis / size @ body, vectors / size @ body))
     if entropic := problem["entropic_prior"]:
         for link, inverse in zip(entropic["links"], entropic["inverses"], strict=True):
             P = cp.reshape(

@@ -193,7 +193,8 @@ def wrong_shares(result: Any, data: Data) -> Iterator[str]:
     if wanted is None:
         yield f"words that are not known: {said}"
         return
-    stated = [mp.mpf(number or 0) for number in wanted.groups()]
+    # Decimals stand for doubles in the text, too.
+    stated = [mp.mpf(float(number or 0)) for number in wanted.groups()]
     true = [(1 + delta) * own + epsilon, beside, -least]
     for given, share in zip([*stated[:2], -stated[2]], true, strict=True):
         if given < share:
