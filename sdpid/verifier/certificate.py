@@ -77,8 +77,10 @@ class Proof(Recomputed):
     ----------
     outside : bool
         Whether theta is outside its bounds, where nothing is known of the compression.
-    names : list of str
-        Of the parameters, quoted where they are no plain names.
+    names, link_names : list of str
+        Of the parameters and links, in quotes.
+    compressed_cost : Fraction
+        Cost of theta without what the compression adds.
     """
 
     def __init__(self, data: dict[str, Any]) -> None:
@@ -88,6 +90,7 @@ class Proof(Recomputed):
         self.link_names = list(map(shown, names(origin["links"], self.links, "links")))
         box = zip(self.lower, self.theta or [], self.upper, strict=False)
         self.outside = not all(low <= value <= high for low, value, high in box)
+        self.compressed_cost = self.cost
         self.relative = self.absolute = Fraction(0)
         if (given := data["compression"]) is not None:
             require_keys(given, _COMPRESSION, "compression")
@@ -101,16 +104,25 @@ class Proof(Recomputed):
         self.lower_bound = max(self.lower_bound, self.floor)
 
 
-def check(data: dict[str, Any]) -> Result:
-    """Check the digest and every claim; MalformedError where the data make no sense."""
+def examine(data: dict[str, Any]) -> tuple[Result, Proof]:
+    """Check the digest and every claim, and return what the numbers prove, too.
+
+    MalformedError where the data make no sense.
+    """
     try:
-        result = prove(data, Proof(data))
+        proof = Proof(data)
+        result = prove(data, proof)
         sealed = digest(data) == text(data["sha256"], "sha256")
     except REFUSED as cause:
         raise MalformedError(str(cause) or repr(cause)) from cause
     if sealed:
-        return result
-    return Result(problems=("the digest is another: something was changed",)) + result
+        return result, proof
+    return Result(problems=("the digest is another: something was changed",)) + result, proof
+
+
+def check(data: dict[str, Any]) -> Result:
+    """Check the digest and every claim; MalformedError where the data make no sense."""
+    return examine(data)[0]
 
 
 def claimed(data: dict[str, Any]) -> dict[str, float | None]:

@@ -48,13 +48,13 @@ def check(path: Any) -> tuple[Result, str, dict[str, float | None]]:
     if name not in sealed["files"]:
         raise MalformedError(f"its {manifest.NAME} lists no {name}")
     data = certificate.load(read_bytes(folder / name))
-    proof = certificate.check(data)
-    result = manifest.check(folder, sealed) + _named([(name, proof)])
+    checked, proof = certificate.examine(data)
+    result = manifest.check(folder, sealed) + _named([(name, checked)])
     if sealed["certificate"] != data["sha256"]:
         problem = f"{manifest.NAME}: sealed with certificate {sealed['certificate']}, not this one"
         result += Result(problems=(problem,))
-    certified = Certified.of(data)
-    result += _named(list(_files(folder, sealed, certified, proof.passed)))
+    certified = Certified.of(data, proof)
+    result += _named(list(_files(folder, sealed, certified, checked.passed)))
     result += Result(unchecked=(*manifest.given(sealed), *_only_sealed(sealed)))
     return result, sealed["sha256"], certificate.claimed(data)
 

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from fractions import Fraction
 from typing import Any
 
-from ..bound import Recomputed
+from ..certificate import Proof
 from ..exact import product
 from ..reading import MalformedError, items, numbers, parse, require_keys, shown
 from ..result import Result
@@ -24,16 +24,8 @@ _ROUNDING = Fraction(1e-9)
 
 _KEYS = (
     *("format", "version", "made_by", "robot", "joints", "links", "frames", "method", "status"),
-    *(
-        "consistency",
-        "weighting",
-        "cost",
-        "cost_at_most",
-        "certificate",
-        "friction_terms",
-        "effects",
-    ),
-    *("interval_method", "interval_level", "standard", "base"),
+    *("consistency", "weighting", "cost", "cost_at_most", "certificate", "friction_terms"),
+    *("effects", "interval_method", "interval_level", "standard", "base"),
 )
 
 
@@ -64,7 +56,7 @@ class Certified:
     scale: Fraction
 
     @classmethod
-    def of(cls, data: Mapping[str, Any]) -> Certified:
+    def of(cls, data: Mapping[str, Any], proof: Proof) -> Certified:
         """Return what a certificate that was checked states."""
         origin, problem = data["origin"], data["problem"]
         stated = {key: origin[key] for key in ("robot", "joints", "links", "weighting")}
@@ -75,15 +67,14 @@ class Certified:
             theta = dict(zip(origin["theta_names"], values, strict=True))
             base = dict(zip(origin["base_names"], nearest, strict=True))
         claims = {key: data["claims"][key] for key in ("cost", "lower_bound", "gap")}
-        exact = Recomputed(dict(data))
         return cls(
             digest=data["sha256"],
             stated={**stated, "consistency": problem["consistency"]},
             claims=claims,
             theta=theta,
             base=base,
-            cost=None if theta is None or exact.broken else exact.cost,
-            scale=exact.scale,
+            cost=None if theta is None or proof.broken else proof.compressed_cost,
+            scale=proof.scale,
         )
 
     @property
