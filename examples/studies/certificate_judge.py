@@ -17,12 +17,10 @@ Without a file, those of certificate_zoo.py are judged.
 
 from __future__ import annotations
 
-import argparse
 import hashlib
 import json
 import sys
 from collections.abc import Sequence
-from pathlib import Path
 from typing import Any, Literal
 
 import cvxpy as cp
@@ -287,25 +285,18 @@ def witness(data: dict[str, Any], theta: np.ndarray, claimed: float) -> str | No
 
 def main() -> int:
     """Judge files, with status 1 where a claim is false, or those that certificate_zoo.py makes."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("files", type=Path, nargs="*", help="by default certificates of the zoo")
-    parser.add_argument("--out", type=Path, default=Path("results"))
-    parser.add_argument("--quick", action="store_true", help="of the zoo, only small ones")
-    arguments = parser.parse_args()
-    made = {path.name: json.loads(path.read_text(encoding="utf-8")) for path in arguments.files}
-    if not made:
-        from certificate_zoo import made as zoo
+    from certificate_zoo import asked
 
-        made = zoo(arguments.quick)
+    certificates, options = asked(__doc__.splitlines()[0])
     judge, lines, wrong = Judge(), list[str](), 0
-    for name, data in made.items():
+    for name, data in certificates.items():
         for claim, (verdict, why) in judge(data).items():
             wrong += verdict == "false"
             lines.append(f"{name:16} {claim:12} {verdict:10} {why}")
             print(lines[-1])
-    arguments.out.mkdir(parents=True, exist_ok=True)
-    (arguments.out / "judged.txt").write_text("\n".join(lines) + "\n", encoding="utf-8")
-    return 1 if wrong and arguments.files else 0
+    options.out.mkdir(parents=True, exist_ok=True)
+    (options.out / "judged.txt").write_text("\n".join(lines) + "\n", encoding="utf-8")
+    return 1 if wrong and options.files else 0
 
 
 if __name__ == "__main__":

@@ -11,12 +11,9 @@ Without a file, those of certificate_zoo.py are solved, by both solvers.
 
 from __future__ import annotations
 
-import argparse
-import json
 import sys
 import warnings
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import Any
 
 import cvxpy as cp
@@ -241,25 +238,18 @@ def repaired(data: dict[str, Any], theta: np.ndarray) -> Any:
 
 def main() -> None:
     """Print the optimum of each file by both solvers, beside its claims."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("files", type=Path, nargs="*", help="by default certificates of the zoo")
-    parser.add_argument("--out", type=Path, default=Path("results"))
-    parser.add_argument("--quick", action="store_true", help="of the zoo, only small ones")
-    arguments = parser.parse_args()
-    made = {path.name: json.loads(path.read_text(encoding="utf-8")) for path in arguments.files}
-    if not made:
-        from certificate_zoo import made as zoo
+    from certificate_zoo import asked
 
-        made = zoo(arguments.quick)
+    certificates, options = asked(__doc__.splitlines()[0])
     rows = []
-    for name, data in made.items():
+    for name, data in certificates.items():
         found = [optimum(doubles(data), *ATTEMPTS[k]) for k in (0, -1)]
         by = [cell for each in found for cell in (each.cost, each.status)]
         rows.append((name, data["claims"]["lower_bound"], *by))
     table = Table(("certificate", "claimed bound", "Clarabel", "", "SCS", ""), tuple(rows))
     print(table.text(digits=12))
-    arguments.out.mkdir(parents=True, exist_ok=True)
-    table.write(arguments.out / "optima.csv")
+    options.out.mkdir(parents=True, exist_ok=True)
+    table.write(options.out / "optima.csv")
 
 
 if __name__ == "__main__":

@@ -178,6 +178,17 @@ def made(quick: bool = False) -> dict[str, dict[str, Any]]:
     return {name: make() for name, make in ZOO.items() if not (quick and name in LARGE)}
 
 
+def asked(description: str) -> tuple[dict[str, dict[str, Any]], argparse.Namespace]:
+    """Return the certificates that a study is asked for, by name, and its options."""
+    parser = argparse.ArgumentParser(description=description)
+    parser.add_argument("files", type=Path, nargs="*", help="by default certificates of the zoo")
+    parser.add_argument("--out", type=Path, default=Path("results"))
+    parser.add_argument("--quick", action="store_true", help="of the zoo, only small ones")
+    options = parser.parse_args()
+    given = {path.name: json.loads(path.read_text(encoding="utf-8")) for path in options.files}
+    return given or made(options.quick), options
+
+
 def verified(path: Path) -> tuple[str, float]:
     """Return the last line of the stand-alone verifier, and its processor time in seconds."""
     folder = str(Path(verifier.__file__).parent)
