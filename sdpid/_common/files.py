@@ -129,9 +129,9 @@ class Source:
         """
         whole = Path(path)
         if not whole.is_dir():
-            return cls(name=whole.name, **_hashed(whole), options=options or {})
+            return cls(name=whole.name, **hashed(whole), options=options or {})
         files = sorted(file.relative_to(whole).as_posix() for file in _files(whole))
-        found = [(name, _hashed(whole / name)) for name in files]
+        found = [(name, hashed(whole / name)) for name in files]
         lines = "".join(f"{each['sha256']}  {name}\n" for name, each in found)
         digest = hashlib.sha256(lines.encode("utf-8", "surrogateescape")).hexdigest()
         size = sum(each["size"] for _, each in found)
@@ -169,8 +169,8 @@ def _files(folder: Path) -> Iterator[Path]:
     return (path for path in folder.rglob("*") if path.is_file())
 
 
-def _hashed(path: Path) -> dict[str, Any]:
-    """Return size and SHA-256 of a file."""
+def hashed(path: Path) -> dict[str, Any]:
+    """Return the ``size`` of a file in bytes and its ``sha256`` in hexadecimal digits."""
     digest, size = hashlib.sha256(), 0
     with path.open("rb") as file:
         while block := file.read(_BLOCK):

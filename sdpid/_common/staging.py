@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import errno
-import hashlib
 import json
 import os
 import secrets
@@ -15,7 +14,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from sdpid._common.files import PathLike, atomic_path, require_other_files
+from sdpid._common.files import PathLike, atomic_path, hashed, require_other_files
 from sdpid._common.signals import end_if_signaled
 from sdpid._common.tables import json_text
 from sdpid.errors import ExportError
@@ -102,12 +101,13 @@ def _locked(folder: Path) -> Iterator[bool]:
 
 def digest(file: Path) -> str:
     """Return the SHA-256 of a file's content in hexadecimal digits."""
-    return hashlib.sha256(file.read_bytes()).hexdigest()
+    return str(hashed(file)["sha256"])
 
 
 def _sealed(file: Path) -> dict[str, Any]:
     """Return the size and the SHA-256 of a file's content."""
-    return {"bytes": file.stat().st_size, "sha256": digest(file)}
+    found = hashed(file)
+    return {"bytes": found["size"], "sha256": found["sha256"]}
 
 
 def exchange(stage: Path, folder: Path, new: Sequence[str], stale: Sequence[str]) -> None:
