@@ -134,8 +134,9 @@ def main() -> None:
     samples, samples_literal = sdpid.process(log, default), sdpid.process(log, literal)
     first = log.start or 0.0
     window = (first + 40.0, first + 80.0) if options.quick else (1200.0, 1400.0)
-    figure = plots.plot_filtering(log, 0, window=window, title="Axis 1 before and after filtering")
-    plots.save_figure(figure, out / "figure_3.png")
+    filtered = sdpid.Processing.paper().stages(log, 0, window=window)
+    axes = filtered.plot(title="Axis 1 before and after filtering")
+    plots.save_figure(axes, out / "figure_3.png")
     del log
     say("simulating the validation experiment, another seed")
     check_log = experiment(fresh, seed=seed + 1000)

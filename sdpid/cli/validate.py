@@ -54,8 +54,8 @@ def validate(
     fit = validate_robot(model, samples)
     files = []
     if figure is not None:
-        from sdpid.output.plots.figures import save_figure
-        from sdpid.output.plots.reconstruction import plot_fit
+        from sdpid.plots.figures import save_figure
+        from sdpid.plots.reconstruction import plot_fit
 
         save_figure(plot_fit(samples, fit), figure)
         files.append(str(figure))

@@ -1,1 +1,1 @@
-"""What is taken away: comparison, export, plots."""
+"""What is taken away: tables, robots, reports, plans."""

@@ -117,7 +117,11 @@ class Comparison:
         return pandas.DataFrame([vars(row) for row in self.rows], columns=list(_COLUMNS))
 
     def plot(
-        self, solver: str = "slsqp", *, against: Literal["seconds", "iterations"] = "iterations"
+        self,
+        solver: str = "slsqp",
+        *,
+        against: Literal["seconds", "iterations"] = "iterations",
+        axes: Any = None,
     ) -> Any:
         """Draw the costs of a local solver's starts above the proven bound (extra ``plot``).
 
@@ -127,17 +131,19 @@ class Comparison:
             Which local solver.
         against : {"iterations", "seconds"}, optional
             Quantity on the horizontal axis.
+        axes : matplotlib.axes.Axes, optional
+            Where to draw; by default in a figure of its own.
 
         Returns
         -------
-        matplotlib.figure.Figure
+        matplotlib.axes.Axes
 
         Raises
         ------
         DataError
             When no start of the solver has a history.
         """
-        from sdpid.output.plots.convergence import plot_convergence
+        from sdpid.plots.convergence import plot_convergence
 
         runs = [e for r, e in zip(self.rows, self.estimates, strict=True) if r.solver == solver]
         histories = [e.history for e in runs if e is not None and e.history]
@@ -153,6 +159,7 @@ class Comparison:
             label=_LABELS.get(solver, solver),
             feasible=FEASIBLE_LOCAL,
             title=f"{_LABELS.get(solver, solver)}: cost above the proven bound",
+            axes=axes,
         )
 
     def to_csv(self, path: str | os.PathLike[str]) -> None:

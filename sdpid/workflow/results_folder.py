@@ -196,8 +196,8 @@ class _Writer:
 
     def _figures(self) -> Iterator[Path]:
         """Draw measured and predicted efforts."""
-        from sdpid.output.plots.figures import save_figure
-        from sdpid.output.plots.reconstruction import plot_fit
+        from sdpid.plots.figures import save_figure
+        from sdpid.plots.reconstruction import plot_fit
 
         result = self.result
         pairs = [("training", result.problem.samples, result.training)]

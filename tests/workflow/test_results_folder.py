@@ -22,8 +22,8 @@ import sdpid
 from sdpid._common import files as _files
 from sdpid._common import signals as _signals
 from sdpid._common import staging
-from sdpid.output.plots.figures import save_figure
-from sdpid.output.plots.reconstruction import plot_fit
+from sdpid.plots.figures import save_figure
+from sdpid.plots.reconstruction import plot_fit
 from sdpid.workflow.result import Identification
 from sdpid.workflow.results_folder import NAMES, require_writable
 from tests.helpers.runs import arm, recorded

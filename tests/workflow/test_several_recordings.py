@@ -19,9 +19,9 @@ from sdpid.experiment.preparation.several import (
     common_processing,
     prepare_recordings,
 )
-from sdpid.output.plots.figures import TimeLine
-from sdpid.output.plots.reconstruction import plot_fit
 from sdpid.output.report.report import report_html
+from sdpid.plots.figures import TimeLine
+from sdpid.plots.reconstruction import plot_fit
 from sdpid.workflow.formulate import formulate
 from sdpid.workflow.result import Identification
 from tests.helpers.runs import arm, recorded
@@ -186,9 +186,9 @@ def test_no_line_is_drawn_across_a_join(logs: list[sdpid.Recording]) -> None:
     # Masked rows would be gaps of the errors' line too.
     result = sdpid.identify(arm(), logs[:2], processing={"reversal_time": None}, intervals=False)
     samples = result.problem.samples
-    figure = plot_fit(samples, result.training)
+    axes = plot_fit(samples, result.training)
     seconds = sum(float(samples.time[p][-1] - samples.time[p][0]) for p in samples.parts)
-    for axis in figure.axes:
+    for axis in axes.ravel():
         for line in axis.get_lines():
             x, y = line.get_data()
             gaps = np.flatnonzero(np.isnan(y))

@@ -16,6 +16,8 @@ from sdpid.experiment.processing.derivatives import (
     stencil,
 )
 from sdpid.experiment.processing.filters import FILTERS, FilterType, ZeroPhaseFilter, low_pass
+from sdpid.experiment.processing.stages import Stages, filter_stages
+from sdpid.experiment.recording.recording import Recording
 from sdpid.experiment.recording.uniform_grid import Timing
 
 # Smallest and largest value of each setting: lower cut-offs and higher orders than anybody uses
@@ -181,6 +183,40 @@ class Processing:
         if self.derivative == "spectral":
             return Spectral()
         return stencil(self.derivative, cutoff_over_rate=self.cutoff_hz / rate_hz)
+
+    def stages(self, log: Recording, joint: int = 0, *, window: tuple[float, float]) -> Stages:
+        """Return one joint's signals before and after filtering, in a stretch of a recording.
+
+        Parameters
+        ----------
+        log : Recording
+            The recording.
+        joint : int, optional
+            Index of the joint, from 0.
+        window : (float, float)
+            From and to, in the recording's time (s).
+
+        Returns
+        -------
+        Stages
+            ``.time``, and signals by name in ``.before`` and ``.after``; ``.plot()`` draws them.
+
+        Raises
+        ------
+        DataError
+            When the window holds too few samples, or the joint does not exist.
+        """
+        rate_hz = 1.0 / log.step
+        # A stretch is no whole period.
+        spectral = self.derivative == "spectral"
+        return filter_stages(
+            log,
+            joint,
+            window=window,
+            low_pass=self.low_pass(rate_hz),
+            difference=stencil("central6") if spectral else self.stencil(rate_hz),
+            twice=not self.filter_alike,
+        )
 
     @staticmethod
     def paper() -> Processing:

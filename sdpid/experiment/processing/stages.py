@@ -1,16 +1,19 @@
-"""Return one joint's signals before and after filtering, as in the paper's Fig. 3."""
+"""Signals of one joint before and after filtering, as in the paper's Fig. 3."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
 from sdpid._common.arrays import Array
 from sdpid.errors import DataError
-from sdpid.experiment.processing.derivatives import stencil
-from sdpid.experiment.processing.process import Processing
+from sdpid.experiment.processing.derivatives import Stencil
+from sdpid.experiment.processing.filters import ZeroPhaseFilter
 from sdpid.experiment.recording.recording import Recording
+
+_UNITS = {"position": "rad", "torque": "N·m", "velocity": "rad/s", "acceleration": "rad/s²"}
 
 
 @dataclass(frozen=True, eq=False)
@@ -30,14 +33,40 @@ class Stages:
     before: dict[str, Array]
     after: dict[str, Array]
 
+    def __repr__(self) -> str:
+        return f"Stages({', '.join(self.before)}: {len(self.time)} samples)"
+
+    def plot(self, *, title: str | None = None, axes: Any = None) -> Any:
+        """Show each signal before and after filtering, and what was taken away (extra ``plot``).
+
+        Parameters
+        ----------
+        title : str, optional
+            Heading of the figure.
+        axes : array of matplotlib.axes.Axes, shape (4, 2), optional
+            Where to draw; by default in a figure of its own.
+
+        Returns
+        -------
+        ndarray of matplotlib.axes.Axes, shape (4, 2)
+        """
+        from sdpid.plots.signals import plot_signals
+
+        return plot_signals(
+            self.time, self.before, self.after, units=_UNITS, title=title, axes=axes
+        )
+
 
 def filter_stages(
     log: Recording,
     joint: int,
+    *,
     window: tuple[float, float],
-    processing: Processing | None = None,
+    low_pass: ZeroPhaseFilter,
+    difference: Stencil,
+    twice: bool,
 ) -> Stages:
-    """Filter a stretch of one joint's signals, by default as section III-C does.
+    """Filter a stretch of one joint's signals, as section III-C does.
 
     Parameters
     ----------
@@ -47,22 +76,20 @@ def filter_stages(
         Index of the joint.
     window : (float, float)
         From and to, in the recording's time (s).
-    processing : Processing, optional
-        By default `Processing.paper`.
+    low_pass : ZeroPhaseFilter
+        The filter.
+    difference : Stencil
+        How the filtered position is differentiated.
+    twice : bool
+        Whether derivatives pass the filter once more.
 
     Raises
     ------
     DataError
         When the window holds too few samples or the joint does not exist.
     """
-    processing = Processing.paper() if processing is None else processing
     if not 0 <= joint < log.n:
         raise DataError(f"joint {joint} does not exist; the recording has {log.n}, counted from 0.")
-    low_pass = processing.low_pass(1.0 / log.step)
-    difference = processing.stencil(1.0 / log.step)
-    if processing.derivative == "spectral":
-        # A stretch is no whole period.
-        difference = stencil("central6")
     first, last = np.searchsorted(log.time, window)
     pad = 2 * low_pass.reach + 2 * difference.margin
     start, stop = max(0, int(first) - pad), min(len(log.time), int(last) + pad)
@@ -77,7 +104,6 @@ def filter_stages(
     velocity = difference.velocity(smooth, log.step)
     acceleration = difference.acceleration(smooth, log.step)
     margin = difference.margin
-    passes = not processing.filter_alike
     before = {
         "position": position[margin:-margin],
         "torque": torque[margin:-margin],
@@ -87,8 +113,8 @@ def filter_stages(
     after = {
         "position": smooth[margin:-margin],
         "torque": low_pass.apply(torque)[margin:-margin],
-        "velocity": low_pass.apply(velocity) if passes else velocity,
-        "acceleration": low_pass.apply(acceleration) if passes else acceleration,
+        "velocity": low_pass.apply(velocity) if twice else velocity,
+        "acceleration": low_pass.apply(acceleration) if twice else acceleration,
     }
     inner = slice(int(first) - start - margin, int(last) - start - margin)
     return Stages(

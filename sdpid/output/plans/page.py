@@ -23,18 +23,19 @@ from sdpid.excitation.limits.joint_limits import UNITS
 from sdpid.excitation.limits.narrowing import sliding_joints
 from sdpid.excitation.limits.torque import TorqueModel
 from sdpid.excitation.plan.plan import Plan
-from sdpid.output.plans.pictures import (
+from sdpid.output.plans.played import Played, played
+from sdpid.output.plans.scene import FRAME_RATE, scene_of
+from sdpid.output.plans.words import sentences, tiles
+from sdpid.output.report.page import page
+from sdpid.plots.inline_svg import image_source
+from sdpid.plots.motion import (
     COLORS,
+    nearest_pairs,
     plot_against_limits,
     plot_distances,
     plot_over_duration,
     plot_spectrum,
 )
-from sdpid.output.plans.played import Played, played
-from sdpid.output.plans.scene import FRAME_RATE, scene_of
-from sdpid.output.plans.words import sentences, tiles
-from sdpid.output.plots.inline_svg import image_source
-from sdpid.output.report.page import page
 
 # What falls by less than this share over all durations is no curve to look at.
 _FALLS = 0.8
@@ -162,12 +163,12 @@ def _distances(plan: Plan, motion: Played) -> dict[str, Any] | None:
     step = max(round(motion.rate_hz / FRAME_RATE), 1)
     asked = collision.clearances(plan.joint_limits.clearance or 0.0)
     room = collision.distances(motion.position[::step]) - asked
-    figure, shown = plot_distances(motion.time[::step], room)
+    picture = plot_distances(motion.time[::step], room)
     pairs = [
         (color, f"{collision.pairs[k].first} – {collision.pairs[k].second}", float(asked[k]))
-        for color, k in shown
+        for color, k in nearest_pairs(room)
     ]
-    return {"source": image_source(figure), "pairs": pairs}
+    return {"source": image_source(picture), "pairs": pairs}
 
 
 def _expected(plan: Plan, draw: bool) -> dict[str, Any]:

@@ -22,9 +22,6 @@ from sdpid.assurance.diagnostics.residuals import JointErrors, period
 from sdpid.assurance.diagnostics.validation import Errors
 from sdpid.estimation.information import WEAK
 from sdpid.experiment.processing.samples import Samples
-from sdpid.output.plots.figures import stretch
-from sdpid.output.plots.inline_svg import image_source
-from sdpid.output.plots.joints import COLUMNS, plot_joint, plot_joint_errors
 from sdpid.output.report.headline import headline
 from sdpid.output.report.judged import Judged, errors_of, grades_of, judged
 from sdpid.output.report.page import page
@@ -32,6 +29,9 @@ from sdpid.output.report.verdict import findings
 from sdpid.output.robots.export_report import ExportReport
 from sdpid.output.tables.intervals_shown import Ends, GivenIntervals, ends_of, in_words
 from sdpid.output.tables.parameter_tables import base_table
+from sdpid.plots.figures import stretch
+from sdpid.plots.inline_svg import image_source
+from sdpid.plots.joints import COLUMNS, plot_joint, plot_joint_errors
 
 # Weakly excited directions that are listed one by one; more say no more.
 _DIRECTIONS = 12

@@ -211,7 +211,7 @@ def test_what_the_coordinates_cannot_express_is_refused(planar: Problem) -> None
     assert comparison.estimates[-1] is None
     assert "error" in comparison.table()
     pytest.importorskip("matplotlib")
-    labels = [text.get_text() for text in comparison.plot().axes[0].get_legend().get_texts()]
+    labels = [text.get_text() for text in comparison.plot().get_legend().get_texts()]
     assert "end of a start (1)" in labels
     with pytest.raises(DataError, match="'log_cholesky' has a history"):
         comparison.plot("log_cholesky")

@@ -11,6 +11,7 @@ import re
 from typing import Any
 
 from sdpid._common.extras import require
+from sdpid.plots.figures import figure_of
 
 # Letters are written as letters, in a font of the reader's; matplotlib measures them in a wide one
 # that it brings itself. Names of parts are the same each time.
@@ -26,13 +27,13 @@ _STYLE = {
 _DECIMALS = re.compile(r"(\.\d\d)\d+")
 
 
-def svg_text(figure: Any) -> str:
+def svg_text(drawn: Any) -> str:
     """Return a figure as SVG; the same figure gives the same text.
 
     Parameters
     ----------
-    figure : matplotlib.figure.Figure
-        The figure, with fixed places for its axes.
+    drawn : matplotlib.figure.Figure, matplotlib.axes.Axes, or an array of them
+        The figure, or axes of it, with fixed places.
 
     Returns
     -------
@@ -43,6 +44,7 @@ def svg_text(figure: Any) -> str:
     MissingExtraError
         When matplotlib is not installed (extra ``plot``).
     """
+    figure = figure_of(drawn)
     matplotlib = require("matplotlib", extra="plot")
     canvas = require("matplotlib.backends.backend_svg", extra="plot").FigureCanvasSVG
     out = io.StringIO()
@@ -61,7 +63,7 @@ def _shortened(path: re.Match[str]) -> str:
     return _DECIMALS.sub(r"\1", path[0]).replace("\nL ", " ")
 
 
-def image_source(figure: Any) -> str:
+def image_source(drawn: Any) -> str:
     """Return a figure as a data URI with the SVG of `svg_text`."""
-    encoded = base64.b64encode(svg_text(figure).encode()).decode("ascii")
+    encoded = base64.b64encode(svg_text(drawn).encode()).decode("ascii")
     return f"data:image/svg+xml;base64,{encoded}"

@@ -1,4 +1,4 @@
-"""Figures of one joint's signals before and after filtering."""
+"""Figures of signals before and after filtering."""
 
 from __future__ import annotations
 
@@ -10,60 +10,23 @@ from numpy.typing import ArrayLike
 
 from sdpid._common.arrays import real_array
 from sdpid.errors import DataError
-from sdpid.experiment.processing.settings import Processing
-from sdpid.experiment.processing.stages import filter_stages
-from sdpid.experiment.recording.recording import Recording
-from sdpid.output.plots.figures import (
+from sdpid.plots.figures import (
     BLUE,
     GRAY,
     INK,
     PLAIN,
     RED,
     SMALL,
+    axes_of,
     bottom_legend,
     dress,
+    figure_of,
+    head,
+    legend,
     long_line,
     new_figure,
     same_length,
 )
-
-_UNITS = {"position": "rad", "torque": "N·m", "velocity": "rad/s", "acceleration": "rad/s²"}
-
-
-def plot_filtering(
-    log: Recording,
-    joint: int = 0,
-    *,
-    window: tuple[float, float],
-    processing: Processing | None = None,
-    title: str | None = None,
-) -> Any:
-    """Show position, torque, velocity and acceleration of a joint before and after filtering.
-
-    Parameters
-    ----------
-    log : Recording
-        The recording.
-    joint : int, optional
-        Index of the joint.
-    window : (float, float)
-        Instants between which to show them, s.
-    processing : Processing, optional
-        By default `Processing.paper`.
-    title : str, optional
-        Heading of the figure.
-
-    Returns
-    -------
-    matplotlib.figure.Figure
-
-    Raises
-    ------
-    DataError
-        When the window holds too few samples, or the joint does not exist.
-    """
-    stages = filter_stages(log, joint, window, processing)
-    return plot_signals(stages.time, stages.before, stages.after, units=_UNITS, title=title)
 
 
 def plot_signals(
@@ -74,6 +37,7 @@ def plot_signals(
     units: Mapping[str, str] | None = None,
     window: tuple[float, float] | None = None,
     title: str | None = None,
+    axes: Any = None,
 ) -> Any:
     """Show signals before and after filtering, and their differences.
 
@@ -90,10 +54,13 @@ def plot_signals(
         Instants between which to show them, s; by default all.
     title : str, optional
         Heading of the figure.
+    axes : array of matplotlib.axes.Axes, shape (signals, 2), optional
+        Where to draw; by default in a figure of its own.
 
     Returns
     -------
-    matplotlib.figure.Figure
+    ndarray of matplotlib.axes.Axes, shape (signals, 2)
+        Of the signals, and of what filtering took away.
 
     Raises
     ------
@@ -120,8 +87,13 @@ def plot_signals(
                 f"runs from {t.min():g} to {t.max():g} s."
             )
     t = t[inside]
-    figure = new_figure(11.0, 1.2 + 1.95 * len(names), title)
-    axes = figure.subplots(len(names), 2, sharex=True, squeeze=False)
+    own = axes is None
+    if own:
+        figure = new_figure(11.0, 1.2 + 1.95 * len(names), title)
+        axes = figure.subplots(len(names), 2, sharex=True, squeeze=False)
+    else:
+        axes = axes_of(axes, len(names), 2)
+        head(axes, title)
     for i, name in enumerate(names):
         symbol = units.get(name, "") if units else ""
         unit = f" [{symbol}]" if symbol else ""
@@ -139,6 +111,9 @@ def plot_signals(
         size = f"RMS {rms:#.3g} {symbol}".rstrip()
         right.set_title(size, fontsize=SMALL, color=INK, loc="right", **PLAIN)
         left.set_xlim(t[0], t[-1])
-    bottom_legend(figure, *axes[0, 0].get_legend_handles_labels())
-    figure.align_ylabels(axes)
-    return figure
+    if own:
+        bottom_legend(figure_of(axes), *axes[0, 0].get_legend_handles_labels())
+        figure_of(axes).align_ylabels(axes)
+    else:
+        legend(axes[0, 0])
+    return axes

@@ -9,8 +9,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
+import numpy as np
+
 from sdpid._common.extras import require
-from sdpid.output.plots.figures import SMALL, dress, legend, new_figure
+from sdpid.plots.figures import SMALL, axes_of, dress, legend, new_figure
 
 # Points; a phone shows it some 340 pixels wide, so letters of 8 are 10 pixels high.
 WIDTH = 280.0
@@ -51,31 +53,39 @@ class Panel:
     keys: bool = False
 
 
-def stacked(panels: Sequence[Panel]) -> tuple[Any, list[Any]]:
-    """Return a figure with panels under each other, and their axes, top first.
+def stacked(panels: Sequence[Panel], axes: Any = None) -> Any:
+    """Return the axes of panels under each other, top first.
 
     Parameters
     ----------
     panels : sequence of Panel
         From the top; the last has an `x`.
+    axes : sequence of matplotlib.axes.Axes, optional
+        To be used for them as they are placed; by default the panels get a figure of their own.
 
     Returns
     -------
-    matplotlib.figure.Figure
-    list of matplotlib.axes.Axes
+    ndarray of matplotlib.axes.Axes
 
     Raises
     ------
+    DataError
+        When there are not as many axes as panels.
     MissingExtraError
         When matplotlib is not installed (extra ``plot``).
     """
+    if axes is not None:
+        given = axes_of(axes, len(panels))[:, 0]
+        for axis, panel in zip(given, panels, strict=True):
+            dress(axis, xlabel=panel.x, ylabel=panel.y)
+        return given
     ticker = require("matplotlib.ticker", extra="plot")
     high = sum(p.height + _above(p) + (_WORDS if p.x else _BELOW) for p in panels)
     figure = new_figure(WIDTH / 72.0, high / 72.0, layout=None)
     figure.patch.set_visible(False)
-    axes: list[Any] = []
+    placed = np.empty(len(panels), dtype=object)
     top, above = high, None
-    for panel in panels:
+    for k, panel in enumerate(panels):
         top -= _above(panel) + panel.height
         wide = WIDTH - _LEFT - _RIGHT
         place = (_LEFT / WIDTH, top / high, wide / WIDTH, panel.height / high)
@@ -93,10 +103,10 @@ def stacked(panels: Sequence[Panel]) -> tuple[Any, list[Any]]:
         for part in (axis.xaxis, axis.yaxis):
             part.offsetText.set_fontsize(SMALL)
         axis.xaxis.offsetText.set_visible(bool(panel.x))
-        axes.append(axis)
+        placed[k] = axis
         top -= _WORDS if panel.x else _BELOW
         above = None if panel.x else axis
-    return figure, axes
+    return placed
 
 
 def logarithmic(axis: Any, x: tuple[float, float], y: tuple[float, float]) -> None:

@@ -10,7 +10,7 @@ import numpy as np
 from sdpid._common.arrays import Array
 from sdpid._common.extras import require
 from sdpid.errors import DataError
-from sdpid.output.plots.figures import (
+from sdpid.plots.figures import (
     BLUE,
     GRAY,
     INK,
@@ -20,6 +20,7 @@ from sdpid.output.plots.figures import (
     RED,
     SKY,
     dress,
+    head,
     legend,
     new_figure,
 )
@@ -58,6 +59,7 @@ def plot_convergence(
     label: str = "SLSQP",
     feasible: float = _FEASIBLE,
     title: str | None = None,
+    axes: Any = None,
 ) -> Any:
     """Show the costs of many local solves above the proven lower bound, step by step.
 
@@ -81,10 +83,12 @@ def plot_convergence(
         their cost may be below the bound, because the bound does not hold for them.
     title : str, optional
         Heading of the figure.
+    axes : matplotlib.axes.Axes, optional
+        Where to draw; by default in a figure of its own.
 
     Returns
     -------
-    matplotlib.figure.Figure
+    matplotlib.axes.Axes
 
     Raises
     ------
@@ -109,8 +113,11 @@ def plot_convergence(
     shown = gaps[gaps > _LEAST_GAP]
     smallest = float(shown.min()) if shown.size else _LEAST_GAP
     floor = 10.0 ** (np.floor(np.log10(smallest)) - 1.0)
-    figure = new_figure(9.0, 5.6, title)
-    axis = figure.subplots()
+    axis = axes
+    if axis is None:
+        axis = new_figure(9.0, 5.6, title).subplots()
+    else:
+        head(axis, title)
     if timed:
         axis.set_xscale("log")
     else:
@@ -146,7 +153,7 @@ def plot_convergence(
     dress(axis, xlabel="solver time [s]" if timed else "iteration", ylabel=ylabel)
     axis.minorticks_off()
     _legend_of_runs(axis, runs_, label, feasible, failed)
-    return figure
+    return axis
 
 
 def _steps(history: Sequence[CostStep], timed: bool) -> tuple[Array, Array, Array]:

@@ -20,23 +20,27 @@ from sdpid.assurance.diagnostics.validation import Validation
 from sdpid.errors import DataError, ExportError
 from sdpid.estimation.estimate import Step
 from sdpid.experiment.processing.samples import Samples
-from sdpid.output.plots.figures import BLUE, POINTS, decimate, runs, spans, stretch
-from sdpid.output.plots.inline_svg import image_source, svg_text
-from sdpid.output.plots.joints import COLUMNS, detail, plot_joint, plot_joint_errors
 from sdpid.plots import (
+    plot_against_limits,
     plot_convergence,
-    plot_filtering,
+    plot_distances,
     plot_fit,
+    plot_joint,
+    plot_joint_errors,
+    plot_over_duration,
     plot_parameters,
     plot_reconstruction,
     plot_signals,
     save_figure,
 )
+from sdpid.plots.figures import BLUE, POINTS, decimate, figure_of, new_figure, runs, spans, stretch
+from sdpid.plots.inline_svg import image_source, svg_text
+from sdpid.plots.joints import COLUMNS, detail
 
 SIGNALS = ("position", "torque", "velocity", "acceleration")
 
 
-def filtering(count: int = 400, **options: object) -> object:
+def filtering(count: int = 400, **options: object) -> Any:
     time = np.linspace(0.0, 4.0, count)
     rng = np.random.default_rng(0)
     after = {name: np.sin(time * (k + 1)) for k, name in enumerate(SIGNALS)}
@@ -44,19 +48,19 @@ def filtering(count: int = 400, **options: object) -> object:
     return plot_signals(time, before, after, units={"position": "rad"}, **options)  # type: ignore[arg-type]
 
 
-def reconstruction(count: int = 300, **options: object) -> object:
+def reconstruction(count: int = 300, **options: object) -> Any:
     time = np.linspace(0.0, 3.0, count)
     y = np.sin(np.outer(time, [1.0, 2.0]))
     return plot_reconstruction(time, y, y + 0.5, ["a", "b"], **options)  # type: ignore[arg-type]
 
 
-def convergence(**options: object) -> object:
+def convergence(**options: object) -> Any:
     good = [Step(0.0, 90.0, 0.0), Step(0.1, 20.0, 0.0), Step(0.5, 10.001, 0.0)]
     bad = [Step(0.0, 50.0, 1.0), Step(0.2, 8.0, 0.1)]
     return plot_convergence([good, bad, []], 10.0, {"SDP": (0.05, 10.0)}, **options)  # type: ignore[arg-type]
 
 
-def parameters() -> object:
+def parameters() -> Any:
     return plot_parameters(
         ["xx1", "Fs1", "Fv1"], ["kg.m2", "N.m", "N.m.s/rad"],
         {"WLS": [1.0, 2.0, 3.0], "SDP": [1.1, 2.0, 2.9]},
@@ -64,11 +68,16 @@ def parameters() -> object:
     )  # fmt: skip
 
 
-def iterations() -> object:
+def panels() -> Any:
+    time = np.linspace(0.0, 3.0, 40)
+    return plot_against_limits(time, [("a", np.sin(time), -2.0, None), ("b", time, 0.0, 3.0)])
+
+
+def iterations() -> Any:
     return convergence(against="iterations", failed=1)
 
 
-def long_reconstruction() -> object:
+def long_reconstruction() -> Any:
     time = np.linspace(0.0, 3.0, 9000)
     y = np.stack([-123456.0 * np.sin(time), 2e-4 * np.cos(time)], axis=1)
     mask = np.abs(y) > 1e-5
@@ -82,23 +91,24 @@ FIGURES = [
     convergence,
     iterations,
     parameters,
+    panels,
 ]
 
 
 @pytest.mark.parametrize("make", FIGURES)
 @pytest.mark.parametrize("suffix", [".png", ".svg", ".pdf"])
-def test_saved_whole_and_the_same_each_time(make: object, suffix: str, tmp_path: Path) -> None:
+def test_saved_whole_and_the_same_each_time(make: Any, suffix: str, tmp_path: Path) -> None:
     first, second = tmp_path / f"a{suffix}", tmp_path / f"b{suffix}"
-    assert save_figure(make(), first, dpi=50.0) == first  # type: ignore[operator]
-    save_figure(make(), second, dpi=50.0)  # type: ignore[operator]
+    assert save_figure(make(), first, dpi=50.0) == first
+    save_figure(make(), second, dpi=50.0)
     assert first.read_bytes() == second.read_bytes()
     assert first.stat().st_size > 1000
     assert sorted(p.name for p in tmp_path.iterdir()) == [first.name, second.name]
 
 
 @pytest.mark.parametrize("make", FIGURES)
-def test_no_text_runs_into_other_text(make: object) -> None:
-    figure = make()  # type: ignore[operator]
+def test_no_text_runs_into_other_text(make: Any) -> None:
+    figure = figure_of(make())
     figure.draw_without_rendering()
     renderer = figure._get_renderer()
     boxes = []
@@ -111,6 +121,60 @@ def test_no_text_runs_into_other_text(make: object) -> None:
         assert not any(box.overlaps(other) for other in boxes[:i])
         assert box.x0 >= 0.0
         assert box.y0 >= 0.0
+
+
+TIME, ONES = np.arange(9.0), np.ones((9, 2))
+ERRORS = JointErrors(
+    joint="a", frequency=TIME, effort_density=TIME, error_density=TIME, lag=TIME,
+    autocorrelation=TIME, independent=9.0, velocity=TIME, mean=TIME, low=TIME, high=TIME,
+    share=0.0, with_sign=0.0, with_velocity=0.0,
+)  # fmt: skip
+INTO: dict[str, tuple[int, Any]] = {
+    "convergence": (1, lambda a: convergence(axes=a[0], title="one")),
+    "parameters": (
+        2,
+        lambda a: plot_parameters(["a", "b"], ["kg", "m"], {"x": [1.0, 2.0]}, axes=a, title="two"),
+    ),
+    "efforts": (4, lambda a: plot_reconstruction(TIME, ONES, ONES, ["a", "b"], axes=a, title="4")),
+    "signals": (2, lambda a: plot_signals(TIME, {"a": TIME}, {"a": TIME}, axes=a, title="two")),
+    "joint": (2, lambda a: plot_joint(TIME, TIME, TIME, TIME > 0.0, axes=list(a))),
+    "errors": (3, lambda a: plot_joint_errors(ERRORS, axes=a)),
+    "limits": (1, lambda a: plot_against_limits(TIME, [("a", TIME, None, 2.0)], axes=a[0])),
+    "distances": (1, lambda a: plot_distances(TIME, ONES, axes=a)),
+    "duration": (1, lambda a: plot_over_duration(1.0 + TIME, [1.0 + TIME], axes=a)),
+}
+
+
+@pytest.mark.parametrize("kind", INTO)
+def test_figures_are_drawn_into_given_axes(kind: str) -> None:
+    count, draw = INTO[kind]
+    figure = new_figure(9.0, 9.0)
+    axes = figure.subplots(2, 2).ravel()[:count]
+    drawn = np.atleast_1d(draw(axes)).ravel()
+    assert list(drawn) == list(axes)
+    assert all(axis.lines or axis.containers for axis in drawn)
+    figure.draw_without_rendering()
+
+
+def test_too_few_axes_are_refused() -> None:
+    axes = new_figure(9.0, 9.0).subplots(2, 2).ravel()
+    with pytest.raises(DataError, match="3 axes were given to draw in, 4 are needed"):
+        reconstruction(axes=axes[:3])
+    with pytest.raises(DataError, match="1 axes were given to draw in, 2 are needed"):
+        plot_parameters(["a", "b"], ["kg", "m"], {"x": [1.0, 2.0]}, axes=axes[0])
+
+
+def test_axes_are_returned_and_lead_to_their_figure(tmp_path: Path) -> None:
+    one, many = convergence(), reconstruction()
+    assert one.figure is figure_of(one)
+    assert many.shape == (2, 2)
+    assert figure_of(many) is many[1, 1].figure
+    whole = new_figure(4.0, 3.0)
+    part = whole.subfigures(1, 2)[1].subplots()
+    assert figure_of([[part]]) is whole
+    assert figure_of(whole) is whole
+    paths = [save_figure(x, tmp_path / f"{k}.svg") for k, x in enumerate((many, many[0, 0]))]
+    assert paths[0].read_bytes() == paths[1].read_bytes()
 
 
 def test_pyplot_is_not_touched() -> None:
@@ -144,10 +208,10 @@ def test_decimation_keeps_the_extremes_and_the_ends() -> None:
 
 
 def test_long_records_are_drawn_with_few_points() -> None:
-    figure = filtering(200_000, window=(1.0, 2.0))
-    lines = [line for axis in figure.axes for line in axis.get_lines()]  # type: ignore[attr-defined]
+    figure = figure_of(filtering(200_000, window=(1.0, 2.0)))
+    lines = [line for axis in figure.axes for line in axis.get_lines()]
     assert max(len(line.get_xdata()) for line in lines) <= POINTS + 4
-    assert figure.axes[0].get_xlim() == pytest.approx((1.0, 2.0), abs=1e-4)  # type: ignore[attr-defined]
+    assert figure.axes[0].get_xlim() == pytest.approx((1.0, 2.0), abs=1e-4)
 
 
 def test_runs() -> None:
@@ -162,18 +226,19 @@ def test_a_recording_and_a_fit_are_drawn() -> None:
     log = sdpid.Recording(
         time=time, position=q, effort=q + 0.1 * rng.standard_normal(q.shape), joint_names=("a", "b")
     )
-    figure = plot_filtering(log, 1, window=(15.0, 25.0))
+    stages = sdpid.Processing.paper().stages(log, 1, window=(15.0, 25.0))
+    figure = figure_of(stages.plot())
     assert [axis.get_ylabel() for axis in figure.axes[::2]] == [
         "Position [rad]", "Torque [N·m]", "Velocity [rad/s]", "Acceleration [rad/s²]",
     ]  # fmt: skip
     assert figure.axes[0].get_xlim() == pytest.approx((15.0, 25.0), abs=0.02)
     with pytest.raises(DataError, match="joint 2 does not exist"):
-        plot_filtering(log, 2, window=(15.0, 25.0))
+        sdpid.Processing.paper().stages(log, 2, window=(15.0, 25.0))
     samples = Samples(
         position=q, velocity=q, acceleration=q, effort=q, time=time, starts=(0, 1000, 3000)
     )
     fit = Validation.of_prediction(("a", "b"), samples, q + 0.5)
-    axis = plot_fit(samples, fit, count=2000, title="two pieces").axes[0]
+    axis = plot_fit(samples, fit, count=2000, title="two pieces")[0, 0]
     drawn = axis.get_lines()[0].get_ydata()
     assert np.isnan(drawn).sum() == 1
     assert np.nanmax(np.abs(drawn - 0.0)) <= 1.0
@@ -182,12 +247,12 @@ def test_a_recording_and_a_fit_are_drawn() -> None:
 def test_reconstruction_names_errors_and_shades() -> None:
     mask = np.ones((300, 2), dtype=bool)
     mask[50:80, 1] = False
-    figure = reconstruction(mask=mask)
-    titles = [axis.get_title(loc="left") for axis in figure.axes]  # type: ignore[attr-defined]
+    figure = figure_of(reconstruction(mask=mask))
+    titles = [axis.get_title(loc="left") for axis in figure.axes]
     assert titles[0] == "a"
     assert titles[1].startswith("RMSE 0.500 N·m")
-    assert [len(axis.collections) for axis in figure.axes] == [0, 0, 1, 1]  # type: ignore[attr-defined]
-    labels = [text.get_text() for text in figure.legends[0].get_texts()]  # type: ignore[attr-defined]
+    assert [len(axis.collections) for axis in figure.axes] == [0, 0, 1, 1]
+    labels = [text.get_text() for text in figure.legends[0].get_texts()]
     assert labels == ["measured", "predicted", "rows not used"]
 
 
@@ -209,22 +274,21 @@ def test_names_are_not_read_as_formulas(tmp_path: Path) -> None:
 
 def test_reconstruction_without_time_and_with_units() -> None:
     y = np.ones((5, 2))
-    figure = plot_reconstruction(None, y, 0.0 * y, ["a", "b"], [1.0, 2.0], units=["N", "N·m"])
-    assert figure.axes[-1].get_xlabel() == "sample"
-    assert figure.axes[0].get_ylabel() == "effort [N]"
+    axes = plot_reconstruction(None, y, 0.0 * y, ["a", "b"], [1.0, 2.0], units=["N", "N·m"])
+    assert axes[-1, 0].get_xlabel() == "sample"
+    assert axes[0, 0].get_ylabel() == "effort [N]"
 
 
 def test_convergence_counts_ends() -> None:
-    figure = convergence(label="local")
-    labels = [text.get_text() for text in figure.axes[0].get_legend().get_texts()]  # type: ignore[attr-defined]
+    axis = convergence(label="local")
+    labels = [text.get_text() for text in axis.get_legend().get_texts()]
     assert "end of a start (1)" in labels
     assert "end, infeasible (1)" in labels
     assert any(label.startswith("SDP (gap 0.0e+00") for label in labels)
 
 
 def test_convergence_over_iterations_with_failures() -> None:
-    figure = convergence(against="iterations", failed=3)
-    axis = figure.axes[0]  # type: ignore[attr-defined]
+    axis = convergence(against="iterations", failed=3)
     assert axis.get_xlabel() == "iteration"
     assert axis.get_xscale() == "linear"
     assert max(line.get_xdata()[-1] for line in axis.get_lines() if len(line.get_xdata()) > 2) == 2
@@ -237,13 +301,13 @@ def test_convergence_over_iterations_with_failures() -> None:
 
 def test_steps_far_outside_leave_the_picture() -> None:
     wild = [Step(0.0, 90.0, 0.0), Step(0.1, 1e15, 7.0), Step(0.5, 10.1, 0.0)]
-    axis = plot_convergence([wild], 10.0).axes[0]
+    axis = plot_convergence([wild], 10.0)
     assert axis.get_ylim()[1] < 100.0
 
 
 def test_convergence_of_exact_data() -> None:
-    figure = plot_convergence([[Step(0.0, 1.0, 0.0), Step(1.0, 1e-20, 0.0)]], 0.0)
-    assert figure.axes[0].get_ylabel() == "cost − bound"
+    axis = plot_convergence([[Step(0.0, 1.0, 0.0), Step(1.0, 1e-20, 0.0)]], 0.0)
+    assert axis.get_ylabel() == "cost − bound"
 
 
 def test_bad_input_is_named() -> None:
@@ -272,8 +336,8 @@ def test_bad_input_is_named() -> None:
 
 
 @pytest.mark.parametrize("make", [reconstruction, long_reconstruction])
-def test_numbers_do_not_run_into_labels(make: object) -> None:
-    figure = make()  # type: ignore[operator]
+def test_numbers_do_not_run_into_labels(make: Any) -> None:
+    figure = figure_of(make())
     figure.draw_without_rendering()
     renderer = figure._get_renderer()
     texts = list(figure.texts)
@@ -294,14 +358,14 @@ def test_numbers_do_not_run_into_labels(make: object) -> None:
 
 
 def test_thinning_is_said_in_the_figure() -> None:
-    said = [t.get_text() for t in reconstruction(15_000).texts]  # type: ignore[attr-defined]
+    said = [t.get_text() for t in figure_of(reconstruction(15_000)).texts]
     assert said == [f"drawn: least and greatest value of each {stretch(15_000)} samples"]
-    assert not reconstruction(POINTS).texts  # type: ignore[attr-defined]
+    assert not figure_of(reconstruction(POINTS)).texts
     assert stretch(15_000) == 20
 
 
 def test_a_png_is_drawn_once(tmp_path: Path) -> None:
-    figure: Any = reconstruction()
+    figure = figure_of(reconstruction())
     own, drawn = figure.draw, []
     figure.draw = lambda renderer: (drawn.append(1), own(renderer))
     save_figure(figure, tmp_path / "a.png")
@@ -325,7 +389,7 @@ def test_a_picture_is_a_part_of_a_page(count: int, size: float) -> None:
     figures = [plot_joint(np.linspace(0.0, 9.0, count), y, 1.1 * y, used) for _ in range(2)]
     text, again = map(svg_text, figures)
     assert text == again
-    assert figures[0].dpi == 100.0
+    assert figure_of(figures[0]).dpi == 100.0
     assert "nan" not in text
     picture = etree.fromstring(text.encode())
     assert "measured" in "".join(picture.itertext())
@@ -339,7 +403,7 @@ def test_panels_do_not_run_into_each_other(pieces: int) -> None:
     y = -123456.0 * np.sin(np.arange(4000.0))
     time = 1e-3 * np.arange(4000.0)
     starts = tuple(range(0, 4000, 4000 // pieces))[:pieces]
-    figure = plot_joint(time, y, 1.1 * y, np.abs(y) > 1e3, starts=starts)
+    figure = figure_of(plot_joint(time, y, 1.1 * y, np.abs(y) > 1e3, starts=starts))
     figure.draw_without_rendering()
     renderer = figure._get_renderer()
     texts = []
@@ -372,7 +436,7 @@ def test_a_line_is_where_it_should_be_and_peaks_stay() -> None:
     x = np.linspace(0.0, 10.0, 50_001)
     y = np.sin(x)
     y[31_234] = 7.0
-    figure = plot_joint(x, y, np.zeros(len(x)), np.ones(len(x), dtype=bool))
+    figure = figure_of(plot_joint(x, y, np.zeros(len(x)), np.ones(len(x), dtype=bool)))
     points = drawn_points(figure, BLUE.lower())
     assert len(points) <= 2 * COLUMNS + 4
     axis = figure.axes[0]
@@ -420,6 +484,6 @@ def test_the_stretch_about_the_largest_error_is_shown() -> None:
     error[:] = np.nan
     assert detail(error) == slice(0, COLUMNS)
     y = np.zeros(4000)
-    assert len(plot_joint(None, y, y, np.zeros(4000, dtype=bool)).axes) == 3
+    assert len(plot_joint(None, y, y, np.zeros(4000, dtype=bool))) == 3
     few = np.zeros(2 * COLUMNS)
-    assert len(plot_joint(None, few, few, few == 0.0).axes) == 2
+    assert len(plot_joint(None, few, few, few == 0.0)) == 2

@@ -6,14 +6,13 @@ No names stand in them, so nothing that a robot's description says is drawn.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 
 from sdpid._common.arrays import Array, Mask
-from sdpid.assurance.diagnostics.residuals import JointErrors
-from sdpid.output.plots.figures import BLUE, GRAY, RED, SHADE, TimeLine, decimate, shade, stretch
-from sdpid.output.plots.panels import Panel, keys, logarithmic, stacked
+from sdpid.plots.figures import BLUE, GRAY, RED, SHADE, TimeLine, decimate, shade, stretch
+from sdpid.plots.panels import Panel, keys, logarithmic, stacked
 
 # Stretches along a line, of which the least and the greatest value are kept: more than a page shows
 # of it in pixels would not be seen.
@@ -31,6 +30,50 @@ _FLOOR, _TOP = 1e-5, 3.0
 _WITHIN = 1.96
 
 
+class JointErrors(Protocol):
+    """The errors of one joint, as `sdpid.assurance.diagnostics.residuals` finds them."""
+
+    @property
+    def frequency(self) -> Array:
+        """In Hz, or per sample, (f,)."""
+
+    @property
+    def effort_density(self) -> Array:
+        """Amplitude density of the measured effort, N·m/√Hz, (f,)."""
+
+    @property
+    def error_density(self) -> Array:
+        """Amplitude density of the error, N·m/√Hz, (f,)."""
+
+    @property
+    def lag(self) -> Array:
+        """In s, or in samples, (l,)."""
+
+    @property
+    def autocorrelation(self) -> Array:
+        """Of the errors, (l,)."""
+
+    @property
+    def independent(self) -> float:
+        """About how many independent errors the rows are worth."""
+
+    @property
+    def velocity(self) -> Array:
+        """Mean velocity of each bin, rad/s, (bins,)."""
+
+    @property
+    def mean(self) -> Array:
+        """Mean error of each bin, N·m, (bins,)."""
+
+    @property
+    def low(self) -> Array:
+        """Error of each bin that a tenth of its errors are below, N·m, (bins,)."""
+
+    @property
+    def high(self) -> Array:
+        """Error of each bin that a tenth of its errors are above, N·m, (bins,)."""
+
+
 def plot_joint(
     time: Array | None,
     measured: Array,
@@ -38,6 +81,7 @@ def plot_joint(
     used: Mask,
     *,
     starts: Sequence[int] = (0,),
+    axes: Any = None,
 ) -> Any:
     """Show measured against predicted effort of a joint, and the error below.
 
@@ -51,17 +95,21 @@ def plot_joint(
         True where a row counts; the others are shaded.
     starts : sequence of int, optional
         First sample of each piece recorded without a break; they are drawn behind each other.
+    axes : sequence of two matplotlib.axes.Axes, optional
+        Where to draw; by default in a figure of its own.
 
     Returns
     -------
-    matplotlib.figure.Figure
+    ndarray of matplotlib.axes.Axes
+        Of effort and error; in a figure of its own, of a long record, a third with what is about
+        the largest error.
     """
     line = TimeLine.of(time, len(measured), starts)
     t, used = line.time, line.kept(used)
     measured, predicted = line.broken(measured), line.broken(predicted)
     error = np.where(used, measured - predicted, np.nan)
     # Of a long record, what is about the largest error once more in full.
-    near = detail(error) if stretch(len(t), points=2 * COLUMNS) > 1 else None
+    near = detail(error) if axes is None and _is_long(t) else None
     high = (_EFFORT, _ERROR) if near is None else (_SHARED, _SHARED)
     panels = [
         Panel(high[0], "effort [N·m]", keys=True),
@@ -70,14 +118,20 @@ def plot_joint(
     if near is not None:
         label = f"{line.label.partition(',')[0]}, about the largest error"
         panels.append(Panel(_SHARED, "effort [N·m]", x=label))
-    figure, (above, below, *more) = stacked(panels)
+    drawn = stacked(panels, axes)
+    above, below, *more = drawn
     _efforts(above, t, measured, predicted, used)
     keys(above)
     shade(below, t, ~used)
     _line(below, t, error, color=GRAY, linewidth=0.6)
     if near is not None:
         _efforts(more[0], t[near], measured[near], predicted[near], used[near])
-    return figure
+    return drawn
+
+
+def _is_long(time: Array) -> bool:
+    """Return whether a picture of all samples leaves some out."""
+    return stretch(len(time), points=2 * COLUMNS) > 1
 
 
 def _efforts(axis: Any, t: Array, measured: Array, predicted: Array, used: Mask) -> None:
@@ -95,19 +149,21 @@ def detail(error: Array) -> slice:
     return slice(first, first + COLUMNS)
 
 
-def plot_joint_errors(errors: JointErrors, *, timed: bool = True) -> Any:
+def plot_joint_errors(errors: JointErrors, *, timed: bool = True, axes: Any = None) -> Any:
     """Show spectrum, autocorrelation and velocity dependence of a joint's errors.
 
     Parameters
     ----------
     errors : JointErrors
-        From `sdpid.assurance.diagnostics.residuals.joint_errors`.
+        Spectra, autocorrelation and means over velocity.
     timed : bool, optional
         Whether frequencies are in Hz and lags in s, rather than in samples.
+    axes : sequence of three matplotlib.axes.Axes, optional
+        Where to draw; by default in a figure of its own.
 
     Returns
     -------
-    matplotlib.figure.Figure
+    ndarray of matplotlib.axes.Axes, shape (3,)
     """
     frequency = "frequency [Hz]" if timed else "cycles per sample"
     panels = (
@@ -115,7 +171,8 @@ def plot_joint_errors(errors: JointErrors, *, timed: bool = True) -> Any:
         Panel(_THIRD, "autocorrelation", x="lag [s]" if timed else "lag [samples]"),
         Panel(_THIRD, "error [N·m]", x="velocity [rad/s]"),
     )
-    figure, (spectrum, correlation, friction) = stacked(panels)
+    drawn = stacked(panels, axes)
+    spectrum, correlation, friction = drawn
     _spectrum(spectrum, errors)
     level = _WITHIN / float(np.sqrt(errors.independent))
     correlation.axhspan(-level, level, color=SHADE, linewidth=0.0)
@@ -127,7 +184,7 @@ def plot_joint_errors(errors: JointErrors, *, timed: bool = True) -> Any:
             errors.velocity, errors.mean, color=RED, marker="o", markersize=2.5, linewidth=0.8
         )
     friction.axhline(0.0, color=GRAY, linewidth=0.6)
-    return figure
+    return drawn
 
 
 def _spectrum(axis: Any, errors: JointErrors) -> None:

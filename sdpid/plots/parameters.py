@@ -10,15 +10,19 @@ from numpy.typing import ArrayLike
 
 from sdpid._common.arrays import real_array
 from sdpid.errors import DataError
-from sdpid.output.plots.figures import (
+from sdpid.plots.figures import (
     GRAY,
     INK,
     METHOD_COLORS,
     METHOD_MARKERS,
     PLAIN,
     SMALL,
+    axes_of,
     bottom_legend,
     dress,
+    figure_of,
+    head,
+    legend,
     new_figure,
 )
 
@@ -31,6 +35,7 @@ def plot_parameters(
     true: ArrayLike | None = None,
     errors: Mapping[str, ArrayLike] | None = None,
     title: str | None = None,
+    axes: Any = None,
 ) -> Any:
     """Show parameters by unit, estimates side by side with bars of twice their standard errors.
 
@@ -46,10 +51,13 @@ def plot_parameters(
         Standard errors of some of the methods.
     title : str, optional
         Heading of the figure.
+    axes : sequence of matplotlib.axes.Axes, optional
+        Where to draw, one for each unit; by default in a figure of its own.
 
     Returns
     -------
-    matplotlib.figure.Figure
+    ndarray of matplotlib.axes.Axes
+        One for each unit, in the order in which units first occur.
 
     Raises
     ------
@@ -70,8 +78,13 @@ def plot_parameters(
         raise DataError("plot: no parameters or no estimates; nothing to draw.")
     groups = [(u, [i for i in range(count) if units[i] == u]) for u in dict.fromkeys(units)]
     widest = max(len(rows) for _, rows in groups)
-    figure = new_figure(max(6.0, 1.6 + 0.34 * widest), 0.9 + 2.3 * len(groups), title)
-    axes = figure.subplots(len(groups), 1, squeeze=False)[:, 0]
+    own = axes is None
+    if own:
+        figure = new_figure(max(6.0, 1.6 + 0.34 * widest), 0.9 + 2.3 * len(groups), title)
+        axes = figure.subplots(len(groups), 1, squeeze=False)[:, 0]
+    else:
+        axes = axes_of(axes, len(groups))[:, 0]
+        head(axes, title)
     step = 0.7 / len(values)
     for axis, (unit, rows) in zip(axes, groups, strict=True):
         at = np.arange(len(rows), dtype=np.float64)
@@ -97,5 +110,8 @@ def plot_parameters(
         dress(axis, ylabel=unit)
         axis.set_xticks(at, [names[i] for i in rows], rotation=90, fontsize=SMALL, **PLAIN)
         axis.set_xlim(-0.7, widest - 0.3)
-    bottom_legend(figure, *axes[0].get_legend_handles_labels())
-    return figure
+    if own:
+        bottom_legend(figure_of(axes), *axes[0].get_legend_handles_labels())
+    else:
+        legend(axes[0])
+    return axes

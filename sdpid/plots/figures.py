@@ -74,6 +74,51 @@ def new_figure(
     return figure
 
 
+def axes_of(axes: Any, rows: int, columns: int = 1) -> Any:
+    """Return axes that were given, as an array (rows, columns).
+
+    Parameters
+    ----------
+    axes : matplotlib.axes.Axes, or an array or a sequence of them
+        As many as there are panels, row by row.
+    rows, columns : int
+        Of the panels to draw.
+
+    Raises
+    ------
+    DataError
+        When there are more axes or fewer.
+    """
+    flat = np.empty(len(given := _flat(axes)), dtype=object)
+    flat[:] = given
+    if len(flat) != rows * columns:
+        raise DataError(
+            f"plot: {len(flat)} axes were given to draw in, {rows * columns} are needed "
+            f"({rows} x {columns})."
+        )
+    return flat.reshape(rows, columns)
+
+
+def _flat(axes: Any) -> list[Any]:
+    """Return axes one after the other."""
+    if isinstance(axes, np.ndarray | list | tuple):
+        return [each for part in axes for each in _flat(part)]
+    return [axes]
+
+
+def figure_of(drawn: Any) -> Any:
+    """Return the whole figure of axes, of an array of them, or the figure that was given."""
+    first = _flat(drawn)[0]
+    # Of axes it may be a part of a figure; the figure of that is the whole.
+    return first.figure.figure
+
+
+def head(axes: Any, title: str | None) -> None:
+    """Set a heading over axes that were given."""
+    if title:
+        _flat(axes)[0].set_title(title, fontsize=LARGE, color=INK, loc="left", **PLAIN)
+
+
 def dress(axis: Any, *, title: str | None = None, xlabel: str = "", ylabel: str = "") -> None:
     """Set frame, grid, labels and font sizes of an axis."""
     for side in ("top", "right"):
@@ -258,15 +303,15 @@ def same_length(arrays: Iterable[tuple[str, Array]], length: int) -> None:
             raise DataError(f"plot: {name} has {len(array)} rows, time has {length}.")
 
 
-def save_figure(figure: Any, path: str | os.PathLike[str], *, dpi: float = 150.0) -> Path:
+def save_figure(drawn: Any, path: str | os.PathLike[str], *, dpi: float = 150.0) -> Path:
     """Write a figure as PNG, SVG or PDF, whole or not at all.
 
     The same figure gives the same file: no dates and no random names are put in.
 
     Parameters
     ----------
-    figure : matplotlib.figure.Figure
-        The figure.
+    drawn : matplotlib.figure.Figure, matplotlib.axes.Axes, or an array of them
+        The figure, or axes of it: the whole figure is written.
     path : str or path
         Where to; its suffix says the format.
     dpi : float, optional
@@ -288,6 +333,7 @@ def save_figure(figure: Any, path: str | os.PathLike[str], *, dpi: float = 150.0
             f"figure {target.name}: no format is known by '{target.suffix}'; use "
             f"{', '.join(_FORMATS)}."
         )
+    figure = figure_of(drawn)
     matplotlib = require("matplotlib", extra="plot")
     # Drawn once: `savefig` draws twice, the first time to see where everything ends up, which
     # matters only to those who have it cut to size.

@@ -1,16 +1,15 @@
-"""Pictures of a plan: joints against their limits, distances, spectrum, errors over duration."""
+"""Figures of a motion: joints against limits, distances, spectrum, errors over duration."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from sdpid._common.arrays import Array
-from sdpid.output.plans.played import Played
-from sdpid.output.plots.figures import (
+from sdpid.plots.figures import (
     BLUE,
     GRAY,
     GREEN,
@@ -21,7 +20,7 @@ from sdpid.output.plots.figures import (
     SKY,
     decimate,
 )
-from sdpid.output.plots.panels import Panel, logarithmic, stacked
+from sdpid.plots.panels import Panel, logarithmic, stacked
 
 # Heights of panels, points.
 _SMALL, _LARGE = 52.0, 130.0
@@ -42,8 +41,27 @@ _ROOM = 500.0
 COLORS = (BLUE, GREEN, ORANGE, PURPLE, SKY, GRAY, INK)
 
 
+class Motion(Protocol):
+    """A motion on an even grid of instants."""
+
+    @property
+    def time(self) -> Array:
+        """Seconds, (K,)."""
+
+    @property
+    def rate_hz(self) -> float:
+        """Samples per second."""
+
+    @property
+    def acceleration(self) -> Array:
+        """Of each joint, rad/s² (m/s² where a joint slides), (K, n)."""
+
+
 def plot_against_limits(
-    time: Array, rows: Sequence[tuple[str, Array, float | None, float | None]]
+    time: Array,
+    rows: Sequence[tuple[str, Array, float | None, float | None]],
+    *,
+    axes: Any = None,
 ) -> Any:
     """Show quantities of a joint over time, and the limits of each as dashed lines.
 
@@ -53,28 +71,35 @@ def plot_against_limits(
         In s.
     rows : sequence of (str, ndarray of shape (K,), float or None, float or None)
         Label with unit, values, lower and upper limit (None: none).
+    axes : sequence of matplotlib.axes.Axes, optional
+        Where to draw, one for each quantity; by default in a figure of its own.
 
     Returns
     -------
-    matplotlib.figure.Figure
+    ndarray of matplotlib.axes.Axes
     """
     last = len(rows) - 1
     panels = [
         Panel(_SMALL, label, x="time [s]" if k == last else "")
         for k, (label, _, _, _) in enumerate(rows)
     ]
-    figure, axes = stacked(panels)
-    for axis, (_, values, lower, upper) in zip(axes, rows, strict=True):
+    drawn = stacked(panels, axes)
+    for axis, (_, values, lower, upper) in zip(drawn, rows, strict=True):
         axis.margins(x=0.0)
         _line(axis, time, values, color=BLUE, linewidth=1.0)
         most = float(np.abs(values).max()) or 1.0
         for limit in (lower, upper):
             if limit is not None and abs(limit) <= _FAR * most:
                 axis.axhline(limit, color=RED, linewidth=0.9, linestyle=(0, (4, 2)))
-    return figure
+    return drawn
 
 
-def plot_distances(time: Array, room: Array) -> tuple[Any, list[tuple[str, int]]]:
+def nearest_pairs(room: Array) -> list[tuple[str, int]]:
+    """Return color and index of the pairs that `plot_distances` shows, the nearest first."""
+    return list(zip(COLORS, np.argsort(room.min(axis=0)).tolist(), strict=False))
+
+
+def plot_distances(time: Array, room: Array, *, axes: Any = None) -> Any:
     """Show how far the nearest pairs stay from their least distances over time.
 
     Parameters
@@ -83,26 +108,38 @@ def plot_distances(time: Array, room: Array) -> tuple[Any, list[tuple[str, int]]
         In s.
     room : ndarray, shape (K, P)
         Distances of P pairs less what is asked of each, m.
+    axes : matplotlib.axes.Axes, optional
+        Where to draw; by default in a figure of its own.
 
     Returns
     -------
-    matplotlib.figure.Figure
-    list of (str, int)
-        Color and index of the pairs that are shown, the nearest first.
+    matplotlib.axes.Axes
+        With the pairs of `nearest_pairs`.
     """
-    figure, (axis,) = stacked([Panel(_LARGE, "room left [mm]", x="time [s]")])
+    (axis,) = stacked([Panel(_LARGE, "room left [mm]", x="time [s]")], axes)
     axis.margins(x=0.0)
-    shown = list(zip(COLORS, np.argsort(room.min(axis=0)).tolist(), strict=False))
-    for color, pair in shown:
+    for color, pair in nearest_pairs(room):
         _line(axis, time, 1e3 * room[:, pair], color=color, linewidth=1.0)
     axis.axhline(0.0, color=RED, linewidth=0.9, linestyle=(0, (4, 2)))
     axis.set_ylim(min(0.0, 1e3 * float(room.min())), min(_ROOM, 1.05e3 * float(room.max())))
-    return figure, shown
+    return axis
 
 
-def plot_spectrum(motion: Played) -> Any:
-    """Show the amplitude spectrum of each joint's acceleration."""
-    figure, (axis,) = stacked([Panel(_LARGE, "acceleration [rad/s²]", x="frequency [Hz]")])
+def plot_spectrum(motion: Motion, *, axes: Any = None) -> Any:
+    """Show the amplitude spectrum of each joint's acceleration.
+
+    Parameters
+    ----------
+    motion : Motion
+        Time, rate and accelerations.
+    axes : matplotlib.axes.Axes, optional
+        Where to draw; by default in a figure of its own.
+
+    Returns
+    -------
+    matplotlib.axes.Axes
+    """
+    (axis,) = stacked([Panel(_LARGE, "acceleration [rad/s²]", x="frequency [Hz]")], axes)
     count = len(motion.time)
     frequency = np.fft.rfftfreq(count, 1.0 / motion.rate_hz)[1:]
     amplitude = 2.0 / count * np.abs(np.fft.rfft(motion.acceleration, axis=0))[1:]
@@ -113,10 +150,10 @@ def plot_spectrum(motion: Played) -> Any:
     for j in range(amplitude.shape[1]):
         color = COLORS[j % len(COLORS)]
         _line(axis, frequency[:last], amplitude[:last, j], color=color, linewidth=0.9)
-    return figure
+    return axis
 
 
-def plot_over_duration(seconds: Array, shares: Sequence[Array]) -> Any:
+def plot_over_duration(seconds: Array, shares: Sequence[Array], *, axes: Any = None) -> Any:
     """Show how the half widths of expected intervals fall with the duration of the run.
 
     Parameters
@@ -125,14 +162,20 @@ def plot_over_duration(seconds: Array, shares: Sequence[Array]) -> Any:
         Durations.
     shares : sequence of ndarray, shape (D,)
         Half widths as shares of the values; in the order of `COLORS`.
+    axes : matplotlib.axes.Axes, optional
+        Where to draw; by default in a figure of its own.
+
+    Returns
+    -------
+    matplotlib.axes.Axes
     """
-    figure, (axis,) = stacked([Panel(_LARGE, "95 % interval, ± [%]", x="duration [s]")])
+    (axis,) = stacked([Panel(_LARGE, "95 % interval, ± [%]", x="duration [s]")], axes)
     values = 100.0 * np.stack(list(shares))
     ends = 0.8 * float(values.min()), 1.25 * float(values.max())
     logarithmic(axis, (0.95 * float(seconds.min()), 1.1 * float(seconds.max())), ends)
     for color, each in zip(COLORS, values, strict=False):
         axis.plot(seconds, each, color=color, marker="o", markersize=3.0, linewidth=1.0)
-    return figure
+    return axis
 
 
 def _line(axis: Any, x: ArrayLike, y: ArrayLike, **style: Any) -> None:

@@ -3,17 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from sdpid._common.arrays import Array, real_array
+from sdpid._common.arrays import Array, Mask, real_array
 from sdpid._common.extras import require
-from sdpid.assurance.diagnostics.validation import Validation
 from sdpid.errors import DataError
-from sdpid.experiment.processing.samples import Samples
-from sdpid.output.plots.figures import (
+from sdpid.plots.figures import (
     BLUE,
     GRAY,
     INK,
@@ -23,8 +21,11 @@ from sdpid.output.plots.figures import (
     SHADE,
     SMALL,
     TimeLine,
+    axes_of,
     bottom_legend,
     dress,
+    head,
+    legend,
     long_line,
     new_figure,
     same_length,
@@ -38,12 +39,49 @@ _WIDTH, _LEFT, _RIGHT, _TOP, _BOTTOM, _HEADING = 12.0, 0.95, 0.15, 0.35, 0.95, 0
 _BETWEEN, _ABOVE, _LABEL, _SHARE = 0.95, 0.42, 0.65, 0.61
 
 
+class Measured(Protocol):
+    """Measured efforts."""
+
+    @property
+    def time(self) -> Array | None:
+        """Seconds, (K,)."""
+
+    @property
+    def effort(self) -> Array:
+        """In N·m, (K, n)."""
+
+    @property
+    def mask(self) -> Mask | None:
+        """True where a row counts, (K, n)."""
+
+    @property
+    def starts(self) -> tuple[int, ...]:
+        """First sample of each piece recorded without a break."""
+
+
+class Fit(Protocol):
+    """Predicted efforts and their errors."""
+
+    @property
+    def joint_names(self) -> tuple[str, ...]:
+        """The n joints."""
+
+    @property
+    def rmse(self) -> Array:
+        """Root mean square errors, N·m, (n,)."""
+
+    @property
+    def effort_predicted(self) -> Array:
+        """In N·m, (K, n)."""
+
+
 def plot_fit(
-    samples: Samples,
-    fit: Validation,
+    samples: Measured,
+    fit: Fit,
     *,
     count: int | None = None,
     title: str | None = None,
+    axes: Any = None,
 ) -> Any:
     """Show measured against predicted effort, joint by joint, with the errors beside.
 
@@ -57,10 +95,13 @@ def plot_fit(
         Draw the first samples only, so that curves can be told apart.
     title : str, optional
         Heading of the figure.
+    axes : array of matplotlib.axes.Axes, shape (n, 2), optional
+        Where to draw; by default in a figure of its own.
 
     Returns
     -------
-    matplotlib.figure.Figure
+    ndarray of matplotlib.axes.Axes, shape (n, 2)
+        Of efforts, and of errors.
     """
     shown = slice(None, count)
     total = len(samples.effort[shown])
@@ -73,6 +114,7 @@ def plot_fit(
         mask=None if samples.mask is None else samples.mask[shown],
         starts=[start for start in samples.starts if start < total],
         title=title,
+        axes=axes,
     )
 
 
@@ -87,6 +129,7 @@ def plot_reconstruction(
     starts: Sequence[int] = (0,),
     units: str | Sequence[str] = "N·m",
     title: str | None = None,
+    axes: Any = None,
 ) -> Any:
     """Show measured against predicted effort, joint by joint, with the errors beside.
 
@@ -108,10 +151,13 @@ def plot_reconstruction(
         Unit of the efforts, one for all or one a joint.
     title : str, optional
         Heading of the figure.
+    axes : array of matplotlib.axes.Axes, shape (n, 2), optional
+        Where to draw; by default in a figure of its own.
 
     Returns
     -------
-    matplotlib.figure.Figure
+    ndarray of matplotlib.axes.Axes, shape (n, 2)
+        Of efforts, and of errors.
 
     Raises
     ------
@@ -141,8 +187,12 @@ def plot_reconstruction(
     t, shown = line.time, line.kept(used)
     ticker = require("matplotlib.ticker", extra="plot")
     height = 1.75 * n + _TOP + _BOTTOM + (_HEADING if title else 0.0)
-    figure = new_figure(_WIDTH, height, title, layout=None)
-    axes = _placed(figure, n, height, _HEADING if title else 0.0)
+    figure = None
+    if axes is None:
+        figure = new_figure(_WIDTH, height, title, layout=None)
+        axes = _placed(figure, n, height, _HEADING if title else 0.0)
+    else:
+        axes = axes_of(axes, n, 2)
     for j in range(n):
         left, right = axes[j]
         for axis in (left, right):
@@ -169,11 +219,15 @@ def plot_reconstruction(
         patches = require("matplotlib.patches", extra="plot")
         handles.append(patches.Patch(facecolor=SHADE, edgecolor=GRAY, linewidth=0.5))
         labels.append("rows not used")
+    if figure is None:
+        head(axes, title)
+        legend(axes[0, 0], handles=handles, labels=labels)
+        return axes
     bottom_legend(figure, handles, labels, loc="lower center")
     if (each := stretch(len(t))) > 1:
         note = f"drawn: least and greatest value of each {each} samples"
         figure.text(1.0 - _RIGHT / _WIDTH, 0.08 / height, note, ha="right", fontsize=SMALL, c=GRAY)
-    return figure
+    return axes
 
 
 def _placed(figure: Any, n: int, height: float, heading: float) -> Any:

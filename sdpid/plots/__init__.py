@@ -1,0 +1,34 @@
+"""Figures of what was measured and found: the public namespace `sdpid.plots` (extra ``plot``).
+
+Every function returns matplotlib axes, one or an array of them, and most draw into `axes` that are
+given. Nothing is shown and no global state of matplotlib is touched. `save_figure` writes the
+figure of some axes to a file.
+"""
+
+from sdpid.plots.convergence import plot_convergence
+from sdpid.plots.figures import save_figure
+from sdpid.plots.joints import plot_joint, plot_joint_errors
+from sdpid.plots.motion import (
+    plot_against_limits,
+    plot_distances,
+    plot_over_duration,
+    plot_spectrum,
+)
+from sdpid.plots.parameters import plot_parameters
+from sdpid.plots.reconstruction import plot_fit, plot_reconstruction
+from sdpid.plots.signals import plot_signals
+
+__all__ = [
+    "plot_against_limits",
+    "plot_convergence",
+    "plot_distances",
+    "plot_fit",
+    "plot_joint",
+    "plot_joint_errors",
+    "plot_over_duration",
+    "plot_parameters",
+    "plot_reconstruction",
+    "plot_signals",
+    "plot_spectrum",
+    "save_figure",
+]
