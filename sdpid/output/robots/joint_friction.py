@@ -125,7 +125,7 @@ def joint_attributes(
         places.require_nonnegative(what)
         left_out = tuple(LeftOut(type(part.term).__name__, part.names) for part in places.lost)
         return JointAttributes(places.by_joint(values), left_out, fitted=True)
-    rows = _Rows(problem, theta, places)
+    rows = Rows(problem, theta, places)
     for j in np.flatnonzero(rows.shown) if places.kinds else ():
         for kind, value in zip(places.kinds, rows.fitted(int(j)), strict=True):
             values[kind][j] = value
@@ -137,7 +137,38 @@ def joint_attributes(
     )
 
 
-class _Rows:
+@dataclass(frozen=True, eq=False)
+class System:
+    """Weighted equations of a joint's attributes: ``columns @ values = target``.
+
+    Attributes
+    ----------
+    columns : ndarray, shape (rows, attributes)
+        Effort of each attribute's unit.
+    target : ndarray, shape (rows,)
+        Friction without what has no attribute.
+    weight : ndarray, shape (rows,)
+        What both were multiplied by.
+    taken_out : tuple of float
+        Share of each term without a place that was taken out of the friction.
+    """
+
+    columns: Array
+    target: Array
+    weight: Array
+    taken_out: tuple[float, ...]
+
+
+def nonnegative_fit(columns: Array, target: Array) -> Array:
+    """Return the values, none negative, that fit ``columns @ values`` to a target best."""
+    from scipy.optimize import nnls
+
+    scale = np.linalg.norm(columns, axis=0)
+    scale[scale == 0.0] = 1.0
+    return np.asarray(nnls(columns / scale, target)[0] / scale)
+
+
+class Rows:
     """The measured rows of all joints, and what the parts of the model make of them, (K, n)."""
 
     def __init__(self, problem: Problem, theta: Array, places: Places) -> None:
@@ -166,22 +197,26 @@ class _Rows:
 
     def fitted(self, j: int) -> Array:
         """Return the values of a joint's attributes that fit its friction best, none negative."""
-        from scipy.optimize import nnls
+        system = self.system(j)
+        return nonnegative_fit(system.columns, system.target)
 
+    def system(self, j: int) -> System:
+        """Return the weighted equations of a joint's attributes."""
         used = self.used[:, j]
         variance = np.diagonal(self.problem.sigma, axis1=-2, axis2=-1)[..., self._first + j]
         weight = 1.0 / np.sqrt(np.broadcast_to(variance, used.shape)[used])
         columns = np.column_stack([shape[used, j] * weight for shape in self.shapes])
         target = self.friction[used, j] * weight
+        taken_out = []
         for lost in self.lost:
             effort = lost[used, j] * weight
-            size = float(effort @ effort)
+            size, share = float(effort @ effort), 0.0
             if size > 0.0:
                 apart = effort - columns @ np.linalg.lstsq(columns, effort, rcond=None)[0]
-                target = target - float(apart @ apart) / size * effort
-        scale = np.linalg.norm(columns, axis=0)
-        scale[scale == 0.0] = 1.0
-        return np.asarray(nnls(columns / scale, target)[0] / scale)
+                share = float(apart @ apart) / size
+                target = target - share * effort
+            taken_out.append(share)
+        return System(columns, target, weight, tuple(taken_out))
 
     @property
     def _first(self) -> int:

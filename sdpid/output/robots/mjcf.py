@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from fractions import Fraction
 from pathlib import Path
 
@@ -40,7 +40,8 @@ from sdpid.robot.model.geometry import link_placements, neutral
 from sdpid.robot.model.model import RobotModel
 from sdpid.verifier.results.mjcf import Mjcf
 
-_PLACES: dict[Kind, str] = {
+# The attributes that an MJCF has for friction and rotor inertia.
+PLACES: dict[Kind, str] = {
     Coulomb: "frictionloss",
     Viscous: "damping",
     RotorInertia: "armature",
@@ -101,35 +102,16 @@ def write_mjcf(
     bodies = problem.feasible.bodies(theta)
     # MuJoCo loads no other bodies, whatever consistency the problem has.
     require_consistent(robot, bodies, "pseudo_inertia", what)
-    friction = joint_attributes(problem, theta, _PLACES, what)
-    written, notes = friction.values, friction.notes
-    ours = True
-    if source is None and robot.urdf is None:
-        text, folder = mjcf_skeleton(robot, None)[0], None
-    else:
-        text, folder = source_text(robot, source, what), _folder(source)
-        if is_mjcf(text, what):
-            ours = False
-        else:
-            root = parse_xml(text, what)
-            text, impossible = mjcf_skeleton(robot, UrdfTree(text))
-            if any(root.find(f"link/{shape}") is not None for shape in ("visual", "collision")):
-                notes += (
-                    "shapes of the URDF are not in it; to keep them, convert the URDF with MuJoCo "
-                    "and give that file as the source",
-                )
-            if impossible:
-                notes += (
-                    "links fixed to others with inertials that no body can have, now zero and "
-                    "counted in where they are fixed: " + ", ".join(impossible),
-                )
-    patch = _Patch(robot, text, what, folder=folder, ours=ours)
+    friction = joint_attributes(problem, theta, PLACES, what)
+    written = friction.values
+    patch, notes = open_source(robot, source, what)
+    notes = friction.notes + notes
     for link, body in enumerate(bodies):
         patch.body(link, body)
     patch.joints(written, clear_armature="armature" not in _attributes(written))
     result = patch.document.text()
     # It has compiled in a child process; only numbers have changed since.
-    compiled = _Compiled(robot, result, what, folder=folder, ours=True)
+    compiled = Compiled(robot, result, what, folder=patch.folder, ours=True)
     compiled.require_same_efforts(bodies)
     file = Written(estimate, compiled.attributes())
     with atomic_path(target) as temporary:
@@ -153,6 +135,32 @@ def write_mjcf(
     )
 
 
+def open_source(
+    robot: RobotModel, source: str | os.PathLike[str] | None, what: str
+) -> tuple[Patch, tuple[str, ...]]:
+    """Return the MJCF to change, made from a URDF where the source is none, and notes on it."""
+    if source is None and robot.urdf is None:
+        text = mjcf_skeleton(robot, None)[0]
+        return Patch(robot, text, what, folder=None, ours=True), ()
+    text, folder = source_text(robot, source, what), _folder(source)
+    if is_mjcf(text, what):
+        return Patch(robot, text, what, folder=folder, ours=False), ()
+    notes: tuple[str, ...] = ()
+    root = parse_xml(text, what)
+    text, impossible = mjcf_skeleton(robot, UrdfTree(text))
+    if any(root.find(f"link/{shape}") is not None for shape in ("visual", "collision")):
+        notes += (
+            "shapes of the URDF are not in it; to keep them, convert the URDF with MuJoCo and give "
+            "that file as the source",
+        )
+    if impossible:
+        notes += (
+            "links fixed to others with inertials that no body can have, now zero and counted in "
+            "where they are fixed: " + ", ".join(impossible),
+        )
+    return Patch(robot, text, what, folder=folder, ours=True), notes
+
+
 def _attributes(written: dict[str, dict[str, float]]) -> set[str]:
     return {attribute for values in written.values() for attribute in values}
 
@@ -164,13 +172,13 @@ def _folder(source: str | os.PathLike[str] | None) -> Path | None:
     return Path(source).resolve().parent
 
 
-class _Compiled:
+class Compiled:
     """A compiled MJCF text whose joints are matched with a robot's."""
 
     def __init__(
         self, robot: RobotModel, text: str, what: str, *, folder: Path | None, ours: bool
     ) -> None:
-        self.robot, self.what = robot, what
+        self.robot, self.what, self.folder = robot, what, folder
         try:
             found = read_mjcf(text, what, folder=folder, trusted=ours)
         except ModelError as cause:
@@ -226,7 +234,7 @@ class _Compiled:
     def attributes(self) -> tuple[Array, Array, Array]:
         """Return dry friction, damping and armature (n,) of the robot's coordinates."""
         robot = self.robot
-        found = {key: np.zeros(robot.pin_model.nv) for key in _PLACES.values()}
+        found = {key: np.zeros(robot.pin_model.nv) for key in PLACES.values()}
         for i, name in enumerate(list(robot.pin_model.names)[1:], start=1):
             joint = robot.pin_model.joints[i]
             if joint.nv == 1:
@@ -274,7 +282,7 @@ class _Compiled:
         )
 
 
-class _Patch(_Compiled):
+class Patch(Compiled):
     """An MJCF text, compiled, and the edits that make it the identified robot."""
 
     def __init__(
@@ -311,35 +319,43 @@ class _Patch(_Compiled):
 
     def body(self, link: int, identified: Array) -> None:
         """Write the body of a link, given in its joint frame."""
-        carrier = self.carriers[link]
-        joint = self.base @ link_placements(self.robot)[link]
-        T = relative(self.placements[carrier], joint)
+        carrier, T = self.carriers[link], self.frame(link)
         body = transform(identified, T[:3, :3], T[:3, 3])
-        own = self.bodies[carrier]
-        # By number: bodies need not have names.
-        children = {
-            k: FixedChild(other.name, other.theta, relative(own.placement, other.placement))
-            for k, other in enumerate(self.bodies)
-            if k != carrier and other.carrier == own.carrier and np.any(other.theta)
-        }
+        children = self.children(carrier)
         rest, name = rest_of(body, list(children.values()), "pseudo_inertia"), self._name(carrier)
         if rest is None:
             self.lumped.append(name)
             for number in children:
-                self._write(number, [Fraction(0)] * 10)
+                self.write(number, inertial_markup([Fraction(0)] * 10))
         # In a text of our own, frames are those of the links.
         whole = body if self.exact is None else identified
         if rest is not None and self.exact is not None:
             exact = self.exact.rest(name, identified.tolist())
         else:
             exact = [Fraction(x) for x in (whole if rest is None else rest).tolist()]
-        self._write(carrier, possible_body(exact, "pseudo_inertia", name, self.what))
+        possible = possible_body(exact, "pseudo_inertia", name, self.what)
+        self.write(carrier, inertial_markup(possible))
+
+    def frame(self, link: int) -> Array:
+        """Return the placement of a link's joint frame in that of the file's body."""
+        joint = self.base @ link_placements(self.robot)[link]
+        return relative(self.placements[self.carriers[link]], joint)
+
+    def children(self, carrier: int) -> dict[int, FixedChild]:
+        """Return the bodies with mass that are fixed to one, by number: names may be missing."""
+        own = self.bodies[carrier]
+        return {
+            k: FixedChild(other.name, other.theta, relative(own.placement, other.placement))
+            for k, other in enumerate(self.bodies)
+            if k != carrier and other.carrier == own.carrier and np.any(other.theta)
+        }
 
     def _name(self, body: int) -> str:
         return self.bodies[body].name or f"body {body}"
 
-    def _write(self, body: int, values: Sequence[Fraction]) -> None:
-        element, markup = self.elements[body], inertial_markup(values)
+    def write(self, body: int, markup: str) -> None:
+        """Write the <inertial> of a body by number."""
+        element = self.elements[body]
         inertial = element.find("inertial")
         if inertial is None:
             self.document.insert_child(element, markup)

@@ -118,14 +118,14 @@ def write_urdf(
                 "fixed='keep'."
             )
         for child in given:
-            _write_inertial(
+            write_inertial(
                 document, tree.links[child.name], inertial_values(np.asarray(child.body))
             )
             changed.append(child.name)
         if rest is None:
             lumped.append(link)
             for child in children:
-                _write_inertial(document, tree.links[child.name], inertial_values(np.zeros(10)))
+                write_inertial(document, tree.links[child.name], inertial_values(np.zeros(10)))
                 changed.append(child.name)
     # What is fixed to others is as it stays, and the moving links take the exact rest.
     rests = readable(lambda text: _rests(text, links, bodies), document.text(), what)
@@ -133,11 +133,11 @@ def write_urdf(
         written = rounded(possible_body(rest_exactly, consistency, link, what))
         if not exists(written.mass, written.moments, "pseudo_inertia"):
             flat.append(link)
-        _write_inertial(document, tree.links[link], written_values(written))
+        write_inertial(document, tree.links[link], written_values(written))
         changed.append(link)
     friction = _write_friction(tree, problem, theta)
     result = document.text()
-    damping, dry = _read_back(robot, bodies, result).described_friction()
+    damping, dry = read_back(robot, bodies, result).described_friction()
     file = Written(estimate, (dry, damping, np.zeros(robot.n)))
     with atomic_path(target) as temporary:
         temporary.write_bytes(encode_xml(result))
@@ -215,9 +215,10 @@ def source_text(robot: RobotModel, source: str | os.PathLike[str] | None, what: 
         raise ExportError(f"{what}: {cause}") from None
 
 
-def _write_inertial(
+def write_inertial(
     document: Document, link: Element, values: Mapping[str, Mapping[str, str]]
 ) -> None:
+    """Write the attributes of an ``<inertial>`` by tag into a link, which may lack one."""
     inertial = link.find("inertial")
     lines = [
         f"  <{tag} " + " ".join(f'{key}="{value}"' for key, value in attributes.items()) + "/>"
@@ -237,7 +238,14 @@ def _write_inertial(
 def _write_friction(tree: UrdfTree, problem: Problem, theta: Array) -> JointAttributes:
     """Write damping and friction into the joints and return them."""
     found = joint_attributes(problem, theta, PLACES, f"URDF of '{problem.robot.name}'")
-    written = found.values
+    write_dynamics(tree, tree.document, found.values)
+    return found
+
+
+def write_dynamics(
+    tree: UrdfTree, document: Document, written: dict[str, dict[str, float]]
+) -> None:
+    """Write the attributes of ``<dynamics>`` by joint; those of mimic joints become zero."""
     for joint, source in tree.mimics.items():
         # The friction identified at the source joint includes that of its followers.
         if source in written and tree.joints[joint].find("dynamics") is not None:
@@ -246,14 +254,13 @@ def _write_friction(tree: UrdfTree, problem: Problem, theta: Array) -> JointAttr
         attributes = {key: repr(value + 0.0) for key, value in numbers.items()}
         element = tree.joints[name].find("dynamics")
         if element is not None:
-            tree.document.set_attributes(element, attributes)
+            document.set_attributes(element, attributes)
         else:
             line = "<dynamics " + " ".join(f'{k}="{v}"' for k, v in attributes.items()) + "/>"
-            tree.document.insert_child(tree.joints[name], line, last=True)
-    return found
+            document.insert_child(tree.joints[name], line, last=True)
 
 
-def _read_back(robot: RobotModel, bodies: Array, text: str) -> RobotModel:
+def read_back(robot: RobotModel, bodies: Array, text: str) -> RobotModel:
     """Return the robot of the written text, which must need the efforts of the identified one.
 
     Raises
