@@ -8,11 +8,14 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
 
+from numpy.typing import ArrayLike
+
 from sdpid._common.tables import Table, facts_html, plain
 from sdpid.assurance.certificate.certificate import Certificate
 from sdpid.assurance.diagnostics.active_constraints import constraint_states
 from sdpid.assurance.diagnostics.held_out import HeldOut
 from sdpid.assurance.diagnostics.validation import Validation
+from sdpid.assurance.intervals.friction_curve import joint_curve
 from sdpid.assurance.intervals.intervals import Intervals
 from sdpid.assurance.log_proof.recipe import Recipe
 from sdpid.estimation.effects.tried import Tried
@@ -24,6 +27,7 @@ from sdpid.output.report.headline import Headline, headline
 from sdpid.output.report.judged import grades_of
 from sdpid.output.report.verdict import verdict as verdict_on
 from sdpid.output.tables.intervals_shown import GivenIntervals, ends_of, in_words
+from sdpid.robot.friction.curve import JointCurve
 from sdpid.workflow.results_folder import save as save_results
 
 if TYPE_CHECKING:
@@ -139,6 +143,25 @@ class Identification:
     def headline(self) -> Headline:
         """The verdict in short: the error, the worst joint, the next step, and the baseline."""
         return headline(self)
+
+    def friction_curve(
+        self, joint: str | int, velocity: ArrayLike | None = None, *, level: float = 0.95
+    ) -> JointCurve:
+        """Return the friction of one joint over its velocity, with its interval.
+
+        Parameters
+        ----------
+        joint, velocity
+            As for `sdpid.robot.model.dynamics.RobotDynamics.friction_curve`.
+        level : float, optional
+            Probability with which each interval should hold the truth.
+
+        Raises
+        ------
+        DataError
+            When there is no such joint, or a velocity is not finite.
+        """
+        return joint_curve(self.estimate, joint, velocity, level=level)
 
     def to_dict(self) -> dict[str, Any]:
         """Return the result as plain values for JSON: None where a number is not finite."""

@@ -6,7 +6,7 @@ however well the data determine the curve of both.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -18,6 +18,7 @@ from sdpid.estimation.estimate import Estimate
 from sdpid.estimation.noise_spectrum import NoiseSpectrum
 from sdpid.estimation.posterior import Posterior
 from sdpid.estimation.problem import Problem
+from sdpid.robot.friction.curve import JointCurve, joint_number
 from sdpid.robot.friction.motion import Motion
 
 
@@ -62,41 +63,101 @@ def friction_curve(estimate: Estimate, speed: ArrayLike, *, level: float = 0.95)
     DataError
         When the estimate has no standard parameters, or its problem no rows.
     """
-    from scipy.special import stdtrit
-
-    if estimate.theta is None:
-        raise DataError(
-            f"friction curve: method '{estimate.method}' gives no standard parameters; use an "
-            "estimate of a constrained solver."
-        )
-    problem, theta = estimate.problem, np.array(estimate.theta)
+    bands = _Bands(estimate)
     speeds = frozen(np.atleast_1d(np.asarray(speed, dtype=np.float64)))
-    errors = NoiseSpectrum.of(problem, theta)
-    posterior = Posterior.about(estimate, errors)
-    friction = problem.friction
-    links = problem.n_theta - len(friction.parameters)
-    bending = Bending.of(friction, problem.profiled, theta[links:])
-    count = len(friction.joint_names)
-    values, halves = np.zeros((2, len(speeds), count))
+    shape = (len(speeds), len(bands.problem.friction.joint_names))
+    values, halves = np.zeros(shape), np.zeros(shape)
     for k, own in enumerate(speeds):
-        ahead, back = (_at(problem, bending, sign * own) for sign in (1.0, -1.0))
+        ahead, back = (_at(bands.problem, bands.bending, sign * own) for sign in (1.0, -1.0))
         columns, slopes = (0.5 * (a - b) for a, b in zip(ahead, back, strict=True))
-        functions = np.hstack([np.zeros((count, links)), columns])
-        values[k] = functions @ theta
-        moves = np.hstack([functions @ posterior.from_fit, slopes])
-        variance = np.einsum("ji,il,jl->j", moves, errors.whole_covariance, moves)
-        variance += np.sum((functions @ posterior.from_prior) ** 2, axis=1)
-        freedom = posterior.spread(functions)[2]
-        halves[k] = stdtrit(freedom, 0.5 * (1.0 + level)) * np.sqrt(variance)
+        values[k], halves[k] = bands.about(columns, slopes, level)
     return FrictionCurve(
         speed=speeds, friction=frozen(values), half_width=frozen(halves), level=level
     )
 
 
-def _at(problem: Problem, bending: Bending, velocity: float) -> tuple[Array, Array]:
-    """Return the friction columns (joints, f) at a velocity, and their derivatives (joints, d)."""
+def joint_curve(
+    estimate: Estimate,
+    joint: str | int,
+    velocity: ArrayLike | None = None,
+    *,
+    level: float = 0.95,
+) -> JointCurve:
+    """Return the friction of one joint over its velocity, offsets included, with intervals.
+
+    Parameters
+    ----------
+    estimate : Estimate
+        With standard parameters, whose problem has kept its rows.
+    joint, velocity
+        As for `sdpid.robot.model.dynamics.RobotDynamics.friction_curve`.
+    level : float, optional
+        Probability with which each interval should hold the truth.
+
+    Raises
+    ------
+    DataError
+        When the estimate has no standard parameters, its problem no rows, or joint or velocity
+        are none.
+    """
+    curve = estimate.model().friction_curve(joint, velocity)
+    bands = _Bands(estimate)
+    number = joint_number(bands.problem.friction.joint_names, joint)
+    halves = np.zeros(len(curve.velocity))
+    for k, own in enumerate(curve.velocity):
+        columns, slopes = _at(bands.problem, bands.bending, float(own), moving=number)
+        halves[k] = bands.about(columns, slopes, level)[1][number]
+    return replace(
+        curve,
+        lower=frozen(curve.effort - halves),
+        upper=frozen(curve.effort + halves),
+        level=level,
+    )
+
+
+class _Bands:
+    """Values and half widths of what is linear in the friction parameters."""
+
+    def __init__(self, estimate: Estimate) -> None:
+        if estimate.theta is None:
+            raise DataError(
+                f"friction curve: method '{estimate.method}' gives no standard parameters; use an "
+                "estimate of a constrained solver."
+            )
+        self.problem, self.theta = estimate.problem, np.array(estimate.theta)
+        self._errors = NoiseSpectrum.of(self.problem, self.theta)
+        self._posterior = Posterior.about(estimate, self._errors)
+        friction = self.problem.friction
+        self._links = self.problem.n_theta - len(friction.parameters)
+        self.bending = Bending.of(friction, self.problem.profiled, self.theta[self._links :])
+
+    def about(self, columns: Array, slopes: Array, level: float) -> tuple[Array, Array]:
+        """Return values and half widths (joints,) of columns (joints, f) with slopes (joints, d).
+
+        The slopes are those by the shape parameters that were fitted with the rest.
+        """
+        from scipy.special import stdtrit
+
+        functions = np.hstack([np.zeros((len(columns), self._links)), columns])
+        moves = np.hstack([functions @ self._posterior.from_fit, slopes])
+        variance = np.einsum("ji,il,jl->j", moves, self._errors.whole_covariance, moves)
+        variance += np.sum((functions @ self._posterior.from_prior) ** 2, axis=1)
+        freedom = self._posterior.spread(functions)[2]
+        half = stdtrit(freedom, 0.5 * (1.0 + level)) * np.sqrt(variance)
+        return functions @ self.theta, np.asarray(half)
+
+
+def _at(
+    problem: Problem, bending: Bending, velocity: float, *, moving: int | None = None
+) -> tuple[Array, Array]:
+    """Return the friction columns (joints, f) at a velocity, and their derivatives (joints, d).
+
+    It is that of all joints, or of the one that is moving.
+    """
     friction, first = problem.friction, problem.friction.first
     v = np.full((1, len(friction.joint_names)), velocity)
+    if moving is not None:
+        v[:, np.arange(v.shape[1]) != moving] = 0.0
     motion = Motion(position=v, velocity=v, acceleration=np.zeros_like(v), robot=problem.robot)
     blocks = [
         np.zeros((v.shape[1], len(term.parameters(friction.joint_names))))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -10,18 +10,25 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from sdpid._common.arrays import Array, real_array
+from sdpid._common.arrays import Array, frozen, real_array
+from sdpid._common.tables import Table, facts_html
 from sdpid.errors import DataError, ModelError
+from sdpid.robot.friction.curve import JointCurve, default_velocities, joint_number
 from sdpid.robot.friction.model import FrictionModel
 from sdpid.robot.friction.motion import Motion
 from sdpid.robot.friction.posed import LoadFriction, Tilt
 from sdpid.robot.friction.term import FrictionTerm
 from sdpid.robot.model.model import RobotModel
+from sdpid.robot.model.states import States, is_single, many
 
 # Forward dynamics with friction of the load: friction a tenth of the load shrinks the error tenfold
-# a round, and ends where it is this share of the largest effort.
+# a round, three quarters of it by a quarter. Settled is a state whose efforts are met to this share
+# of the largest of them; gears that lose all of their load do not settle, and do not move either.
 _SETTLED = 1e-12
-_ROUNDS = 50
+_ROUNDS = 100
+
+# A quaternion, or a cosine and a sine, this far from length one is no configuration.
+_UNIT = 1e-6
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
@@ -49,8 +56,39 @@ class RobotDynamics:
     theta: Array
 
     def __repr__(self) -> str:
-        terms = ", ".join(type(term).__name__ for term in self.terms.terms) or "none"
-        return f"RobotDynamics('{self.robot.name}', {self.robot.n} joints, terms: {terms})"
+        what = f"{self.robot.name!r:.60}, {self.robot.n} coordinates"
+        return f"RobotDynamics({what}, terms: {self._kinds:.80})"
+
+    def _repr_html_(self) -> str:
+        """Return the links' masses and centers, and the parameters of the terms, for a notebook."""
+        robot, parameters = self.robot, self.terms.parameters
+        bodies = self.theta[: 10 * robot.n_links].reshape(-1, 10)
+        centers = [
+            (h / m).tolist() if m > 0.0 else [None] * 3
+            for m, h in zip(bodies[:, 0], bodies[:, 1:4], strict=True)
+        ]
+        links = [
+            (name, mass, *center)
+            for name, mass, center in zip(
+                robot.link_names, bodies[:, 0].tolist(), centers, strict=True
+            )
+        ]
+        terms = {
+            "parameter": [each.name for each in parameters],
+            "unit": [each.unit for each in parameters],
+            "value": self.theta[10 * robot.n_links :].tolist(),
+        }
+        facts = {"joints": len(self.terms.joint_names), "terms": self._kinds}
+        return facts_html(
+            f"Dynamics of {robot.name}",
+            facts,
+            Table(("link", "mass, kg", "x, m", "y, m", "z, m"), tuple(links)),
+            Table.of_columns(terms),
+        )
+
+    @property
+    def _kinds(self) -> str:
+        return ", ".join(type(term).__name__ for term in self.terms.terms) or "none"
 
     def to_pinocchio(self) -> Any:
         """Return a new Pinocchio model with these links and, as its armature, rotor inertias.
@@ -90,7 +128,7 @@ class RobotDynamics:
         import pinocchio as pin
 
         state = self._state(q)
-        upper = np.triu(state.each(pin.crba))
+        upper = np.triu(state.each(pin.crba, matrix=True))
         links = upper + np.triu(upper, 1).swapaxes(1, 2)
         return state.result(self._of_coordinates(links) + self._drive_inertia)
 
@@ -111,7 +149,8 @@ class RobotDynamics:
         import pinocchio as pin
 
         state = self._state(q, velocity=v)
-        return state.result(self._of_coordinates(state.each(pin.computeCoriolisMatrix)))
+        found = state.each(pin.computeCoriolisMatrix, matrix=True)
+        return state.result(self._of_coordinates(found))
 
     def gravity(self, q: ArrayLike) -> Array:
         """Return the effort that holds the links against gravity, tilted where the model says so.
@@ -129,7 +168,7 @@ class RobotDynamics:
 
         state = self._state(q)
         upright = state.each(pin.computeGeneralizedGravity) @ self.robot.expansion
-        rest = np.zeros((len(upright), self.robot.n))
+        rest = np.zeros_like(upright)
         return state.result(upright + self._effort_of_posed(q, rest, rest, kind=Tilt))
 
     def friction(self, v: ArrayLike) -> Array:
@@ -146,9 +185,9 @@ class RobotDynamics:
         -------
         ndarray, shape (n,) or (K, n)
         """
-        velocity = _many(v, "velocity", self.robot.n)
+        velocity = many(v, "velocity", self.robot.n)
         found = self._effort_of_terms(velocity, np.zeros_like(velocity))
-        return found[0] if _single(v) else found
+        return found[0] if is_single(v) else found
 
     def inverse_dynamics(self, q: ArrayLike, v: ArrayLike, a: ArrayLike) -> Array:
         """Return the effort of a motion, friction and drives included.
@@ -187,24 +226,92 @@ class RobotDynamics:
         Raises
         ------
         ModelError
-            When a mass matrix is singular.
+            When a mass matrix is singular, or friction that grows with load is so strong that no
+            acceleration is found.
         """
         state = self._state(q, velocity=v, tau=tau)
         positions, (velocity, effort) = np.atleast_2d(np.asarray(q)), state.rates
-        found, scale = np.zeros_like(velocity), float(np.abs(effort).max(initial=0.0))
         masses = self.mass_matrix(positions)
+        resting = self.inverse_dynamics(positions, velocity, np.zeros_like(velocity))
+        found = self._accelerations(masses, effort - resting)
+        if self._load:
+            self._settle(positions, velocity, effort, found, masses=masses, resting=resting)
+        return state.result(found)
+
+    def friction_curve(self, joint: str | int, velocity: ArrayLike | None = None) -> JointCurve:
+        """Return the friction of one joint over its velocity, all other joints at rest.
+
+        Offsets are in it; friction that grows with load is not.
+
+        Parameters
+        ----------
+        joint : str or int
+            Name of the joint, or its place among the joints that have friction.
+        velocity : array_like, shape (s,), optional
+            Velocities, rad/s or m/s; by default both ways up to the limit in the description, or
+            to 1 rad/s (m/s) where it has none, closer together near standstill.
+
+        Returns
+        -------
+        JointCurve
+            Without a band: an `Identification` gives it with one (`friction_curve` there).
+
+        Raises
+        ------
+        DataError
+            When there is no such joint, or a velocity is not finite.
+        """
+        j = joint_number(self.terms.joint_names, joint)
+        column = self.terms.first + j
+        if velocity is None:
+            velocity = default_velocities(float(self.robot.velocity_limits[column]))
+        speeds = frozen(real_array(velocity, "velocity", ndim=1))
+        states = np.zeros((len(speeds), self.robot.n))
+        states[:, column] = speeds
+        return JointCurve(
+            joint=self.terms.joint_names[j],
+            velocity=speeds,
+            effort=frozen(self.friction(states)[:, column]),
+            unit="N" if self._slides(column) else "N·m",
+        )
+
+    def _slides(self, column: int) -> bool:
+        """Return whether a coordinate is of a sliding joint."""
+        model = self.robot.pin_model
+        joint = model.joints[model.getJointId(self.robot.joint_names[column])]
+        return str(joint.shortname()).startswith("JointModelP")
+
+    def _settle(
+        self, q: Array, v: Array, tau: Array, a: Array, *, masses: Array, resting: Array
+    ) -> None:
+        """Repeat accelerations (K, n), in place, until friction of the load is that of them."""
+        scale = np.abs([tau, resting]).max(axis=(0, 2), initial=0.0)
+        moving = np.arange(len(a))
+        for _ in range(_ROUNDS):
+            left = tau[moving] - self.inverse_dynamics(q[moving], v[moving], a[moving])
+            errors = np.abs(left).max(axis=1)
+            unsettled = errors > _SETTLED * scale[moving]
+            hopeless = np.any(errors > scale[moving] / _SETTLED)
+            moving, left = moving[unsettled], left[unsettled]
+            if hopeless or not moving.size:
+                break
+            a[moving] += self._accelerations(masses[moving], left)
+        if moving.size:
+            raise ModelError(
+                f"'{self.robot.name}': no acceleration found for {moving.size} of {len(a)} states "
+                f"in {_ROUNDS} rounds: their friction grows with the load as fast as the load "
+                "does; see the parameters Fl, which must stay below 1."
+            )
+
+    def _accelerations(self, masses: Array, effort: Array) -> Array:
+        """Return what efforts (K, n) accelerate masses (K, n, n) by."""
         try:
-            for _ in range(_ROUNDS):
-                left = effort - self.inverse_dynamics(positions, velocity, found)
-                found = found + np.linalg.solve(masses, left[..., None])[..., 0]
-                if not self._load or float(np.abs(left).max(initial=0.0)) <= _SETTLED * scale:
-                    break
+            return np.asarray(np.linalg.solve(masses, effort[..., None])[..., 0])
         except np.linalg.LinAlgError:
             raise ModelError(
                 f"'{self.robot.name}': a mass matrix is singular, so that no acceleration follows "
                 "from the effort; identify with a consistency, which makes every link a body."
             ) from None
-        return state.result(np.asarray(found))
 
     @cached_property
     def _links(self) -> Any:
@@ -256,53 +363,27 @@ class RobotDynamics:
         E = self.robot.expansion
         return np.asarray(E.T @ matrices @ E)
 
-    def _state(self, q: ArrayLike, **rates: ArrayLike) -> _State:
-        configurations = self.robot.configuration(_many(q, "position", None))
-        found = [_many(values, name, self.robot.n) for name, values in rates.items()]
+    def _state(self, q: ArrayLike, **rates: ArrayLike) -> States:
+        configurations = self.robot.configuration(many(q, "position", None))
+        found = [many(values, name, self.robot.n) for name, values in rates.items()]
         for name, array in zip(rates, found, strict=True):
             if len(array) != len(configurations):
                 raise DataError(
                     f"{name}: {len(array)} states, the positions have {len(configurations)}; give "
                     "the same number of both."
                 )
-        return _State(self._links, self.robot.expansion, configurations, found, _single(q))
+        self._require_unit(configurations)
+        return States(self._links, self.robot.expansion, configurations, found, is_single(q))
 
+    def _require_unit(self, configurations: Array) -> None:
+        """Refuse given configurations (K, nq) whose quaternions are none: angles need no check."""
+        import pinocchio as pin
 
-@dataclass(frozen=True, eq=False)
-class _State:
-    """States for Pinocchio, one a row."""
-
-    model: Any
-    expansion: Array
-    configurations: Array
-    rates: list[Array]
-    single: bool
-
-    def each(self, algorithm: Callable[..., Array]) -> Array:
-        """Return the results of an algorithm of Pinocchio, of which there is one a state."""
-        data = self.model.createData()
-        expanded = [rate @ self.expansion.T for rate in self.rates]
-        rows = zip(self.configurations, *expanded, strict=True)
-        # Copied: Pinocchio returns views of its data, which the next state overwrites.
-        return np.array([np.array(algorithm(self.model, data, *row)) for row in rows])
-
-    def result(self, values: Array) -> Array:
-        """Return the values, of a single state without the first axis."""
-        return values[0] if self.single else values
-
-
-def _single(values: ArrayLike) -> bool:
-    """Return whether values are one state, and not many."""
-    try:
-        return np.ndim(values) == 1
-    except ValueError:  # ragged, as `real_array` then says
-        return False
-
-
-def _many(values: ArrayLike, name: str, columns: int | None) -> Array:
-    """Return values (columns,) or (K, columns) as (K, columns)."""
-    array = real_array(values, name, ndim=1 if _single(values) else 2)
-    many = np.atleast_2d(array)
-    if columns is not None and many.shape[1] != columns:
-        raise DataError(f"{name}: {many.shape[1]} columns, the robot has {columns} joints.")
-    return many
+        model = self.robot.pin_model
+        for k, each in enumerate(configurations if self.robot.free_flyer else ()):
+            if not pin.isNormalized(model, each, _UNIT):
+                raise DataError(
+                    f"position: state {k} has a quaternion (entries 3 to 6: x, y, z, w), or a "
+                    "cosine and sine of a continuous joint, that is not of length 1; divide it by "
+                    "its length."
+                )

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import sdpid
-from sdpid.assurance.intervals.friction_curve import friction_curve
+from sdpid.assurance.intervals.friction_curve import friction_curve, joint_curve
 from sdpid.errors import DataError
 from sdpid.estimation.posterior import constrained_covariance
 from sdpid.estimation.problem import Problem, build_problem
@@ -36,14 +36,28 @@ def test_intervals_hold_the_true_curve_as_often_as_stated() -> None:
     speeds = np.array([0.1, 0.3, 1.0])
     saturated = np.tanh(speeds[:, None] / WIDTHS)
     true = THETA[20:22] * saturated + THETA[22:24] * speeds[:, None]
-    held = []
+    signed = np.concatenate([-speeds, speeds])
+    # With its offset, as a joint's own curve is.
+    second = THETA[21] * np.tanh(signed / WIDTHS[1]) + THETA[23] * signed + THETA[25]
+    held, with_offset = [], []
     for _ in range(20):
-        found = friction_curve(sdpid.solve_sdp(simulated(rng)), speeds)
+        estimate = sdpid.solve_sdp(simulated(rng))
+        found = friction_curve(estimate, speeds)
         held.append(np.abs(found.friction - true) <= found.half_width)
+        curve = joint_curve(estimate, 1, signed)
+        assert curve.lower is not None
+        assert curve.upper is not None
+        with_offset.append((curve.lower <= second) & (second <= curve.upper))
+        both = 0.5 * (curve.effort[3:] - curve.effort[:3])
+        np.testing.assert_allclose(both, found.friction[:, 1], rtol=1e-9)
     assert found.friction.shape == (3, 2)
     assert found.half_width.max() < 0.3 * true.min()
     # Of 120 at 95 %, those of one record correlated.
     assert np.mean(held) > 0.87
+    assert np.mean(with_offset) > 0.87
+    assert (curve.level, curve.joint) == (0.95, ARM.joint_names[1])
+    assert "95 % band" in repr(curve)
+    assert "upper" in curve._repr_html_()
 
 
 def test_of_given_speeds_only_coefficients_are_uncertain() -> None:
@@ -63,3 +77,5 @@ def test_it_needs_standard_parameters() -> None:
     problem = simulated(np.random.default_rng(5))
     with pytest.raises(DataError, match="constrained solver"):
         friction_curve(sdpid.solve_wls(problem), 0.1)
+    with pytest.raises(DataError, match="constrained solver"):
+        joint_curve(sdpid.solve_wls(problem), 0)

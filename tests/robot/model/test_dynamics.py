@@ -201,3 +201,87 @@ def test_tilt_and_friction_of_the_load_are_in_it(seed: int) -> None:
     # Friction follows the acceleration that it slows down.
     again = model.inverse_dynamics(q, v, model.forward_dynamics(q, v, effort))
     assert_same(again, effort)
+
+
+def loaded(share: float) -> RobotDynamics:
+    """Return an arm whose gears lose a share of their load."""
+    robot = ROBOTS["arm"]
+    theta = random_theta(robot, np.random.default_rng(8), ())
+    bodies = tuple(tuple(float(x) for x in body) for body in theta.reshape(4, 10))
+    terms = (LoadFriction(bodies),)
+    theta = np.concatenate([theta, np.full(4, share)])
+    return RobotDynamics(robot=robot, terms=friction_model(robot, terms), theta=theta)
+
+
+@pytest.mark.parametrize("share", [0.1, 0.7])
+def test_a_state_with_friction_of_the_load_does_not_hang_on_the_others(share: float) -> None:
+    model = loaded(share)
+    q, v, a = random_states(np.random.default_rng(9), 4, 6)
+    sizes = np.logspace(-6.0, 3.0, 6)[:, None]
+    v, tau = v * np.sqrt(sizes), model.inverse_dynamics(q, v, a) * sizes
+    found = model.forward_dynamics(q, v, tau)
+    assert_same(model.inverse_dynamics(q, v, found), tau)
+    for k in range(6):
+        np.testing.assert_allclose(
+            model.forward_dynamics(q[k], v[k], tau[k]), found[k], rtol=1e-9, atol=1e-9
+        )
+
+
+def test_gears_that_lose_all_of_their_load_are_told() -> None:
+    q, v, a = random_states(np.random.default_rng(10), 4, 3)
+    for share in (1.5, 1e9):
+        with pytest.raises(ModelError, match=r"no acceleration found for [123] of 3 states"):
+            loaded(share).forward_dynamics(q, v, 10.0 * a)
+
+
+def test_configurations_of_a_floating_base_are_of_length_one() -> None:
+    model = dynamics(sdpid.load_robot(TREE, root="free_flyer"), 3)
+    q = pin.neutral(model.robot.pin_model)
+    q[3:7] *= 1.01
+    with pytest.raises(DataError, match="state 0 has a quaternion"):
+        model.mass_matrix(q)
+
+
+def test_the_curve_of_a_joint_is_its_friction() -> None:
+    robot = ROBOTS["tree"]
+    terms = (*TERMS, Coupling("slide", "right"))
+    model = dynamics(robot, 11, terms)
+    for j, name in enumerate(robot.joint_names):
+        curve = model.friction_curve(name)
+        states = np.zeros((len(curve.velocity), robot.n))
+        states[:, j] = curve.velocity
+        np.testing.assert_array_equal(curve.effort, model.friction(states)[:, j])
+        assert curve.unit == ("N" if name in ("lift", "slide") else "N·m")
+        # To the limit of the description; a continuous joint has none.
+        top = 1.0 if name == "left" else robot.velocity_limits[j]
+        assert curve.velocity[0] == -top == -curve.velocity[-1]
+        assert not curve.velocity.flags.writeable
+        assert curve.lower is None
+        assert name in repr(curve)
+        assert name in curve._repr_html_()
+    np.testing.assert_array_equal(model.friction_curve(0, [0.5]).velocity, [0.5])
+    floating = dynamics(sdpid.load_robot(TREE, root="free_flyer"), 3)
+    np.testing.assert_array_equal(
+        floating.friction_curve("lift").effort, floating.friction_curve(0).effort
+    )
+    assert floating.friction_curve(0).unit == "N"
+    for wrong in ("thumbs", 6, -1):
+        with pytest.raises(DataError, match="is none of the 6 joints"):
+            model.friction_curve(wrong)
+    with pytest.raises(DataError, match="velocity: 1 of 2 values are not finite"):
+        model.friction_curve(0, [0.0, np.nan])
+
+
+def test_a_notebook_shows_links_and_friction() -> None:
+    text = dynamics(RobotModel.from_pinocchio(renamed("<b>arm</b>")), 12)._repr_html_()
+    assert "&lt;b&gt;arm" in text
+    assert "<b>arm" not in text
+    assert "Fv3" in text
+    assert len(repr(dynamics(RobotModel.from_pinocchio(renamed("x" * 500)), 12))) < 200
+
+
+def renamed(name: str) -> object:
+    """Return Pinocchio's model of an arm under a name."""
+    model = ROBOTS["arm"].pin_model.copy()
+    model.name = name
+    return model

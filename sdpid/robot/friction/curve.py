@@ -1,0 +1,95 @@
+"""Friction of one joint as a curve over its velocity."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from sdpid._common.arrays import Array
+from sdpid._common.tables import Table, facts_html
+from sdpid.errors import DataError
+
+# Points of a curve on either side of standstill, and the top speed (rad/s or m/s) of a joint whose
+# description gives no limit.
+_POINTS, _NOMINAL = 100, 1.0
+
+
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class JointCurve:
+    """Friction of one joint over its velocity, all other joints at rest.
+
+    Attributes
+    ----------
+    joint : str
+        The joint.
+    velocity : ndarray, shape (s,)
+        Velocities, rad/s or m/s.
+    effort : ndarray, shape (s,)
+        Friction and offset, N·m or N.
+    unit : str
+        Unit of the effort: ``"N·m"``, or ``"N"`` of a sliding joint.
+    lower, upper : ndarray, shape (s,), or None
+        Ends of the interval of each effort, where they are known.
+    level : float or None
+        Probability with which each interval should hold the truth.
+    """
+
+    joint: str
+    velocity: Array
+    effort: Array
+    unit: str = "N·m"
+    lower: Array | None = None
+    upper: Array | None = None
+    level: float | None = None
+
+    def __repr__(self) -> str:
+        band = "no band" if self.level is None else f"{100.0 * self.level:g} % band"
+        return f"JointCurve({self.joint!r:.80}, {self._range}, {band})"
+
+    def _repr_html_(self) -> str:
+        """Return the curve at some velocities, for a notebook."""
+        some = np.unique(np.linspace(0, len(self.velocity) - 1, 11).astype(int))
+        columns = {"velocity": self.velocity, f"effort, {self.unit}": self.effort}
+        if self.lower is not None and self.upper is not None:
+            columns |= {"lower": self.lower, "upper": self.upper}
+        table = Table.of_columns({name: x[some].tolist() for name, x in columns.items()})
+        return facts_html(f"Friction of {self.joint}", {"velocities": self._range}, table)
+
+    @property
+    def _range(self) -> str:
+        if not self.velocity.size:
+            return "no velocity"
+        rate = "m/s" if self.unit == "N" else "rad/s"
+        ends = f"{self.velocity.min():.4g} to {self.velocity.max():.4g} {rate}"
+        return f"{len(self.velocity)} velocities from {ends}"
+
+
+def joint_number(joint_names: Sequence[str], joint: str | int) -> int:
+    """Return the place of a joint, given by name or by its place.
+
+    Raises
+    ------
+    DataError
+        When there is none.
+    """
+    if isinstance(joint, str):
+        if joint in joint_names:
+            return joint_names.index(joint)
+    elif 0 <= joint < len(joint_names):
+        return int(joint)
+    raise DataError(
+        f"joint: {joint!r:.80} is none of the {len(joint_names)} joints that have friction; give a "
+        f"place from 0 to {len(joint_names) - 1}, or a name: {', '.join(joint_names)}."
+    )
+
+
+def default_velocities(limit: float) -> Array:
+    """Return velocities (s,) of both signs up to a limit, closer together near standstill.
+
+    Standstill itself is left out: there, friction may jump.
+    """
+    top = limit if 0.0 < limit < np.inf else _NOMINAL
+    ahead = top * np.linspace(0.0, 1.0, _POINTS + 1)[1:] ** 2
+    return np.concatenate([-ahead[::-1], ahead])
