@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
+import csv
 import os
 import subprocess
 import sys
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 
 import sdpid
 
-EXAMPLES = sorted((Path(__file__).resolve().parent.parent / "examples").rglob("*.py"))
+FOLDER = Path(__file__).resolve().parent.parent / "examples"
+EXAMPLES = sorted(p for p in FOLDER.rglob("*.py") if "__main__" in p.read_text(encoding="utf-8"))
 
 
 def test_there_are_examples() -> None:
@@ -36,3 +39,28 @@ def test_example_runs(path: Path, tmp_path: Path) -> None:
     written = [file for file in (tmp_path / "results").rglob("*") if file.is_file()]
     assert written
     assert all(file.stat().st_size > 0 for file in written)
+    check = CHECKS.get(path.stem)
+    if check is not None:
+        check(tmp_path / "results")
+
+
+def check_case_study(results: Path) -> None:
+    """Check what docs/case_study.md claims, on the small experiment."""
+    with (results / "plants.csv").open(encoding="utf-8") as file:
+        facts = {row["fact"]: row for row in csv.DictReader(file)}
+    for plant in ("ideal", "unmodeled"):
+        for inequality in ("6x6", "4x4"):
+            assert facts[f"certified_{inequality}"][plant] == "True"
+        assert float(facts["sdp_proven_eigenvalue"][plant]) > 0.0
+        shown = {"table_iv.csv": "paper_cwls", "table_v.csv": "paper_mass", "comparison.csv": "gap"}
+        for name, words in shown.items():
+            assert words in (results / plant / name).read_text(encoding="utf-8"), name
+    # Least squares finds what bodies can have, unless the plant has what the model has not.
+    for inequality in ("6x6", "4x4"):
+        verdicts = facts[f"wls_{inequality}"]
+        assert (verdicts["ideal"], verdicts["unmodeled"]) == ("realisable", "not realisable")
+    least = facts["wls_least_eigenvalue"]
+    assert float(least["ideal"]) > 0.0 > float(least["unmodeled"])
+
+
+CHECKS: dict[str, Callable[[Path], None]] = {"denso_vp6242": check_case_study}

@@ -1,0 +1,1 @@
+"""Parts of the Denso case study: experiments, estimates, tables and pictures."""

@@ -1,0 +1,81 @@
+"""Tables of the Denso case study: the paper's IV and V, and the errors of reconstruction."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+import sdpid
+from case_study.estimates import Estimates
+from case_study.experiments import AXES, FOLDER, ROBOT, true_theta
+
+
+def table_iv(found: Estimates) -> pd.DataFrame:
+    """Return the base parameters of every estimate beside the paper's."""
+    base = found.problems["6x6"].base
+    columns = {
+        "unit": base.units,
+        "true": found.base_true,
+        "wls": found.wls.base,
+        "sigma": found.wls.standard_errors,
+        "cwls": found.cwls.base,
+        "sdp_6x6": found.sdp("6x6").base,
+        "sdp_4x4": found.sdp("4x4").base,
+        "wls_iii_c": found.wls_literal.base,
+        "sigma_iii_c": found.wls_literal.standard_errors,
+    }
+    paper = pd.read_csv(FOLDER / "table_iv.csv", index_col="parameter")[["cwls", "wls", "sigma"]]
+    ours = pd.DataFrame(columns, index=base.names)
+    return ours.join(paper.add_prefix("paper_")).rename_axis("parameter")
+
+
+def table_v(found: Estimates) -> pd.DataFrame:
+    """Return both margins and the mass of every link beside the paper's."""
+    paper = pd.read_csv(FOLDER / "table_v.csv", index_col="link")
+    paper.columns = pd.Index(["lambda_min_Ig", "mass"])
+    thetas = {
+        "true": true_theta(),
+        "cwls": found.cwls.theta,
+        "sdp_6x6": found.sdp("6x6").theta,
+        "sdp_4x4": found.sdp("4x4").theta,
+    }
+    columns: dict[str, Any] = {}
+    for name, theta in thetas.items():
+        inertias, moments = _center_margins(theta)
+        columns[f"{name}_lambda_min_Ig"] = inertias
+        columns[f"{name}_second_moment"] = moments
+        columns[f"{name}_mass"] = theta[0 : 10 * AXES : 10]
+    return pd.DataFrame(columns, index=paper.index).join(paper.add_prefix("paper_")).T
+
+
+def reconstruction(found: Estimates) -> pd.DataFrame:
+    """Return the errors of each joint on the second experiment, N·m."""
+    experiment = found.experiment
+    errors = {
+        "noise_floor": experiment.floor,
+        "rmse_wls": sdpid.validate(found.wls, experiment.check).rmse,
+        "rmse_sdp_4x4": sdpid.validate(found.sdp("4x4"), experiment.check).rmse,
+        "rmse_wls_iii_c": sdpid.validate(found.wls_literal, experiment.check_literal).rmse,
+    }
+    return pd.DataFrame(errors, pd.Index(sdpid.load_robot(ROBOT).joint_names, name="joint"))
+
+
+def comparison(found: Estimates) -> pd.DataFrame:
+    """Return a row a solver and start, under either inequality."""
+    rows = {name: each.to_frame() for name, each in found.comparisons.items()}
+    return pd.concat(rows, names=["inequality"]).droplevel(1)
+
+
+def _center_margins(theta: np.ndarray) -> tuple[list[float], list[float]]:
+    """Return the least eigenvalues of each link's I_g and of its second moments about there."""
+    inertias, moments = [], []
+    for m, x, y, z, xx, xy, yy, xz, yz, zz in theta[: 10 * AXES].reshape(AXES, 10):
+        h = np.array([x, y, z])
+        about_joint = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+        about_center = about_joint - (h @ h * np.eye(3) - np.outer(h, h)) / m
+        second = 0.5 * np.trace(about_center) * np.eye(3) - about_center
+        inertias.append(float(np.linalg.eigvalsh(about_center)[0]))
+        moments.append(float(np.linalg.eigvalsh(second)[0]))
+    return inertias, moments
