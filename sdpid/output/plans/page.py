@@ -5,8 +5,6 @@ One HTML file that loads nothing; of scripts only the player runs, by its digest
 
 from __future__ import annotations
 
-import base64
-import hashlib
 import importlib.util
 import json
 from collections.abc import Iterator, Sequence
@@ -76,7 +74,6 @@ def plan_html(
         require("matplotlib", extra="plot")
     draw = drawable if figures is None else figures
     script = files("sdpid.output.plans").joinpath("player.js").read_text(encoding="utf-8")
-    digest = base64.b64encode(hashlib.sha256(script.encode()).digest()).decode("ascii")
     clearance = plan.joint_limits.clearance or 0.0
     scene = scene_of(plan.robot, played(plan.trajectory, FRAME_RATE), plan.collision, clearance)
     motion = played(plan.trajectory, _RATE_HZ)
@@ -102,8 +99,7 @@ def plan_html(
         command=command,
         # No "<" may end the element early.
         scene=markup(json.dumps(scene, separators=(",", ":")).replace("<", "\\u003c")),
-        script=markup(script),
-        script_digest=markup(digest),
+        scripts=(script,),
     )
 
 

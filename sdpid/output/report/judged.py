@@ -91,6 +91,10 @@ class Judged(Protocol):
     def findings(self) -> tuple[inspection.Finding, ...]:
         """What is wrong with the recordings."""
 
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """The choices that were made, in words."""
+
 
 # Of identifications that are still in use: a report and its verdict look at the same errors.
 _ERRORS: WeakKeyDictionary[Judged, tuple[JointErrors, ...]] = WeakKeyDictionary()

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import base64
+import hashlib
+from collections.abc import Sequence
 from importlib.resources import files
 from typing import Any
 
@@ -10,11 +13,31 @@ import numpy as np
 from sdpid import __version__
 from sdpid._common.extras import require
 
+# A table with more rows is folded: its summary says what it holds.
+LONG = 16
 
-def page(package: str, template: str, **values: Any) -> str:
+# A page loads nothing; its styles and its pictures stand in it.
+_POLICY = (
+    "default-src 'none'; img-src data:; style-src 'unsafe-inline'; base-uri 'none'; "
+    "form-action 'none'"
+)
+
+
+def page(package: str, template: str, *, scripts: Sequence[str] = (), **values: Any) -> str:
     """Return the page that a template of a package makes of values.
 
-    Texts are escaped; ``style`` and ``version`` are values of every page.
+    Texts are escaped. Values of every page are ``style``, ``version``, ``policy`` (its
+    Content-Security-Policy), ``scripts`` and ``long`` (rows beyond which tables are folded). Of
+    scripts those given run, by their digests, and no others; data in the page needs none.
+
+    Parameters
+    ----------
+    package, template : str
+        Where the template is; it may include and import others of its package.
+    scripts : sequence of str
+        Programs to be run.
+    **values
+        What the template shows.
 
     Raises
     ------
@@ -23,15 +46,34 @@ def page(package: str, template: str, **values: Any) -> str:
     """
     jinja2 = require("jinja2", extra="report")
     markup = require("markupsafe", extra="report").Markup
+    own = files(package)
     environment = jinja2.Environment(
-        autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True, lstrip_blocks=True
+        loader=jinja2.FunctionLoader(lambda name: own.joinpath(name).read_text(encoding="utf-8")),
+        autoescape=True,
+        undefined=jinja2.StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
     )
     environment.filters.update(number=number, percent=percent, fixed=fixed)
     environment.filters["capitalized"] = capitalized
-    text = files(package).joinpath(template).read_text(encoding="utf-8")
     style = files("sdpid.output.report").joinpath("page.css").read_text(encoding="utf-8")
-    values.update(style=markup(style), version=__version__)
-    return str(environment.from_string(text).render(**values))
+    environment.globals.update(
+        style=markup(style),
+        version=__version__,
+        policy=markup(policy(scripts)),
+        scripts=[markup(script) for script in scripts],
+        long=LONG,
+    )
+    return str(environment.get_template(template).render(**values))
+
+
+def policy(scripts: Sequence[str] = ()) -> str:
+    """Return the Content-Security-Policy of a page in which these scripts run, by SHA-256."""
+    if not scripts:
+        return _POLICY
+    digests = (hashlib.sha256(script.encode()).digest() for script in scripts)
+    allowed = " ".join(f"'sha256-{base64.b64encode(each).decode('ascii')}'" for each in digests)
+    return f"{_POLICY}; script-src {allowed}"
 
 
 def number(value: float | None, digits: int = 4) -> str:

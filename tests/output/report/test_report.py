@@ -27,6 +27,7 @@ from sdpid.estimation.compression.rows import Rows
 from sdpid.output.report import report
 from sdpid.output.report.headline import headline
 from sdpid.output.report.report import report_html, write_report
+from sdpid.output.report.sections import parameters
 from sdpid.output.robots.export_report import Errors
 from sdpid.workflow.result import Identification
 from tests.helpers.identified import arm_theta, identified, moved
@@ -350,9 +351,9 @@ def test_cross_validation_and_pieces_are_shown() -> None:
 
 
 def test_values_at_a_bound_are_zero(result: Identification) -> None:
-    rows = list(report._base(replace(result, wls=result.wls), {}))
+    rows = list(parameters.base_rows(result, {}))
     tiny = replace(result.estimate, base=np.array([1e-12, *result.estimate.base[1:]]))
-    again = list(report._base(replace(result, estimate=tiny), {}))
+    again = list(parameters.base_rows(replace(result, estimate=tiny), {}))
     assert again[0]["value"] == 0.0
     assert [row["value"] for row in again[1:]] == [row["value"] for row in rows[1:]]
 

@@ -1,0 +1,125 @@
+"""What was recorded: samples, motion, excitation, processing, findings, and the model."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+
+from sdpid.assurance.diagnostics.residuals import period
+from sdpid.estimation.information import WEAK
+from sdpid.experiment.processing.samples import Samples
+from sdpid.output.report.judged import Judged
+
+# Weakly excited directions that are listed one by one; more say no more.
+_DIRECTIONS = 12
+
+
+def values(result: Judged) -> dict[str, Any]:
+    """Return the values of the template."""
+    problem = result.problem
+    # What the inspection found stands in a table of its own.
+    found = {str(finding) for finding in result.findings}
+    notes = (*problem.samples.notes, *result.notes)
+    return {
+        "data": list(_data(result)),
+        "driven": list(driven(result)),
+        "excitation": _excitation(result),
+        "weak_limit": WEAK,
+        "processed": [note for note in dict.fromkeys(notes) if note not in found],
+        "friction": [_term(term) for term in problem.friction.described()],
+    }
+
+
+def thinned(result: Judged) -> int:
+    """Return how many samples each one here stands for: over 1 if rows are on a cluster."""
+    problem = result.problem
+    return max(round(problem.n_samples / max(problem.samples.n_samples, 1)), 1)
+
+
+def driven(result: Judged) -> Iterator[dict[str, Any]]:
+    """Yield range, peak speed, peak acceleration and RMS effort of every joint, and its limits."""
+    samples, robot = result.problem.samples, result.problem.robot
+    shift = samples.position.shape[1] - robot.n
+    for j in range(robot.n):
+        kept = samples.used[:, j]
+        own = j >= robot.n_base
+        q = samples.position[:, j + shift] if own else None
+        speed = float(np.abs(samples.velocity[:, j]).max())
+        allowed = float(robot.velocity_limits[j])
+        yield {
+            "name": robot.joint_names[j],
+            "low": None if q is None else float(q.min()),
+            "high": None if q is None else float(q.max()),
+            "speed": speed,
+            "allowed": allowed if np.isfinite(allowed) else None,
+            "acceleration": float(np.abs(samples.acceleration[:, j]).max()),
+            "effort": float(np.sqrt(np.mean(samples.effort[kept, j] ** 2))) if kept.any() else None,
+        }
+
+
+def _data(result: Judged) -> Iterator[tuple[str, list[str]]]:
+    """Yield facts about the recordings: a label, and a value for each recording."""
+    problem = result.problem
+    parts = [problem.samples]
+    counts = [(problem.n_samples, problem.n_rows)]
+    rates = [_rate(problem.samples, problem.n_samples)]
+    if (fresh := result.validation_samples) is not None:
+        parts.append(fresh)
+        counts.append((fresh.n_samples, fresh.n_rows))
+        rates.append(_rate(fresh, fresh.n_samples))
+    yield "samples", [f"{samples:,}" for samples, _ in counts]
+    yield "rows used", [f"{rows:,} of {samples * problem.robot.n:,}" for samples, rows in counts]
+    yield "rate", rates
+    yield "duration", [_duration(s) for s in parts]
+    if any(len(s.starts) > 1 for s in parts):
+        yield "pieces, recorded apart", [str(len(s.starts)) for s in parts]
+    if any(s.periods is not None for s in parts):
+        yield "periods averaged", ["–" if s.periods is None else str(s.periods) for s in parts]
+
+
+def _rate(samples: Samples, count: int) -> str:
+    """Return the sample rate in words; of `count` samples these are all, or evenly spread."""
+    if samples.time is None:
+        return "–"
+    if count == samples.n_samples:
+        return f"{1.0 / period(samples):.5g} Hz"
+    return f"{count / _seconds(samples):.4g} Hz"
+
+
+def _duration(samples: Samples) -> str:
+    return "–" if samples.time is None else f"{_seconds(samples):.5g} s"
+
+
+def _seconds(samples: Samples) -> float:
+    # The last sample of a piece lasts as long as the others.
+    assert samples.time is not None
+    pieces = [samples.time[part] for part in samples.parts]
+    return sum(float(piece[-1] - piece[0]) + period(samples) for piece in pieces)
+
+
+def _term(described: dict[str, Any]) -> str:
+    """Return a friction term, its parameters and its numbers in words."""
+    names = described["parameters"]
+    numbers = [", ".join(names) if len(names) < 4 else f"{names[0]} to {names[-1]}"]
+    for key, value in described.items():
+        # Bodies that columns were taken at are those of the estimate, which stand in a table.
+        if key in ("term", "parameters", "bodies") or value in (None, 0.0, [], ()):
+            continue
+        many = value if isinstance(value, (list, tuple)) else [value]
+        shown = (f"{v:.3g}" if isinstance(v, float) else str(v) for v in many)
+        numbers.append(f"{key.replace('_', ' ')} {', '.join(shown)}")
+    return f"{described['term']} ({'; '.join(numbers)})"
+
+
+def _excitation(result: Judged) -> dict[str, Any]:
+    """Return condition number and weakly excited directions."""
+    excitation = result.problem.excitation
+    weak = excitation.weak()
+    return {
+        "condition": excitation.condition_number,
+        "count": len(excitation.names),
+        "weak": weak[::-1][:_DIRECTIONS],
+        "weak_count": len(weak),
+    }
