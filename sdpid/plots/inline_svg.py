@@ -12,6 +12,7 @@ from typing import Any
 
 from sdpid._common.extras import require
 from sdpid.plots.figures import figure_of
+from sdpid.plots.schemes import in_both_schemes
 
 # Letters are written as letters, in a font of the reader's; matplotlib measures them in a wide one
 # that it brings itself. Names of parts are the same each time.
@@ -28,7 +29,7 @@ _DECIMALS = re.compile(r"(\.\d\d)\d+")
 
 
 def svg_text(drawn: Any) -> str:
-    """Return a figure as SVG; the same figure gives the same text.
+    """Return a figure as SVG, in light or dark colors; the same figure gives the same text.
 
     Parameters
     ----------
@@ -55,7 +56,7 @@ def svg_text(drawn: Any) -> str:
             canvas(figure).print_svg(out, metadata={"Date": None})
         finally:
             figure.set_dpi(own)
-    return re.sub(r' d="[^"]*"', _shortened, out.getvalue())
+    return in_both_schemes(re.sub(r' d="[^"]*"', _shortened, out.getvalue()))
 
 
 def _shortened(path: re.Match[str]) -> str:

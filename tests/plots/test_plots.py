@@ -33,7 +33,7 @@ from sdpid.plots import (
     plot_signals,
     save_figure,
 )
-from sdpid.plots.figures import BLUE, POINTS, decimate, figure_of, new_figure, runs, spans, stretch
+from sdpid.plots.figures import POINTS, decimate, figure_of, new_figure, runs, spans, stretch
 from sdpid.plots.inline_svg import image_source, svg_text
 from sdpid.plots.joints import COLUMNS, detail
 
@@ -427,7 +427,7 @@ def test_panels_do_not_run_into_each_other(pieces: int) -> None:
 
 def drawn_points(figure: Any, color: str) -> np.ndarray:
     """Return the points of the first line of a color, in points from the upper left corner."""
-    path = re.search(rf'd="([^"]*)" [^>]*stroke: {color}', svg_text(figure).lower())
+    path = re.search(rf'd="([^"]*)" [^>]*stroke: var\(--{color}\)', svg_text(figure).lower())
     assert path
     return np.array(re.findall(r"(-?[\d.]+) (-?[\d.]+)", path[1]), dtype=float)
 
@@ -437,7 +437,7 @@ def test_a_line_is_where_it_should_be_and_peaks_stay() -> None:
     y = np.sin(x)
     y[31_234] = 7.0
     figure = figure_of(plot_joint(x, y, np.zeros(len(x)), np.ones(len(x), dtype=bool)))
-    points = drawn_points(figure, BLUE.lower())
+    points = drawn_points(figure, "blue")
     assert len(points) <= 2 * COLUMNS + 4
     axis = figure.axes[0]
     axis.figure.dpi = 72.0
@@ -456,7 +456,7 @@ def test_a_line_is_where_it_should_be_and_peaks_stay() -> None:
 def test_gaps_break_a_line() -> None:
     y = np.zeros(9)
     figure = plot_joint(None, y, y, y == 0.0, starts=(0, 4))
-    path = re.search(rf'd="([^"]*)" [^>]*stroke: {BLUE.lower()}', svg_text(figure))
+    path = re.search(r'd="([^"]*)" [^>]*stroke: var\(--blue\)', svg_text(figure))
     assert path
     assert path[1].count("M") == 2
 
@@ -487,3 +487,13 @@ def test_the_stretch_about_the_largest_error_is_shown() -> None:
     assert len(plot_joint(None, y, y, np.zeros(4000, dtype=bool))) == 3
     few = np.zeros(2 * COLUMNS)
     assert len(plot_joint(None, few, few, few == 0.0)) == 2
+
+
+def test_no_color_of_a_picture_ignores_the_scheme() -> None:
+    """Colors of the house are variables with a value for light pages and one for dark ones."""
+    y = np.sin(np.arange(50.0))
+    text = svg_text(plot_joint(None, y, y + 0.1, y > -0.5))
+    sheet, _, drawn = text.partition("<defs>")
+    assert "prefers-color-scheme: dark" in sheet
+    assert set(re.findall(r"var\(--(\w+)\)", drawn)) <= set(re.findall(r"--(\w+):", sheet))
+    assert not re.findall(r"#[0-9a-f]{6}", drawn.replace("#000000", ""))

@@ -40,6 +40,10 @@ BROWSERS = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stab
 EVIL = "<script>alert(1)</script>"
 EVIL_LINK = "\"'><img src=http://example.org/x onerror=alert(1)>"
 FETCHING = ("src", "href", "srcset", "data", "action", "poster", "background")
+SECTIONS = (
+    *("verdict", "robot", "joints", "parameters", "links", "mass-matrix"),
+    *("effects", "log", "certificate", "made"),
+)
 COMMAND = "sdpid identify 'a <b>.csv' --robot arm.urdf"
 
 
@@ -231,6 +235,20 @@ def test_it_begins_with_the_verdict_in_short_and_shows_baselines(
     shown = words(report_html(alone, figures=False))
     for text in ("5 blocks (held out in turn)", "relative residual, same motion", *alone.verdict):
         assert text in shown, text
+
+
+def test_its_sections_stand_in_order(page: str) -> None:
+    """What matters most first, and every table says what it holds."""
+    sections = [section.get("id") for section in elements(page, "section")]
+    assert sections == [each for each in SECTIONS if each in sections]
+    assert {"verdict", "joints", "parameters", "log", "certificate", "made"} <= set(sections)
+    assert all(table.find("{*}caption") is not None for table in elements(page, "table"))
+    assert all(head.get("scope") for head in elements(page, "th"))
+    shown = words(page)
+    assert shown.index("Next step") < shown.index("least squares") < shown.index("Joint by joint")
+    # A table of many rows is folded, and its summary says how many.
+    folded = [" ".join("".join(each.itertext()).split()) for each in elements(page, "summary")]
+    assert any(re.match(r"Standard parameters.*\(\d+ rows\)", each) for each in folded)
 
 
 def test_the_same_result_gives_the_same_page(result: Identification, page: str) -> None:

@@ -7,10 +7,10 @@ from typing import Any
 
 from sdpid.assurance.diagnostics.residuals import JointErrors
 from sdpid.assurance.diagnostics.validation import Errors
+from sdpid.output.report.judged import Judged, grades_of, judged
 from sdpid.plots.figures import stretch
 from sdpid.plots.inline_svg import image_source
 from sdpid.plots.joints import COLUMNS, plot_joint, plot_joint_errors
-from sdpid.output.report.judged import Judged, grades_of, judged
 
 # What the pictures show.
 _EFFORTS = "measured against predicted effort, and the error"
