@@ -68,7 +68,7 @@ ROOMS = {
         "descriptions",
         "payload",
     ],
-    "output": ["tables", "robots", "report", "plans"],
+    "output": ["tables", "robots", "samples", "report", "plans"],
     "workflow": [],
     "cli": [],
 }
@@ -119,6 +119,7 @@ FEATURES = (
     "sdpid.estimation.robust",
     "sdpid.assurance.payload",
     "sdpid.assurance.tables",
+    "sdpid.output.samples",
 )
 FACES = ("sdpid.cli", "sdpid.workflow")
 

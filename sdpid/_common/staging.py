@@ -226,7 +226,7 @@ class RunFolder:
                     f"cannot write {folder / name}: it is a folder or a device; move it away, or "
                     "choose another folder."
                 )
-        listed = self._listed(folder)
+        listed = self.listed(folder)
         if self.careful:
             for name in (*self.names, self.listing):
                 ours = name in listed or (name == self.listing and bool(listed))
@@ -271,7 +271,7 @@ class RunFolder:
                 f"cannot write into {folder}: {cause.strerror or cause}; choose another folder."
             ) from cause
 
-    def _listed(self, folder: Path) -> dict[str, object]:
+    def listed(self, folder: Path) -> dict[str, object]:
         """Return the digests of the files that an earlier run wrote, by name."""
         try:
             listed = json.loads((folder / self.listing).read_text(encoding="utf-8"))["files"]
@@ -282,7 +282,7 @@ class RunFolder:
     def _stale(self, folder: Path, new: Sequence[str], note: Callable[[str], None]) -> list[str]:
         """Return the unchanged files of an earlier run that this one does not replace."""
         stale = []
-        for name, written in self._listed(folder).items():
+        for name, written in self.listed(folder).items():
             if name in new or not (folder / name).is_file():
                 continue
             if digest(folder / name) == written:

@@ -296,7 +296,7 @@ class Patch(Compiled):
         for k in self.carriers:
             if self.carriers.count(k) > 1:
                 raise ExportError(
-                    f"{what}: body '{self._name(k)}' has several joints, and the links between "
+                    f"{what}: body '{self.name(k)}' has several joints, and the links between "
                     "them have inertia; give each joint a body of its own, or leave source out."
                 )
         self.changed: list[str] = []
@@ -322,7 +322,7 @@ class Patch(Compiled):
         carrier, T = self.carriers[link], self.frame(link)
         body = transform(identified, T[:3, :3], T[:3, 3])
         children = self.children(carrier)
-        rest, name = rest_of(body, list(children.values()), "pseudo_inertia"), self._name(carrier)
+        rest, name = rest_of(body, list(children.values()), "pseudo_inertia"), self.name(carrier)
         if rest is None:
             self.lumped.append(name)
             for number in children:
@@ -350,7 +350,8 @@ class Patch(Compiled):
             if k != carrier and other.carrier == own.carrier and np.any(other.theta)
         }
 
-    def _name(self, body: int) -> str:
+    def name(self, body: int) -> str:
+        """Return the name of a body by number, for messages where it has none."""
         return self.bodies[body].name or f"body {body}"
 
     def write(self, body: int, markup: str) -> None:
@@ -361,7 +362,7 @@ class Patch(Compiled):
             self.document.insert_child(element, markup)
         else:
             self.document.replace(inertial, markup)
-        self.changed.append(self._name(body))
+        self.changed.append(self.name(body))
 
     def joints(self, written: dict[str, dict[str, float]], *, clear_armature: bool) -> None:
         """Write the joints' numbers; those of joints that mimic another count at that one."""

@@ -41,7 +41,7 @@ def parsed(text: str, path: str | None, what: str) -> Any:
         raise ModelError(f"{what}: MuJoCo cannot parse it ({_line(cause)}).") from None
 
 
-def _compiled(text: str, path: str | None, folder: str | None, what: str) -> Any:
+def compiled(text: str, path: str | None, folder: str | None, what: str) -> Any:
     """Return MuJoCo's ``MjModel`` of a file, or of a text with files in a folder."""
     spec = parsed(text, path, what)
     if folder is not None:
@@ -188,7 +188,7 @@ def pinocchio_from_mjcf(text: str, path: Path | None, what: str) -> tuple[Any, t
 def _numbers(text: str, path: str | None, folder: str | None, what: str) -> dict[str, Any]:
     """Return the numbers of a compiled model that make its kinematics and inertias."""
     mujoco = require("mujoco", extra="sim")
-    model = _compiled(text, path, folder, what)
+    model = compiled(text, path, folder, what)
     arrays = (
         *("body_parentid", "body_pos", "body_quat", "body_mass", "body_ipos", "body_iquat"),
         *("body_inertia", "body_jntadr", "body_jntnum", "jnt_type", "jnt_pos", "jnt_axis"),

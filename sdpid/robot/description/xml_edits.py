@@ -7,6 +7,7 @@ show the changed numbers and nothing else.
 from __future__ import annotations
 
 import codecs
+import copy
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -71,6 +72,12 @@ class Document:
         self._data = text.encode("utf-8")
         self._edits: list[tuple[int, int, bytes]] = []
         self.root = self._parse()
+
+    def branch(self) -> Document:
+        """Return a document with the same edits, to which others are added apart from this one."""
+        other = copy.copy(self)
+        other._edits = list(self._edits)
+        return other
 
     def _parse(self) -> Element:
         # White space before the declaration is tolerated by the reader, not by the parser.

@@ -1,0 +1,1 @@
+"""Draws of consistent robots, as files and as ranges for domain randomization."""

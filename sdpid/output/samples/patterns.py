@@ -1,0 +1,159 @@
+"""Texts of robots from which many are written: read once, each robot by its numbers alone.
+
+In every robot the link that a joint moves has the whole body that moves with it, and the inertials
+of links fixed to it are zero: readers that merge fixed links and those that keep them then see the
+same bodies, and ranges for them hold in both.
+"""
+
+from __future__ import annotations
+
+import os
+from abc import ABC, abstractmethod
+from collections.abc import Mapping, Sequence
+from fractions import Fraction
+
+import numpy as np
+
+from sdpid._common.arrays import Array
+from sdpid.errors import ExportError
+from sdpid.estimation.problem import Problem
+from sdpid.output.robots.mjcf import PLACES as MJCF_PLACES
+from sdpid.output.robots.mjcf import Compiled, open_source
+from sdpid.output.robots.mjcf_skeleton import inertial_markup
+from sdpid.output.robots.places import Kind
+from sdpid.output.robots.urdf import read_back, source_text, write_dynamics, write_inertial
+from sdpid.output.robots.urdf_errors import PLACES as URDF_PLACES
+from sdpid.output.robots.urdf_tree import UrdfTree
+from sdpid.robot.description.mjcf import compiled, quaternion_of
+from sdpid.robot.description.origin import numbers
+from sdpid.robot.description.urdf import inertial_values, written_values
+from sdpid.verifier.results.inertials import Inertial, tensor
+
+# What the joints of one robot have: numbers by attribute, by joint.
+Joints = Mapping[str, Mapping[str, float]]
+
+_NOTHING = [Fraction(0)] * 10
+
+
+class Pattern(ABC):
+    """A robot's text with places for numbers.
+
+    Attributes
+    ----------
+    suffix : str
+        Of the names of files.
+    places : mapping
+        The attributes that joints have, by term.
+    names : sequence of str
+        The bodies that the joints move.
+    frames : ndarray, shape (links, 4, 4)
+        The joints' frames in those of the bodies.
+    """
+
+    suffix: str
+    places: Mapping[Kind, str]
+    names: Sequence[str]
+    frames: Array
+
+    @abstractmethod
+    def text(self, bodies: Sequence[Inertial], joints: Joints) -> str:
+        """Return the text of a robot, its bodies in their own frames."""
+
+    @abstractmethod
+    def require_right(self, text: str, bodies: Array) -> None:
+        """Refuse a text that does not have the efforts of bodies (links, 10), or does not load."""
+
+    @abstractmethod
+    def require_loaded(self, text: str, name: str) -> None:
+        """Refuse a text that the format's own reader refuses, where that takes milliseconds."""
+
+
+class UrdfPattern(Pattern):
+    """A URDF with places for inertials and for damping and friction of joints."""
+
+    suffix = ".urdf"
+    places = URDF_PLACES
+
+    def __init__(self, problem: Problem, source: str | os.PathLike[str] | None) -> None:
+        self.robot = problem.robot
+        what = f"URDF of '{self.robot.name}'"
+        self._tree = UrdfTree(source_text(self.robot, source, what))
+        self.names = self._tree.moving_links(self.robot)
+        self.frames = np.tile(np.eye(4), (len(self.names), 1, 1))
+        for link in self.names:
+            for child in self._tree.fixed_children(link):
+                if child.body is not None and np.any(child.body):
+                    element = self._tree.links[child.name]
+                    write_inertial(self._tree.document, element, inertial_values(np.zeros(10)))
+
+    def text(self, bodies: Sequence[Inertial], joints: Joints) -> str:
+        """Return the text of a robot."""
+        document = self._tree.document.branch()
+        for name, body in zip(self.names, bodies, strict=True):
+            write_inertial(document, self._tree.links[name], written_values(body))
+        write_dynamics(self._tree, document, {k: dict(v) for k, v in joints.items()})
+        return document.text()
+
+    def require_right(self, text: str, bodies: Array) -> None:
+        """Refuse a text that does not have the efforts of the bodies."""
+        read_back(self.robot, bodies, text)
+
+    def require_loaded(self, text: str, name: str) -> None:
+        """Do nothing: readers differ only in the inertials, and those are audited."""
+
+
+class MjcfPattern(Pattern):
+    """An MJCF with places for inertials and for damping, dry friction and armature of joints."""
+
+    suffix = ".xml"
+    places = MJCF_PLACES
+
+    def __init__(self, problem: Problem, source: str | os.PathLike[str] | None) -> None:
+        self.robot = problem.robot
+        self._what = f"MJCF of '{self.robot.name}'"
+        self._patch, self.notes = open_source(self.robot, source, self._what)
+        links = range(self.robot.n_links)
+        self._ours = self._patch.exact is not None
+        self.names = [self._patch.name(k) for k in self._patch.carriers]
+        # In a text of our own, frames are those of the links.
+        self.frames = np.array([np.eye(4) if self._ours else self._patch.frame(k) for k in links])
+        for carrier in self._patch.carriers:
+            for number in self._patch.children(carrier):
+                self._patch.write(number, inertial_markup(_NOTHING))
+        self._document = self._patch.document
+
+    def text(self, bodies: Sequence[Inertial], joints: Joints) -> str:
+        """Return the text of a robot."""
+        self._patch.document = self._document.branch()
+        for carrier, body in zip(self._patch.carriers, bodies, strict=True):
+            self._patch.write(carrier, _markup(body))
+        attributes = {key for values in joints.values() for key in values}
+        self._patch.joints(
+            {k: dict(v) for k, v in joints.items()}, clear_armature="armature" not in attributes
+        )
+        return self._patch.document.text()
+
+    def require_right(self, text: str, bodies: Array) -> None:
+        """Refuse a text that does not have the efforts of the bodies."""
+        read = Compiled(self.robot, text, self._what, folder=self._patch.folder, ours=True)
+        read.require_same_efforts(bodies)
+
+    def require_loaded(self, text: str, name: str) -> None:
+        """Refuse a text that MuJoCo does not load; one with meshes would take seconds."""
+        if self._ours:
+            compiled(text, None, None, f"{self._what} ({name})")
+
+
+def _markup(body: Inertial) -> str:
+    """Return the <inertial> of a body, its axes in double precision, unlike a single robot's."""
+    values, axes = np.linalg.eigh(np.array(tensor(body.moments)))  # type: ignore[arg-type]
+    axes[:, 0] *= np.sign(np.linalg.det(axes))
+    if not values[0] + values[1] >= values[2]:
+        raise ExportError(
+            f"MJCF: principal moments {numbers(values)} kg·m² miss the triangle inequality by a "
+            "rounding; solve with a positive Constraints.margin."
+        )
+    return (
+        f'<inertial pos="{numbers(body.com)}" quat="{numbers(quaternion_of(axes))}" '
+        f'mass="{numbers(body.mass)}" diaginertia="{numbers(values)}"/>'
+    )

@@ -1,0 +1,315 @@
+"""Ranges for domain randomization: how far each number of a robot varies over draws."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, TypeAlias, cast
+
+import numpy as np
+
+from sdpid._common.arrays import Array
+from sdpid._common.files import atomic_write_text
+from sdpid._common.seeds import generator
+from sdpid._common.tables import Table, json_text, plain
+from sdpid.errors import ExportError
+from sdpid.estimation.estimate import FEASIBLE
+from sdpid.estimation.problem import Problem
+from sdpid.output.samples.log_cholesky import NAMES, changed, changes
+from sdpid.robot.inertia import from_pseudo_inertia, physical_parameters, pseudo_inertia
+
+# Lower and upper end.
+Range: TypeAlias = tuple[float, float]
+
+_FORM = (
+    "J' = U·J·U^T of the pseudo-inertia J about the body's frame, U = exp(alpha)·[[exp(d1), s12, "
+    "s13, t1], [0, exp(d2), s23, t2], [0, 0, exp(d3), t3], [0, 0, 0, 1]]; t in m"
+)
+PREFER = (
+    "Prefer the robots of the draws to these ranges: drawn independently from ranges, parameters "
+    "lose their correlation, and robots vary in what the recordings show well."
+)
+
+# At most so many robots are drawn from the ranges to tell what independence costs.
+_TRIALS = 200
+
+
+@dataclass(frozen=True, kw_only=True)
+class BodyRanges:
+    """Ranges of what moves with a joint, relative to the reference robot.
+
+    Attributes
+    ----------
+    name : str
+        The body in the written robots.
+    mass, com : float, tuple of float
+        The reference's mass, kg, and center of mass, m.
+    changes : dict of str to (float, float)
+        Ranges of ``alpha``, ``d1`` … ``t3`` (see `sdpid.output.samples.log_cholesky`).
+    mass_scale : (float, float)
+        Mass over the reference's.
+    com_shift : tuple of (float, float)
+        Center of mass less the reference's, m, along x, y, z.
+    inside : float
+        Share of the draws that lie within all ten ranges at once.
+    """
+
+    name: str
+    mass: float
+    com: tuple[float, ...]
+    changes: dict[str, Range]
+    mass_scale: Range
+    com_shift: tuple[Range, ...]
+    inside: float
+
+    def mjlab(self) -> dict[str, Range]:
+        """Return the arguments of mjlab's ``dr.pseudo_inertia``: ``alpha_range`` and so on."""
+        return {f"{name}_range": ends for name, ends in self.changes.items()}
+
+
+@dataclass(frozen=True, kw_only=True)
+class JointRange:
+    """Range of an attribute of a joint.
+
+    Attributes
+    ----------
+    joint, attribute : str
+        ``damping``, ``frictionloss`` or ``armature``, in the units of MJCF.
+    reference : float
+        The reference robot's.
+    absolute : (float, float)
+        Of the attribute itself.
+    scale : (float, float) or None
+        Over the reference's; None where that is zero.
+    """
+
+    joint: str
+    attribute: str
+    reference: float
+    absolute: Range
+    scale: Range | None
+
+
+@dataclass(frozen=True, kw_only=True)
+class Ranges:
+    """Ranges of every body and joint that contain a share of the draws, each by itself.
+
+    Attributes
+    ----------
+    bodies : tuple of BodyRanges
+        In the order of the links.
+    joints : tuple of JointRange
+        Of the friction terms and rotor inertias that the problem has.
+    probability : float
+        Share of the draws within each range: as much lies below it as above.
+    number : int
+        Draws.
+    made : dict
+        What they were made of: robot, seed, digests.
+    inside : float
+        Share of the draws within the ranges of all bodies at once.
+    widened : float
+        Spread (rms) of the efforts on the recorded motion, in the weights of the fit, of robots
+        whose links are drawn independently from the ranges, over that of the draws.
+    feasible : float
+        Share of those robots that meet all constraints of the problem. Their bodies are all
+        consistent.
+    """
+
+    bodies: tuple[BodyRanges, ...]
+    joints: tuple[JointRange, ...]
+    probability: float
+    number: int
+    made: dict[str, Any]
+    inside: float
+    widened: float
+    feasible: float
+
+    def __repr__(self) -> str:
+        return (
+            f"Ranges({len(self.bodies)} bodies, {len(self.joints)} joint attributes, "
+            f"probability={self.probability:g}, {self.number} draws)"
+        )
+
+    def table(self) -> str:
+        """Return the ranges of the bodies as aligned text."""
+        columns: dict[str, Sequence[object]] = {"body": [body.name for body in self.bodies]}
+        for name in NAMES:
+            ends = [body.changes[name] for body in self.bodies]
+            columns[name] = [f"{low:.2g} … {high:.2g}" for low, high in ends]
+        return Table.of_columns(columns).text()
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return plain values for JSON; ``pseudo_inertia`` holds mjlab's arguments as they are."""
+        joints: dict[str, dict[str, Any]] = {}
+        for each in self.joints:
+            joints.setdefault(each.joint, {})[each.attribute] = {
+                "reference": each.reference,
+                "absolute": each.absolute,
+                "scale": each.scale,
+            }
+        content = {
+            "schema": "sdpid-ranges",
+            "version": 1,
+            "note": PREFER,
+            "made": {**self.made, "number": self.number, "probability": self.probability},
+            "form": _FORM,
+            "bodies": {
+                body.name: {
+                    "mass": body.mass,
+                    "com": body.com,
+                    "pseudo_inertia": body.mjlab(),
+                    "mass_scale": body.mass_scale,
+                    "com_shift": body.com_shift,
+                    "inside": body.inside,
+                }
+                for body in self.bodies
+            },
+            "joints": joints,
+            "independent": {
+                "draws_inside_all": self.inside,
+                "efforts_widened": self.widened,
+                "consistent": 1.0,
+                "feasible": self.feasible,
+            },
+        }
+        return cast(dict[str, Any], plain(content))
+
+    def to_json(self, path: str | os.PathLike[str]) -> Path:
+        """Write the ranges as JSON, whole or not at all."""
+        atomic_write_text(path, json_text(self.to_dict()) + "\n")
+        return Path(path)
+
+
+def ranges_of(
+    problem: Problem,
+    thetas: Array,
+    frames: Array,
+    names: Sequence[str],
+    attributes: Mapping[str, Array],
+    *,
+    probability: float,
+    made: Mapping[str, Any],
+) -> Ranges:
+    """Return the ranges of draws, relative to their mean.
+
+    The mean is consistent, and inside where the estimate itself lies on the boundary: a body on
+    the boundary has no log-Cholesky form, and what is near it has ranges without end.
+
+    Parameters
+    ----------
+    problem : Problem
+        What the draws obey.
+    thetas : ndarray, shape (draws, p)
+        The draws.
+    frames : ndarray, shape (links, 4, 4)
+        The joints' frames in those of the written robots' bodies.
+    names : sequence of str
+        Names of the bodies.
+    attributes : mapping of str to ndarray, shape (draws + 1, n)
+        Attributes of the joints by name, those of the mean last.
+    probability : float
+        Share of the draws within each range.
+    made : mapping
+        What the draws were made of.
+
+    Raises
+    ------
+    ExportError
+        When a drawn body has no log-Cholesky form.
+    """
+    links = problem.robot.n_links
+    bodies = in_frames(thetas[:, : 10 * links].reshape(-1, links, 10), frames)
+    mean = bodies.mean(axis=0)
+    try:
+        found = changes(bodies, mean)
+    except np.linalg.LinAlgError:
+        raise ExportError(
+            f"ranges of '{problem.robot.name}': a drawn body has no positive definite "
+            "pseudo-inertia; solve with consistency='pseudo_inertia'."
+        ) from None
+    ends = _ends(found, probability)
+    within = np.all((ends[0] <= found) & (found <= ends[1]), axis=-1)
+    mass, com, _ = physical_parameters(bodies)
+    mean_mass, mean_com, _ = physical_parameters(mean)
+    scale, shift = _ends(mass / mean_mass, probability), _ends(com - mean_com, probability)
+    widened, feasible = _independent(problem, thetas, frames, bodies, ends)
+    return Ranges(
+        bodies=tuple(
+            BodyRanges(
+                name=name,
+                mass=float(mean_mass[k]),
+                com=tuple(mean_com[k].tolist()),
+                changes={key: _pair(ends[:, k, i]) for i, key in enumerate(NAMES)},
+                mass_scale=_pair(scale[:, k]),
+                com_shift=tuple(_pair(shift[:, k, i]) for i in range(3)),
+                inside=float(within[:, k].mean()),
+            )
+            for k, name in enumerate(names)
+        ),
+        joints=tuple(_joint_ranges(problem, attributes, probability)),
+        probability=probability,
+        number=len(thetas),
+        made=dict(made),
+        inside=float(within.all(axis=1).mean()),
+        widened=widened,
+        feasible=feasible,
+    )
+
+
+def in_frames(bodies: Array, frames: Array) -> Array:
+    """Return bodies (..., links, 10) in other frames, given by the placements of theirs."""
+    if np.array_equal(frames, np.broadcast_to(np.eye(4), frames.shape)):
+        return bodies
+    return from_pseudo_inertia(frames @ pseudo_inertia(bodies) @ np.swapaxes(frames, -1, -2))
+
+
+def _ends(values: Array, probability: float) -> Array:
+    """Return the ends of the central range of each value over the draws, (2, ...)."""
+    tail = 0.5 * (1.0 - probability)
+    return np.asarray(np.quantile(values, [tail, 1.0 - tail], axis=0))
+
+
+def _pair(ends: Array) -> Range:
+    return float(ends[0]), float(ends[1])
+
+
+def _joint_ranges(
+    problem: Problem, attributes: Mapping[str, Array], probability: float
+) -> list[JointRange]:
+    """Return the ranges of the joints' attributes, joint by joint."""
+    out = []
+    for j, joint in enumerate(problem.friction.joint_names):
+        for attribute, values in attributes.items():
+            drawn, reference = values[:-1, j], float(values[-1, j])
+            ends = _ends(drawn, probability)
+            out.append(
+                JointRange(
+                    joint=joint,
+                    attribute=attribute,
+                    reference=reference,
+                    absolute=_pair(ends),
+                    scale=_pair(ends / reference) if reference > 0.0 else None,
+                )
+            )
+    return out
+
+
+def _independent(
+    problem: Problem, thetas: Array, frames: Array, bodies: Array, ends: Array
+) -> tuple[float, float]:
+    """Return how much wider efforts spread, and how many constraints hold, without correlation."""
+    count, links = min(_TRIALS, len(thetas)), 10 * problem.robot.n_links
+    mean = thetas.mean(axis=0)
+    drawn = generator(0).uniform(ends[0], ends[1], (count, *bodies.shape[1:]))
+    there = changed(bodies.mean(axis=0), drawn)
+    boxed = np.tile(mean, (count, 1))
+    boxed[:, :links] = in_frames(there, np.asarray(np.linalg.inv(frames))).reshape(count, links)
+    feasible = np.mean([problem.feasible.violation(theta) <= FEASIBLE for theta in boxed])
+    spreads = [
+        np.linalg.norm((each - mean) @ problem.base.matrix.T @ problem.A.T) / np.sqrt(len(each))
+        for each in (boxed, thetas)
+    ]
+    return float(spreads[0] / spreads[1]) if spreads[1] > 0.0 else float("nan"), float(feasible)

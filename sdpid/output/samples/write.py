@@ -1,0 +1,266 @@
+"""A folder of drawn robots: every file of it, or none."""
+
+from __future__ import annotations
+
+import os
+import re
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from fractions import Fraction
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+
+from sdpid import __version__
+from sdpid._common.arrays import Array
+from sdpid._common.progress import progress
+from sdpid._common.staging import RunFolder, RunStage
+from sdpid._common.tables import Table
+from sdpid.assurance.descriptions.body_checks import check_numbers
+from sdpid.errors import ExportError
+from sdpid.estimation.estimate import Estimate
+from sdpid.estimation.problem import Problem
+from sdpid.output.robots.places import Kind
+from sdpid.output.robots.written_bodies import possible_body
+from sdpid.output.samples.drawn_friction import drawn_attributes
+from sdpid.output.samples.patterns import Joints, MjcfPattern, Pattern, UrdfPattern
+from sdpid.output.samples.ranges import Ranges, in_frames, ranges_of
+from sdpid.robot.description.bodies import DescribedBody, exact_decimal
+from sdpid.robot.description.xml import encode_xml, is_mjcf, read_description
+from sdpid.verifier.results.inertials import Inertial, rounded
+
+RobotKind = Literal["urdf", "mjcf"]
+KINDS: tuple[RobotKind, ...] = ("urdf", "mjcf")
+
+MANIFEST, RANGES, DRAWS = "manifest.json", "ranges.json", "draws.csv"
+_CONFIG = "run.toml"
+
+# Files of robots, as earlier runs may have written more of them.
+_ROBOT = re.compile(r"(robot_\d+|mean)\.(urdf|xml)")
+_DIGITS = 4
+
+# The reference of the ranges.
+MEAN = "mean"
+
+Source = str | os.PathLike[str] | None
+
+
+class SampleWriter:
+    """Writes the draws of an estimate; reads the sources once.
+
+    Parameters
+    ----------
+    estimate : Estimate
+        What the draws are of.
+    thetas : ndarray, shape (draws, p)
+        The draws.
+    kinds : sequence of str
+        Formats of the robots.
+    source : str or path, optional
+        URDF or MJCF to change in place of the robot's own.
+    """
+
+    def __init__(
+        self, estimate: Estimate, thetas: Array, *, kinds: Sequence[str], source: Source = None
+    ) -> None:
+        problem = estimate.problem
+        require_bodies(problem)
+        assert estimate.theta is not None
+        self.problem, self.thetas = problem, thetas
+        self.everything = np.concatenate([thetas, thetas.mean(axis=0, keepdims=True)])
+        width = max(_DIGITS, len(str(len(thetas))))
+        self.names = [*(f"robot_{k + 1:0{width}d}" for k in range(len(thetas))), MEAN]
+        self.patterns = _patterns(problem, kinds, source)
+        self._found: dict[tuple[Kind, ...], dict[Kind, Array]] = {}
+        self._center = estimate.theta
+
+    def attributes(self, places: Mapping[Kind, str]) -> dict[str, Array]:
+        """Return the attributes of the joints, (draws + 1, n) by name, those of the mean last."""
+        key = tuple(places)
+        if key not in self._found:
+            what = f"robots of '{self.problem.robot.name}'"
+            self._found[key] = drawn_attributes(
+                self.problem, self._center, self.everything, places, what
+            )
+        return {places[kind]: values for kind, values in self._found[key].items()}
+
+    def ranges(self, probability: float, made: Mapping[str, Any]) -> Ranges:
+        """Return the ranges about the mean, in the frames of the last format's bodies."""
+        from sdpid.output.robots.mjcf import PLACES
+
+        links = self.problem.robot.n_links
+        frames, names = np.tile(np.eye(4), (links, 1, 1)), list(self.problem.robot.link_names)
+        if self.patterns:
+            frames, names = self.patterns[-1].frames, list(self.patterns[-1].names)
+        return ranges_of(
+            self.problem,
+            self.thetas,
+            frames,
+            names,
+            self.attributes(PLACES),
+            probability=probability,
+            made=made,
+        )
+
+    def write(self, folder: Path) -> Iterator[str]:
+        """Write the robots into an empty folder; yield the name of each file."""
+        links = self.problem.robot.n_links
+        own = self.everything[:, : 10 * links].reshape(-1, links, 10)
+        joints = [
+            _by_joint(self.problem, self.attributes(pattern.places), len(own))
+            for pattern in self.patterns
+        ]
+        frames = [in_frames(own, pattern.frames) for pattern in self.patterns]
+        with progress(len(own), "writing robots") as advance:
+            # The mean comes first: it shows whether the source is of the same robot.
+            for k in (len(own) - 1, *range(len(own) - 1)):
+                name, bodies, written = self.names[k], None, []
+                for pattern, values, moved in zip(self.patterns, joints, frames, strict=True):
+                    if bodies is None or not np.array_equal(bodies, moved[k]):
+                        bodies, written = moved[k], _audited(name, pattern, moved[k])
+                    text = pattern.text(written, values[k])
+                    if name == MEAN:
+                        pattern.require_right(text, own[k])
+                    pattern.require_loaded(text, name)
+                    (folder / f"{name}{pattern.suffix}").write_bytes(encode_xml(text))
+                    yield f"{name}{pattern.suffix}"
+                advance(1)
+
+
+def _audited(name: str, pattern: Pattern, bodies: Array) -> list[Inertial]:
+    """Return the numbers of a robot's bodies, checked as `audit_urdf` does.
+
+    Raises
+    ------
+    ExportError
+        When one of them can be no body.
+    """
+    out = []
+    for link, body in zip(pattern.names, bodies.tolist(), strict=True):
+        what = f"{name}{pattern.suffix}"
+        possible = possible_body([Fraction(x) for x in body], "pseudo_inertia", link, what)
+        out.append(rounded(possible))
+        errors = [e for e in check_numbers(_as_read(link, out[-1])) if e.severity == "error"]
+        if errors:
+            raise ExportError(f"{what}: link '{link}': {errors[0].message}.")
+    return out
+
+
+def require_bodies(problem: Problem) -> None:
+    """Refuse a problem whose draws need not be bodies.
+
+    Raises
+    ------
+    ExportError
+        With what to do.
+    """
+    if problem.consistency != "pseudo_inertia":
+        raise ExportError(
+            f"robots of '{problem.robot.name}': under consistency='{problem.consistency}' draws "
+            "need be no bodies; solve with consistency='pseudo_inertia'."
+        )
+
+
+def write_samples(
+    writer: SampleWriter,
+    folder: str | os.PathLike[str],
+    *,
+    probability: float,
+    made: Mapping[str, Any],
+    diagnostics: Mapping[str, Any],
+    config: str | None = None,
+    report: Callable[[str], None] | None = None,
+) -> tuple[Path, ...]:
+    """Write robots, ranges and draws into a folder, with a manifest: all, or nothing.
+
+    Raises
+    ------
+    ExportError
+        When the folder cannot be written to, would lose a file that no such run wrote, or a robot
+        cannot be written.
+    """
+    target = Path(folder)
+    names = [name + pattern.suffix for pattern in writer.patterns for name in writer.names]
+    run = run_folder(target, names, config=config is not None)
+    run.require_writable(target, writes_config=config is not None)
+    with run.written(target, report or (lambda _: None)) as stage:
+        stage.names += writer.write(stage.folder)
+        _rest(writer, stage, writer.ranges(probability, made))
+        if config is not None:
+            (stage.folder / _CONFIG).write_text(config, encoding="utf-8")
+            stage.names.append(_CONFIG)
+        stage.content |= {
+            "schema": "sdpid-samples",
+            "version": 1,
+            "software": f"sdpid {__version__}",
+            "made": dict(made),
+            "number": len(writer.thetas),
+            "diagnostics": dict(diagnostics),
+        }
+    return tuple(target / name for name in stage.names)
+
+
+def _rest(writer: SampleWriter, stage: RunStage, ranges: Ranges) -> None:
+    """Write the ranges and the draws."""
+    ranges.to_json(stage.folder / RANGES)
+    header = ("robot", *writer.problem.base.theta_names)
+    rows = tuple((n, *t.tolist()) for n, t in zip(writer.names, writer.everything, strict=True))
+    Table(header, rows).write(stage.folder / DRAWS)
+    stage.names += [RANGES, DRAWS]
+
+
+def run_folder(folder: Path, robots: Sequence[str] = (), *, config: bool = False) -> RunFolder:
+    """Return what a run writes into a folder: robots, and what an earlier run listed there."""
+    found = folder.iterdir() if folder.is_dir() else ()
+    earlier = (path.name for path in found if _ROBOT.fullmatch(path.name))
+    names = dict.fromkeys((*robots, RANGES, DRAWS, *((_CONFIG,) if config else ())))
+    listed = RunFolder((*names, *earlier, _CONFIG), MANIFEST, _CONFIG).listed(folder)
+    own = (*names, *(name for name in listed if name not in names))
+    return RunFolder(own, MANIFEST, _CONFIG, careful=True)
+
+
+def _patterns(problem: Problem, kinds: Sequence[str], source: Source) -> list[Pattern]:
+    """Return the texts of the formats, MJCF last.
+
+    Raises
+    ------
+    ExportError
+        For a format that is none, or an MJCF as the source of URDFs alone.
+    """
+    unknown = [kind for kind in kinds if kind not in KINDS]
+    if isinstance(kinds, str) or unknown:
+        raise ExportError(f"kinds: are {kinds!r}; give some of {', '.join(map(repr, KINDS))}.")
+    mjcf = source is not None and is_mjcf(read_description(source).text, "source")
+    if mjcf and "mjcf" not in kinds:
+        raise ExportError("source: is an MJCF, no URDF can be made of it; ask for kinds=('mjcf',).")
+    patterns: list[Pattern] = []
+    if "urdf" in kinds:
+        patterns.append(UrdfPattern(problem, None if mjcf else source))
+    if "mjcf" in kinds:
+        patterns.append(MjcfPattern(problem, source))
+    return patterns
+
+
+def _by_joint(problem: Problem, attributes: Mapping[str, Array], count: int) -> list[Joints]:
+    """Return the attributes of each robot by joint and name."""
+    joints = problem.friction.joint_names
+    return [
+        {
+            joint: {name: float(values[k, j]) for name, values in attributes.items()}
+            for j, joint in enumerate(joints)
+        }
+        for k in range(count)
+    ]
+
+
+def _as_read(link: str, body: Inertial) -> DescribedBody:
+    """Return a body as who reads the written decimals finds it."""
+    return DescribedBody(
+        name=link,
+        described=True,
+        moving=True,
+        carrier=link,
+        mass=body.mass,
+        com=np.array(body.com),
+        entries=tuple(exact_decimal(repr(x)) for x in body.moments),
+    )
