@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import signal
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -51,6 +52,18 @@ def data_folder() -> Path:
 def denso() -> RobotModel:
     """Return the arm of the case study."""
     return load_robot("denso_vp6242")
+
+
+@pytest.fixture
+def interruptible() -> Iterator[None]:
+    """Heed signals that shells and nohup let processes in the background ignore."""
+    usual: dict[signal.Signals, Any] = {signal.SIGINT: signal.default_int_handler}
+    if os.name == "posix":
+        usual[signal.SIGHUP] = signal.SIG_DFL
+    before = {number: signal.signal(number, handler) for number, handler in usual.items()}
+    yield
+    for number, handler in before.items():
+        signal.signal(number, handler)
 
 
 @pytest.fixture(scope="session")

@@ -159,6 +159,7 @@ cli.main()
 
 
 @pytest.mark.skipif(os.name != "posix", reason="sends a signal")
+@pytest.mark.usefixtures("interruptible")
 def test_ctrl_c_writes_the_best_so_far(folder: Path, tmp_path: Path) -> None:
     """An interrupt of the search reaches it, and the plan that it returns is written."""
     script = tmp_path / "stopped.py"

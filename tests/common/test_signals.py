@@ -4,21 +4,15 @@ from __future__ import annotations
 
 import os
 import signal
-from collections.abc import Iterator
 
 import pytest
 
 from sdpid._common.signals import Interrupts, end_by, keyboard_interrupts, noted_interrupts
 
-pytestmark = pytest.mark.skipif(os.name != "posix", reason="sends signals")
-
-
-@pytest.fixture(autouse=True)
-def _kept() -> Iterator[None]:
-    before = signal.getsignal(signal.SIGINT)
-    signal.signal(signal.SIGINT, signal.default_int_handler)
-    yield
-    signal.signal(signal.SIGINT, before)
+pytestmark = [
+    pytest.mark.skipif(os.name != "posix", reason="sends signals"),
+    pytest.mark.usefixtures("interruptible"),
+]
 
 
 def interrupt() -> None:

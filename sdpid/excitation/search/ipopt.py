@@ -143,6 +143,7 @@ def minimize(
         len(lower) + count,
         len(lower),
         calls.guarded(lambda steps, value: stop(steps, value) or interrupts.came),
+        lambda: calls.error is not None,
     )
     solver = casadi.nlpsol(
         "search",
@@ -216,16 +217,22 @@ class _Calls:
         return self._found
 
     def guarded(self, function: Callable[..., Any]) -> Callable[..., Any]:
-        """Return a function whose exceptions are kept, to be raised when IPOPT has returned."""
+        """Return a function whose exceptions are kept, to be raised when IPOPT has returned.
+
+        After one it gives what it gave last: IPOPT takes an exception for a point without a value
+        and looks for others, for minutes, but a step that it can end is the last.
+        """
+        last: list[Any] = []
 
         def call(*arguments: Any) -> Any:
-            if self.error is not None:
-                raise self.error
-            try:
-                return function(*arguments)
-            except BaseException as error:
-                self.error = error
-                raise
+            if self.error is None or not last:
+                try:
+                    last[:] = [function(*arguments)]
+                except BaseException as error:
+                    self.error = self.error or error
+                    if not last:
+                        raise
+            return last[0]
 
         return call
 
@@ -291,7 +298,14 @@ def _callback(
     return Value()
 
 
-def _watch(casadi: Any, N: int, M: int, linear: int, stop: Callable[[int, float], bool]) -> Any:
+def _watch(
+    casadi: Any,
+    N: int,
+    M: int,
+    linear: int,
+    stop: Callable[[int, float], bool],
+    failed: Callable[[], bool],
+) -> Any:
     """Return what CasADi calls after every step: it keeps the best point, and may stop."""
     sizes = {"x": N, "lam_x": N, "g": M, "lam_g": M, "f": 1}
 
@@ -316,12 +330,14 @@ def _watch(casadi: Any, N: int, M: int, linear: int, stop: Callable[[int, float]
             return casadi.Sparsity.dense(size, 1 if size else 0)
 
         def eval(self, arguments: Any) -> Any:
+            if failed():
+                return [1]
             by_name = {casadi.nlpsol_out(i): value for i, value in enumerate(arguments)}
             shortfall = np.array(by_name["g"]).ravel()[linear:]
             if np.min(shortfall, initial=0.0) >= -_HELD:
                 self.offer(np.array(by_name["x"]).ravel(), float(by_name["f"]))
             self.steps += 1
             self.stopped = stop(self.steps, self.value)
-            return [int(self.stopped)]
+            return [int(self.stopped or failed())]
 
     return Watch()

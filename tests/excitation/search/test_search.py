@@ -107,6 +107,7 @@ def test_an_interrupted_search_is_not_refined(monkeypatch: pytest.MonkeyPatch) -
 
 
 @pytest.mark.skipif(os.name != "posix", reason="sends a signal")
+@pytest.mark.usefixtures("interruptible")
 def test_a_signal_ends_the_search_with_the_best_so_far() -> None:
     search = search_of()
     calls = 0
