@@ -14,9 +14,10 @@ from sdpid._common.progress import progress
 from sdpid._common.staging import RunFolder
 from sdpid._common.tables import json_text
 from sdpid.assurance.log_proof.recipe import Recipe
-from sdpid.errors import MissingExtraError, SdpidError
+from sdpid.errors import ExportError, MissingExtraError, SdpidError
 from sdpid.output.report.judged import Judged
 from sdpid.output.tables.intervals_shown import GivenIntervals
+from sdpid.verifier.results.friction_files import NAMES as FRICTION_FILES
 from sdpid.verifier.results.manifest import contents, sealed
 
 if TYPE_CHECKING:
@@ -42,6 +43,7 @@ NAMES = (
     "certificate.json",
     "identified.urdf",
     "identified.xml",
+    *FRICTION_FILES,
     "training.png",
     "validation.png",
     "report.html",
@@ -121,6 +123,7 @@ class _Writer:
             self._tables,
             self._certificate,
             self._robots,
+            self._friction,
             lambda: self._figures() if figures else iter(()),
             lambda: self._report(command, figures),
             lambda: self._config(config),
@@ -193,6 +196,30 @@ class _Writer:
             self.note(f"no {mjcf.name} (MJCF): {missing}")
         for export in exports:
             yield export.path
+
+    def _friction(self) -> Iterator[Path]:
+        """Write friction as code, which has room for every term of ours."""
+        from sdpid.output.robots.friction_files import write_friction
+
+        if not self.result.problem.friction.terms:
+            return
+        left_out: dict[str, None] = {}
+        for name in FRICTION_FILES:
+            path = self.folder / name
+            try:
+                said = write_friction(
+                    self.result.estimate, path, certificate=self.result.certificate
+                )
+            except ExportError as reason:
+                # A full disk, that is; else it is a term that no file can hold.
+                if isinstance(reason.__cause__, OSError):
+                    raise
+                self.note(f"no {' and no '.join(FRICTION_FILES)}: {reason}")
+                return
+            left_out |= dict.fromkeys(said)
+            yield path
+        for each in left_out:
+            self.note(each)
 
     def _figures(self) -> Iterator[Path]:
         """Draw measured and predicted efforts."""

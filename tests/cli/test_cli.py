@@ -98,6 +98,8 @@ def test_identify_prints_and_writes(results: Path, log: Path) -> None:
         "certificate.json",
         "identified.urdf",
         "identified.xml",
+        "identified_friction.py",
+        "identified_friction.hpp",
         "parameters.json",
         "report.html",
     }

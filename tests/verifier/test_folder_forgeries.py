@@ -18,6 +18,7 @@ import pytest
 import sdpid
 from sdpid import verifier
 from sdpid.verifier.reading import digest
+from sdpid.verifier.results.friction_code import WRITERS
 from tests.helpers.runs import arm, recorded
 
 VERIFIER = Path(verifier.__file__).parent
@@ -123,6 +124,67 @@ def test_a_file_that_is_not_sealed_is_none_of_the_run(name: str, results: Path) 
     edit(results / name, lambda text: re.sub("([1-9])", lambda m: str(10 - int(m[1])), text))
     reseal(results, without=name)
     assert any(name in each for each in problems(results))
+
+
+def test_friction_files_are_the_certificates_and_no_more(results: Path) -> None:
+    done = alone(results)
+    same = "identified_friction.py, identified_friction.hpp: the numbers are the certificate's"
+    assert same in done.stdout
+    assert "widths, dead zones, exponents and speeds of the terms" in done.stdout
+
+
+def _forged(path: Path, how: Callable[[dict[str, Any]], object]) -> None:
+    """Change the numbers in a file of friction, and write its code anew."""
+    text = path.read_text(encoding="utf-8")
+    (line,) = (each for each in text.splitlines() if "sdpid-friction: " in each)
+    data = json.loads(line.partition("sdpid-friction: ")[2])
+    how(data)
+    path.write_text(WRITERS[path.suffix](data), encoding="utf-8")
+
+
+@pytest.mark.parametrize("name", ["identified_friction.py", "identified_friction.hpp"])
+def test_forged_friction_is_named(name: str, results: Path, tmp_path: Path) -> None:
+    path = results / name
+    content = path.read_text(encoding="utf-8")
+    mark = "#" if path.suffix == ".py" else "//"
+
+    def found() -> list[str]:
+        reseal(results)
+        said = problems(results)
+        path.write_text(content, encoding="utf-8")
+        assert all(name in each for each in said), said
+        return said
+
+    def double(data: dict[str, Any]) -> None:
+        data["terms"][0]["values"][0] *= 2.0
+
+    # A number in the code, a comment, and code at the end.
+    for forged in (
+        re.sub(r"(\d)( \* )", lambda m: str(9 - int(m[1])) + m[2], content, count=1),
+        content.replace("made by a program", "checked by hand"),
+        content + f"{mark} x\n",
+        content.replace("\n", "\r\n"),
+    ):
+        path.write_text(forged, encoding="utf-8")
+        assert any("code is not what follows" in each for each in found())
+    for how, wanted in (
+        (double, "'Fs1' is "),
+        (lambda data: data["terms"].pop(), "is not in it"),
+        (lambda data: data["terms"].append(data["terms"][0]), "or is twice"),
+        (lambda data: data.update(robot="another"), "robot is not that"),
+        (lambda data: data.update(certificate="0" * 64), "certificate is not that"),
+        (lambda data: data["joints"].reverse(), "joints is not that"),
+        (lambda data: data["left_out"].append("Tilt"), "'Gx' is not in it"),
+    ):
+        _forged(path, how)
+        assert any(wanted in each for each in found()), wanted
+    for line in ("{", '{"schema": "sdpid-friction"}', "[" * 9000, '{"version": 1, "version": 1}'):
+        path.write_text(f"{mark} sdpid-friction: {line}\n", encoding="utf-8")
+        assert any("cannot be read" in each for each in found())
+    path.write_text(content + content, encoding="utf-8")
+    assert any("2 of its lines" in each for each in found())
+    reseal(results, without=name)
+    assert any("not sealed" in each for each in problems(results))
 
 
 def test_links_in_a_circle_end(results: Path) -> None:

@@ -72,6 +72,8 @@ def test_everything_is_saved_and_loads(result: Identification, tmp_path: Path) -
         "certificate.json",
         "identified.urdf",
         "identified.xml",
+        "identified_friction.py",
+        "identified_friction.hpp",
         "parameters.json",
         "training.png",
         "validation.png",

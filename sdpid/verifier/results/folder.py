@@ -13,12 +13,13 @@ from typing import Any
 from .. import certificate
 from ..reading import REFUSED, MalformedError, read_bytes, shown
 from ..result import Result
-from . import manifest, mjcf, urdf
+from . import friction_files, manifest, mjcf, urdf
 from .joint_friction import Friction
 from .parameters import Certified, check_parameters, check_result, check_table, exports
 
 CERTIFICATE, RESULT = "certificate.json", "result.json"
 _URDF, _MJCF = "identified.urdf", "identified.xml"
+_FRICTION = friction_files.NAMES
 
 # Descriptions of robots may be larger than proofs.
 _LARGEST = 64 * 2**20
@@ -88,7 +89,12 @@ def _checks(
         "base_parameters.csv": lambda content: check_table(content, certified.base),
         _URDF: lambda content: urdf.check(content, certified.bodies, consistency, friction(_URDF)),
         _MJCF: lambda content: mjcf.check(content, certified.bodies, friction(_MJCF)),
+        **{name: _friction_file(suffix, certified) for name, suffix in _FRICTION.items()},
     }
+
+
+def _friction_file(suffix: str, certified: Certified) -> Callable[[bytes], Result]:
+    return lambda content: friction_files.check(content, certified, suffix)
 
 
 def _files(
@@ -102,8 +108,9 @@ def _files(
         yield RESULT, Result(problems=(f"the robots it names cannot be read: {_reason(cause)}",))
     for name, check_file in _checks(certified, holds, refitted).items():
         written = name not in (_URDF, _MJCF) or name in refitted
+        needed = written and name not in _FRICTION
         if name not in sealed["files"]:
-            if written or (folder / name).exists():
+            if needed or (folder / name).exists():
                 yield name, Result(problems=("it is a result, and not sealed",))
             continue
         if not written:
@@ -125,7 +132,7 @@ def _reason(cause: BaseException) -> str:
 def _only_sealed(sealed: Mapping[str, Any]) -> tuple[str, ...]:
     """Return what nothing but its digest speaks for."""
     compared = {CERTIFICATE, RESULT, "parameters.json", "parameters.csv", "base_parameters.csv"}
-    others = sorted(sealed["files"].keys() - compared - {_URDF, _MJCF})
+    others = sorted(sealed["files"].keys() - compared - {_URDF, _MJCF} - _FRICTION.keys())
     said = [f"{manifest.listed(others)}: sealed, and not derivable"] if others else []
     return (
         *said,

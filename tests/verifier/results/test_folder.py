@@ -367,6 +367,7 @@ def test_a_certificate_of_another_run(copy: Path, other: Path) -> None:
     assert named == {
         *("result.json", "parameters.json", "parameters.csv", "base_parameters.csv"),
         *("identified.urdf", "identified.xml"),
+        *("identified_friction.py", "identified_friction.hpp"),
     }
 
 
