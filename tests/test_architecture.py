@@ -67,6 +67,7 @@ ROOMS = {
         "tables",
         "descriptions",
         "payload",
+        "sampling",
     ],
     "output": ["tables", "robots", "samples", "report", "plans"],
     "workflow": [],
@@ -118,6 +119,7 @@ FEATURES = (
     "sdpid.estimation.recursive",
     "sdpid.estimation.robust",
     "sdpid.assurance.payload",
+    "sdpid.assurance.sampling",
     "sdpid.assurance.tables",
     "sdpid.output.samples",
 )

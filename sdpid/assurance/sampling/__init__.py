@@ -1,0 +1,1 @@
+"""Draws of consistent robots from what data, prior and constraints say together."""

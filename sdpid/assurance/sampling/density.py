@@ -1,0 +1,310 @@
+"""The density that robots are drawn from: data and prior, inside of the constraints.
+
+In coordinates x along the equations, ``theta = origin + directions·x``, it is proportional to
+
+    exp(−½·(x − mean)^T·precision·(x − mean) − slope·x) · Π det(P_i)^strength
+
+where every matrix inequality and every limit holds strictly, and zero elsewhere. The Gaussian is
+the errors of the data as the residuals show them and of the prior's rows as stated, as in
+`sdpid.estimation.posterior`; where no inequality is near its standard deviations are those of
+Gauss-Markov intervals. The determinants and the slope are an entropic prior's own density, not
+its curvature. Directions that neither sees are flat: the constraints alone bound them.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from sdpid._common.arrays import Array
+from sdpid.errors import DataError, InfeasibleError, SolverError
+from sdpid.estimation.conic.solve import ConicProgram, Matrix, solve_conic
+from sdpid.estimation.estimate import Estimate
+from sdpid.estimation.posterior import FitErrors, Groups, fit_errors
+from sdpid.estimation.problem import Problem
+from sdpid.estimation.scaling import Scaling
+from sdpid.estimation.sdp.program import Coordinates
+from sdpid.robot.inertia import pseudo_inertia
+
+# Draws stay inside of every matrix inequality by this much, in units of the link's own size:
+# rounding and the digits of a file cannot take them out, and loaders take them for bodies.
+_INSIDE = 1e-9
+
+# The same for limits of single parameters and rows, some hundred roundings.
+_ROUNDING = 1e-13
+
+# What moves less than this in scaled units does not move.
+_FIXED = 1e-12
+
+# Directions that data and prior together see this little are open, but for rounding.
+_OPEN = 1e-12
+
+
+@dataclass(frozen=True, eq=False)
+class Matrices:
+    """Symmetric matrices ``constants + Σ x_k·linear_k``.
+
+    Attributes
+    ----------
+    constants : ndarray, shape (N, s, s)
+    linear : ndarray, shape (n, N, s, s)
+    """
+
+    constants: Array
+    linear: Array
+
+    @classmethod
+    def of(cls, found: list[Matrix], n: int, size: int) -> Matrices:
+        """Gather matrices of n coordinates; those that do not move are left out."""
+        moving = [each for each in found if np.abs(each.linear).max(initial=0.0) > _FIXED]
+        linear = np.zeros((n, len(moving), size, size))
+        for i, each in enumerate(moving):
+            linear[each.index, i] = each.linear
+        constants = [each.constant for each in moving]
+        return cls(np.reshape(constants, (len(moving), size, size)), linear)
+
+    def __len__(self) -> int:
+        return len(self.constants)
+
+    @property
+    def flat(self) -> Array:
+        """Their entries, (n, N·s·s)."""
+        return self.linear.reshape(len(self.linear), self.constants.size)
+
+    def along(self, v: Array) -> Array:
+        """Return how the matrices change along directions (C, n), shape (C, N, s, s)."""
+        return np.asarray((v @ self.flat).reshape(len(v), *self.constants.shape))
+
+    def at(self, x: Array) -> Array:
+        """Return the matrices at points (C, n), shape (C, N, s, s)."""
+        return self.constants + self.along(x)
+
+    def single(self) -> list[Matrix]:
+        """Return them one by one."""
+        index = np.arange(len(self.linear))
+        return [
+            Matrix(index, self.linear[:, i], constant) for i, constant in enumerate(self.constants)
+        ]
+
+
+@dataclass(frozen=True, eq=False)
+class Density:
+    """The density, in the coordinates of one scaling.
+
+    Attributes
+    ----------
+    problem : Problem
+        The problem.
+    coordinates : Coordinates
+        From x to theta.
+    mean, slope : ndarray, shape (n,)
+    precision : ndarray, shape (n, n)
+        Of the Gaussian.
+    walls : Matrices
+        What must be positive definite.
+    rows, lower, upper : ndarray, shapes (m, n), (m,), (m,)
+        Linear limits.
+    bodies : Matrices
+        Pseudo-inertias of the links that an entropic prior is about.
+    strength : float
+        Power of their determinants.
+    """
+
+    problem: Problem
+    coordinates: Coordinates
+    mean: Array
+    slope: Array
+    precision: Array
+    walls: Matrices
+    rows: Array
+    lower: Array
+    upper: Array
+    bodies: Matrices
+    strength: float
+
+    @classmethod
+    def of(cls, estimate: Estimate, groups: Groups = "frequencies") -> Density:
+        """Build from an estimate with standard parameters.
+
+        Raises
+        ------
+        DataError
+            When there is nothing to draw, or it is bounded by nothing but theta_max.
+        SolverError
+            When the equations among the constraints contradict each other.
+        """
+        if estimate.theta is None:
+            raise DataError(
+                f"draw: method {estimate.method!r} has no standard parameters, so there are no "
+                "constraints to draw under; use an estimate of sdpid.solve_sdp."
+            )
+        theta = np.array(estimate.theta)
+        problem = _with_fixed_parameters(estimate.problem)
+        scaling = Scaling.of(problem).around(theta)
+        coordinates = Coordinates.of(problem, scaling.basis(), theta)
+        if coordinates is None:
+            raise SolverError(
+                "draw: the equations among the constraints contradict each other.", problem=problem
+            )
+        if not coordinates.directions.shape[1]:
+            raise DataError("draw: the constraints fix every parameter: there is nothing to draw.")
+        mean, precision, seen = _gaussian(problem, coordinates, fit_errors(estimate, groups))
+        n = len(mean)
+        if problem.consistency == "none" and seen < n:
+            raise DataError(
+                f"draw: neither data nor prior see {n - seen} of {n} directions, and with "
+                "consistency 'none' nothing but theta_max bounds them; use a consistency or a "
+                "prior."
+            )
+        feasible, log_det = problem.feasible, problem.log_det
+        inverses = np.asarray(np.linalg.inv(scaling.block_roots(feasible)))
+        walls = coordinates.inequalities(feasible, inverses, slack=-_INSIDE)
+        roots = np.linalg.inv(scaling.roots(4)[log_det.links])
+        bodies = coordinates.matrices(
+            np.zeros_like(roots),
+            roots[:, None] @ pseudo_inertia(np.eye(10)) @ np.swapaxes(roots, 1, 2)[:, None],
+            log_det.links,
+        )
+        rows, lower, upper = _limits(problem, scaling, coordinates)
+        return cls(
+            problem=problem,
+            coordinates=coordinates,
+            mean=mean,
+            # Costs are twice nats.
+            slope=0.5 * (log_det.trace_slope() @ coordinates.directions),
+            precision=precision,
+            walls=Matrices.of(walls, n, feasible.size),
+            rows=rows,
+            lower=lower,
+            upper=upper,
+            bodies=Matrices.of(bodies, n, 4),
+            strength=log_det.strength,
+        )
+
+    @property
+    def n(self) -> int:
+        """Number of coordinates."""
+        return len(self.mean)
+
+    def theta(self, x: Array) -> Array:
+        """Return the standard parameters (C, p) at points (C, n)."""
+        moved = x @ self.coordinates.directions.T
+        return np.asarray(self.coordinates.origin + moved)
+
+    def center(self) -> Array:
+        """Return the point (n,) where the density, weakened by a barrier on every wall, is largest.
+
+        Raises
+        ------
+        InfeasibleError
+            When the constraints leave no room to move in.
+        """
+        values, vectors = np.linalg.eigh(self.precision)
+        kept = values > _OPEN * values[-1]
+        M = np.sqrt(0.5 * values[kept])[:, None] * vectors[:, kept].T
+        index = np.arange(self.n)
+        slacks = [
+            Matrix(index, sign * row[:, None, None], np.array([[-sign * limit]]))
+            for sign, limits in ((1.0, self.lower), (-1.0, self.upper))
+            for row, limit in zip(self.rows, limits, strict=True)
+            if np.isfinite(limit)
+        ]
+        program = ConicProgram(
+            M=M,
+            m=-M @ self.mean,
+            cost=self.slope,
+            C=self.rows,
+            lower=self.lower,
+            upper=self.upper,
+            log_dets=(*self.walls.single(), *self.bodies.single(), *slacks),
+            weight=1.0,
+        )
+        solution = solve_conic(program)
+        if solution.x is None or not self.inside(solution.x):
+            raise InfeasibleError(
+                f"draw: found no robot strictly inside of the constraints (the solver ended "
+                f"'{solution.status}'): they leave no room to move in. Widen limits that nearly "
+                "meet, or state them as equations.",
+                problem=self.problem,
+            )
+        return solution.x
+
+    def inside(self, x: Array) -> bool:
+        """Return whether a point (n,) is strictly inside."""
+        values = self.rows @ x
+        least = (np.linalg.eigvalsh(each.at(x[None])).min(initial=1.0) for each in self._matrices)
+        return bool(np.all(values > self.lower) & np.all(values < self.upper)) and min(least) > 0.0
+
+    @property
+    def _matrices(self) -> tuple[Matrices, Matrices]:
+        return self.walls, self.bodies
+
+    def covariance_at(self, x: Array) -> Array:
+        """Return the inverse curvature (n, n) of the density weakened by the barrier at a point.
+
+        The ellipsoid of radius one about a point inside is inside of every wall.
+        """
+        H = self.precision.copy()
+        for each in self._matrices:
+            root = np.linalg.inv(np.linalg.cholesky(each.at(x[None])[0]))
+            whitened = root @ each.linear @ np.swapaxes(root, 1, 2)
+            flat = whitened.reshape(each.flat.shape)
+            H += flat @ flat.T
+        values = self.rows @ x
+        H += (self.rows.T * (1.0 / (values - self.lower) ** 2)) @ self.rows
+        H += (self.rows.T * (1.0 / (self.upper - values) ** 2)) @ self.rows
+        return np.asarray(np.linalg.inv(H))
+
+
+def _with_fixed_parameters(problem: Problem) -> Problem:
+    """Return a problem whose parameters with one possible value have equations that say so."""
+    feasible = problem.feasible
+    fixed = np.flatnonzero(feasible.lower == feasible.upper)
+    if not len(fixed):
+        return problem
+    limits = feasible.lower[fixed]
+    extended = replace(
+        feasible,
+        row_names=(*feasible.row_names, *(f"{feasible.theta_names[k]} fixed" for k in fixed)),
+        rows=np.vstack([feasible.rows, np.eye(problem.n_theta)[fixed]]),
+        row_lower=np.concatenate([feasible.row_lower, limits]),
+        row_upper=np.concatenate([feasible.row_upper, limits]),
+    )
+    return replace(problem, feasible=extended)
+
+
+def _gaussian(
+    problem: Problem, coordinates: Coordinates, errors: FitErrors
+) -> tuple[Array, Array, int]:
+    """Return mean (n,), precision (n, n) and rank of the Gaussian of data and prior."""
+    squared = problem.squared
+    M = squared.matrix @ coordinates.directions
+    U, singular, V = np.linalg.svd(M, full_matrices=False)
+    rank = int(np.count_nonzero(singular > _OPEN * singular.max(initial=0.0)))
+    U, singular, V = U[:, :rank], singular[:rank], V[:rank].T
+    count = len(problem.A)
+    # The errors of the data's rows are those that the residuals show, of the prior's as stated.
+    W = np.eye(len(M))
+    W[:count, :count] = problem.A @ errors.covariance @ problem.A.T
+    scores = np.linalg.inv(U.T @ W @ U)
+    precision = V @ (singular[:, None] * scores * singular) @ V.T
+    mean = V @ ((U.T @ -squared.residual(coordinates.origin)) / singular)
+    return mean, 0.5 * (precision + precision.T), rank
+
+
+def _limits(
+    problem: Problem, scaling: Scaling, coordinates: Coordinates
+) -> tuple[Array, Array, Array]:
+    """Return rows (m, n) and their limits (m,), in units of the rows, a rounding inside."""
+    feasible, X, origin = problem.feasible, coordinates.directions, coordinates.origin
+    unequal = coordinates.limited(problem, scaling)
+    bounded = np.flatnonzero(np.abs(X).max(axis=1) > _FIXED * scaling.theta)
+    rows = np.vstack([np.eye(len(X))[bounded], feasible.rows[unequal]])
+    sizes = np.concatenate([scaling.theta[bounded], scaling.row_sizes(feasible)[unequal]])
+    lower = np.concatenate([feasible.lower[bounded], feasible.row_lower[unequal]])
+    upper = np.concatenate([feasible.upper[bounded], feasible.row_upper[unequal]])
+    here = rows @ origin
+    # A value is the sum of its parts, which rounding is relative to.
+    room = _ROUNDING * (1.0 + np.abs(rows) @ np.abs(origin) / sizes)
+    return rows @ X / sizes[:, None], (lower - here) / sizes + room, (upper - here) / sizes - room

@@ -1,0 +1,260 @@
+"""Draw consistent robots from what data, prior and constraints say together."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from sdpid._common.arrays import Array, Indices, frozen
+from sdpid._common.seeds import generator
+from sdpid._common.threads import one_thread
+from sdpid.assurance.sampling.density import Density
+from sdpid.assurance.sampling.mixing import effective_sizes, split_r_hat
+from sdpid.assurance.sampling.trajectories import Trajectories
+from sdpid.errors import DataError, SolverError
+from sdpid.estimation.estimate import FEASIBLE, Estimate
+from sdpid.estimation.posterior import Groups
+
+# Chains side by side: enough for NumPy's overhead to be shared, and for the directions' covariance
+# to be learned from draws of different chains.
+_CHAINS = 32
+
+# Length of a trajectory in standard deviations of its directions: draws at its ends are nearly
+# independent, where shorter ones cost more for each independent draw.
+_LENGTH = 3.0
+
+# Trajectories of each round of the warm-up, of which the last two thirds teach the covariance.
+_ROUND = 12
+
+# The warm-up ends when no direction has spread by more than this factor (of a variance) over what
+# its round began with, or after this many rounds. Of 32 chains of a hundred parameters the largest
+# of all is above 2 by chance.
+_SETTLED, _MOST_ROUNDS = 3.0, 12
+
+# Each chain makes at least as many draws as show how chains mix, however few are asked for.
+_LEAST = 32
+
+# The smallest effective sample size that is passed without a note, as a share of the draws, and
+# the largest R-hat: of 32 chains of 32 draws that is 1.03 to 1.04 by chance alone.
+_EFFECTIVE, _AGREE = 0.4, 1.05
+
+# Where these are missed trajectories are made twice as long, this often.
+_LONGER = 3
+
+# Chains that differ more than this have not found the same density: no draws are returned.
+_DISAGREE = 1.2
+
+# A parameter of which this share of the draws lies in the last tenth below its largest value is
+# held by that.
+_AT_LIMIT, _NEAR = 0.02, 0.9
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Draws:
+    """Robots drawn at random, each of which obeys every constraint.
+
+    Attributes
+    ----------
+    names, base_names : tuple of str
+        Of the standard and of the base parameters.
+    theta : ndarray, shape (count, p)
+        Standard parameters.
+    base : ndarray, shape (count, b)
+        Their base parameters.
+    chain : ndarray of int, shape (count,)
+        Which chain each is from.
+    effective_sizes : ndarray, shape (p,)
+        Independent draws that all of them are worth, for each standard parameter.
+    r_hat : ndarray, shape (p,)
+        Rank-normalized split R-hat of each standard parameter: near 1 where chains agree.
+    notes : tuple of str
+        What to know of these draws.
+    seconds : float
+        It took, warm-up included.
+    """
+
+    names: tuple[str, ...]
+    base_names: tuple[str, ...]
+    theta: Array
+    base: Array
+    chain: Indices
+    effective_sizes: Array
+    r_hat: Array
+    notes: tuple[str, ...] = ()
+    seconds: float = field(default=0.0)
+
+    def __len__(self) -> int:
+        return len(self.theta)
+
+    def __repr__(self) -> str:
+        return (
+            f"Draws({len(self)} of {len(self.names)} parameters, effective sample size at least "
+            f"{self.effective_sizes.min():.0f}, R-hat at most {self.r_hat.max():.3f})"
+        )
+
+
+@one_thread
+def draw(
+    estimate: Estimate,
+    count: int,
+    *,
+    seed: Any = 0,
+    groups: Groups = "frequencies",
+) -> Draws:
+    """Draw standard parameters from their posterior under the constraints.
+
+    Parameters
+    ----------
+    estimate : Estimate
+        With standard parameters, whose problem has rows.
+    count : int
+        How many.
+    seed : int or numpy.random.Generator, optional
+        The same seed gives the same draws on the same machine.
+    groups : {"frequencies", "blocks", "periods"}, optional
+        What of the residuals is independent (see `sdpid.confidence_intervals`).
+
+    Returns
+    -------
+    Draws
+        In an order in which any part is as good as the whole: chains take turns.
+
+    Raises
+    ------
+    DataError
+        When a number makes no sense, the problem has no rows, or nothing bounds the draws.
+    InfeasibleError
+        When the constraints leave no room.
+    SolverError
+        When the chains do not agree.
+    """
+    begin = time.perf_counter()
+    if isinstance(count, bool) or not isinstance(count, int | np.integer) or count < 1:
+        raise DataError(f"draw: count is {count!r}; give a whole number from 1 on.")
+    rng = generator(seed)
+    density = Density.of(estimate, groups)
+    walk, covariance = _warmed_up(density, rng)
+    each = max(_LEAST, -(-int(count) // _CHAINS))
+    values, sizes, r_hat = _mixed(density, walk, covariance, each)
+    names = estimate.problem.base.theta_names
+    notes = _mixing_notes(names, sizes, r_hat, values.shape[0] * values.shape[1], walk)
+    theta = values.reshape(-1, values.shape[2])[:count]
+    _require_feasible(estimate, theta)
+    notes += _limit_notes(estimate, theta)
+    return Draws(
+        names=names,
+        base_names=estimate.problem.base.names,
+        theta=frozen(theta),
+        base=frozen(theta @ estimate.problem.base.matrix.T),
+        chain=np.tile(np.arange(_CHAINS), each)[:count],
+        effective_sizes=frozen(np.minimum(sizes * min(1.0, count / (each * _CHAINS)), count)),
+        r_hat=frozen(r_hat),
+        notes=tuple(notes),
+        seconds=time.perf_counter() - begin,
+    )
+
+
+def _warmed_up(density: Density, rng: np.random.Generator) -> tuple[Trajectories, Array]:
+    """Return chains that have found the density, and its covariance as far as they know it."""
+    center = density.center()
+    covariance = density.covariance_at(center)
+    # Anywhere in the ellipsoid that is inside of every wall.
+    start = rng.standard_normal((_CHAINS, density.n))
+    start *= (0.9 * rng.random(_CHAINS) ** (1.0 / density.n) / np.linalg.norm(start, axis=1))[
+        :, None
+    ]
+    root = np.linalg.cholesky(covariance)
+    walk = Trajectories(density, center + start @ root.T, rng)
+    known = float(density.n)
+    for _ in range(_MOST_ROUNDS):
+        ends = walk.run(_ROUND, _LENGTH, covariance)[_ROUND // 3 :]
+        found = np.cov(ends.reshape(-1, density.n).T)
+        inverse = np.linalg.inv(np.linalg.cholesky(covariance))
+        spread = float(np.linalg.eigvalsh(inverse @ found @ inverse.T)[-1])
+        # What was known counts as some draws: of few, no direction may seem to have no width.
+        weight = known / (known + ends.shape[0] * ends.shape[1])
+        covariance = weight * covariance + (1.0 - weight) * found
+        if spread < _SETTLED:
+            break
+    return walk, covariance
+
+
+def _mixed(
+    density: Density, walk: Trajectories, covariance: Array, each: int
+) -> tuple[Array, Array, Array]:
+    """Return draws (each, chains, p) with sizes and R-hat, of trajectories long enough to mix."""
+    length = _LENGTH
+    for longer in range(_LONGER + 1):
+        x = walk.run(each, length, covariance)
+        values = density.theta(x.reshape(-1, density.n)).reshape(*x.shape[:2], -1)
+        sizes, r_hat = effective_sizes(values), split_r_hat(values)
+        enough = sizes.min() >= _EFFECTIVE * each * _CHAINS
+        if (enough and r_hat.max() <= _AGREE) or longer == _LONGER:
+            break
+        length *= 2.0
+    return values, sizes, r_hat
+
+
+def _mixing_notes(
+    names: tuple[str, ...], sizes: Array, r_hat: Array, total: int, walk: Trajectories
+) -> list[str]:
+    """Return what the chains miss, or raise where they disagree."""
+    worst = int(np.argmax(r_hat))
+    if r_hat[worst] > _DISAGREE:
+        raise SolverError(
+            f"draw: chains disagree about {names[worst]}: R-hat {r_hat[worst]:.2f}, at most "
+            f"{_DISAGREE} is accepted; the constraints leave too narrow a space, or the data say "
+            "next to nothing: give a prior, or narrower bounds (Constraints.of_size)."
+        )
+    notes = []
+    if r_hat[worst] > _AGREE:
+        notes.append(
+            f"chains differ about {names[worst]}: R-hat {r_hat[worst]:.3f}, {_AGREE} is good; "
+            "draw more"
+        )
+    least = int(np.argmin(sizes))
+    if sizes[least] < _EFFECTIVE * total:
+        notes.append(
+            f"{total} draws are worth {sizes[least]:.0f} independent ones of {names[least]}, "
+            f"{_EFFECTIVE * total:.0f} are good; draw more"
+        )
+    if walk.lost:
+        notes.append(
+            f"{walk.lost} trajectories met a wall within rounding and began anew: data are so "
+            "precise that draws are next to the boundary"
+        )
+    return notes
+
+
+def _require_feasible(estimate: Estimate, theta: Array) -> None:
+    """Raise when a draw violates a constraint, recomputed."""
+    feasible = estimate.problem.feasible
+    allowed = FEASIBLE if np.any(feasible.equations) else 0.0
+    worst = max(feasible.violation(each) for each in theta)
+    if worst > allowed:
+        raise SolverError(
+            f"draw: a draw violates a constraint by {worst:.1e} (limit {allowed:.0e}): rounding "
+            "of numbers of very different size; give narrower bounds (Constraints.of_size).",
+            problem=estimate.problem,
+        )
+
+
+def _limit_notes(estimate: Estimate, theta: Array) -> list[str]:
+    """Return notes on parameters that nothing but the largest value allowed bounds."""
+    feasible = estimate.problem.feasible
+    most = feasible.upper
+    share = np.mean(theta > _NEAR * most, axis=0)
+    share = np.maximum(share, np.mean(theta < _NEAR * np.minimum(feasible.lower, 0.0), axis=0))
+    share[feasible.lower == 0.0] = np.mean(theta > _NEAR * most, axis=0)[feasible.lower == 0.0]
+    found = np.flatnonzero((share > _AT_LIMIT) & (most > 0.0) & (feasible.lower < most))
+    if not len(found):
+        return []
+    listed = ", ".join(f"{feasible.theta_names[k]} {100 * share[k]:.0f} %" for k in found[:6])
+    more = f" and {len(found) - 6} more" if len(found) > 6 else ""
+    return [
+        "neither data nor prior bound what reaches the largest value allowed (mass_max, "
+        f"theta_max), share of the draws there: {listed}{more}; give a prior or narrower bounds"
+    ]
