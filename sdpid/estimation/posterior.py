@@ -18,11 +18,10 @@ import numpy as np
 from sdpid._common.arrays import Array
 from sdpid.errors import SolverError
 from sdpid.estimation.cluster_robust import ScoreBlocks
-from sdpid.estimation.estimate import Estimate
+from sdpid.estimation.coordinates import Coordinates
 from sdpid.estimation.noise_spectrum import NoiseSpectrum
 from sdpid.estimation.problem import Problem
 from sdpid.estimation.scaling import Scaling
-from sdpid.estimation.sdp.program import Coordinates
 
 # What is independent of each other: Fourier coefficients, blocks of samples, or whole periods.
 Groups = Literal["frequencies", "blocks", "periods"]
@@ -32,6 +31,26 @@ _OPEN = 1e-12
 
 # A function of which more than this share lies in open directions is open: the rest is rounding.
 _LOST = 1e-7
+
+
+class Estimated(Protocol):
+    """What an estimate says of itself."""
+
+    @property
+    def problem(self) -> Problem:
+        """What was solved."""
+
+    @property
+    def method(self) -> str:
+        """How, such as ``"wls"``."""
+
+    @property
+    def base(self) -> Array:
+        """Base parameters, (b,)."""
+
+    @property
+    def theta(self) -> Array | None:
+        """Standard parameters (p,), None where the method has none."""
 
 
 class FitErrors(Protocol):
@@ -45,7 +64,7 @@ class FitErrors(Protocol):
         """Return the degrees of freedom of the variance of each functional (k, b) of the fit."""
 
 
-def fit_errors(estimate: Estimate, groups: Groups) -> FitErrors:
+def fit_errors(estimate: Estimated, groups: Groups) -> FitErrors:
     """Return the errors of the unconstrained fit of an estimate's problem.
 
     Raises
@@ -81,7 +100,7 @@ class Posterior:
     unseen: Array
 
     @classmethod
-    def of(cls, estimate: Estimate, groups: Groups = "frequencies") -> Posterior:
+    def of(cls, estimate: Estimated, groups: Groups = "frequencies") -> Posterior:
         """Gather the errors of an estimate; without standard parameters it is the fit itself.
 
         Raises
@@ -94,7 +113,7 @@ class Posterior:
         return cls.about(estimate, fit_errors(estimate, groups))
 
     @classmethod
-    def about(cls, estimate: Estimate, errors: FitErrors) -> Posterior:
+    def about(cls, estimate: Estimated, errors: FitErrors) -> Posterior:
         """Build from the errors of the unconstrained fit; as `of`."""
         problem = estimate.problem
         A, B = problem.A, problem.base.matrix
@@ -151,7 +170,7 @@ def _along_equations(problem: Problem, basis: Array, theta: Array) -> Array:
     return found.directions
 
 
-def constrained_covariance(estimate: Estimate) -> Array:
+def constrained_covariance(estimate: Estimated) -> Array:
     """Return the covariance (b, b) of an estimate's base parameters, its prior's share included.
 
     Inequalities are not counted, equations among the constraints are.

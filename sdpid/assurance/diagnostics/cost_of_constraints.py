@@ -23,10 +23,11 @@ from sdpid.estimation.compression.covariance import JointRows
 from sdpid.estimation.conic.retry import solve_with_retries
 from sdpid.estimation.conic.solve import ConicProgram, ConicSolution, solve_conic
 from sdpid.estimation.constraints.named import Constraint
+from sdpid.estimation.coordinates import Coordinates
 from sdpid.estimation.estimate import Estimate
 from sdpid.estimation.problem import Problem
 from sdpid.estimation.scaling import Scaling
-from sdpid.estimation.sdp.program import Coordinates, SdpProgram
+from sdpid.estimation.sdp.program import SdpProgram
 from sdpid.estimation.sdp.solve import solve_sdp
 from sdpid.estimation.wls import solve_wls
 

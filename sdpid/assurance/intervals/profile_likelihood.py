@@ -35,11 +35,12 @@ from sdpid.errors import DataError, SolverError
 from sdpid.estimation.conic.fit_response import FitResponse
 from sdpid.estimation.conic.retry import solve_with_retries
 from sdpid.estimation.conic.solve import ConicFamily, ConicSolution, solve_conic
+from sdpid.estimation.coordinates import Coordinates
 from sdpid.estimation.duality.bound import clip_psd
 from sdpid.estimation.posterior import FitErrors
 from sdpid.estimation.problem import Problem
 from sdpid.estimation.scaling import Scaling
-from sdpid.estimation.sdp.program import Coordinates, SdpProgram
+from sdpid.estimation.sdp.program import SdpProgram
 
 # A level that changes by less than this share is not worth another solve: the multipliers found
 # before prove a bound at the new level too, worse by the square of that share.

@@ -10,9 +10,9 @@ from sdpid.errors import InfeasibleError
 from sdpid.estimation.conic.retry import solve_with_retries
 from sdpid.estimation.conic.solve import ConicProgram, Matrix, solve_conic
 from sdpid.estimation.constraints.named import Constraint
+from sdpid.estimation.coordinates import CONTRADICTION, Coordinates, contradiction
 from sdpid.estimation.problem import Problem
 from sdpid.estimation.scaling import Scaling
-from sdpid.estimation.sdp.program import CONTRADICTION, Coordinates, contradiction
 from sdpid.robot.inertia import pseudo_inertia
 
 # Constraints hold together when all of them do after each has given way by this share of its

@@ -17,9 +17,10 @@ import numpy as np
 from sdpid._common.arrays import Array
 from sdpid.estimation.conic.retry import solve_with_retries
 from sdpid.estimation.conic.solve import ConicProgram, ConicSolution, solve_conic
+from sdpid.estimation.coordinates import Coordinates
 from sdpid.estimation.problem import Problem
 from sdpid.estimation.scaling import Scaling
-from sdpid.estimation.sdp.program import Coordinates, SdpProgram
+from sdpid.estimation.sdp.program import SdpProgram
 
 # The face often has no interior: matrices may be below zero by a slack, in the links' own scale,
 # which the caller repairs. First in units of the reference's links, then of the point's own.

@@ -9,9 +9,10 @@ import numpy as np
 from sdpid._common.arrays import Array, Mask
 from sdpid.errors import SolverError
 from sdpid.estimation.conic.solve import ConicFamily, ConicSolution
+from sdpid.estimation.coordinates import Coordinates
 from sdpid.estimation.problem import Problem
 from sdpid.estimation.scaling import Scaling
-from sdpid.estimation.sdp.program import Coordinates, SdpProgram
+from sdpid.estimation.sdp.program import SdpProgram
 
 # In units of the cost: far below what is proven (1e-6), and reached without wasting iterations.
 _TOLERANCE = 1e-9

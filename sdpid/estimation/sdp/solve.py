@@ -10,6 +10,7 @@ from sdpid._common.arrays import Array, Mask, frozen
 from sdpid._common.threads import one_thread
 from sdpid.errors import InfeasibleError, SolverError
 from sdpid.estimation.conic.solve import solve_conic
+from sdpid.estimation.coordinates import Coordinates
 from sdpid.estimation.duality.bound import PROVEN, Bound, cost_scale, relative_gap
 from sdpid.estimation.duality.refine_multipliers import lower_bound
 from sdpid.estimation.estimate import FEASIBLE, Estimate
@@ -17,7 +18,7 @@ from sdpid.estimation.problem import Problem
 from sdpid.estimation.scaling import Scaling
 from sdpid.estimation.sdp.infeasibility import explained, require_consistent
 from sdpid.estimation.sdp.nearest_to_prior import nearest_on_face
-from sdpid.estimation.sdp.program import Coordinates, SdpProgram, best_fit
+from sdpid.estimation.sdp.program import SdpProgram, best_fit
 from sdpid.robot.consistent import raise_second_moments
 
 # What is taken to be inside: a solution on the boundary is moved in by this share of the link's

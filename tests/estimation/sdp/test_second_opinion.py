@@ -13,10 +13,11 @@ from sdpid.assurance.diagnostics.active_constraints import constraint_states
 from sdpid.constraints import CenterOfMassInEllipsoid, MassInEllipsoid, TotalMass
 from sdpid.estimation.conic.solve import solve_conic
 from sdpid.estimation.constraints.constraints import Constraints
+from sdpid.estimation.coordinates import Coordinates
 from sdpid.estimation.prior.prior import Prior, PriorKind
 from sdpid.estimation.problem import Problem
 from sdpid.estimation.scaling import Scaling
-from sdpid.estimation.sdp.program import Coordinates, SdpProgram, best_fit
+from sdpid.estimation.sdp.program import SdpProgram, best_fit
 from sdpid.estimation.sdp.solve import solve_sdp
 from sdpid.robot.inertia import Consistency
 from sdpid.workflow.formulate import formulate
