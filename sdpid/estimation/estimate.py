@@ -10,7 +10,11 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from sdpid._common.arrays import Array, frozen
+from sdpid._common.extras import require
 from sdpid._common.tables import Table, facts_html
+from sdpid.errors import DataError
+from sdpid.estimation.agreement.agreement import Agreement
+from sdpid.estimation.agreement.compare import compare_estimates
 from sdpid.estimation.cluster_robust import covariance
 from sdpid.estimation.duality.multipliers import Multipliers
 from sdpid.estimation.problem import Problem
@@ -201,6 +205,77 @@ class Estimate:
             return Multipliers.at(self.problem, np.array(self.theta))
         y = self.problem.A @ self.base - self.problem.rhs
         return Multipliers.of_cost(self.problem, y)
+
+    def to_frame(self, parameters: Literal["base", "standard"] = "base") -> Any:
+        """Return parameters as a pandas DataFrame, one row each (extra ``io``).
+
+        Parameters
+        ----------
+        parameters : {"base", "standard"}, optional
+            Base parameters with ``unit``, ``value``, ``standard_error`` of the unconstrained fit
+            (missing where the problem has no rows) and ``regrouping``; or standard parameters with
+            ``unit`` and ``value``.
+
+        Raises
+        ------
+        DataError
+            For other words, or standard parameters of a method that has none.
+        MissingExtraError
+            When pandas is not installed (extra ``io``).
+        """
+        base = self.problem.base
+        columns: dict[str, Any]
+        if parameters == "standard" and self.theta is not None:
+            names, columns = base.theta_names, {"unit": base.theta_units, "value": self.theta}
+        elif parameters == "base":
+            names, columns = base.names, {"unit": base.units, "value": self.base}
+            sized = self.problem.rows is not None
+            columns["standard_error"] = self.standard_errors if sized else np.nan
+            columns["regrouping"] = [base.expression(name) for name in base.names]
+        elif parameters == "standard":
+            raise DataError(
+                f"to_frame: method '{self.method}' gives no standard parameters; use an estimate "
+                "of a constrained solver."
+            )
+        else:
+            raise DataError(f"to_frame: parameters is {parameters!r}: use 'base' or 'standard'.")
+        pandas = require("pandas", extra="io")
+        return pandas.DataFrame(columns, index=pandas.Index(names, name="name"))
+
+    def compare_to(
+        self, other: Estimate, *, level: float = 0.95, independent: bool | None = None
+    ) -> Agreement:
+        """Test whether another estimate of the same robot differs by more than both errors.
+
+        Parameters
+        ----------
+        other : Estimate
+            Of the same joints and links: of another log, after a repair or with a payload, or of
+            other friction terms. Compared are the base parameters that both have.
+        level : float, optional
+            Of the intervals and of the test.
+        independent : bool, optional
+            Whether the errors of the data are independent. By default they are unless both used
+            samples of the same recording, which is seen where it was processed alike; say False
+            where it was processed in two ways.
+
+        Returns
+        -------
+        Agreement
+            Differences (`other` less this) against their intervals, one test of all together, and
+            what the predicted efforts differ by; ``.table()``, ``.to_frame()``.
+
+        Raises
+        ------
+        DataError
+            When the robots differ, or a problem has no rows.
+        """
+        if not isinstance(other, Estimate):
+            raise DataError(
+                f"compare_to: other is {type(other).__name__} {other!r:.60}; give an Estimate, "
+                "such as result.estimate."
+            )
+        return compare_estimates(self, other, level=level, independent=independent)
 
     def named(self) -> dict[str, float]:
         """Return base parameters by name."""

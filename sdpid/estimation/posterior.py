@@ -118,13 +118,9 @@ class Posterior:
         problem = estimate.problem
         A, B = problem.A, problem.base.matrix
         basis = Scaling.of(problem).basis()
-        R = np.zeros((0, problem.n_theta))
-        if estimate.theta is not None:
-            theta = np.array(estimate.theta)
-            terms = () if problem.prior is None else problem.prior.terms
-            R = np.vstack([R, *(term.curvature_rows(theta) for term in terms)])
-            if estimate.method != "wls":
-                basis = _along_equations(problem, basis, theta)
+        R = prior_rows(estimate)
+        if estimate.theta is not None and estimate.method != "wls":
+            basis = _along_equations(problem, basis, np.array(estimate.theta))
         rows = np.vstack([A @ (B @ basis), R @ basis])
         U, singular, V = np.linalg.svd(rows, full_matrices=True)
         rank = int(np.count_nonzero(singular > _OPEN * singular.max(initial=0.0)))
@@ -157,6 +153,15 @@ class Posterior:
         seen, unseen = (np.linalg.norm(functions @ d, axis=1) for d in (self.seen, self.unseen))
         lost = unseen > _LOST * np.hypot(seen, unseen)
         return np.where(lost, np.inf, total), np.where(lost, 1.0, 1.0 - share), freedom
+
+
+def prior_rows(estimate: Estimated) -> Array:
+    """Return the rows R (k, p) of an estimate's prior; none without standard parameters."""
+    problem, theta = estimate.problem, estimate.theta
+    rows = [np.zeros((0, problem.n_theta))]
+    if theta is not None and problem.prior is not None:
+        rows += [term.curvature_rows(theta) for term in problem.prior.terms]
+    return np.vstack(rows)
 
 
 def _along_equations(problem: Problem, basis: Array, theta: Array) -> Array:

@@ -1,0 +1,1 @@
+"""Two estimates of one robot, against each other."""

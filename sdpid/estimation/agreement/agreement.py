@@ -1,0 +1,193 @@
+"""`Agreement`: whether two estimates differ by more than their errors explain."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass
+from typing import Any
+
+from sdpid._common.extras import require
+from sdpid._common.tables import Table, facts_html, plain
+
+
+@dataclass(frozen=True, kw_only=True)
+class Difference:
+    """One base parameter of two estimates.
+
+    Attributes
+    ----------
+    name, unit : str
+        The parameter.
+    first, other : float
+        Its values.
+    difference : float
+        `other` less `first`.
+    first_error, other_error : float or None
+        Standard error of either value, shares of priors included; None where neither data nor
+        prior say anything of it.
+    standard_error : float or None
+        Of the difference; None where the estimates share data, where both rest on one prior
+        alone, or where nothing is known of one of them.
+    freedom : float or None
+        Degrees of freedom of Student's t.
+    t, p : float or None
+        The difference over its standard error, and the probability of one as large by chance.
+    agree : bool or None
+        Whether zero is in the interval of the difference.
+    """
+
+    name: str
+    unit: str
+    first: float
+    other: float
+    difference: float
+    first_error: float | None
+    other_error: float | None
+    standard_error: float | None = None
+    freedom: float | None = None
+    t: float | None = None
+    p: float | None = None
+    agree: bool | None = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class EffortDifference:
+    """What two estimates predict differently on one motion.
+
+    Attributes
+    ----------
+    motion : str
+        ``"first"`` or ``"other"``: whose samples they are.
+    relative : float
+        Norm of the differences over the norm of the measured efforts, on the rows in use.
+    rms : tuple of float
+        Root mean square difference of each joint, N·m.
+    """
+
+    motion: str
+    relative: float
+    rms: tuple[float, ...]
+
+
+@dataclass(frozen=True, kw_only=True, repr=False)
+class Agreement:
+    """Two estimates of one robot, and whether they agree.
+
+    Attributes
+    ----------
+    differences : tuple of Difference
+        Of the base parameters that both have, as the same functions of the standard parameters.
+    only_first, only_other : tuple of str
+        Base parameters that only one has, or that are regrouped differently.
+    independent : bool
+        Whether the errors are taken as independent. Estimates that share data are not: nothing is
+        tested then.
+    level : float
+        Of the intervals.
+    statistic : float or None
+        Squared Mahalanobis distance of the differences, in the directions that are tested.
+    rank : int
+        Number of these directions.
+    freedom : float or None
+        Degrees of freedom of the variances in it.
+    p : float or None
+        Probability of a distance as large if both are estimates of one robot. None where nothing
+        is tested.
+    efforts : tuple of EffortDifference
+        On the motion of each.
+    joint_names : tuple of str
+        The joints of `efforts`.
+    notes : tuple of str
+        What to know of the comparison, one sentence each.
+    """
+
+    differences: tuple[Difference, ...]
+    only_first: tuple[str, ...]
+    only_other: tuple[str, ...]
+    independent: bool
+    level: float
+    statistic: float | None
+    rank: int
+    freedom: float | None
+    p: float | None
+    efforts: tuple[EffortDifference, ...]
+    joint_names: tuple[str, ...]
+    notes: tuple[str, ...] = ()
+
+    @property
+    def agree(self) -> bool | None:
+        """Whether all differences together are as large as errors make them; None: not tested."""
+        return None if self.p is None else self.p >= 1.0 - self.level
+
+    @property
+    def outside(self) -> tuple[str, ...]:
+        """Names of the parameters whose intervals of the difference exclude zero."""
+        return tuple(each.name for each in self.differences if each.agree is False)
+
+    def __repr__(self) -> str:
+        verdict = "not tested" if self.p is None else f"agree={self.agree}, p={self.p:.2g}"
+        return f"Agreement({len(self.differences)} base parameters in both, {verdict})"
+
+    def _repr_html_(self) -> str:
+        return facts_html("Two estimates of one robot", {"verdict": self.summary()}, self._table())
+
+    def summary(self) -> str:
+        """Return the answer in a few sentences."""
+        said = [self._joint_verdict(), self._single_verdict(), self._effort_verdict()]
+        return " ".join([*filter(None, said), *self.notes])
+
+    def _joint_verdict(self) -> str:
+        if self.p is None:
+            return "Whether the estimates agree is not tested."
+        return (
+            f"The estimates {'agree' if self.agree else 'differ by more than their errors'}: the "
+            f"squared Mahalanobis distance of {self.rank} directions is {self.statistic:.4g} "
+            f"(p = {self.p:.2g})."
+        )
+
+    def _single_verdict(self) -> str:
+        tested = sum(each.agree is not None for each in self.differences)
+        if not tested:
+            return ""
+        expected, names = (1.0 - self.level) * tested, self.outside
+        listed = f" ({', '.join(names[:6])}{' and more' if len(names) > 6 else ''})" * bool(names)
+        return (
+            f"Of {tested} base parameters {len(names)}{listed} differ by more than "
+            f"{100.0 * self.level:g} % intervals allow; {expected:.2g} would by chance."
+        )
+
+    def _effort_verdict(self) -> str:
+        said = [f"{100.0 * e.relative:.2g} % on the motion of the {e.motion}" for e in self.efforts]
+        return f"Predicted efforts differ by {' and '.join(said)} (rms)." if said else ""
+
+    def _table(self) -> Table:
+        """Return one row a parameter: with errors of each, or of the difference."""
+        columns: dict[str, list[object]] = {
+            "parameter": [each.name for each in self.differences],
+            "unit": [each.unit for each in self.differences],
+            "first": [each.first for each in self.differences],
+            "other": [each.other for each in self.differences],
+            "difference": [each.difference for each in self.differences],
+        }
+        if self.independent:
+            columns["standard error"] = [each.standard_error for each in self.differences]
+            columns["t"] = [each.t for each in self.differences]
+            columns["p"] = [each.p for each in self.differences]
+            columns[""] = ["differs" if e.agree is False else "" for e in self.differences]
+        else:
+            columns["error of first"] = [each.first_error for each in self.differences]
+            columns["error of other"] = [each.other_error for each in self.differences]
+        return Table.of_columns(columns, {"t": ".2f", "p": ".2g"})
+
+    def table(self) -> str:
+        """Return aligned text, one line a parameter, and the answer below."""
+        return f"{self._table().text()}\n\n{self.summary()}"
+
+    def to_frame(self) -> Any:
+        """Return one row a parameter as a pandas DataFrame (extra ``io``)."""
+        frame = require("pandas", extra="io").DataFrame([asdict(d) for d in self.differences])
+        return frame.set_index("name") if len(frame) else frame
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return plain values for JSON."""
+        found: dict[str, Any] = {**plain(self), "agree": self.agree}
+        return found
