@@ -20,11 +20,11 @@ import numpy as np
 from sdpid._common.arrays import Array
 from sdpid.errors import DataError, InfeasibleError, SolverError
 from sdpid.estimation.conic.solve import ConicProgram, Matrix, solve_conic
+from sdpid.estimation.coordinates import Coordinates
 from sdpid.estimation.estimate import Estimate
 from sdpid.estimation.posterior import FitErrors, Groups, fit_errors
 from sdpid.estimation.problem import Problem
 from sdpid.estimation.scaling import Scaling
-from sdpid.estimation.sdp.program import Coordinates
 from sdpid.robot.inertia import pseudo_inertia
 
 # Draws stay inside of every matrix inequality by this much, in units of the link's own size:
