@@ -7,6 +7,7 @@ else.
 
 from __future__ import annotations
 
+import hashlib
 import json
 import re
 from collections.abc import Callable, Mapping
@@ -91,10 +92,8 @@ def python(data: Mapping[str, Any]) -> str:
 def cpp(data: Mapping[str, Any]) -> str:
     """Return the file as a C++11 header: no dependencies, no allocation."""
     sums, n = _sums(data, _CPP), len(data["joints"])
-    space = namespace(data["robot"])
-    guard = f"SDPID_{space.upper()}_{(data['certificate'] or 'NONE')[:16].upper()}_HPP"
-    if not re.fullmatch(r"\w+", guard, re.ASCII):
-        guard = f"SDPID_{space.upper()}_HPP"
+    numbers = _json(data)
+    guard = f"SDPID_FRICTION_{hashlib.sha256(numbers.encode('ascii')).hexdigest()[:16].upper()}"
     lines = [f"// {line}".rstrip() for line in _about(data)]
     lines += [
         "//",
@@ -102,7 +101,7 @@ def cpp(data: Mapping[str, Any]) -> str:
     ]
     lines += ["// overlap the others. For C++11 and later."]
     lines += [f"#ifndef {guard}", f"#define {guard}", "", *_CPP_FIRST]
-    lines += [f"namespace {space} {{", "", f"constexpr int joints = {n};"]
+    lines += ["", f"constexpr int joints = {n};"]
     lines += [f"constexpr const char* robot = {_literal(data['robot'])};"]
     lines += [f"constexpr const char* certificate = {_literal(data['certificate'] or '')};"]
     lines += ["constexpr const char* joint_names[joints] = {"]
@@ -129,7 +128,8 @@ def cpp(data: Mapping[str, Any]) -> str:
     of("friction", "velocity")
     of("drives", "acceleration")
     of("load", "velocity, load")
-    lines += ["", f"}}  // namespace {space}", "", f"// {_json(data)}", "", f"#endif  // {guard}"]
+    lines += _CPP_LAST
+    lines += ["", f"// {numbers}", "", f"#endif  // {guard}"]
     return "\n".join([*lines, ""])
 
 
@@ -142,12 +142,6 @@ WRITERS: dict[str, Callable[[Mapping[str, Any]], str]] = {".py": python, ".hpp":
 
 def _plus(place: int) -> str:
     return "+ " if place else ""
-
-
-def namespace(robot: str) -> str:
-    """Return the C++ namespace of a robot: letters, digits and single underscores."""
-    words = re.sub("[^a-z0-9]+", "_", robot.lower()[:60], flags=re.ASCII).strip("_")
-    return f"{words if words[:1].isalpha() else f'robot_{words}'.rstrip('_')}_friction"
 
 
 def _literal(name: str) -> str:
@@ -195,7 +189,19 @@ def _peak(ratio, exponent):
     return np.exp(-(np.minimum(np.abs(ratio), 1e3) ** exponent))
 '''.splitlines()
 
-_CPP_FIRST = ["#include <cmath>", ""]
+_CPP_FIRST = """#include <cmath>
+
+// Define another name where the headers of several robots are included.
+#ifndef SDPID_FRICTION_NAMESPACE
+#define SDPID_FRICTION_NAMESPACE identified_friction
+#endif
+
+namespace SDPID_FRICTION_NAMESPACE {
+""".splitlines()
+
+_CPP_LAST = """
+}  // namespace SDPID_FRICTION_NAMESPACE
+#undef SDPID_FRICTION_NAMESPACE""".splitlines()
 
 _CPP_DETAIL = """namespace detail {
 
