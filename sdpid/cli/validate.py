@@ -55,9 +55,8 @@ def validate(
     files = []
     if figure is not None:
         from sdpid.plots.figures import save_figure
-        from sdpid.plots.reconstruction import plot_fit
 
-        save_figure(plot_fit(samples, fit), figure)
+        save_figure(fit.plot(), figure)
         files.append(str(figure))
     verdict = [finding.text for finding in prediction_findings(model, samples, fit)]
     notes = list(samples.notes)

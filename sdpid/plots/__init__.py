@@ -11,6 +11,7 @@ from sdpid.plots.joints import plot_joint, plot_joint_errors
 from sdpid.plots.motion import (
     plot_against_limits,
     plot_distances,
+    plot_motion,
     plot_over_duration,
     plot_spectrum,
 )
@@ -25,6 +26,7 @@ __all__ = [
     "plot_fit",
     "plot_joint",
     "plot_joint_errors",
+    "plot_motion",
     "plot_over_duration",
     "plot_parameters",
     "plot_reconstruction",

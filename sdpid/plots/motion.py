@@ -2,23 +2,30 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from sdpid._common.arrays import Array
+from sdpid.errors import DataError
 from sdpid.plots.figures import (
     BLUE,
     GRAY,
     GREEN,
     INK,
+    NORMAL,
     ORANGE,
+    PLAIN,
     PURPLE,
     RED,
     SKY,
+    SMALL,
+    axes_of,
     decimate,
+    head,
+    new_figure,
 )
 from sdpid.plots.panels import Panel, logarithmic, stacked
 
@@ -92,6 +99,53 @@ def plot_against_limits(
             if limit is not None and abs(limit) <= _FAR * most:
                 axis.axhline(limit, color=RED, linewidth=0.9, linestyle=(0, (4, 2)))
     return drawn
+
+
+def plot_motion(
+    time: Array,
+    joints: Mapping[str, Sequence[tuple[str, Array, float | None, float | None]]],
+    *,
+    title: str | None = None,
+    axes: Any = None,
+) -> Any:
+    """Show quantities of all joints over time, with their limits: one column a joint.
+
+    Parameters
+    ----------
+    time : ndarray, shape (K,)
+        In s.
+    joints : mapping of str to sequence of (str, ndarray of shape (K,), float or None, ...)
+        For each joint the same quantities, as `plot_against_limits` takes them.
+    title : str, optional
+        Heading of the figure.
+    axes : array of matplotlib.axes.Axes, shape (quantities, n), optional
+        Where to draw; by default in a figure of its own.
+
+    Returns
+    -------
+    ndarray of matplotlib.axes.Axes, shape (quantities, n)
+
+    Raises
+    ------
+    DataError
+        When there is nothing to draw, or joints have different numbers of quantities.
+    """
+    counts = {len(rows) for rows in joints.values()}
+    if len(counts) != 1 or 0 in counts:
+        raise DataError(f"plot: {len(joints)} joints with {sorted(counts)} quantities; draw one.")
+    (count,) = counts
+    if axes is None:
+        figure = new_figure(0.6 + 2.4 * len(joints), 0.6 + 1.5 * count, title)
+        axes = figure.subplots(count, len(joints), sharex=True, squeeze=False)
+    else:
+        axes = axes_of(axes, count, len(joints))
+        head(axes, title)
+    for column, (name, rows) in zip(axes.T, joints.items(), strict=True):
+        plot_against_limits(time, rows, axes=column)
+        column[0].set_title(name, fontsize=NORMAL, color=INK, loc="left", **PLAIN)
+        for axis in column:
+            axis.yaxis.label.set_fontsize(SMALL)
+    return axes
 
 
 def nearest_pairs(room: Array) -> list[tuple[str, int]]:

@@ -224,14 +224,13 @@ class _Writer:
     def _figures(self) -> Iterator[Path]:
         """Draw measured and predicted efforts."""
         from sdpid.plots.figures import save_figure
-        from sdpid.plots.reconstruction import plot_fit
 
         result = self.result
-        pairs = [("training", result.problem.samples, result.training)]
-        if result.validation is not None and result.validation_samples is not None:
-            pairs.append(("validation", result.validation_samples, result.validation))
-        for name, samples, fit in pairs:
-            yield save_figure(plot_fit(samples, fit), self.folder / f"{name}.png", dpi=_DPI)
+        fits = [("training", result.training)]
+        if result.validation is not None:
+            fits.append(("validation", result.validation))
+        for name, fit in fits:
+            yield save_figure(fit.plot(), self.folder / f"{name}.png", dpi=_DPI)
 
     def _report(self, command: str | None, figures: bool) -> Iterator[Path]:
         if importlib.util.find_spec("jinja2") is None:

@@ -24,9 +24,9 @@ from sdpid.plots import (
     plot_against_limits,
     plot_convergence,
     plot_distances,
-    plot_fit,
     plot_joint,
     plot_joint_errors,
+    plot_motion,
     plot_over_duration,
     plot_parameters,
     plot_reconstruction,
@@ -140,6 +140,10 @@ INTO: dict[str, tuple[int, Any]] = {
     "joint": (2, lambda a: plot_joint(TIME, TIME, TIME, TIME > 0.0, axes=list(a))),
     "errors": (3, lambda a: plot_joint_errors(ERRORS, axes=a)),
     "limits": (1, lambda a: plot_against_limits(TIME, [("a", TIME, None, 2.0)], axes=a[0])),
+    "motion": (
+        4,
+        lambda a: plot_motion(TIME, {"a": [("x", TIME, None, 2.0)] * 4}, axes=a, title="four"),
+    ),
     "distances": (1, lambda a: plot_distances(TIME, ONES, axes=a)),
     "duration": (1, lambda a: plot_over_duration(1.0 + TIME, [1.0 + TIME], axes=a)),
 }
@@ -238,7 +242,7 @@ def test_a_recording_and_a_fit_are_drawn() -> None:
         position=q, velocity=q, acceleration=q, effort=q, time=time, starts=(0, 1000, 3000)
     )
     fit = Validation.of_prediction(("a", "b"), samples, q + 0.5)
-    axis = plot_fit(samples, fit, count=2000, title="two pieces")[0, 0]
+    axis = fit.plot(count=2000, title="two pieces")[0, 0]
     drawn = axis.get_lines()[0].get_ydata()
     assert np.isnan(drawn).sum() == 1
     assert np.nanmax(np.abs(drawn - 0.0)) <= 1.0
@@ -331,6 +335,8 @@ def test_bad_input_is_named() -> None:
         plot_convergence([], 1.0)
     with pytest.raises(DataError, match="nothing to draw"):
         plot_parameters([], [], {})
+    with pytest.raises(DataError, match="2 joints with"):
+        plot_motion(time, {"a": [("x", time, None, None)], "b": []})
     with pytest.raises(DataError, match="SDP has 2 entries"):
         plot_parameters(["a"], ["kg"], {"SDP": [1.0, 2.0]})
 

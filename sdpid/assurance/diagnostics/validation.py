@@ -120,6 +120,7 @@ class Validation(Errors):
     moving: Errors
     resting: Errors | None = None
     _band: Callable[[], Array] | None = field(default=None, repr=False)
+    _samples: Samples | None = field(default=None, repr=False)
 
     @classmethod
     def of_prediction(
@@ -138,6 +139,7 @@ class Validation(Errors):
             moving=Errors.of(names, effort, predicted, moving),
             resting=Errors.of(names, effort, predicted, still) if still.any() else None,
             _band=band,
+            _samples=samples,
             **_figures(effort, predicted, mask),
         )
 
@@ -149,6 +151,36 @@ class Validation(Errors):
         tells nothing of its errors.
         """
         return None if self._band is None else self._band()
+
+    def plot(self, *, count: int | None = None, title: str | None = None, axes: Any = None) -> Any:
+        """Show measured against predicted effort, joint by joint, with the errors beside.
+
+        Needs the extra ``plot``.
+
+        Parameters
+        ----------
+        count : int, optional
+            Draw the first samples only, so that curves can be told apart.
+        title : str, optional
+            Heading of the figure.
+        axes : array of matplotlib.axes.Axes, shape (n, 2), optional
+            Where to draw; by default in a figure of its own.
+
+        Returns
+        -------
+        ndarray of matplotlib.axes.Axes, shape (n, 2)
+            Of efforts, and of errors.
+
+        Raises
+        ------
+        DataError
+            When the measurements are not here.
+        """
+        from sdpid.plots.reconstruction import plot_fit
+
+        if self._samples is None:
+            raise DataError("plot: this validation has no samples; call sdpid.validate.")
+        return plot_fit(self._samples, self, count=count, title=title, axes=axes)
 
     def to_dict(self) -> dict[str, object]:
         """Return the figures as plain values, without the predictions."""

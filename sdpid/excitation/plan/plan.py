@@ -10,8 +10,12 @@ from sdpid.excitation.expected.expected import Expected
 from sdpid.excitation.geometry.collision import CollisionModel
 from sdpid.excitation.limits.check import LimitCheck
 from sdpid.excitation.limits.joint_limits import JointLimits
+from sdpid.experiment.trajectory.played import played
 from sdpid.experiment.trajectory.trajectory import Trajectory
 from sdpid.robot.model.model import RobotModel
+
+# Samples a second of pictures.
+_RATE_HZ = 200.0
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
@@ -75,3 +79,23 @@ class Plan:
             f"Plan('{self.robot.name}', {self.trajectory.period:g} s, condition number "
             f"{self.condition_number:.3g}, log det {self.log_det:.3g})"
         )
+
+    def plot(self, *, axes: Any = None) -> Any:
+        """Show each joint's motion against its limits, which are dashed (extra ``plot``).
+
+        Parameters
+        ----------
+        axes : array of matplotlib.axes.Axes, shape (5, n), optional
+            Where to draw; by default in a figure of its own.
+
+        Returns
+        -------
+        ndarray of matplotlib.axes.Axes, shape (5, n)
+            One column a joint: position, velocity, acceleration, jerk and torque over time.
+        """
+        from sdpid.excitation.plan.limited import limited_quantities
+        from sdpid.plots.motion import plot_motion
+
+        motion = played(self.trajectory, _RATE_HZ)
+        joints = limited_quantities(self.robot, self.joint_limits, motion)
+        return plot_motion(motion.time, dict(joints), axes=axes)

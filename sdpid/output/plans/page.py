@@ -17,11 +17,9 @@ import numpy as np
 from sdpid._common.arrays import Array
 from sdpid._common.extras import require
 from sdpid.excitation.expected.expected import NORMAL, Expected
-from sdpid.excitation.limits.joint_limits import UNITS
-from sdpid.excitation.limits.narrowing import sliding_joints
-from sdpid.excitation.limits.torque import TorqueModel
+from sdpid.excitation.plan.limited import limited_quantities
 from sdpid.excitation.plan.plan import Plan
-from sdpid.output.plans.played import Played, played
+from sdpid.experiment.trajectory.played import Played, played
 from sdpid.output.plans.scene import FRAME_RATE, scene_of
 from sdpid.output.plans.words import sentences, tiles
 from sdpid.output.report.page import page
@@ -122,33 +120,8 @@ def _drawn_as(plan: Plan) -> str:
 
 def _joints(plan: Plan, motion: Played) -> Iterator[dict[str, Any]]:
     """Yield the picture of each joint against its limits."""
-    limits, robot = plan.joint_limits, plan.robot
-    model = TorqueModel.of(robot)
-    torque = model.torque(motion.position, motion.velocity, motion.acceleration)
-    allowed = {"torque": model.allowed(limits.torque)}
-    sliding = sliding_joints(robot)
-    for j, name in enumerate(robot.joint_names):
-        rows = [
-            (UNITS["lower"][int(sliding[j])], motion.position[:, j], limits.lower, limits.upper)
-        ]
-        for kind, values in (
-            ("velocity", motion.velocity),
-            ("acceleration", motion.acceleration),
-            ("jerk", motion.jerk),
-            ("torque", torque),
-        ):
-            limit = allowed.get(kind, getattr(limits, kind))
-            rows.append((UNITS[kind][int(sliding[j])], values[:, j], -limit, limit))
-        ended = [(unit, each, *_ends(low[j], high[j])) for unit, each, low, high in rows]
-        yield {"name": name, "source": image_source(plot_against_limits(motion.time, ended))}
-
-
-def _ends(lower: float, upper: float) -> tuple[float | None, float | None]:
-    """Return limits, None where there are none."""
-    return (
-        float(lower) if np.isfinite(lower) else None,
-        float(upper) if np.isfinite(upper) else None,
-    )
+    for name, rows in limited_quantities(plan.robot, plan.joint_limits, motion):
+        yield {"name": name, "source": image_source(plot_against_limits(motion.time, rows))}
 
 
 def _distances(plan: Plan, motion: Played) -> dict[str, Any] | None:

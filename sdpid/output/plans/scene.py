@@ -10,7 +10,7 @@ import numpy as np
 from sdpid._common.arrays import Array
 from sdpid.excitation.geometry.collision import CollisionModel
 from sdpid.excitation.geometry.obstacles import Mesh, Plane
-from sdpid.output.plans.played import Played
+from sdpid.experiment.trajectory.played import Played
 from sdpid.robot.model.geometry import link_placements
 from sdpid.robot.model.model import RobotModel
 from sdpid.robot.model.shapes import Shape

@@ -15,8 +15,8 @@ import numpy as np
 import pytest
 from scipy.spatial import ConvexHull
 
+from sdpid.experiment.trajectory.played import played
 from sdpid.output.plans.page import plan_html
-from sdpid.output.plans.played import played
 from sdpid.output.plans.scene import hull, scene_of
 from sdpid.output.report.page import number
 from sdpid.robot.model.geometry import link_placements
