@@ -26,8 +26,9 @@ from sdpid.estimation.estimate import Estimate
 from sdpid.estimation.information import require_excitation
 from sdpid.estimation.problem import Problem
 from sdpid.estimation.sdp.program import SdpProgram
+from sdpid.estimation.sdp.repair import repair
 from sdpid.estimation.sdp.reusable import ReusableProgram, program_about
-from sdpid.estimation.sdp.solve import repair, solve_sdp
+from sdpid.estimation.sdp.solve import solve_sdp
 from sdpid.experiment.processing.samples import Samples
 
 # What Clarabel adds to the diagonal of its linear systems: the first that `solve_sdp` tries.

@@ -19,13 +19,7 @@ from sdpid.estimation.scaling import Scaling
 from sdpid.estimation.sdp.infeasibility import explained, require_consistent
 from sdpid.estimation.sdp.nearest_to_prior import nearest_on_face
 from sdpid.estimation.sdp.program import SdpProgram, best_fit
-from sdpid.robot.consistent import raise_second_moments
-
-# What is taken to be inside: a solution on the boundary is moved in by this share of the link's
-# own second moments, so that rounding cannot take it out again. It is some fifty roundings and no
-# more: moments that the data do not show may be as large as theta_max, and what is added to them
-# is added to those that the data do show.
-_INSIDE = 1e-14
+from sdpid.estimation.sdp.repair import repair
 
 # Choosing among the optimal points may cost this share of the cost.
 _FACE = 1e-7
@@ -347,20 +341,3 @@ def _settled(estimate: Estimate, bound: Bound) -> Estimate:
     if moved is None:
         moved = replace(estimate, message=f"{estimate.message}; any point of the optimal face")
     return replace(moved, solve_time=estimate.solve_time + seconds)
-
-
-def repair(problem: Problem, theta: Array) -> Array:
-    """Move parameters that are outside by rounding just inside every constraint.
-
-    Bounds are clipped; a link short of its margin gets the missing moments about its center of
-    mass.
-    """
-    feasible = problem.feasible
-    theta = np.clip(theta, feasible.lower, feasible.upper)
-    if feasible.consistency == "none":
-        return theta
-    bodies = feasible.bodies(theta)
-    moments = np.maximum(bodies[:, 4] + bodies[:, 6] + bodies[:, 9], 1e-3)
-    least = feasible.constraints.margin + _INSIDE * moments
-    raised = raise_second_moments(bodies, least, consistency=feasible.consistency)
-    return np.concatenate([raised.ravel(), theta[raised.size :]])

@@ -11,7 +11,7 @@ from typing import Any
 import cvxpy as cp
 import numpy as np
 import pytest
-from hypothesis import assume, given, settings
+from hypothesis import assume, example, given, settings
 
 from sdpid.assurance.certificate.certificate import certify
 from sdpid.constraints import (
@@ -181,6 +181,9 @@ def test_equations_are_named_where_the_solver_has_no_answer(
 
 
 @given(SEEDS)
+# A second link that becomes light: the solver left its center of mass outside by 3e-7 of its row.
+@example(426)
+@example(5)
 @settings(max_examples=15)
 def test_what_some_bodies_satisfy_is_never_refused(seed: int) -> None:
     rng = np.random.default_rng(seed)
