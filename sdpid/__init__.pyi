@@ -40,6 +40,7 @@ from .workflow.adapt import adapt
 from .workflow.comparison import compare
 from .workflow.cross_validation import cross_validate
 from .workflow.identify import identify
+from .workflow.sample import sample_parameters
 from .workflow.verify import verify
 
 __version__: str
@@ -80,6 +81,7 @@ __all__ = [
     "process",
     "read_parameters",
     "read_recording",
+    "sample_parameters",
     "simulate",
     "smallest_mass_eigenvalue",
     "solve_log_cholesky",

@@ -19,6 +19,7 @@ from sdpid.cli.info import info
 from sdpid.cli.judge.audit import audit
 from sdpid.cli.judge.certify import certify
 from sdpid.cli.payload import payload
+from sdpid.cli.sample import sample
 from sdpid.cli.simulate import simulate
 from sdpid.cli.validate import validate
 from sdpid.cli.verify import verify
@@ -65,6 +66,7 @@ for command in (
     audit,
     certify,
     verify,
+    sample,
 ):
     app.command()(expand_groups(command))
 

@@ -35,7 +35,7 @@ _PERHAPS_FILES = ("robot", "mapping")
 _KEYS = {"logs": "log", "purpose": "for"}
 
 # Commands that take the file of another one's run: options that they do not have are passed over.
-_FILES_OF = {"certify": "identify"}
+_FILES_OF = {"certify": "identify", "sample": "identify"}
 
 # Near names that a message lists.
 _NEAR = 3

@@ -166,6 +166,7 @@ def test_a_missing_file(folder: Path) -> None:
         "audit",
         "certify",
         "verify",
+        "sample",
     ],
 )
 def test_every_command_has_the_shared_options(command: str) -> None:

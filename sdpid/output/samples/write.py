@@ -32,8 +32,9 @@ from sdpid.verifier.results.inertials import Inertial, rounded
 RobotKind = Literal["urdf", "mjcf"]
 KINDS: tuple[RobotKind, ...] = ("urdf", "mjcf")
 
-MANIFEST, RANGES, DRAWS = "manifest.json", "ranges.json", "draws.csv"
-_CONFIG = "run.toml"
+# The manifest has a name of its own: that of a results folder would let a run take its files for
+# those of an earlier one.
+MANIFEST, RANGES, DRAWS = "samples.json", "ranges.json", "draws.csv"
 
 # Files of robots, as earlier runs may have written more of them.
 _ROBOT = re.compile(r"(robot_\d+|mean)\.(urdf|xml)")
@@ -168,7 +169,6 @@ def write_samples(
     probability: float,
     made: Mapping[str, Any],
     diagnostics: Mapping[str, Any],
-    config: str | None = None,
     report: Callable[[str], None] | None = None,
 ) -> tuple[Path, ...]:
     """Write robots, ranges and draws into a folder, with a manifest: all, or nothing.
@@ -181,14 +181,11 @@ def write_samples(
     """
     target = Path(folder)
     names = [name + pattern.suffix for pattern in writer.patterns for name in writer.names]
-    run = run_folder(target, names, config=config is not None)
-    run.require_writable(target, writes_config=config is not None)
+    run = run_folder(target, names)
+    run.require_writable(target)
     with run.written(target, report or (lambda _: None)) as stage:
         stage.names += writer.write(stage.folder)
         _rest(writer, stage, writer.ranges(probability, made))
-        if config is not None:
-            (stage.folder / _CONFIG).write_text(config, encoding="utf-8")
-            stage.names.append(_CONFIG)
         stage.content |= {
             "schema": "sdpid-samples",
             "version": 1,
@@ -209,14 +206,14 @@ def _rest(writer: SampleWriter, stage: RunStage, ranges: Ranges) -> None:
     stage.names += [RANGES, DRAWS]
 
 
-def run_folder(folder: Path, robots: Sequence[str] = (), *, config: bool = False) -> RunFolder:
+def run_folder(folder: Path, robots: Sequence[str] = ()) -> RunFolder:
     """Return what a run writes into a folder: robots, and what an earlier run listed there."""
     found = folder.iterdir() if folder.is_dir() else ()
     earlier = (path.name for path in found if _ROBOT.fullmatch(path.name))
-    names = dict.fromkeys((*robots, RANGES, DRAWS, *((_CONFIG,) if config else ())))
-    listed = RunFolder((*names, *earlier, _CONFIG), MANIFEST, _CONFIG).listed(folder)
-    own = (*names, *(name for name in listed if name not in names))
-    return RunFolder(own, MANIFEST, _CONFIG, careful=True)
+    names = dict.fromkeys((*robots, RANGES, DRAWS))
+    listed = RunFolder((*names, *earlier), MANIFEST, MANIFEST).listed(folder)
+    # Options are in no file of their own.
+    return RunFolder(tuple(names | listed), MANIFEST, config=MANIFEST, careful=True)
 
 
 def _patterns(problem: Problem, kinds: Sequence[str], source: Source) -> list[Pattern]:

@@ -91,9 +91,9 @@ def test_the_mean_of_the_robots_is_the_mean(folder: Path) -> None:
 
 
 def test_the_manifest_lists_every_file(folder: Path) -> None:
-    manifest = json.loads((folder / "manifest.json").read_text())
+    manifest = json.loads((folder / "samples.json").read_text())
     names = {path.name for path in folder.iterdir()}
-    assert set(manifest["files"]) | {"manifest.json"} == names
+    assert set(manifest["files"]) | {"samples.json"} == names
     assert manifest["number"] == COUNT
     assert len(names) == 2 * (COUNT + 1) + 3
     table = (folder / "draws.csv").read_text().splitlines()
