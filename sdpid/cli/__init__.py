@@ -11,6 +11,7 @@ import typer
 
 from sdpid._common.signals import clean_up_when_ended
 from sdpid.cli.compare import compare
+from sdpid.cli.compare_runs import compare_runs
 from sdpid.cli.config import expand_groups
 from sdpid.cli.endings import Commands, open_standard_streams
 from sdpid.cli.excite.command import excite
@@ -61,6 +62,7 @@ for command in (
     info,
     validate,
     compare,
+    compare_runs,
     simulate,
     payload,
     audit,
