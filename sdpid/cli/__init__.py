@@ -11,7 +11,6 @@ import typer
 
 from sdpid._common.signals import clean_up_when_ended
 from sdpid.cli.compare import compare
-from sdpid.cli.compare_runs import compare_runs
 from sdpid.cli.config import expand_groups
 from sdpid.cli.endings import Commands, open_standard_streams
 from sdpid.cli.excite.command import excite
@@ -19,6 +18,7 @@ from sdpid.cli.identify import identify
 from sdpid.cli.info import info
 from sdpid.cli.judge.audit import audit
 from sdpid.cli.judge.certify import certify
+from sdpid.cli.judge.compare_runs import compare_runs
 from sdpid.cli.payload import payload
 from sdpid.cli.sample import sample
 from sdpid.cli.simulate import simulate
