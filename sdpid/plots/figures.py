@@ -215,6 +215,24 @@ def decimate(x: ArrayLike, y: ArrayLike, *, points: int = POINTS) -> tuple[Array
     return x[index], y[index]
 
 
+def envelope(
+    x: Array, low: Array, high: Array, *, points: int = POINTS
+) -> tuple[Array, Array, Array]:
+    """Return x, low and high of at most `points` stretches of a band.
+
+    Each stretch keeps the least of `low` and the greatest of `high`, and its first x.
+    """
+    size = -(-len(x) // points)
+    if size <= 1:
+        return x, low, high
+    fill = -len(x) % size
+
+    def blocks(y: Array) -> Array:
+        return np.concatenate([y, np.full(fill, y[-1])]).reshape(-1, size)
+
+    return blocks(x)[:, 0], blocks(low).min(axis=1), blocks(high).max(axis=1)
+
+
 @dataclass(frozen=True, eq=False)
 class TimeLine:
     """The time axis of a plot, with recordings one after the other.

@@ -11,12 +11,15 @@ from typing import Any, Protocol
 import numpy as np
 
 from sdpid._common.arrays import Array, Mask
-from sdpid.plots.figures import BLUE, GRAY, RED, SHADE, TimeLine, decimate, shade, stretch
+from sdpid.plots.figures import BLUE, GRAY, RED, SHADE, TimeLine, decimate, envelope, shade, stretch
 from sdpid.plots.panels import Panel, keys, logarithmic, stacked
 
 # Stretches along a line, of which the least and the greatest value are kept: more than a page shows
 # of it in pixels would not be seen.
 COLUMNS = 400
+
+# Stretches of a band about zero, which hardly varies.
+_SMOOTH = 100
 
 # Heights of the panels, points (they are 280 wide): of two, of three of which two share an axis,
 # and of three. All pictures are as high, and three joints fit on a printed page.
@@ -80,6 +83,8 @@ def plot_joint(
     predicted: Array,
     used: Mask,
     *,
+    band: Array | None = None,
+    unit: str = "N·m",
     starts: Sequence[int] = (0,),
     axes: Any = None,
 ) -> Any:
@@ -90,9 +95,13 @@ def plot_joint(
     time : ndarray, shape (K,), or None
         In s; None: the samples are counted.
     measured, predicted : ndarray, shape (K,)
-        Efforts, N·m.
+        Efforts, in `unit`.
     used : ndarray of bool, shape (K,)
         True where a row counts; the others are shaded.
+    band : ndarray, shape (K,), optional
+        Half-width of the 95 % band about the predicted efforts.
+    unit : str, optional
+        Unit of the efforts.
     starts : sequence of int, optional
         First sample of each piece recorded without a break; they are drawn behind each other.
     axes : sequence of two matplotlib.axes.Axes, optional
@@ -106,26 +115,29 @@ def plot_joint(
     """
     line = TimeLine.of(time, len(measured), starts)
     t, used = line.time, line.kept(used)
+    half = line.broken(np.zeros(len(measured)) if band is None else band)
     measured, predicted = line.broken(measured), line.broken(predicted)
     error = np.where(used, measured - predicted, np.nan)
     # Of a long record, what is about the largest error once more in full.
     near = detail(error) if axes is None and _is_long(t) else None
     high = (_EFFORT, _ERROR) if near is None else (_SHARED, _SHARED)
     panels = [
-        Panel(high[0], "effort [N·m]", keys=True),
-        Panel(high[1], "error [N·m]", x=line.label),
+        Panel(high[0], f"effort [{unit}]", keys=True),
+        Panel(high[1], f"error [{unit}]", x=line.label),
     ]
     if near is not None:
         label = f"{line.label.partition(',')[0]}, about the largest error"
-        panels.append(Panel(_SHARED, "effort [N·m]", x=label))
+        panels.append(Panel(_SHARED, f"effort [{unit}]", x=label))
     drawn = stacked(panels, axes)
     above, below, *more = drawn
-    _efforts(above, t, measured, predicted, used)
+    _efforts(above, t, measured, predicted, half, used)
     keys(above)
     shade(below, t, ~used)
+    _band(below, t, np.zeros(len(t)), half, points=_SMOOTH)
     _line(below, t, error, color=GRAY, linewidth=0.6)
     if near is not None:
-        _efforts(more[0], t[near], measured[near], predicted[near], used[near])
+        signals = t[near], measured[near], predicted[near], half[near]
+        _efforts(more[0], *signals, used[near])
     return drawn
 
 
@@ -134,11 +146,22 @@ def _is_long(time: Array) -> bool:
     return stretch(len(time), points=2 * COLUMNS) > 1
 
 
-def _efforts(axis: Any, t: Array, measured: Array, predicted: Array, used: Mask) -> None:
+def _efforts(
+    axis: Any, t: Array, measured: Array, predicted: Array, half: Array, used: Mask
+) -> None:
     axis.margins(x=0.0)
     shade(axis, t, ~used)
+    _band(axis, t, predicted, half, points=COLUMNS, label="95 % band")
     _line(axis, t, measured, color=BLUE, linewidth=1.4, label="measured")
     _line(axis, t, predicted, color=RED, linewidth=0.8, label="predicted")
+
+
+def _band(axis: Any, t: Array, middle: Array, half: Array, *, points: int, **style: Any) -> None:
+    """Shade a band; of a long one what each of some `points` stretches holds."""
+    if not np.any(half > 0.0):
+        return
+    ends = envelope(t, middle - half, middle + half, points=points)
+    axis.fill_between(*ends, color=RED, alpha=0.25, linewidth=0.0, **style)
 
 
 def detail(error: Array) -> slice:
@@ -149,7 +172,9 @@ def detail(error: Array) -> slice:
     return slice(first, first + COLUMNS)
 
 
-def plot_joint_errors(errors: JointErrors, *, timed: bool = True, axes: Any = None) -> Any:
+def plot_joint_errors(
+    errors: JointErrors, *, timed: bool = True, unit: str = "N·m", axes: Any = None
+) -> Any:
     """Show spectrum, autocorrelation and velocity dependence of a joint's errors.
 
     Parameters
@@ -158,6 +183,8 @@ def plot_joint_errors(errors: JointErrors, *, timed: bool = True, axes: Any = No
         Spectra, autocorrelation and means over velocity.
     timed : bool, optional
         Whether frequencies are in Hz and lags in s, rather than in samples.
+    unit : str, optional
+        Unit of the efforts.
     axes : sequence of three matplotlib.axes.Axes, optional
         Where to draw; by default in a figure of its own.
 
@@ -167,9 +194,9 @@ def plot_joint_errors(errors: JointErrors, *, timed: bool = True, axes: Any = No
     """
     frequency = "frequency [Hz]" if timed else "cycles per sample"
     panels = (
-        Panel(_THIRD, "N·m/√Hz" if timed else "N·m", x=frequency, keys=True),
+        Panel(_THIRD, f"{unit}/√Hz" if timed else unit, x=frequency, keys=True),
         Panel(_THIRD, "autocorrelation", x="lag [s]" if timed else "lag [samples]"),
-        Panel(_THIRD, "error [N·m]", x="velocity [rad/s]"),
+        Panel(_THIRD, f"error [{unit}]", x=f"velocity [{'m/s' if unit == 'N' else 'rad/s'}]"),
     )
     drawn = stacked(panels, axes)
     spectrum, correlation, friction = drawn

@@ -6,6 +6,7 @@ however well the data determine the curve of both.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -100,19 +101,44 @@ def joint_curve(
         When the estimate has no standard parameters, its problem no rows, or joint or velocity
         are none.
     """
-    curve = estimate.model().friction_curve(joint, velocity)
-    bands = _Bands(estimate)
-    number = joint_number(bands.problem.friction.joint_names, joint)
-    halves = np.zeros(len(curve.velocity))
-    for k, own in enumerate(curve.velocity):
-        columns, slopes = _at(bands.problem, bands.bending, float(own), moving=number)
-        halves[k] = bands.about(columns, slopes, level)[1][number]
-    return replace(
-        curve,
-        lower=frozen(curve.effort - halves),
-        upper=frozen(curve.effort + halves),
-        level=level,
-    )
+    number = joint_number(estimate.problem.friction.joint_names, joint)
+    return joint_curves(estimate, {number: velocity}, level=level)[0]
+
+
+def joint_curves(
+    estimate: Estimate,
+    velocities: Mapping[int, ArrayLike | None] | None = None,
+    *,
+    level: float = 0.95,
+) -> tuple[JointCurve, ...]:
+    """Return the friction of several joints over their velocities, each alone, with intervals.
+
+    Parameters
+    ----------
+    estimate : Estimate
+        With standard parameters, whose problem has kept its rows.
+    velocities : mapping of int to array_like, optional
+        Velocities (s,) by the joint's place among those with friction, None for the default; by
+        default of all joints.
+    level : float, optional
+        Probability with which each interval should hold the truth.
+
+    Raises
+    ------
+    DataError
+        As `joint_curve`.
+    """
+    bands, model = _Bands(estimate), estimate.model()
+    if velocities is None:
+        velocities = dict.fromkeys(range(len(bands.problem.friction.joint_names)))
+    curves = []
+    for joint, velocity in velocities.items():
+        curve = model.friction_curve(joint, velocity)
+        columns, slopes = _alone(bands.problem, bands.bending, np.array(curve.velocity), joint)
+        halves = bands.about(columns, slopes, level)[1]
+        ends = frozen(curve.effort - halves), frozen(curve.effort + halves)
+        curves.append(replace(curve, lower=ends[0], upper=ends[1], level=level))
+    return tuple(curves)
 
 
 class _Bands:
@@ -147,22 +173,29 @@ class _Bands:
         return functions @ self.theta, np.asarray(half)
 
 
-def _at(
-    problem: Problem, bending: Bending, velocity: float, *, moving: int | None = None
-) -> tuple[Array, Array]:
-    """Return the friction columns (joints, f) at a velocity, and their derivatives (joints, d).
+def _at(problem: Problem, bending: Bending, velocity: float) -> tuple[Array, Array]:
+    """Return the friction columns (joints, f) at a velocity, and their derivatives (joints, d)."""
+    v = np.full((1, len(problem.friction.joint_names)), velocity)
+    columns, slopes = _of_motion(problem, bending, v)
+    return columns[0], slopes[0]
 
-    It is that of all joints, or of the one that is moving.
-    """
-    friction, first = problem.friction, problem.friction.first
-    v = np.full((1, len(friction.joint_names)), velocity)
-    if moving is not None:
-        v[:, np.arange(v.shape[1]) != moving] = 0.0
+
+def _alone(problem: Problem, bending: Bending, velocity: Array, joint: int) -> tuple[Array, Array]:
+    """Return a joint's columns (s, f), and derivatives (s, d), at velocities (s,) of it alone."""
+    v = np.zeros((len(velocity), len(problem.friction.joint_names)))
+    v[:, joint] = velocity
+    columns, slopes = _of_motion(problem, bending, v)
+    return columns[:, joint], slopes[:, joint]
+
+
+def _of_motion(problem: Problem, bending: Bending, v: Array) -> tuple[Array, Array]:
+    """Return columns (s, joints, f) and derivatives (s, joints, d) at velocities (s, joints)."""
+    friction, names = problem.friction, problem.friction.joint_names
     motion = Motion(position=v, velocity=v, acceleration=np.zeros_like(v), robot=problem.robot)
     blocks = [
-        np.zeros((v.shape[1], len(term.parameters(friction.joint_names))))
+        np.zeros((*v.shape, len(term.parameters(names))))
         if term.posed
-        else term.columns_in(motion, friction.joint_names)[0]
+        else term.columns_in(motion, names)
         for term in friction.terms
     ]
-    return np.hstack(blocks), bending.columns(motion)[0, first:]
+    return np.concatenate(blocks, axis=2), bending.columns(motion)[:, friction.first :]

@@ -17,7 +17,7 @@ from sdpid._common.files import atomic_write_text
 from sdpid.assurance.diagnostics.active_constraints import constraint_states
 from sdpid.output.report.judged import Judged, errors_of
 from sdpid.output.report.page import page
-from sdpid.output.report.sections import joints, parameters, recording, short
+from sdpid.output.report.sections import joints, links, mass_matrix, parameters, recording, short
 from sdpid.output.robots.export_report import ExportReport
 from sdpid.output.tables.intervals_shown import GivenIntervals
 
@@ -123,10 +123,10 @@ def _context(result: Judged, draw: bool, intervals: GivenIntervals | None) -> di
         "certificate": certificate,
         "certified": certificate.passed and problem.consistency != "none",
         "worst_margin": result.estimate.worst_margin,
-        "links": None,
-        "mass_matrix": None,
         **short.values(result, errors),
         **joints.values(result, errors, draw),
-        **parameters.values(result, intervals),
+        **parameters.values(result, intervals, draw),
+        **links.values(result),
+        **mass_matrix.values(result, draw),
         **recording.values(result),
     }

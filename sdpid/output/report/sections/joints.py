@@ -5,16 +5,34 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import Any
 
+import numpy as np
+
+from sdpid._common.arrays import Array
+from sdpid.assurance.diagnostics.bands import effort_band
 from sdpid.assurance.diagnostics.residuals import JointErrors
 from sdpid.assurance.diagnostics.validation import Errors
+from sdpid.assurance.intervals.friction_curve import joint_curves
+from sdpid.errors import SdpidError
 from sdpid.output.report.judged import Judged, grades_of, judged
+from sdpid.output.report.sections.recording import driven
 from sdpid.plots.figures import stretch
+from sdpid.plots.friction_curve import plot_friction_curve
 from sdpid.plots.inline_svg import image_source
 from sdpid.plots.joints import COLUMNS, plot_joint, plot_joint_errors
+from sdpid.robot.friction.curve import JointCurve, default_velocities
 
 # What the pictures show.
 _EFFORTS = "measured against predicted effort, and the error"
+_FRICTION = (
+    "friction over velocity with its band, and the measured effort less the rest of the model"
+)
 _ERRORS = "spectrum, autocorrelation and velocity dependence of the error"
+
+# Friction is shown up to the speed limit, but no further than this beyond what was recorded.
+_BEYOND = 1.5
+
+# Samples that are shown as dots; more would hide the curve.
+_DOTS = 400
 
 
 def values(result: Judged, errors: tuple[JointErrors, ...], draw: bool) -> dict[str, Any]:
@@ -63,18 +81,72 @@ def _plots(result: Judged, errors: tuple[JointErrors, ...]) -> Iterator[dict[str
     """Yield the figures of every joint."""
     samples, fit = judged(result)
     shown = {each.joint: each for each in errors}
+    seen, curves = list(driven(result)), _curves(result)
+    band = _band(result)
     for j, name in enumerate(fit.joint_names):
         if name not in shown:
             continue
-        columns = samples.effort[:, j], fit.effort_predicted[:, j], samples.used[:, j]
-        efforts = plot_joint(samples.time, *columns, starts=samples.starts)
-        found = plot_joint_errors(shown[name], timed=samples.time is not None)
+        used = samples.used[:, j]
+        curve = curves.get(name)
+        unit = "N·m" if curve is None else curve.unit
+        efforts = plot_joint(
+            samples.time,
+            samples.effort[:, j],
+            fit.effort_predicted[:, j],
+            used,
+            band=None if band is None else band[:, j],
+            starts=samples.starts,
+            unit=unit,
+        )
+        pictures = [(image_source(efforts), _EFFORTS)]
+        if curve is not None:
+            v = samples.velocity[used, j]
+            error = (samples.effort - fit.effort_predicted)[used, j]
+            picture = plot_friction_curve(
+                curve, cloud=_cloud(curve, v, error), driven=seen[j]["speeds"]
+            )
+            pictures.append((image_source(picture), _FRICTION))
+        found = plot_joint_errors(shown[name], timed=samples.time is not None, unit=unit)
+        pictures.append((image_source(found), _ERRORS))
         yield {
             "name": name,
+            "unit": unit,
             "rmse": float(fit.rmse[j]),
             "r2": float(fit.r2[j]),
-            "pictures": [
-                (image_source(efforts), _EFFORTS),
-                (image_source(found), _ERRORS),
-            ],
+            "driven": seen[j],
+            "pictures": pictures,
         }
+
+
+def _band(result: Judged) -> Array | None:
+    """Return the half-width (K, n) of the band about the judged prediction, if it is known."""
+    samples, fit = judged(result)
+    try:
+        own = fit.effort_band
+        return effort_band(result.estimate, samples) if own is None else own
+    except SdpidError:  # no covariance; a picture must not cost the run
+        return None
+
+
+def _curves(result: Judged) -> dict[str, JointCurve]:
+    """Return the friction curve of every joint with friction, over what was driven and beyond."""
+    problem, (samples, _) = result.problem, judged(result)
+    friction, robot = problem.friction, problem.robot
+    if not friction.parameters:
+        return {}
+    both = np.abs(np.vstack([problem.samples.velocity, samples.velocity])).max(axis=0)
+    tops = np.fmax(both, np.fmin(_BEYOND * both, robot.velocity_limits))[friction.first :]
+    velocities = {j: default_velocities(float(top)) for j, top in enumerate(tops)}
+    try:
+        curves = joint_curves(result.estimate, velocities)
+    except SdpidError:  # too few rows for intervals
+        model = result.estimate.model()
+        curves = tuple(model.friction_curve(j, v) for j, v in velocities.items())
+    return {curve.joint: curve for curve in curves}
+
+
+def _cloud(curve: JointCurve, velocity: Array, error: Array) -> tuple[Array, Array]:
+    """Return velocities, and the curve with the errors of the samples; of many some, evenly."""
+    some = np.unique(np.linspace(0, len(velocity) - 1, _DOTS).astype(np.intp))
+    v = velocity[some]
+    return v, np.interp(v, curve.velocity, curve.effort) + error[some]

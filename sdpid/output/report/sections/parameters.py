@@ -7,6 +7,7 @@ from typing import Any
 
 from sdpid.assurance.diagnostics.provenance import provenance
 from sdpid.output.report.judged import Judged
+from sdpid.output.report.sections.forest import pictures
 from sdpid.output.tables.intervals_shown import Ends, GivenIntervals, ends_of, in_words
 from sdpid.output.tables.parameter_tables import base_table
 
@@ -14,11 +15,12 @@ from sdpid.output.tables.parameter_tables import base_table
 _NOTHING = 1e-6
 
 
-def values(result: Judged, intervals: GivenIntervals | None) -> dict[str, Any]:
+def values(result: Judged, intervals: GivenIntervals | None, draw: bool) -> dict[str, Any]:
     """Return the values of the template."""
     ends = ends_of(intervals)
     base, theta = list(base_rows(result, ends)), list(_theta(result, ends))
     return {
+        "forest": list(pictures(result, ends)) if draw else [],
         "base": base,
         "theta": theta,
         "has_errors": any(row["error"] is not None for row in base),

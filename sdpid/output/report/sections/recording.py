@@ -53,6 +53,7 @@ def driven(result: Judged) -> Iterator[dict[str, Any]]:
             "low": None if q is None else float(q.min()),
             "high": None if q is None else float(q.max()),
             "speed": speed,
+            "speeds": (float(samples.velocity[:, j].min()), float(samples.velocity[:, j].max())),
             "allowed": allowed if np.isfinite(allowed) else None,
             "acceleration": float(np.abs(samples.acceleration[:, j]).max()),
             "effort": float(np.sqrt(np.mean(samples.effort[kept, j] ** 2))) if kept.any() else None,

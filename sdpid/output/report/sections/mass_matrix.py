@@ -1,0 +1,87 @@
+"""The least eigenvalue of the mass matrix, along the motion and over all positions."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import numpy as np
+
+from sdpid._common.arrays import Array
+from sdpid.assurance.diagnostics.described import described_dynamics
+from sdpid.assurance.diagnostics.held_out import DESCRIPTION, LEAST_SQUARES, OURS
+from sdpid.assurance.diagnostics.mass_matrix import (
+    SmallestMassEigenvalue,
+    smallest_mass_eigenvalue,
+)
+from sdpid.output.report.judged import Judged
+from sdpid.plots.inline_svg import image_source
+from sdpid.plots.mass_matrix import plot_mass_matrix
+
+# Instants along the motion: more than a picture shows.
+_INSTANTS = 300
+
+# Joints of a robot whose box of positions is searched: a third of a second at seven.
+_MOST = 12
+
+# Of the size of this share of the mass matrix an eigenvalue is rounding.
+_ROUNDING = 1e-9
+
+
+def values(result: Judged, draw: bool) -> dict[str, Any]:
+    """Return the values of the template."""
+    samples = result.problem.samples
+    some = np.unique(np.linspace(0, samples.n_samples - 1, _INSTANTS).astype(np.intp))
+    along = dict(_along(result, samples.position[some]))
+    box = _over_the_box(result)
+    bound = None if box is None or not box.positive_definite else box.lower_bound
+    source = None
+    if draw:
+        time = None if samples.time is None else samples.time[some]
+        starts = np.searchsorted(some, samples.starts).tolist()
+        source = image_source(plot_mass_matrix(time, along, bound=bound, starts=starts))
+    return {
+        "mass_matrix": {
+            "rows": [
+                {
+                    "name": name,
+                    "ours": name == OURS,
+                    "least": float(each.min()),
+                    "most": float(each.max()),
+                    "indefinite": float(np.mean(each <= 0.0)),
+                }
+                for name, each in along.items()
+            ],
+            "instants": len(some),
+            "box": box,
+            "bound": bound,
+            "source": source,
+        }
+    }
+
+
+def _along(result: Judged, position: Array) -> Iterator[tuple[str, Array]]:
+    """Yield the least eigenvalue (K,) at positions of description, least squares and estimate."""
+    problem = result.problem
+    if np.any(problem.robot.prior[:, 0] > 0.0):
+        described = described_dynamics(problem.robot, problem.samples)
+        yield DESCRIPTION, _least(described.mass_matrix, position)
+    yield LEAST_SQUARES, _least(result.wls.model().mass_matrix, position)
+    yield OURS, _least(result.estimate.model().mass_matrix, position)
+
+
+def _least(mass_matrix: Callable[[Array], Array], position: Array) -> Array:
+    return np.asarray(np.linalg.eigvalsh(mass_matrix(position))[:, 0])
+
+
+def _over_the_box(result: Judged) -> SmallestMassEigenvalue | None:
+    """Return the least over all positions, of the links alone, where drives only add to it."""
+    estimate = result.estimate
+    if result.problem.robot.n > _MOST or estimate.theta is None:
+        return None
+    q = result.problem.samples.position[0]
+    links = estimate.mass_matrix(q)
+    drives = estimate.model().mass_matrix(q) - links
+    if np.linalg.eigvalsh(drives)[0] < -_ROUNDING * np.abs(links).max():
+        return None
+    return smallest_mass_eigenvalue(estimate)
