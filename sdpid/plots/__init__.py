@@ -7,7 +7,10 @@ figure of some axes to a file.
 
 from sdpid.plots.convergence import plot_convergence
 from sdpid.plots.figures import save_figure
+from sdpid.plots.forest import plot_forest
+from sdpid.plots.friction_curve import plot_friction_curve
 from sdpid.plots.joints import plot_joint, plot_joint_errors
+from sdpid.plots.mass_matrix import plot_mass_matrix
 from sdpid.plots.motion import (
     plot_against_limits,
     plot_distances,
@@ -24,8 +27,11 @@ __all__ = [
     "plot_convergence",
     "plot_distances",
     "plot_fit",
+    "plot_forest",
+    "plot_friction_curve",
     "plot_joint",
     "plot_joint_errors",
+    "plot_mass_matrix",
     "plot_motion",
     "plot_over_duration",
     "plot_parameters",

@@ -82,7 +82,9 @@ def plot_forest(
     known = np.isfinite(ends[0]) & np.isfinite(ends[1])
     low, high = (np.clip(each / scale, -_EDGE, _EDGE)[known] for each in ends)
     axis.hlines(at[known], low, high, color=BLUE, linewidth=1.6)
-    for (name, each), (color, mark, look) in zip(beside, _BESIDE[-len(beside) :], strict=True):
+    for (name, each), (color, mark, look) in zip(
+        beside, _BESIDE[len(_BESIDE) - len(beside) :], strict=True
+    ):
         _marks(axis, each / scale, at, color, mark, name, **look)
     _marks(axis, own / scale, at, BLUE, "o", ours)
     for k in range(count):

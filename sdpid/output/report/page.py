@@ -5,6 +5,7 @@ from __future__ import annotations
 import base64
 import hashlib
 from collections.abc import Sequence
+from functools import cache
 from importlib.resources import files
 from typing import Any
 
@@ -44,6 +45,15 @@ def page(package: str, template: str, *, scripts: Sequence[str] = (), **values: 
     MissingExtraError
         When jinja2 is not installed (extra ``report``).
     """
+    markup = require("markupsafe", extra="report").Markup
+    values["policy"] = markup(policy(scripts))
+    values["scripts"] = [markup(script) for script in scripts]
+    return str(_template(package, template).render(**values))
+
+
+@cache
+def _template(package: str, name: str) -> Any:
+    """Return a template of a package, compiled."""
     jinja2 = require("jinja2", extra="report")
     markup = require("markupsafe", extra="report").Markup
     own = files(package)
@@ -57,14 +67,8 @@ def page(package: str, template: str, *, scripts: Sequence[str] = (), **values: 
     environment.filters.update(number=number, percent=percent, fixed=fixed)
     environment.filters["capitalized"] = capitalized
     style = files("sdpid.output.report").joinpath("page.css").read_text(encoding="utf-8")
-    environment.globals.update(
-        style=markup(style),
-        version=__version__,
-        policy=markup(policy(scripts)),
-        scripts=[markup(script) for script in scripts],
-        long=LONG,
-    )
-    return str(environment.get_template(template).render(**values))
+    environment.globals.update(style=markup(style), version=__version__, long=LONG)
+    return environment.get_template(name)
 
 
 def policy(scripts: Sequence[str] = ()) -> str:
