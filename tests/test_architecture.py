@@ -71,7 +71,7 @@ ROOMS = {
         "payload",
         "sampling",
     ],
-    "output": ["tables", "robots", "samples", "report", "plans"],
+    "output": ["tables", "robots", "samples", "scene", "report", "plans"],
     "workflow": [],
     "cli": [],
 }

@@ -18,7 +18,14 @@ import pytest
 
 # A browser of this family, wherever it is called what.
 BROWSERS = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable", "chrome")
-OPTIONS = ("--headless=new", "--no-sandbox", "--disable-gpu", "--remote-debugging-port=0")
+# WebGL is drawn by the processor.
+OPTIONS = (
+    "--headless=new",
+    "--no-sandbox",
+    "--use-angle=swiftshader",
+    "--enable-unsafe-swiftshader",
+    "--remote-debugging-port=0",
+)
 
 # Seconds after which the browser is given up.
 PATIENCE = 60.0
@@ -55,6 +62,13 @@ class Tab:
         for kind in ("rawKeyDown", "keyUp"):
             await self.call("Input.dispatchKeyEvent", type=kind, key=key)
 
+    async def until(self, condition: str) -> None:
+        """Wait until a JavaScript expression is true."""
+        end = time.monotonic() + PATIENCE
+        while not await self.value(condition):
+            assert time.monotonic() < end, condition
+            await asyncio.sleep(0.05)
+
     def named(self, *methods: str) -> list[dict[str, Any]]:
         """Return the events of some kinds."""
         return [event for event in self.events if event.get("method") in methods]
@@ -82,17 +96,10 @@ def look(path: Path, profile: Path, visit: Callable[[Tab], Awaitable[None]]) -> 
             for domain in ("Page", "Runtime", "Log", "Network"):
                 await tab.call(f"{domain}.enable")
             await tab.call("Page.navigate", url=path.resolve().as_uri())
-            await _until(tab, "document.readyState === 'complete'")
+            await tab.until("document.readyState === 'complete'")
             await visit(tab)
 
     asyncio.run(run())
-
-
-async def _until(tab: Tab, condition: str) -> None:
-    end = time.monotonic() + PATIENCE
-    while not await tab.value(condition):
-        assert time.monotonic() < end, condition
-        await asyncio.sleep(0.05)
 
 
 @contextlib.asynccontextmanager
@@ -112,7 +119,11 @@ async def _tab(program: str, profile: Path) -> AsyncIterator[Tab]:
             with urlopen(address, timeout=PATIENCE) as answer:
                 pages = [each for each in json.load(answer) if each["type"] == "page"]
             socket = await websocket_connect(pages[0]["webSocketDebuggerUrl"])
-            yield Tab(socket)
-            socket.close()
+            try:
+                yield Tab(socket)
+            finally:
+                socket.close()
+                while await asyncio.wait_for(socket.read_message(), PATIENCE) is not None:
+                    pass
         finally:
             process.terminate()

@@ -14,7 +14,7 @@ from sdpid._common.arrays import Array, Mask, real_array
 from sdpid._common.toml import load_toml
 from sdpid.errors import DataError
 from sdpid.robot.description.origin import LARGEST, rpy_matrix
-from sdpid.robot.model.shapes import read_mesh
+from sdpid.robot.model.shapes import mesh_faces, read_mesh
 
 _DIRECTIONS = {
     sign + axis: tuple((-1.0 if sign == "-" else 1.0) * (axis == other) for other in "xyz")
@@ -170,8 +170,7 @@ class Mesh(_Placed):
     def triangles(self) -> Array:
         """Return the corners of the triangles in the base frame, shape (M, 3, 3)."""
         mesh, vertices = self.load()
-        faces = [mesh.tri_indices(i) for i in range(mesh.num_tris)]
-        corners = vertices[np.array([[face[0], face[1], face[2]] for face in faces], dtype=int)]
+        corners = vertices[mesh_faces(mesh)]
         return np.asarray(corners @ self.placement[:3, :3].T + self.placement[:3, 3])
 
     def contains(self, points: Array) -> Mask:

@@ -15,6 +15,7 @@ from sdpid._common.arrays import Array
 from sdpid.errors import ModelError
 from sdpid.excitation.geometry.obstacles import Box, Mesh, Obstacle, Plane
 from sdpid.robot.description.xml import parse_xml
+from sdpid.robot.model.geometry import described_bodies
 from sdpid.robot.model.model import RobotModel
 from sdpid.robot.model.shapes import Shape, collision_library, link_shapes
 
@@ -134,7 +135,7 @@ def robot_solids(
     """
     folders = [Path(folder) for folder in package_dirs]
     if radius is None:
-        radius = min(_RADIUS_SHARE * robot.reach, _LARGEST_RADIUS)
+        radius = assumed_radius(robot)
     elements: dict[str, Any] = {}
     if robot.urdf is not None:
         root = parse_xml(robot.urdf, robot.name)
@@ -188,6 +189,11 @@ def body_name(robot: RobotModel, joint: int) -> str:
     return next((name for name, _ in _bodies(robot, 0)), "base")
 
 
+def assumed_radius(robot: RobotModel) -> float:
+    """Return the radius of capsules that stand for links, m."""
+    return min(_RADIUS_SHARE * robot.reach, _LARGEST_RADIUS)
+
+
 def assumed_shapes(robot: RobotModel, joint: int, radius: float) -> list[Shape]:
     """Return capsules from a joint's origin to the next joints, or to the end of the last link."""
     model = robot.pin_model
@@ -222,11 +228,9 @@ def _capsule(end: Array, radius: float) -> Shape:
 
 def _bodies(robot: RobotModel, joint: int) -> Iterator[tuple[str, Array]]:
     """Yield the links of the description that move with a joint, placed in its frame."""
-    import pinocchio as pin
-
-    for frame in robot.pin_model.frames:
-        if frame.type == pin.FrameType.BODY and frame.parentJoint == joint:
-            yield frame.name, np.array(frame.placement.homogeneous)
+    for own, name, placement in described_bodies(robot):
+        if own == joint:
+            yield name, placement
 
 
 def _described(

@@ -6,9 +6,7 @@ One HTML file that loads nothing; of scripts only the player runs, by its digest
 from __future__ import annotations
 
 import importlib.util
-import json
 from collections.abc import Iterator, Sequence
-from importlib.resources import files
 from itertools import cycle
 from typing import Any
 
@@ -20,9 +18,10 @@ from sdpid.excitation.expected.expected import NORMAL, Expected
 from sdpid.excitation.plan.limited import limited_quantities
 from sdpid.excitation.plan.plan import Plan
 from sdpid.experiment.trajectory.played import Played, played
-from sdpid.output.plans.scene import FRAME_RATE, scene_of
+from sdpid.output.plans.scene import scene_of
 from sdpid.output.plans.words import sentences, tiles
 from sdpid.output.report.page import page
+from sdpid.output.scene.motion import FRAME_RATE
 from sdpid.plots.inline_svg import image_source
 from sdpid.plots.motion import (
     COLORS,
@@ -66,12 +65,10 @@ def plan_html(
         When jinja2 is not installed (extra ``report``), or matplotlib is not and figures are
         asked for (extra ``plot``).
     """
-    markup = require("markupsafe", extra="report").Markup
     drawable = importlib.util.find_spec("matplotlib") is not None
     if figures:
         require("matplotlib", extra="plot")
     draw = drawable if figures is None else figures
-    script = files("sdpid.output.plans").joinpath("player.js").read_text(encoding="utf-8")
     clearance = plan.joint_limits.clearance or 0.0
     scene = scene_of(plan.robot, played(plan.trajectory, FRAME_RATE), plan.collision, clearance)
     motion = played(plan.trajectory, _RATE_HZ)
@@ -83,7 +80,6 @@ def plan_html(
         subtitle=_subtitle(plan),
         tiles=list(tiles(plan)),
         sentences=list(sentences(plan)),
-        drawn_as=_drawn_as(plan),
         rows=plan.limits.rows,
         distances=_distances(plan, motion) if draw else None,
         joints=list(_joints(plan, motion)) if draw else [],
@@ -95,9 +91,8 @@ def plan_html(
         left_out=plan.limits.left_out,
         files=names,
         command=command,
-        # No "<" may end the element early.
-        scene=markup(json.dumps(scene, separators=(",", ":")).replace("<", "\\u003c")),
-        scripts=(script,),
+        scene=scene,
+        scripts=(scene.script,),
     )
 
 
@@ -109,13 +104,6 @@ def _subtitle(plan: Plan) -> str:
     kind = kinds.get(plan.motion, "one joint at a time")
     purpose = "all parameters" if plan.purpose == "all" else plan.purpose
     return f"Motion of {joints} for {moving.duration:.4g} s ({kind}), for {purpose}"
-
-
-def _drawn_as(plan: Plan) -> str:
-    """Return what the shapes in the picture are."""
-    if plan.collision is None:
-        return "Lines join the joints: no collisions were checked."
-    return "Shapes are those that were checked for collisions, hulls with some corners left out."
 
 
 def _joints(plan: Plan, motion: Played) -> Iterator[dict[str, Any]]:

@@ -1,4 +1,4 @@
-"""The moving arm as the page's player draws it: convex shapes and where they are over time."""
+"""The moving arm on the page of a plan: what was checked, and where it is over time."""
 
 from __future__ import annotations
 
@@ -10,127 +10,98 @@ import numpy as np
 from sdpid._common.arrays import Array
 from sdpid.excitation.geometry.collision import CollisionModel
 from sdpid.excitation.geometry.obstacles import Mesh, Plane
+from sdpid.excitation.geometry.solids import Solid
 from sdpid.experiment.trajectory.played import Played
-from sdpid.robot.model.geometry import link_placements
+from sdpid.output.scene.group import Group
+from sdpid.output.scene.motion import Motion
+from sdpid.output.scene.scene import Line, Scene, grid, robot_scene
+from sdpid.output.scene.surfaces import Surface, described_surfaces, surface_of
 from sdpid.robot.model.model import RobotModel
-from sdpid.robot.model.shapes import Shape
 
-# Frames a second: the player blends between them.
-FRAME_RATE = 25.0
+# Half width of what is drawn of a plane, in reaches of the arm.
+_WIDE = 1.5
 
-# Corners of a drawn shape: a picture of some hundred pixels shows no more of a hull.
-_CORNERS = 48
-
-# Triangles of a mesh that is drawn as it is, and not by its hull.
-_TRIANGLES = 3000
-
-# Lines of a plane's grid on either side of its middle, and its half width in sizes of the arm.
-_GRID, _WIDE = 5, 1.2
-
-# Digits after the point: tenths of a millimeter, and of the quaternions alike.
+# Digits of a distance after the point, m.
 _DIGITS = 4
+
+# Colors of links in turn: the base is gray.
+_COLORS = ("#8d99a6", "#0072b2", "#e69f00", "#009e73", "#cc79a7", "#56b4e9", "#d55e00")
+
+_GROUPS = (
+    Group("obstacles", "", "#b8a888"),
+    Group("links", "", _COLORS[0]),
+    Group("planes", "", "#a08c6e", 0.2),
+)
 
 
 def scene_of(
     robot: RobotModel, motion: Played, collision: CollisionModel | None, clearance: float
-) -> dict[str, Any]:
-    """Return what the player needs, as plain values.
+) -> Scene:
+    """Return the arm that moves through a plan.
 
     Parameters
     ----------
     robot : RobotModel
         The robot.
     motion : Played
-        At about `FRAME_RATE`.
+        At about the rate at which it is shown.
     collision : CollisionModel or None
-        The shapes that were checked; without them joints are joined by lines.
+        The shapes that were checked; without them those of the description are drawn.
     clearance : float
         Least distance that is asked, m.
     """
-    placements = np.stack([link_placements(robot, q) for q in motion.position])
-    origins = placements[:, :, :3, 3]
-    solids = () if collision is None else collision.solids
-    names = set() if collision is None else {each.name for each in collision.obstacles}
-    bones = list(_bones(robot))
-    seen = [np.zeros((1, 3)), origins.reshape(-1, 3)]
-    for each in solids:
-        if each.joint == 0 and each.body not in names and isinstance(each.shape, Shape):
-            seen.append(each.shape.points())
-    low, high = (extreme(np.concatenate(seen), axis=0) for extreme in (np.min, np.max))
-    size = max(float(np.linalg.norm(high - low)) / 2.0, 0.1)
-    return {
-        "center": (0.5 * (low + high)).tolist(),
-        "size": size,
-        "duration": float(motion.time[-1]),
-        "shapes": [
-            {"link": each.joint - 1, "obstacle": each.body in names, **_surface(each.shape)}
-            for each in solids
-            if not isinstance(each.shape, Plane)
-        ],
-        "planes": [
-            _grid(each.shape, _WIDE * size) for each in solids if isinstance(each.shape, Plane)
-        ],
-        "bones": bones,
-        "traces": [
-            origins[:, link].round(_DIGITS).tolist()
-            for link in sorted(set(range(robot.n_links)) - {parent for parent, _ in bones})
-        ],
-        "frames": {
-            "rate": motion.rate_hz,
-            "count": len(motion.time),
-            "poses": _poses(placements).round(_DIGITS).tolist(),
-            "q": motion.position.round(_DIGITS).tolist(),
-        },
-        "distances": None if collision is None else _nearest(collision, motion, clearance),
-    }
-
-
-def _surface(shape: Shape | Mesh) -> dict[str, Any]:
-    """Return corners and triangles of a shape; those of a large mesh are its hull's."""
-    hollow = isinstance(shape, Mesh)
-    points = shape.triangles().reshape(-1, 3) if isinstance(shape, Mesh) else shape.points()
-    if hollow and len(points) <= 3 * _TRIANGLES:
-        corners, faces = points, np.arange(len(points)).reshape(-1, 3).tolist()
+    shown = Motion(motion.rate_hz, motion.position)
+    if collision is None:
+        surfaces, notes = described_surfaces(robot)
+        lines = []
+        notes = (*notes, "Shapes are those of the description: no collisions were checked.")
     else:
-        corners, faces = hull(points)
-    return {"points": corners.round(_DIGITS).tolist(), "faces": faces, "hollow": hollow}
+        names = {each.name for each in collision.obstacles}
+        solids = [each for each in collision.solids if not isinstance(each.shape, Plane)]
+        surfaces = [_surface(each, obstacle=each.body in names) for each in solids]
+        planes = [each.shape for each in collision.solids if isinstance(each.shape, Plane)]
+        half = _WIDE * max(robot.reach, 0.1)
+        surfaces += [_sheet(plane, half) for plane in planes]
+        lines = [grid(*_sides(plane, half)) for plane in planes]
+        notes = ("Shapes are those that were checked for collisions.",)
+    traces = [Line(trace) for trace in _traces(robot, shown)]
+    return robot_scene(
+        robot,
+        shown,
+        _GROUPS,
+        [_colored(each) for each in surfaces],
+        label=f"The arm of {robot.name} along the motion, and what is around it",
+        lines=[*lines, *traces],
+        distances=None if collision is None else _nearest(collision, motion, clearance),
+        notes=notes,
+    )
 
 
-def hull(points: Array) -> tuple[Array, list[list[int]]]:
-    """Return corners and outward triangles of the convex hull of points, with few corners.
-
-    Of many points those that are farthest in evenly spread directions are kept.
-    """
-    from scipy.spatial import ConvexHull
-
-    k = np.arange(_CORNERS) + 0.5
-    height, turn = 1.0 - 2.0 * k / _CORNERS, np.pi * (1.0 + np.sqrt(5.0)) * k
-    ring = np.sqrt(1.0 - height**2)
-    directions = np.stack([ring * np.cos(turn), ring * np.sin(turn), height])
-    if len(points) > _CORNERS:
-        points = points[np.unique((points @ directions).argmax(axis=0))]
-    found = ConvexHull(points, qhull_options="QJ")
-    faces = []
-    for corners, plane in zip(found.simplices.tolist(), found.equations, strict=True):
-        a, b, c = points[corners]
-        outward = float(np.cross(b - a, c - a) @ plane[:3]) > 0.0
-        faces.append(corners if outward else corners[::-1])
-    return points, faces
+def _surface(solid: Solid, *, obstacle: bool) -> Surface:
+    """Return what is drawn of a solid."""
+    group, link = "obstacles" if obstacle else "links", solid.joint - 1
+    if isinstance(solid.shape, Mesh):
+        points = solid.shape.triangles().reshape(-1, 3)
+        return Surface(link, points, np.arange(len(points)).reshape(-1, 3), group)
+    assert not isinstance(solid.shape, Plane)
+    found = surface_of(solid.shape, link)
+    return Surface(link, found.points, found.faces, group)
 
 
-def _poses(placements: Array) -> Array:
-    """Return position and quaternion (x, y, z, w) of each link, shape (K, links, 7)."""
-    from scipy.spatial.transform import Rotation
+def _colored(surface: Surface) -> Surface:
+    """Return a link's surface in the link's color."""
+    if surface.group != "links":
+        return surface
+    color = _COLORS[(surface.link + 1) % len(_COLORS)]
+    return Surface(surface.link, surface.points, surface.faces, surface.group, color)
 
-    turns = Rotation.from_matrix(placements[..., :3, :3].reshape(-1, 3, 3)).as_quat()
-    shape = placements.shape[:2]
-    return np.concatenate([placements[..., :3, 3], turns.reshape(*shape, 4)], axis=-1)
 
-
-def _bones(robot: RobotModel) -> Iterator[tuple[int, int]]:
-    """Yield the links that follow each other, -1 for the base."""
-    for link, parent in enumerate(list(robot.pin_model.parents)[1:]):
-        yield int(parent) - 1, link
+def _traces(robot: RobotModel, motion: Motion) -> Iterator[Array]:
+    """Yield where the links without followers go, shape (F, 3)."""
+    followed = {int(parent) - 1 for parent in list(robot.pin_model.parents)[1:]}
+    origins = motion.placements(robot)[:, :, :3, 3]
+    for link in sorted(set(range(robot.n_links)) - followed):
+        yield origins[:, link]
 
 
 def _nearest(collision: CollisionModel, motion: Played, clearance: float) -> dict[str, Any] | None:
@@ -149,17 +120,16 @@ def _nearest(collision: CollisionModel, motion: Played, clearance: float) -> dic
     return {"pairs": [names[k] for k in used], "frames": frames}
 
 
-def _grid(plane: Plane, half: float) -> dict[str, Any]:
-    """Return outline and lines of a square part of a plane, below or beside the robot's base."""
+def _sides(plane: Plane, half: float) -> tuple[Array, Array]:
+    """Return the middle of a square part of a plane, and its half sides as rows (2, 3)."""
     n = np.asarray(plane.normal) / np.linalg.norm(plane.normal)
-    middle = n * float(np.asarray(plane.point) @ n)
     across = np.cross(n, np.eye(3)[np.abs(n).argmin()])
     across /= np.linalg.norm(across)
-    sides = np.stack([across, np.cross(n, across)])
+    return n * float(np.asarray(plane.point) @ n), half * np.stack([across, np.cross(n, across)])
 
-    def at(a: float, b: float) -> list[float]:
-        return [float(x) for x in (middle + half * (a * sides[0] + b * sides[1])).round(_DIGITS)]
 
-    steps = np.linspace(-1.0, 1.0, 2 * _GRID + 1).tolist()
-    lines = [[at(s, -1.0), at(s, 1.0)] for s in steps] + [[at(-1.0, s), at(1.0, s)] for s in steps]
-    return {"outline": [at(-1, -1), at(1, -1), at(1, 1), at(-1, 1)], "lines": lines}
+def _sheet(plane: Plane, half: float) -> Surface:
+    """Return a square part of a plane, below or beside the robot's base."""
+    middle, sides = _sides(plane, half)
+    corners = middle + np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]]) @ sides
+    return Surface(-1, corners, np.array([[0, 1, 2], [0, 2, 3]]), "planes")

@@ -19,6 +19,8 @@ from sdpid.output.report.judged import Judged, errors_of
 from sdpid.output.report.page import page
 from sdpid.output.report.sections import joints, links, mass_matrix, parameters, recording, short
 from sdpid.output.robots.export_report import ExportReport
+from sdpid.output.scene.identified import identified_scene
+from sdpid.output.scene.scene import Scene
 from sdpid.output.tables.intervals_shown import GivenIntervals
 
 
@@ -45,7 +47,7 @@ def write_report(
     intervals : Intervals, optional
         For the parameter tables.
     figures : bool, optional
-        Draw plots; by default where matplotlib is installed.
+        Draw plots; by default where matplotlib is installed. False leaves out the robot, too.
     sha256 : str, optional
         The certificate's digest, where it is known; else the certificate is written out once
         more to find it.
@@ -92,18 +94,24 @@ def report_html(
         require("matplotlib", extra="plot")
     if sha256 is None:
         sha256 = str(identification.certificate.to_dict()["sha256"])
+    scene = None if figures is False else _scene(identification)
     shown = _context(identification, drawable if figures is None else figures, intervals)
     return page(
         "sdpid.output.report",
         "report.html.j2",
-        # The robot in three dimensions, where there is a scene.
-        scene=None,
+        scripts=() if scene is None else (scene.script,),
+        scene=scene,
         **shown,
         exports=exports,
         command=command,
         sha256=sha256,
         drawable=drawable,
     )
+
+
+def _scene(result: Judged) -> Scene:
+    """Return the robot along the motion that was recorded, with its inertia ellipsoids."""
+    return identified_scene(result.problem.robot, result.problem.samples, result.estimate.theta)
 
 
 def _context(result: Judged, draw: bool, intervals: GivenIntervals | None) -> dict[str, Any]:

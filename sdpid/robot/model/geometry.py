@@ -58,22 +58,16 @@ def collision_points(
             f"'{robot.name}' was not loaded from a URDF, so the shape of '{link}' is not known; "
             "give the points."
         )
-    import pinocchio as pin
-
     folders = [Path(folder) for folder in package_dirs]
-    bodies = {
-        frame.name: np.array(frame.placement.homogeneous)
-        for frame in robot.pin_model.frames
-        if frame.type == pin.FrameType.BODY
-        and frame.parentJoint == robot.link_names.index(link) + 1
-    }
+    own = robot.link_names.index(link) + 1
+    bodies = {name: place for joint, name, place in described_bodies(robot) if joint == own}
     points = []
     for element in parse_xml(robot.urdf, robot.name).findall("link"):
         name = element.get("name")
         if name in bodies:
-            own = link_points(element, "collision", robot.name, folders)
-            points.append(own @ bodies[name][:3, :3].T + bodies[name][:3, 3])
-    if not any(len(own) for own in points):
+            found = link_points(element, "collision", robot.name, folders)
+            points.append(found @ bodies[name][:3, :3].T + bodies[name][:3, 3])
+    if not any(len(found) for found in points):
         raise ModelError(
             f"'{robot.name}': link '{link}' and what is fixed to it have no collision geometry; "
             "give the points, or leave this link out."
@@ -107,6 +101,20 @@ def link_points(element: Any, kind: str, robot: str, folders: Sequence[Path]) ->
     """
     shapes = link_shapes(element, kind, robot, folders)
     return np.concatenate([np.empty((0, 3)), *(shape.points() for shape in shapes)])
+
+
+def described_bodies(robot: RobotModel) -> list[tuple[int, str, Array]]:
+    """Return the links of the description: joint, name and placement in the joint's frame.
+
+    The joint is Pinocchio's index of the one that moves the link, 0 where none does.
+    """
+    import pinocchio as pin
+
+    return [
+        (int(frame.parentJoint), frame.name, np.array(frame.placement.homogeneous))
+        for frame in robot.pin_model.frames
+        if frame.type == pin.FrameType.BODY
+    ]
 
 
 def neutral(robot: RobotModel) -> Array:

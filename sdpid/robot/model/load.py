@@ -69,6 +69,7 @@ def load_robot(
     if gravity is None:
         gravity = default_gravity
     origin = _origin(source, found, root, xacro_args)
+    folder = None if found.path is None else found.path.parent
     if is_xacro(found):
         found = expand_xacro(found, xacro_args)
     elif xacro_args is not None:
@@ -77,7 +78,7 @@ def load_robot(
         floating = root is not None
         model, mimics = pinocchio_from_urdf(found.text, found.what, floating=floating)
         robot = RobotModel.from_pinocchio(model, gravity=gravity, mimics=mimics, urdf=found.text)
-        return replace(robot, source=origin)
+        return replace(robot, source=origin, folder=folder)
     if root is not None:
         raise ModelError(
             f"{found.what}: an MJCF says itself whether its base floats; leave root out, and give "
@@ -85,7 +86,7 @@ def load_robot(
         )
     model, mimics = pinocchio_from_mjcf(found.text, found.path, found.what)
     robot = RobotModel.from_pinocchio(model, gravity=gravity, mimics=mimics)
-    return replace(robot, source=origin)
+    return replace(robot, source=origin, folder=folder)
 
 
 def _find(source: str | os.PathLike[str]) -> tuple[Description, Sequence[float] | None]:

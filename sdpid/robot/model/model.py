@@ -6,6 +6,7 @@ import functools
 import os
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
@@ -49,6 +50,8 @@ class RobotModel:
         Text of the description, where there is one.
     source : Source or None
         The description that `load_robot` read, and how; None for a robot from elsewhere.
+    folder : Path or None
+        The folder of the description's file, where the meshes that it names are looked up.
     """
 
     name: str
@@ -60,6 +63,7 @@ class RobotModel:
     offset: Array
     urdf: str | None = None
     source: Source | None = None
+    folder: Path | None = None
 
     @classmethod
     def from_mdh(

@@ -13,7 +13,7 @@ from urllib.parse import unquote
 
 import numpy as np
 
-from sdpid._common.arrays import Array, frozen
+from sdpid._common.arrays import Array, Indices, frozen
 from sdpid.errors import ModelError
 from sdpid.robot.description.catalog import example_robots
 from sdpid.robot.description.origin import read_origin, read_triple
@@ -40,12 +40,15 @@ class Shape:
         Vertices of a mesh in the frame of the shape, m; empty for other kinds.
     placement : ndarray, shape (4, 4)
         The shape's frame in the frame of the link.
+    mesh : Any
+        Coal's surface of a mesh from a file (see `mesh_faces`); None for other kinds, and hulls.
     """
 
     kind: str
     sizes: Array
     vertices: Array
     placement: Array
+    mesh: Any = None
 
     @classmethod
     def of(
@@ -55,6 +58,7 @@ class Shape:
         *,
         vertices: Array | None = None,
         placement: Array | None = None,
+        mesh: Any = None,
     ) -> Shape:
         """Make a shape, by default in the middle of the frame."""
         return cls(
@@ -62,6 +66,7 @@ class Shape:
             sizes=frozen(sizes),
             vertices=frozen(np.empty((0, 3)) if vertices is None else vertices),
             placement=frozen(np.eye(4) if placement is None else placement),
+            mesh=mesh,
         )
 
     def points(self) -> Array:
@@ -151,8 +156,8 @@ def _shape(geometry: Any, placement: Array, what: str, folders: Sequence[Path]) 
         return Shape.of(shape.tag, sizes, placement=placement)
     if shape.tag == "mesh":
         path = _find_mesh(shape.get("filename", ""), what, folders)
-        _, vertices = read_mesh(path, _triple(shape, "scale", what, "1 1 1"), what)
-        return Shape.of("mesh", vertices=vertices, placement=placement)
+        mesh, vertices = read_mesh(path, _triple(shape, "scale", what, "1 1 1"), what)
+        return Shape.of("mesh", vertices=vertices, placement=placement, mesh=mesh)
     raise ModelError(
         f"{what}: a <{shape.tag}> is not understood; supported are box, cylinder, sphere, "
         "capsule and mesh."
@@ -257,3 +262,9 @@ def read_mesh(path: Path, scale: Array, what: str) -> tuple[Any, Array]:
     if not len(vertices) or not np.isfinite(vertices).all():
         raise ModelError(f"{what}: mesh {path} has no vertices, or some that are not finite.")
     return mesh, vertices
+
+
+def mesh_faces(mesh: Any) -> Indices:
+    """Return the corners of the triangles of Coal's surface as indices of vertices, (M, 3)."""
+    triangles = (mesh.tri_indices(k) for k in range(mesh.num_tris))
+    return np.array([(t[0], t[1], t[2]) for t in triangles], dtype=np.int64).reshape(-1, 3)

@@ -1,0 +1,108 @@
+"""A robot as its report shows it: the recorded motion, and inertia ellipsoids of its links."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+
+from sdpid._common.arrays import Array
+from sdpid.experiment.processing.samples import Samples
+from sdpid.output.scene.ellipsoids import Ellipsoid, inertia_ellipsoid
+from sdpid.output.scene.group import Group
+from sdpid.output.scene.motion import recorded_motion
+from sdpid.output.scene.scene import Scene, grid, robot_scene
+from sdpid.output.scene.surfaces import described_surfaces
+from sdpid.robot.model.model import RobotModel
+
+_GROUPS = (
+    Group("links", "links", "#8d99a6", 0.45),
+    Group("identified", "inertia as identified", "#0072b2", filled=0.35),
+    Group("described", "inertia as described", "#e69f00", filled=0.0),
+)
+
+# Ellipsoids that reach farther than this many lengths of the arm from their link are not drawn.
+_FAR = 2.0
+
+# What a picture of ellipsoids is.
+_MEANING = (
+    "An ellipsoid is the uniform solid of the same mass, center of mass and inertia as its link. "
+    "Efforts tell base parameters only; what they leave open of a link is the prior's, or the "
+    "solver's choice."
+)
+
+
+def identified_scene(robot: RobotModel, samples: Samples, theta: Array | None) -> Scene:
+    """Return the robot along its recorded motion, with inertia ellipsoids of its links.
+
+    Parameters
+    ----------
+    robot : RobotModel
+        Its description's inertias are compared with the identified ones.
+    samples : Samples
+        The recorded motion.
+    theta : ndarray, shape (p,), optional
+        Identified parameters, link by link, friction last.
+    """
+    surfaces, notes = described_surfaces(robot)
+    motion = recorded_motion(samples)
+    bodies = {} if theta is None else {"identified": theta[: 10 * robot.n_links].reshape(-1, 10)}
+    bodies["described"] = robot.prior
+    reach = max(robot.reach, *(float(np.abs(each.points).max()) for each in surfaces))
+    drawn, told = [], []
+    for key, own in bodies.items():
+        found, lacking = _ellipsoids(robot, own, key, _FAR * reach)
+        drawn += found
+        told += list(lacking)
+    return robot_scene(
+        robot,
+        motion,
+        [each for each in _GROUPS if each.key == "links" or each.key in bodies],
+        surfaces,
+        label=_label(robot, list(bodies)),
+        ellipsoids=drawn,
+        lines=[] if robot.free_flyer else [grid(np.zeros(3), 0.7 * reach * np.eye(3)[:2])],
+        notes=[*told, *(each for each in (*notes, motion.note, _MEANING) if each)],
+    )
+
+
+def _ellipsoids(
+    robot: RobotModel, bodies: Array, key: str, far: float
+) -> tuple[list[tuple[int, str, Ellipsoid]], Iterator[str]]:
+    """Return the ellipsoids of bodies, and what is told of those that have none."""
+    drawn, bare, wrong, large = [], [], [], []
+    for link, (name, body) in enumerate(zip(robot.link_names, bodies, strict=True)):
+        if not np.any(body):
+            bare.append(name)
+        elif (found := inertia_ellipsoid(body)) is None:
+            wrong.append(name)
+        elif np.linalg.norm(found.center) + found.lengths[-1] > far:
+            large.append(name)
+        else:
+            drawn.append((link, key, found))
+    return drawn, _lacking(key, bare, wrong, large, far)
+
+
+def _lacking(
+    key: str, bare: Sequence[str], wrong: Sequence[str], large: Sequence[str], far: float
+) -> Iterator[str]:
+    """Yield sentences about bodies without an ellipsoid."""
+    whose = "The description" if key == "described" else "The estimate"
+    if bare:
+        yield f"{whose} has no inertia of {', '.join(bare)}."
+    if wrong:
+        yield (
+            f"{whose} has inertias that no body can have of {', '.join(wrong)}: there is no "
+            "ellipsoid to draw."
+        )
+    if large:
+        yield (
+            f"{whose} has ellipsoids that reach farther than {far:.2g} m from their joint, which "
+            f"are not drawn: {', '.join(large)}."
+        )
+
+
+def _label(robot: RobotModel, keys: Sequence[str]) -> str:
+    """Return what the picture shows."""
+    both = "the description and the estimate" if len(keys) > 1 else "the description"
+    return f"{robot.name} along the recorded motion, with the inertia ellipsoids of {both}"
