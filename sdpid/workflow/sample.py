@@ -250,7 +250,8 @@ class ParameterSamples:
         probability : float, optional
             Share of the draws within each range.
         report : callable, optional
-            Called with a sentence for each file of an earlier run that was changed and stays.
+            Called with a sentence for what differs from the source beside numbers of moving links,
+            and for each file of an earlier run that was changed and stays.
 
         Returns
         -------

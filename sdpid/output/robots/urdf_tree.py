@@ -53,7 +53,8 @@ class UrdfTree:
         self.links = {e.attributes.get("name", ""): e for e in root.find_all("link")}
         self.joints = {e.attributes.get("name", ""): e for e in root.find_all("joint")}
         self._child = {name: _end(joint, "child") for name, joint in self.joints.items()}
-        _, self._bodies = read_urdf_bodies(text, "URDF")
+        # As they are written, in document order.
+        _, self.bodies = read_urdf_bodies(text, "URDF")
         sources = {mimic.joint: mimic.source for mimic in mimics}
         self.mimics = {name: _last(sources, name) for name in sources}
 
@@ -99,7 +100,7 @@ class UrdfTree:
             When a number of theirs cannot be read.
         """
         children = []
-        for body in self._bodies:
+        for body in self.bodies:
             if body.carrier != link or body.name == link:
                 continue
             if body.problems:

@@ -15,6 +15,7 @@ from fractions import Fraction
 import numpy as np
 
 from sdpid._common.arrays import Array
+from sdpid.assurance.descriptions.body_checks import consistent
 from sdpid.errors import ExportError
 from sdpid.estimation.problem import Problem
 from sdpid.output.robots.mjcf import PLACES as MJCF_PLACES
@@ -48,12 +49,15 @@ class Pattern(ABC):
         The bodies that the joints move.
     frames : ndarray, shape (links, 4, 4)
         The joints' frames in those of the bodies.
+    notes : tuple of str
+        What else differs from the source.
     """
 
     suffix: str
     places: Mapping[Kind, str]
     names: Sequence[str]
     frames: Array
+    notes: tuple[str, ...]
 
     @abstractmethod
     def text(self, bodies: Sequence[Inertial], joints: Joints) -> str:
@@ -80,11 +84,27 @@ class UrdfPattern(Pattern):
         self._tree = UrdfTree(source_text(self.robot, source, what))
         self.names = self._tree.moving_links(self.robot)
         self.frames = np.tile(np.eye(4), (len(self.names), 1, 1))
-        for link in self.names:
-            for child in self._tree.fixed_children(link):
-                if child.body is not None and np.any(child.body):
-                    element = self._tree.links[child.name]
-                    write_inertial(self._tree.document, element, inertial_values(np.zeros(10)))
+        counted = [
+            child.name
+            for link in self.names
+            for child in self._tree.fixed_children(link)
+            if child.body is not None and np.any(child.body)
+        ]
+        still = [body for body in self._tree.bodies if not body.moving]
+        impossible = [
+            body.name
+            for body in still
+            if body.name not in (*self.names, *counted) and consistent(body) is False
+        ]
+        for name in (*counted, *impossible):
+            nothing = inertial_values(np.zeros(10))
+            write_inertial(self._tree.document, self._tree.links[name], nothing)
+        self.notes = ()
+        if impossible:
+            self.notes = (
+                "links that do not move, with inertials in the description that no body can have, "
+                "now zero: " + ", ".join(impossible),
+            )
 
     def text(self, bodies: Sequence[Inertial], joints: Joints) -> str:
         """Return the text of a robot."""

@@ -27,6 +27,7 @@ _FORM = (
     "J' = U·J·U^T of the pseudo-inertia J about the body's frame, U = exp(alpha)·[[exp(d1), s12, "
     "s13, t1], [0, exp(d2), s23, t2], [0, 0, exp(d3), t3], [0, 0, 0, 1]]; t in m"
 )
+_REFERENCE = "the mean of the draws: mean.urdf, mean.xml"
 PREFER = (
     "Prefer the robots of the draws to these ranges: drawn independently from ranges, parameters "
     "lose their correlation, and robots vary in what the recordings show well."
@@ -156,6 +157,7 @@ class Ranges:
             "note": PREFER,
             "made": {**self.made, "number": self.number, "probability": self.probability},
             "form": _FORM,
+            "relative_to": _REFERENCE,
             "bodies": {
                 body.name: {
                     "mass": body.mass,

@@ -183,7 +183,10 @@ def write_samples(
     names = [name + pattern.suffix for pattern in writer.patterns for name in writer.names]
     run = run_folder(target, names)
     run.require_writable(target)
-    with run.written(target, report or (lambda _: None)) as stage:
+    note = report or (lambda _: None)
+    for text in dict.fromkeys(each for pattern in writer.patterns for each in pattern.notes):
+        note(text)
+    with run.written(target, note) as stage:
         stage.names += writer.write(stage.folder)
         _rest(writer, stage, writer.ranges(probability, made))
         stage.content |= {

@@ -17,10 +17,11 @@ from sdpid.estimation.estimate import Estimate
 from sdpid.output.robots.urdf_errors import PLACES as URDF_PLACES
 from sdpid.output.samples import patterns
 from sdpid.output.samples.write import SampleWriter, write_samples
+from sdpid.robot.description import mjcf, mjcf_bodies
 from sdpid.robot.model.base_parameters import generic_states
 from sdpid.robot.model.load import load_robot
 from tests.helpers.drawn import draws_about, estimate_of, tree
-from tests.helpers.robots import small_arm
+from tests.helpers.robots import TREE, small_arm
 
 COUNT = 5
 
@@ -53,8 +54,15 @@ def folder(estimate: Estimate, thetas: Array, tmp_path_factory: pytest.TempPathF
 
 @pytest.mark.parametrize("suffix", [".urdf", ".xml"])
 def test_every_robot_is_the_draw(
-    estimate: Estimate, thetas: Array, folder: Path, suffix: str
+    estimate: Estimate,
+    thetas: Array,
+    folder: Path,
+    suffix: str,
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
+    # A process for each file takes seconds, and is for files of others.
+    for module in (mjcf, mjcf_bodies):
+        monkeypatch.setattr(module, "in_child", lambda read, *given, what: read(*given, what))
     robot, problem = estimate.problem.robot, estimate.problem
     states = generic_states(robot, 8, 1)
     names = [*(f"robot_{k + 1:04d}" for k in range(COUNT)), "mean"]
@@ -179,6 +187,25 @@ def test_a_robot_without_a_urdf_has_an_mjcf(tmp_path: Path) -> None:
         written(estimate, thetas, tmp_path, "urdf")
     written(estimate, thetas, tmp_path, "mjcf")
     assert load_robot(tmp_path / "robot_0002.xml").n == 2
+
+
+def test_a_base_that_cannot_exist_is_nothing(tmp_path: Path) -> None:
+    inertia = '<inertia ixx="1" iyy="1" izz="9" ixy="0" ixz="0" iyz="0"/>'
+    base = f'<link name="base"><inertial><mass value="3"/>{inertia}</inertial></link>'
+    estimate = estimate_of(load_robot(TREE.replace('<link name="base"/>', base)))
+    writer = SampleWriter(estimate, draws_about(estimate, 1), kinds=("urdf",))
+    notes: list[str] = []
+    write_samples(writer, tmp_path, **ARGUMENTS, report=notes.append)
+    assert "no body can have, now zero: base" in notes[0]
+    assert sdpid.audit_urdf(tmp_path / "robot_0001.urdf").passed
+    mujoco.MjModel.from_xml_path(str(tmp_path / "robot_0001.urdf"))
+
+
+def test_a_floating_base_has_a_body_too(tmp_path: Path) -> None:
+    estimate = estimate_of(load_robot(TREE, root="free_flyer"), ("coulomb", "viscous"))
+    written(estimate, draws_about(estimate, 2), tmp_path, "urdf", "mjcf")
+    assert sdpid.audit_urdf(tmp_path / "robot_0002.urdf").passed
+    assert mujoco.MjModel.from_xml_path(str(tmp_path / "robot_0002.xml")).nv == 6 + 6
 
 
 def test_draws_that_need_be_no_bodies_are_refused() -> None:
