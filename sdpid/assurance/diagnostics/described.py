@@ -9,9 +9,12 @@ from sdpid.estimation.compression.rows import motion_of
 from sdpid.experiment.preparation.for_robot import SMOOTH
 from sdpid.experiment.processing.samples import Samples
 from sdpid.robot.friction.model import FrictionModel
-from sdpid.robot.friction.terms import Coulomb, RotorInertia, Viscous
+from sdpid.robot.friction.terms import Coulomb, Coupling, RotorInertia, Viscous
 from sdpid.robot.model.dynamics import RobotDynamics
 from sdpid.robot.model.model import RobotModel
+
+# Two joints each, and what acts crosswise: inertia, viscous and dry friction.
+Couplings = tuple[tuple[tuple[str, str], tuple[float, float, float]], ...]
 
 # Samples a piece: the regressor of a piece stays below some 100 MB for an arm.
 _CHUNK = 20_000
@@ -31,6 +34,7 @@ def described_dynamics(
     *,
     bodies: Array | None = None,
     attributes: tuple[Array, Array, Array] | None = None,
+    couplings: Couplings = (),
 ) -> RobotDynamics:
     """Return the dynamics that a description holds: links, dry friction, damping, armature.
 
@@ -44,6 +48,9 @@ def described_dynamics(
         By default those of the robot's own description.
     attributes : tuple of ndarray, shape (n,) each, optional
         Dry friction, damping and armature of the coordinates; by default the description's.
+    couplings : tuple, optional
+        Two joints each, and the inertia, viscous and dry friction of their common drive that act
+        crosswise (see `sdpid.friction.Coupling`).
 
     Returns
     -------
@@ -53,11 +60,16 @@ def described_dynamics(
         damping, friction = robot.described_friction()
         attributes = friction, damping, robot.described_armature()
     links = np.asarray(robot.prior if bodies is None else bodies).ravel()
-    terms = described_coulomb(samples), Viscous(), RotorInertia()
+    sharp = described_coulomb(samples)
+    width = float(np.max(sharp.width))  # type: ignore[arg-type]
+    drives = tuple(Coupling(*joints, width) for joints, _ in couplings)
+    terms = sharp, Viscous(), RotorInertia(), *drives
+    values = [each[robot.n_base :] for each in attributes]
+    values += [np.array(crosswise) for _, crosswise in couplings]
     return RobotDynamics(
         robot=robot,
         terms=FrictionModel.from_terms(terms, robot.joint_names, first=robot.n_base),
-        theta=frozen(np.concatenate([links, *(each[robot.n_base :] for each in attributes)])),
+        theta=frozen(np.concatenate([links, *values])),
     )
 
 

@@ -8,7 +8,7 @@ from typing import Any
 
 from sdpid._common.arrays import Array
 from sdpid._common.tables import plain
-from sdpid.assurance.diagnostics.described import described_dynamics
+from sdpid.assurance.diagnostics.described import Couplings, described_dynamics
 from sdpid.assurance.diagnostics.validation import validate, validate_dynamics
 from sdpid.estimation.estimate import Estimate
 from sdpid.experiment.processing.samples import Samples
@@ -165,10 +165,13 @@ class Written:
         What was written.
     attributes : tuple of ndarray, shape (n,) each
         Dry friction, damping and armature of the robot's coordinates, read back from the file.
+    couplings : tuple
+        Of two joints each, what tendons do crosswise, read back from the file.
     """
 
     estimate: Estimate
     attributes: tuple[Array, Array, Array]
+    couplings: Couplings = ()
 
     def errors(self, samples: Samples | None = None) -> Errors | None:
         """Return errors on samples, by default on the problem's own, if there are any."""
@@ -180,7 +183,11 @@ class Written:
             samples = problem.samples
         bodies = theta[: 10 * problem.robot.n_links]
         model = described_dynamics(
-            problem.robot, samples, bodies=bodies, attributes=self.attributes
+            problem.robot,
+            samples,
+            bodies=bodies,
+            attributes=self.attributes,
+            couplings=self.couplings,
         )
         return Errors(
             validate_dynamics(model, samples).relative, validate(self.estimate, samples).relative

@@ -18,6 +18,7 @@ from sdpid.estimation.compression.rows import motion_of
 from sdpid.estimation.problem import Problem
 from sdpid.experiment.preparation.for_robot import SMOOTH
 from sdpid.output.robots.places import Kind, Part, Places
+from sdpid.output.robots.tendons import Tendon
 from sdpid.robot.friction.model import FrictionModel
 from sdpid.robot.friction.terms import Coulomb, RotorInertia, Viscous
 
@@ -81,16 +82,24 @@ class JointAttributes:
         How the numbers differ from the identified ones.
     fitted : bool
         Whether they are not the identified numbers.
+    tendons : tuple of Tendon
+        Drives of two joints.
     """
 
     values: dict[str, dict[str, float]]
     left_out: tuple[LeftOut, ...] = ()
     notes: tuple[str, ...] = ()
     fitted: bool = False
+    tendons: tuple[Tendon, ...] = ()
 
 
 def joint_attributes(
-    problem: Problem, theta: Array, attributes: Mapping[Kind, str], what: str
+    problem: Problem,
+    theta: Array,
+    attributes: Mapping[Kind, str],
+    what: str,
+    *,
+    tendons: bool = False,
 ) -> JointAttributes:
     """Return identified friction as attributes of joints.
 
@@ -110,21 +119,24 @@ def joint_attributes(
         The attribute for the parameter of a term, with Coulomb and Viscous among them.
     what : str
         Name of the written robot in messages.
+    tendons : bool, optional
+        Whether the drive of two joints has a place as a tendon.
 
     Raises
     ------
     ExportError
         When an identified number that is to be written is negative.
     """
-    places = Places(problem, theta, attributes)
-    if not places.curves and not places.lost:
+    places = Places(problem, theta, attributes, tendons=tendons)
+    values, coupled = places.at_nominal_speeds(), places.tendons
+    if not places.curves and not places.lost and places.holds_tendons:
         places.require_nonnegative(what)
-        return JointAttributes(places.by_joint(places.exact))
-    values = places.at_nominal_speeds()
+        # What a joint has beside a tendon is not its parameter.
+        return JointAttributes(places.by_joint(values), fitted=bool(coupled), tendons=coupled)
     if problem.rows is None:
         places.require_nonnegative(what)
         left_out = tuple(LeftOut(type(part.term).__name__, part.names) for part in places.lost)
-        return JointAttributes(places.by_joint(values), left_out, fitted=True)
+        return JointAttributes(places.by_joint(values), left_out, fitted=True, tendons=coupled)
     rows = Rows(problem, theta, places)
     for j in np.flatnonzero(rows.shown) if places.kinds else ():
         for kind, value in zip(places.kinds, rows.fitted(int(j)), strict=True):
@@ -134,6 +146,7 @@ def joint_attributes(
         tuple(rows.left_out(part, lost) for part, lost in zip(places.lost, rows.lost, strict=True)),
         (rows.note(values),) if places.kinds else (),
         fitted=True,
+        tendons=coupled,
     )
 
 
@@ -187,6 +200,13 @@ class Rows:
         rigid = rigid_efforts(problem.robot, theta, samples)[:, first:]
         self.friction = self.effort - rigid
         self.lost = [self.of_part(part) for part in places.lost]
+        # Of tendons: what they add at the joints themselves, and all.
+        more = zip(places.kinds, self.shapes, strict=True)
+        self.added = sum(
+            (shape * places.added()[kind] for kind, shape in more if kind in places.added()),
+            np.zeros_like(self.effort),
+        )
+        self.held = sum((self.of_part(part) for part in places.coupled), self.added)
 
     def of_part(self, part: Part) -> Array:
         """Return the efforts of an identified term."""
@@ -206,7 +226,7 @@ class Rows:
         variance = np.diagonal(self.problem.sigma, axis1=-2, axis2=-1)[..., self._first + j]
         weight = 1.0 / np.sqrt(np.broadcast_to(variance, used.shape)[used])
         columns = np.column_stack([shape[used, j] * weight for shape in self.shapes])
-        target = self.friction[used, j] * weight
+        target = (self.friction - self.held)[used, j] * weight
         taken_out = []
         for lost in self.lost:
             effort = lost[used, j] * weight
@@ -233,7 +253,7 @@ class Rows:
     def note(self, values: Mapping[Kind, Array]) -> str:
         """Return how far the friction of the attributes is from the identified one."""
         places, shapes = self.places, zip(self.places.kinds, self.shapes, strict=True)
-        difference = np.zeros_like(self.effort)
+        difference = np.array(self.added)
         for kind, shape in shapes:
             difference += shape * (values[kind] - places.exact.get(kind, 0.0))
         for part in places.curves:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from fractions import Fraction
 from pathlib import Path
 
@@ -17,6 +17,7 @@ from sdpid.output.robots.export_report import ExportReport, Written
 from sdpid.output.robots.joint_friction import joint_attributes
 from sdpid.output.robots.mjcf_skeleton import inertial_markup, mjcf_skeleton
 from sdpid.output.robots.places import Kind
+from sdpid.output.robots.tendons import Tendon, couplings_of, tendons_markup
 from sdpid.output.robots.urdf import source_text
 from sdpid.output.robots.urdf_tree import FixedChild, UrdfTree
 from sdpid.output.robots.written_bodies import (
@@ -61,8 +62,8 @@ def write_mjcf(
     ``damping`` (viscous friction) and ``frictionloss`` (Coulomb friction) change, and of these
     only what the problem has a term for; all other bytes stay as they are. One exception: where
     the problem has no rotor inertia the links hold that of the rotors, so that an ``armature`` of
-    the source becomes zero. As in `write_urdf`, the three are fitted anew where the problem has
-    terms without a place.
+    the source becomes zero. In a new MJCF, drives of two joints become fixed tendons. As in
+    `write_urdf`, the three are fitted anew where the problem has terms without a place.
 
     Bodies fixed to moving ones are treated as `write_urdf` does: they keep their own inertials,
     and the moving one takes the rest; where no body can be the rest it takes all, and theirs
@@ -102,18 +103,19 @@ def write_mjcf(
     bodies = problem.feasible.bodies(theta)
     # MuJoCo loads no other bodies, whatever consistency the problem has.
     require_consistent(robot, bodies, "pseudo_inertia", what)
-    friction = joint_attributes(problem, theta, PLACES, what)
-    written = friction.values
     patch, notes = open_source(robot, source, what)
+    friction = joint_attributes(problem, theta, PLACES, what, tendons=patch.exact is not None)
+    written = friction.values
     notes = friction.notes + notes
     for link, body in enumerate(bodies):
         patch.body(link, body)
     patch.joints(written, clear_armature="armature" not in _attributes(written))
+    patch.tendons(friction.tendons)
     result = patch.document.text()
     # It has compiled in a child process; only numbers have changed since.
     compiled = Compiled(robot, result, what, folder=patch.folder, ours=True)
     compiled.require_same_efforts(bodies)
-    file = Written(estimate, compiled.attributes())
+    file = Written(estimate, compiled.attributes(), compiled.couplings)
     with atomic_path(target) as temporary:
         temporary.write_bytes(encode_xml(result))
     if patch.cleared:
@@ -184,6 +186,8 @@ class Compiled:
         except ModelError as cause:
             raise ExportError(str(cause)) from None
         self.bodies, self.values = found.bodies, found.joint_values
+        self.couplings = couplings_of(found.tendons, robot.joint_names)
+        self._tendons = found.tendons
         self.model = RobotModel.from_pinocchio(found.pin_model)
         self.matched = self._match()
         owners = {joint: k for k, body in enumerate(self.bodies) for joint in body.joints}
@@ -240,6 +244,13 @@ class Compiled:
             if joint.nv == 1:
                 for key, values in found.items():
                     values[joint.idx_v] = self.values[name][key]
+        # Beside what acts crosswise, a tendon adds to each of its joints.
+        for each in self._tendons:
+            for name, factor in zip(each.joints, each.factors, strict=True):
+                if name in robot.joint_names:
+                    at = robot.pin_model.joints[robot.pin_model.getJointId(name)].idx_v
+                    found["armature"][at] += factor**2 * each.armature
+                    found["damping"][at] += factor**2 * each.damping
         # Those of a joint that mimics another act on that one through the gear between them.
         ratio = np.abs(robot.expansion)
         return (
@@ -383,6 +394,12 @@ class Patch(Compiled):
                 text = {key: numbers([value]) for key, value in values.items()}
                 self.document.set_attributes(joint, text)
                 self.joints_changed.append(name)
+
+    def tendons(self, tendons: Sequence[Tendon]) -> None:
+        """Write drives of two joints."""
+        if tendons:
+            markup = tendons_markup(tendons)
+            self.document.insert_child(self.document.root, markup, last=True)
 
     def _joint(self, body: int, i: int) -> Element:
         """Return the element of a joint, which need not have a name."""

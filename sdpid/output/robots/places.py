@@ -11,10 +11,13 @@ from sdpid._common.arrays import Array
 from sdpid.errors import ExportError
 from sdpid.estimation.problem import Problem
 from sdpid.experiment.preparation.for_robot import SMOOTH
+from sdpid.output.robots.tendons import Tendon, added, tendons_of
 from sdpid.robot.friction.term import FrictionTerm, JointwiseTerm
 from sdpid.robot.friction.terms import (
     AsymmetricCoulomb,
     Coulomb,
+    Coupling,
+    RotorInertia,
     SigmoidFriction,
     SquareRootFriction,
     Stribeck,
@@ -53,6 +56,8 @@ class Places:
         Functions of speed that dry friction and damping stand in for.
     lost : list of Part
         Terms for which there is no place.
+    coupled : list of Part
+        Drives of two joints that become tendons.
     kinds : list
         The terms whose attributes are written.
 
@@ -64,15 +69,25 @@ class Places:
         Standard parameters.
     attributes : mapping
         The attribute for the parameter of a term, with Coulomb and Viscous among them.
+    tendons : bool, optional
+        Whether drives of two joints have a place.
     """
 
-    def __init__(self, problem: Problem, theta: Array, attributes: Mapping[Kind, str]) -> None:
+    def __init__(
+        self,
+        problem: Problem,
+        theta: Array,
+        attributes: Mapping[Kind, str],
+        *,
+        tendons: bool = False,
+    ) -> None:
         self.joints = problem.friction.joint_names
         self.attributes = attributes
         self.exact: dict[Kind, Array] = {}
         self._held: list[Part] = []
         self.curves: list[Part] = []
         self.lost: list[Part] = []
+        self.coupled: list[Part] = []
         at = 10 * problem.robot.n_links
         for term in problem.friction.terms:
             names = tuple(p.name for p in term.parameters(self.joints))
@@ -83,10 +98,42 @@ class Places:
             elif isinstance(term, JointwiseTerm) and type(term) in attributes:
                 self._held.append(part)
                 self.exact[type(term)] = np.maximum(part.values, 0.0)
+            elif isinstance(term, Coupling) and tendons:
+                self.coupled.append(part)
             else:
                 self.lost.append(part)
-        stand_in = {Coulomb, Viscous} if self.curves else set()
+        self._keep_real_drives()
+        stand_in = {Coulomb, Viscous} if self.curves or self.coupled else set()
         self.kinds = [kind for kind in attributes if kind in self.exact or kind in stand_in]
+
+    @property
+    def tendons(self) -> tuple[Tendon, ...]:
+        """Tendons of the drives of two joints."""
+        return tuple(
+            each
+            for part in self.coupled
+            if isinstance(part.term, Coupling)
+            for each in tendons_of(part.term, part.values, self.joints)
+        )
+
+    def added(self) -> dict[Kind, Array]:
+        """Return armature and damping (n,) that tendons add at the joints themselves."""
+        armature, damping = added(self.tendons, self.joints)
+        return {RotorInertia: armature, Viscous: damping}
+
+    @property
+    def holds_tendons(self) -> bool:
+        """Whether the joints have all of what tendons add at them."""
+        return all(
+            bool(np.all(more <= self.exact.get(kind, 0.0))) for kind, more in self.added().items()
+        )
+
+    def _keep_real_drives(self) -> None:
+        """Leave out tendons that add more armature than the joints have: what is left is none."""
+        own = self.exact.get(RotorInertia, np.zeros(len(self.joints)))
+        if np.any(self.added()[RotorInertia] > own):
+            self.lost = self.coupled + self.lost
+            self.coupled = []
 
     def require_nonnegative(self, what: str) -> None:
         """Refuse identified values that have an attribute and are negative.
@@ -124,7 +171,7 @@ class Places:
 
         found = {kind: np.zeros(len(self.joints)) for kind in self.kinds} | self.exact
         if not self.curves:
-            return found
+            return self._less_tendons(found)
         speeds = np.linspace(-_NOMINAL, _NOMINAL, 101)
         v = np.tile(speeds[:, None], (1, len(self.joints)))
         effort = np.zeros_like(v)
@@ -134,7 +181,12 @@ class Places:
         fits = np.array([nnls(columns, effort[:, j])[0] for j in range(len(self.joints))])
         found[Coulomb] = found[Coulomb] + fits[:, 0]
         found[Viscous] = found[Viscous] + fits[:, 1]
-        return found
+        return self._less_tendons(found)
+
+    def _less_tendons(self, values: dict[Kind, Array]) -> dict[Kind, Array]:
+        """Return values without what tendons add at the joints themselves, at least zero."""
+        more = self.added()
+        return {kind: np.maximum(x - more.get(kind, 0.0), 0.0) for kind, x in values.items()}
 
 
 def _sharp(term: Coulomb) -> bool:

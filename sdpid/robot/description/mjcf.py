@@ -6,7 +6,7 @@ MuJoCo's parser trusts its input: a file that includes itself crashes the proces
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -71,6 +71,10 @@ def in_child(function: Callable[..., Any], *arguments: Any, what: str) -> Any:
     )
 
 
+# What a fixed tendon adds to its joints.
+_OF_TENDONS = ("armature", "damping", "frictionloss")
+
+
 @dataclass(frozen=True, eq=False)
 class MjcfBody:
     """A compiled body.
@@ -96,6 +100,17 @@ class MjcfBody:
     joints: tuple[int, ...]
 
 
+@dataclass(frozen=True)
+class MjcfTendon:
+    """A fixed tendon over two joints, of length ``factors[0]·q1 + factors[1]·q2``."""
+
+    joints: tuple[str, str]
+    factors: tuple[float, float]
+    armature: float
+    damping: float
+    frictionloss: float
+
+
 @dataclass(frozen=True, eq=False)
 class MjcfModel:
     """A compiled MJCF.
@@ -112,6 +127,8 @@ class MjcfModel:
         Joints that an active equality makes follow another.
     closures : tuple of str
         Kinds of the other active equalities.
+    tendons : tuple of MjcfTendon
+        Fixed tendons over two joints.
     """
 
     pin_model: Any
@@ -119,6 +136,7 @@ class MjcfModel:
     joint_values: dict[str, dict[str, float]]
     mimics: tuple[Mimic, ...]
     closures: tuple[str, ...]
+    tendons: tuple[MjcfTendon, ...] = ()
 
 
 def read_mjcf(
@@ -194,6 +212,8 @@ def _numbers(text: str, path: str | None, folder: str | None, what: str) -> dict
         *("body_inertia", "body_jntadr", "body_jntnum", "jnt_type", "jnt_pos", "jnt_axis"),
         *("jnt_range", "jnt_limited", "jnt_actfrcrange", "jnt_actfrclimited", "eq_type"),
         *("eq_active0", "eq_obj1id", "eq_obj2id", "eq_data"),
+        *("tendon_adr", "tendon_num", *(f"tendon_{key}" for key in _OF_TENDONS)),
+        *("wrap_type", "wrap_objid", "wrap_prm"),
     )
     found: dict[str, Any] = {name: np.asarray(getattr(model, name)).tolist() for name in arrays}
     found["ref"] = [float(model.qpos0[at]) for at in model.jnt_qposadr]
@@ -209,6 +229,7 @@ def _numbers(text: str, path: str | None, folder: str | None, what: str) -> dict
         kind: int(getattr(mujoco.mjtJoint, f"mjJNT_{kind.upper()}"))
         for kind in ("free", "ball", "slide", "hinge")
     }
+    found["wrap_joint"] = int(mujoco.mjtWrap.mjWRAP_JOINT)
     found["equalities"] = {
         str(int(getattr(mujoco.mjtEq, f"mjEQ_{kind.upper()}"))): kind
         for kind in ("connect", "weld", "joint", "tendon", "flex")
@@ -247,6 +268,17 @@ def _equalities(found: dict[str, Any]) -> tuple[tuple[Mimic, ...], tuple[str, ..
     return tuple(mimics), tuple(others)
 
 
+def _tendons(found: dict[str, Any]) -> Iterator[MjcfTendon]:
+    """Yield the fixed tendons over two joints."""
+    names = _joint_names(found)
+    columns = [found[f"tendon_{key}"] for key in ("adr", "num", *_OF_TENDONS)]
+    for first, count, *values in zip(*columns, strict=True):
+        if count == 2 and found["wrap_type"][first] == found["wrap_joint"]:
+            one, two = (names[found["wrap_objid"][k]] for k in (first, first + 1))
+            factors = found["wrap_prm"][first], found["wrap_prm"][first + 1]
+            yield MjcfTendon((one, two), factors, *values)
+
+
 class _Build:
     """Builds a Pinocchio model body by body."""
 
@@ -270,7 +302,9 @@ class _Build:
             name: {key: numbers[i] for key, numbers in self.found["dof"].items()}
             for i, name in enumerate(self.names)
         }
-        return MjcfModel(self.model, tuple(self.bodies), values, *_equalities(self.found))
+        mimics, others = _equalities(self.found)
+        tendons = tuple(_tendons(self.found))
+        return MjcfModel(self.model, tuple(self.bodies), values, mimics, others, tendons)
 
     def _add(self, body: int) -> None:
         import pinocchio as pin

@@ -43,10 +43,12 @@ _UNIT = Fraction(1, 2**50)
 # All that such a file holds: the children and the attributes of its elements. Others could change
 # what the numbers mean.
 _CHILDREN = {
-    "mujoco": {"compiler", "option", "worldbody", "equality"},
+    "mujoco": {"compiler", "option", "worldbody", "equality", "tendon"},
     "worldbody": {"body"},
     "body": {"inertial", "joint", "freejoint", "body"},
     "equality": {"joint"},
+    "tendon": {"fixed"},
+    "fixed": {"joint"},
 }
 _ATTRIBUTES = {
     "mujoco": {"model"},
@@ -55,7 +57,9 @@ _ATTRIBUTES = {
     "inertial": {"pos", "quat", "mass", "diaginertia"},
     "freejoint": {"name"},
     "joint": {"name", "type", "axis", "range", "actuatorfrcrange", *PLACES}
-    | {"joint1", "joint2", "polycoef"},
+    | {"joint1", "joint2", "polycoef"}
+    | {"joint", "coef"},
+    "fixed": {"name", *PLACES},
 }
 _COMPILER = {"angle": "radian", "autolimits": "true", "inertiafromgeom": "false"}
 
@@ -171,6 +175,8 @@ def check(source: bytes, bodies: Mapping[str, Sequence[float]], friction: Fricti
             continue
         if not exists(found[0].mass, found[0].moments, CONSISTENCY):
             problems.append(f"body {shown(name)} is none: {CONSISTENCY} does not hold")
+    if mjcf.root.only("tendon") is not None and not friction.fitted:
+        problems.append("it has tendons, and result.json says that its friction is as certified")
     said = () if problems else (agreement(len(bodies), raised, CONSISTENCY),)
     result = Result(said, tuple(problems), (DESCRIBED,))
     return result + compared(_values(moving.values()), friction, PLACES)
