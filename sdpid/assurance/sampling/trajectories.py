@@ -161,7 +161,7 @@ class Trajectories:
         fall = _fall(slope, curvature, drop)
         if len(density.bodies):
             rates = relative_eigenvalues(state.bodies, bodies).reshape(len(v), -1)
-            fall = _fall_of_bodies(slope, curvature, density.strength, rates, drop)
+            fall = _fall_of_bodies(slope, curvature, density.strength, rates, drop, state.left)
         before = 1.0 - _BEFORE
         events = np.stack([before * to_matrix, before * to_row, fall, state.left])
         kind = np.argmin(events, axis=0)
@@ -236,13 +236,15 @@ def _fall(slope: Array, curvature: Array, drop: Array) -> Array:
 
 
 def _fall_of_bodies(
-    slope: Array, curvature: Array, strength: float, rates: Array, drop: Array
+    slope: Array, curvature: Array, strength: float, rates: Array, drop: Array, most: Array
 ) -> Array:
-    """Return the same where ``−strength·Σ log(1 + t·rate)`` is part of −log density too."""
+    """Return the same where ``−strength·Σ log(1 + t·rate)`` is part of −log density too.
+
+    Infinite where that is farther away than `most`.
+    """
     least = rates.min(axis=1)
     wall = np.divide(-1.0, least, out=np.full(len(least), np.inf), where=least < 0.0)
-    # The slope along the line grows by the curvature at least, so it has fallen as far by then.
-    end = np.minimum(wall, _fall(slope - strength * rates.sum(axis=1), curvature, drop))
+    end = np.minimum(wall, most)
 
     def derivative(t: Array) -> Array:
         inner = np.sum(rates / (1.0 + t[:, None] * rates), axis=1)
@@ -255,7 +257,10 @@ def _fall_of_bodies(
     with np.errstate(divide="ignore", invalid="ignore"):
         bottom = _bisected(lambda t: derivative(t) < 0.0, np.zeros_like(end), end)
         level = value(bottom) + drop
-        return _bisected(lambda t: value(t) < level, bottom, end)
+        found = _bisected(lambda t: value(t) < level, bottom, end)
+        # At a wall the density vanishes: there everything has fallen.
+        reached = (wall <= most) | (value(end) >= level)
+    return np.where(reached, found, np.inf)
 
 
 def _bisected(before: Callable[[Array], Mask], low: Array, high: Array) -> Array:
