@@ -109,6 +109,8 @@ class Density:
         Pseudo-inertias of the links that an entropic prior is about.
     strength : float
         Power of their determinants.
+    unseen : int
+        Number of directions that neither data nor prior see.
     """
 
     problem: Problem
@@ -122,6 +124,7 @@ class Density:
     upper: Array
     bodies: Matrices
     strength: float
+    unseen: int
 
     @classmethod
     def of(cls, estimate: Estimate, groups: Groups = "frequencies") -> Density:
@@ -149,11 +152,11 @@ class Density:
             )
         if not coordinates.directions.shape[1]:
             raise DataError("draw: the constraints fix every parameter: there is nothing to draw.")
-        mean, precision, seen = _gaussian(problem, coordinates, fit_errors(estimate, groups))
-        n = len(mean)
-        if problem.consistency == "none" and seen < n:
+        mean, precision = _gaussian(problem, coordinates, fit_errors(estimate, groups))
+        n, unseen = len(mean), _unseen(problem, scaling, coordinates)
+        if problem.consistency == "none" and unseen:
             raise DataError(
-                f"draw: neither data nor prior see {n - seen} of {n} directions, and with "
+                f"draw: neither data nor prior see {unseen} of {n} directions, and with "
                 "consistency 'none' nothing but theta_max bounds them; use a consistency or a "
                 "prior."
             )
@@ -180,6 +183,7 @@ class Density:
             upper=upper,
             bodies=Matrices.of(bodies, n, 4),
             strength=log_det.strength,
+            unseen=unseen,
         )
 
     @property
@@ -274,10 +278,8 @@ def _with_fixed_parameters(problem: Problem) -> Problem:
     return replace(problem, feasible=extended)
 
 
-def _gaussian(
-    problem: Problem, coordinates: Coordinates, errors: FitErrors
-) -> tuple[Array, Array, int]:
-    """Return mean (n,), precision (n, n) and rank of the Gaussian of data and prior."""
+def _gaussian(problem: Problem, coordinates: Coordinates, errors: FitErrors) -> tuple[Array, Array]:
+    """Return mean (n,) and precision (n, n) of the Gaussian of data and prior."""
     squared = problem.squared
     M = squared.matrix @ coordinates.directions
     U, singular, V = np.linalg.svd(M, full_matrices=False)
@@ -290,7 +292,19 @@ def _gaussian(
     scores = np.linalg.inv(U.T @ W @ U)
     precision = V @ (singular[:, None] * scores * singular) @ V.T
     mean = V @ ((U.T @ -squared.residual(coordinates.origin)) / singular)
-    return mean, 0.5 * (precision + precision.T), rank
+    return mean, 0.5 * (precision + precision.T)
+
+
+def _unseen(problem: Problem, scaling: Scaling, coordinates: Coordinates) -> int:
+    """Return how many directions neither data nor prior see."""
+    term = problem.log_det
+    entries = (10 * term.links[:, None] + np.arange(10)).ravel()
+    bodies = coordinates.directions[entries] / scaling.theta[entries, None]
+    squares = problem.squared.matrix @ coordinates.directions
+    squares /= max(float(np.linalg.norm(squares, 2)), np.finfo(float).tiny)
+    singular = np.linalg.svd(np.vstack([squares, bodies]), compute_uv=False)
+    seen = int(np.count_nonzero(singular > _OPEN * singular[0]))
+    return int(coordinates.directions.shape[1]) - seen
 
 
 def _limits(

@@ -47,9 +47,9 @@ _LONGER = 3
 # Chains that differ more than this have not found the same density: no draws are returned.
 _DISAGREE = 1.2
 
-# A parameter of which this share of the draws lies in the last tenth below its largest value is
-# held by that.
-_AT_LIMIT, _NEAR = 0.02, 0.9
+# A parameter of which more than this share of the draws lies in the last tenth below its largest
+# size is held by that; so many are named. Where there is no limit below, none is met.
+_AT_LIMIT, _NEAR, _NAMED, _TINY = 0.02, 0.9, 4, 1e-300
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -143,7 +143,7 @@ def draw(
     notes = _mixing_notes(names, sizes, r_hat, values.shape[0] * values.shape[1], walk)
     theta = values.reshape(-1, values.shape[2])[:count]
     _require_feasible(estimate, theta)
-    notes += _limit_notes(estimate, theta)
+    notes += _open_notes(estimate, density, theta)
     return Draws(
         names=names,
         base_names=estimate.problem.base.names,
@@ -242,19 +242,19 @@ def _require_feasible(estimate: Estimate, theta: Array) -> None:
         )
 
 
-def _limit_notes(estimate: Estimate, theta: Array) -> list[str]:
-    """Return notes on parameters that nothing but the largest value allowed bounds."""
-    feasible = estimate.problem.feasible
-    most = feasible.upper
-    share = np.mean(theta > _NEAR * most, axis=0)
-    share = np.maximum(share, np.mean(theta < _NEAR * np.minimum(feasible.lower, 0.0), axis=0))
-    share[feasible.lower == 0.0] = np.mean(theta > _NEAR * most, axis=0)[feasible.lower == 0.0]
-    found = np.flatnonzero((share > _AT_LIMIT) & (most > 0.0) & (feasible.lower < most))
-    if not len(found):
+def _open_notes(estimate: Estimate, density: Density, theta: Array) -> list[str]:
+    """Return a note where nothing but the constraints bounds the draws."""
+    if not density.unseen:
         return []
-    listed = ", ".join(f"{feasible.theta_names[k]} {100 * share[k]:.0f} %" for k in found[:6])
-    more = f" and {len(found) - 6} more" if len(found) > 6 else ""
+    feasible = estimate.problem.feasible
+    share = np.mean(theta > _NEAR * feasible.upper, axis=0)
+    share += np.mean(theta < _NEAR * np.minimum(feasible.lower, -_TINY), axis=0)
+    share[feasible.lower == feasible.upper] = 0.0
+    found = [k for k in np.argsort(-share)[:_NAMED] if share[k] > _AT_LIMIT]
+    listed = ", ".join(f"{feasible.theta_names[k]} in {100.0 * share[k]:.0f} %" for k in found)
+    near = f"; within a tenth of mass_max or theta_max are {listed} of the draws" if found else ""
     return [
-        "neither data nor prior bound what reaches the largest value allowed (mass_max, "
-        f"theta_max), share of the draws there: {listed}{more}; give a prior or narrower bounds"
+        f"neither data nor prior see {density.unseen} of {density.n} directions: there draws fill "
+        f"what the constraints allow, most of which is large{near}; give a prior (sdpid.Prior) "
+        "if the robot's own bodies shall be among them"
     ]
