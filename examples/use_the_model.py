@@ -69,6 +69,7 @@ def main() -> None:
     curve = result.friction_curve(0)
     columns = curve.velocity, curve.effort, curve.lower, curve.upper
     np.savetxt(options.out / "friction.csv", np.column_stack(columns), delimiter=",")
+    sdpid.plots.save_figure(curve.plot(), options.out / "friction.png")
     print(curve)
     header = options.out / "identified_friction.hpp"
     write_friction(result.estimate, header, certificate=result.certificate)

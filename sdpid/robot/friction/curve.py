@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -56,6 +57,22 @@ class JointCurve:
             columns |= {"lower": self.lower, "upper": self.upper}
         table = Table.of_columns({name: x[some].tolist() for name, x in columns.items()})
         return facts_html(f"Friction of {self.joint}", {"velocities": self._range}, table)
+
+    def plot(self, *, axes: Any = None) -> Any:
+        """Show the curve, with its band where that is known; needs the extra ``plot``.
+
+        Parameters
+        ----------
+        axes : matplotlib.axes.Axes, optional
+            Where to draw; by default in a figure of its own.
+
+        Returns
+        -------
+        matplotlib.axes.Axes
+        """
+        from sdpid.plots.friction_curve import plot_friction_curve
+
+        return plot_friction_curve(self, axes=axes)
 
     @property
     def _range(self) -> str:

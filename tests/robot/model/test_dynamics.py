@@ -260,6 +260,10 @@ def test_the_curve_of_a_joint_is_its_friction() -> None:
         assert name in repr(curve)
         assert name in curve._repr_html_()
     np.testing.assert_array_equal(model.friction_curve(0, [0.5]).velocity, [0.5])
+    pytest.importorskip("matplotlib")
+    axes = model.friction_curve("lift").plot()
+    assert axes.get_xlabel() == "velocity [m/s]"
+    assert model.friction_curve("right").plot(axes=axes) is axes
     floating = dynamics(sdpid.load_robot(TREE, root="free_flyer"), 3)
     np.testing.assert_array_equal(
         floating.friction_curve("lift").effort, floating.friction_curve(0).effort
