@@ -18,6 +18,7 @@ from pathlib import Path
 from typing import Any
 
 import pandas as pd
+import real_arms
 from case_study import pictures, tables
 from case_study.estimates import Estimates, estimate_all
 from case_study.experiments import PLANTS, Size, run_experiments
@@ -102,6 +103,8 @@ def main() -> None:
     table.to_csv(out / "plants.csv")
     print(f"\n{table.to_string(float_format='{:.3g}'.format)}")
     run = {"seed": options.seed, "periods": options.periods, "period": options.period}
+    say("real arms, from their public records")
+    real_arms.run(out / "real_arms", quick=options.quick)
     summary = {**run, "plants": facts, "seconds": time.perf_counter() - begin}
     (out / "summary.json").write_text(json.dumps(summary, indent=1) + "\n", encoding="utf-8")
     say(f"done: {out}")

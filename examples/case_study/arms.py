@@ -1,0 +1,184 @@
+"""Estimates of the real arms: least squares, ridge regression, and what `identify` returns."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+import sdpid
+from sdpid.assurance.diagnostics.blocks import held_out_blocks, predicted_by
+from sdpid.assurance.diagnostics.held_out import LEAST_SQUARES, OURS
+from sdpid.assurance.diagnostics.validation import Validation, validate
+from sdpid.estimation.prior.prior import prior_terms
+
+# Folder of the data, description, and records; of two the second is predicted.
+ARMS = {
+    "UR10": ("ur10_unisa", "ur10.urdf", ("ur10_exciting",)),
+    "Panda": ("panda_unisa", "panda.urdf", ("panda_exciting",)),
+    "LWR 4+": ("kuka_lwr4plus", "kuka_lwr4.urdf", ("measurements_1", "measurements_2")),
+    "TX40": ("staubli_tx40", "tx40.urdf", ("tx40_rows_0_24750",)),
+    "Gen3": ("kinova_gen3_dynamapp", "gen3.urdf", ("opti_traj_testing1", "opti_traj_testing2")),
+}
+
+# The second differs from ours by the inequality alone.
+METHODS = ("least squares", "ridge, our prior", "ridge, cross-validated", "this package")
+
+# Strengths of the ridge in nats; cross-validation takes one that is not at an end.
+STRENGTHS = tuple(10.0 ** np.arange(-4.0, 3.1, 0.5))
+
+# Speeds, rad/s, at which friction must take power, and the share of the largest that rounding is.
+SPEEDS = np.concatenate([-np.geomspace(100.0, 1e-3, 200), np.geomspace(1e-3, 100.0, 200)])
+POWER = 1e-12
+
+# Positions of the recorded motion that mass matrices are looked at.
+POSITIONS = 500
+
+
+@dataclass(frozen=True)
+class Arm:
+    """A real arm and its estimates.
+
+    Attributes
+    ----------
+    name : str
+        The robot.
+    log : Recording
+        What was fitted.
+    result : Identification
+        What `sdpid.identify` returns with its defaults.
+    ridges : tuple of Estimate
+        Regression towards the description: with the prior of ours, and with units scaled link by
+        link and the strength that predicts best.
+    ridge_fits : tuple of Validation
+        Their errors on what was held out.
+    strength : float
+        Strength of the second, nats.
+    """
+
+    name: str
+    log: Any
+    result: Any
+    ridges: tuple[Any, Any]
+    ridge_fits: tuple[Any, Any]
+    strength: float
+
+    @property
+    def estimates(self) -> dict[str, Any]:
+        """The estimates by method."""
+        every = (self.result.wls, *self.ridges, self.result.estimate)
+        return dict(zip(METHODS, every, strict=True))
+
+    def model(self, method: str) -> Any:
+        """Return the arm to simulate with: inertias, gravity and rotors of a method.
+
+        Friction is that of ours for every method, so that inertias alone make the difference.
+        """
+        own, ours = self.estimates[method].model(), self.result.estimate.model()
+        names = self.result.problem.base.theta_names
+        friction = np.array([name.startswith("F") for name in names])
+        return replace(own, theta=np.where(friction, ours.theta, own.theta))
+
+    @property
+    def time(self) -> np.ndarray:
+        """Seconds since the start at which mass matrices are looked at."""
+        return np.asarray(self.log.time[:: self._stride] - self.log.time[0])
+
+    @property
+    def _stride(self) -> int:
+        return max(1, self.log.n_samples // POSITIONS)
+
+    @cached_property
+    def eigenvalues(self) -> dict[str, np.ndarray]:
+        """Least eigenvalues of the mass matrix, rotors included, on the recorded motion."""
+        q = self.log.position[:: self._stride]
+        return {
+            method: np.linalg.eigvalsh(estimate.model().mass_matrix(q))[:, 0]
+            for method, estimate in self.estimates.items()
+        }
+
+    @cached_property
+    def smallest(self) -> dict[str, Any]:
+        """Least eigenvalues of the links' mass matrix over all postures: found, and proven.
+
+        Rotors only add to them.
+        """
+        return {
+            method: sdpid.smallest_mass_eigenvalue(estimate)
+            for method, estimate in self.estimates.items()
+        }
+
+    @property
+    def proven(self) -> float | None:
+        """Number that is proven to be below every eigenvalue of our mass matrix."""
+        bound: float | None = self.smallest[METHODS[-1]].lower_bound
+        return bound
+
+    @cached_property
+    def driving(self) -> dict[str, int]:
+        """Number of joints whose friction drives them at some speed, by method."""
+        still = np.zeros(self.log.position.shape[1])
+        counts = {}
+        for method, estimate in self.estimates.items():
+            friction = estimate.model().friction
+            speeds = SPEEDS[:, None] + still
+            power = (friction(speeds) - friction(still)) * speeds
+            counts[method] = int((power < -POWER * np.abs(power).max()).any(axis=0).sum())
+        return counts
+
+    @property
+    def held_out(self) -> dict[str, float]:
+        """Relative errors on what was held out, in motion."""
+        every = self.result.held_out.every
+        fits = (every[LEAST_SQUARES], *self.ridge_fits, every[OURS])
+        return {name: fit.moving.relative for name, fit in zip(METHODS, fits, strict=True)}
+
+
+def read_arm(data: Path, name: str) -> Arm:
+    """Return an arm with its estimates, from its records in the folder of the data."""
+    folder, urdf, records = ARMS[name]
+    logs = [sdpid.read_recording(data / folder / f"{record}.npz") for record in records]
+    robot = sdpid.load_robot(data / folder / urdf)
+    other = logs[1] if len(logs) > 1 else None
+    result = sdpid.identify(robot, logs[0], validation=other, intervals=False)
+    return Arm(name, logs[0], result, *_ridges(result))
+
+
+def _ridges(result: Any) -> tuple[tuple[Any, Any], tuple[Any, Any], float]:
+    """Return both ridge regressions, their errors on held-out rows, and the second's strength.
+
+    They have the friction terms, weights and blocks of ours, and the belief about friction. Where
+    the blocks are also what is predicted, they chose the strength, which favors it a little.
+    """
+    problem, fresh = result.problem, result.validation_samples
+    priors: dict[float | None, Any] = {None: problem.prior}
+    for strength in STRENGTHS:
+        prior = sdpid.Prior(kind="scaled_euclidean", strength=float(strength))
+        priors[strength] = prior_terms(prior, problem.rows)
+    blocks = held_out_blocks(problem)
+
+    def solve(which: Any, prior: Any) -> Any:
+        return sdpid.solve_wls(replace(which, prior=prior))
+
+    predicted = predicted_by(
+        blocks,
+        problem,
+        {
+            str(name): lambda block, prior=prior: solve(block.problem, prior).base
+            for name, prior in priors.items()
+        },
+    )
+    fits = {
+        name: Validation.of_prediction(
+            problem.robot.joint_names, problem.samples, predicted[str(name)]
+        )
+        for name in priors
+    }
+    best = min(STRENGTHS, key=lambda each: fits[each].moving.relative)
+    ridges = solve(problem, priors[None]), solve(problem, priors[best])
+    if fresh is None:
+        return ridges, (fits[None], fits[best]), best
+    return ridges, (validate(ridges[0], fresh), validate(ridges[1], fresh)), best
