@@ -128,14 +128,20 @@ def sample(
     ranges = json.loads((robots / RANGES).read_text(encoding="utf-8"))
     mixed, lost = drawn.diagnostics, ranges["independent"]
     names = [path.name for path in files if not path.name.startswith("robot_")]
+    notes += ranges["notes"]
+    independent = (
+        f"ranges of {100.0 * probability:g} %: drawn from them, each number by itself, efforts "
+        f"spread {lost['efforts_widened']:.3g} times as far as those of the robots"
+        if lost["efforts_widened"] is not None
+        else "ranges of one robot have no width"
+    )
     text = "\n".join(
         (
             f"{model.name}: {len(drawn)} robots drawn with seed {seed}, effective sample size at "
             f"least {mixed['least_effective_size']:.0f} ({mixed['least_of']}), split R-hat at most "
             f"{mixed['largest_r_hat']:.3f} ({mixed['largest_of']})",
             f"written to {robots}: {len(files) - len(names)} robots, {', '.join(names)}",
-            f"ranges of {100.0 * probability:g} %: drawn from them, each number by itself, efforts "
-            f"spread {lost['efforts_widened']:.3g} times as far as those of the robots",
+            independent,
         )
     )
     if prepared.findings:

@@ -26,6 +26,9 @@ from sdpid.output.samples.ranges import Ranges
 from sdpid.output.samples.write import RobotKind, SampleWriter, write_samples
 from sdpid.robot.model.dynamics import RobotDynamics
 
+# All draws are kept in memory, some times over: of a seven-axis arm these take gigabytes.
+_MOST = 1_000_000
+
 # Share of the draws within each range.
 PROBABILITY = 0.95
 
@@ -49,7 +52,7 @@ def sample_parameters(estimate: Any, n: int, seed: int = 0) -> ParameterSamples:
     estimate : Estimate or Identification
         The estimate, with standard parameters; of an `Identification` its own.
     n : int
-        Number of draws.
+        Number of draws, up to a million.
     seed : int, optional
         The same seed gives the same draws.
 
@@ -67,7 +70,7 @@ def sample_parameters(estimate: Any, n: int, seed: int = 0) -> ParameterSamples:
         raise DataError(
             f"estimate: is {type(estimate).__name__}; give what solve_sdp or identify returned."
         )
-    _require_whole("n", n, 1)
+    _require_whole("n", n, 1, _MOST)
     _require_whole("seed", seed, 0)
     proof = getattr(estimate, "certificate", None)
     return ParameterSamples(
@@ -302,10 +305,12 @@ class ParameterSamples:
         }
 
 
-def _require_whole(name: str, number: Any, least: int) -> None:
-    """Refuse a number that is not whole, or less than the least."""
-    if isinstance(number, bool) or not isinstance(number, Integral) or int(number) < least:
-        raise DataError(f"{name}: is {number!r}; give a whole number from {least} on.")
+def _require_whole(name: str, number: Any, least: int, most: int | None = None) -> None:
+    """Refuse a number that is not whole, less than the least or more than the most."""
+    whole = isinstance(number, Integral) and not isinstance(number, bool)
+    if not whole or int(number) < least or (most is not None and int(number) > most):
+        upto = "on" if most is None else f"to {most}"
+        raise DataError(f"{name}: is {number!r}; give a whole number from {least} {upto}.")
 
 
 def require_probability(probability: Any) -> None:

@@ -58,6 +58,13 @@ def test_robots_of_a_results_folder(folder: Path, tmp_path: Path) -> None:
     assert (again / "robot_0001.urdf").read_bytes() != (out / "robot_0001.urdf").read_bytes()
 
 
+def test_a_single_robot_has_no_ranges_to_speak_of(folder: Path, tmp_path: Path) -> None:
+    done = run("sample", folder / "results", "-n", 1, "--out", tmp_path / "robots")
+    assert done.exit_code == 0, done.output
+    assert "ranges of one robot have no width" in done.stdout
+    assert "draw 40 or more" in " ".join(done.stdout.split())
+
+
 def test_a_run_that_gives_other_parameters_now(folder: Path, tmp_path: Path) -> None:
     results = tmp_path / "results"
     shutil.copytree(folder / "results", results)
@@ -78,6 +85,7 @@ def test_a_run_that_gives_other_parameters_now(folder: Path, tmp_path: Path) -> 
     ("arguments", "words"),
     [
         (("results", "-n", "0"), "--number"),
+        (("results", "-n", "1000000000"), "give a whole number from 1 to 1000000"),
         (("results", "--seed", "-1"), "--seed"),
         (("results", "--probability", "1"), "probability: is 1.0; give a number between 0 and 1"),
         (("results", "--config", "results/run.toml"), "not both"),

@@ -77,7 +77,8 @@ def test_ranges_and_files_say_what_they_are_of(samples: ParameterSamples, tmp_pa
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        ((0, 0), "n: is 0; give a whole number from 1 on"),
+        ((0, 0), "n: is 0; give a whole number from 1 to 1000000"),
+        ((10**9, 0), "give a whole number from 1 to 1000000"),
         ((True, 0), "n: is True"),
         ((2.5, 0), "n: is 2.5"),
         (("ten", 0), "n: is 'ten'"),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -32,6 +33,9 @@ PREFER = (
     "Prefer the robots of the draws to these ranges: drawn independently from ranges, parameters "
     "lose their correlation, and robots vary in what the recordings show well."
 )
+
+# Ranges of fewer draws than leave this many outside on average end at the outermost draws.
+_OUTSIDE = 2.0
 
 # At most so many robots are drawn from the ranges to tell what independence costs.
 _TRIALS = 200
@@ -111,9 +115,10 @@ class Ranges:
         What they were made of: robot, seed, digests.
     inside : float
         Share of the draws within the ranges of all bodies at once.
-    widened : float
+    widened : float or None
         Spread (rms) of the efforts on the recorded motion, in the weights of the fit, of robots
-        whose links are drawn independently from the ranges, over that of the draws.
+        whose links are drawn independently from the ranges, over that of the draws; None where
+        the draws have no spread, as a single one.
     feasible : float
         Share of those robots that meet all constraints of the problem. Their bodies are all
         consistent.
@@ -125,13 +130,25 @@ class Ranges:
     number: int
     made: dict[str, Any]
     inside: float
-    widened: float
+    widened: float | None
     feasible: float
 
     def __repr__(self) -> str:
         return (
             f"Ranges({len(self.bodies)} bodies, {len(self.joints)} joint attributes, "
             f"probability={self.probability:g}, {self.number} draws)"
+        )
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What to know of these ranges: whether their draws are too few for them."""
+        # Rounded, since 1 - 0.95 is not 0.05.
+        needed = math.ceil(round(_OUTSIDE / (1.0 - self.probability), 6))
+        if self.number >= needed:
+            return ()
+        return (
+            f"ranges of {100.0 * self.probability:g} % end at the outermost of {self.number} "
+            f"draws, which are too few to tell how far they reach; draw {needed} or more",
         )
 
     def table(self) -> str:
@@ -155,6 +172,7 @@ class Ranges:
             "schema": "sdpid-ranges",
             "version": 1,
             "note": PREFER,
+            "notes": self.notes,
             "made": {**self.made, "number": self.number, "probability": self.probability},
             "form": _FORM,
             "relative_to": _REFERENCE,
@@ -301,7 +319,7 @@ def _joint_ranges(
 
 def _independent(
     problem: Problem, thetas: Array, frames: Array, bodies: Array, ends: Array
-) -> tuple[float, float]:
+) -> tuple[float | None, float]:
     """Return how much wider efforts spread, and how many constraints hold, without correlation."""
     count, links = min(_TRIALS, len(thetas)), 10 * problem.robot.n_links
     mean = thetas.mean(axis=0)
@@ -314,4 +332,4 @@ def _independent(
         np.linalg.norm((each - mean) @ problem.base.matrix.T @ problem.A.T) / np.sqrt(len(each))
         for each in (boxed, thetas)
     ]
-    return float(spreads[0] / spreads[1]) if spreads[1] > 0.0 else float("nan"), float(feasible)
+    return float(spreads[0] / spreads[1]) if spreads[1] > 0.0 else None, float(feasible)

@@ -91,14 +91,15 @@ def joint_number(joint_names: Sequence[str], joint: str | int) -> int:
     DataError
         When there is none.
     """
+    n = len(joint_names)
     if isinstance(joint, str):
         if joint in joint_names:
             return joint_names.index(joint)
-    elif 0 <= joint < len(joint_names):
+    elif isinstance(joint, int | np.integer) and not isinstance(joint, bool) and joint in range(n):
         return int(joint)
     raise DataError(
-        f"joint: {joint!r:.80} is none of the {len(joint_names)} joints that have friction; give a "
-        f"place from 0 to {len(joint_names) - 1}, or a name: {', '.join(joint_names)}."
+        f"joint: {joint!r:.80} is none of the {n} joints that have friction; give a "
+        f"place from 0 to {n - 1}, or a name: {', '.join(joint_names)}."
     )
 
 

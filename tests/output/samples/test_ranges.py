@@ -154,6 +154,18 @@ def test_independence_is_told_to_widen(estimate: Estimate, thetas: Array) -> Non
     assert found.widened > 100.0 > usual.widened > 0.0
 
 
+def test_draws_that_are_too_few_are_told(estimate: Estimate, thetas: Array) -> None:
+    enough = SampleWriter(estimate, thetas, kinds=()).ranges(0.95, {})
+    assert enough.number == 40
+    assert enough.notes == ()
+    few = SampleWriter(estimate, thetas[:39], kinds=()).ranges(0.95, {})
+    assert "draw 40 or more" in few.notes[0]
+    one = SampleWriter(estimate, thetas[:1], kinds=()).ranges(0.95, {})
+    assert one.widened is None
+    assert one.to_dict()["independent"]["efforts_widened"] is None
+    assert one.to_dict()["notes"] == list(one.notes) != []
+
+
 def test_the_file_says_how_it_was_made(ranges: Ranges) -> None:
     content = ranges.to_dict()
     assert content["made"] == {"seed": 0, "number": COUNT, "probability": PROBABILITY}

@@ -269,7 +269,7 @@ def test_the_curve_of_a_joint_is_its_friction() -> None:
         floating.friction_curve("lift").effort, floating.friction_curve(0).effort
     )
     assert floating.friction_curve(0).unit == "N"
-    for wrong in ("thumbs", 6, -1):
+    for wrong in ("thumbs", 6, -1, None, True, 1.0):
         with pytest.raises(DataError, match="is none of the 6 joints"):
             model.friction_curve(wrong)
     with pytest.raises(DataError, match="velocity: 1 of 2 values are not finite"):
