@@ -156,7 +156,8 @@ def test_it_is_mujoco_with_all_that_the_links_do_not_have(seed: int, shape: str)
         J = T @ E
         mujoco.mj_forward(own, data)
         M = np.zeros((own.nv, own.nv))
-        mujoco.mj_fullM(own, data, M)
+        for column, unit in zip(M, np.eye(own.nv), strict=True):
+            mujoco.mj_mulM(own, data, column, unit)
         data.qvel[:] = data.qacc[:] = 0.0
         mujoco.mj_inverse(own, data)
         rest = np.array(data.qfrc_inverse)
