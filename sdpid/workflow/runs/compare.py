@@ -146,6 +146,9 @@ def compare_runs(first: str | os.PathLike[str], other: str | os.PathLike[str]) -
         )
     elif same_log is None:
         notes.append("A folder has no manifest: whether the logs are the same is not known.")
+    elif None in (a.intervals[0], b.intervals[0]):
+        which = "first" if a.intervals[0] is None else "other"
+        notes.append(f"The {which} has no intervals, and differences of parameters are not tested.")
     else:
         notes.append(
             "Their intervals are of two kinds, and differences of parameters are not tested: "
@@ -298,7 +301,7 @@ def _parameters(
             outside.append(name)
         mark = "differs" if differs else ""
         rows.append((name, one.unit, one.value, two.value, difference, allowed, mark))
-    header = ("parameter", "unit", "first", "other", "difference", "both intervals", "verdict")
+    header = ("parameter", "unit", "first", "other", "difference", "allowed", "verdict")
     return Table(header, tuple(rows)), tuple(outside), regrouped
 
 
