@@ -80,6 +80,7 @@ class Estimates:
         inside = np.abs(self.wls.base - self.base_true) <= TWO_SIDED * self.wls.standard_errors
         facts: dict[str, Any] = {
             "wls_least_eigenvalue": float(self.eigenvalues["WLS"].min()),
+            "wls_greatest_least_eigenvalue": float(self.eigenvalues["WLS"].max()),
             "sdp_least_eigenvalue": float(self.eigenvalues["SDP"].min()),
             "sdp_proven_eigenvalue": sdpid.smallest_mass_eigenvalue(self.sdp("4x4")).lower_bound,
             "true_inside_95": int(inside.sum()),
