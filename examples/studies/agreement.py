@@ -30,6 +30,7 @@ def main() -> None:
     """Count and write."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--pairs", type=int, default=40)
+    parser.add_argument("--first", type=int, default=0, help="number of the first pair's seeds")
     parser.add_argument("--out", type=Path, default=Path("results"))
     parser.add_argument("--quick", action="store_true", help="one pair only")
     options = parser.parse_args()
@@ -47,7 +48,7 @@ def main() -> None:
 
     found: dict[str, list] = {"same robot": [], f"link {LINK + 1} +{100 * HEAVIER:g} %": []}
     with progress(pairs, "pairs") as advance:
-        for pair in range(pairs):
+        for pair in range(options.first, options.first + pairs):
             first = estimate(2 * pair, theta)
             for case, parameters in zip(found, (theta, changed), strict=True):
                 found[case].append(first.compare_to(estimate(2 * pair + 1, parameters)))

@@ -1,4 +1,4 @@
-"""Tables of results: one class for text, CSV and HTML; and plain values for JSON."""
+"""How results and settings are shown: tables as text, CSV and HTML, lines, plain values."""
 
 from __future__ import annotations
 
@@ -6,8 +6,9 @@ import csv
 import io
 import json
 import os
+import reprlib
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, fields, is_dataclass
+from dataclasses import MISSING, Field, dataclass, field, fields, is_dataclass
 from html import escape
 from typing import Any
 
@@ -15,6 +16,9 @@ import numpy as np
 
 from sdpid._common.files import atomic_write_text
 from sdpid._common.text import printable
+
+# Characters of a value, and of of all settings together.
+_VALUE, _LINE = 40, 150
 
 
 @dataclass(frozen=True)
@@ -130,6 +134,51 @@ def facts_html(title: str, facts: Mapping[str, object], *tables: Table) -> str:
     rows = [_html_row("td", row, ("", "")) for row in cells]
     parts = [f"<b>{escape(title)}</b>", "<table>", *rows, "</table>"]
     return "\n".join([*parts, *(table.html() for table in tables)])
+
+
+class Settings:
+    """A dataclass of settings, which shows those that are not the defaults, cut where long."""
+
+    def __repr__(self) -> str:
+        shown = ", ".join(f"{name}={text}" for name, text in _changed(self).items())
+        return f"{type(self).__name__}({shown if len(shown) <= _LINE else shown[:_LINE] + '…'})"
+
+    def _repr_html_(self) -> str:
+        facts = _changed(self) or {"settings": "the defaults"}
+        return facts_html(type(self).__name__, facts)
+
+
+def _changed(settings: Any) -> dict[str, str]:
+    """Return the settings by name that are compared and are not the defaults."""
+    return {
+        each.name: brief(value)
+        for each in fields(settings)
+        if each.repr and not _is_default(value := getattr(settings, each.name), each)
+    }
+
+
+def _is_default(value: object, field: Field[Any]) -> bool:
+    default = field.default if field.default_factory is MISSING else field.default_factory()
+    if isinstance(value, np.ndarray) or default is MISSING:
+        return False
+    return bool(value is default or value == default)
+
+
+def brief(value: object) -> str:
+    """Return a value in a few characters: of an array its shape, of a long list its beginning."""
+    if isinstance(value, np.ndarray):
+        return f"array {value.shape}"
+    if isinstance(value, tuple | list) and value and not _simple(value[0]):
+        return f"({', '.join(type(each).__name__ for each in value[:3])}{', …' * (len(value) > 3)})"
+    short = reprlib.Repr()
+    short.maxstring = short.maxother = _VALUE
+    short.maxdict = short.maxtuple = short.maxlist = 3
+    text = short.repr(value).replace("\n", " ")
+    return text if len(text) <= 2 * _VALUE else f"{text[: 2 * _VALUE]}…"
+
+
+def _simple(value: object) -> bool:
+    return value is None or isinstance(value, str | int | float | tuple | list)
 
 
 def plain(value: Any) -> Any:

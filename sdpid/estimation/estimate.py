@@ -87,9 +87,11 @@ class Estimate:
         return cls(problem=problem, base=frozen(problem.base_of(values)), theta=values, **fields)
 
     def __repr__(self) -> str:
+        least = None if self.worst_margin is None else f"{self.worst_margin:.4g}"
         return (
-            f"Estimate(method={self.method!r}, status={self.status!r}, cost={self.cost:.10g}, "
-            f"worst_margin={self.worst_margin}, iterations={self.iterations}, "
+            f"{type(self).__name__}(method={self.method!r}, status={self.status!r}, "
+            f"cost={self.cost:.10g}, "
+            f"worst_margin={least}, iterations={self.iterations}, "
             f"solve_time={self.solve_time:.3g})"
         )
 

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from sdpid._common.arrays import Array, frozen
+from sdpid._common.tables import facts_html
 from sdpid._common.threads import one_thread
 from sdpid.errors import DataError
 from sdpid.estimation.compression.covariance import WEIGHTINGS, Weighting, pooled
@@ -100,10 +101,25 @@ class Problem:
     def __repr__(self) -> str:
         prior = "" if self.prior is None else ", with a prior"
         return (
-            f"Problem('{self.robot.name}': {self.n_samples} samples, {self.n_rows} rows, "
+            f"Problem({self.robot.name!r:.60}: {self.n_samples} samples, {self.n_rows} rows, "
             f"{self.base.count} base of {self.n_theta} standard parameters, "
             f"weighting={self.weighting!r}, consistency={self.consistency!r}{prior})"
         )
+
+    def _repr_html_(self) -> str:
+        terms = ", ".join(str(each["term"]) for each in self.friction.described())
+        facts: dict[str, object] = {
+            "samples": self.n_samples,
+            "rows": self.n_rows,
+            "base parameters": self.base.count,
+            "standard parameters": self.n_theta,
+            "friction terms": terms or "none",
+            "weighting": self.weighting,
+            "consistency": self.consistency,
+            "prior": "no" if self.prior is None else "yes",
+            "condition number": self.excitation.condition_number,
+        }
+        return facts_html(f"Problem of {self.robot.name}", facts)
 
     @property
     def consistency(self) -> Consistency:

@@ -14,6 +14,7 @@ from dataclasses import replace
 import numpy as np
 
 from sdpid._common.arrays import Array, frozen
+from sdpid._common.tables import facts_html
 from sdpid._common.threads import one_thread
 from sdpid.errors import DataError
 from sdpid.estimation.compression.rows import RowSource
@@ -93,6 +94,18 @@ class RecursiveEstimator:
         self._about: Estimate | None = None
         self._bounds_included = start.feasible.bounded
         self._last: Array | None = None
+
+    def __repr__(self) -> str:
+        """Return the robot and what is forgotten, in a line."""
+        return f"RecursiveEstimator({self._problem.robot.name!r:.60}, {self._forgets})"
+
+    def _repr_html_(self) -> str:
+        facts = {"base parameters": self._problem.base.count, "forgetting": self._forgets}
+        return facts_html(f"Recursive estimator of {self._problem.robot.name}", facts)
+
+    @property
+    def _forgets(self) -> str:
+        return f"{self.forgetting:g} a sample" if self.memory is None else f"{self.memory:g} s"
 
     @one_thread
     def update(self, samples: Samples) -> None:

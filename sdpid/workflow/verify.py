@@ -9,6 +9,7 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any
 
+from sdpid._common.tables import Table, facts_html
 from sdpid.errors import CertificateError
 from sdpid.verifier import certificate, tables
 from sdpid.verifier.command import check_path
@@ -67,6 +68,16 @@ class Verification:
     gap: float | None = None
     margin: float | None = None
     log: LogProof | None = None
+
+    def __repr__(self) -> str:
+        """Return whether everything claimed is proven, in a line."""
+        said = f"{len(self.statements)} proven, {len(self.problems)} not"
+        return f"Verification(passed={self.passed}, {said}, {len(self.unchecked)} unchecked)"
+
+    def _repr_html_(self) -> str:
+        facts = {"passed": self.passed, "gap": self.gap, "SHA-256": self.sha256}
+        lines = Table(("in words",), tuple((line,) for line in self.lines))
+        return facts_html("Verification", facts, lines)
 
     @property
     def lines(self) -> tuple[str, ...]:

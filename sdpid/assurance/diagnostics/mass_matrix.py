@@ -26,7 +26,7 @@ from numpy.typing import ArrayLike
 
 from sdpid._common.arrays import Array, frozen
 from sdpid._common.seeds import generator
-from sdpid._common.tables import plain
+from sdpid._common.tables import facts_html, plain
 from sdpid.errors import DataError
 from sdpid.estimation.conic.solve import ConicProgram, Matrix, solve_conic
 from sdpid.estimation.estimate import Estimate
@@ -90,6 +90,15 @@ class SmallestMassEigenvalue:
     def __repr__(self) -> str:
         bound = "none" if self.lower_bound is None else f"{self.lower_bound:.4g}"
         return f"SmallestMassEigenvalue(value={self.value:.4g}, lower_bound={bound})"
+
+    def _repr_html_(self) -> str:
+        facts: dict[str, object] = {
+            "smallest found": self.value,
+            "at": ", ".join(f"{each:.4g}" for each in self.q),
+            "proven lower bound": self.lower_bound,
+            "reason": self.reason,
+        }
+        return facts_html("Smallest eigenvalue of the mass matrix", facts)
 
     def to_dict(self) -> dict[str, Any]:
         """Return plain values for JSON."""

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from sdpid._common.tables import Settings
 from sdpid.errors import DataError, InfeasibleError
 from sdpid.estimation.constraints.condition import Condition
 from sdpid.robot.model.model import RobotModel
@@ -16,8 +17,8 @@ from sdpid.robot.model.model import RobotModel
 _TIMES = 3.0
 
 
-@dataclass(frozen=True, kw_only=True)
-class Constraints:
+@dataclass(frozen=True, kw_only=True, repr=False)
+class Constraints(Settings):
     """Bounds on the links and the friction terms.
 
     Attributes

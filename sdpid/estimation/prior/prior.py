@@ -9,6 +9,7 @@ from typing import Literal, get_args
 import numpy as np
 
 from sdpid._common.arrays import Array, Indices, frozen, real_array
+from sdpid._common.tables import Settings
 from sdpid.errors import DataError
 from sdpid.estimation.compression.rows import CHUNK, Rows, RowSource
 from sdpid.estimation.conic.standard_form import symmetric_basis
@@ -49,8 +50,8 @@ _VAGUE = 10.0
 _AT_END = 0.02
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Prior:
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class Prior(Settings):
     """Prior knowledge of the parameters.
 
     Each link is believed to be near a body P0 = L·L^T (pseudo-inertia). Being elsewhere costs

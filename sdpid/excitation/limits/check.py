@@ -10,7 +10,7 @@ from typing import Any, Literal
 import numpy as np
 
 from sdpid._common.arrays import Array
-from sdpid._common.tables import Table, plain
+from sdpid._common.tables import Table, facts_html, plain
 from sdpid.errors import DataError
 from sdpid.excitation.geometry.collision import CollisionModel
 from sdpid.excitation.geometry.obstacles import Obstacle
@@ -160,8 +160,12 @@ class LimitCheck:
             "left_out": plain(self.left_out),
         }
 
+    def __repr__(self) -> str:
+        """Return whether all limits hold, and how many do not, in a line."""
+        return f"LimitCheck(ok={self.ok}, {len(self.rows)} limits, {len(self.broken)} not held)"
+
     def _repr_html_(self) -> str:
-        return self.table().html()
+        return facts_html("Limits", {"all held": self.ok}, self.table())
 
 
 def _gravity(row: LimitRow) -> tuple[bool, float]:

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from sdpid._common.tables import plain
+from sdpid._common.tables import Settings, plain
 from sdpid._common.toml import load_toml
 from sdpid.errors import DataError
 from sdpid.excitation.limits.joint_limits import JointLimits
@@ -18,8 +18,8 @@ from sdpid.excitation.limits.narrowing import KINDS, OTHERS, Values, is_number, 
 from sdpid.robot.model.model import RobotModel
 
 
-@dataclass(frozen=True, kw_only=True)
-class Limits:
+@dataclass(frozen=True, kw_only=True, repr=False)
+class Limits(Settings):
     """Limits that narrow those of a robot's description.
 
     Of what is given here and what the description says the tighter holds. Lengths and angles are

@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from sdpid._common.arrays import Array, frozen
+from sdpid._common.tables import Table, facts_html
 from sdpid.excitation.expected.expected import Expected
 from sdpid.excitation.geometry.collision import CollisionModel
 from sdpid.excitation.limits.check import LimitCheck
@@ -76,9 +77,21 @@ class Plan:
 
     def __repr__(self) -> str:
         return (
-            f"Plan('{self.robot.name}', {self.trajectory.period:g} s, condition number "
+            f"Plan({self.robot.name!r:.60}, {self.trajectory.period:g} s, condition number "
             f"{self.condition_number:.3g}, log det {self.log_det:.3g})"
         )
+
+    def _repr_html_(self) -> str:
+        facts: dict[str, object] = {
+            "period, s": self.trajectory.period,
+            "limits": "held at every instant" if self.limits.ok else "NOT held",
+            "made small": self.objective,
+            "purpose": self.purpose,
+            "condition number": self.condition_number,
+            "log det": self.log_det,
+        }
+        notes = Table(("notes",), tuple((note,) for note in self.notes))
+        return facts_html(f"Plan for {self.robot.name}", facts, notes)
 
     def plot(self, *, axes: Any = None) -> Any:
         """Show each joint's motion against its limits, which are dashed (extra ``plot``).

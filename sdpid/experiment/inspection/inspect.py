@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import os
+from collections import Counter
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
+from sdpid._common.tables import Table, facts_html
 from sdpid.errors import DataError
 from sdpid.experiment.inspection import (
     delay_checks,
@@ -59,6 +61,17 @@ class Inspection:
     def __str__(self) -> str:
         lines = [finding.line(used=False) for finding in self.findings]
         return "\n".join(lines) or "nothing wrong was found"
+
+    def __repr__(self) -> str:
+        """Return how many findings there are of each severity, in a line."""
+        counts = Counter(finding.severity for finding in self.findings)
+        said = ", ".join(f"{count} {severity}" for severity, count in counts.items())
+        return f"Inspection(ok={self.ok}, findings: {said or 'none'})"
+
+    def _repr_html_(self) -> str:
+        columns = ("severity", "kind", "joint", "message", "remedy")
+        rows = (tuple(getattr(f, name) for name in columns) for f in self.findings)
+        return facts_html("Inspection", {"ok": self.ok}, Table(columns, tuple(rows)))
 
     def to_dict(self) -> dict[str, Any]:
         """Return plain values for JSON."""

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sdpid._common.arrays import Array, frozen_view, real_array
+from sdpid._common.tables import Table, facts_html
 from sdpid.errors import DataError
 from sdpid.experiment.processing.wide_velocity import WideVelocity
 from sdpid.experiment.recording.recording import checked_names
@@ -312,6 +313,18 @@ class Samples:
         if len(self.starts) > 1:
             parts.append(f"{len(self.starts)} pieces")
         return f"Samples({', '.join(parts)})"
+
+    def _repr_html_(self) -> str:
+        table = Table.of_columns(
+            {
+                "joint": list(self.names),
+                "rows used": np.count_nonzero(self.used, axis=0).tolist(),
+                "rms velocity": np.sqrt(np.mean(np.square(self.velocity), axis=0)).tolist(),
+                "rms effort": np.sqrt(np.mean(np.square(self.effort), axis=0)).tolist(),
+            }
+        )
+        facts = {"samples": self.n_samples, "rows used": self.n_rows, "pieces": len(self.starts)}
+        return facts_html("Samples", facts, table)
 
     @property
     def n(self) -> int:

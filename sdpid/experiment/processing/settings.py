@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field
 from typing import Any, Literal
 
 import numpy as np
 
+from sdpid._common.tables import Settings
 from sdpid.errors import DataError
 from sdpid.experiment.processing.derivatives import (
     DERIVATIVES,
@@ -62,7 +63,7 @@ class Reason:
 
 
 @dataclass(frozen=True, kw_only=True, repr=False)
-class Processing:
+class Processing(Settings):
     """How `process` turns a recording into samples.
 
     Parameters
@@ -145,7 +146,7 @@ class Processing:
     trim_s: float | None = None
     timing: Timing = "auto"
     filter: FilterType = "butterworth"
-    reasons: tuple[Reason, ...] = field(default=(), compare=False)
+    reasons: tuple[Reason, ...] = field(default=(), compare=False, repr=False)
 
     def __post_init__(self) -> None:
         choices: dict[str, tuple[Any, ...]] = {
@@ -164,15 +165,6 @@ class Processing:
             value = getattr(self, name)
             if value is not None or name not in _OPTIONAL:
                 _check_number(value, name, low, high, whole=name in ("order", "decimation"))
-
-    def __repr__(self) -> str:
-        settings = [field for field in fields(self) if field.compare]
-        changed = [
-            f"{field.name}={getattr(self, field.name)!r}"
-            for field in settings
-            if getattr(self, field.name) != field.default
-        ]
-        return f"Processing({', '.join(changed)})"
 
     def low_pass(self, rate_hz: float) -> ZeroPhaseFilter:
         """Design the filter for a sample rate in Hz."""

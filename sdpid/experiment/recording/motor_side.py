@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from sdpid._common.arrays import Array, frozen, real_array
+from sdpid._common.tables import Settings
 from sdpid.errors import DataError
 
 __all__ = ["MotorSide"]
@@ -19,8 +20,8 @@ _MOST_CONDITION = 1e6
 _QUANTITIES = ("position", "velocity", "effort")
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class MotorSide:
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class MotorSide(Settings):
     """Gears, signs, offsets and couplings that convert motor-side logs to the joints.
 
     With the matrix R of motor turns a joint turn, joint positions are

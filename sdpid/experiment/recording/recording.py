@@ -12,6 +12,7 @@ import numpy as np
 
 from sdpid._common.arrays import Array, frozen_view, real_array
 from sdpid._common.files import Source
+from sdpid._common.tables import Table, facts_html
 from sdpid._common.text import printable
 from sdpid.errors import DataError
 from sdpid.experiment.recording.stored import StoredArray
@@ -115,6 +116,25 @@ class Recording:
         if layout is not None:
             parts.append(f"{layout[2]} periods of {self.period:.6g} s")
         return f"Recording({', '.join(parts)})"
+
+    def _repr_html_(self) -> str:
+        names = self.joint_names or tuple(f"joint {j + 1}" for j in range(self.n))
+        table = Table.of_columns(
+            {
+                "joint": list(names),
+                "least position": self.position[:, : self.n].min(axis=0).tolist(),
+                "greatest position": self.position[:, : self.n].max(axis=0).tolist(),
+                "rms effort": np.sqrt(np.mean(np.square(self.effort), axis=0)).tolist(),
+            }
+        )
+        layout = self.period_layout
+        facts: dict[str, object] = {
+            "samples": self.n_samples,
+            "rate, Hz": self.rate_hz,
+            "seconds": float(self.time[-1] - self.time[0]),
+            "periods": None if layout is None else layout[2],
+        }
+        return facts_html("Recording", facts, table)
 
     @property
     def n(self) -> int:

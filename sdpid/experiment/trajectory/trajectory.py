@@ -13,6 +13,7 @@ import numpy as np
 
 from sdpid._common.arrays import Array, frozen, frozen_view, real_array
 from sdpid._common.files import atomic_write_text
+from sdpid._common.tables import facts_html
 from sdpid._common.toml import load_toml
 from sdpid.errors import DataError
 from sdpid.experiment.trajectory.coefficients import curve_of, entries
@@ -76,6 +77,16 @@ class Trajectory:
             f"Trajectory({len(self.joint_names)} joints, {self.periods} periods of "
             f"{self.period:g} s at {self.rate_hz:g} Hz)"
         )
+
+    def _repr_html_(self) -> str:
+        facts: dict[str, object] = {
+            "joints": ", ".join(self.joint_names),
+            "periods": self.periods,
+            "period, s": self.period,
+            "rate, Hz": self.rate_hz,
+            "seconds in all": self.duration,
+        }
+        return facts_html("Trajectory", facts)
 
     def __post_init__(self) -> None:
         ranges = real_array(self.position_range, "position_range", ndim=2, infinite=True)

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from sdpid._common.arrays import Array
-from sdpid._common.tables import plain
+from sdpid._common.tables import Table, facts_html, plain
 from sdpid.assurance.diagnostics.described import Couplings, described_dynamics
 from sdpid.assurance.diagnostics.validation import validate, validate_dynamics
 from sdpid.estimation.estimate import Estimate
@@ -98,6 +98,15 @@ class ExportReport:
     training: Errors | None = None
     validation: Errors | None = None
     _written: Written | None = field(default=None, repr=False)
+
+    def __repr__(self) -> str:
+        """Return the file's name and what was written, in a line."""
+        lost = f", {len(self.left_out)} left out" if self.left_out else ""
+        return f"ExportReport({self.path.name!r:.80}, {len(self.links_changed)} links{lost})"
+
+    def _repr_html_(self) -> str:
+        table = Table(("report",), tuple((line,) for line in self.describe().splitlines()))
+        return facts_html("Export", {"file": self.path, "kind": self.kind}, table)
 
     def with_validation(self, samples: Samples) -> ExportReport:
         """Return the report with the errors on other samples."""

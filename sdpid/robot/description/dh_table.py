@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from sdpid._common.arrays import Array, real_array
+from sdpid._common.tables import Settings
 from sdpid._common.toml import load_toml
 from sdpid.errors import ModelError
 from sdpid.robot.description.origin import axis_rotation, matrix_rpy, numbers, rpy_matrix
@@ -59,8 +60,8 @@ def _translation(axis: int, length: float) -> Array:
     return transform
 
 
-@dataclass(frozen=True, kw_only=True)
-class DhTable:
+@dataclass(frozen=True, kw_only=True, repr=False)
+class DhTable(Settings):
     """A Denavit-Hartenberg table.
 
     With ``convention="modified"`` [khalil2002]_ frame i follows frame i-1 by

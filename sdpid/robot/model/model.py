@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike
 
 from sdpid._common.arrays import Array, Indices, frozen, real_array
 from sdpid._common.files import Source
+from sdpid._common.tables import Table, facts_html
 from sdpid.errors import DataError, ModelError
 from sdpid.robot.description.dh_table import DhTable
 from sdpid.robot.description.urdf import Mimic, pinocchio_from_urdf
@@ -178,7 +179,16 @@ class RobotModel:
 
     def __repr__(self) -> str:
         base = ", free flyer" if self.free_flyer else ""
-        return f"RobotModel('{self.name}', {self.n} coordinates, {self.n_links} links{base})"
+        return f"RobotModel({self.name!r:.80}, {self.n} coordinates, {self.n_links} links{base})"
+
+    def _repr_html_(self) -> str:
+        facts: dict[str, object] = {
+            "coordinates": ", ".join(self.joint_names),
+            "base": "floating" if self.free_flyer else "fixed",
+            "described mass, kg": float(np.maximum(self.prior[:, 0], 0.0).sum()),
+        }
+        links = {"link": list(self.link_names), "described mass, kg": self.prior[:, 0].tolist()}
+        return facts_html(f"Robot {self.name}", facts, Table.of_columns(links))
 
     @property
     def n(self) -> int:

@@ -1,0 +1,155 @@
+"""What the public names return shows itself in a line, and in a notebook as safe HTML."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import cache
+from typing import Any
+
+import html5lib
+import numpy as np
+import pytest
+
+import sdpid
+from sdpid.constraints import TotalMass
+from sdpid.experiment.trajectory.trajectory import Trajectory
+from tests.helpers.arm_files import ARM_URDF
+from tests.helpers.motions import fourier_motion
+from tests.helpers.plans import small_plan
+from tests.test_contract import BESIDE, CONTRACT
+
+# In one process, which makes the results once.
+pytestmark = pytest.mark.xdist_group("shown")
+
+# Characters of a line that is still read.
+LINE = 200
+
+HOSTILE = "<img src=x onerror=alert(1)>"
+NAMES = {
+    'robot name="arm"': 'robot name="NAME"', '"upper"': '"NAME upper"', '"a"': '"NAME a"',
+}  # fmt: skip
+
+# Names that return a file, values by name, or programs of another library.
+PLAIN = {"read_parameters", "to_cvxpy", "write_parameters", "write_plan", "write_report"}
+
+
+@cache
+def robot() -> sdpid.RobotModel:
+    text = ARM_URDF
+    for old, new in NAMES.items():
+        text = text.replace(old, new.replace("NAME", HOSTILE.replace("<", "&lt;")))
+    return sdpid.load_robot(text)
+
+
+@cache
+def log() -> sdpid.Recording:
+    t = np.arange(600) / 50.0
+    rng = np.random.default_rng(1)
+    w, c = rng.uniform(0.5, 4.0, (3, 2)), rng.uniform(0.0, 6.0, (3, 2))
+    angle = w * t[:, None, None] + c
+    q, v = np.sin(angle).sum(axis=1), (w * np.cos(angle)).sum(axis=1)
+    a = -(w**2 * np.sin(angle)).sum(axis=1)
+    effort = robot().inverse_dynamics(robot().prior, q, v, a) + 0.4 * v
+    effort += 0.02 * rng.standard_normal(effort.shape)
+    return sdpid.Recording(time=t, position=q, effort=effort, joint_names=robot().joint_names)
+
+
+@cache
+def result() -> Any:
+    return sdpid.identify(robot(), log(), effects="none")
+
+
+def estimate() -> Any:
+    return result().estimate
+
+
+def problem() -> Any:
+    return result().problem
+
+
+def motion() -> Trajectory:
+    return fourier_motion(robot().joint_names)
+
+
+SHOWN: dict[str, Callable[[], Any]] = {
+    "Constraints": lambda: sdpid.Constraints(others=TotalMass(1.0, links=(HOSTILE,))),
+    "DhTable": lambda: sdpid.DhTable.of([{"name": f"{HOSTILE}{k}"} for k in range(7)]),
+    "Limits": lambda: sdpid.Limits(velocity={f"{HOSTILE}{k}": 1.0 for k in range(99)}),
+    "MotorSide": lambda: sdpid.MotorSide.from_gears(np.full(40, 100.0)),
+    "Prior": lambda: sdpid.Prior(bodies=np.ones((40, 10))),
+    "Processing": lambda: sdpid.Processing.paper(),
+    "Recording": log,
+    "RecursiveEstimator": lambda: sdpid.RecursiveEstimator(problem()),
+    "RobotModel": robot,
+    "Samples": lambda: problem().samples,
+    "Trajectory": motion,
+    "adapt": lambda: sdpid.adapt(estimate(), log()),
+    "audit_base_parameters": lambda: sdpid.audit_base_parameters(robot(), {"Fv1": 1.0}, 0.1),
+    "audit_urdf": lambda: sdpid.audit_urdf(ARM_URDF.replace('"upper"', '"&lt;i>upper"')),
+    "build_problem": problem,
+    "certify": lambda: result().certificate,
+    "check_trajectory": lambda: sdpid.check_trajectory(robot(), motion()),
+    "compare": lambda: sdpid.compare(problem(), starts=1, local=("slsqp",), max_iterations=2),
+    "confidence_intervals": lambda: result().intervals,
+    "cost_of_constraints": lambda: sdpid.cost_of_constraints(estimate()),
+    "cross_validate": lambda: sdpid.cross_validate(robot(), log(), folds=2, effects="none"),
+    "design_excitation": small_plan,
+    "identify": result,
+    "identify_payload": lambda: sdpid.identify_payload(robot(), *[problem().samples] * 2),
+    "inspect_recording": lambda: sdpid.inspect_recording(log(), robot()),
+    "load_robot": robot,
+    "paper_excitation": lambda: sdpid.paper_excitation("denso_vp6242", 5, periods=2, period=20.0),
+    "process": lambda: problem().samples,
+    "read_recording": log,
+    "sample_parameters": lambda: sdpid.sample_parameters(estimate(), 4, 0),
+    "simulate": log,
+    "smallest_mass_eigenvalue": lambda: sdpid.smallest_mass_eigenvalue(estimate()),
+    "solve_log_cholesky": lambda: sdpid.solve_log_cholesky(problem(), max_iterations=2),
+    "solve_robust": lambda: sdpid.solve_robust(problem()),
+    "solve_sdp": estimate,
+    "solve_slsqp": lambda: sdpid.solve_slsqp(problem(), max_iterations=2),
+    "solve_wls": lambda: result().wls,
+    "validate": lambda: result().training,
+}  # fmt: skip
+
+
+def require_safe(shown: Any) -> None:
+    """Check a line, and that a browser reads the HTML without anything that acts."""
+    line, html = repr(shown), shown._repr_html_()
+    assert line.startswith(type(shown).__name__ + "(")
+    assert "\n" not in line
+    assert len(line) < LINE
+    tree = html5lib.parseFragment(html, namespaceHTMLElements=False)
+    tags = {element.tag for element in tree.iter()} - {"DOCUMENT_FRAGMENT"}
+    assert tags <= {"b", "table", "tbody", "tr", "td", "th"}
+    assert tags >= {"b", "table", "td"}
+    attributes = {name for element in tree.iter() for name in element.attrib}
+    assert attributes <= {"style"}
+
+
+def test_every_public_name_is_looked_at() -> None:
+    assert set(SHOWN) | PLAIN | {"verify", "write_mjcf", "write_urdf"} == CONTRACT | BESIDE
+
+
+@pytest.mark.parametrize("name", SHOWN)
+def test_results_show_themselves(name: str) -> None:
+    require_safe(SHOWN[name]())
+
+
+def test_names_are_shown_as_text() -> None:
+    assert "&lt;img src=x" in robot()._repr_html_()
+    assert "&lt;img src=x" in result()._repr_html_()
+
+
+def test_files_and_their_proofs_show_themselves(tmp_path: Any) -> None:
+    require_safe(sdpid.write_urdf(estimate(), target=tmp_path / "robot.urdf"))
+    result().certificate.to_json(tmp_path / "certificate.json")
+    require_safe(sdpid.verify(tmp_path / "certificate.json"))
+
+
+def test_settings_show_what_is_not_the_default() -> None:
+    assert repr(sdpid.Constraints()) == "Constraints()"
+    assert repr(sdpid.Constraints(margin=0.1)) == "Constraints(margin=0.1)"
+    assert repr(sdpid.Prior(bodies=np.ones((2, 10)))) == "Prior(bodies=array (2, 10))"
+    assert repr(sdpid.Limits(jerk=5.0, share=0.5)) == "Limits(jerk=5.0, share=0.5)"
+    assert "the defaults" in sdpid.Processing()._repr_html_()
