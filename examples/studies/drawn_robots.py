@@ -1,6 +1,6 @@
 """Write a thousand draws of real seven-axis arms, audit every file, load every file in MuJoCo.
 
-Each arm is identified with defaults from its recording. The table of files has the seconds of
+Each arm is identified with defaults from its recording. The table of files has the CPU seconds of
 drawing, writing, and of checking every file as a stranger would: `audit_urdf` of every URDF, and
 MuJoCo's loading of every URDF and MJCF. The table of ranges says what is lost where numbers are
 drawn one by one: the share of the draws within all ranges, and how far the efforts on the recorded
@@ -37,8 +37,8 @@ PROBABILITIES = (0.95, 0.5, 0.05)
 SEED = 0
 
 FILES = (
-    "arm", "draws", "least ESS", "largest R-hat", "draw, s", "write, s", "URDFs audited",
-    "not passed", "audit, s", "loaded by MuJoCo", "load, s",
+    "arm", "draws", "least ESS", "largest R-hat", "draw, CPU s", "write, CPU s", "URDFs audited",
+    "not passed", "audit, CPU s", "loaded by MuJoCo", "load, CPU s",
 )  # fmt: skip
 RANGES = (
     "arm",
@@ -52,13 +52,13 @@ RANGES = (
 
 def checked(folder: Path) -> tuple[object, ...]:
     """Return how many files pass the audit, do not, load, and the seconds of each."""
-    start = time.perf_counter()
+    start = time.process_time()
     audits = [sdpid.audit_urdf(path) for path in sorted(folder.glob("*.urdf"))]
-    middle = time.perf_counter()
+    middle = time.process_time()
     robots = [path for path in folder.iterdir() if path.suffix in (".urdf", ".xml")]
     for path in robots:
         mujoco.MjModel.from_xml_path(str(path))
-    end = time.perf_counter()
+    end = time.process_time()
     wrong = sum(not audit.passed for audit in audits)
     return len(audits), wrong, middle - start, len(robots), end - middle
 
@@ -93,11 +93,12 @@ def main() -> None:
     parser.add_argument("--data", type=Path, default=os.environ.get("SDPID_DATA"))
     parser.add_argument("--out", type=Path, default=Path("results"))
     parser.add_argument("--count", type=int, default=1000)
+    parser.add_argument("--arms", nargs="+", default=ARMS, choices=ARMS)
     parser.add_argument("--quick", action="store_true", help="ten draws of one arm")
     options = parser.parse_args()
     if options.data is None:
         sys.exit("drawn_robots: name the folder of the data by --data or SDPID_DATA")
-    count, arms = (10, ARMS[:1]) if options.quick else (options.count, ARMS)
+    count, arms = (10, ARMS[:1]) if options.quick else (options.count, options.arms)
     files, ranges = [], []
     for name in arms:
         source = Path(options.data) / name
@@ -107,11 +108,11 @@ def main() -> None:
         except SdpidError as error:
             sys.exit(f"drawn_robots: {name}: {error}")
         arm, folder = ROBOTS[name], options.out / name
-        start = time.perf_counter()
+        start = time.process_time()
         samples = sdpid.sample_parameters(result, count, SEED)
-        drawn = time.perf_counter()
+        drawn = time.process_time()
         samples.save(folder, ("urdf", "mjcf"))
-        written = time.perf_counter()
+        written = time.process_time()
         mixed = samples.diagnostics
         cells = (mixed["least_effective_size"], mixed["largest_r_hat"])
         files.append((arm, count, *cells, drawn - start, written - drawn, *checked(folder)))
