@@ -27,6 +27,8 @@ from sdpid.output.report.judged import (
 )
 from sdpid.output.report.prediction_verdict import resting_share
 
+# Beside the two that have all terms in one.
+_CODE = ", or the links of identified.urdf with identified_friction.py (.hpp) for its friction"
 _OTHER_MOTION = "record another motion and give it with --validation: this one shows only itself"
 
 
@@ -159,7 +161,7 @@ def _steps(result: Judged, worst: Grade | None, causes: dict[str, Cause]) -> Ite
     if worst is not None and worst.level != "good":
         yield "record a motion that asks more of the worst joint: its error hides its dynamics"
     good = errors_of_urdf(result) is not None and _file(result) is None
-    what = "identified.urdf" if good else "estimate.model() or parameters.json"
+    what = "identified.urdf" if good else _whole(result)
     yield f"none: use {what}, and validate again when the load or the temperature changes"
 
 
@@ -185,10 +187,15 @@ def _file(result: Judged) -> str | None:
         return None
     where = "fitted" if result.validation_samples is None else "validation"
     return (
-        f"do not use identified.urdf for efforts: on the rows in use of the {where} "
-        f"recordings it misses {errors}; use estimate.model() or parameters.json, "
-        "which leave nothing out"
+        f"do not use identified.urdf alone for efforts: on the rows in use of the {where} "
+        f"recordings it misses {errors}; use {_whole(result)}, which leave nothing out"
     )
+
+
+def _whole(result: Judged) -> str:
+    """Return in words what has all terms: a tilted base is no friction, and in no code of it."""
+    code = "" if "Tilt" in terms_of(result) else _CODE
+    return f"estimate.model() or parameters.json{code}"
 
 
 def _beside(result: Judged) -> str | None:

@@ -51,6 +51,10 @@ def test_a_file_that_misses_more_than_the_estimate_is_not_recommended(
     assert found.file is not None
     assert f"on the rows in use of the validation recordings it misses {errors}" in found.file
     assert any("do not use identified.urdf" in line for line in found.lines)
+    assert (
+        "the links of identified.urdf with identified_friction.py (.hpp) for its friction"
+        in found.file
+    )
     assert found.step.startswith("none: use estimate.model() or parameters.json")
     theta = np.array(arm_theta())
     theta[[i for i, name in enumerate(good.estimate.named_theta()) if name.startswith("Fo")]] = 0.0
