@@ -81,3 +81,10 @@ def real_array(
             f"({array[first]}); remove or repair those samples."
         )
     return array
+
+
+def require_probability(value: Any, what: str) -> None:
+    """Raise DataError when a value is not a number between 0 and 1, ends excluded."""
+    real = isinstance(value, int | float | np.floating) and not isinstance(value, bool)
+    if not real or not 0.0 < value < 1.0:
+        raise DataError(f"{what} is {value!r:.80}; give a probability between 0 and 1.")

@@ -89,6 +89,7 @@ def sample(
 
     Every robot obeys all constraints of the run, and every link of it can be a body.
     """
+    from sdpid._common.arrays import require_probability
     from sdpid.experiment.preparation.several import columns_without, prepare_recordings
     from sdpid.output.samples.write import RANGES, run_folder
     from sdpid.output.tables.parameters_file import read_parameters
@@ -96,7 +97,6 @@ def sample(
     from sdpid.workflow.formulate import formulate
     from sdpid.workflow.sample import (
         optimum,
-        require_probability,
         require_same,
         sample_parameters,
     )
@@ -105,7 +105,7 @@ def sample(
         raise DataError(f"give the folder {results} or --config {printing.config}, not both.")
     inputs = reading.files(logs, robot, printing.config, source)
     run_folder(robots).require_writable(robots, inputs)
-    require_probability(probability)
+    require_probability(probability, "probability")
     model = load_robot(robot)
     kinds = _kinds(urdf, mjcf, described=model.urdf is not None)
     formulation = estimation.arguments(model)

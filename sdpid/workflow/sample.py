@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from sdpid._common.arrays import Array
+from sdpid._common.arrays import Array, require_probability
 from sdpid._common.extras import require
 from sdpid._common.tables import Table, facts_html
 from sdpid.assurance.certificate.certificate import Certificate, certify
@@ -221,7 +221,7 @@ class ParameterSamples:
         probability : float, optional
             Share of the draws within each range.
         """
-        require_probability(probability)
+        require_probability(probability, "probability")
         writer = SampleWriter(self.estimate, self.theta, kinds=())
         return writer.ranges(probability, self._made())
 
@@ -267,7 +267,7 @@ class ParameterSamples:
             When the folder cannot be written to, would lose a file that no such run wrote, or the
             robots cannot be written.
         """
-        require_probability(probability)
+        require_probability(probability, "probability")
         writer = SampleWriter(self.estimate, self.theta, kinds=kinds, source=source)
         return write_samples(
             writer,
@@ -311,10 +311,3 @@ def _require_whole(name: str, number: Any, least: int, most: int | None = None) 
     if not whole or int(number) < least or (most is not None and int(number) > most):
         upto = "on" if most is None else f"to {most}"
         raise DataError(f"{name}: is {number!r}; give a whole number from {least} {upto}.")
-
-
-def require_probability(probability: Any) -> None:
-    """Refuse a probability that is none."""
-    real = isinstance(probability, int | float | np.floating) and not isinstance(probability, bool)
-    if not real or not 0.0 < probability < 1.0:
-        raise DataError(f"probability: is {probability!r}; give a number between 0 and 1.")

@@ -87,7 +87,10 @@ def test_a_run_that_gives_other_parameters_now(folder: Path, tmp_path: Path) -> 
         (("results", "-n", "0"), "--number"),
         (("results", "-n", "1000000000"), "give a whole number from 1 to 1000000"),
         (("results", "--seed", "-1"), "--seed"),
-        (("results", "--probability", "1"), "probability: is 1.0; give a number between 0 and 1"),
+        (
+            ("results", "--probability", "1"),
+            "probability is 1.0; give a probability between",
+        ),
         (("results", "--config", "results/run.toml"), "not both"),
         (("nowhere",), "has no run.toml; give the folder that `sdpid identify` wrote"),
         (("results", "--no-urdf", "--no-mjcf"), "nothing to write"),

@@ -9,10 +9,12 @@ import numpy as np
 import pytest
 
 import sdpid
+from sdpid.assurance.intervals.friction_curve import joint_curve
 from sdpid.errors import DataError
+from sdpid.estimation.problem import build_problem
 from sdpid.workflow.result import Identification
 from sdpid.workflow.sample import ParameterSamples
-from tests.helpers.identified import arm_theta, identified, moved
+from tests.helpers.identified import ARM, arm_theta, identified, moved
 
 COUNT = 20
 
@@ -93,10 +95,19 @@ def test_numbers_that_are_none(result: Identification, arguments: Any, words: st
 
 @pytest.mark.parametrize("probability", [0.0, 1.0, -1, 2, float("nan"), True, "half", None])
 def test_shares_that_are_none(samples: ParameterSamples, probability: Any, tmp_path: Path) -> None:
-    with pytest.raises(DataError, match="give a number between 0 and 1"):
+    with pytest.raises(DataError, match="give a probability between 0 and 1"):
         samples.ranges(probability)
-    with pytest.raises(DataError, match="give a number between 0 and 1"):
+    with pytest.raises(DataError, match="give a probability between 0 and 1"):
         samples.save(tmp_path, probability=probability)
+
+
+def test_a_robot_without_friction(tmp_path: Path) -> None:
+    samples = moved(arm_theta(), 1, seconds=4.0)
+    estimate = sdpid.solve_sdp(build_problem(ARM, samples, friction=(), weighting="residual"))
+    sdpid.sample_parameters(estimate, 2).save(tmp_path)
+    assert sdpid.audit_urdf(tmp_path / "robot_0002.urdf").passed
+    curve = joint_curve(estimate, 0)
+    assert not np.any([curve.effort, curve.lower, curve.upper])
 
 
 def test_what_is_no_estimate() -> None:

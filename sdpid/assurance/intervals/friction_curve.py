@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import ArrayLike
 
-from sdpid._common.arrays import Array, frozen
+from sdpid._common.arrays import Array, frozen, require_probability
 from sdpid.errors import DataError
 from sdpid.estimation.effects.bending import Bending
 from sdpid.estimation.estimate import Estimate
@@ -64,6 +64,7 @@ def friction_curve(estimate: Estimate, speed: ArrayLike, *, level: float = 0.95)
     DataError
         When the estimate has no standard parameters, or its problem no rows.
     """
+    require_probability(level, "friction curve: level")
     bands = _Bands(estimate)
     speeds = frozen(np.atleast_1d(np.asarray(speed, dtype=np.float64)))
     shape = (len(speeds), len(bands.problem.friction.joint_names))
@@ -98,8 +99,8 @@ def joint_curve(
     Raises
     ------
     DataError
-        When the estimate has no standard parameters, its problem no rows, or joint or velocity
-        are none.
+        When the estimate has no standard parameters, its problem no rows, or joint velocity
+        or level are none.
     """
     number = joint_number(estimate.problem.friction.joint_names, joint)
     return joint_curves(estimate, {number: velocity}, level=level)[0]
@@ -128,6 +129,7 @@ def joint_curves(
     DataError
         As `joint_curve`.
     """
+    require_probability(level, "friction curve: level")
     bands, model = _Bands(estimate), estimate.model()
     if velocities is None:
         velocities = dict.fromkeys(range(len(bands.problem.friction.joint_names)))
@@ -192,7 +194,9 @@ def _of_motion(problem: Problem, bending: Bending, v: Array) -> tuple[Array, Arr
     """Return columns (s, joints, f) and derivatives (s, joints, d) at velocities (s, joints)."""
     friction, names = problem.friction, problem.friction.joint_names
     motion = Motion(position=v, velocity=v, acceleration=np.zeros_like(v), robot=problem.robot)
-    blocks = [
+    # The first is of no term: a robot without friction has a curve, too.
+    blocks = [np.zeros((*v.shape, 0))]
+    blocks += [
         np.zeros((*v.shape, len(term.parameters(names))))
         if term.posed
         else term.columns_in(motion, names)

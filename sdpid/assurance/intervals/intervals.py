@@ -20,7 +20,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from sdpid._common.arrays import Array, Mask, frozen
+from sdpid._common.arrays import Array, Mask, frozen, require_probability
 from sdpid._common.tables import Table, facts_html, plain
 from sdpid._common.threads import one_thread
 from sdpid.assurance.intervals.bootstrap import Kind, resample
@@ -212,8 +212,7 @@ def confidence_intervals(
     SolverError
         When a program cannot be solved.
     """
-    if not 0.0 < level < 1.0:
-        raise DataError(f"intervals: level is {level}; give a probability between 0 and 1.")
+    require_probability(level, "intervals: level")
     if method not in ("profile", "gauss_markov", "bootstrap"):
         raise DataError(
             f"intervals: method is {method!r}; use 'profile', 'gauss_markov' or 'bootstrap'."

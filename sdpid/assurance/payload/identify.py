@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from sdpid._common.arrays import Array, Indices, frozen
+from sdpid._common.arrays import Array, Indices, frozen, require_probability
 from sdpid._common.threads import one_thread
 from sdpid.assurance.payload.intervals import NOTHING, PayloadIntervals
 from sdpid.assurance.payload.payload import Payload
@@ -143,8 +143,7 @@ def identify_payload(
     for value, name in ((mass_max, "mass_max"), (extent, "extent")):
         if not (np.isfinite(value) and value > 0.0):
             raise DataError(f"payload: {name} is {value}; give a positive number.")
-    if not 0.0 < level < 1.0:
-        raise DataError(f"payload: level is {level}; give a probability between 0 and 1.")
+    require_probability(level, "payload: level")
     given = without_load if isinstance(without_load, Estimate) else None
     model = _robot(robot, given)
     findings: tuple[Finding, ...] = ()

@@ -17,7 +17,7 @@ from functools import cached_property
 
 import numpy as np
 
-from sdpid._common.arrays import Array, Indices, Mask
+from sdpid._common.arrays import Array, Indices, Mask, require_probability
 from sdpid._common.threads import one_thread
 from sdpid.errors import DataError
 from sdpid.estimation.agreement.agreement import Agreement, Difference, EffortDifference
@@ -59,8 +59,7 @@ def compare_estimates(
     first: Estimated, other: Estimated, *, level: float, independent: bool | None
 ) -> Agreement:
     """Return whether two estimates agree; see `Estimate.compare_to`."""
-    if not 0.0 < level < 1.0:
-        raise DataError(f"compare_to: level is {level}; give a probability between 0 and 1.")
+    require_probability(level, "compare_to: level")
     require_one_robot(first.problem.robot, other.problem.robot)
     shared = SharedParameters.of(first.problem.base, other.problem.base)
     if not shared.names:

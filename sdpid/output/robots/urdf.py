@@ -255,7 +255,7 @@ def write_dynamics(
         element = tree.joints[name].find("dynamics")
         if element is not None:
             document.set_attributes(element, attributes)
-        else:
+        elif attributes:
             line = "<dynamics " + " ".join(f'{k}="{v}"' for k, v in attributes.items()) + "/>"
             document.insert_child(tree.joints[name], line, last=True)
 

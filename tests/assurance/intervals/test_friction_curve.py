@@ -79,3 +79,6 @@ def test_it_needs_standard_parameters() -> None:
         friction_curve(sdpid.solve_wls(problem), 0.1)
     with pytest.raises(DataError, match="constrained solver"):
         joint_curve(sdpid.solve_wls(problem), 0)
+    for level in (0.0, 1, 95, float("nan"), None):
+        with pytest.raises(DataError, match="give a probability between 0 and 1"):
+            joint_curve(sdpid.solve_wls(problem), 0, level=level)
