@@ -167,6 +167,9 @@
   const home = () => ({ yaw, pitch, distance, at: scene.center.slice() });
   let eye = home(), time = 0, playing = false, before = null, wanted = true, seen = true;
 
+  const dark = window.matchMedia("(prefers-color-scheme: dark)");
+  dark.addEventListener("change", () => { wanted = true; });
+
   function middle() {
     if (!scene.follow) return eye.at;
     const [a, b] = [placement(0, 0), placement(0, time)];
@@ -189,7 +192,9 @@
 
   function put(each, places, opacity, rim) {
     gl.uniformMatrix4fv(knob.model, false, places(each.link));
-    gl.uniform4f(knob.color, ...each.rgb, opacity);
+    // On a dark page colors are lighter.
+    const white = dark.matches ? 0.3 : 0;
+    gl.uniform4f(knob.color, ...each.rgb.map((c) => c + white * (1 - c)), opacity);
     gl.uniform1f(knob.rim, rim);
     gl.bindVertexArray(each.array);
     gl.drawArrays(each.mode, 0, each.count);
