@@ -44,7 +44,7 @@ def write_friction(
     Returns
     -------
     tuple of str
-        What the file leaves out, in words: a tilt of the base, which belongs to gravity.
+        What the file leaves out, in words: a tilt of the base. It says the tilted gravity.
 
     Raises
     ------
@@ -61,9 +61,12 @@ def write_friction(
     model = estimate if isinstance(estimate, RobotDynamics) else estimate.model()
     data = friction_data(model, certificate=certificate)
     atomic_write_text(path, writer(data))
-    return tuple(
-        f"{path.stem}: {each} of the base is not in it; estimate.model().gravity has it"
-        for each in data["left_out"]
+    if not data["left_out"]:
+        return ()
+    gravity = ", ".join(f"{x:.5g}" for x in model.to_pinocchio().gravity.linear)
+    return (
+        f"{path.stem}: the tilt of the base is not in it, since gravity is the links': take "
+        f"({gravity}) m/s² as gravity in the base",
     )
 
 

@@ -146,6 +146,11 @@ def run(path: Path) -> dict[str, Any]:
 def test_python_computes_what_the_model_does(model: RobotDynamics, tmp_path: Path) -> None:
     notes = write_friction(model, tmp_path / "friction.py")
     assert bool(notes) == any(isinstance(term, Tilt) for term in model.terms.terms)
+    if notes:
+        found = [float(x) for x in notes[0].partition("take (")[2].partition(")")[0].split(", ")]
+        tilted = model.to_pinocchio().gravity.linear
+        np.testing.assert_allclose(found, tilted, atol=1e-3)
+        assert np.abs(tilted - model.robot.gravity).max() > 0.01
     file, first = run(tmp_path / "friction.py"), model.terms.first
     assert file["JOINTS"] == model.terms.joint_names
     assert file["ROBOT"] == model.robot.name
