@@ -17,7 +17,7 @@ import numpy as np
 from sdpid._common.files import atomic_write_text
 from sdpid._common.text import printable
 
-# Characters of a value, and of of all settings together.
+# Characters of a value, and of all settings together.
 _VALUE, _LINE = 40, 150
 
 
