@@ -163,6 +163,27 @@ class Identification:
         """
         return joint_curve(self.estimate, joint, velocity, level=level)
 
+    def plot(self, *, title: str | None = None, axes: Any = None) -> Any:
+        """Show effort, error and friction of every joint, with bands (extra ``plot``).
+
+        On what was held out, where there is something. `sdpid.plots` has the single figures.
+
+        Parameters
+        ----------
+        title : str, optional
+            Heading of the figure.
+        axes : array of matplotlib.axes.Axes, shape (n, 3), optional
+            Where to draw; by default in a figure of its own.
+
+        Returns
+        -------
+        ndarray of matplotlib.axes.Axes, shape (n, 3)
+            One row a joint: effort and error over time, friction over velocity.
+        """
+        from sdpid.output.report.sections.overview import plot_overview
+
+        return plot_overview(self, title=title, axes=axes)
+
     def to_dict(self) -> dict[str, Any]:
         """Return the result as plain values for JSON: None where a number is not finite."""
         estimate = self.estimate

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -10,9 +11,10 @@ import numpy as np
 from sdpid._common.arrays import Array
 from sdpid.assurance.diagnostics.bands import effort_band
 from sdpid.assurance.diagnostics.residuals import JointErrors
-from sdpid.assurance.diagnostics.validation import Errors
+from sdpid.assurance.diagnostics.validation import Errors, Validation
 from sdpid.assurance.intervals.friction_curve import joint_curves
 from sdpid.errors import SdpidError
+from sdpid.experiment.processing.samples import Samples
 from sdpid.output.report.judged import Judged, grades_of, judged
 from sdpid.output.report.sections.recording import driven
 from sdpid.plots.figures import stretch
@@ -77,40 +79,94 @@ def _held_title(result: Judged) -> str:
     return f"{result.held_out.blocks} blocks (held out in turn)"
 
 
+@dataclass(frozen=True, eq=False)
+class JointPictures:
+    """The pictures of one joint on what the estimate is judged by.
+
+    Attributes
+    ----------
+    joint : int
+        Number of the joint, as of the efforts.
+    samples : Samples
+        What was measured.
+    fit : Validation
+        What was predicted.
+    band : ndarray, shape (K, n), or None
+        Half-width of the band about it.
+    curve : JointCurve or None
+        Its friction.
+    speeds : (float, float)
+        Least and greatest velocity of the data that were fitted.
+    """
+
+    joint: int
+    samples: Samples
+    fit: Validation
+    band: Array | None
+    curve: JointCurve | None
+    speeds: tuple[float, float]
+
+    @property
+    def name(self) -> str:
+        """Name of the joint."""
+        return self.fit.joint_names[self.joint]
+
+    @property
+    def unit(self) -> str:
+        """Unit of its efforts."""
+        return "N·m" if self.curve is None else self.curve.unit
+
+    def efforts(self, axes: Any = None) -> Any:
+        """Draw measured against predicted effort, and the error, into two axes."""
+        samples, j = self.samples, self.joint
+        return plot_joint(
+            samples.time,
+            samples.effort[:, j],
+            self.fit.effort_predicted[:, j],
+            samples.used[:, j],
+            band=None if self.band is None else self.band[:, j],
+            starts=samples.starts,
+            unit=self.unit,
+            axes=axes,
+        )
+
+    def friction(self, axes: Any = None) -> Any:
+        """Draw the friction over the velocity; None for a joint without friction."""
+        if self.curve is None:
+            return None
+        samples, j = self.samples, self.joint
+        used = samples.used[:, j]
+        error = (samples.effort - self.fit.effort_predicted)[used, j]
+        cloud = _cloud(self.curve, samples.velocity[used, j], error)
+        return plot_friction_curve(self.curve, cloud=cloud, driven=self.speeds, axes=axes)
+
+
+def joint_pictures(result: Judged) -> Iterator[JointPictures]:
+    """Yield the pictures of every joint."""
+    samples, fit = judged(result)
+    seen, curves = list(driven(result)), _curves(result)
+    band = _band(result)
+    for j, name in enumerate(fit.joint_names):
+        yield JointPictures(j, samples, fit, band, curves.get(name), seen[j]["speeds"])
+
+
 def _plots(result: Judged, errors: tuple[JointErrors, ...]) -> Iterator[dict[str, Any]]:
     """Yield the figures of every joint."""
     samples, fit = judged(result)
     shown = {each.joint: each for each in errors}
-    seen, curves = list(driven(result)), _curves(result)
-    band = _band(result)
-    for j, name in enumerate(fit.joint_names):
+    seen = list(driven(result))
+    for own in joint_pictures(result):
+        j, name = own.joint, own.name
         if name not in shown:
             continue
-        used = samples.used[:, j]
-        curve = curves.get(name)
-        unit = "N·m" if curve is None else curve.unit
-        efforts = plot_joint(
-            samples.time,
-            samples.effort[:, j],
-            fit.effort_predicted[:, j],
-            used,
-            band=None if band is None else band[:, j],
-            starts=samples.starts,
-            unit=unit,
-        )
-        pictures = [(image_source(efforts), _EFFORTS)]
-        if curve is not None:
-            v = samples.velocity[used, j]
-            error = (samples.effort - fit.effort_predicted)[used, j]
-            picture = plot_friction_curve(
-                curve, cloud=_cloud(curve, v, error), driven=seen[j]["speeds"]
-            )
-            pictures.append((image_source(picture), _FRICTION))
-        found = plot_joint_errors(shown[name], timed=samples.time is not None, unit=unit)
+        pictures = [(image_source(own.efforts()), _EFFORTS)]
+        if (friction := own.friction()) is not None:
+            pictures.append((image_source(friction), _FRICTION))
+        found = plot_joint_errors(shown[name], timed=samples.time is not None, unit=own.unit)
         pictures.append((image_source(found), _ERRORS))
         yield {
             "name": name,
-            "unit": unit,
+            "unit": own.unit,
             "rmse": float(fit.rmse[j]),
             "r2": float(fit.r2[j]),
             "driven": seen[j],

@@ -1,0 +1,46 @@
+"""All joints of a result in one figure: `Identification.plot`."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from sdpid.output.report.judged import Judged
+from sdpid.output.report.sections.joints import joint_pictures
+from sdpid.plots.figures import INK, NORMAL, PLAIN, axes_of, head, new_figure
+
+# Inches: of the figure, and of a row.
+_WIDTH, _ROW = 14.0, 2.1
+
+
+def plot_overview(result: Judged, *, title: str | None = None, axes: Any = None) -> Any:
+    """Show effort, error and friction of every joint, with their bands: one row a joint.
+
+    Parameters
+    ----------
+    result : Identification
+        The result; shown is what it is judged by, held out where there is something held out.
+    title : str, optional
+        Heading of the figure.
+    axes : array of matplotlib.axes.Axes, shape (n, 3), optional
+        Where to draw; by default in a figure of its own.
+
+    Returns
+    -------
+    ndarray of matplotlib.axes.Axes, shape (n, 3)
+        Of effort and error over time, and of friction over velocity; the last of a row is empty
+        where a joint has no friction.
+    """
+    joints = list(joint_pictures(result))
+    if axes is None:
+        figure = new_figure(_WIDTH, 0.6 + _ROW * len(joints), title)
+        axes = figure.subplots(len(joints), 3, squeeze=False, width_ratios=(3.0, 2.0, 2.0))
+    else:
+        axes = axes_of(axes, len(joints), 3)
+        head(axes, title)
+    for row, own in zip(axes, joints, strict=True):
+        own.efforts(row[:2])
+        row[0].set_xlabel(row[1].get_xlabel(), fontsize=NORMAL, color=INK, **PLAIN)
+        row[0].set_title(own.name, fontsize=NORMAL, color=INK, loc="left", **PLAIN)
+        if own.friction(row[2]) is None:
+            row[2].set_axis_off()
+    return axes

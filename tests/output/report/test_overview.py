@@ -1,0 +1,32 @@
+"""The figure of all joints of a result."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+pytest.importorskip("matplotlib")
+
+from sdpid.errors import DataError
+from sdpid.plots.figures import figure_of
+from tests.helpers.identified import arm_theta, identified, moved
+
+
+def test_every_joint_has_effort_error_and_friction() -> None:
+    theta = arm_theta()
+    result = identified(moved(theta, 1), moved(theta, 2))
+    axes = result.plot(title="all joints")
+    assert axes.shape == (2, 3)
+    names = result.problem.robot.joint_names
+    assert [row[0].get_title(loc="left") for row in axes] == list(names)
+    for row in axes:
+        assert [line.get_label() for line in row[0].get_lines()] == ["measured", "predicted"]
+        assert row[1].get_ylabel() == "error [N·m]"
+        assert row[2].get_xlabel() == "velocity [rad/s]"
+    # What was held out, not what was fitted.
+    assert result.validation_samples is not None
+    drawn = axes[0, 0].get_lines()[0].get_ydata()
+    assert set(np.round(drawn, 9)) <= set(np.round(result.validation_samples.effort[:, 0], 9))
+    figure_of(axes).draw_without_rendering()
+    with pytest.raises(DataError, match="2 axes were given to draw in, 6 are needed"):
+        result.plot(axes=axes[0, :2])
