@@ -245,13 +245,13 @@ class Estimate:
         return pandas.DataFrame(columns, index=pandas.Index(names, name="name"))
 
     def compare_to(
-        self, other: Estimate, *, level: float = 0.95, independent: bool | None = None
+        self, other: Any, *, level: float = 0.95, independent: bool | None = None
     ) -> Agreement:
         """Test whether another estimate of the same robot differs by more than both errors.
 
         Parameters
         ----------
-        other : Estimate
+        other : Estimate or Identification
             Of the same joints and links: of another log, after a repair or with a payload, or of
             other friction terms. Compared are the base parameters that both have.
         level : float, optional
@@ -272,6 +272,7 @@ class Estimate:
         DataError
             When the robots differ, or a problem has no rows.
         """
+        other = getattr(other, "estimate", other)
         if not isinstance(other, Estimate):
             raise DataError(
                 f"compare_to: other is {type(other).__name__} {other!r:.60}; give an Estimate, "
