@@ -285,7 +285,11 @@ def runs(flags: ArrayLike) -> list[tuple[int, int]]:
 
 def shade(axis: Any, x: Array, flags: ArrayLike, **style: Any) -> None:
     """Shade the stretches of x where a flag is set, over the full height."""
-    low, high = spans(x, flags)
+    shade_spans(axis, *spans(x, flags), **style)
+
+
+def shade_spans(axis: Any, low: Array, high: Array, **style: Any) -> None:
+    """Shade stretches of the horizontal axis, (k,) from `low` to `high`, over the full height."""
     if not len(low):
         return
     corners = np.zeros((len(low), 4, 2))

@@ -8,7 +8,7 @@ import numpy as np
 
 from sdpid._common.arrays import Array
 from sdpid._common.extras import require
-from sdpid.plots.figures import BLUE, GRAY, RED, SHADE
+from sdpid.plots.figures import BLUE, GRAY, RED, shade_spans
 from sdpid.plots.panels import Panel, keys, stacked
 
 # Points; the picture is as high as the others of a joint.
@@ -96,9 +96,9 @@ def plot_friction_curve(
 
 def _shade_beyond(axis: Any, ends: tuple[float, float], driven: tuple[float, float]) -> None:
     """Shade the velocities that were not driven."""
-    for low, high in ((ends[0], driven[0]), (driven[1], ends[1])):
-        if high > low:
-            axis.axvspan(low, high, color=SHADE, alpha=0.6, linewidth=0.0, zorder=0.5)
+    sides = ((ends[0], driven[0]), (driven[1], ends[1]))
+    beyond = np.array([side for side in sides if side[0] < side[1]]).reshape(-1, 2)
+    shade_spans(axis, *beyond.T, alpha=0.6)
 
 
 def _dots(axis: Any, x: Array, y: Array, *, width: float) -> None:
