@@ -152,14 +152,15 @@ class Density:
             )
         if not coordinates.directions.shape[1]:
             raise DataError("draw: the constraints fix every parameter: there is nothing to draw.")
-        mean, precision = _gaussian(problem, coordinates, fit_errors(estimate, groups))
-        n, unseen = len(mean), _unseen(problem, scaling, coordinates)
+        n, unseen = coordinates.directions.shape[1], _unseen(problem, scaling, coordinates)
         if problem.consistency == "none" and unseen:
             raise DataError(
                 f"draw: neither data nor prior see {unseen} of {n} directions, and with "
                 "consistency 'none' nothing but theta_max bounds them; use a consistency or a "
                 "prior."
             )
+        errors = fit_errors(estimate, groups)
+        coordinates, mean, precision = _gaussian(problem, coordinates, errors)
         feasible, log_det = problem.feasible, problem.log_det
         inverses = np.asarray(np.linalg.inv(scaling.block_roots(feasible)))
         walls = coordinates.inequalities(feasible, inverses, slack=-_INSIDE)
@@ -228,8 +229,9 @@ class Density:
         if solution.x is None or not self.inside(solution.x):
             raise InfeasibleError(
                 f"draw: found no robot strictly inside of the constraints (the solver ended "
-                f"'{solution.status}'): they leave no room to move in. Widen limits that nearly "
-                "meet, or state them as equations.",
+                f"'{solution.status}'): they leave no room to move in, beside data as precise. "
+                "Widen limits that nearly meet, or state them as equations; of exact data the "
+                "estimate is all there is.",
                 problem=self.problem,
             )
         return solution.x
@@ -278,21 +280,40 @@ def _with_fixed_parameters(problem: Problem) -> Problem:
     return replace(problem, feasible=extended)
 
 
-def _gaussian(problem: Problem, coordinates: Coordinates, errors: FitErrors) -> tuple[Array, Array]:
-    """Return mean (n,) and precision (n, n) of the Gaussian of data and prior."""
-    squared = problem.squared
-    M = squared.matrix @ coordinates.directions
+def _gaussian(
+    problem: Problem, coordinates: Coordinates, errors: FitErrors
+) -> tuple[Coordinates, Array, Array]:
+    """Return mean (n,) and precision (n, n) of the Gaussian of data and prior.
+
+    In coordinates of their own, in which the precision is at most one: data may be many times as
+    precise as links are large.
+    """
+    squared, X = problem.squared, coordinates.directions
+    M = squared.matrix @ X
     U, singular, V = np.linalg.svd(M, full_matrices=False)
     rank = int(np.count_nonzero(singular > _OPEN * singular.max(initial=0.0)))
-    U, singular, V = U[:, :rank], singular[:rank], V[:rank].T
+    U, singular, V = U[:, :rank], singular[:rank], V[:rank]
     count = len(problem.A)
     # The errors of the data's rows are those that the residuals show, of the prior's as stated.
     W = np.eye(len(M))
     W[:count, :count] = problem.A @ errors.covariance @ problem.A.T
-    scores = np.linalg.inv(U.T @ W @ U)
-    precision = V @ (singular[:, None] * scores * singular) @ V.T
-    mean = V @ ((U.T @ -squared.residual(coordinates.origin)) / singular)
-    return mean, 0.5 * (precision + precision.T)
+    try:
+        root = np.linalg.inv(np.linalg.cholesky(U.T @ W @ U)) @ (singular[:, None] * V)
+    except np.linalg.LinAlgError:
+        raise DataError(
+            "draw: the residuals show no errors in some directions: the data are exact, and the "
+            "estimate is all there is."
+        ) from None
+    own, turned = np.linalg.svd(root)[1:]
+    size = np.zeros(X.shape[1])
+    size[:rank] = own
+    shrunk = np.hypot(size, 1.0)
+    mean = shrunk * (turned @ V.T @ ((U.T @ -squared.residual(coordinates.origin)) / singular))
+    return (
+        Coordinates(coordinates.origin, X @ turned.T / shrunk),
+        mean,
+        np.diag((size / shrunk) ** 2),
+    )
 
 
 def _unseen(problem: Problem, scaling: Scaling, coordinates: Coordinates) -> int:

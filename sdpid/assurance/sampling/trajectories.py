@@ -23,10 +23,17 @@ import numpy as np
 
 from sdpid._common.arrays import Array, Indices, Mask
 from sdpid.assurance.sampling.density import Density, Matrices
+from sdpid.errors import SolverError
 
 # Reflections happen this share of the flight before the wall, so that rounding leaves the point
 # inside. It is far below what any number of draws can show.
 _BEFORE = 1e-5
+
+# Trajectories that rounding may take through a wall: some, and then a share of the flights.
+_MOST_LOST, _LOST_SHARE = 100, 1e-3
+
+# Flights of a trajectory, on average: thirty are usual, and some hundred in a warm-up.
+_MOST_FLIGHTS = 2000
 
 # What ends a flight.
 _WALL, _LIMIT, _FALL, _END = range(4)
@@ -119,15 +126,18 @@ class Trajectories:
         ends = np.empty((count, *self.x.shape))
         done = np.zeros(len(chains), dtype=np.intp)
         state = self._begun(self.x, length, root)
+        most = self.flights + _MOST_FLIGHTS * len(chains) * count
         while len(chains):
             try:
                 kind, normal = self._fly(state)
             except np.linalg.LinAlgError:
                 lost = _outside(state)
                 self.lost += len(lost)
+                self._require_progress(most if len(lost) else 0)
                 state.put(lost, self._begun(self.x[chains[lost]], length, root))
                 continue
             self.flights += len(chains)
+            self._require_progress(most)
             _reflect(state.v, np.flatnonzero(kind < _END), normal, root)
             ended = np.flatnonzero(kind == _END)
             if not len(ended):
@@ -141,6 +151,17 @@ class Trajectories:
             if len(going) < len(chains):
                 state, chains = state.only(going), chains[going]
         return ends
+
+    def _require_progress(self, most: int) -> None:
+        """Raise where walls are met again and again, or rounding takes points through them."""
+        if self.lost > _MOST_LOST + _LOST_SHARE * self.flights or self.flights > most:
+            raise SolverError(
+                f"draw: after {self.flights} flights, of which rounding took {self.lost} through "
+                "a wall, trajectories have not ended: the data press the estimate against the "
+                "constraints by far more than their errors. Are they exact? Then the estimate is "
+                "all there is; else a margin or a prior gives room.",
+                problem=self.density.problem,
+            )
 
     def _begun(self, x: Array, length: float, root: Array) -> _State:
         v = self.rng.standard_normal(x.shape) @ root.T
@@ -212,8 +233,14 @@ def _first_wall(F: Array, D: Array) -> tuple[Indices, Array]:
         return np.zeros(len(F), dtype=np.intp), np.full(len(F), np.inf)
     least = relative_eigenvalues(F, D)[..., 0]
     which = np.argmin(least, axis=1)
-    value = least[np.arange(len(F)), which]
-    return which, np.divide(-1.0, value, out=np.full(len(F), np.inf), where=value < 0.0)
+    return which, _where_singular(least[np.arange(len(F)), which])
+
+
+def _where_singular(least: Array) -> Array:
+    """Return how far away a matrix is singular whose least eigenvalue along the line this is."""
+    with np.errstate(over="ignore"):
+        found = np.divide(-1.0, least, out=np.full(len(least), np.inf), where=least < 0.0)
+    return np.asarray(found)
 
 
 def _first_limit(density: Density, values: Array, rates: Array) -> tuple[Indices, Array]:
@@ -243,7 +270,7 @@ def _fall_of_bodies(
     Infinite where that is farther away than `most`.
     """
     least = rates.min(axis=1)
-    wall = np.divide(-1.0, least, out=np.full(len(least), np.inf), where=least < 0.0)
+    wall = _where_singular(least)
     end = np.minimum(wall, most)
 
     def derivative(t: Array) -> Array:

@@ -10,6 +10,7 @@ import sdpid
 from sdpid._common.arrays import Array
 from sdpid.assurance.sampling.density import Density
 from sdpid.assurance.sampling.draw import draw
+from sdpid.errors import SolverError
 from sdpid.estimation.estimate import Estimate
 from sdpid.estimation.posterior import Posterior
 from sdpid.robot.inertia import Consistency, margin
@@ -69,6 +70,16 @@ def test_inside_draws_are_those_of_gauss_and_markov() -> None:
     edge = np.sqrt(len(error) / size)
     assert (1.0 - edge) ** 2 - 5.0 / np.sqrt(size) < values[0]
     assert values[-1] < (1.0 + edge) ** 2 + 5.0 / np.sqrt(size)
+
+
+@pytest.mark.parametrize("noise", [1e-6, 0.0])
+def test_data_as_good_as_exact(noise: float) -> None:
+    """Inside of the constraints they are drawn from; against them nothing is left to draw."""
+    found = draw(of_arm(BODY, 1, noise=noise, mass_max=3.0), 16)
+    assert found.r_hat.max() < 1.1
+    if noise == 0.0:
+        with pytest.raises(SolverError, match="draw: "):
+            draw(of_arm(ON_THE_AXIS, 1, noise=noise), 16)
 
 
 def test_frames_do_not_matter() -> None:
