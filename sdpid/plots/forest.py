@@ -22,6 +22,9 @@ _EDGE = 1.12
 # Numbers with more decimals are written with a power of ten.
 _DECIMALS = 5
 
+# Where the smaller side of an interval is a smaller share of the larger, its ends are written.
+_EVEN = 0.9
+
 # Colors and marks of what is shown beside the last, which is drawn with its intervals.
 _BESIDE: tuple[tuple[str, str, dict[str, str]], ...] = (
     (GRAY, "D", {"markerfacecolor": "none"}),
@@ -88,10 +91,9 @@ def plot_forest(
         _marks(axis, each / scale, at, color, mark, name, **look)
     _marks(axis, own / scale, at, BLUE, "o", ours)
     for k in range(count):
-        # Intervals may end at a limit on one side.
-        half = max(float(ends[1][k] - own[k]), float(own[k] - ends[0][k])) if known[k] else None
+        halves = (float(own[k] - ends[0][k]), float(ends[1][k] - own[k])) if known[k] else None
         told = {"transform": axis.get_yaxis_transform(), "va": "center", "fontsize": SMALL}
-        axis.text(1.03, k, _told(float(own[k]), half), color=INK, clip_on=False, **told, **PLAIN)
+        axis.text(1.03, k, _told(float(own[k]), halves), color=INK, clip_on=False, **told, **PLAIN)
     place = {"loc": "upper center" if axes is None else "lower center", "bbox_transform": over}
     legend(axis, bbox_to_anchor=(0.5, 1.0), ncols=3, frameon=False, borderpad=0.1, **place)
     return axis
@@ -145,12 +147,24 @@ def _frame(axis: Any, names: Sequence[str]) -> None:
     axis.axvline(0.0, color=GRAY, linewidth=0.8, zorder=0.6)
 
 
-def _told(value: float, half: float | None) -> str:
-    """Return a value with the half width of its interval, in as many digits as that allows."""
-    if half is None or not half > 0.0:
+def _told(value: float, halves: tuple[float, float] | None) -> str:
+    """Return a value with its interval, in as many digits as that allows.
+
+    The interval is what is below and what is above: its half width, or its ends where a limit
+    cuts off one side.
+    """
+    half = 0.0 if halves is None else max(halves)
+    if halves is None or not half > 0.0:
         return f"{value:.3g}".replace("-", "−")
     decimals = 1 - int(np.floor(np.log10(half)))
-    if not 0 <= decimals <= _DECIMALS:
-        return f"{value:.2g} ± {half:.2g}".replace("-", "−")
-    # Adding zero makes −0 of what is rounded to nothing 0.
-    return f"{round(value, decimals) + 0.0:.{decimals}f} ± {half:.{decimals}f}".replace("-", "−")
+    fixed = 0 <= decimals <= _DECIMALS
+
+    def text(number: float) -> str:
+        # Adding zero makes −0 of what is rounded to nothing 0.
+        return f"{round(number, decimals) + 0.0:.{decimals}f}" if fixed else f"{number:.2g}"
+
+    if min(halves) < _EVEN * half:
+        told = f"{text(value - halves[0])} … {text(value + halves[1])}"
+    else:
+        told = f"{text(value)} ± {text(half)}"
+    return told.replace("-", "−")

@@ -28,6 +28,7 @@ from sdpid.output.report.judged import grades_of
 from sdpid.output.report.verdict import verdict as verdict_on
 from sdpid.output.tables.intervals_shown import GivenIntervals, ends_of, in_words
 from sdpid.robot.friction.curve import JointCurve
+from sdpid.robot.model.dynamics import RobotDynamics
 from sdpid.workflow.results_folder import save as save_results
 
 if TYPE_CHECKING:
@@ -143,6 +144,10 @@ class Identification:
     def headline(self) -> Headline:
         """The verdict in short: the error, the worst joint, the next step, and the baseline."""
         return headline(self)
+
+    def model(self) -> RobotDynamics:
+        """Return the identified robot, to compute with; see `Estimate.model`."""
+        return self.estimate.model()
 
     def friction_curve(
         self, joint: str | int, velocity: ArrayLike | None = None, *, level: float = 0.95

@@ -62,6 +62,9 @@ def test_a_forest_has_a_scale_for_each_row() -> None:
     assert [tick.get_text() for tick in axis.get_yticklabels()] == list(names)
     told = [text.get_text() for text in axis.texts]
     assert told == ["2.00 ± 0.10", "0.0010 ± 0.0020", "0"]
+    # A limit cuts an interval off: its ends are written.
+    cut = plot_forest(("Fs1",), {"this estimate": [0.0]}, lower=[0.0], upper=[0.048])
+    assert [text.get_text() for text in cut.texts] == ["0.000 … 0.048"]
     lines = {line.get_label(): line for line in axis.lines}
     assert lines["this estimate"].get_xdata() == pytest.approx([2.0 / 2.1, 1.0 / 3.0, 0.0])
     # What is far out is an arrow at the edge.

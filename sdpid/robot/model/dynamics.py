@@ -78,7 +78,11 @@ class RobotDynamics:
             "unit": [each.unit for each in parameters],
             "value": self.theta[10 * robot.n_links :].tolist(),
         }
-        facts = {"joints": len(self.terms.joint_names), "terms": self._kinds}
+        facts = {
+            "joints": len(self.terms.joint_names),
+            "terms": self._kinds,
+            "links": "one choice: efforts tell only combinations of their parameters",
+        }
         return facts_html(
             f"Dynamics of {robot.name}",
             facts,
