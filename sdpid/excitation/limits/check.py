@@ -26,10 +26,10 @@ from sdpid.excitation.limits.measures import (
     TorqueMeasure,
 )
 from sdpid.excitation.limits.motions import Motion, curves_of
-from sdpid.excitation.limits.narrowing import sliding_joints
 from sdpid.excitation.limits.tool import tool_frames
 from sdpid.excitation.limits.torque import TorqueModel
 from sdpid.experiment.trajectory.curve import Curve
+from sdpid.robot.model.coordinates import sliding
 from sdpid.robot.model.load import load_robot
 from sdpid.robot.model.model import RobotModel
 
@@ -252,7 +252,7 @@ def check_trajectory(
     if collision is not False:
         clearance = joints.clearance or 0.0
         if not isinstance(collision, CollisionModel):
-            lower, upper = range_of(joints, curves, sliding_joints(robot))
+            lower, upper = range_of(joints, curves, sliding(robot.pin_model, robot.joint_names))
             collision = CollisionModel.of(
                 robot,
                 obstacles,

@@ -19,6 +19,7 @@ from sdpid.excitation.limits.joint_limits import (
     unit_of,
 )
 from sdpid.excitation.limits.resting import able_to_rest, check_rest
+from sdpid.robot.model.coordinates import sliding
 from sdpid.robot.model.model import RobotModel
 
 # A value for all joints, one a joint in the robot's order (None for none), or values by joint.
@@ -114,7 +115,7 @@ class _Narrowing:
         self.robot, self.given, self.share, self.override = robot, given, share, override
         self.assume = assume
         self.names, self.n = robot.joint_names, robot.n
-        self.sliding = sliding_joints(robot)
+        self.sliding = sliding(robot.pin_model, robot.joint_names)
         self.told: list[str] = []
         self.sources: dict[str, tuple[str, ...]] = {}
 
@@ -332,13 +333,6 @@ class _Narrowing:
             names = ", ".join(self.names[j] for j in joints)
             verb = "has" if joints.size == 1 else "have"
             self.told.append(f"{names} {verb} {words}.")
-
-
-def sliding_joints(robot: RobotModel) -> Mask:
-    """Return which of a fixed-base robot's joints slide, (n,)."""
-    model = robot.pin_model
-    kinds = [model.joints[model.getJointId(name)].shortname() for name in robot.joint_names]
-    return np.array([kind.startswith("JointModelP") for kind in kinds], dtype=np.bool_)
 
 
 def _within_mimics(robot: RobotModel, low: Array, high: Array) -> tuple[Array, Array]:

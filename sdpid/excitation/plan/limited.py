@@ -9,9 +9,9 @@ import numpy as np
 
 from sdpid._common.arrays import Array
 from sdpid.excitation.limits.joint_limits import UNITS, JointLimits
-from sdpid.excitation.limits.narrowing import sliding_joints
 from sdpid.excitation.limits.torque import TorqueModel
 from sdpid.experiment.trajectory.played import Played
+from sdpid.robot.model.coordinates import sliding
 from sdpid.robot.model.model import RobotModel
 
 # Label with unit, values (K,), and lower and upper limit, None where there is none.
@@ -41,7 +41,7 @@ def limited_quantities(
     """
     model = TorqueModel.of(robot)
     torque = model.torque(motion.position, motion.velocity, motion.acceleration)
-    sliding = sliding_joints(robot)
+    slides = sliding(robot.pin_model, robot.joint_names)
     sized = {
         "velocity": (motion.velocity, limits.velocity),
         "acceleration": (motion.acceleration, limits.acceleration),
@@ -49,7 +49,7 @@ def limited_quantities(
         "torque": (torque, model.allowed(limits.torque)),
     }
     for j, name in enumerate(robot.joint_names):
-        unit = {kind: UNITS[kind][int(sliding[j])] for kind in ("lower", *sized)}
+        unit = {kind: UNITS[kind][int(slides[j])] for kind in ("lower", *sized)}
         ends = _ends(limits.lower[j], limits.upper[j])
         rows: list[Quantity] = [(unit["lower"], motion.position[:, j], *ends)]
         for kind, (values, limit) in sized.items():

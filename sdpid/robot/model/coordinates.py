@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from sdpid._common.arrays import Array
+from sdpid._common.arrays import Array, Mask
 from sdpid.errors import ModelError
 from sdpid.robot.description.urdf import Mimic
 
@@ -33,6 +33,17 @@ def coordinate_names(model: Any) -> list[str]:
                 "supported are revolute, continuous and prismatic joints."
             )
     return names
+
+
+def sliding(model: Any, names: Sequence[str]) -> Mask:
+    """Return which coordinates are lengths, (n,): of sliding joints, and a base's position."""
+
+    def slides(name: str) -> bool:
+        if not model.existJointName(name):
+            return name.rpartition("/")[2] in ("vx", "vy", "vz")
+        return str(model.joints[model.getJointId(name)].shortname()).startswith("JointModelP")
+
+    return np.array([slides(name) for name in names], dtype=np.bool_)
 
 
 def expand_mimics(

@@ -18,6 +18,7 @@ from sdpid.robot.friction.model import FrictionModel
 from sdpid.robot.friction.motion import Motion
 from sdpid.robot.friction.posed import LoadFriction, Tilt
 from sdpid.robot.friction.term import FrictionTerm
+from sdpid.robot.model.coordinates import sliding
 from sdpid.robot.model.model import RobotModel
 from sdpid.robot.model.states import States, is_single, many
 
@@ -276,14 +277,8 @@ class RobotDynamics:
             joint=self.terms.joint_names[j],
             velocity=speeds,
             effort=frozen(self.friction(states)[:, column]),
-            unit="N" if self._slides(column) else "N·m",
+            unit="N" if sliding(self.robot.pin_model, self.robot.joint_names)[column] else "N·m",
         )
-
-    def _slides(self, column: int) -> bool:
-        """Return whether a coordinate is of a sliding joint."""
-        model = self.robot.pin_model
-        joint = model.joints[model.getJointId(self.robot.joint_names[column])]
-        return str(joint.shortname()).startswith("JointModelP")
 
     def _settle(
         self, q: Array, v: Array, tau: Array, a: Array, *, masses: Array, resting: Array

@@ -11,6 +11,8 @@ from sdpid.assurance.diagnostics.residuals import period
 from sdpid.estimation.information import WEAK
 from sdpid.experiment.processing.samples import Samples
 from sdpid.output.report.judged import Judged
+from sdpid.robot.model.coordinates import sliding
+from sdpid.robot.model.model import RobotModel
 
 # Weakly excited directions that are listed one by one; more say no more.
 _DIRECTIONS = 12
@@ -25,6 +27,7 @@ def values(result: Judged) -> dict[str, Any]:
     return {
         "data": list(_data(result)),
         "driven": list(driven(result)),
+        "units": units(result.problem.robot),
         "excitation": _excitation(result),
         "weak_limit": WEAK,
         "processed": [note for note in dict.fromkeys(notes) if note not in found],
@@ -112,6 +115,21 @@ def _term(described: dict[str, Any]) -> str:
         shown = (f"{v:.3g}" if isinstance(v, float) else str(v) for v in many)
         numbers.append(f"{key.replace('_', ' ')} {', '.join(shown)}")
     return f"{described['term']} ({'; '.join(numbers)})"
+
+
+def units(robot: RobotModel) -> dict[str, str]:
+    """Return the units of the joints' motion and efforts, several where some joints slide."""
+    kinds = dict.fromkeys(sliding(robot.pin_model, robot.joint_names).tolist())
+
+    def joined(turning: str, length: str) -> str:
+        return ", ".join(length if slides else turning for slides in kinds)
+
+    return {
+        "position": joined("rad", "m"),
+        "velocity": joined("rad/s", "m/s"),
+        "acceleration": joined("rad/s²", "m/s²"),
+        "effort": joined("N·m", "N"),
+    }
 
 
 def _excitation(result: Judged) -> dict[str, Any]:
