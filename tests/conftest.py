@@ -21,7 +21,8 @@ _QUIET = [HealthCheck.too_slow]
 settings.register_profile("dev", max_examples=25, deadline=None, suppress_health_check=_QUIET)
 settings.register_profile(
     "ci",
-    max_examples=50,
+    # All of CI is to end within a quarter of an hour on two cores.
+    max_examples=30,
     deadline=None,
     derandomize=True,
     print_blob=True,
