@@ -13,13 +13,13 @@ def main() -> None:
     """Excite, simulate, identify."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--out", type=Path, default=Path("results"))
-    parser.add_argument("--quick", action="store_true", help="search from one start only")
+    parser.add_argument("--quick", action="store_true", help="ten seconds, from one start")
     options = parser.parse_args()
 
     robot = sdpid.load_robot("ur10_robot")
     limits = sdpid.Limits(acceleration=3.0, jerk=60.0, clearance=0.03)
-    starts = 1 if options.quick else 4
-    plan = sdpid.design_excitation(robot, duration=20.0, limits=limits, starts=starts)
+    duration, starts = (10.0, 1) if options.quick else (20.0, 4)
+    plan = sdpid.design_excitation(robot, duration=duration, limits=limits, starts=starts)
     sdpid.write_plan(plan, options.out / "plan")
     print(plan, *plan.expected.sentences(), sep="\n")
 

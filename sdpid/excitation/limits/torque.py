@@ -16,6 +16,7 @@ from sdpid.estimation.prior.prior import Prior, link_rows
 from sdpid.excitation.limits.norms import body_sizes
 from sdpid.robot.friction.model import FrictionModel
 from sdpid.robot.friction.posed import LoadFriction
+from sdpid.robot.friction.term import JointwiseTerm
 from sdpid.robot.model.dynamics import RobotDynamics
 from sdpid.robot.model.model import RobotModel
 
@@ -191,21 +192,31 @@ class TorqueModel:
         for k, state in enumerate(zip(*states, strict=True)):
             pin.computeRNEADerivatives(model, data, *state)
             links[k] = data.tau
-            jacobians[:, k] = data.dtau_dq, data.dtau_dv, np.triu(data.M)
+            jacobians[:, k] = data.dtau_dq, data.dtau_dv, data.M
+        # Pinocchio fills the upper half of M.
+        jacobians[2] = np.triu(jacobians[2])
         jacobians[2] += np.triu(jacobians[2], 1).swapaxes(1, 2)
         jacobians = E.T @ jacobians @ E
         links = links @ E
         share = self.load * np.sign(v)
         jacobians *= (1.0 + np.sign(links) * share)[:, :, None]
-        for which, (dv, da) in ((1, (_STEP, 0.0)), (2, (0.0, 1.0))):
-            for j in range(robot.n):
-                move = np.eye(robot.n)[j]
-                higher, lower = (
-                    self.friction(v + s * dv * move, a + s * da * move) for s in (1.0, -1.0)
-                )
-                jacobians[which, :, :, j] += (higher - lower) / (2.0 * (dv + da))
+        jacobians[1] += self._friction_by_velocity(v, a)
+        jacobians[2] += self.dynamics.drive_inertia
         torque = links + self.friction(v, a) + np.abs(links) * share
         return torque, jacobians[0], jacobians[1], jacobians[2]
+
+    def _friction_by_velocity(self, v: Array, a: Array) -> Array:
+        """Return the derivative (K, n, n) of `friction` with the velocity."""
+        n = self.robot.n
+        jointwise = all(isinstance(term, JointwiseTerm) for term in self.dynamics.terms.terms)
+        # Velocities that move at once: all of them where no joint's friction is another's.
+        moves = [np.ones(n)] if jointwise else list(np.eye(n))
+        found = np.zeros((len(v), n, n))
+        for move in moves:
+            higher, lower = (self.friction(v + s * _STEP * move, a) for s in (1.0, -1.0))
+            slope = (higher - lower)[:, :, None] / (2.0 * _STEP)
+            found += slope * (np.eye(n) if jointwise else move)
+        return found
 
     def links(self, q: Array, v: Array, a: Array) -> Array:
         """Return the torques (K, n) that move and carry the links, without friction."""

@@ -132,7 +132,7 @@ def minimize(
             N,
             sparsity,
             calls.guarded(rows.values),
-            calls.guarded(lambda x: rows.derivative(x)[r, c]),
+            calls.guarded(_remembered(lambda x: rows.derivative(x)[r, c])),
             count,
         )
         limits.append(nonlinear(x))
@@ -235,6 +235,21 @@ class _Calls:
             return last[0]
 
         return call
+
+
+def _remembered(function: Callable[[Array], Array]) -> Callable[[Array], Array]:
+    """Return a function that remembers its last value: CasADi asks for derivatives twice."""
+    last: dict[bytes, Array] = {}
+
+    def call(x: Array) -> Array:
+        key = x.tobytes()
+        if key not in last:
+            found = function(x)
+            last.clear()
+            last[key] = found
+        return last[key]
+
+    return call
 
 
 def _callback(

@@ -106,7 +106,7 @@ class RobotDynamics:
         for term, values in self._posed():
             if isinstance(term, Tilt):
                 model.gravity.linear += values @ term.change(self.robot.gravity)
-        drives = np.diag(self._drive_inertia)
+        drives = np.diag(self.drive_inertia)
         for i in range(1, model.njoints):
             if model.names[i] in self.robot.joint_names:
                 coordinate = self.robot.joint_names.index(model.names[i])
@@ -135,7 +135,7 @@ class RobotDynamics:
         state = self._state(q)
         upper = np.triu(state.each(pin.crba, matrix=True))
         links = upper + np.triu(upper, 1).swapaxes(1, 2)
-        return state.result(self._of_coordinates(links) + self._drive_inertia)
+        return state.result(self._of_coordinates(links) + self.drive_inertia)
 
     def coriolis(self, q: ArrayLike, v: ArrayLike) -> Array:
         """Return the Coriolis matrix C: ``C @ v`` is the effort of velocity-dependent forces.
@@ -320,7 +320,7 @@ class RobotDynamics:
         return model
 
     @cached_property
-    def _drive_inertia(self) -> Array:
+    def drive_inertia(self) -> Array:
         """Effort of the terms per unit acceleration, (n, n): rotor inertias and couplings."""
         unit = np.eye(self.robot.n)
         rest = np.zeros_like(unit)
