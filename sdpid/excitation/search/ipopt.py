@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any, Protocol, TypeVar
 
 import numpy as np
 
@@ -24,6 +24,8 @@ _PUSH = 1e-6
 _HELD = 1e-6
 # How a search ended that its user interrupted.
 INTERRUPTED = "Interrupted"
+
+_Found = TypeVar("_Found")
 
 
 class Rows(Protocol):
@@ -132,6 +134,7 @@ def minimize(
             N,
             sparsity,
             calls.guarded(rows.values),
+            # CasADi asks for it twice.
             calls.guarded(_remembered(lambda x: rows.derivative(x)[r, c])),
             count,
         )
@@ -203,18 +206,9 @@ class _Calls:
     """Calls from IPOPT: the last point is remembered, and so is the first exception."""
 
     def __init__(self, function: Callable[[Array], tuple[float, Array]]) -> None:
-        self.function = function
+        # IPOPT asks for value and gradient one after the other.
+        self.cached = _remembered(function)
         self.error: BaseException | None = None
-        self._x = b""
-        self._found: tuple[float, Array] = (np.nan, np.zeros(0))
-
-    def cached(self, x: Array) -> tuple[float, Array]:
-        """Return value and gradient, which IPOPT asks for one after the other."""
-        key = x.tobytes()
-        if key != self._x:
-            self._found = self.function(x)
-            self._x = key
-        return self._found
 
     def guarded(self, function: Callable[..., Any]) -> Callable[..., Any]:
         """Return a function whose exceptions are kept, to be raised when IPOPT has returned.
@@ -237,11 +231,11 @@ class _Calls:
         return call
 
 
-def _remembered(function: Callable[[Array], Array]) -> Callable[[Array], Array]:
-    """Return a function that remembers its last value: CasADi asks for derivatives twice."""
-    last: dict[bytes, Array] = {}
+def _remembered(function: Callable[[Array], _Found]) -> Callable[[Array], _Found]:
+    """Return a function that remembers its last value."""
+    last: dict[bytes, _Found] = {}
 
-    def call(x: Array) -> Array:
+    def call(x: Array) -> _Found:
         key = x.tobytes()
         if key not in last:
             found = function(x)
