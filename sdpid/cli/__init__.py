@@ -19,11 +19,11 @@ from sdpid.cli.info import info
 from sdpid.cli.judge.audit import audit
 from sdpid.cli.judge.certify import certify
 from sdpid.cli.judge.compare_runs import compare_runs
+from sdpid.cli.judge.verify import verify
 from sdpid.cli.payload import payload
 from sdpid.cli.sample import sample
 from sdpid.cli.simulate import simulate
 from sdpid.cli.validate import validate
-from sdpid.cli.verify import verify
 
 app = typer.Typer(
     cls=Commands,

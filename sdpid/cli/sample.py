@@ -10,6 +10,7 @@ import typer
 
 import sdpid.cli.options as opt
 from sdpid.cli.config import read_config
+from sdpid.cli.formulated import formulated
 from sdpid.cli.printing import Printing, findings_listed, listed
 from sdpid.errors import DataError
 
@@ -90,11 +91,9 @@ def sample(
     Every robot obeys all constraints of the run, and every link of it can be a body.
     """
     from sdpid._common.arrays import require_probability
-    from sdpid.experiment.preparation.several import columns_without, prepare_recordings
     from sdpid.output.samples.write import RANGES, run_folder
     from sdpid.output.tables.parameters_file import read_parameters
     from sdpid.robot.model.load import load_robot
-    from sdpid.workflow.formulate import formulate
     from sdpid.workflow.sample import (
         optimum,
         require_same,
@@ -108,17 +107,10 @@ def sample(
     require_probability(probability, "probability")
     model = load_robot(robot)
     kinds = _kinds(urdf, mjcf, described=model.urdf is not None)
-    formulation = estimation.arguments(model)
-    absent = columns_without(model, formulation["without_effort"])
-    records = [reading.read(log, without_effort=absent, **periods.arguments()) for log in logs]
-    prepared = prepare_recordings(
-        model,
-        records,
-        processing.changes(),
-        without_effort=formulation.pop("without_effort"),
-        **acceptance.arguments(),
+    problem, prepared = formulated(
+        model, logs, reading, periods, processing, estimation, acceptance
     )
-    best = optimum(formulate(model, prepared, **formulation))
+    best = optimum(problem)
     if results is not None:
         file = results / _PARAMETERS
         require_same(best.estimate, read_parameters(file), str(file))

@@ -9,6 +9,7 @@ import typer
 
 import sdpid.cli.options as opt
 from sdpid.cli.endings import NO_ANSWER
+from sdpid.cli.formulated import formulated
 from sdpid.cli.printing import Printing, findings_listed, listed
 
 
@@ -48,25 +49,16 @@ def certify(
     if certificate is not None:
         inputs = [parameters, *reading.files(logs, robot, printing.config)]
         opt.require_folder("--certificate", certificate, inputs)
-    from sdpid.experiment.preparation.several import columns_without, prepare_recordings
     from sdpid.robot.model.load import load_robot
     from sdpid.workflow.certify_parameters import certify_parameters
-    from sdpid.workflow.formulate import formulate
     from sdpid.workflow.given_parameters import read_given
 
     model = load_robot(robot)
     given = read_given(parameters, model, value=value)
-    formulation = estimation.arguments(model)
-    absent = columns_without(model, formulation["without_effort"])
-    records = [reading.read(log, without_effort=absent, **periods.arguments()) for log in logs]
-    prepared = prepare_recordings(
-        model,
-        records,
-        processing.changes(),
-        without_effort=formulation.pop("without_effort"),
-        **acceptance.arguments(),
+    problem, prepared = formulated(
+        model, logs, reading, periods, processing, estimation, acceptance
     )
-    judged = certify_parameters(formulate(model, prepared, **formulation), given)
+    judged = certify_parameters(problem, given)
     files = [] if certificate is None else [str(certificate)]
     text = judged.summary()
     if prepared.findings:

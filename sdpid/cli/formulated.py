@@ -1,0 +1,40 @@
+"""The problem of a run, from the options that commands share."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import sdpid.cli.options as opt
+
+if TYPE_CHECKING:
+    from sdpid.estimation.problem import Problem
+    from sdpid.experiment.preparation.several import Prepared
+    from sdpid.robot.model.model import RobotModel
+
+
+def formulated(
+    model: RobotModel,
+    logs: Sequence[Path],
+    reading: opt.Reading,
+    periods: opt.Periods,
+    processing: opt.ProcessingOptions,
+    estimation: opt.Estimation,
+    acceptance: opt.Acceptance,
+) -> tuple[Problem, Prepared]:
+    """Return the problem that `sdpid identify` solves with these options, and its recordings."""
+    from sdpid.experiment.preparation.several import columns_without, prepare_recordings
+    from sdpid.workflow.formulate import formulate
+
+    formulation = estimation.arguments(model)
+    absent = columns_without(model, formulation["without_effort"])
+    records = [reading.read(log, without_effort=absent, **periods.arguments()) for log in logs]
+    prepared = prepare_recordings(
+        model,
+        records,
+        processing.changes(),
+        without_effort=formulation.pop("without_effort"),
+        **acceptance.arguments(),
+    )
+    return formulate(model, prepared, **formulation), prepared
