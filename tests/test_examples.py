@@ -13,7 +13,10 @@ import pytest
 
 import sdpid
 
-FOLDER = Path(__file__).resolve().parent.parent / "examples"
+REPOSITORY = Path(__file__).resolve().parent.parent
+FOLDER = REPOSITORY / "examples"
+# Where tests find real recordings (tests/conftest.py); without them examples leave those out.
+DATA = Path(os.environ.get("SDPID_DATA", REPOSITORY.parent / "shared" / "data"))
 EXAMPLES = sorted(p for p in FOLDER.rglob("*.py") if "__main__" in p.read_text(encoding="utf-8"))
 
 
@@ -27,6 +30,8 @@ def test_example_runs(path: Path, tmp_path: Path) -> None:
     # The package under test, installed or not.
     places = [str(Path(sdpid.__file__).parents[1]), os.environ.get("PYTHONPATH", "")]
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, places))}
+    if DATA.is_dir():
+        environment["SDPID_DATA"] = str(DATA)
     done = subprocess.run(
         [sys.executable, str(path), "--quick", "--out", "results"],
         cwd=tmp_path,

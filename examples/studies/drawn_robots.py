@@ -96,11 +96,14 @@ def main() -> None:
     parser.add_argument("--arms", nargs="+", default=ARMS, choices=ARMS)
     parser.add_argument("--quick", action="store_true", help="ten draws of one arm")
     options = parser.parse_args()
-    if options.data is None:
-        sys.exit("drawn_robots: name the folder of the data by --data or SDPID_DATA")
+    options.out.mkdir(parents=True, exist_ok=True)
     count, arms = (10, ARMS[:1]) if options.quick else (options.count, options.arms)
     files, ranges = [], []
     for name in arms:
+        if options.data is None or not (Path(options.data) / name).is_dir():
+            where = "SDPID_DATA is not set" if options.data is None else f"not in {options.data}"
+            print(f"{name}: skipped, {where}; docs/data.md says where it comes from", flush=True)
+            continue
         source = Path(options.data) / name
         run = source / f"{SETS[name].records[0]}.npz"
         try:
