@@ -1,6 +1,7 @@
 """Compare what five real arms are simulated with: which estimate is a robot.
 
-Five public records (docs/data.md), each fitted by least squares, by ridge regression towards the
+Five public records (docs/evidence/data.md), each fitted by least squares, by ridge regression
+towards the
 description, and by `sdpid.identify` with its defaults. Of each: the least eigenvalue of the mass
 matrix on the recorded motion, errors on what was held out, and how long the arm can be simulated
 once it is let go of. The case study runs this too.
@@ -51,7 +52,10 @@ def run(out: Path, data: Path = DATA, *, quick: bool = False) -> pd.DataFrame:
     there = [name for name in names if (data / ARMS[name][0]).is_dir()]
     for name in sorted(set(names) - set(there)):
         where = data / ARMS[name][0]
-        print(f"{name}: left out, {where} is not there; docs/data.md says where it comes from")
+        print(
+            f"{name}: left out, {where} is not there; docs/evidence/data.md says where it comes "
+            "from"
+        )
     duration = QUICK_DURATION if quick else DURATION
     done = Parallel(n_jobs=-1)(delayed(_compared)(data, name, duration) for name in there)
     arms = [arm for arm, _ in done]

@@ -50,7 +50,7 @@ def test_example_runs(path: Path, tmp_path: Path) -> None:
 
 
 def check_case_study(results: Path) -> None:
-    """Check what docs/case_study.md claims, on the small experiment."""
+    """Check what docs/evidence/case_study.md claims, on the small experiment."""
     with (results / "plants.csv").open(encoding="utf-8") as file:
         facts = {row["fact"]: row for row in csv.DictReader(file)}
     for plant in ("ideal", "unmodeled"):

@@ -1,6 +1,6 @@
 """How far a compressed cost can be from the cost of its rows, as proven over all parameters.
 
-Every record of docs/data.md with default settings, and the simulated case study under all
+Every record of docs/evidence/data.md with default settings, and the simulated case study under all
 weightings. `relative` and `absolute` are the two numbers of a certificate's `compression`; `gap` is
 that of the certificate, with them, and `compressed_gap` without.
 
@@ -51,7 +51,10 @@ def problems(data: Path | None, sets: tuple[str, ...]) -> Iterator[tuple[str, Pr
     for name in sets:
         if data is None or not (data / name).is_dir():
             where = "SDPID_DATA is not set" if data is None else f"not in {data}"
-            print(f"{name}: skipped, {where}; docs/data.md says where it comes from", flush=True)
+            print(
+                f"{name}: skipped, {where}; docs/evidence/data.md says where it comes from",
+                flush=True,
+            )
             continue
         for record in SETS[name].records:
             log = sdpid.read_recording(data / name / f"{record}.npz")

@@ -1,6 +1,7 @@
 """Estimate five real robots from their public recordings, with default settings.
 
-Every record of docs/data.md, with every friction model that fits it, under both inequalities, with
+Every record of docs/evidence/data.md, with every friction model that fits it, under both
+inequalities, with
 the default prior and without one; nothing is tuned to a robot. What was not trained on is
 predicted: the other run where there are two, the last 40 % of a record otherwise. Data that leave
 base parameters undetermined must be refused without a prior. Errors are rows like any other.
@@ -334,7 +335,10 @@ def main() -> int:
     for name in names:
         if options.data is None or not (options.data / name).is_dir():
             where = "SDPID_DATA is not set" if options.data is None else f"not in {options.data}"
-            print(f"{name}: skipped, {where}; docs/data.md says where it comes from", flush=True)
+            print(
+                f"{name}: skipped, {where}; docs/evidence/data.md says where it comes from",
+                flush=True,
+            )
             continue
         models = tuple(SETS[name].models)[: 2 if options.quick else None]
         kinds, priors = BOTH, PLAIN

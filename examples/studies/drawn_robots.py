@@ -102,7 +102,10 @@ def main() -> None:
     for name in arms:
         if options.data is None or not (Path(options.data) / name).is_dir():
             where = "SDPID_DATA is not set" if options.data is None else f"not in {options.data}"
-            print(f"{name}: skipped, {where}; docs/data.md says where it comes from", flush=True)
+            print(
+                f"{name}: skipped, {where}; docs/evidence/data.md says where it comes from",
+                flush=True,
+            )
             continue
         source = Path(options.data) / name
         run = source / f"{SETS[name].records[0]}.npz"

@@ -8,8 +8,8 @@ grid (`dense_check.py`). `goal` and `hope` are the numbers that the project set 
 
     python examples/studies/excitation.py --data DATA --out results
 
-The folder DATA (or SDPID_DATA) is described in docs/data.md; without it the Denso and the Panda
-are left. All rows take some ten minutes.
+The folder DATA (or SDPID_DATA) is described in docs/evidence/data.md; without it the Denso and the
+Panda are left. All rows take some ten minutes.
 """
 
 from __future__ import annotations

@@ -8,7 +8,7 @@ random Fourier series; all are held against their own limits at 10 kHz (`dense_c
 
     python examples/studies/excitation_baselines.py --data DATA --out results
 
-The folder DATA (or SDPID_DATA) is described in docs/data.md.
+The folder DATA (or SDPID_DATA) is described in docs/evidence/data.md.
 """
 
 from __future__ import annotations

@@ -9,8 +9,8 @@ repeats a first run, or runs a plan made from the first run's estimate.
 
     python examples/studies/excitation_expected.py --out results
 
-It takes some twenty minutes on one core. The LWR 4+ is read from the folder of docs/data.md, named
-by --data or the environment variable SDPID_DATA.
+It takes some twenty minutes on one core. The LWR 4+ is read from the folder of
+docs/evidence/data.md, named by --data or the environment variable SDPID_DATA.
 """
 
 from __future__ import annotations

@@ -7,8 +7,8 @@ grid finds: the plan's bounds hold at every instant, so there may be none.
 
     python examples/studies/excitation_robots.py --data DATA --out results
 
-LWR 4+, TX40 and Gen3 are in the folder DATA (or SDPID_DATA), described in docs/data.md; the others
-come with the package's dependencies.
+LWR 4+, TX40 and Gen3 are in the folder DATA (or SDPID_DATA), described in docs/evidence/data.md;
+the others come with the package's dependencies.
 """
 
 from __future__ import annotations

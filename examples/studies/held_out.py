@@ -1,6 +1,7 @@
 """What `identify` predicts with its defaults on recordings of six real robots it did not see.
 
-Every set of docs/data.md is trained on one run, or on the first 60 % of its only record, without
+Every set of docs/evidence/data.md is trained on one run, or on the first 60 % of its only record,
+without
 any hint, and predicts the rest. Two errors are shown: on the rows as `identify` itself processes
 them, and on common rows, filtered alike whatever the defaults are and with none masked, so that
 no default wins by leaving out what is hard. Of the common rows those that move are shown apart: at
@@ -37,7 +38,7 @@ from sdpid.estimation.estimate import Estimate
 from sdpid.experiment.preparation.for_robot import default_friction, prepare
 from sdpid.experiment.preparation.several import chosen_processing
 
-# De Luca's gains of another UR10, N·m/A (docs/data.md).
+# De Luca's gains of another UR10, N·m/A (docs/evidence/data.md).
 GAINS = (14.87, 13.26, 11.13, 10.62, 11.03, 11.47)
 UR10E = {
     "8 harmonics": "20_02_05-20sec_8harm",
@@ -217,7 +218,10 @@ def cases(data: Path | None, names: Sequence[str]) -> Iterator[Case]:
     for name in dict.fromkeys(names):
         if data is None or not (data / name).is_dir():
             where = "SDPID_DATA is not set" if data is None else f"not in {data}"
-            print(f"{name}: skipped, {where}; docs/data.md says where it comes from", flush=True)
+            print(
+                f"{name}: skipped, {where}; docs/evidence/data.md says where it comes from",
+                flush=True,
+            )
             continue
         for own, reader in READERS:
             if own == name:

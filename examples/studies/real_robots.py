@@ -1,6 +1,7 @@
 """Five real robots, many methods: what each predicts on motion that it was not trained on.
 
-Every set of docs/data.md is processed with default settings that are chosen on its training part
+Every set of docs/evidence/data.md is processed with default settings that are chosen on its
+training part
 alone, and fitted by least squares, ridge regression, the semidefinite program with several priors,
 and two local solvers, all with the same friction terms. Held out are the second run where there
 are two, otherwise all rows behind the first 60 % of the record. The published numbers that can be
@@ -277,7 +278,8 @@ def shown(row: Sequence[object], kind: int) -> str:
     return f"{'no body' if least == -np.inf else size} ({heaviest:.3g})"
 
 
-# Published root mean square errors, N·m, and on what; see the sets' sources in docs/data.md.
+# Published root mean square errors, N·m, and on what; see the sets' sources in
+# docs/evidence/data.md.
 PUBLISHED: dict[str, tuple[str, tuple[float, ...]]] = {
     "staubli_tx40": (
         "FIGAROH, its own training rows (this whole record)",
@@ -438,7 +440,10 @@ def found(folder: Path | None, names: Iterable[str]) -> list[str]:
     for name in names:
         if folder is None or not (folder / name).is_dir():
             where = "SDPID_DATA is not set" if folder is None else f"not in {folder}"
-            print(f"{name}: skipped, {where}; docs/data.md says where it comes from", flush=True)
+            print(
+                f"{name}: skipped, {where}; docs/evidence/data.md says where it comes from",
+                flush=True,
+            )
         else:
             there.append(name)
     return there

@@ -1,6 +1,7 @@
 """How far the rows of real logs are from those of the equations of motion, as bounded.
 
-Every record of docs/data.md with default settings, and the simulated case study. `box` is the bound
+Every record of docs/evidence/data.md with default settings, and the simulated case study. `box` is
+the bound
 over every feasible theta beside the root of the cost, `theta` that at the estimate; by the first
 the root of a proven bound falls, by the second the root of the estimate's cost rises. What friction
 columns are results of processing is named. Times are those of the bound beside compressing the same
@@ -52,7 +53,10 @@ def problems(
     for name in sets:
         if data is None or not (data / name).is_dir():
             where = "SDPID_DATA is not set" if data is None else f"not in {data}"
-            print(f"{name}: skipped, {where}; docs/data.md says where it comes from", flush=True)
+            print(
+                f"{name}: skipped, {where}; docs/evidence/data.md says where it comes from",
+                flush=True,
+            )
             continue
         folder, chosen = data / name, SETS[name]
         robot = sdpid.load_robot(folder / chosen.urdf)

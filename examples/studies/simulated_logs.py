@@ -9,7 +9,7 @@ the same log.
     python examples/studies/simulated_logs.py --out results --seeds 2
 
 UR10, Panda and Denso come with the package's dependencies; the LWR 4+ is read from the folder
-of docs/data.md, named by --data or the environment variable SDPID_DATA.
+of docs/evidence/data.md, named by --data or the environment variable SDPID_DATA.
 """
 
 from __future__ import annotations
@@ -205,7 +205,8 @@ def described(robot: str, data: Path | None) -> sdpid.RobotModel:
     path = Path() if data is None else data / "kuka_lwr4plus" / "kuka_lwr4.urdf"
     if not path.is_file():
         raise sdpid.errors.DataError(
-            f"the description of the LWR 4+ is not at {path}; docs/data.md says where it comes "
+            f"the description of the LWR 4+ is not at {path}; docs/evidence/data.md says where "
+            "it comes "
             "from; name the folder by --data or SDPID_DATA."
         )
     return sdpid.load_robot(path)

@@ -1,7 +1,8 @@
 """Spoil good logs in known ways, and see whether the inspection names what is wrong.
 
 Simulated logs of robots whose parameters are known (simulated_logs.py), inertias 15 % off the
-description's, and the first public recording of every real arm of docs/data.md are spoiled in some
+description's, and the first public recording of every real arm of docs/evidence/data.md are
+spoiled in some
 twenty ways. Each must be found and named; findings on the logs as they are are counted as well.
 
     python examples/studies/wrong_logs.py --data /path/to/data [--seeds 3] [--quick]

@@ -1,7 +1,8 @@
 """Check a certificate: how far given parameters are from the best ones, at most.
 
 What its numbers prove is in `sdpid.verifier.bound`; here claims are compared with that, and put
-into words. The file is a JSON object with the keys of `KEYS`, described in docs/certificate.md.
+into words. The file is a JSON object with the keys of `KEYS`, described in
+docs/guides/certificate.md.
 
 The rows of a log are compressed to A, rhs and floor. A certificate may claim how well, as
 ``compression``: with f_c = ‖A·(B·theta) − rhs‖² + floor and f_rows the same cost summed over the

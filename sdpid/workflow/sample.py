@@ -44,8 +44,8 @@ def sample_parameters(estimate: Any, n: int, seed: int = 0) -> ParameterSamples:
     """Draw consistent robots from the posterior of an estimate under its constraints.
 
     Every draw obeys all constraints of the problem: each of its links can be a body. What neither
-    the data nor the prior says is as wide as the constraints leave it. See docs/sampling.md for
-    the method, and for what the spread of draws promises.
+    the data nor the prior says is as wide as the constraints leave it. See docs/guides/sampling.md
+    for the method, and for what the spread of draws promises.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""From a log to a result, beside FIGAROH: the record of a Staubli TX40 (docs/data.md).
+"""From a log to a result, beside FIGAROH: the record of a Staubli TX40 (docs/evidence/data.md).
 
     python -m tests.benchmarks.peers --figaroh-python env/bin/python --data data/staubli_tx40
         [--repeat 5] [--threads 1] [--csv out.csv]

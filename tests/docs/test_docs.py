@@ -29,7 +29,7 @@ def test_the_friction_page(monkeypatch: pytest.MonkeyPatch) -> None:
     module = ModuleType("friction_of_the_docs")
     monkeypatch.setitem(sys.modules, module.__name__, module)
     names = module.__dict__
-    exec(compile(code_of("friction.md"), "docs/friction.md", "exec"), names)
+    exec(compile(code_of("guides/friction.md"), "docs/guides/friction.md", "exec"), names)
     robot = sdpid.load_robot("denso_vp6242")
     v = np.array([[0.25, -0.25, 0.0, 1.0, -1.0, 4.0]])
     drag = FrictionModel.from_terms((names["Drag"](),), robot.joint_names)
@@ -37,7 +37,7 @@ def test_the_friction_page(monkeypatch: pytest.MonkeyPatch) -> None:
     bend = FrictionModel.from_terms((names["Bend"](velocity=0.5),), robot.joint_names)
     assert np.allclose(np.diag(bend.columns(v, v)[0]), v / (np.abs(v) + 0.5))
     # Every named term stands in the table, with its parameters' symbol.
-    page = (DOCS / "friction.md").read_text(encoding="utf-8")
+    page = (DOCS / "guides" / "friction.md").read_text(encoding="utf-8")
     for name in BY_NAME:
         assert f'| `"{name}"' in page
         symbols = {p.name.rstrip("1") for p in BY_NAME[name]().parameters(("joint",))}
@@ -57,7 +57,7 @@ def test_the_estimation_page() -> None:
         time=t[:, 0], position=q, effort=effort + 0.1 * rng.standard_normal(q.shape)
     )
     names: dict[str, Any] = {"robot": replace(robot, prior=theta), "log": log}
-    exec(compile(code_of("estimation.md"), "docs/estimation.md", "exec"), names)
+    exec(compile(code_of("guides/estimation.md"), "docs/guides/estimation.md", "exec"), names)
     assert names["result"].certificate.passed
     assert names["model"].value == pytest.approx(names["estimate"].cost, rel=1e-5)
     assert names["robust"].robust_gap <= 1e-6
@@ -68,9 +68,9 @@ def test_a_condition_of_your_own(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, module.__name__, module)
     names = module.__dict__
     # The other blocks speak of a robot of the reader's.
-    text = (DOCS / "constraints.md").read_text(encoding="utf-8")
+    text = (DOCS / "guides" / "constraints.md").read_text(encoding="utf-8")
     code = re.findall(BLOCK, text, flags=re.M | re.S)
-    exec(compile(code[-1], "docs/constraints.md", "exec"), names)
+    exec(compile(code[-1], "docs/guides/constraints.md", "exec"), names)
     problem = arm_problem(names["LighterTowardsTheTip"]())
     theta = sdpid.solve_sdp(problem).theta
     assert theta is not None
@@ -79,13 +79,15 @@ def test_a_condition_of_your_own(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_every_page_that_is_linked_exists() -> None:
-    for page in (*DOCS.glob("*.md"), DOCS.parent / "README.md"):
+    for page in (*DOCS.rglob("*.md"), DOCS.parent / "README.md"):
         for target in re.findall(r"\]\((?!https?:|#)([^)#]+)", page.read_text(encoding="utf-8")):
             assert (page.parent / target).exists(), f"{page.name} links to {target}"
 
 
 def test_citations_resolve() -> None:
-    known = set(re.findall(r"\*\*\[(\w+)\]\*\*", (DOCS / "references.md").read_text("utf-8")))
+    known = set(
+        re.findall(r"\*\*\[(\w+)\]\*\*", (DOCS / "reference" / "references.md").read_text("utf-8"))
+    )
     package = DOCS.parent / "sdpid"
     for source in package.rglob("*.py"):
         for key in re.findall(r"\[(\w+)\]_", source.read_text(encoding="utf-8")):

@@ -12,7 +12,7 @@ import pytest
 import sdpid
 from tests.helpers.data import FRICTION, make_samples, random_theta
 
-PAGE = Path(__file__).resolve().parents[2] / "docs" / "exports.md"
+PAGE = Path(__file__).resolve().parents[2] / "docs" / "guides" / "exports.md"
 
 _LINK = """<link name="{0}"><inertial><origin xyz="0 0 0.1"/><mass value="2"/>
   <inertia ixx="0.02" ixy="0" ixz="0" iyy="0.02" iyz="0" izz="0.01"/></inertial></link>"""
@@ -49,7 +49,7 @@ def test_the_page(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
         "with_load": make_samples(robot, loaded, rng, count=200, noise=0.02, block=5),
     }
     blocks = re.findall(r"^```python\n(.*?)^```", PAGE.read_text(), flags=re.M | re.S)
-    exec(compile("\n".join(blocks), "docs/exports.md", "exec"), names)
+    exec(compile("\n".join(blocks), "docs/guides/exports.md", "exec"), names)
     state = names["q"], names["v"], names["a"]
     np.testing.assert_allclose(names["tau"], names["model"].inverse_dynamics(*state))
     assert names["theta"] == estimate.named_theta()

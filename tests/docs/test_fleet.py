@@ -1,4 +1,4 @@
-"""The code of docs/fleet.md runs, and gives what one machine gives."""
+"""The code of docs/guides/fleet.md runs, and gives what one machine gives."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ def files(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
 def page() -> dict[str, Any]:
     """Return the names that the page defines; workers get functions of no module by value."""
     names: dict[str, Any] = {"__name__": "fleet_of_the_docs"}
-    exec(compile(code_of("fleet.md"), "docs/fleet.md", "exec"), names)
+    exec(compile(code_of("guides/fleet.md"), "docs/guides/fleet.md", "exec"), names)
     return names
 
 

@@ -12,7 +12,7 @@ import pytest
 import sdpid
 from tests.helpers.identified import arm_theta, identified, moved
 
-PAGE = Path(__file__).resolve().parents[2] / "docs" / "sampling.md"
+PAGE = Path(__file__).resolve().parents[2] / "docs" / "guides" / "sampling.md"
 COUNT = 100
 
 
@@ -23,7 +23,7 @@ def test_the_page(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
         "sdpid": sdpid, "result": result, **dict(zip("qva", np.ones((3, 2)), strict=True))
     }  # fmt: skip
     blocks = re.findall(r"^```python\n(.*?)^```", PAGE.read_text(), flags=re.M | re.S)
-    exec(compile("\n".join(blocks), "docs/sampling.md", "exec"), names)
+    exec(compile("\n".join(blocks), "docs/guides/sampling.md", "exec"), names)
     worlds, theta = names["worlds"], names["samples"].theta
     # The world is MuJoCo's first body.
     assert np.allclose(worlds["body_mass"][:, 1:], theta[:, :20:10])

@@ -286,7 +286,7 @@ def test_a_covariance_that_fails_halfway_changes_nothing(monkeypatch: pytest.Mon
 
 
 def test_the_page_of_the_docs_runs(capsys: pytest.CaptureFixture[str]) -> None:
-    page = Path(__file__).resolve().parents[2] / "docs" / "recursive.md"
+    page = Path(__file__).resolve().parents[2] / "docs" / "guides" / "recursive.md"
     (code,) = re.findall(r"^```python\n(.*?)^```", page.read_text(encoding="utf-8"), re.M | re.S)
     samples = measured()
     names: dict[str, Any] = {"robot": ARM, "samples": samples, "pieces": pieces(samples, 30, 60)}

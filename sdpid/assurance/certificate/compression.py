@@ -2,7 +2,7 @@
 
 Compressing turns millions of weighted rows into A, rhs and floor, in floating point. How far the
 two costs are from each other is bounded here over the whole box of parameters, with every rounding
-counted. The proof is in docs/theory.md ("Compression holds for every theta").
+counted. The proof is in docs/theory ("Compression holds for every theta").
 """
 
 from __future__ import annotations

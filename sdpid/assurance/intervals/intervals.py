@@ -1,6 +1,6 @@
 """Confidence intervals of base and standard parameters.
 
-Three kinds, each with its own question (see docs/intervals.md):
+Three kinds, each with its own question (see docs/guides/intervals.md):
 
 * ``profile``: what feasible parameters have a cost that the data do not rule out? Extremes over
   all of them, proven from multipliers (see `sdpid.assurance.intervals.profile_likelihood`). It is

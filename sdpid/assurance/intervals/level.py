@@ -15,7 +15,7 @@ the data (see `sdpid.estimation.conic.fit_response`), D the positive part of the
 extreme's, and nu the difference of their traces: the degrees of freedom that the fit loses. The
 rise is then nu·F·tr(D·N)/tr(D) with F the quantile of Fisher's distribution with nu degrees of
 freedom: chi² with as many as are lost [susko2013]_ [almohamad2020]_. What is proven of
-this rule, and under which conditions, stands in docs/theory.md, section 12.
+this rule, and under which conditions, stands in docs/theory, section 12.
 """
 
 from __future__ import annotations

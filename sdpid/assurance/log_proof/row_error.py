@@ -99,7 +99,7 @@ def row_error(
     The regressor is enclosed at the samples' own positions, velocities and accelerations, from the
     placements, axes and gravity as stored (`sdpid.robot.model.regressor_kernel.Tree`), and compared
     with the base regressor as it is computed, times B: what is found covers rounding and mistakes
-    of the regressor, the sine and cosine, and B. See docs/theory.md, "Rows hold for the robot's
+    of the regressor, the sine and cosine, and B. See docs/theory, "Rows hold for the robot's
     equations".
 
     Parameters

@@ -1,7 +1,7 @@
 """The paper's variables: mass, center of mass and inertia about it, link by link.
 
 The map from these to the standard parameters is a bijection where masses are positive
-(docs/theory.md). Six of the first link's variables have no influence on the effort when its
+(docs/theory). Six of the first link's variables have no influence on the effort when its
 joint is revolute on a fixed base: they are left out, and filled in so that the link is
 consistent, unless a prior or a further condition looks at them. For the Denso that makes the
 paper's 66.

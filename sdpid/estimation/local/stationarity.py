@@ -30,7 +30,7 @@ def stationarity_gap(problem: Problem, theta: Array) -> float:
     """Return the share of the cost that the best step from theta can gain, 0 at an optimum.
 
     It is measured in the physical variables x; there stationary points are optimal
-    (docs/theory.md, section 5), which they need not be in coordinates that have the boundary at
+    (docs/theory, section 5), which they need not be in coordinates that have the boundary at
     infinity. With the gradient g, the Gauss–Newton matrix H and the constraints ``c ≥ 0``, the
     step d that lowers ``g·d + ½·d^T·H·d`` most while ``c + c'·d ≥ 0`` promises, by duality,
 
@@ -38,7 +38,7 @@ def stationarity_gap(problem: Problem, theta: Array) -> float:
 
     with λ ≥ 0 but for equations. Any λ gives an upper bound, so no constraint need be called
     active: a multiplier counts with its slack. As the problem is convex in theta, no feasible
-    point costs less by more than this (docs/theory.md, (6b)), with a log-det prior to second
+    point costs less by more than this (docs/theory, (6b)), with a log-det prior to second
     order. Matrix inequalities take part through
     ``u^T·(N − margin·E)·u ≥ 0``, u the eigenvectors of N and of the multiplier that the gradient
     asks for, which makes eigenvalues that meet no special case.

@@ -94,7 +94,7 @@ def solve_sdp(problem: Problem, *, verbose: bool = False) -> Estimate:
     The parameters are measured from the robot's description, in units in which they are of order
     one, and what a solver makes of them is recomputed: it is moved inside every constraint, and
     its multipliers are turned into a bound, which is kept for `sdpid.certify`. Attempts go on
-    until bound and cost are within 1e-6 of each other (docs/theory.md, section 9). Of all optimal
+    until bound and cost are within 1e-6 of each other (docs/theory, section 9). Of all optimal
     parameters, which differ in directions that the effort does not show, those nearest to the
     robot's description are returned (see `sdpid.estimation.sdp.nearest_to_prior`).
 

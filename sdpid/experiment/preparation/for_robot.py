@@ -25,8 +25,8 @@ def default_friction(log: Recording) -> tuple[str | FrictionTerm, ...]:
     a smooth sign, a sigmoid whose speeds are fitted joint by joint, and an offset for the
     sensors' zero errors. The same terms serve torque sensors and motor currents: on five
     real robots none predicted worse for the sigmoid, and the others choose it whichever is left
-    out (docs/real_robots.md). Rotor inertia and couplings are effects, which `identify` adds
-    where the training data show them (docs/effects.md).
+    out (docs/evidence/real_robots.md). Rotor inertia and couplings are effects, which `identify`
+    adds where the training data show them (docs/guides/effects.md).
     """
     if log.period is not None:
         return ("coulomb", "viscous")

@@ -62,7 +62,8 @@ def choose_processing(log: Recording, **given: Any) -> Choice:
 
     A record without periods passes a Butterworth filter of order 4 whose cut-off is 25 times the
     frequency below which 95 % of its motion lies (the median over the joints), at most 2/15 of the
-    sampling rate: of 12 to 50 times it predicts best on six real robots (docs/real_robots.md). Rows
+    sampling rate: of 12 to 50 times it predicts best on six real robots
+    (docs/evidence/real_robots.md). Rows
     near reversals and at rest are masked, unless less than a tenth of a joint's rows would stay. A
     recorded velocity is used below 100 Hz, where differences of the position lose too much, as
     long as it is the rate of the position.

@@ -455,7 +455,7 @@ def test_command(tmp_path: Path) -> None:
 
 
 def test_the_page_in_the_documentation() -> None:
-    page = Path(__file__).resolve().parents[3] / "docs" / "audit.md"
+    page = Path(__file__).resolve().parents[3] / "docs" / "guides" / "audit.md"
     blocks = re.findall(r"^```python\n(.*?)^```", page.read_text("utf-8"), flags=re.M | re.S)
     assert blocks
-    exec(compile("\n".join(blocks), "docs/audit.md", "exec"), {})
+    exec(compile("\n".join(blocks), "docs/guides/audit.md", "exec"), {})

@@ -21,7 +21,7 @@ stops; it is checked with multipliers and derivatives computed here, from nothin
 
 Minimized over λ for the worst w, the same inequality says that `stationarity_gap` is an upper
 bound of the excess, but for the curvature that it adds to directions that the effort does not
-show (docs/theory.md, section 5).
+show (docs/theory, section 5).
 """
 
 from __future__ import annotations

@@ -177,7 +177,7 @@ def test_the_denso(denso: RobotModel, consistency: Consistency) -> None:
 
 
 def test_stronger_constraints_cost_more() -> None:
-    """f4(eps) ≥ f6(2·eps) ≥ f6(eps) ≥ f without constraints (docs/theory.md, section 4)."""
+    """f4(eps) ≥ f6(2·eps) ≥ f6(eps) ≥ f without constraints (docs/theory, section 4)."""
     problem = noisy(ARM3, 5)
     costs = [
         solve_sdp(

@@ -21,7 +21,8 @@ from sdpid.experiment.processing.choose import (
 from sdpid.experiment.processing.motion import motion_frequency
 from sdpid.experiment.processing.process import Processing, process
 
-# The default for five real robots, on which docs/real_robots.md rests: cut-off in Hz and velocity,
+# The default for five real robots, on which docs/evidence/real_robots.md rests: cut-off in Hz and
+# velocity,
 # for the whole record. All have order 4, "central4" and a mask of a tenth of the cut-off's period.
 DEFAULTS = {
     "ur10_unisa/ur10_exciting": (3.178581807729566, "differentiated"),
@@ -68,12 +69,14 @@ def test_the_default_of_five_real_robots(data_folder: Path, name: str) -> None:
 
 
 def test_the_page_in_the_docs(data_folder: Path) -> None:
-    page = (Path(__file__).parents[3] / "docs" / "processing.md").read_text(encoding="utf-8")
+    page = (Path(__file__).parents[3] / "docs" / "guides" / "processing.md").read_text(
+        encoding="utf-8"
+    )
     log = sdpid.read_recording(data_folder / "ur10_unisa" / "ur10_exciting.npz")
     assert "\n".join(choose_processing(log).reasons) in page
     code = "\n".join(re.findall(r"^```python\n(.*?)^```", page, flags=re.M | re.S))
     names = {"sdpid": sdpid, "log": log}
-    exec(compile(code, "docs/processing.md", "exec"), names)
+    exec(compile(code, "docs/guides/processing.md", "exec"), names)
     assert any("Bessel filter" in note for note in names["samples"].notes)  # type: ignore[attr-defined]
 
 

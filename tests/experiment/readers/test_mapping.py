@@ -83,7 +83,7 @@ def test_a_mapping_beside_the_log(tmp_path: Path):
 
 
 def test_the_mapping_of_the_documentation(tmp_path: Path):
-    page = Path(__file__).resolve().parents[3] / "docs/data.md"
+    page = Path(__file__).resolve().parents[3] / "docs/guides/logs.md"
     (text,) = re.findall(r"^```toml\n(.*?)^```", page.read_text(encoding="utf-8"), re.M | re.S)
     (tmp_path / "run.toml").write_text(text, encoding="utf-8")
     header = [*(f"enc{j}" for j in range(1, 7)), *(f"i{j}" for j in range(1, 7))]

@@ -6,7 +6,7 @@ equations, all theta of the box have
     (1 − relative)·f_c − absolute ≤ f_rows ≤ (1 + relative)·f_c + absolute,
     |√f_true − √f_rows| ≤ share·√f_rows + row_error(theta), at most row_error over the box.
 
-The prior's cost is at least zero and the same in all three. docs/theory.md ("From the log to the
+The prior's cost is at least zero and the same in all three. docs/theory ("From the log to the
 bound") has the proofs.
 """
 
