@@ -15,6 +15,8 @@ from typer.testing import CliRunner, Result
 
 from sdpid import cli
 from sdpid._common.toml import load_toml
+from sdpid.cli.excite.surroundings import Surroundings
+from sdpid.excitation.geometry.obstacles import Mesh
 from sdpid.experiment.trajectory.reading import read_trajectory
 from tests.helpers.arm_files import ARM_URDF
 
@@ -115,6 +117,19 @@ def test_any_trajectory_is_checked(folder: Path, tmp_path: Path) -> None:
     assert done.exit_code == 3
     assert json.loads(done.stdout)["ok"] is False
     assert run(*checked, fast, "-q").stdout == ""
+
+
+def test_obstacles_may_stand_in_the_file_of_limits(tmp_path: Path) -> None:
+    """Every kind of them counts, and meshes are looked up beside the file."""
+    (tmp_path / "limits.toml").write_text(
+        "[arm]\nclearance = 0.02\n[[table]]\n[[wall]]\ndistance = 1.0\ndirection = 'x'\n"
+        "[[plane]]\npoint = [0, 0, 2]\nnormal = [0, 0, -1]\n[[box]]\nsize = [1, 1, 1]\n"
+        "[[mesh]]\npath = 'part.stl'\n"
+    )
+    *found, mesh = Surroundings(limits=tmp_path / "limits.toml").obstacles_around()
+    assert [type(each).__name__ for each in found] == ["Plane", "Plane", "Plane", "Box"]
+    assert isinstance(mesh, Mesh)
+    assert Path(mesh.path) == tmp_path / "part.stl"
 
 
 def test_bad_input_is_told_before_the_search(folder: Path, tmp_path: Path) -> None:

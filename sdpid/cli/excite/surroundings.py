@@ -18,9 +18,6 @@ if TYPE_CHECKING:
 
 _limits = functools.partial(typer.Option, rich_help_panel="Limits and surroundings")
 
-# Tables of the file of limits that describe obstacles.
-_OBSTACLES = ("obstacle", "table", "wall")
-
 
 @dataclass(frozen=True, kw_only=True)
 class Surroundings:
@@ -31,8 +28,8 @@ class Surroundings:
         _limits(
             metavar="FILE",
             help="TOML file with a table a joint (lower, upper, velocity, acceleration, jerk, "
-            "torque) and one named arm (tool_speed, clearance). The tighter of it and the "
-            "description holds.",
+            "torque), one named arm (tool_speed, clearance), and obstacles as in --obstacles. The "
+            "tighter of it and the description holds.",
         ),
     ] = None
     table: Annotated[
@@ -117,7 +114,8 @@ class Surroundings:
             found += obstacles_from_toml(self.obstacles)
         if self.limits is not None:
             from sdpid._common.toml import load_toml
+            from sdpid.excitation.limits.limits import OBSTACLES
 
-            own = {k: v for k, v in load_toml(self.limits).items() if k in _OBSTACLES}
-            found += obstacles_from_toml(own)
+            own = {k: v for k, v in load_toml(self.limits).items() if k in OBSTACLES}
+            found += obstacles_from_toml(own, self.limits.parent)
         return tuple(found)

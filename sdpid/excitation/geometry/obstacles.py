@@ -237,7 +237,10 @@ def wall(distance: float, direction: str | Sequence[float] = "-x", *, name: str 
 _KINDS: dict[str, Any] = {"plane": Plane, "box": Box, "mesh": Mesh, "table": table, "wall": wall}
 
 
-def obstacles_from_toml(source: str | os.PathLike[str] | Mapping[str, Any]) -> tuple[Obstacle, ...]:
+def obstacles_from_toml(
+    source: str | os.PathLike[str] | Mapping[str, Any],
+    folder: str | os.PathLike[str] = "",
+) -> tuple[Obstacle, ...]:
     """Read obstacles from a TOML file.
 
     Every kind is an array of tables, ``[[plane]]``, ``[[box]]``, ``[[mesh]]``, ``[[table]]`` or
@@ -247,17 +250,18 @@ def obstacles_from_toml(source: str | os.PathLike[str] | Mapping[str, Any]) -> t
     ----------
     source : path or mapping
         The file, or what it contains. Paths of meshes are relative to the file.
+    folder : path, optional
+        Of a mapping: what paths of meshes are relative to; by default the working folder.
 
     Raises
     ------
     DataError
         When the file cannot be read, or has keys or values that are not understood.
     """
-    folder = Path()
     if isinstance(source, Mapping):
-        content, where = dict(source), "obstacles"
+        content, where, beside = dict(source), "obstacles", Path(folder)
     else:
-        content, where, folder = load_toml(source), str(source), Path(source).parent
+        content, where, beside = load_toml(source), str(source), Path(source).parent
     obstacles: list[Obstacle] = []
     for kind, entries in content.items():
         if kind not in _KINDS:
@@ -267,7 +271,7 @@ def obstacles_from_toml(source: str | os.PathLike[str] | Mapping[str, Any]) -> t
                 raise DataError(f"{where}: '{kind}' is {entry!r}; write it as [[{kind}]].")
             keys = dict(entry)
             if kind == "mesh" and "path" in keys:
-                keys["path"] = str(folder / str(keys["path"]))
+                keys["path"] = str(beside / str(keys["path"]))
             try:
                 obstacles.append(_KINDS[kind](**keys))
             except (TypeError, ValueError) as cause:

@@ -179,7 +179,8 @@ class Limits(Settings):
 
 
 _ARM = tuple(each.name for each in fields(Limits) if each.name not in KINDS)
-_ELSEWHERE = ("plane", "box", "mesh", "table", "wall")
+# Tables of a file of limits that are obstacles.
+OBSTACLES = ("plane", "box", "mesh", "table", "wall")
 
 
 def _with_infinity(values: Any) -> Any:
@@ -229,7 +230,7 @@ def _check_number(kind: str, where: str, value: object) -> None:
 def _tables(table: Mapping[str, Any]) -> Iterable[tuple[str, Mapping[str, Any]]]:
     """Yield joints and their entries; `OTHERS` stands for ``[arm]``."""
     for name, entries in table.items():
-        if name in _ELSEWHERE:
+        if name in OBSTACLES:
             continue
         if name == "joint" and isinstance(entries, list):
             for each in entries:
