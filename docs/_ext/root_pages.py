@@ -1,0 +1,71 @@
+"""Let pages link to files above docs/ as on GitHub: those with a page here lead to it."""
+
+import posixpath
+import re
+from pathlib import Path
+
+from sphinx.application import Sphinx
+from sphinx.util import logging
+
+# Files of the repository, and the pages that include them.
+PAGES = {"CHANGELOG.md": "project/changelog.md", "SECURITY.md": "project/security.md"}
+# Pages that are being written. Until they are there, links to them are shown as text; the set
+# shrinks to nothing.
+AWAITED = {
+    "choose.md",
+    "comparison.md",
+    "glossary.md",
+    "start.md",
+    "troubleshooting.md",
+    "reference/api/index.md",
+    *(f"tutorials/{name}.md" for name in (
+        "fleet", "panda", "payload", "plan", "repair", "table", "ur_currents",
+    )),
+    *(f"evidence/{name}.md" for name in (
+        "audits", "benchmark", "certificates", "estimation", "excitation", "exports", "fleet",
+        "inspection", "intervals", "sampling",
+    )),
+}  # fmt: skip
+_MARKDOWN = re.compile(r"\[([^\]\n]*)\]\(([\w./-]+\.md)(?:#[\w-]+)?\)")
+_LINK = re.compile(r"\]\(((?:\.\./)+[\w./-]+)(#[\w-]+)?\)")
+_log = logging.getLogger(__name__)
+
+
+def point_inside(app: Sphinx, name: str, source: list[str]) -> None:
+    """Replace links to files that are included as pages; check that others exist."""
+    folder = posixpath.dirname(name)
+
+    def replace(found: re.Match[str]) -> str:
+        target = posixpath.normpath(posixpath.join("docs", folder, found[1]))
+        if target.startswith("docs/"):
+            return found[0]
+        if target in PAGES:
+            return f"]({posixpath.relpath(PAGES[target], folder or '.')}{found[2] or ''})"
+        path = Path(app.srcdir).parent / target
+        if path.is_dir():
+            _log.warning("%s is a folder; link to a file in it", found[1], location=name)
+        return found[0]
+
+    source[0] = _LINK.sub(replace, source[0])
+
+
+def leave_out_awaited(app: Sphinx, name: str, source: list[str]) -> None:
+    """Show links to pages that are being written as text; leave them out of the contents."""
+    missing = {page for page in AWAITED if not (Path(app.srcdir) / page).exists()}
+    folder = posixpath.dirname(name)
+
+    def replace(found: re.Match[str]) -> str:
+        target = posixpath.normpath(posixpath.join(folder, found[2]))
+        return found[1] if target in missing else found[0]
+
+    source[0] = _MARKDOWN.sub(replace, source[0])
+    if name == "index":
+        lines = source[0].split("\n")
+        source[0] = "\n".join(line for line in lines if f"{line}.md" not in missing)
+
+
+def setup(app: Sphinx) -> dict[str, bool]:
+    """Connect the extension."""
+    app.connect("source-read", point_inside)
+    app.connect("source-read", leave_out_awaited)
+    return {"parallel_read_safe": True, "parallel_write_safe": True}
