@@ -34,13 +34,12 @@ def info(
         listed("read from", (f"{key}: {each}" for key, each in log_read.sources.items())),
         Table(tuple(joints[0]), tuple(tuple(joint.values()) for joint in joints)).text(),
     ]
-    if findings:
-        parts.append(
-            listed(
-                "findings",
-                (f"{each['severity']} {each['kind']}: {each['text']}" for each in findings),
-            )
-        )
+    found = [f"{each['severity']} {each['kind']}: {each['text']}" for each in findings]
+    if not found and robot is None:
+        none = "findings: none (give --robot, and efforts are compared with the motion too)"
+    else:
+        none = "findings: none"
+    parts.append(listed("findings", found) if found else none)
     printing.show(content, "\n\n".join(parts))
 
 

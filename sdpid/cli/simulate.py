@@ -18,7 +18,7 @@ def simulate(
         str,
         typer.Argument(help="URDF file, name of a robot, or a folder like that of a bundled one."),
     ],
-    out: Annotated[Path, typer.Option(help="Parquet file for the recording.")],
+    out: Annotated[Path, typer.Option(help="CSV or Parquet file for the recording.")],
     printing: Printing,
     trajectory: Annotated[
         Path | None,
@@ -44,15 +44,19 @@ def simulate(
     ] = False,
 ) -> None:
     """Record a motion of a simulated robot."""
-    if out.suffix.lower() != ".parquet":
-        raise ExportError(f"--out {out}: recordings are written as .parquet; change the suffix.")
+    suffix = out.suffix.lower()
+    if suffix not in (".csv", ".parquet"):
+        raise ExportError(
+            f"--out {out}: recordings are written as .csv or .parquet; change the suffix."
+        )
     inputs = [robot, trajectory, printing.config]
     opt.require_folder("--out", out, inputs)
     if write_trajectory is not None:
         opt.require_folder("--write-trajectory", write_trajectory, inputs)
     if trajectory is not None and period is not None:
         raise DataError("--period: the trajectory's file has its own; leave one of them out.")
-    require("pyarrow", extra="io")
+    if suffix == ".parquet":
+        require("pyarrow", extra="io")
     from sdpid.experiment.plant.default_motion import default_motion
     from sdpid.experiment.plant.drives import load_drives, plant_folder
     from sdpid.experiment.plant.simulate import simulate as run
@@ -86,7 +90,7 @@ def simulate(
         noise=noise,
         exact=exact,
     )
-    recording.to_parquet(out)
+    (recording.to_csv if suffix == ".csv" else recording.to_parquet)(out)
     files = [str(file) for file in (out, write_trajectory) if file is not None]
     kinds = {
         name: model.pin_model.joints[model.pin_model.getJointId(name)].shortname()
@@ -94,6 +98,11 @@ def simulate(
     }
     sliding = [name for name, kind in kinds.items() if kind.startswith("JointModelP")]
     notes = [*motion.velocity_report(sliding), *motion.notes, *recording.notes]
+    if suffix == ".csv" and recording.period is not None and recording.periods != 1:
+        notes.append(
+            f"{out} has no place for the period; to average its periods: sdpid identify --period "
+            f"{recording.period:.10g} --start {recording.start:.10g} --periods {recording.periods}"
+        )
     content = {
         "samples": recording.n_samples,
         "duration_s": recording.duration,

@@ -213,12 +213,15 @@ def test_simulate_then_info(tmp_path: Path) -> None:
 
 
 def test_simulate_any_robot_with_a_trajectory_file(tmp_path: Path) -> None:
-    first, second, motion = (tmp_path / name for name in ("a.parquet", "b.parquet", "m.toml"))
+    first, second, motion = (tmp_path / name for name in ("a.parquet", "b.csv", "m.toml"))
     options = ("--period", 8, "--periods", 1, "--seed", 4)
     made = run("simulate", "ur5_robot", "--out", first, "--write-trajectory", motion, *options)
     assert made.exit_code == 0, made.output
     again = run("simulate", "ur5_robot", "--out", second, "--trajectory", motion, "--seed", 4)
     assert again.exit_code == 0, again.output
+    assert "no place for the period" not in again.stdout  # of one period there is none to tell
+    shown = run("info", second, "--robot", "ur5_robot").stdout
+    assert shown.splitlines()[-1] == "findings: none"
     one, other = sdpid.read_recording(first), sdpid.read_recording(second)
     np.testing.assert_array_equal(one.position, other.position)
     np.testing.assert_array_equal(one.effort, other.effort)
@@ -251,7 +254,7 @@ def test_simulate_along_samples(tmp_path: Path) -> None:
     ("arguments", "words"),
     [
         (("nowhere", "--out", "run.parquet"), "no robot 'nowhere'"),
-        ((ROBOT, "--out", "run.csv"), ".parquet"),
+        ((ROBOT, "--out", "run.xlsx"), ".csv or .parquet"),
         ((ROBOT, "--out", "nofolder/run.parquet"), "no folder"),
     ],
 )

@@ -259,13 +259,30 @@ class Recording:
         """
         from sdpid.experiment.recording.parquet import write_columns
 
+        stated = ("n", "joint_names", "period", "start", "periods")
+        write_columns(path, self._columns(), {name: getattr(self, name) for name in stated})
+
+    def to_csv(self, path: str | os.PathLike[str]) -> None:
+        """Write the recording to a CSV file with all digits, whole or not at all.
+
+        Columns are those of `to_parquet`. A CSV file has no place for the period of the motion.
+
+        Raises
+        ------
+        ExportError
+            When the file cannot be written.
+        """
+        columns = self._columns()
+        Table.of_columns({name: column.tolist() for name, column in columns.items()}).write(path)
+
+    def _columns(self) -> dict[str, Array]:
+        """Return time, positions, efforts and velocities by the names of their columns."""
         columns = {"time": self.time}
         for quantity in ("position", "effort", "velocity"):
             table = getattr(self, quantity)
             if table is not None:
                 columns |= {f"{quantity}_{name}": table[:, j] for j, name in enumerate(self.names)}
-        stated = ("n", "joint_names", "period", "start", "periods")
-        write_columns(path, columns, {name: getattr(self, name) for name in stated})
+        return columns
 
 
 def renamed(log: Recording, names: tuple[str, ...]) -> Recording:
