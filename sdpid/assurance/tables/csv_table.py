@@ -5,16 +5,21 @@ from __future__ import annotations
 import csv
 import os
 import re
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from decimal import Decimal
 from fractions import Fraction
 from pathlib import Path
 
 from sdpid._common.files import is_irregular
+from sdpid._common.tables import Table
 from sdpid.assurance.tables.proof_file import TableFile
 from sdpid.assurance.tables.witness import exact_decimal
-from sdpid.errors import DataError
+from sdpid.errors import DataError, ExportError
+from sdpid.robot.friction.model import FrictionModel
+from sdpid.robot.friction.term import FrictionTerm
+from sdpid.robot.model.base_parameters import structural_base
+from sdpid.robot.model.model import RobotModel
 
 _NAMES = ("name", "parameter")
 
@@ -131,6 +136,48 @@ def read_base_table(
     regrouped = " ".join(row.get(_REGROUPING) or "" for row in rows)
     mentioned = frozenset(values).union(_NAME.findall(regrouped))
     return BaseTable(values, halves, mentioned, TableFile.of(path, content))
+
+
+def write_empty_table(
+    path: str | os.PathLike[str],
+    robot: RobotModel,
+    friction: Iterable[str | FrictionTerm] = ("coulomb", "viscous"),
+) -> Table:
+    """Write the names of a robot's base parameters, for values to be typed in.
+
+    Parameters
+    ----------
+    path : str or path
+        CSV file, which must not be there yet.
+    robot : RobotModel
+        The robot.
+    friction : iterable, optional
+        Friction terms of the table.
+
+    Returns
+    -------
+    Table
+        What was written: ``name``, ``unit``, ``value`` and ``halfwidth``, which are empty, and
+        ``regrouping``, what the parameter stands for.
+
+    Raises
+    ------
+    ExportError
+        When the file is there, or cannot be written.
+    """
+    if os.path.lexists(path):
+        raise ExportError(f"cannot write {path}: it is there already; choose another name.")
+    terms = FrictionModel.from_terms(friction, robot.joint_names, first=robot.n_base)
+    base = structural_base(robot, terms)
+    table = Table(
+        ("name", "unit", "value", "halfwidth", _REGROUPING),
+        tuple(
+            (name, unit, None, None, base.expression(name))
+            for name, unit in zip(base.names, base.units, strict=True)
+        ),
+    )
+    table.write(path)
+    return table
 
 
 def _decimal(text: str, what: str) -> Decimal:

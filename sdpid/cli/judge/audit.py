@@ -62,6 +62,13 @@ class TableOptions:
     proof: Annotated[
         Path | None, _table(help="JSON file for the proof, which `sdpid verify` checks.")
     ] = None
+    template: Annotated[
+        bool,
+        _table(
+            "--template",
+            help="Write FILE, a table of the robot's base parameters without values, to fill in.",
+        ),
+    ] = False
 
 
 def audit(
@@ -87,8 +94,10 @@ def audit(
             raise ExportError("--repair: a table of base parameters has no bodies to repair.")
         passed = _audit_table(source, table, printing)
     else:
-        if table.proof is not None or table.robot is not None:
-            raise DataError(f"{source}: is no .csv; --robot and --proof are for tables.")
+        if table.proof is not None or table.robot is not None or table.template:
+            raise DataError(
+                f"{source}: is no .csv; --robot, --proof and --template are for tables."
+            )
         passed = _audit_description(source, repair, printing)
     if not passed:
         raise typer.Exit(NO_ANSWER)
@@ -103,6 +112,8 @@ def _audit_table(source: Path, table: TableOptions, printing: Printing) -> bool:
 
     if table.robot is None:
         raise DataError(f"{source}: is a table; say whose parameters they are with --robot.")
+    if table.template:
+        return _write_template(source, table.robot, table.friction, printing)
     width: str | float | None = table.halfwidth
     if table.halfwidth is not None:
         try:
@@ -126,6 +137,23 @@ def _audit_table(source: Path, table: TableOptions, printing: Printing) -> bool:
         _write_proof(table.proof, result)
     printing.show(result.to_dict(), result.summary())
     return result.verdict == "realisable"
+
+
+def _write_template(path: Path, robot: str, friction: list[str] | None, printing: Printing) -> bool:
+    """Write a table without values; return True, for there is nothing to judge."""
+    from sdpid.assurance.tables.csv_table import write_empty_table
+    from sdpid.robot.model.load import load_robot
+
+    opt.require_folder("FILE", path, (robot, printing.config))
+    terms = ("coulomb", "viscous") if friction is None else friction
+    table = write_empty_table(path, load_robot(robot), terms)
+    names = [str(row[0]) for row in table.rows]
+    printing.show(
+        {"files": [str(path)], "names": names},
+        f"written: {path}, {len(names)} base parameters; type in what the table has, and leave the "
+        "rest empty",
+    )
+    return True
 
 
 def _write_proof(path: Path, result: BaseAudit) -> None:

@@ -454,6 +454,24 @@ def test_command(tmp_path: Path) -> None:
         assert done.stderr.startswith("sdpid: ")
 
 
+def test_a_table_to_fill_in(tmp_path: Path) -> None:
+    """It has the names of the robot, is never written over a file, and is read once filled in."""
+    table = tmp_path / "mine.csv"
+    arguments = ["audit", str(table), "--robot", "denso_vp6242"]
+    done = CliRunner().invoke(cli.app, [*arguments, "--template"])
+    assert (done.exit_code, "48 base parameters" in done.output) == (0, True)
+    lines = table.read_text().splitlines()
+    assert lines[0] == "name,unit,value,halfwidth,regrouping"
+    assert [line.split(",")[0] for line in lines[1:]] == list(arm("denso")[1].names)
+    assert "column 'value' has no values" in CliRunner().invoke(cli.app, arguments).stderr
+    again = CliRunner().invoke(cli.app, [*arguments, "--template"])
+    assert (again.exit_code, "is there already" in again.stderr) == (2, True)
+    filled = table.read_text().replace("zz6,kg.m2,,", "zz6,kg.m2,0.00,")
+    table.write_text(filled.replace("xxr6,kg.m2,,", "xxr6,kg.m2,-0.07,"))
+    done = CliRunner().invoke(cli.app, arguments)
+    assert (done.exit_code, "xxr6 + zz6 >= 0" in done.output) == (3, True)
+
+
 def test_the_page_in_the_documentation() -> None:
     page = Path(__file__).resolve().parents[3] / "docs" / "guides" / "audit.md"
     blocks = re.findall(r"^```python\n(.*?)^```", page.read_text("utf-8"), flags=re.M | re.S)
