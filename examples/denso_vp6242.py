@@ -99,6 +99,8 @@ def main() -> None:
         write_plant(found[name], out / name)
         facts[name] = found[name].facts()
     pictures.plants(found, out / "plants.png")
+    solvers = tables.solvers({name: tables.comparison(each) for name, each in found.items()})
+    solvers.to_csv(out / "solvers.csv")
     table = pd.DataFrame(facts).rename_axis("fact")
     table.to_csv(out / "plants.csv")
     print(f"\n{table.to_string(float_format='{:.3g}'.format)}")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -47,7 +48,8 @@ def table_v(found: Estimates) -> pd.DataFrame:
         columns[f"{name}_lambda_min_Ig"] = inertias
         columns[f"{name}_second_moment"] = moments
         columns[f"{name}_mass"] = theta[0 : 10 * AXES : 10]
-    return pd.DataFrame(columns, index=paper.index).join(paper.add_prefix("paper_")).T
+    table = pd.DataFrame(columns, index=paper.index).join(paper.add_prefix("paper_")).T
+    return table.rename_axis("estimate")
 
 
 def reconstruction(found: Estimates) -> pd.DataFrame:
@@ -66,6 +68,25 @@ def comparison(found: Estimates) -> pd.DataFrame:
     """Return a row a solver and start, under either inequality."""
     rows = {name: each.to_frame() for name, each in found.comparisons.items()}
     return pd.concat(rows, names=["inequality"]).droplevel(1)
+
+
+def solvers(comparisons: Mapping[str, pd.DataFrame]) -> pd.DataFrame:
+    """Return a row a plant, inequality and solver: how many starts ended optimal, how far off.
+
+    The worst is how far above the proven bound a start ended, relative to the cost.
+    """
+    every = pd.concat(comparisons, names=["plant"]).reset_index()
+    every = every[every["solver"] != "wls"]
+    every["optimal"] = every["status"] == "optimal"
+    groups = every.groupby(["plant", "inequality", "solver"], sort=False)
+    return groups.agg(
+        starts=("start", "size"),
+        optimal=("optimal", "sum"),
+        worst_gap=("gap", "max"),
+        least_iterations=("iterations", "min"),
+        most_iterations=("iterations", "max"),
+        seconds=("seconds", "median"),
+    )
 
 
 def _center_margins(theta: np.ndarray) -> tuple[list[float], list[float]]:

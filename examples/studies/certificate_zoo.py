@@ -221,7 +221,9 @@ def main() -> None:
         verdict, seconds = verified(path)
         rows.append((name, *sizes, path.stat().st_size / 1e6, seconds, verdict))
     header = ("certificate", "p", "b", "MB", "seconds", "verdict")
-    print(Table(header, tuple(rows), {"MB": ".2f", "seconds": ".2f"}).text())
+    table = Table(header, tuple(rows), {"MB": ".2f", "seconds": ".2f"})
+    table.write(arguments.out / "certificate_zoo.csv")
+    print(table.text())
 
 
 if __name__ == "__main__":

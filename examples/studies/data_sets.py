@@ -270,11 +270,9 @@ def rows(
 
 def markdown(done: Sequence[tuple[object, ...]]) -> str:
     """Return one line a record and model: the worst, and the residuals, of both inequalities."""
-    lines = [
-        "| | | no prior | | | | default prior | | | |",
-        "|---|---|---|---|---|---|---|---|---|---|",
-        f"| record | terms |{' gap | kg | iterations | held out, % |' * 2}",
-    ]
+    shown = ("gap", "heaviest link, kg", "iterations", "held out, %")
+    header = ("record", "terms", *(f"{what}, {prior}" for prior in PLAIN for what in shown))
+    lines = ["| " + " | ".join(header) + " |", "|---" * len(header) + "|"]
     for key in dict.fromkeys(row[:3] for row in done):
         cells = [short(key), str(key[2])]
         for prior in PLAIN:

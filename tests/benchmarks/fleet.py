@@ -358,6 +358,7 @@ def main() -> int:
     parser.add_argument("--keep", type=Path, help="write the hour here")
     parser.add_argument("--part", choices=("hour", "cluster"), help="one part only")
     parser.add_argument("--csv", type=Path, help="write the ratios here as well")
+    parser.add_argument("--stages", type=Path, help="write the stages of an hour here as well")
     parser.add_argument("--apart", help=argparse.SUPPRESS)
     options = parser.parse_args()
     if options.apart:
@@ -370,7 +371,10 @@ def main() -> int:
             file = options.keep or Path(folder) / "hour.parquet"
             make_log(file)
         if options.part != "cluster":
-            show_hour([apart(file) for _ in range(options.repeat)])
+            runs = [apart(file) for _ in range(options.repeat)]
+            show_hour(runs)
+            if options.stages is not None:
+                stages(runs).write(options.stages)
         if options.part == "hour":
             return 0
         found = scaling(file, options.repeat)
