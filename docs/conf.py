@@ -31,6 +31,7 @@ extensions = [
     "sphinx_design",
     "citations",
     "command_line",
+    "evidence",
     "offline_math",
     "root_pages",
 ]
