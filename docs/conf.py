@@ -35,7 +35,7 @@ extensions = [
     "offline_math",
     "root_pages",
 ]
-exclude_patterns = ["_site", "_cache", "_ext", "evidence/tables"]
+exclude_patterns = ["_site", "_cache", "_ext", "jupyter_execute", "evidence/tables"]
 
 # Pages
 myst_enable_extensions = ["attrs_inline", "colon_fence", "deflist", "dollarmath"]

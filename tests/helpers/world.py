@@ -1,0 +1,113 @@
+"""The files that the pages of the documentation speak of: a six-axis arm and its logs."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+import sdpid
+from sdpid._common.arrays import Array
+
+RATE = 100.0
+SECONDS = 20.0
+LOAD = 2.0
+
+# Of each joint: origin in m and rad in the parent's frame, and its limits.
+_JOINTS = (
+    ((0.0, 0.0, 0.16), (0.0, 0.0, 0.0), 2.8, 3.0, 150.0),
+    ((0.0, 0.12, 0.0), (-np.pi / 2, 0.0, 0.0), 2.0, 3.0, 150.0),
+    ((0.0, -0.42, -0.02), (0.0, 0.0, 0.0), 2.4, 3.0, 150.0),
+    ((0.0, -0.38, 0.0), (0.0, 0.0, 0.0), 2.8, 3.5, 30.0),
+    ((0.0, 0.0, 0.1), (np.pi / 2, 0.0, 0.0), 2.8, 3.5, 30.0),
+    ((0.0, 0.0, 0.1), (-np.pi / 2, 0.0, 0.0), 2.8, 3.5, 30.0),
+)
+# Of each link: mass in kg, center of mass, and half the sides of a box of its inertia, m.
+_LINKS = (
+    (3.7, (0.0, 0.02, -0.02), (0.06, 0.06, 0.07)),
+    (8.1, (0.0, -0.21, 0.11), (0.05, 0.22, 0.05)),
+    (2.9, (0.0, -0.17, 0.02), (0.04, 0.2, 0.04)),
+    (1.2, (0.0, 0.0, 0.02), (0.05, 0.05, 0.05)),
+    (1.2, (0.0, 0.0, 0.02), (0.05, 0.05, 0.05)),
+    (0.4, (0.0, 0.0, -0.03), (0.035, 0.035, 0.03)),
+)
+# Capsules are cylinders here: radius, length and center along y, m; none where links lie close.
+_SHAPES = {1: (0.05, 0.36, -0.21), 2: (0.045, 0.3, -0.19)}
+# Coulomb and viscous friction and offset of each joint.
+_FRICTION = ((6.0, 9.0, 0.3), (7.0, 10.0, -0.2), (5.0, 7.0, 0.2), (1.5, 2.0, 0.1), (1.3, 1.8, 0.0),
+             (1.0, 1.5, -0.1))  # fmt: skip
+_NOISE = (0.5, 0.6, 0.4, 0.1, 0.1, 0.08)
+
+
+def arm_urdf(factors: Array) -> str:
+    """Return the arm's description, its bodies' masses and inertias multiplied link by link."""
+    parts = ['<robot name="arm">', '  <link name="base_link"/>']
+    for k, ((mass, com, half), by) in enumerate(zip(_LINKS, factors, strict=True)):
+        m = mass * by
+        xx, yy, zz = (m / 3.0 * (sum(x * x for x in half) - half[axis] ** 2) for axis in range(3))
+        parts.append(
+            f'  <link name="link_{k + 1}">\n'
+            f'    <inertial><origin xyz="{com[0]} {com[1]} {com[2]}"/><mass value="{m:.6g}"/>\n'
+            f'      <inertia ixx="{xx:.6g}" ixy="0" ixz="0" iyy="{yy:.6g}" iyz="0" izz="{zz:.6g}"/>'
+            "</inertial>"
+        )
+        if k in _SHAPES:
+            radius, length, y = _SHAPES[k]
+            shape = (
+                f'<origin xyz="0 {y} {com[2]}" rpy="1.5707963267949 0 0"/>'
+                f'<geometry><cylinder radius="{radius}" length="{length}"/></geometry>'
+            )
+            parts.append(f"    <visual>{shape}</visual>\n    <collision>{shape}</collision>")
+        parts.append("  </link>")
+    parts.append('  <link name="tool0"/>')
+    for k, (xyz, rpy, angle, speed, torque) in enumerate(_JOINTS):
+        parent = f"link_{k}" if k else "base_link"
+        parts.append(
+            f'  <joint name="joint_{k + 1}" type="revolute">\n'
+            f'    <parent link="{parent}"/><child link="link_{k + 1}"/>\n'
+            f'    <origin xyz="{xyz[0]} {xyz[1]} {xyz[2]}" rpy="{rpy[0]} {rpy[1]} {rpy[2]}"/>'
+            '<axis xyz="0 0 1"/>\n'
+            f'    <limit lower="{-angle}" upper="{angle}" velocity="{speed}" effort="{torque}"/>\n'
+            "  </joint>"
+        )
+    parts.append(
+        '  <joint name="flange" type="fixed"><parent link="link_6"/><child link="tool0"/>'
+        '<origin xyz="0 0 0.05"/></joint>\n</robot>\n'
+    )
+    return "\n".join(parts)
+
+
+def arm_log(seed: int, load: float = 0.0) -> str:
+    """Return a log of the true arm as CSV; the motion and the noise depend on the seed."""
+    robot = sdpid.load_robot(arm_urdf(np.ones(len(_LINKS))))
+    rng = np.random.default_rng(seed)
+    t = np.arange(round(SECONDS * RATE)) / RATE
+    w = 2.0 * np.pi * rng.uniform(0.05, 0.45, (5, 1, robot.n))
+    size = rng.uniform(0.15, 0.4, w.shape)
+    angle = w * t[:, None] + rng.uniform(0.0, 2.0 * np.pi, w.shape)
+    q = (size * np.sin(angle)).sum(axis=0)
+    v = (size * w * np.cos(angle)).sum(axis=0)
+    a = -(size * w**2 * np.sin(angle)).sum(axis=0)
+    theta = robot.prior.copy()
+    # The load: a cube of 12 cm whose center stands 8 cm off the tool's frame.
+    r, inertia = 0.05 + 0.08, load * 0.12**2 / 6.0
+    turned = inertia + load * r**2
+    theta[-1] += [load, 0.0, 0.0, load * r, turned, 0.0, turned, 0.0, 0.0, inertia]
+    coulomb, viscous, offset = np.array(_FRICTION).T
+    effort = robot.inverse_dynamics(theta, q, v, a)
+    effort += coulomb * np.tanh(v / 0.01) + viscous * v + offset
+    effort += np.array(_NOISE) * rng.standard_normal(q.shape)
+    q = q + 2e-5 * rng.standard_normal(q.shape)
+    numbers = range(1, robot.n + 1)
+    names = ["time", *(f"position_{k}" for k in numbers), *(f"effort_{k}" for k in numbers)]
+    rows = (",".join(f"{x:.6f}" for x in row) for row in np.column_stack([t, q, effort]))
+    return "\n".join([",".join(names), *rows]) + "\n"
+
+
+def write_world(folder: Path) -> None:
+    """Write a description that is 15 % off, two logs, and the first motion with a load."""
+    off = np.array([1.15, 0.85, 1.15, 0.85, 1.15, 0.85])
+    (folder / "arm.urdf").write_text(arm_urdf(off), encoding="utf-8")
+    (folder / "run.csv").write_text(arm_log(1), encoding="utf-8")
+    (folder / "other.csv").write_text(arm_log(2), encoding="utf-8")
+    (folder / "loaded.csv").write_text(arm_log(1, LOAD), encoding="utf-8")
