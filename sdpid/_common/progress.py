@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import os
 import sys
 from collections.abc import Callable, Iterator
 from contextvars import ContextVar
@@ -36,10 +37,10 @@ def progress(
     description : str
         Text beside the bar.
     enabled : bool, optional
-        Show it or not; by default only when standard error is a terminal.
+        Show it or not; by default only when standard error is a terminal that can draw it.
     """
     if enabled is None:
-        enabled = sys.stderr is not None and sys.stderr.isatty()  # None: it is closed
+        enabled = _can_draw()
     if not enabled or _shown.get():
         yield lambda _: None
         return
@@ -53,3 +54,14 @@ def progress(
             yield lambda step: bar.advance(task, step)
         finally:
             _shown.reset(token)
+
+
+def _can_draw() -> bool:
+    """Return whether standard error is a terminal that takes back what was written.
+
+    The cells of a notebook (``!sdpid ...``) give commands a terminal, and print every step of a
+    bar below the last.
+    """
+    if sys.stderr is None or not sys.stderr.isatty():  # None: it is closed
+        return False
+    return os.environ.get("TERM") != "dumb" and "JPY_PARENT_PID" not in os.environ

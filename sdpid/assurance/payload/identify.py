@@ -93,7 +93,7 @@ def identify_payload(
     Parameters
     ----------
     robot : RobotModel, name or path
-        The arm without payload; beside an estimate, the estimate's own robot.
+        The arm without payload; beside an estimate, of the same description.
     with_load : Recording, Samples or path
         What was measured with the payload.
     without_load : Recording, Samples, path or Estimate, optional
@@ -245,14 +245,18 @@ def _read(log: Any, absent: Sequence[str]) -> Any:
 
 
 def _robot(robot: RobotModel | str | os.PathLike[str], given: Estimate | None) -> RobotModel:
-    """Return the model of the robot, which must be that of a given estimate."""
+    """Return the model of the robot: that of a given estimate, if both are described alike."""
     model = robot if isinstance(robot, RobotModel) else load_robot(robot)
-    if given is not None and given.problem.robot is not model:
+    if given is None:
+        return model
+    own = given.problem.robot
+    alike = (own.joint_names, own.link_names) == (model.joint_names, model.link_names)
+    if own is not model and not (alike and own.pin_model == model.pin_model):
         raise DataError(
-            f"payload: the estimate is of another robot object than '{model.name}'; give "
-            "estimate.problem.robot as the robot."
+            f"payload: the estimate is of another robot than '{model.name}', or of another "
+            "description of it; give estimate.problem.robot as the robot."
         )
-    return model
+    return own
 
 
 def _link(robot: RobotModel, name: str | None) -> int:
