@@ -56,9 +56,11 @@ class Grid:
         return self.header.index(name)
 
     def where(self, chosen: Mapping[str, str]) -> tuple[tuple[str, ...], ...]:
-        """Return the rows whose cells are those of `chosen`, column by column."""
-        columns = {self.column(name): text for name, text in chosen.items()}
-        return tuple(row for row in self.rows if all(row[c] == t for c, t in columns.items()))
+        """Return the rows with the cells of `chosen`; without them where a name ends in !."""
+        asked = [
+            (self.column(name.rstrip("!")), text, name[-1] != "!") for name, text in chosen.items()
+        ]
+        return tuple(r for r in self.rows if all((r[c] == text) == yes for c, text, yes in asked))
 
     def write(self, path: Path) -> None:
         """Write as CSV."""
@@ -167,7 +169,8 @@ def measured(studies: Mapping[str, Study], reference: str) -> str:
     """Return a number as text: ``study/table column=cell ... column [format]``.
 
     The column may be ``max:column``, ``min:``, ``sum:`` or ``count:`` of it over the rows that are
-    left, which without one of these must be one. Names with spaces stand in quotes.
+    left, which without one of these must be one. ``column!=cell`` leaves rows out. Names with
+    spaces stand in quotes.
 
     Raises
     ------

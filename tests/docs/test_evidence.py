@@ -150,6 +150,7 @@ def test_numbers_of_a_table(folder: Path) -> None:
     assert measured(studies, "first/arms max:gap .0%") == "0 %"
     assert measured(studies, "first/arms count:seconds d") == "2"
     assert measured(studies, "first/arms sum:seconds") == "2.5"
+    assert measured(studies, "first/arms arm!=UR10 seconds") == "1.0"
     wrong = (
         ("third/arms error", "no study"),
         ("first/legs error", "has the tables arms"),
