@@ -144,13 +144,14 @@ class Comparison:
             When no start of the solver has a history.
         """
         from sdpid.plots.convergence import plot_convergence
+        from sdpid.plots.in_pages import in_notebook
 
         runs = [e for r, e in zip(self.rows, self.estimates, strict=True) if r.solver == solver]
         histories = [e.history for e in runs if e is not None and e.history]
         if not histories:
             raise DataError(f"plot: no start of {solver!r} has a history; compare it first.")
         best = self.certificate.estimate
-        return plot_convergence(
+        drawn = plot_convergence(
             histories,
             self.certificate.lower_bound,
             {"SDP": (best.solve_time, best.cost)},
@@ -161,6 +162,7 @@ class Comparison:
             title=f"{_LABELS.get(solver, solver)}: cost above the proven bound",
             axes=axes,
         )
+        return in_notebook(drawn, axes)
 
     def to_csv(self, path: str | os.PathLike[str]) -> None:
         """Write the rows, a missing value being an empty field."""

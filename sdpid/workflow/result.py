@@ -186,8 +186,9 @@ class Identification:
             One row a joint: effort and error over time, friction over velocity.
         """
         from sdpid.output.report.sections.overview import plot_overview
+        from sdpid.plots.in_pages import in_notebook
 
-        return plot_overview(self, title=title, axes=axes)
+        return in_notebook(plot_overview(self, title=title, axes=axes), axes)
 
     def to_dict(self) -> dict[str, Any]:
         """Return the result as plain values for JSON: None where a number is not finite."""

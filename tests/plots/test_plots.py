@@ -34,7 +34,7 @@ from sdpid.plots import (
     save_figure,
 )
 from sdpid.plots.figures import POINTS, decimate, figure_of, new_figure, runs, spans, stretch
-from sdpid.plots.inline_svg import image_source, svg_text
+from sdpid.plots.in_pages import image_source, svg_text
 from sdpid.plots.joints import COLUMNS, detail
 
 SIGNALS = ("position", "torque", "velocity", "acceleration")

@@ -22,7 +22,7 @@ from sdpid.output.plans.scene import scene_of
 from sdpid.output.plans.words import sentences, tiles
 from sdpid.output.report.page import page
 from sdpid.output.scene.motion import FRAME_RATE
-from sdpid.plots.inline_svg import image_source
+from sdpid.plots.in_pages import image_source
 from sdpid.plots.motion import (
     COLORS,
     nearest_pairs,

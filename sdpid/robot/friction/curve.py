@@ -71,8 +71,9 @@ class JointCurve:
         matplotlib.axes.Axes
         """
         from sdpid.plots.friction_curve import plot_friction_curve
+        from sdpid.plots.in_pages import in_notebook
 
-        return plot_friction_curve(self, axes=axes)
+        return in_notebook(plot_friction_curve(self, axes=axes), axes)
 
     @property
     def _range(self) -> str:

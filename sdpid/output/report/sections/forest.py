@@ -12,7 +12,7 @@ from sdpid.estimation.problem import Problem
 from sdpid.output.report.judged import Judged
 from sdpid.output.tables.intervals_shown import Ends
 from sdpid.plots.forest import plot_forest
-from sdpid.plots.inline_svg import image_source
+from sdpid.plots.in_pages import image_source
 
 
 def pictures(result: Judged, ends: dict[str, Ends]) -> Iterator[dict[str, Any]]:

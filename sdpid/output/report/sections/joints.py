@@ -19,7 +19,7 @@ from sdpid.output.report.judged import Judged, grades_of, judged
 from sdpid.output.report.sections.recording import driven
 from sdpid.plots.figures import stretch
 from sdpid.plots.friction_curve import plot_friction_curve
-from sdpid.plots.inline_svg import image_source
+from sdpid.plots.in_pages import image_source
 from sdpid.plots.joints import COLUMNS, plot_joint, plot_joint_errors
 from sdpid.robot.friction.curve import JointCurve, default_velocities
 

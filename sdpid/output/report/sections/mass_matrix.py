@@ -15,7 +15,7 @@ from sdpid.assurance.diagnostics.mass_matrix import (
     smallest_mass_eigenvalue,
 )
 from sdpid.output.report.judged import Judged
-from sdpid.plots.inline_svg import image_source
+from sdpid.plots.in_pages import image_source
 from sdpid.plots.mass_matrix import plot_mass_matrix
 
 # Instants along the motion: more than a picture shows.
