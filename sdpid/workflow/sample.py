@@ -45,7 +45,7 @@ def sample_parameters(estimate: Any, n: int, seed: int = 0) -> ParameterSamples:
 
     Every draw obeys all constraints of the problem: each of its links can be a body. What neither
     the data nor the prior says is as wide as the constraints leave it. See docs/guides/sampling.md
-    for the method, and for what the spread of draws promises.
+    for what the spread of draws promises, docs/theory/sampling.md for the method.
 
     Parameters
     ----------

@@ -33,8 +33,7 @@ PENDING = {
     *(
         f"docs/guides/{name}.md"
         for name in (
-            "constraints", "effects", "estimation", "excitation", "exports", "inspection",
-            "intervals", "model", "processing", "recursive", "report", "sampling",
+            "constraints", "effects", "estimation", "inspection", "processing", "recursive",
         )
     ),
 }  # fmt: skip

@@ -18,7 +18,7 @@ from sdpid.output.robots.joint_friction import LeftOut
 _SAME = 1e-3
 
 # A file that misses more than twice what the estimate does, and more than 2 % of the efforts, has
-# lost what was identified (LWR 4+: 5.0 % and 2.0 %; docs/guides/exports.md).
+# lost what was identified (LWR 4+: 5.0 % and 2.0 %; docs/evidence/exports.md).
 _LOST, _NEGLIGIBLE = 2.0, 0.02
 
 
