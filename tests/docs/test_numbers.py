@@ -16,8 +16,8 @@ PENDING = {
         f"docs/guides/{name}.md"
         for name in (
             "audit", "audit_urdf", "certificate", "certify", "constraints", "effects",
-            "estimation", "excitation", "exports", "fleet", "friction", "inspection", "intervals",
-            "limits", "logs", "model", "processing", "recursive", "report", "sampling",
+            "estimation", "fleet", "friction", "inspection", "limits", "logs", "processing",
+            "recursive",
         )
     ),
 }  # fmt: skip
