@@ -32,6 +32,7 @@ extensions = [
     "citations",
     "command_line",
     "evidence",
+    "docstrings",
     "offline_math",
     "root_pages",
 ]
@@ -47,7 +48,8 @@ myst_dmath_double_inline = True
 autodoc_typehints = "none"
 autodoc_member_order = "bysource"
 numpydoc_show_class_members = False
-numpydoc_xref_param_type = False
+maximum_signature_line_length = 90
+toc_object_entries_show_parents = "hide"
 nitpicky = False
 
 # Tutorials run in a folder of their own, with this interpreter and this package. What they gave is

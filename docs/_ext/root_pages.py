@@ -17,7 +17,6 @@ AWAITED = {
     "glossary.md",
     "start.md",
     "troubleshooting.md",
-    "reference/api/index.md",
     *(f"tutorials/{name}.md" for name in (
         "fleet", "panda", "payload", "plan", "repair", "table", "ur_currents",
     )),

@@ -66,6 +66,19 @@ class Estimate:
         Cost and violation over the iterations, for solvers that show them.
     start : ndarray or None
         Standard parameters that a local solver started from.
+
+    Examples
+    --------
+    >>> estimate.status, estimate.feasible, estimate.theta.shape, estimate.base.shape
+    ('optimal', True, (72,), (48,))
+    >>> fv1 = problem.base.names.index("Fv1")
+    >>> value, error = estimate.base[fv1], estimate.standard_errors[fv1]
+    >>> f"{value:.0f} ± {2.0 * error:.1f} {problem.base.units[fv1]}"
+    '151 ± 0.1 N.m.s/rad'
+    >>> estimate.mass_matrix(np.zeros(6)).shape
+    (6, 6)
+    >>> estimate.model()
+    RobotDynamics('denso_vp6242', 6 coordinates, terms: Coulomb, Viscous)
     """
 
     problem: Problem

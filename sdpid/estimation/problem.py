@@ -79,6 +79,18 @@ class Problem:
         Solvers do not need them, standard errors and residuals do.
     constant : float
         Part of `floor` that is of no row: what a robust loss adds to the weighted rows.
+
+    Examples
+    --------
+    >>> problem.n_samples, problem.n_rows, problem.n_theta, problem.base.count
+    (1000, 5222, 72, 48)
+    >>> problem.A.shape, problem.predict(estimate.base).shape
+    ((48, 48), (1000, 6))
+    >>> bool(np.isclose(problem.cost_of(estimate.theta), estimate.cost))
+    True
+    >>> spatial = problem.constrained(consistency="spatial_inertia")
+    >>> bool(sdpid.solve_sdp(spatial).cost <= estimate.cost * (1.0 + 1e-6))
+    True
     """
 
     robot: RobotModel
@@ -311,6 +323,16 @@ def build_problem(
         When shapes, names or options do not fit.
     IdentifiabilityError
         When the data leave a base parameter undetermined.
+
+    Examples
+    --------
+    >>> problem = sdpid.build_problem(robot, samples, friction=("coulomb", "viscous", "offset"))
+    >>> problem.n_samples, problem.n_theta, problem.base.count
+    (1000, 78, 54)
+    >>> problem.base.names[:4]
+    ('zzr1', 'Fs1', 'Fv1', 'Fo1')
+    >>> problem.base.expression("xxr2")
+    'xx_2 - yy_2 - 0.0441*m_3 - 0.0441*m_4 - 0.0441*m_5 - 0.0441*m_6'
     """
     if weighting not in WEIGHTINGS:
         raise DataError(f"weighting is {weighting!r}: use one of {', '.join(WEIGHTINGS)}.")

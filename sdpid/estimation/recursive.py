@@ -60,6 +60,14 @@ class RecursiveEstimator:
     DataError
         When a number makes no sense, or the weighting is ``eq9`` or ``eq18``, whose costs are not
         sums over samples.
+
+    Examples
+    --------
+    >>> start = sdpid.build_problem(robot, samples.between(0, 500))
+    >>> online = sdpid.RecursiveEstimator(start, forgetting=0.999)
+    >>> online.update(samples.between(500, 1000))
+    >>> online.solve().status
+    'optimal'
     """
 
     def __init__(

@@ -45,6 +45,14 @@ def solve_wls(problem: Problem) -> Estimate:
     ------
     SolverError
         When Newton's method does not settle.
+
+    Examples
+    --------
+    >>> wls = sdpid.solve_wls(problem)
+    >>> wls.theta is None, bool(wls.cost <= estimate.cost)
+    (True, True)
+    >>> round(wls.named()["Fv1"])
+    151
     """
     start = time.perf_counter()
     if problem.prior is None:

@@ -94,6 +94,14 @@ def plot_convergence(
     ------
     DataError
         When there is nothing to draw, or the bound is not finite.
+
+    Examples
+    --------
+    >>> local = sdpid.solve_slsqp(problem, start=1.01 * estimate.theta)
+    >>> bound = sdpid.certify(estimate).lower_bound
+    >>> axes = sdpid.plots.plot_convergence([local.history], bound, against="iterations")
+    >>> axes.get_xlabel()
+    'iteration'
     """
     if against not in ("seconds", "iterations"):
         raise DataError(f"plot: against is {against!r}: use 'seconds' or 'iterations'.")

@@ -347,6 +347,12 @@ def save_figure(drawn: Any, path: str | os.PathLike[str], *, dpi: float = 150.0)
     ------
     ExportError
         For another suffix, or a folder that cannot be written to.
+
+    Examples
+    --------
+    >>> axes = sdpid.plots.plot_friction_curve(result.friction_curve("joint_1"))
+    >>> sdpid.plots.save_figure(axes, "friction.png", dpi=100).name
+    'friction.png'
     """
     target = Path(path)
     suffix = target.suffix.lower()

@@ -64,6 +64,15 @@ def plot_forest(
     ------
     DataError
         When there is nothing to draw, or lengths do not fit.
+
+    Examples
+    --------
+    >>> names = ("Fv1", "Fv2", "zzr1")
+    >>> wls = [result.wls.named()[name] for name in names]
+    >>> best = [estimate.named()[name] for name in names]
+    >>> axes = sdpid.plots.plot_forest(names, {"least squares": wls, "this estimate": best})
+    >>> axes.figure is not None
+    True
     """
     count = len(names)
     values = {name: _column(each, name, count) for name, each in estimates.items()}

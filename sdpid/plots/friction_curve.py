@@ -73,6 +73,12 @@ def plot_friction_curve(
     Returns
     -------
     matplotlib.axes.Axes
+
+    Examples
+    --------
+    >>> axes = sdpid.plots.plot_friction_curve(result.friction_curve("joint_1"))
+    >>> axes.get_xlabel()
+    'velocity [rad/s]'
     """
     rate = "m/s" if curve.unit == "N" else "rad/s"
     panel = Panel(_HEIGHT, f"friction [{curve.unit}]", x=f"velocity [{rate}]", keys=True)

@@ -112,6 +112,14 @@ def plot_joint(
     ndarray of matplotlib.axes.Axes
         Of effort and error; in a figure of its own, of a long record, a third with what is about
         the largest error.
+
+    Examples
+    --------
+    >>> predicted = result.training.effort_predicted
+    >>> axes = sdpid.plots.plot_joint(
+    ...     samples.time, samples.effort[:, 0], predicted[:, 0], samples.used[:, 0])
+    >>> len(axes), axes[0].get_ylabel()
+    (3, 'effort [N·m]')
     """
     line = TimeLine.of(time, len(measured), starts)
     t, used = line.time, line.kept(used)
@@ -191,6 +199,14 @@ def plot_joint_errors(
     Returns
     -------
     ndarray of matplotlib.axes.Axes, shape (3,)
+
+    Examples
+    --------
+    >>> from sdpid.assurance.diagnostics.residuals import joint_errors
+    >>> errors = joint_errors(samples, result.training)
+    >>> axes = sdpid.plots.plot_joint_errors(errors[0])
+    >>> axes[0].get_xlabel()
+    'frequency [Hz]'
     """
     frequency = "frequency [Hz]" if timed else "cycles per sample"
     panels = (

@@ -58,6 +58,14 @@ def plot_mass_matrix(
     ------
     DataError
         When there is nothing to draw, or lengths do not fit.
+
+    Examples
+    --------
+    >>> matrices = estimate.mass_matrix(samples.position)
+    >>> least = np.linalg.eigvalsh(matrices)[:, 0]
+    >>> axes = sdpid.plots.plot_mass_matrix(samples.time, {"this estimate": least})
+    >>> axes.get_ylabel()
+    'least eigenvalue [kg·m²]'
     """
     values = {name: real_array(each, name, ndim=1) for name, each in eigenvalues.items()}
     if not values:

@@ -84,6 +84,14 @@ def plot_against_limits(
     Returns
     -------
     ndarray of matplotlib.axes.Axes
+
+    Examples
+    --------
+    >>> speed = samples.velocity[:, 0]
+    >>> rows = [("velocity, rad/s", speed, -2.0, 2.0)]
+    >>> axes = sdpid.plots.plot_against_limits(samples.time, rows)
+    >>> axes[0].get_ylabel()
+    'velocity, rad/s'
     """
     last = len(rows) - 1
     panels = [
@@ -129,6 +137,14 @@ def plot_motion(
     ------
     DataError
         When there is nothing to draw, or joints have different numbers of quantities.
+
+    Examples
+    --------
+    >>> joints = {name: [("velocity, rad/s", samples.velocity[:, j], -3.0, 3.0)]
+    ...           for j, name in enumerate(robot.joint_names)}
+    >>> axes = sdpid.plots.plot_motion(samples.time, joints)
+    >>> axes.shape
+    (1, 6)
     """
     counts = {len(rows) for rows in joints.values()}
     if len(counts) != 1 or 0 in counts:
@@ -169,6 +185,14 @@ def plot_distances(time: Array, room: Array, *, axes: Any = None) -> Any:
     -------
     matplotlib.axes.Axes
         With the pairs of `nearest_pairs`.
+
+    Examples
+    --------
+    >>> time = np.linspace(0.0, 5.0, 100)
+    >>> room = np.column_stack([0.2 + 0.1 * np.sin(time), 0.3 + 0.0 * time])
+    >>> axes = sdpid.plots.plot_distances(time, room)
+    >>> axes.get_xlabel()
+    'time [s]'
     """
     (axis,) = stacked([Panel(_LARGE, "room left [mm]", x="time [s]")], axes)
     axis.margins(x=0.0)
@@ -192,6 +216,15 @@ def plot_spectrum(motion: Motion, *, axes: Any = None) -> Any:
     Returns
     -------
     matplotlib.axes.Axes
+
+    Examples
+    --------
+    >>> from types import SimpleNamespace
+    >>> run = SimpleNamespace(
+    ...     time=samples.time, rate_hz=100.0, acceleration=samples.acceleration)
+    >>> axes = sdpid.plots.plot_spectrum(run)
+    >>> axes.get_xlabel()
+    'frequency [Hz]'
     """
     (axis,) = stacked([Panel(_LARGE, "acceleration [rad/s²]", x="frequency [Hz]")], axes)
     count = len(motion.time)
@@ -222,6 +255,13 @@ def plot_over_duration(seconds: Array, shares: Sequence[Array], *, axes: Any = N
     Returns
     -------
     matplotlib.axes.Axes
+
+    Examples
+    --------
+    >>> seconds = np.array([10.0, 20.0, 40.0, 80.0])
+    >>> axes = sdpid.plots.plot_over_duration(seconds, [0.1 / np.sqrt(seconds)])
+    >>> axes.get_xlabel()
+    'duration [s]'
     """
     (axis,) = stacked([Panel(_LARGE, "95 % interval, ± [%]", x="duration [s]")], axes)
     values = 100.0 * np.stack(list(shares))

@@ -63,6 +63,14 @@ def plot_parameters(
     ------
     DataError
         When lengths do not fit, or there is nothing to draw.
+
+    Examples
+    --------
+    >>> names, units = problem.base.names[:6], problem.base.units[:6]
+    >>> values = {"least squares": result.wls.base[:6], "this estimate": estimate.base[:6]}
+    >>> axes = sdpid.plots.plot_parameters(names, units, values)
+    >>> len(axes)
+    3
     """
     count = len(names)
     values = {key: real_array(v, key, ndim=1) for key, v in estimates.items()}

@@ -102,6 +102,12 @@ def plot_fit(
     -------
     ndarray of matplotlib.axes.Axes, shape (n, 2)
         Of efforts, and of errors.
+
+    Examples
+    --------
+    >>> axes = sdpid.plots.plot_fit(samples, result.training, count=500)
+    >>> axes.shape
+    (6, 2)
     """
     shown = slice(None, count)
     total = len(samples.effort[shown])
@@ -163,6 +169,13 @@ def plot_reconstruction(
     ------
     DataError
         When shapes do not fit.
+
+    Examples
+    --------
+    >>> axes = sdpid.plots.plot_reconstruction(
+    ...     samples.time, samples.effort, problem.predict(estimate.base), robot.joint_names)
+    >>> axes.shape
+    (6, 2)
     """
     y = real_array(measured, "measured", ndim=2)
     z = real_array(predicted, "predicted", ndim=2)

@@ -66,6 +66,14 @@ def plot_signals(
     ------
     DataError
         When names or lengths differ, or the window holds fewer than two samples.
+
+    Examples
+    --------
+    >>> noisy = np.sin(samples.time) + 0.01 * np.cos(99.0 * samples.time)
+    >>> axes = sdpid.plots.plot_signals(
+    ...     samples.time, {"position": noisy}, {"position": np.sin(samples.time)})
+    >>> axes.shape
+    (1, 2)
     """
     t = real_array(time, "time", ndim=1)
     names = list(before)

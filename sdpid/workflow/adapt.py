@@ -63,6 +63,14 @@ def adapt(
         recording cannot be used.
     SolverError
         When the program ends without an optimum.
+
+    Examples
+    --------
+    >>> warm = sdpid.adapt(estimate, log)  # log: a run on another day
+    >>> warm.status
+    'optimal'
+    >>> bool(np.array_equal(warm.theta[:60], estimate.theta[:60]))  # the links are the same
+    True
     """
     old = estimate.problem
     if estimate.theta is None:

@@ -82,6 +82,14 @@ class Comparison:
         Result of each run; None where it failed.
     certificate : Certificate
         Certificate of the global optimum; its lower bound is the reference of the gaps.
+
+    Examples
+    --------
+    >>> comparison = sdpid.compare(problem, starts=1, local=(), n_jobs=1)
+    >>> [(row.solver, row.status) for row in comparison.rows]
+    [('wls', 'optimal'), ('sdp', 'optimal')]
+    >>> comparison.certificate.passed
+    True
     """
 
     rows: tuple[Row, ...]
@@ -214,6 +222,15 @@ def compare(
         When the global optimum cannot be found: then there is nothing to compare with.
     DataError
         When the problem has no consistency, or a local solver is not known.
+
+    Examples
+    --------
+    >>> comparison = sdpid.compare(problem, starts=1, local=("log_cholesky",), n_jobs=1)
+    >>> [(row.solver, row.start) for row in comparison.rows]
+    [('wls', '-'), ('sdp', '-'), ('log_cholesky', 'random 1')]
+    >>> all(row.cost >= comparison.certificate.lower_bound for row in comparison.rows[1:])
+    True
+    >>> comparison.to_csv("comparison.csv")
     """
     unknown = [name for name in local if name not in _LOCAL]
     if unknown:

@@ -123,6 +123,17 @@ def identify(
     SdpidError
         A child that says what is wrong: `DataError`, `ModelError`, `IdentifiabilityError`,
         `InfeasibleError` or `SolverError`.
+
+    Examples
+    --------
+    >>> result = sdpid.identify(robot, log)
+    >>> result.certificate.passed
+    True
+    >>> result.training.rmse.round(2)
+    array([0.23, 0.31, 0.15, 0.12, 0.12, 0.11])
+    >>> print(result.headline.error)
+    0.14... % in motion (share of the effort), on 5 blocks held out in turn; ...
+    >>> files = result.save("results", figures=False)
     """
     if not isinstance(intervals, bool) and intervals not in get_args(Method):
         raise DataError(

@@ -78,6 +78,16 @@ class Identification:
         How the rows are made of the recordings, for who checks the result from the log.
     recipe_note : str or None
         Why there is no recipe.
+
+    Examples
+    --------
+    >>> result.certificate.passed, result.estimate.status, result.validation
+    (True, 'optimal', None)
+    >>> result.verdict[-1].split(":")[0]
+    'Every link is physically possible, and no possible parameters fit better'
+    >>> model = result.model()
+    >>> sorted(path.name for path in result.save("results", figures=False))[:3]
+    ['base_parameters.csv', 'certificate.json', 'identified.urdf']
     """
 
     problem: Problem

@@ -64,6 +64,18 @@ def sample_parameters(estimate: Any, n: int, seed: int = 0) -> ParameterSamples:
     ------
     DataError
         When `n` or `seed` is no such number, or there is no posterior to draw from.
+
+    Examples
+    --------
+    >>> known = [sdpid.constraints.FixedLink(link, estimate.theta[10 * i : 10 * i + 10])
+    ...          for i, link in enumerate(robot.link_names[:-1])]
+    >>> limits = sdpid.Constraints(others=tuple(known))  # all links but the last
+    >>> last = sdpid.solve_sdp(problem.constrained(constraints=limits))
+    >>> draws = sdpid.sample_parameters(last, 20, seed=0)
+    >>> draws.theta.shape
+    (20, 72)
+    >>> all(model.theta[50] > 0.0 for model in draws.models())
+    True
     """
     found = getattr(estimate, "estimate", estimate)
     if not isinstance(found, Estimate):
@@ -145,6 +157,17 @@ class ParameterSamples:
         What they were drawn with.
     certificate : str or None
         Digest of the estimate's certificate, where there is one.
+
+    Examples
+    --------
+    >>> known = [sdpid.constraints.FixedLink(link, estimate.theta[10 * i : 10 * i + 10])
+    ...          for i, link in enumerate(robot.link_names[:-1])]
+    >>> limits = sdpid.Constraints(others=tuple(known))  # all links but the last
+    >>> last = sdpid.solve_sdp(problem.constrained(constraints=limits))
+    >>> draws = sdpid.sample_parameters(last, 10, seed=0)
+    >>> draws.theta.shape, draws.base.shape
+    ((10, 72), (10, 48))
+    >>> files = draws.save("robots")
     """
 
     estimate: Estimate

@@ -56,6 +56,15 @@ class Verification:
         The worst link's margin.
     log : LogProof or None
         What the logs show, link by link, where they were given.
+
+    Examples
+    --------
+    >>> sdpid.certify(estimate).to_json("certificate.json")
+    >>> verification = sdpid.verify("certificate.json")
+    >>> verification.passed, verification.problems
+    (True, ())
+    >>> bool(verification.lower_bound <= verification.cost)
+    True
     """
 
     passed: bool
@@ -120,6 +129,15 @@ def verify(
         When there is no such log.
     MissingExtraError
         When a package is missing that the log's format needs.
+
+    Examples
+    --------
+    >>> sdpid.certify(estimate).to_json("certificate.json")
+    >>> verification = sdpid.verify("certificate.json")
+    >>> verification.passed, verification.problems
+    (True, ())
+    >>> print(verification.lines[-1])
+    PROVEN, but for what was not checked.
     """
     try:
         checked = check_path(path)

@@ -60,6 +60,15 @@ class Certificate:
         What is certified.
     bound : Bound
         The lower bound in floating point, and its multipliers.
+
+    Examples
+    --------
+    >>> certificate = sdpid.certify(estimate)
+    >>> certificate.passed, bool(certificate.gap < 1e-6), bool(min(certificate.margins) > 0.0)
+    (True, True, True)
+    >>> bool(certificate.lower_bound <= certificate.cost)
+    True
+    >>> certificate.to_json("certificate.json")
     """
 
     estimate: Estimate
@@ -354,6 +363,17 @@ def certify(estimate: Estimate, *, bound: Bound | Estimate | None = None) -> Cer
     ------
     CertificateError
         When the bound belongs to another problem.
+
+    Examples
+    --------
+    >>> certificate = sdpid.certify(estimate)
+    >>> certificate.passed
+    True
+    >>> bool(certificate.gap < 1e-6)
+    True
+    >>> print(certificate.summary())
+    feasible with margin ... kg.m2; cost 2472.6...; no feasible parameters cost less than 2472.6...;
+    at most ... % above the global optimum.
     """
     if bound is None:
         if estimate.multipliers is None and estimate.problem.consistency != "none":

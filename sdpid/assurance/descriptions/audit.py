@@ -87,6 +87,18 @@ class UrdfAudit:
         One a link, in document order.
     findings : tuple of Finding
         Errors first.
+
+    Examples
+    --------
+    >>> text = '''<robot name="one"><link name="base"/><link name="arm"><inertial><mass value="1"/>
+    ... <inertia ixx="1" iyy="1" izz="3" ixy="0" ixz="0" iyz="0"/></inertial></link>
+    ... <joint name="hip" type="continuous"><parent link="base"/><child link="arm"/></joint>
+    ... </robot>'''
+    >>> audit = sdpid.audit_urdf(text)
+    >>> audit.passed
+    False
+    >>> print(audit.errors[0].message.split(":")[0])
+    the principal moments 1, 1, 3 kg·m² violate the triangle inequality
     """
 
     name: str
@@ -187,6 +199,15 @@ def audit_urdf(
     ------
     ModelError
         When it cannot be read.
+
+    Examples
+    --------
+    >>> report = sdpid.write_urdf(estimate, target="identified.urdf")
+    >>> audit = sdpid.audit_urdf("identified.urdf")
+    >>> audit.passed
+    True
+    >>> print(audit.describe())
+    identified.urdf: 7 links, 0 errors, 0 warnings, 0 notes
     """
     found = read_description(source)
     text, path, what = found.text, found.path, found.what

@@ -63,6 +63,13 @@ class CostOfConstraints:
     increase : ndarray, shape (constraints, n)
         What each of them alone adds to the joints' root mean square errors, N·m. A constraint may
         make one joint better at the expense of others.
+
+    Examples
+    --------
+    >>> known = sdpid.Constraints(others=(sdpid.constraints.Fixed({"Fv1": 140.0}),))
+    >>> cost = sdpid.cost_of_constraints(sdpid.solve_sdp(problem.constrained(constraints=known)))
+    >>> cost.constraints[-1], cost.increase[-1].round(1)
+    ('Fv1 fixed', array([3.3, 0.6, 0.1, 0.2, 0.1, 0.1]))
     """
 
     joint_names: tuple[str, ...]
@@ -149,6 +156,15 @@ def cost_of_constraints(estimate: Estimate) -> CostOfConstraints:
     ------
     DataError
         When the method has no standard parameters.
+
+    Examples
+    --------
+    >>> known = sdpid.Constraints(others=(sdpid.constraints.Fixed({"Fv1": 140.0}),))
+    >>> cost = sdpid.cost_of_constraints(sdpid.solve_sdp(problem.constrained(constraints=known)))
+    >>> "Fv1 fixed" in cost.constraints
+    True
+    >>> cost.total.round(1)
+    array([3.3, 0.6, 0.1, 0.2, 0.1, 0.1])
     """
     problem = estimate.problem
     if estimate.theta is None:

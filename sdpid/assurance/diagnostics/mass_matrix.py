@@ -73,6 +73,14 @@ class SmallestMassEigenvalue:
         Positions of the global search.
     bounds : ndarray, shape (n, 2)
         The box.
+
+    Examples
+    --------
+    >>> least = sdpid.smallest_mass_eigenvalue(estimate)
+    >>> least.positive_definite, bool(0.0 < least.lower_bound <= least.value)
+    (True, True)
+    >>> least.q.shape, least.bounds.shape
+    ((6,), (6, 2))
     """
 
     value: float
@@ -132,6 +140,14 @@ def smallest_mass_eigenvalue(
     ------
     DataError
         When the box does not fit the robot, or the seed is no whole number from 0 on.
+
+    Examples
+    --------
+    >>> least = sdpid.smallest_mass_eigenvalue(estimate)
+    >>> least.positive_definite
+    True
+    >>> round(least.value, 3), least.q.shape
+    (0.034, (6,))
     """
     problem = estimate.problem
     robot = problem.robot

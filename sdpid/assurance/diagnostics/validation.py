@@ -106,14 +106,35 @@ class Validation(Errors):
 
     Attributes
     ----------
+    joint_names : tuple of str
+        The joints.
+    rmse : ndarray, shape (n,)
+        Root mean square error, N·m.
+    nrmse : ndarray, shape (n,)
+        Root mean square error over root mean square effort.
+    r2 : ndarray, shape (n,)
+        Share of the effort's variance that is explained.
+    relative : float
+        Norm of all errors over the norm of all efforts.
+    rows : ndarray of int, shape (n,)
+        Rows that count. Where there are none, of a joint whose effort was not measured, the
+        joint's figures say nothing: `rmse` and `nrmse` are 0, `r2` is 1.
     effort_predicted : ndarray, shape (K, n)
         Predicted efforts at every sample, masked ones included, N·m.
     moving : Errors
-        Errors on the rows in which the joint moves, those around reversals that are masked for
-        slowness included (see `sdpid.assurance.diagnostics.rest`).
+        The same figures on the rows in which the joint moves, those around reversals that are
+        masked for slowness included.
     resting : Errors or None
-        Errors on the rows in which the joint rests, masked for slowness or not: stiction, which no
-        function of the velocity explains. None where no joint rests.
+        The same on the rows in which the joint rests, masked for slowness or not: stiction, which
+        no function of the velocity explains. None where no joint rests.
+
+    Examples
+    --------
+    >>> errors = sdpid.validate(estimate, samples)
+    >>> errors.joint_names[0], errors.rmse.round(1), errors.r2.round(3)
+    ('joint_1', array([0.2, 0.3, 0.1, 0.1, 0.1, 0.1]), array([1., 1., 1., 1., 1., 1.]))
+    >>> errors.effort_predicted.shape, errors.effort_band.shape
+    ((1000, 6), (1000, 6))
     """
 
     effort_predicted: Array
@@ -215,6 +236,16 @@ def validate(
     ------
     DataError
         When the samples' joints are not the robot's, or a joint without effort is not one.
+
+    Examples
+    --------
+    >>> errors = sdpid.validate(estimate, samples)
+    >>> errors.rmse.round(2)
+    array([0.23, 0.31, 0.15, 0.12, 0.12, 0.11])
+    >>> round(100.0 * errors.relative, 2)
+    0.13
+    >>> errors.effort_predicted.shape
+    (1000, 6)
     """
     problem = estimate.problem
     samples = problem.samples if samples is None else samples

@@ -73,6 +73,16 @@ class Intervals:
         In the solver.
     solves : int
         Programs solved.
+
+    Examples
+    --------
+    >>> intervals = sdpid.confidence_intervals(estimate, method="gauss_markov", parameters=["Fv1"])
+    >>> intervals.names, intervals.units, intervals.label
+    (('Fv1',), ('N.m.s/rad',), ('from data',))
+    >>> bool(intervals.lower[0] < intervals.estimate[0] < intervals.upper[0])
+    True
+    >>> intervals.contains([0.0])
+    array([False])
     """
 
     names: tuple[str, ...]
@@ -211,6 +221,14 @@ def confidence_intervals(
         asked for, or with any prior bootstrap intervals.
     SolverError
         When a program cannot be solved.
+
+    Examples
+    --------
+    >>> intervals = sdpid.confidence_intervals(estimate, parameters=["Fv1", "m_6"], n_jobs=1)
+    >>> intervals.units, intervals.label
+    (('N.m.s/rad', 'kg'), ('from data', 'from physics'))
+    >>> bool(intervals.lower[0] < estimate.named()["Fv1"] < intervals.upper[0])
+    True
     """
     require_probability(level, "intervals: level")
     if method not in ("profile", "gauss_markov", "bootstrap"):

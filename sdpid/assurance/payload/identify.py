@@ -139,6 +139,17 @@ def identify_payload(
         When the robot has no such link or frame, or has several last ones.
     SolverError
         When the program cannot be solved.
+
+    Examples
+    --------
+    >>> theta = estimate.theta.copy()
+    >>> theta[50:60] += [2.0, 0.0, 0.0, 0.2, 0.03, 0.0, 0.03, 0.0, 0.0, 0.01]  # 2 kg at link_6
+    >>> loaded = sdpid.simulate(robot, motion, theta=theta, exact=True, seed=1)
+    >>> payload = sdpid.identify_payload(robot, loaded, estimate)
+    >>> payload.shown, round(payload.mass, 1), round(payload.com[2], 2)
+    (True, 2.0, np.float64(0.1))
+    >>> bool(payload.lower[0] < 2.0 < payload.upper[0])
+    True
     """
     for value, name in ((mass_max, "mass_max"), (extent, "extent")):
         if not (np.isfinite(value) and value > 0.0):

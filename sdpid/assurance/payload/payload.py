@@ -53,6 +53,16 @@ class Payload:
         What was granted to the description, where the arm's links are taken from it: the intervals
         then have their probability only if it deserves that. None where the arm is known from a
         recording, or believed in by a prior.
+
+    Examples
+    --------
+    >>> payload = sdpid.identify_payload(robot, log, estimate)  # the same motion without a load
+    >>> payload.shown, payload.com.shape, payload.inertia.shape
+    (False, (3,), (3, 3))
+    >>> bool(payload.lower[0] <= payload.mass <= payload.upper[0])
+    True
+    >>> payload.names[:4]
+    ('mass', 'com_x', 'com_y', 'com_z')
     """
 
     mass: float

@@ -70,6 +70,14 @@ class BaseAudit:
         halfwidth.
     units : dict
         The entries' units in which changes count: halfwidths where there are any.
+
+    Examples
+    --------
+    >>> audit = sdpid.audit_base_parameters(robot, {"zzr1": "-0.10"}, "0.01")
+    >>> audit.verdict, audit.holds(), audit.witness
+    ('not realisable', True, None)
+    >>> {name: round(change, 2) for name, change in audit.changes.items()}
+    {'zzr1': 0.09}
     """
 
     robot: str
@@ -272,6 +280,21 @@ def audit_base_parameters(
     What is proven holds for the regrouping matrix in `BaseAudit.question`: the stored one, each
     coefficient read as a decimal of at most 9 digits where it is one to 1e-13, else as the
     rational number that the double is.
+
+    Examples
+    --------
+    >>> audit = sdpid.audit_base_parameters(robot, {"zzr1": "-0.10"}, "0.01")
+    >>> audit.verdict
+    'not realisable'
+    >>> print(audit.summary().splitlines()[3])
+    proof: zzr1 >= 0 for links that can exist, but at most -0.09 in the table
+
+    A table that links can have is proven by such links, the witness:
+
+    >>> table = {name: round(value, 2) for name, value in estimate.named().items()}
+    >>> audit = sdpid.audit_base_parameters(robot, table, 0.005)
+    >>> audit.verdict, audit.witness.shape
+    ('realisable', (72,))
     """
     question = base_question(
         robot,

@@ -29,6 +29,14 @@ class Row:
     coefficients : ndarray, shape (p,)
     lower, upper : float
         Equal for an equation, infinite where there is no limit.
+
+    Examples
+    --------
+    >>> coefficients = np.zeros(problem.n_theta)
+    >>> coefficients[[40, 50]] = 1.0
+    >>> row = sdpid.constraints.Row("mass of the wrist", coefficients, 0.0, 4.0)
+    >>> row.upper
+    4.0
     """
 
     name: str
@@ -49,6 +57,13 @@ class Cone:
         Which link, from 0.
     axis : ndarray, shape (10,)
     vectors : ndarray, shape (3, 10)
+
+    Examples
+    --------
+    >>> parameters = np.eye(10)
+    >>> cone = sdpid.constraints.Cone("near the origin", 5, 0.1 * parameters[0], parameters[1:4])
+    >>> cone.link
+    5
     """
 
     name: str
@@ -67,6 +82,14 @@ class Layout:
         The robot.
     friction : FrictionModel
         Its friction terms.
+
+    Examples
+    --------
+    >>> layout = sdpid.constraints.Layout(robot, problem.friction)
+    >>> layout.count, layout.link("link_2"), layout.parameter("m_2")
+    (72, 1, 10)
+    >>> layout.names[:3], layout.units[:3]
+    (('m_1', 'mx_1', 'my_1'), ('kg', 'kg.m', 'kg.m'))
     """
 
     robot: RobotModel
@@ -125,7 +148,20 @@ class Layout:
 
 
 class Condition(ABC):
-    """Base of every condition."""
+    """Base of every condition.
+
+    Examples
+    --------
+    >>> class Lighter(sdpid.constraints.Condition):
+    ...     def compile(self, layout):
+    ...         row = np.zeros(layout.count)
+    ...         row[layout.parameter("m_6")], row[layout.parameter("m_5")] = 1.0, -1.0
+    ...         yield sdpid.constraints.Row("link_6 lighter than link_5", row, -np.inf, 0.0)
+    >>> limits = sdpid.Constraints(others=(Lighter(),))
+    >>> found = sdpid.solve_sdp(problem.constrained(constraints=limits)).named_theta()
+    >>> bool(found["m_6"] <= found["m_5"])
+    True
+    """
 
     @abstractmethod
     def compile(self, layout: Layout) -> Iterable[Row | Cone]:

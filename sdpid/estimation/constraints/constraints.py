@@ -37,6 +37,18 @@ class Constraints(Settings):
     others : tuple of Condition
         Further conditions, such as a total mass (see `sdpid.estimation.constraints.mass`). A
         single one may be given as it is.
+
+    Examples
+    --------
+    >>> limits = sdpid.Constraints(margin=1e-4, mass_max=40.0)
+    >>> found = sdpid.solve_sdp(problem.constrained(constraints=limits))
+    >>> bool(found.worst_margin >= 1e-4)
+    True
+
+    The bounds that `identify` takes by default, and the mass of the whole robot:
+
+    >>> total = sdpid.constraints.TotalMass(40.0, tolerance=0.5)
+    >>> limits = sdpid.Constraints.of_size(robot, others=(total,))
     """
 
     margin: float = 0.0

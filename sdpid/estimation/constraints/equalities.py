@@ -27,6 +27,14 @@ class Fixed(Condition):
     ----------
     values : mapping of str to float
         Values in SI units by the parameters' names, such as ``{"m_3": 2.0, "Fv2": 0.1}``.
+
+    Examples
+    --------
+    >>> known = sdpid.constraints.Fixed({"m_6": 1.5, "Fv6": 2.0})
+    >>> limits = sdpid.Constraints(others=(known,))
+    >>> found = sdpid.solve_sdp(problem.constrained(constraints=limits)).named_theta()
+    >>> round(found["m_6"], 6), round(found["Fv6"], 6)
+    (1.5, 2.0)
     """
 
     values: Mapping[str, float]
@@ -66,6 +74,14 @@ class FixedLink(Condition):
         The link.
     body : array_like, shape (10,), optional
         Its parameters about its joint frame; by default those of the robot's description.
+
+    Examples
+    --------
+    >>> body = [1.5, 0.0, 0.0, 0.1, 0.02, 0.0, 0.02, 0.0, 0.0, 0.005]
+    >>> limits = sdpid.Constraints(others=(sdpid.constraints.FixedLink("link_6", body),))
+    >>> found = sdpid.solve_sdp(problem.constrained(constraints=limits)).theta
+    >>> bool(np.allclose(found[50:60], body, atol=1e-9))
+    True
     """
 
     link: str
@@ -101,6 +117,14 @@ class EqualLinks(Condition):
     ----------
     first, second : str
         The links.
+
+    Examples
+    --------
+    >>> same = sdpid.constraints.EqualLinks("link_4", "link_5")
+    >>> limits = sdpid.Constraints(others=(same,))
+    >>> theta = sdpid.solve_sdp(problem.constrained(constraints=limits)).theta
+    >>> bool(np.allclose(theta[30:40], theta[40:50], atol=1e-6))
+    True
     """
 
     first: str
@@ -126,6 +150,14 @@ class MirrorSymmetry(Condition):
         Normal of the plane in the link's joint frame, of any length.
     point : array_like, shape (3,)
         A point of the plane in the same frame, m.
+
+    Examples
+    --------
+    >>> flat = sdpid.constraints.MirrorSymmetry("link_6", normal=(0, 1, 0))
+    >>> limits = sdpid.Constraints(others=(flat,))
+    >>> found = sdpid.solve_sdp(problem.constrained(constraints=limits)).named_theta()
+    >>> bool(abs(found["my_6"]) < 1e-6)
+    True
     """
 
     link: str
@@ -182,6 +214,14 @@ class MirrorPair(Condition):
         With a floating base, a configuration (nq,).
     reflection : array_like, shape (4, 4), optional
         Instead of the plane: ``[[R, t], [0, 1]]`` with R orthogonal of determinant -1.
+
+    Examples
+    --------
+    >>> pair = sdpid.constraints.MirrorPair("link_4", "link_6", reflection=np.diag([1, -1, 1, 1]))
+    >>> limits = sdpid.Constraints(others=(pair,))
+    >>> found = sdpid.solve_sdp(problem.constrained(constraints=limits)).named_theta()
+    >>> bool(np.isclose(found["my_4"], -found["my_6"], atol=1e-6))
+    True
     """
 
     first: str

@@ -55,6 +55,14 @@ class TotalMass(Condition):
         By how much it may differ, kg.
     links : sequence of str, optional
         The group; by default all moving links.
+
+    Examples
+    --------
+    >>> wrist = sdpid.constraints.TotalMass(4.0, tolerance=0.1, links=("link_5", "link_6"))
+    >>> limits = sdpid.Constraints(others=(wrist,))
+    >>> found = sdpid.solve_sdp(problem.constrained(constraints=limits)).named_theta()
+    >>> bool(3.9 - 1e-6 <= found["m_5"] + found["m_6"] <= 4.1 + 1e-6)
+    True
     """
 
     mass: float
@@ -100,6 +108,14 @@ class CenterOfMassInBox(Condition):
         The link.
     lower, upper : array_like, shape (3,)
         Corners of the box, m; infinite where there is no limit, equal where it is known.
+
+    Examples
+    --------
+    >>> place = sdpid.constraints.CenterOfMassInBox("link_6", (-0.05, -0.05, 0), (0.05, 0.05, 0.1))
+    >>> limits = sdpid.Constraints(others=(place,))
+    >>> body = sdpid.solve_sdp(problem.constrained(constraints=limits)).theta[50:60]
+    >>> bool(np.all(np.abs(body[1:3] / body[0]) <= 0.05 + 1e-9))
+    True
     """
 
     link: str
@@ -199,6 +215,14 @@ class CenterOfMassInEllipsoid(_Ellipsoid):
         Half its lengths, m.
     rotation : array_like, shape (3, 3), optional
         Its axes in the joint frame, as columns; by default the frame's own.
+
+    Examples
+    --------
+    >>> place = sdpid.constraints.CenterOfMassInEllipsoid(
+    ...     "link_6", center=(0.0, 0.0, 0.05), semi_axes=(0.05, 0.05, 0.1))
+    >>> limits = sdpid.Constraints(others=(place,))
+    >>> sdpid.solve_sdp(problem.constrained(constraints=limits)).feasible
+    True
     """
 
     def compile(self, layout: Layout) -> Iterator[Cone]:
@@ -232,6 +256,13 @@ class MassInEllipsoid(_Ellipsoid):
         Half its lengths, m.
     rotation : array_like, shape (3, 3), optional
         Its axes in the joint frame, as columns; by default the frame's own.
+
+    Examples
+    --------
+    >>> place = sdpid.constraints.MassInEllipsoid("link_6", (0.0, 0.0, 0.05), (0.2, 0.2, 0.3))
+    >>> limits = sdpid.Constraints(others=(place,))
+    >>> sdpid.solve_sdp(problem.constrained(constraints=limits)).feasible
+    True
     """
 
     def compile(self, layout: Layout) -> Iterator[Row]:
@@ -260,6 +291,14 @@ class CenterOfMassInHull(Condition):
         them, five leave 40. 0 takes all.
     package_dirs : sequence of paths
         Where meshes are looked up.
+
+    Examples
+    --------
+    >>> corners = [(x, y, z) for x in (-0.1, 0.1) for y in (-0.1, 0.1) for z in (0.0, 0.2)]
+    >>> place = sdpid.constraints.CenterOfMassInHull("link_6", corners)
+    >>> limits = sdpid.Constraints(others=(place,))
+    >>> sdpid.solve_sdp(problem.constrained(constraints=limits)).feasible
+    True
     """
 
     link: str

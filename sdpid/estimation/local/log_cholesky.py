@@ -213,17 +213,11 @@ def solve_log_cholesky(
     """Minimize the cost locally in log-Cholesky coordinates [rucker2022]_.
 
     Every point in these coordinates satisfies the links' inequality with its margin, 4×4 or 6×6,
-    so nonlinear least squares with a trust region (SciPy's ``least_squares``) needs no
-    constraints but bounds on masses and friction. Derivatives are analytic. To the
-    Gauss–Newton matrix the positive part of what it leaves out is added: without it progress
-    along the boundary is much slower.
+    so nonlinear least squares (SciPy's ``least_squares``, analytic derivatives) needs no
+    constraints but bounds on masses and friction.
 
-    The boundary lies at infinity, so where links end on it the result stays above the optimum.
-    Measured on the Denso with periods of 38 s, ten random starts: where the optimum is inside
-    (6×6, margin 0.01) all end there to every digit, in 17 to 27 iterations and 0.1 s; where
-    every link ends on or near the boundary (4×4, margin 0.005) all reach the limit of 600
-    evaluations after 1.1 s, nine of them 3e-6 to 5e-4 above the semidefinite program's cost and
-    one 2e-2; the two best are ``"optimal"``. The semidefinite program takes 0.01 s.
+    The boundary of what is consistent lies at infinity: where links end on it the result stays
+    above the optimum. See docs/guides/estimation.md.
 
     Parameters
     ----------
@@ -233,7 +227,7 @@ def solve_log_cholesky(
         Standard parameters to start from, masses positive. Links on the boundary or outside are
         first moved inside.
     seed : int or numpy.random.Generator, optional
-        Of the random start that is used without `start`.
+        Seed of the random start that is used without `start`.
     max_iterations : int, optional
         Limit on evaluations of the residual, refused steps included.
     tolerance : float, optional
@@ -254,6 +248,14 @@ def solve_log_cholesky(
         consistency to obey, further conditions (`Constraints.others`) or a log-det prior.
     InfeasibleError
         When no parameters satisfy the constraints.
+
+    Examples
+    --------
+    >>> local = sdpid.solve_log_cholesky(problem, seed=0)
+    >>> local.method, local.feasible
+    ('log_cholesky', True)
+    >>> bool(local.cost >= sdpid.certify(estimate).lower_bound)
+    True
     """
     reason = unsupported(problem)
     if reason is not None:

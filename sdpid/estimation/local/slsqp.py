@@ -48,33 +48,15 @@ def solve_slsqp(
 ) -> Estimate:
     """Minimize the cost locally by SciPy's SLSQP [kraft1988]_, as the paper does by fmincon.
 
-    The variables are the paper's: inertia about the center of mass, center of mass and mass of
-    every link, and the friction terms (66 for the Denso). All derivatives are analytic. The
-    constraints are smooth but for crossing eigenvalues: every eigenvalue of the inertia about
-    the center of mass (for full consistency: of the second moments about it, which is the
-    triangle inequality) is at least the margin. Further conditions are rows and cones in theta,
-    equations among them.
+    The variables are inertia about the center of mass, center of mass and mass of every link, and
+    the friction terms. Derivatives are analytic. Every eigenvalue of the inertia about the center
+    of mass (for full consistency: of the second moments about it) is at least the margin. Further
+    conditions and log-det priors are taken too. SLSQP runs in rounds of 100 iterations, each in
+    variables that are rotated and scaled anew.
 
-    SLSQP runs in rounds of 100 iterations. Each begins where the last one ended, with the
-    variables rotated and scaled so that the cost's Gauss–Newton matrix is the identity there,
-    which is SLSQP's own first guess. At the end eigenvalues below the margin are raised to it
-    where that makes the point more nearly feasible. A log-det prior is part of the cost.
-
-    Measured on the Denso with periods of 38 s, ten random starts, against the same without
-    rounds and rescaling: where the optimum is inside (6×6, margin 0.01) all ten end at it
-    (relative excess below 1e-6) after 44 to 118 iterations and 0.2 to 0.5 s; without, seven
-    came within 3e-6 after 900 iterations and 1.3 s, and three stalled at 9.4 times the optimum.
-    Where every link ends on or near the boundary (4×4, margin 0.005) all end feasible, 2e-5 to
-    4e-4 above the optimum, at the limit of 1000 iterations after 2 to 4 s; without, five of ten
-    ended infeasible, the others 4e-4 to 5e-3 above it, after 3000 iterations and 4.5 s. The
-    semidefinite program takes 0.01 s. With a total mass, a box, an ellipsoid and a mirror
-    symmetry beside, four of four are optimal under either inequality, within 1e-6. With a
-    log-det prior of one nat none of four is after 1000 iterations and 4 to 6 s: they are 5e-4
-    to 0.2 above the optimum.
-
-    So what fails is patience: eigenvalues meet or logarithms steepen, steps are short, and each
-    round begins with trial steps far outside. Neither smoothed eigenvalues nor redundant linear
-    cuts helped.
+    Where the optimum lies on the boundary of what is consistent, expect ``"iteration limit"`` and
+    a cost above that of `solve_sdp`, which is also faster. See
+    docs/guides/estimation.md.
 
     Parameters
     ----------
@@ -83,7 +65,7 @@ def solve_slsqp(
     start : ndarray, shape (p,), optional
         Standard parameters to start from, masses positive.
     seed : int or numpy.random.Generator, optional
-        Of the random start that is used without `start`.
+        Seed of the random start that is used without `start`.
     max_iterations : int, optional
         Limit on iterations, of all rounds together.
     tolerance : float, optional
@@ -93,15 +75,22 @@ def solve_slsqp(
     -------
     Estimate
         With status ``"optimal"`` when the point is feasible and, recomputed, stationary, whatever
-        SLSQP says of it; otherwise the status says what happened: ``"infeasible"``,
-        ``"iteration limit"``, ``"stalled"`` or ``"failed"``. How far from the global optimum a
-        result is, `certify` tells.
+        SLSQP says of it; otherwise ``"infeasible"``, ``"iteration limit"``, ``"stalled"`` or
+        ``"failed"``. How far from the global optimum a result is, `certify` tells.
 
     Raises
     ------
     DataError
         When the start has another size or masses that are not positive, or the problem has no
         consistency to obey.
+
+    Examples
+    --------
+    >>> local = sdpid.solve_slsqp(problem, start=estimate.theta)
+    >>> local.method, local.status
+    ('slsqp', 'optimal')
+    >>> bool(local.cost >= sdpid.certify(estimate).lower_bound)
+    True
     """
     require_consistency(problem, "solve_slsqp")
     start = checked_start(problem, start, seed)

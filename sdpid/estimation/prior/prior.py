@@ -52,48 +52,49 @@ _AT_END = 0.02
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class Prior(Settings):
-    """Prior knowledge of the parameters.
+    """Belief about the links and the friction before the data.
 
     Each link is believed to be near a body P0 = L·L^T (pseudo-inertia). Being elsewhere costs
     ``strength·d`` nats, with d by kind:
 
-    * ``"euclidean"``: half the squared distance of the ten parameters in SI units. It depends on
-      the frames and on the units, and is here for comparison.
-    * ``"scaled_euclidean"``: the same with each parameter in units of the believed body's: its
-      mass, and its rms distance from the joint frame's origin as the length.
-    * ``"pullback"``: ``½·‖L^(-1)·P·L^(-T) − E‖²``, the second-order expansion of the next, a
-      quadratic that is the same in every frame.
+    * ``"pullback"``: ``½·‖L^(-1)·P·L^(-T) − E‖²``, a quadratic that is the same in every frame;
+      the second-order expansion of the next.
     * ``"entropic"``: the log-det divergence ``−log det(P·P0^(-1)) + tr(P0^(-1)·P) − 4``, the same
       in every frame and infinite at the boundary of what can exist, so that estimates stay
       strictly inside [lee2020]_.
+    * ``"scaled_euclidean"``: half the squared distance of the ten parameters, each in units of
+      the believed body's: its mass, and its rms distance from the joint frame's origin.
+    * ``"euclidean"``: the same in SI units. It depends on the frames and on the units, and is
+      here for comparison.
 
-    Friction terms are believed to be zero with a standard deviation that moves the effort by
-    its rms, whatever the strength. Nats are units of a log-likelihood; they mean what
-    they say when the weighting counts correlated samples as the few independent ones they are
-    (``weighting="residual"``). With ``gls`` and ``gls_per_sample`` and samples without a covariance
-    errors of every row are taken to have a variance of one (N·m)², and a note of the problem's
-    prior says so. The costs of ``eq9`` and ``eq18`` are no likelihood: they take no prior.
-
-    The default is the pullback with a fixed strength of one nat. On real recordings the pullback
-    and the entropic kind predict equally well, and the pullback costs nothing; strengths from 0.3
-    to 3 change predictions little, so that on a correctly counted likelihood a strength that is
-    fitted has little to win. ``"evidence"`` is for robots that are believed much more or much
-    less than usual: it takes the strength, between 0.01 and 100 nats, that makes the data most
-    probable, by the closed form of the problem without constraints (for ``"entropic"`` with the
-    pullback in its place). Only the samples of the problem are looked at.
+    Friction terms are believed to be zero with a standard deviation that moves the effort by its
+    rms, whatever the strength. Nats are units of a log-likelihood: they mean what they say with
+    ``weighting="residual"``. With ``gls`` and ``gls_per_sample`` and samples without a covariance
+    every row is taken to have a variance of one (N·m)², and a note of the problem's prior says so.
+    ``eq9`` and ``eq18`` take no prior. See docs/guides/estimation.md.
 
     Attributes
     ----------
     strength : float or "evidence"
-        Factor on the links' penalty, nats.
+        Factor on the links' penalty, nats. ``"evidence"`` takes the strength, between 0.01 and
+        100, that makes the data most probable without constraints; it is for robots that are
+        believed much more or much less than usual.
     kind : {"pullback", "entropic", "scaled_euclidean", "euclidean"}
         How far a body is from the believed one.
     friction : bool
         Whether friction terms are believed to be small too.
     bodies : ndarray, shape (links, 10), optional
         The bodies; by default those of the robot's description. A row of zeros is next to no
-        belief: an average ball, ten times less certain than others.
-        Bodies that could not exist are repaired first, and a note of the problem's prior says so.
+        belief: an average ball, ten times less certain than others. Bodies that could not exist
+        are repaired first, and a note of the problem's prior says so.
+
+    Examples
+    --------
+    >>> bodies = estimate.theta[: 10 * robot.n_links].reshape(-1, 10)  # of an earlier run
+    >>> prior = sdpid.Prior(strength=2.0, bodies=bodies)
+    >>> believed = sdpid.build_problem(robot, samples, prior=prior)
+    >>> sdpid.solve_sdp(believed).status
+    'optimal'
     """
 
     strength: float | Literal["evidence"] = 1.0

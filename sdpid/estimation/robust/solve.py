@@ -50,6 +50,12 @@ class RobustEstimate(Estimate):
         the weights have not settled.
     curvature : ndarray, shape (b, b)
         Half the second derivative of the Huber cost of the data.
+
+    Examples
+    --------
+    >>> robust = sdpid.solve_robust(problem)
+    >>> robust.status, bool(robust.robust_gap < 1e-5)
+    ('optimal', True)
     """
 
     rounds: int
@@ -108,6 +114,16 @@ def solve_robust(
     SolverError
         When the weights have not settled, or the gap is not proven; the last estimate is
         attached. And whatever the solver raises.
+
+    Examples
+    --------
+    >>> from dataclasses import replace
+    >>> effort = samples.effort.copy()
+    >>> effort[::50] += 50.0
+    >>> hit = sdpid.build_problem(robot, replace(samples, effort=effort))
+    >>> [sdpid.validate(solve(hit), samples).rmse.round(2).tolist()[:3]
+    ...  for solve in (sdpid.solve_sdp, sdpid.solve_robust)]
+    [[0.44, 1.12, 1.02], [0.23, 0.32, 0.15]]
     """
     if max_rounds < 1:
         raise DataError(f"solve_robust: max_rounds is {max_rounds}, at least 1 is needed.")

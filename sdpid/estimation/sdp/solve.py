@@ -116,6 +116,16 @@ def solve_sdp(problem: Problem, *, verbose: bool = False) -> Estimate:
         When no parameters satisfy the constraints.
     SolverError
         When the solver ends without an optimum; the last point found is attached.
+
+    Examples
+    --------
+    >>> estimate = sdpid.solve_sdp(problem)
+    >>> estimate.status, estimate.feasible
+    ('optimal', True)
+    >>> estimate.theta.shape, estimate.base.shape
+    ((72,), (48,))
+    >>> round(estimate.named()["Fv1"])
+    151
     """
     try:
         problem.feasible.require_feasible()

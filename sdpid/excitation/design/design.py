@@ -83,10 +83,9 @@ def design_excitation(
 ) -> Plan:
     """Design a motion that is safe at every instant and shows the parameters.
 
-    The motion with the smallest objective is searched from several starts; what is found is
-    checked at every instant, not on a grid, and mended until it holds. Interrupted (Ctrl-C), the
-    search returns the best motion so far, checked like any other. The same arguments give the
-    same plan, but for those with a `time_limit`.
+    The motion is checked at every instant, not on a grid. Interrupted (Ctrl-C), the search
+    returns the best motion so far, checked like any other. The same arguments give the same plan,
+    except with a `time_limit`. See docs/guides/excitation.md.
 
     Parameters
     ----------
@@ -95,7 +94,7 @@ def design_excitation(
     duration : float, optional
         Duration of the motion, or of one of its periods, s.
     limits : Limits, optional
-        What narrows the description's limits, of which 95 % are used.
+        Limits that narrow the description's, of which 95 % are used.
     obstacles : iterable of Plane, Box, Mesh, optional
         What stands around the robot, in its base frame.
     collisions : bool, optional
@@ -123,7 +122,7 @@ def design_excitation(
     closed : bool, optional
         Whether a spline ends where it began, so that it can be repeated.
     harmonics : int, optional
-        Of a Fourier series; by default up to 0.6 Hz.
+        Harmonics of a Fourier series; by default up to 0.6 Hz.
     start : array_like, shape (n,), optional
         Where the motion begins and ends; by default the search chooses.
     periods : int, optional
@@ -136,15 +135,16 @@ def design_excitation(
         Number of starts of the search; ignored with a `time_limit`.
     time_limit : float, optional
         Seconds that search and check may take; by default as long as the starts need. The first
-        plan on a machine takes some ten seconds more, for compiling.
+        plan on a machine takes longer, for compiling.
     seed : int, optional
-        Of everything that is random.
+        Seed of everything that is random.
     progress : bool, optional
         Show a progress bar; by default on a terminal.
 
     Returns
     -------
     Plan
+        The motion, the proof that it holds its limits, and the expected errors.
 
     Raises
     ------
@@ -159,8 +159,18 @@ def design_excitation(
 
     Notes
     -----
-    Objectives of which a change of units changes the optimum say so: ``condition`` in SI units,
-    ``A`` and ``E`` in units of what moves the efforts of usual motions by 1 N·m.
+    A change of units changes the optimum of ``condition`` (here in SI units) and of ``A`` and
+    ``E`` (in units of what moves the efforts of usual motions by 1 N·m).
+
+    Examples
+    --------
+    >>> arm = sdpid.RobotModel.from_mdh([{"r": 0.3}, {"alpha": -np.pi / 2}], name="arm")
+    >>> slow = sdpid.Limits(velocity=1.5, acceleration=5.0)
+    >>> plan = sdpid.design_excitation(arm, duration=5.0, limits=slow, starts=1)
+    >>> plan.limits.ok, plan.trajectory.duration
+    (True, 5.0)
+    >>> plan.names[:3], plan.standard_errors.shape
+    (('zzr1', 'Fs1', 'Fsg1'), (16,))
     """
     if starts < 1:
         raise DataError(f"starts: is {starts}; give at least 1.")

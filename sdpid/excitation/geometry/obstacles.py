@@ -79,6 +79,13 @@ class Plane:
         Towards the free side; of any length but zero.
     name : str
         What the plane is called in results.
+
+    Examples
+    --------
+    >>> from sdpid.excitation.geometry.obstacles import Plane
+    >>> table = Plane(point=(0.0, 0.0, -0.1), name="table")
+    >>> table.contains(np.array([[0.0, 0.0, -0.2], [0.0, 0.0, 0.5]]))
+    array([ True, False])
     """
 
     point: Sequence[float] = (0.0, 0.0, 0.0)
@@ -110,6 +117,13 @@ class Box(_Placed):
         Middle of the box in the base frame, m, and its roll, pitch and yaw, rad.
     name : str
         What the box is called in results.
+
+    Examples
+    --------
+    >>> from sdpid.excitation.geometry.obstacles import Box
+    >>> post = Box(size=(0.1, 0.1, 1.0), translation=(0.6, 0.0, 0.5), name="post")
+    >>> post.contains(np.array([[0.6, 0.0, 0.2], [0.0, 0.0, 0.2]]))
+    array([ True, False])
     """
 
     size: Sequence[float]
@@ -142,6 +156,12 @@ class Mesh(_Placed):
         The file's frame in the base frame: m, and roll, pitch and yaw in rad.
     name : str
         What the mesh is called in results.
+
+    Examples
+    --------
+    >>> from sdpid.excitation.geometry.obstacles import Mesh
+    >>> Mesh(path="fixture.stl", scale=0.001, translation=(0.5, 0.0, 0.0), name="fixture").name
+    'fixture'
     """
 
     path: str | os.PathLike[str]

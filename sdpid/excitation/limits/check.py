@@ -118,6 +118,14 @@ class LimitCheck:
         What was assumed or not checked: sentences.
     left_out : tuple of (str, str, str)
         Pairs of bodies whose distance is not checked, and why.
+
+    Examples
+    --------
+    >>> plan.limits.ok, plan.limits.broken
+    (True, ())
+    >>> row = plan.limits.least("velocity")
+    >>> row.limit, row.unit, row.verdict
+    (1.5, 'rad/s', 'held')
     """
 
     rows: tuple[LimitRow, ...]
@@ -226,6 +234,14 @@ def check_trajectory(
         When the motion or the limits are not understood, or are not of this robot.
     ModelError
         When the base floats, or a mesh cannot be read.
+
+    Examples
+    --------
+    >>> check = sdpid.check_trajectory(robot, motion, sdpid.Limits(velocity=2.0))
+    >>> check.ok
+    False
+    >>> print(check.sentences()[0])
+    joint_6: velocity 2.8... rad/s at 12.9... s is 0.8... rad/s above the limit of 2 rad/s.
     """
     if not isinstance(robot, RobotModel):
         robot = load_robot(robot)

@@ -50,6 +50,15 @@ class Limits(Settings):
     ------
     DataError
         When a value is no number, NaN, or negative where a size is meant.
+
+    Examples
+    --------
+    >>> limits = sdpid.Limits(velocity=1.0, torque={"joint_1": 50.0}, tool_speed=0.25)
+    >>> limits.to_dict()
+    {'velocity': 1.0, 'torque': {'joint_1': 50.0}, 'tool_speed': 0.25}
+    >>> joints = limits.of(robot)
+    >>> joints.velocity.round(2)
+    array([1., 1., 1., 1., 1., 1.])
     """
 
     lower: Values = None

@@ -53,6 +53,14 @@ class Plan:
         Arguments of `design_excitation` from which the plan can be made again.
     history : tuple of dict
         One row a start: its value, steps, seconds and how it ended.
+
+    Examples
+    --------
+    >>> plan.limits.ok, plan.trajectory.duration
+    (True, 5.0)
+    >>> plan.names[:2], plan.standard_errors.shape
+    (('zzr1', 'Fs1'), (16,))
+    >>> axes = plan.plot()
     """
 
     robot: RobotModel

@@ -47,6 +47,15 @@ class Finding:
         The joint; None where it is the whole recording.
     numbers : mapping of str to float
         The numbers of the message.
+
+    Examples
+    --------
+    >>> still = sdpid.Recording(time=log.time, position=0.0 * log.position, effort=log.effort)
+    >>> finding = sdpid.inspect_recording(still, robot).findings[0]
+    >>> finding.severity, finding.kind, finding.joint
+    ('warning', 'joint_at_rest', 'joint_1')
+    >>> dict(finding.numbers)
+    {'range': 0.0, 'limit': 0.001}
     """
 
     severity: Severity

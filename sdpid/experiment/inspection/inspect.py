@@ -49,6 +49,15 @@ class Inspection:
     ----------
     findings : tuple of Finding
         What is to be refused first, then warnings, then notes.
+
+    Examples
+    --------
+    >>> still = sdpid.Recording(time=log.time, position=0.0 * log.position, effort=log.effort)
+    >>> inspection = sdpid.inspect_recording(still, robot)
+    >>> inspection.ok
+    False
+    >>> print(inspection.findings[0].message)
+    joint_1 never moves (limit 0.001 rad)
     """
 
     findings: tuple[Finding, ...]
@@ -102,6 +111,18 @@ def inspect_recording(
         When the log cannot be read, or is no log.
     ModelError
         When the robot cannot be read.
+
+    Examples
+    --------
+    >>> inspection = sdpid.inspect_recording(log)
+    >>> inspection.ok
+    True
+    >>> swapped = sdpid.Recording(time=log.time, position=log.effort, effort=log.position)
+    >>> inspection = sdpid.inspect_recording(swapped, robot)
+    >>> inspection.ok
+    False
+    >>> [(finding.severity, finding.kind) for finding in inspection.findings][:2]
+    [('refuse', 'position_in_degrees')]
     """
     given: Any = log
     if not (isinstance(given, (Recording, str, os.PathLike)) or is_frame(given)):

@@ -117,6 +117,13 @@ class Drives:
     ------
     DataError
         When a value is not finite or not positive, or lengths differ.
+
+    Examples
+    --------
+    >>> from sdpid.experiment.plant.drives import load_drives
+    >>> drives = load_drives("denso_vp6242")
+    >>> drives.n, drives.effort_scale.round(2)
+    (6, array([45.6, 60.8, 26.4, 21. , 21. , 21. ]))
     """
 
     torque_constant: Array

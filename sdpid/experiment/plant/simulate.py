@@ -61,46 +61,40 @@ def simulate(
     exact: bool = False,
     progress: bool | None = None,
 ) -> Recording:
-    """Run a trajectory on a simulated robot and record positions and currents.
+    """Run a trajectory on a simulated robot and record positions and efforts.
 
-    The loop is a proportional position controller into the drives' velocity loop:
+    A proportional position controller commands the drives' velocity loop:
     ``torque = velocity_gain·(proportional_gain·(q_d − q) − v)``. Joints have Coulomb and viscous
-    friction. Recorded are encoder positions and noisy motor currents.
+    friction. Recorded are encoder positions and noisy motor currents, as efforts in N·m.
 
-    One period that is not among the recorded ones lets the loop settle. The record starts
-    rest + connection before the first of its periods, that is within the settling period, and it
-    is continuous: with `trajectory.n_samples` samples, whole periods from ``Recording.start`` on,
-    then the connection and the rest. A motion that ends elsewhere than it starts is run once, as
-    it is, and its record has no periods.
+    The record has `trajectory.n_samples` samples: whole periods from ``Recording.start`` on, after
+    one settling period that is not recorded. A motion that ends elsewhere than it starts is run
+    once, and its record has no periods.
 
-    The controller is not fed with measurement errors, so the settled motion is periodic. Once
-    the state at the end of a period equals that at its start to `SETTLED`, the remaining periods
-    repeat the last one instead of being computed again; their noise is drawn anew.
-
-    With `exact` there is no loop and no lag: the robot follows the trajectory exactly, and its
-    efforts are those of its equation of motion. So does a robot with mimic joints, and one whose
-    description has so much damping that default drives would not move it as desired.
-    `Recording.notes` say so.
+    With `exact` the robot follows the trajectory exactly, and its efforts are those of its
+    equation of motion. So does a robot with mimic joints, and one whose description has so much
+    damping that default drives would not move it as desired. `Recording.notes` say so.
 
     Parameters
     ----------
     robot : RobotModel
         The robot, on a fixed base.
     trajectory : Trajectory, optional
-        The desired motion; its joints are the robot's. By default `default_motion`.
+        The desired motion; its joints are the robot's. By default `default_motion`, which is
+        five periods of 20 s.
     theta : array_like, shape (10·links + 2n,), optional
         True parameters: the links' standard parameters, then Coulomb and viscous friction of
         all joints. By default those of the bundled robot of this name, or `default_parameters`.
-    seed : int or numpy.random.Generator
+    seed : int or numpy.random.Generator, optional
         The only source of randomness: the current noise.
     drives : Drives, optional
         Motors, gains and sensors; by default those of the bundled robot of this name, or
         `default_drives`.
-    unmodeled : bool
+    unmodeled : bool, optional
         Add `drives.unmodeled`.
-    noise : bool
+    noise : bool, optional
         Without it the same motion and torques are recorded without quantization and noise.
-    exact : bool
+    exact : bool, optional
         Follow the trajectory exactly, without a controller; MuJoCo is not needed.
     progress : bool, optional
         Show a progress bar; by default on a terminal.
@@ -108,7 +102,7 @@ def simulate(
     Returns
     -------
     Recording
-        Efforts in N·m: with drives the measured currents, times torque constant and gear ratio.
+        The log; its efforts are the measured currents times torque constant and gear ratio.
 
     Raises
     ------
@@ -118,6 +112,14 @@ def simulate(
         When theta belongs to no real robot.
     MissingExtraError
         When MuJoCo is not installed (extra ``sim``).
+
+    Examples
+    --------
+    >>> run = sdpid.simulate(robot, motion, exact=True, seed=1)
+    >>> run
+    Recording(38000 samples, 6 joints, 1000 Hz, 2 periods of 10 s)
+    >>> run.notes
+    ('simulated without a controller: the robot follows its motion exactly',)
     """
     rng = generator(seed)
     if trajectory is None:

@@ -70,6 +70,21 @@ class Samples:
     DataError
         When shapes disagree, a value is not finite, a covariance cannot be one, or the mask
         leaves no row at all.
+
+    Examples
+    --------
+    >>> samples
+    Samples(1000 samples, 6 joints, 5222 rows used, mean of 2 periods)
+    >>> samples.effort.shape, samples.covariance.shape, samples.n_rows
+    ((1000, 6), (6, 6), 5222)
+    >>> samples.between(0, 500)
+    Samples(500 samples, 6 joints, 2609 rows used)
+
+    States of your own, filtered and differentiated elsewhere:
+
+    >>> sdpid.Samples(position=samples.position, velocity=samples.velocity,
+    ...               acceleration=samples.acceleration, effort=samples.effort)
+    Samples(1000 samples, 6 joints, 6000 rows used)
     """
 
     position: Array

@@ -64,71 +64,70 @@ class Reason:
 
 @dataclass(frozen=True, kw_only=True, repr=False)
 class Processing(Settings):
-    """How `process` turns a recording into samples.
+    """Settings of `process`: filter, derivatives, masks, covariance.
+
+    Why each default is what it is: docs/guides/processing.md.
 
     Parameters
     ----------
     cutoff_hz : float
         Cut-off of one pass of the low-pass filter, in Hz: it loses 3 dB there.
     order : int
-        Order of one pass; forward and backward passes double it. The paper's order 1 at 10 Hz
-        attenuates motion of 1 Hz by 1 %, which the nonlinear equation of motion does not forgive;
-        order 2 at 15 Hz attenuates it by 2e-5 and forgets a Coulomb step as fast.
-    filter : {"butterworth", "bessel"}
-        Type of the low-pass filter; see `sdpid.experiment.processing.filters.low_pass`.
+        Order of one pass; forward and backward passes double it.
     decimation : int or None
         One sample in `decimation` is kept. None keeps about ten per period of the cut-off
-        frequency, which is the paper's choice (1 kHz, 10 Hz, a factor of 10).
+        frequency.
     filter_alike : bool
-        True: position, velocity, acceleration and torque all pass the same filter once, forward
-        and backward, so that the equation of motion still holds between them to first order, and
-        a Coulomb step is smeared no further than one pass smears it. False: as in the paper,
-        where position and torque pass it once, velocity and acceleration twice.
+        True: position, velocity, acceleration and effort pass the same filter once, forward and
+        backward, so that the equation of motion still holds between them. False: position and
+        effort pass it once, velocity and acceleration twice, as in the paper [denso]_.
     reversal_speed, reversal_time : float, float or None
         A joint's rows within `reversal_time` (s) of a sample slower than `reversal_speed` (rad/s,
         or m/s), or of a change of sign, are masked: there the filter has smeared the Coulomb
         step. None masks nothing.
     kept_share : float
-        A joint of which less than this share of the rows would stay is not masked: a joint that
-        hardly moves shows what it can.
+        A joint of which less than this share of the rows would stay is not masked.
     filter_friction : bool
-        Whether friction columns pass the filter of the efforts: they are then evaluated at a
-        velocity of four times the band. Else they are taken at the filtered velocity, although
-        the filter smears the Coulomb step in the efforts.
+        Whether friction columns pass the filter of the efforts. They are then evaluated at a
+        velocity of four times the band. Else they are taken at the filtered velocity.
     covariance : {"period", "pooled", None}
-        ``"period"``: Sigma_k of the paper's (11), one a sample, from the spread of the periods.
-        ``"pooled"``: its mean over the samples, (n, n), which also works with few periods. None:
-        no covariance. Records without periods have none either way.
+        ``"period"``: Sigma_k, one a sample, from the spread of the periods. ``"pooled"``: its mean
+        over the samples, (n, n), for few periods. None: no covariance. Records without periods
+        have none either way.
     shrinkage : float
         s in [0, 1]: Sigma_k becomes (1 - s) Sigma_k + s mean_k Sigma_k. With P periods Sigma_k
-        has a rank of at most P - 1; s = 0 refuses P <= n. The target is the pooled covariance
-        because it has full rank already for two periods, keeps the correlation of the joints,
-        and is the exact answer when noise is stationary (s = 1).
+        has a rank of at most P - 1; s = 0 refuses P <= n.
     derivative : {"central", "central4", "central6", "savitzky_golay", "spectral"}
-        Central differences of order 2, 4 or 6. Order 2 loses (w h)²/6 of a velocity at angular
-        frequency w: nothing at 1 kHz, 12 % at 4 Hz sampled at 30 Hz, where order 6 loses 0.4 %.
-        Savitzky-Golay: of polynomials of degree 4, over windows whose noise bandwidth is the
-        cut-off; see `sdpid.experiment.processing.derivatives.stencil`. Spectral: of the Fourier
-        series of the averaged period, without error; only for records with periods.
+        Central differences of order 2, 4 or 6; polynomials of degree 4 over windows whose noise
+        bandwidth is the cut-off [savitzky1964]_; or the derivative of the averaged period's
+        Fourier series, only for records with periods. At low sample rates take a high order.
     velocity : {"differentiated", "measured"}
         Whether the velocity is the derivative of the position, or the recorded one, which passes
-        the filter once. The acceleration is then the derivative of that.
+        the filter once. The acceleration is the derivative of that.
     trim_s : float, optional
-        Time cut off at either end of a record without periods. By default five time constants of
-        the filter (that of its slowest mode), after which the guess made at the ends is forgotten
-        to 2 % of the acceleration and 0.7 % of the torque on the outermost samples, and to a
-        hundredth of that five time constants further in. Records with periods lose nothing.
+        Time cut off at either end of a record without periods, s; by default five time constants
+        of the filter's slowest mode. Records with periods lose nothing.
     timing : {"auto", "nominal", "resample"}
         What to do with time stamps that jitter; see
         `sdpid.experiment.recording.uniform_grid.make_grid`.
+    filter : {"butterworth", "bessel"}
+        Type of the low-pass filter.
     reasons : tuple of Reason
         Why settings were chosen, where a rule chose them; samples carry them in their notes. They
-        are no settings themselves, and do not count when two are compared.
+        do not count when two settings are compared.
 
     Raises
     ------
     DataError
         When a value is out of its range.
+
+    Examples
+    --------
+    >>> slower = sdpid.Processing(cutoff_hz=10.0, decimation=20, covariance="pooled")
+    >>> sdpid.process(log, slower)
+    Samples(500 samples, 6 joints, 2611 rows used, mean of 2 periods)
+    >>> sdpid.Processing.paper().cutoff_hz
+    10.0
     """
 
     cutoff_hz: float = 15.0

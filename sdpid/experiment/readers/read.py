@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
+from inspect import Parameter, Signature
 from pathlib import Path
 from typing import Any, TypeAlias, overload
 
@@ -55,21 +56,14 @@ def read_recording(path: Readable, **how: Any) -> Recording: ...
 def read_recording(path: Any, **how: Any) -> Any:
     """Read a log, or several that were logged in the same way.
 
-    CSV (also ``.csv.gz``), Parquet, NPZ, MATLAB (MAT), HDF5, ROS bags with
-    ``sensor_msgs/JointState`` (files ``.db3``, ``.mcap``, ``.bag``, or the folder of a ROS 2
-    bag), and data frames of pandas or polars.
+    Formats: CSV (also ``.csv.gz``), Parquet, NPZ, MATLAB (``.mat``), HDF5, ROS bags with
+    ``sensor_msgs/JointState`` (``.db3``, ``.mcap``, ``.bag``, or the folder of a ROS 2 bag), and
+    data frames of pandas or polars. Nothing is ever unpickled or run.
 
-    Quantities are found by the usual names (``t``, ``q``, ``dq``, ``tau``, ``time``,
-    ``position``, ``velocity``, ``effort``, ``actual_q``, ``fs``, ``joint_names``, ...): either an
-    array of samples × joints, or one column a joint, named like ``q1``, ``q_1``, ``q[0]``,
-    ``position_<joint>`` or ``<joint>_position``; the name may end with a unit (``time_ms``,
-    ``position_deg_1``, ``Joint 1 [deg]``). Stamps without a unit that are whole numbers, or that
-    count from 1970, are read in the unit that makes a rate of a robot. In files with groups or
-    structs the last part of the path counts. Without time stamps, ``fs`` gives the sample rate in
-    Hz. Nothing is ever unpickled or run.
-
-    Other names are given by arguments, or by a mapping: a small TOML file beside the log,
-    ``run.toml`` for ``run.csv``, with the same names as the arguments. Arguments win.
+    Quantities are found by their usual names (``t``, ``q``, ``dq``, ``tau``, ``position_1``,
+    ``actual_q``, ``time_ms``, ...). Other names come from the arguments or from a mapping, a TOML
+    file beside the log (``run.toml`` for ``run.csv``) with the same names as the arguments, which
+    win. All names, units and formats: docs/guides/logs.md.
 
     Parameters
     ----------
@@ -78,6 +72,10 @@ def read_recording(path: Any, **how: Any) -> Any:
         same joints.
     mapping : path-like, mapping or False, optional
         A mapping elsewhere, or its content; False ignores the one beside the log.
+    stored : bool, optional
+        Whether to keep the values of a Parquet file in temporary files that are mapped into
+        memory, so that a log may be larger than memory; by default those of logs that would take
+        more than 256 MB. `TMPDIR` says where they lie.
     columns : mapping, optional
         Where to find quantities that have other names: ``{"effort": "tau_current"}`` names an
         array (or the beginning of the names of its columns), ``{"effort": ["i1", "i2"]}`` lists
@@ -93,9 +91,9 @@ def read_recording(path: Any, **how: Any) -> Any:
         Joints in the order wanted: picks and orders those that the file names. Where the file
         has other names for as many joints, it renames them.
     topic : str, optional
-        Of a ROS bag.
+        Topic of a ROS bag.
     rate_hz : float, optional
-        Sample rate of a log without time stamps.
+        Sample rate in Hz of a log without time stamps.
     missing : {"refuse", "drop", "interpolate"}, optional
         What to do with samples that have no value (NaN, or an empty field): refuse the log (the
         default), drop the samples, or interpolate linearly over gaps of at most 10 samples.
@@ -103,19 +101,16 @@ def read_recording(path: Any, **how: Any) -> Any:
         As in `Recording`; override what the file says.
     effort_scale : (n,) array_like, optional
         N·m per unit of effort, where efforts are currents on the joints' side: the torque constant
-        times the gear ratio. Efforts are multiplied by it.
+        times the gear ratio.
     without_effort : sequence of str, optional
         Joints whose effort may lack every value; it is then read as zero. Leave them out of the
-        fit too (``identify(..., without_effort=...)``, which reads files that way). Where the file
-        has no names, numbers from 1.
-    stored : bool, optional
-        Whether to keep the values of a Parquet file in temporary files that are mapped into
-        memory, so that a log may be larger than memory; by default those of logs that would take
-        more than 256 MB. `TMPDIR` says where they lie.
+        fit too (``identify(..., without_effort=...)``). Where the file has no names, numbers
+        from 1.
 
     Returns
     -------
     Recording, or a list of them
+        What was logged, in SI units.
 
     Raises
     ------
@@ -124,6 +119,14 @@ def read_recording(path: Any, **how: Any) -> Any:
         unit is unknown, or the data are not a valid recording.
     MissingExtraError
         When the format needs a package that is not installed.
+
+    Examples
+    --------
+    >>> names = ["t", *(f"angle{i}" for i in range(1, 7)), *(f"tau{i}" for i in range(1, 7))]
+    >>> rows = np.column_stack([log.time, np.rad2deg(log.position), log.effort])[:1000]
+    >>> np.savetxt("run.csv", rows, delimiter=",", header=",".join(names), comments="")
+    >>> sdpid.read_recording("run.csv", columns={"position": "angle"}, units={"position": "deg"})
+    Recording(1000 samples, 6 joints, 1000 Hz)
     """
     if not isinstance(path, (list, tuple)):
         return read_described(path, **how).recording
@@ -135,6 +138,17 @@ def read_recording(path: Any, **how: Any) -> Any:
                 f"{', '.join(records[0].names)}; give joint_names=."
             )
     return records
+
+
+def _signature() -> Signature:
+    """Return what `read_recording` takes, for help and documentation."""
+    names = {"mapping": None, "stored": None}
+    names |= {each.name: getattr(Arguments(), each.name) or None for each in fields(Arguments)}
+    named = [Parameter(name, Parameter.KEYWORD_ONLY, default=x) for name, x in names.items()]
+    return Signature([Parameter("path", Parameter.POSITIONAL_OR_KEYWORD), *named])
+
+
+vars(read_recording)["__signature__"] = _signature()
 
 
 def read_described(

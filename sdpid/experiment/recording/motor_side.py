@@ -46,6 +46,14 @@ class MotorSide(Settings):
     ------
     DataError
         When shapes do not agree, or the matrix cannot be inverted.
+
+    Examples
+    --------
+    >>> side = sdpid.MotorSide.from_gears([100.0, 50.0], signs=[1, -1])
+    >>> side.to_joints("position", np.array([[100.0, 100.0]]))
+    array([[ 1., -2.]])
+    >>> side.to_joints("effort", np.array([[0.1, 0.1]]))
+    array([[10., -5.]])
     """
 
     position_matrix: Array

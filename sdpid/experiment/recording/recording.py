@@ -72,6 +72,17 @@ class Recording:
         When the arrays are ragged, not finite or of different lengths, when time does not
         increase, when names do not match the joints, or when the period does not
         divide the record.
+
+    Examples
+    --------
+    >>> time = np.arange(0.0, 2.0, 0.01)
+    >>> angle = np.sin(time)[:, None]
+    >>> hip = sdpid.Recording(time=time, position=angle, effort=0.5 * angle, joint_names=("hip",))
+    >>> hip
+    Recording(200 samples, 1 joints, 100 Hz)
+    >>> round(hip.rate_hz), round(hip.duration, 2), hip.names
+    (100, 1.99, ('hip',))
+    >>> hip.to_parquet("hip.parquet")
     """
 
     time: Array

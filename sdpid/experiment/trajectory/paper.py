@@ -67,6 +67,14 @@ def paper_excitation(
     ------
     DataError
         When the file is missing or misses an entry, or no harmonic lies below a limit.
+
+    Examples
+    --------
+    >>> motion = sdpid.paper_excitation("denso_vp6242", seed=0, periods=2, period=10.0)
+    >>> motion
+    Trajectory(6 joints, 2 periods of 10 s at 1000 Hz)
+    >>> motion.velocity_peak.round(1)
+    array([1.5, 1.2, 1.8, 2.5, 1.9, 2.8])
     """
     path = _excitation_file(folder)
     table = load_toml(path)

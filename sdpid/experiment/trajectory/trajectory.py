@@ -60,6 +60,19 @@ class Trajectory:
     DataError
         When the number of joints differs between the arguments, a duration is not a whole
         number of samples, the curve cannot be repeated, or it needs a connection.
+
+    Examples
+    --------
+    >>> motion
+    Trajectory(6 joints, 2 periods of 10 s at 1000 Hz)
+    >>> motion.duration, motion.period, motion.samples_per_period
+    (38.0, 10.0, 10000)
+    >>> position, velocity, acceleration = motion.sample()
+    >>> position.shape
+    (38000, 6)
+    >>> motion.to_toml("trajectory.toml")
+    >>> sdpid.Trajectory.from_toml("trajectory.toml").with_periods(5)
+    Trajectory(6 joints, 5 periods of 10 s at 1000 Hz)
     """
 
     joint_names: tuple[str, ...]

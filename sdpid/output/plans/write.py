@@ -100,6 +100,14 @@ def write_plan(
         When the folder cannot be written to, or holds files of these names that no plan wrote.
     MissingExtraError
         When figures are asked for and matplotlib is not installed (extra ``plot``).
+
+    Examples
+    --------
+    >>> files = sdpid.write_plan(plan, "plan", figures=False)
+    >>> sorted(path.name for path in files)[:3]
+    ['coefficients.json', 'joint_trajectory.yaml', 'limits.toml']
+    >>> sdpid.Trajectory.from_toml("plan/trajectory.toml").duration
+    5.0
     """
     target = Path(folder)
     note = report or (lambda _: None)

@@ -66,6 +66,12 @@ def write_report(
         asked for (extra ``plot``).
     ExportError
         When the file cannot be written.
+
+    Examples
+    --------
+    >>> path = sdpid.write_report(result, "report.html", figures=False)
+    >>> path.name
+    'report.html'
     """
     text = report_html(
         identification,

@@ -84,6 +84,14 @@ class ExportReport:
         Errors on the rows that the estimate was fitted to; None where they were not kept.
     validation : Errors or None
         Errors on other rows (see `with_validation`).
+
+    Examples
+    --------
+    >>> report = sdpid.write_urdf(estimate, target="identified.urdf")
+    >>> report.path.name, len(report.links_changed), report.left_out
+    ('identified.urdf', 6, ())
+    >>> print(report.describe())
+    identified.urdf: wrote the inertia of 6 links and the friction of 6 joints
     """
 
     path: Path

@@ -95,6 +95,14 @@ def write_mjcf(
         When the source is no XML.
     MissingExtraError
         When MuJoCo is not installed.
+
+    Examples
+    --------
+    >>> report = sdpid.write_mjcf(estimate, target="identified.xml")
+    >>> print(report.describe())
+    identified.xml: wrote the inertia of 6 links and the friction of 6 joints
+    >>> sdpid.load_robot("identified.xml")
+    RobotModel('denso_vp6242', 6 coordinates, 6 links)
     """
     problem = estimate.problem
     robot = problem.robot

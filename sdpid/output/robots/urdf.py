@@ -88,6 +88,15 @@ def write_urdf(
         negative, the source describes another robot, or a body cannot be split as asked.
     ModelError
         When the source is not a URDF.
+
+    Examples
+    --------
+    >>> report = sdpid.write_urdf(estimate, target="identified.urdf")
+    >>> print(report.describe())
+    identified.urdf: wrote the inertia of 6 links and the friction of 6 joints
+    >>> identified = sdpid.load_robot("identified.urdf")
+    >>> bool(np.allclose(identified.prior.ravel(), estimate.theta[:60], atol=1e-6))
+    True
     """
     problem = estimate.problem
     robot = problem.robot

@@ -65,6 +65,16 @@ def write_parameters(
         For another suffix, or a folder that cannot be written to.
     MissingExtraError
         When YAML is asked and PyYAML is not installed.
+
+    Examples
+    --------
+    >>> path = sdpid.write_parameters(estimate, "parameters.json")
+    >>> path.name
+    'parameters.json'
+    >>> import json
+    >>> content = json.loads(path.read_text(encoding="utf-8"))
+    >>> content["standard"]["m_6"]["unit"], content["base"]["zzr1"]["unit"]
+    ('kg', 'kg.m2')
     """
     target = Path(path)
     content = parameters_dict(estimate, intervals=intervals, certificate=certificate)
@@ -186,6 +196,13 @@ def read_parameters(path: str | os.PathLike[str]) -> dict[str, float]:
         When the file cannot be read, is none of ours, or a value is no finite number.
     MissingExtraError
         When it is YAML and PyYAML is not installed.
+
+    Examples
+    --------
+    >>> path = sdpid.write_parameters(estimate, "parameters.json")
+    >>> parameters = sdpid.read_parameters(path)
+    >>> len(parameters), round(parameters["Fv1"])
+    (72, 151)
     """
     source = Path(path)
     content = _content(source)

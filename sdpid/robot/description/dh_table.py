@@ -40,6 +40,14 @@ class DhJoint:
         Range of the joint variable; without them the joint is unlimited.
     velocity, effort : float, optional
         Largest speed and effort.
+
+    Examples
+    --------
+    >>> from sdpid.robot.description.dh_table import DhJoint
+    >>> rows = (DhJoint(r=0.3), DhJoint(alpha=-1.57, lower=-2.0, upper=2.0))
+    >>> sdpid.RobotModel.from_mdh(sdpid.DhTable(joints=rows)).position_limits
+    array([[-inf,  inf],
+           [ -2.,   2.]])
     """
 
     alpha: float = 0.0
@@ -80,6 +88,17 @@ class DhTable(Settings):
         Placement of frame 0 in the base link, in m and rad.
     gravity : tuple of float
         Gravity in the base link, m/s².
+
+    Examples
+    --------
+    >>> rows = [{"r": 0.3}, {"alpha": -np.pi / 2}, {"d": 0.4}]
+    >>> table = sdpid.DhTable.of(rows, name="arm")
+    >>> table.joint_names
+    ('joint_1', 'joint_2', 'joint_3')
+    >>> table.forward_kinematics([0.0, 0.0, 0.0])[-1, :3, 3].round(3)
+    array([0.4, 0. , 0.3])
+    >>> sdpid.RobotModel.from_mdh(table)
+    RobotModel('arm', 3 coordinates, 3 links)
     """
 
     joints: tuple[DhJoint, ...]

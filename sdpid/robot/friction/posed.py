@@ -88,10 +88,27 @@ class PosedTerm(FrictionTerm):
 
 @dataclass(frozen=True)
 class Tilt(PosedTerm):
-    """Gravity's direction in the base, as two small angles Gx and Gy.
+    """Gravity's direction in the base, as two small angles Gx and Gy in rad.
 
     Gravity is turned by Gx about the first and by Gy about the second of two horizontal axes:
     those of the base where gravity is along its z axis. The base stands tilted the other way.
+
+    `identify` chooses this term by the data (``effects="tilt"`` puts it in), and takes the bodies
+    from a first fit. In `build_problem` the description's must have masses: without, there is no
+    column and no parameter.
+
+    Attributes
+    ----------
+    bodies : tuple of tuple of float, optional
+        Ten inertial parameters of each link, whose weight the angles turn; by default those of
+        the robot's description.
+
+    Examples
+    --------
+    >>> leaning = sdpid.identify(robot, log, intervals=False, effects="tilt")
+    >>> angles = leaning.estimate.named()
+    >>> bool(abs(angles["Gx"]) < 0.01), bool(abs(angles["Gy"]) < 0.01)
+    (True, True)
     """
 
     def parameters(self, joint_names: Sequence[str]) -> tuple[TermParameter, ...]:
@@ -120,10 +137,15 @@ class Tilt(PosedTerm):
 class LoadFriction(PosedTerm):
     """Coulomb friction that grows with the load of the gear, ``Fl·abs(load)·sign(v)``.
 
-    The load is the effort that moves and carries the links.
+    The load is the effort that moves and carries the links. `identify` chooses this term by the
+    data (``effects="load"`` puts it in), and takes the bodies from a first fit. In `build_problem`
+    the description's must have masses: without, there is no column and no parameter.
 
     Attributes
     ----------
+    bodies : tuple of tuple of float, optional
+        Ten inertial parameters of each link, from which the load is computed; by default those of
+        the robot's description.
     width : float or tuple of float
         Width (rad/s) of the sign, as for `Coulomb`: one for all joints, or one per joint.
     share : tuple of float
@@ -131,6 +153,12 @@ class LoadFriction(PosedTerm):
         that does not depend on the load; empty for none.
     velocity : tuple of float
         Speeds (rad/s) of that sigmoid, as for `SigmoidFriction`.
+
+    Examples
+    --------
+    >>> loaded = sdpid.identify(robot, log, intervals=False, effects="load")
+    >>> [name for name in loaded.problem.base.names if name.startswith("Fl")][:3]
+    ['Fl1', 'Fl2', 'Fl3']
     """
 
     width: float | tuple[float, ...] = 0.0

@@ -58,6 +58,11 @@ class TermParameter:
     deviation : float or None
         Standard deviation about zero that it is believed to have, in its unit; None for one that
         follows the size of the efforts (see `sdpid.estimation.prior`).
+
+    Examples
+    --------
+    >>> sdpid.friction.Coulomb().parameters(("shoulder", "elbow"))[1]
+    TermParameter(name='Fs2', unit='N.m', nonnegative=True, joint=1, deviation=None)
     """
 
     name: str
@@ -79,6 +84,12 @@ class OpenParameter:
         Where it is looked for, both positive: the search is logarithmic.
     unit : str
         Its unit.
+
+    Examples
+    --------
+    >>> speeds = [np.linspace(0.0, 1.0, 100)]
+    >>> sdpid.friction.Stribeck().open_parameters(speeds, ("joint_1",))
+    (OpenParameter(name='velocity1', lower=0.005, upper=0.5, unit='rad/s'),)
     """
 
     name: str
@@ -104,6 +115,12 @@ class FrictionTerm(ABC):
         motion are the filtered columns.
     posed : bool
         Whether the columns depend on the position, so that only `columns_in` can give them.
+
+    Examples
+    --------
+    >>> term = sdpid.friction.Viscous()
+    >>> [parameter.name for parameter in term.parameters(("shoulder", "elbow"))]
+    ['Fv1', 'Fv2']
     """
 
     linear: ClassVar[bool] = False
@@ -170,7 +187,7 @@ class FrictionTerm(ABC):
         Parameters
         ----------
         speeds : sequence of ndarray
-            Of each joint the measured speeds |v| (rad/s) of the samples in use, possibly none.
+            Of each joint the measured speeds ``|v|`` (rad/s) of the samples in use, possibly none.
         joint_names : sequence of str
             The n joints.
         """
@@ -212,6 +229,16 @@ class JointwiseTerm(FrictionTerm):
         numbers that the data choose, one a joint.
     slowest : float or None
         Slowest speed that is searched for open fields, rad/s; None leaves it to the data.
+
+    Examples
+    --------
+    >>> class Drag(sdpid.friction.JointwiseTerm):
+    ...     symbol, unit, nonnegative = "Fd", "N.m.s2/rad2", True
+    ...     def shape(self, velocity, acceleration):
+    ...         return velocity * np.abs(velocity)
+    >>> problem = sdpid.build_problem(robot, samples, friction=("coulomb", "viscous", Drag()))
+    >>> problem.base.names[-3:]
+    ('Fs6', 'Fv6', 'Fd6')
     """
 
     symbol: ClassVar[str]

@@ -76,6 +76,16 @@ class Coulomb(_SignTerm):
         joints, one per joint, or None to fit it to the data.
     dead_zone : float
         Speed (rad/s) below which the term is zero.
+
+    Examples
+    --------
+    >>> v = np.array([[-0.5, 0.0, 0.5]])
+    >>> sdpid.friction.Coulomb().shape(v, v)
+    array([[-1.,  0.,  1.]])
+    >>> sdpid.friction.Coulomb(width=0.5).shape(v, v).round(3)
+    array([[-0.762,  0.   ,  0.762]])
+    >>> terms = (sdpid.friction.Coulomb(width=0.01), "viscous")
+    >>> smooth = sdpid.build_problem(robot, samples, friction=terms)
     """
 
     symbol: ClassVar[str] = "Fs"
@@ -87,7 +97,14 @@ class Coulomb(_SignTerm):
 
 @dataclass(frozen=True)
 class Viscous(JointwiseTerm):
-    """Viscous friction ``Fv·v``."""
+    """Viscous friction ``Fv·v``.
+
+    Examples
+    --------
+    >>> v = np.array([[-0.5, 0.0, 2.0]])
+    >>> sdpid.friction.Viscous().shape(v, v)
+    array([[-0.5,  0. ,  2. ]])
+    """
 
     symbol: ClassVar[str] = "Fv"
     unit: ClassVar[str] = "N.m.s/rad"
@@ -101,7 +118,14 @@ class Viscous(JointwiseTerm):
 
 @dataclass(frozen=True)
 class Offset(JointwiseTerm):
-    """A constant effort ``Fo``: a sensor's or a current's zero error."""
+    """A constant effort ``Fo``: a sensor's or a current's zero error.
+
+    Examples
+    --------
+    >>> problem = sdpid.build_problem(robot, samples, friction=("coulomb", "viscous", "offset"))
+    >>> bool(abs(sdpid.solve_sdp(problem).named()["Fo1"]) < 1.0)
+    True
+    """
 
     symbol: ClassVar[str] = "Fo"
     unit: ClassVar[str] = "N.m"
@@ -115,7 +139,17 @@ class Offset(JointwiseTerm):
 
 @dataclass(frozen=True)
 class RotorInertia(JointwiseTerm):
-    """Inertia of the rotor seen through the gear, ``Ia·a``, without its gyroscopic effects."""
+    """Inertia of the rotor seen through the gear, ``Ia·a``, without its gyroscopic effects.
+
+    Examples
+    --------
+    >>> terms = ("coulomb", "viscous", "rotor_inertia")
+    >>> problem = sdpid.build_problem(robot, samples, friction=terms)
+    >>> problem.base.names[-3:]
+    ('Fs6', 'Fv6', 'Ia6')
+    >>> problem.base.expression("zzr1").endswith("+ Ia1")  # not to be told from zz_1
+    True
+    """
 
     symbol: ClassVar[str] = "Ia"
     unit: ClassVar[str] = "kg.m2"
@@ -132,6 +166,12 @@ class SquareRootFriction(JointwiseTerm):
     """Square-root friction ``Fq·sign(v)·√|v|``.
 
     Between Coulomb and viscous friction, for harmonic drives and greased gears.
+
+    Examples
+    --------
+    >>> v = np.array([[-0.25, 0.0, 4.0]])
+    >>> sdpid.friction.SquareRootFriction().shape(v, v)
+    array([[-0.5,  0. ,  2. ]])
     """
 
     symbol: ClassVar[str] = "Fq"
@@ -158,6 +198,15 @@ class Stribeck(JointwiseTerm):
         2 for a Gaussian peak, 1 for an exponential one.
     width : float, tuple of float, or None
         Width (rad/s) of the sign, as for `Coulomb`.
+
+    Examples
+    --------
+    >>> v = np.array([[0.01, 0.1, 1.0]])
+    >>> sdpid.friction.Stribeck(velocity=0.1).shape(v, v).round(3)
+    array([[0.99 , 0.368, 0.   ]])
+    >>> terms = ("coulomb", "viscous", sdpid.friction.Stribeck(velocity=0.1))
+    >>> sdpid.build_problem(robot, samples, friction=terms).base.names[-3:]
+    ('Fs6', 'Fv6', 'Fst6')
     """
 
     velocity: Speed = None
@@ -213,6 +262,15 @@ class SigmoidFriction(JointwiseTerm):
     ----------
     velocity : float, tuple of float, or None
         The speed w (rad/s): one for all joints, one per joint, or None to fit it to the data.
+
+    Examples
+    --------
+    >>> v = np.array([[-0.2, 0.0, 0.1]])
+    >>> sdpid.friction.SigmoidFriction(velocity=0.1).shape(v, v).round(3)
+    array([[-0.964,  0.   ,  0.762]])
+    >>> problem = sdpid.build_problem(robot, samples, friction=("viscous", "sigmoid"))
+    >>> problem.profiled[0].name, problem.profiled[0].unit
+    ('velocity1', 'rad/s')
     """
 
     velocity: Speed = None
@@ -265,6 +323,13 @@ class AsymmetricCoulomb(FrictionTerm):
     ----------
     width, dead_zone
         As for `Coulomb`.
+
+    Examples
+    --------
+    >>> problem = sdpid.build_problem(robot, samples, friction=("asymmetric_coulomb", "viscous"))
+    >>> found = sdpid.solve_sdp(problem).named()
+    >>> round(found["Fsp1"]), round(found["Fsn1"])
+    (50, 50)
     """
 
     width: Speed = 0.0
@@ -327,6 +392,13 @@ class Coupling(FrictionTerm):
         Names of the two joints.
     width : float or None
         Width (rad/s) of the sign of the motor's speed, as for `Coulomb`.
+
+    Examples
+    --------
+    >>> wrist = sdpid.friction.Coupling("joint_5", "joint_6")
+    >>> problem = sdpid.build_problem(robot, samples, friction=("coulomb", "viscous", wrist))
+    >>> problem.base.names[-3:]
+    ('Ia5_6', 'Fv5_6', 'Fs5_6')
     """
 
     first: str

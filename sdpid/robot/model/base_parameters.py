@@ -66,6 +66,16 @@ class BaseParameters:
         Columns of which the others leave a smaller fraction are called dependent.
     smallest_kept, largest_dropped : float
         The fractions on either side of the tolerance: the gap that decides the rank.
+
+    Examples
+    --------
+    >>> base = problem.base
+    >>> base.count, base.names[:3], base.units[:3]
+    (48, ('zzr1', 'Fs1', 'Fv1'), ('kg.m2', 'N.m', 'N.m.s/rad'))
+    >>> base.expression("xxr2")
+    'xx_2 - yy_2 - 0.0441*m_3 - 0.0441*m_4 - 0.0441*m_5 - 0.0441*m_6'
+    >>> bool(np.allclose(base.matrix @ estimate.theta, estimate.base))
+    True
     """
 
     names: tuple[str, ...]

@@ -50,6 +50,16 @@ class RobotDynamics:
         The terms beside the links' inertia.
     theta : ndarray, shape (p,)
         Parameters of the links, ten each, then those of the terms.
+
+    Examples
+    --------
+    >>> model = estimate.model()
+    >>> q, v = np.zeros(6), np.full(6, 0.1)
+    >>> effort = model.inverse_dynamics(q, v, np.zeros(6))
+    >>> bool(np.allclose(effort, model.coriolis(q, v) @ v + model.gravity(q) + model.friction(v)))
+    True
+    >>> bool(np.allclose(model.forward_dynamics(q, v, effort), 0.0, atol=1e-8))
+    True
     """
 
     robot: RobotModel

@@ -58,6 +58,14 @@ def load_robot(
         supported, a mass is negative, or nothing moves.
     MissingExtraError
         When the source needs an extra that is not installed.
+
+    Examples
+    --------
+    >>> sdpid.load_robot("ur5_robot")
+    RobotModel('ur5', 6 coordinates, 6 links)
+    >>> floating = sdpid.load_robot("solo12", root="free_flyer")
+    >>> floating.n, floating.n_base
+    (18, 6)
     """
     if root not in (None, "free_flyer"):
         raise ModelError(f"root is {root!r}; use None or 'free_flyer'.")

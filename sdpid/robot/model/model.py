@@ -53,6 +53,18 @@ class RobotModel:
         The description that `load_robot` read, and how; None for a robot from elsewhere.
     folder : Path or None
         The folder of the description's file, where the meshes that it names are looked up.
+
+    Examples
+    --------
+    >>> robot
+    RobotModel('denso_vp6242', 6 coordinates, 6 links)
+    >>> robot.joint_names[:2], robot.link_names[:2], robot.prior.shape
+    (('joint_1', 'joint_2'), ('link_1', 'link_2'), (6, 10))
+    >>> q = np.zeros((1, 6))
+    >>> robot.regressor(q, q, q).shape
+    (1, 6, 60)
+    >>> bool(np.allclose(robot.mass_matrix(estimate.theta, q), estimate.mass_matrix(q)))
+    True
     """
 
     name: str
