@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -283,13 +282,3 @@ def test_a_covariance_that_fails_halfway_changes_nothing(monkeypatch: pytest.Mon
         each.update(piece)
     same_cost(stream.problem, other.problem)
     assert stream.problem.n_rows == other.problem.n_rows
-
-
-def test_the_page_of_the_docs_runs(capsys: pytest.CaptureFixture[str]) -> None:
-    page = Path(__file__).resolve().parents[2] / "docs" / "guides" / "recursive.md"
-    (code,) = re.findall(r"^```python\n(.*?)^```", page.read_text(encoding="utf-8"), re.M | re.S)
-    samples = measured()
-    names: dict[str, Any] = {"robot": ARM, "samples": samples, "pieces": pieces(samples, 30, 60)}
-    exec(compile(code, str(page), "exec"), names)
-    assert capsys.readouterr().out.count("optimal") == 3
-    assert sdpid.certify(names["estimate"]).passed

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import re
 from collections.abc import Callable
 from dataclasses import replace
 from decimal import Decimal
@@ -470,10 +469,3 @@ def test_a_table_to_fill_in(tmp_path: Path) -> None:
     table.write_text(filled.replace("xxr6,kg.m2,,", "xxr6,kg.m2,-0.07,"))
     done = CliRunner().invoke(cli.app, arguments)
     assert (done.exit_code, "xxr6 + zz6 >= 0" in done.output) == (3, True)
-
-
-def test_the_page_in_the_documentation() -> None:
-    page = Path(__file__).resolve().parents[3] / "docs" / "guides" / "audit.md"
-    blocks = re.findall(r"^```python\n(.*?)^```", page.read_text("utf-8"), flags=re.M | re.S)
-    assert blocks
-    exec(compile("\n".join(blocks), "docs/guides/audit.md", "exec"), {})
