@@ -354,8 +354,8 @@ class Estimation:
         bool | None,
         _estimation(
             "--prior/--no-prior",
-            help="Regularize towards the inertias in the robot's description. Default: for logs "
-            "without periods.",
+            help="Regularize towards the inertias in the robot's description. Default: with the "
+            "weighting residual, which logs without periods have.",
         ),
     ] = None
     friction: Annotated[

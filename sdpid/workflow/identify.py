@@ -96,8 +96,8 @@ def identify(
         (`Constraints.of_size`).
     prior : Prior or bool, optional
         Regularization towards the inertias in the robot's description. By default a `Prior` with
-        a strength of one nat for records without periods, where the description has masses; none
-        otherwise.
+        a strength of one nat with the weighting ``residual``, which records without periods have,
+        where the description has masses; none otherwise.
     effects : {"auto", "none"}, str or iterable of str, optional
         Effects beside the friction terms: by default those that the training data show (see
         `sdpid.estimation.selection.choose`), of ``"tilt"`` (gravity's direction), ``"load"``
