@@ -177,6 +177,8 @@ def main() -> int:
         *(f"{count} files {what}" for what, count in sorted(agreement.items())),
         *(f"{count} files with {kind}" for kind, count in sorted(kinds.items())),
     ]
+    counted = [*sorted(agreement.items()), *sorted(kinds.items())]
+    Table(("what", "files"), tuple(counted)).write(options.out / "audit_robots_counts.csv")
     text = markdown(rows) + "\n" + "\n".join(f"- {line}" for line in summary) + "\n"
     atomic_write_text(options.out / "audit_robots.md", text)
     print("\n" + text)

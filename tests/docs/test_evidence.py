@@ -237,3 +237,17 @@ def test_pages_show_tables_and_numbers_or_warn(folder: Path, tmp_path: Path) -> 
     for words in ("python study.py", "2e-9", "not made anew since", "Of the UR10 4.7"):
         assert words in text
     assert "seconds" not in text
+
+
+def test_every_command_runs_something_that_is_there() -> None:
+    from studies import load_studies
+
+    root = EVIDENCE.parents[1]
+    for study in load_studies().values():
+        words = study.command.split()
+        if words[:2] == ["python", "-m"]:
+            path = root / words[2].replace(".", "/")
+            assert path.with_suffix(".py").is_file() or (path / "__main__.py").is_file()
+        elif words[0] == "python":
+            assert (root / words[1]).is_file()
+        assert "{out}" in study.command or study.note
