@@ -13,13 +13,15 @@ def main() -> None:
     """Excite, simulate, identify."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--out", type=Path, default=Path("results"))
-    parser.add_argument("--quick", action="store_true", help="ten seconds, from one start")
+    parser.add_argument("--quick", action="store_true", help="ten seconds, searched briefly")
     options = parser.parse_args()
 
     robot = sdpid.load_robot("ur10_robot")
     limits = sdpid.Limits(acceleration=3.0, jerk=60.0, clearance=0.03)
-    duration, starts = (10.0, 1) if options.quick else (20.0, 4)
-    plan = sdpid.design_excitation(robot, duration=duration, limits=limits, starts=starts)
+    duration, starts, seconds = (10.0, 1, 5.0) if options.quick else (20.0, 4, None)
+    plan = sdpid.design_excitation(
+        robot, duration=duration, limits=limits, starts=starts, time_limit=seconds
+    )
     sdpid.write_plan(plan, options.out / "plan")
     print(plan, *plan.expected.sentences(), sep="\n")
 

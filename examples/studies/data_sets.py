@@ -138,7 +138,7 @@ COMPARED: dict[str, sdpid.Prior | bool | None] = {
 
 ROBOTS = dict(zip(SETS, ("UR10", "Panda", "LWR 4+", "TX40", "Gen3"), strict=True))
 
-QUICK = ("panda_unisa", "ur10_unisa")
+QUICK = ("panda_unisa",)
 
 HEADER = (
     "set",
@@ -324,7 +324,7 @@ def main() -> int:
     parser.add_argument("--set", action="append", choices=tuple(SETS), help="a set (default all)")
     parser.add_argument("--markdown", action="store_true", help="write data_sets.md too")
     parser.add_argument("--priors", action="store_true", help="compare kinds and strengths")
-    parser.add_argument("--quick", action="store_true", help="two sets, two models")
+    parser.add_argument("--quick", action="store_true", help="one set, one model")
     options = parser.parse_args()
     options.out.mkdir(parents=True, exist_ok=True)
     names = options.set or (QUICK if options.quick else tuple(SETS))
@@ -338,7 +338,7 @@ def main() -> int:
                 flush=True,
             )
             continue
-        models = tuple(SETS[name].models)[: 2 if options.quick else None]
+        models = tuple(SETS[name].models)[: 1 if options.quick else None]
         kinds, priors = BOTH, PLAIN
         if options.priors:
             models, kinds, priors = (SETS[name].usual,), BOTH[:1], COMPARED

@@ -43,7 +43,8 @@ def problems(
 ) -> Iterator[tuple[str, Problem]]:
     """Yield the problems by name."""
     robot = sdpid.load_robot("denso_vp6242")
-    trajectory = sdpid.paper_excitation("denso_vp6242", 0, periods=2 if quick else 8)
+    periods, period = (2, 76.0) if quick else (8, None)
+    trajectory = sdpid.paper_excitation("denso_vp6242", 0, periods=periods, period=period)
     theta = true_parameters("denso_vp6242")
     log = simulate(robot, trajectory, theta=theta, seed=0, progress=False)
     samples = sdpid.process(log, progress=False)

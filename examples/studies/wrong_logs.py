@@ -19,6 +19,7 @@ import sys
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from itertools import chain, islice
 from pathlib import Path
 
 import numpy as np
@@ -396,11 +397,11 @@ def main() -> int:
     parser.add_argument("--out", type=Path, default=Path("results"))
     parser.add_argument("--seeds", type=int, default=3, help="simulated logs of each robot")
     parser.add_argument("--good", type=int, default=20, help="of these, to count false alarms")
-    parser.add_argument("--quick", action="store_true", help="one seed, one log to count")
+    parser.add_argument("--quick", action="store_true", help="one log of one robot")
     given = parser.parse_args()
     data = None if given.data is None else Path(given.data)
     seeds, counted = (1, 1) if given.quick else (given.seeds, given.good)
-    logs = [*simulated(seeds, data), *recorded(data)]
+    logs = list(islice(chain(simulated(seeds, data), recorded(data)), 1 if given.quick else None))
     names = list(dict.fromkeys(log.name for log in logs))
     rows, missed = [], []
     total = Counter(log.name for log in logs)

@@ -198,7 +198,7 @@ def explained(problem: Problem, theta: Array, best: Array) -> float:
     st.sampled_from(["log_cholesky", "none", "equation", "rows", "cone"]),
     SEEDS,
 )
-@settings(max_examples=25)
+@settings(max_examples=10)
 def test_nothing_ends_above_the_optimum_unexplained(
     name: str, consistency: Consistency, margin: float, what: str, seed: int
 ) -> None:
