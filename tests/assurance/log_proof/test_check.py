@@ -145,6 +145,17 @@ def test_a_written_robot_that_is_mounted_otherwise_is_named(run: Path, tmp_path:
     )
 
 
+def test_macros_in_a_folder_are_not_run(
+    run: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    results = Path(shutil.copytree(run / "results", tmp_path / "results"))
+    urdf = results / "identified.urdf"
+    macro = '<xacro:property xmlns:xacro="http://ros.org/wiki/xacro" name="a" value="${1 + 1}"/>'
+    urdf.write_text(urdf.read_text().replace("</robot>", f"{macro}</robot>"))
+    monkeypatch.setattr("sdpid.robot.model.load.expand_xacro", lambda *_: pytest.fail("was run"))
+    assert states(check_log(results, run / "run.csv"))["robot"] == "not proven"
+
+
 def test_a_robot_with_other_inertias_has_the_same_rows(run: Path, tmp_path: Path) -> None:
     other = tmp_path / "arm.urdf"
     other.write_text(ARM_URDF.replace('<mass value="3.0"/>', '<mass value="4.0"/>'))

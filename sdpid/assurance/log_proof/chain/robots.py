@@ -9,6 +9,8 @@ from sdpid.assurance.log_proof.chain.sealed import Sealed
 from sdpid.assurance.log_proof.recipe import RobotRecipe
 from sdpid.errors import ModelError
 from sdpid.robot.description.catalog import bundled_robots, example_robots
+from sdpid.robot.description.xacro import is_xacro
+from sdpid.robot.description.xml import read_description
 from sdpid.robot.model.digest import kinematics_digest
 from sdpid.robot.model.load import load_robot
 from sdpid.robot.model.model import RobotModel
@@ -66,6 +68,9 @@ def _of_folder(sealed: Sealed) -> RobotModel | None:
     if recipe.kinematics is None or not (sealed.folder / URDF).is_file():
         return None
     try:
+        # No run writes xacro, and its expressions are run; the folder may be anybody's.
+        if is_xacro(read_description(sealed.folder / URDF)):
+            return None
         robot = load_robot(sealed.folder / URDF, root=recipe.root, gravity=recipe.gravity)
     except ModelError:
         return None
