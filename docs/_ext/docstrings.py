@@ -50,11 +50,15 @@ def link_names(app: Sphinx, what: str, name: str, obj: Any, options: Any, lines:
             return f":py:obj:`{found[1]} <{target}>`"
         return f"``{found[1]}``"
 
+    def page(found: re.Match[str]) -> str:
+        there = (Path(app.srcdir) / f"{found[1]}.md").exists()
+        return f":doc:`/{found[1]}`" if there else f"``{found[0]}``"
+
     code = False
     for number, line in enumerate(lines):
         code = line.lstrip().startswith((">>>", "...")) or (code and bool(line.strip()))
         if not code:
-            lines[number] = _PAGE.sub(r":doc:`/\1`", _NAME.sub(show, line))
+            lines[number] = _PAGE.sub(page, _NAME.sub(show, line))
 
 
 def hide_signature(

@@ -14,7 +14,6 @@ PAGES = {"CHANGELOG.md": "project/changelog.md", "SECURITY.md": "project/securit
 AWAITED = {
     "choose.md",
     "comparison.md",
-    "glossary.md",
     "start.md",
     "troubleshooting.md",
     *(f"tutorials/{name}.md" for name in (

@@ -289,33 +289,35 @@ def build_problem(
     samples : Samples, Recording or path, or a sequence of these
         The measurements, n as the robot's; those of several recordings are joined. Recordings and
         files are processed first (see `processing`). Or samples on the workers of a cluster
-        (`sdpid.estimation.compression.distributed_rows.DistributedSamples`), with the same result.
+        (``DistributedSamples``), with the same result; see docs/guides/fleet.md.
     friction : iterable of str or FrictionTerm
-        Terms beside the links' inertia (see `sdpid.friction`). Numbers of theirs that are
-        None are chosen by the data (see `sdpid.estimation.effects.choose`).
+        Terms beside the links' inertia; docs/guides/friction.md lists them. Numbers of theirs
+        that are None are chosen by the data.
     weighting : {"gls", "gls_per_sample", "eq9", "eq18", "residual"}
         ``gls`` whitens with one covariance pooled over the samples; ``gls_per_sample`` with the
         covariance of each; ``eq9`` and ``eq18`` minimize the norm of the normal equations'
         residual with Sigma^(-1/2) and Sigma^(-1), as printed in the paper; ``residual``
         estimates a variance for each joint from the residuals of the fit.
     consistency : {"pseudo_inertia", "spatial_inertia", "none"}
-        What constrained solvers demand of every link.
+        What constrained solvers demand of every link: the 4×4 inequality, the weaker 6×6 one of
+        the paper, or nothing.
     constraints : Constraints, optional
         Margins and bounds.
     prior : Prior, optional
-        Prior knowledge beside the data; none by default. With one
-        the data may leave base parameters undetermined.
+        Prior knowledge beside the data; none by default. With one the data may leave base
+        parameters undetermined.
     base : BaseParameters, optional
-        Found before for the same robot and terms.
+        Base parameters found before for the same robot and terms, to save time.
     processing : Processing, optional
-        Of recordings and files among `samples`; by default one for all, that of the recording
-        with the median cut-off.
+        Processing of recordings and files among `samples`; by default one for all, that of the
+        recording with the median cut-off.
     check_excitation : bool, optional
         Whether data that leave a base parameter undetermined are refused where there is no prior.
 
     Returns
     -------
     Problem
+        What solvers take.
 
     Raises
     ------

@@ -204,11 +204,9 @@ def cross_validate(
 ) -> CrossValidation:
     """Hold out blocks of time or recordings in turn, and predict each by a fit to the rest.
 
-    Each fit starts from the raw recordings, as in `identify`. A block, and what lies before and
-    after it, are processed as separate recordings, and the ends of each are trimmed. So no sample
-    of a block influences the samples, the processing, the friction speeds, the weights or the
-    prior of the fit that predicts it, and training and held-out rows lie twice the memory of the
-    filter apart.
+    Each fit starts from the raw recordings, as in `identify`, so no sample of a block influences
+    the samples, the processing, the friction speeds, the weights or the prior of the fit that
+    predicts it. Training and held-out rows lie twice the memory of the filter apart.
 
     Parameters
     ----------
@@ -235,6 +233,7 @@ def cross_validate(
     Returns
     -------
     CrossValidation
+        Errors of every fit on what was held out from it.
 
     Raises
     ------

@@ -67,6 +67,9 @@ def identify(
 ) -> Identification:
     """Identify the dynamics of a robot from one recording or several.
 
+    The whole chain with its defaults, as the command ``sdpid identify`` runs it. Which options to
+    change: docs/choose.md.
+
     Parameters
     ----------
     robot : RobotModel, name or path
@@ -77,20 +80,23 @@ def identify(
     validation : Recording or path, or a sequence of these, optional
         Other recordings, whose efforts are predicted only.
     processing : Processing or mapping, optional
-        By default `default_processing`; of several recordings that of the one with the median
-        cut-off. A mapping changes some settings of the default, such as ``{"cutoff_hz": 10.0}``.
+        By default it follows from the log (see docs/guides/processing.md); of several recordings
+        that of the one with the median cut-off. A mapping changes some settings of the default,
+        such as ``{"cutoff_hz": 10.0}``.
     without_effort : iterable of str, optional
         Joints whose effort was not measured, or is wrong. Only their motion is used; their
         friction comes from the prior.
     accept : str or iterable of str, optional
         Kinds of findings that make a recording worthless in general, but are as they should be
-        here, such as ``"effort_sign"`` (see `sdpid.inspect_recording`).
+        here, such as ``"effort_sign"`` (see `inspect_recording`).
     friction : iterable, optional
-        By default `default_friction`.
+        Friction terms, by name or as objects. By default, for records with periods, Coulomb and
+        viscous friction; else these with a smooth sign, a sigmoid and offsets (see
+        docs/guides/friction.md).
     weighting : str, optional
-        By default ``gls`` for records with periods, else ``residual``.
+        By default ``gls`` for records with periods, else ``residual`` (see `build_problem`).
     consistency : str, optional
-        Physical consistency that every link must have.
+        Physical consistency that every link must have (see `build_problem`).
     constraints : Constraints, optional
         Margins and bounds; by default bounds that follow the robot's size
         (`Constraints.of_size`).
@@ -99,24 +105,25 @@ def identify(
         a strength of one nat with the weighting ``residual``, which records without periods have,
         where the description has masses; none otherwise.
     effects : {"auto", "none"}, str or iterable of str, optional
-        Effects beside the friction terms: by default those that the training data show (see
-        `sdpid.estimation.selection.choose`), of ``"tilt"`` (gravity's direction), ``"load"``
-        (friction that grows with load), ``"rotor_inertia"``, ``"coupling"`` (of the last two
-        joints) and ``"falling"`` (Stribeck). Names, as in ``("tilt", "load")`` or ``"tilt,load"``,
-        put these into the model whatever the data say.
+        Effects beside the friction terms: by default those that the training data show, of
+        ``"tilt"`` (gravity's direction), ``"load"`` (friction that grows with load),
+        ``"rotor_inertia"``, ``"coupling"`` (of the last two joints) and ``"falling"`` (Stribeck).
+        Names, as in ``("tilt", "load")`` or ``"tilt,load"``, put these into the model whatever
+        the data say. See docs/guides/effects.md.
     intervals : bool or str, optional
-        Method for the intervals of the parameters (see `sdpid.confidence_intervals`): True is
+        Method for the intervals of the parameters (see `confidence_intervals`): True is
         ``"gauss_markov"``, which takes a moment; ``"profile"`` respects the constraints and takes
         some seconds. Where the data do not allow intervals, `Identification.intervals_note` says
         why.
     folds : int, optional
         Number of blocks of the recordings to hold out in turn, with everything chosen anew without
-        each (see `sdpid.cross_validate`). By default the choices stay, and the parameters alone
-        are found anew (see `sdpid.assurance.diagnostics.held_out`).
+        each (see `cross_validate`). By default the choices stay, and the parameters alone are
+        found anew.
 
     Returns
     -------
     Identification
+        Estimate, certificate, errors, intervals and verdict; `Identification.save` writes them.
 
     Raises
     ------

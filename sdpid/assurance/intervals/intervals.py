@@ -181,10 +181,12 @@ def confidence_intervals(
 ) -> Intervals:
     """Return confidence intervals of base and standard parameters.
 
+    Which method to take: docs/guides/intervals.md.
+
     Parameters
     ----------
     estimate : Estimate
-        From any solver. Profile intervals need standard parameters.
+        The estimate, from any solver. Profile intervals need standard parameters.
     level : float, optional
         Probability with which each should hold the truth.
     parameters : iterable of str, optional
@@ -193,17 +195,20 @@ def confidence_intervals(
         raise where they are asked for by name. Of base parameters that the data leave open
         Gauss-Markov intervals say what a prior does.
     method : {"profile", "gauss_markov", "bootstrap"}, optional
-        See `sdpid.assurance.intervals.intervals`.
+        ``profile``: all values that feasible parameters take at a cost which the data do not rule
+        out; it takes some seconds. ``gauss_markov``: standard errors about the estimate, in a
+        moment. ``bootstrap``: the scatter of the constrained estimate over samples drawn again.
     groups : {"frequencies", "blocks", "periods"}, optional
         What is independent: the Fourier coefficients of the residuals, which need no long record;
         blocks of `samples.block` samples; or whole periods, where the samples keep them, which
         only vary by what does not repeat. By default frequencies, with the bootstrap blocks.
     resamples : int, optional
-        Of the bootstrap.
+        Number of resamples of the bootstrap.
     kind : {"percentile", "basic"}, optional
-        Of the bootstrap: quantiles of the resampled estimates, or mirrored about the estimate.
+        Kind of bootstrap interval: quantiles of the resampled estimates, or mirrored about the
+        estimate.
     seed : int or numpy.random.Generator, optional
-        Of the bootstrap.
+        Seed of the bootstrap.
     n_jobs : int, optional
         Programs solved at a time (joblib), by default one a core: in threads, or wherever the
         backend of a surrounding ``joblib.parallel_config`` is. The result does not depend on it.
@@ -211,6 +216,7 @@ def confidence_intervals(
     Returns
     -------
     Intervals
+        One interval a parameter, with what bounds it.
 
     Raises
     ------

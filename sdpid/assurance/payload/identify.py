@@ -80,20 +80,21 @@ def identify_payload(
     """Identify the payload that a link carries.
 
     The payload is the body, of all that matter can have, with which the recordings together fit
-    best: its parameters act where the link does and only in the recording with load; those of the
-    arm act in both, and take for every payload the values that fit best. What is known of the
-    arm is
+    best. The arm's own parameters take, for every payload, the values that fit best. What is known
+    of the arm is
 
     * a recording without load, or an estimate made from one (of which the data are used, not the
       result, so that its uncertainty counts);
-    * nothing but the robot's description: with a `prior` the prior regularizes towards it, without
-      one its links are taken as they are and only friction is estimated. The intervals then allow
-      for links that are off by 10 to 30 %, as much as the recording suggests.
+    * or nothing but the robot's description: with a `prior` the prior regularizes towards it,
+      without one its links are taken as they are and only friction is estimated. The intervals
+      then allow for links that are off by 10 to 30 %, as much as the recording suggests.
+
+    See docs/guides/payload.md.
 
     Parameters
     ----------
     robot : RobotModel, name or path
-        The arm without payload; beside an estimate, of the same description.
+        The arm without payload; beside an estimate, the estimate's own robot.
     with_load : Recording, Samples or path
         What was measured with the payload.
     without_load : Recording, Samples, path or Estimate, optional
@@ -111,7 +112,7 @@ def identify_payload(
         Names of friction terms that may differ between the recordings, such as the sensors' zero
         errors.
     processing : Processing, optional
-        Of the recordings; by default `default_processing`.
+        Processing of the recordings; by default as `identify` chooses it.
     weighting : str, optional
         By default that of the estimate, or ``gls`` for samples with a covariance, else
         ``residual``.
@@ -130,6 +131,7 @@ def identify_payload(
     Returns
     -------
     Payload
+        Mass, center of mass and inertia with intervals.
 
     Raises
     ------

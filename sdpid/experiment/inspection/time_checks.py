@@ -46,6 +46,10 @@ def units_of_time(subject: Subject) -> Iterator[Finding]:
     """Say where the unit of time was inferred, and find rates of no robot's logger."""
     log = subject.log
     for note in log.notes:
+        if not note.startswith("time:"):
+            # Of who made the recording, such as a simulator.
+            yield Finding(severity="note", kind="recording", message=note)
+            continue
         yield Finding(
             severity="note",
             kind="time_unit",

@@ -71,23 +71,13 @@ def process(
     position_limits: ArrayLike | None = None,
     progress: bool | None = None,
 ) -> Samples:
-    """Turn a recording into samples for a regression.
+    """Turn a recording into samples for a regression: filter, differentiate, average, decimate.
 
-    In this order: effort to torque; zero-phase low-pass filter; differentiation; with
-    ``filter_alike=False`` the same filter once more on the derivatives; removal of all but the
-    whole periods; average over the periods; decimation; covariance of the torque from the spread
-    of the periods.
-
-    No transient of the filter is left in the samples. Records with periods are filtered with 45
-    time constants of their neighborhood: the recorded lead-in and lead-out where they are as
-    long as that, else the other end of the periodic part (a periodic signal continues with its
-    beginning). Records without periods are continued by point reflection, and then trimmed; see
-    `Processing.trim_s`.
-
-    Before all that, angles that wrap are continued, and a record without periods is split where
-    more than four samples in a row (and more than 10 ms) are missing. Each piece is processed
-    separately; pieces that are too short are dropped. `Samples.starts` has the first sample of
-    each of the others.
+    Angles that wrap are continued. A record without periods is split where samples are missing
+    (more than four in a row, and more than 10 ms), and each piece is processed separately; pieces
+    that are too short are dropped. No transient of the filter is left: records without periods are
+    trimmed at their ends (`Processing.trim_s`), and periods are filtered with their neighborhood.
+    The steps in order: docs/guides/processing.md.
 
     Parameters
     ----------

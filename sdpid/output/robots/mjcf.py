@@ -60,16 +60,14 @@ def write_mjcf(
     From a URDF a new MJCF is made, with every link as a body under its name and without shapes.
     An MJCF is patched: only ``<inertial>`` elements and the joints' ``armature`` (rotor inertia),
     ``damping`` (viscous friction) and ``frictionloss`` (Coulomb friction) change, and of these
-    only what the problem has a term for; all other bytes stay as they are. One exception: where
-    the problem has no rotor inertia the links hold that of the rotors, so that an ``armature`` of
-    the source becomes zero. In a new MJCF, drives of two joints become fixed tendons. As in
-    `write_urdf`, the three are fitted anew where the problem has terms without a place.
+    only what the problem has a term for. One exception: where the problem has no rotor inertia the
+    links hold that of the rotors, so that an ``armature`` of the source becomes zero. In a new
+    MJCF, drives of two joints become fixed tendons. Bodies fixed to moving ones, and terms without
+    a place, are treated as by `write_urdf`.
 
-    Bodies fixed to moving ones are treated as `write_urdf` does: they keep their own inertials,
-    and the moving one takes the rest; where no body can be the rest it takes all, and theirs
-    become zero. The file's joint frames need not be the robot's, but the positions at which joints
-    are at zero must, and its world must be the robot's base (or have a body with the name of the
-    URDF's root link at its place).
+    The file's joint frames need not be the robot's, but the positions at which joints are at zero
+    must, and its world must be the robot's base (or have a body with the name of the URDF's root
+    link at its place). See docs/guides/exports.md.
 
     Parameters
     ----------
@@ -85,6 +83,7 @@ def write_mjcf(
     Returns
     -------
     ExportReport
+        What was written, what was left out, and what that costs.
 
     Raises
     ------

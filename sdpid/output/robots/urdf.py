@@ -55,14 +55,9 @@ def write_urdf(
 
     Only the ``<inertial>`` of moving links and the damping and friction of joints change, and of
     joints only what the problem has: damping with a viscous term (N·m·s/rad, N·s/m for sliding
-    joints), friction with a Coulomb term (N·m, N), both with a curve such as the sigmoid. All other
-    bytes stay as they are. Where the problem has terms that a URDF has no place for, damping and
-    friction are fitted to its rows anew, with the identified links held.
-
-    An identified body is what moves with a joint: a link and the links fixed to it. Those keep
-    their inertials and the moving link takes the rest. Where no body can be the rest, or one of
-    theirs is none that a body can have, the moving link takes all and theirs become zero. (Zero
-    rather than removed: readers invent a mass for links without an inertial.)
+    joints), friction with a Coulomb term (N·m, N). All other bytes stay as they are. Where the
+    problem has terms that a URDF has no place for, damping and friction are fitted to its rows
+    anew, with the identified links held. See docs/guides/exports.md.
 
     Parameters
     ----------
@@ -73,13 +68,16 @@ def write_urdf(
     source : str or path, optional
         URDF to change, as a path or its text; by default the one the robot was loaded from.
     fixed : {"keep", "merge"} or mapping, optional
-        How a body is split among the link that moves and the links fixed to it: as above; the
-        moving link takes all; or a mapping from names of fixed links to the ten parameters
-        (about their own frames) that they are to have, the others keeping theirs.
+        How an identified body is split among the link that moves and the links fixed to it.
+        ``keep``: those keep their inertials and the moving link takes the rest; where no body can
+        be the rest it takes all, and theirs become zero. ``merge``: it takes all. A mapping from
+        names of fixed links to ten parameters, about their own frames, gives theirs; the others
+        keep their own.
 
     Returns
     -------
     ExportReport
+        What was written, what was left out, and what that costs.
 
     Raises
     ------

@@ -252,3 +252,7 @@ def test_an_inferred_unit_of_time_is_said(log: Recording):
     assert "0.1 Hz, limit 2 to 25000 Hz" in finding.message
     given = read_recording(pd.DataFrame({"t": T, **columns}), units={"time": "s"})
     assert "time_unit" not in [f.kind for f in inspect_recording(given).findings]
+    # What else a recording says of itself has no unit to mend.
+    simulated = replace(log, notes=("simulated without a controller",))
+    (said,) = [f for f in inspect_recording(simulated).findings if "simulated" in f.message]
+    assert (said.severity, said.kind, said.remedy) == ("note", "recording", "")
