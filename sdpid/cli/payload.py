@@ -40,6 +40,14 @@ def payload(
             "taken as they are where there is no recording without the payload.",
         ),
     ] = None,
+    separate: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="TERM",
+            help="Friction term that may differ between the recordings, such as coulomb; repeat "
+            "for several. Default: offset.",
+        ),
+    ] = None,
     level: Annotated[float, typer.Option(help="Probability of the intervals.")] = 0.95,
     without_effort: opt.WithoutEffort = None,
 ) -> None:
@@ -59,6 +67,7 @@ def payload(
         frame=frame,
         link=link,
         prior=None if strength is None else Prior(strength=strength),
+        separate=("offset",) if separate is None else separate,
         level=level,
         without_effort=joints,
         **acceptance.arguments(),
