@@ -227,7 +227,7 @@ def _solved(
     shown = program.shown(theta, level)
     if not shown:
         lower[0] = 0.0
-        notes += ("no payload at all explains the recordings within the errors",)
+        notes += ("not shown: without any payload the errors explain the recordings, too",)
     mass, com, inertia = physical_parameters(theta)
     value = float(margin(theta, "pseudo_inertia"))
     return Payload(

@@ -286,7 +286,7 @@ def test_no_payload_is_none(arm: RobotModel) -> None:
     assert not found.shown
     assert found.lower[0] == 0.0
     assert found.upper[0] < 0.05
-    assert "no payload at all" in found.describe()
+    assert "without any payload" in found.describe()
 
 
 def test_less_than_nothing_is_nothing(arm: RobotModel) -> None:
