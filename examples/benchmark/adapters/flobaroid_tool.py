@@ -1,0 +1,169 @@
+"""FloBaRoID for the benchmark, from a checkout that FLOBAROID names.
+
+It is no package: its modules are imported from the checkout. Its settings are those that it ships
+for a KUKA LWR 4+ (`configs/kuka_lwr4.yaml`), less what belongs to that arm alone: the mass in all,
+which is that of the description instead (what it takes by itself where none is given), and the
+samples left out at the start.
+"""
+
+from __future__ import annotations
+
+import os
+import shutil
+import sys
+import tempfile
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from protocol import Answer, Method, Rows, Task, main
+
+FOLDER = Path(os.environ.get("FLOBAROID", "FloBaRoID"))
+SEED = 0
+# Of its parameters of a link (m, h, xx, xy, xz, yy, yz, zz), those of `Answer.bodies`.
+ORDER = [0, 1, 2, 3, 4, 5, 7, 6, 8, 9]
+
+
+def _clear_vectors() -> None:
+    """Begin six-vectors of iDynTree at zero.
+
+    FloBaRoID takes new ones for an acceleration of zero. Those of the package on PyPI hold
+    whatever was in memory, and efforts of NaN come of it.
+    """
+    from idyntree import bindings
+
+    plain = bindings.Vector6
+
+    def cleared(*given: Any) -> Any:
+        vector = plain(*given)
+        if not given:
+            vector.zero()
+        return vector
+
+    if plain.__name__ == "Vector6":
+        bindings.Vector6 = cleared
+
+
+# Its options that pull towards the description or bound by it, switched off.
+NO_BELIEFS = {
+    "frictionRegularization": 0,
+    "frictionFvRegularizationRelative": 0.0,
+    "postIdentifyFriction": 0,
+    "identifyClosestToCAD": 0,
+    "restrictCOMtoHull": 0,
+    "limitOverallMass": 0,
+    "limitMassToApriori": 0,
+}
+
+
+def _settings(task: Task, constrained: bool, beliefs: bool) -> dict[str, Any]:
+    import yaml
+
+    text = (FOLDER / "configs" / "kuka_lwr4.yaml").read_text(encoding="utf-8")
+    found: dict[str, Any] = yaml.safe_load(text)
+    found |= {
+        "limitMassVal": None,
+        "startOffset": 0,
+        "createPlots": 0,
+        "verbose": 0,
+        "num_dofs": len(task.joints),
+        "constrainToConsistent": int(constrained),
+        "estimateWith": "std" if constrained else "base",
+    }
+    if not beliefs:
+        found |= NO_BELIEFS
+    return found
+
+
+def _stored(rows: Rows, rate_hz: float, order: list[int]) -> dict[str, np.ndarray]:
+    effort = np.zeros_like(rows.position) if rows.effort is None else rows.effort
+    return {
+        "positions": rows.position[:, order],
+        "velocities": rows.velocity[:, order],
+        "accelerations": rows.acceleration[:, order],
+        "torques": effort[:, order],
+        "times": np.arange(len(effort)) / rate_hz,
+        "frequency": np.array(rate_hz),
+    }
+
+
+def _processed(task: Task, data: Any, order: list[int]) -> dict[str, np.ndarray]:
+    """Return the log behind its own filters."""
+    q, tau = (np.array(task.log[k][:, order]) for k in ("position", "effort"))
+    v, a, q_raw, v_raw, tau_raw = (np.zeros_like(q) for _ in range(5))
+    time = task.log["time"]
+    data.preprocess(
+        Q=q, V=v, Vdot=a, Tau=tau, T=time, Fs=task.rate_hz,
+        Q_raw=q_raw, V_raw=v_raw, Tau_raw=tau_raw,
+    )  # fmt: skip
+    return {
+        "positions": q,
+        "velocities": v,
+        "accelerations": a,
+        "torques": tau,
+        "velocities_raw": v_raw,
+        "times": time,
+        "frequency": np.array(task.rate_hz),
+    }
+
+
+def fit(task: Task, *, own: bool, constrained: bool = True, beliefs: bool = True) -> Answer:
+    """Return what it finds."""
+    sys.path.insert(0, str(FOLDER.resolve()))
+    _clear_vectors()
+    from identification.data import Data
+    from identifier import Identification
+
+    settings = _settings(task, constrained, beliefs)
+    np.random.seed(SEED)  # noqa: NPY002 - of its random regressor
+    with tempfile.TemporaryDirectory() as folder:
+        # It keeps files beside the description.
+        urdf = shutil.copy(task.urdf, folder)
+        found = Identification(settings, str(urdf), None, None, None, None)
+        model = found.model
+        # Its joints may stand in another order.
+        order = [task.joints.index(name) for name in model.jointNames]
+        taken = (
+            _processed(task, found.data, order)
+            if own
+            else _stored(task.common, task.rate_hz, order)
+        )
+        found.data.init_from_data(taken)
+        found.estimateParameters()
+    standard = np.array(model.xStd)
+    base = np.array(model.xBase)
+    failed = constrained and np.allclose(standard, model.xStdModel)
+    if failed:
+        raise RuntimeError("the semidefinite program failed; the description is returned")
+
+    def predict(rows: Rows) -> np.ndarray:
+        asked = Data(settings)
+        asked.init_from_data(_stored(rows, task.rate_hz, order))
+        model.computeRegressors(asked)
+        efforts = model.YStd @ standard if constrained else model.YBase @ base
+        out = np.empty_like(rows.position)
+        out[:, order] = efforts.reshape(-1, len(order))
+        return out
+
+    bodies = None
+    if constrained:
+        links = standard[: model.num_model_params].reshape(-1, 10)[:, ORDER]
+        # The base, which does not move, and frames without mass are not identified.
+        prior = model.xStdModel[: model.num_model_params].reshape(-1, 10)
+        moving = prior[:, 0] > 0.0
+        moving[0] = False
+        bodies = links[moving]
+    return Answer(predict, bodies, str(getattr(found.sdp, "status", "")))
+
+
+METHODS: dict[str, Method] = {
+    "own rows, SDP": partial(fit, own=True),
+    "own rows, least squares": partial(fit, own=True, constrained=False),
+    "SDP": partial(fit, own=False),
+    "SDP, no beliefs": partial(fit, own=False, beliefs=False),
+    "least squares": partial(fit, own=False, constrained=False),
+}
+
+if __name__ == "__main__":
+    main(METHODS, ("idyntree", "cvxpy", "clarabel", "scipy"))

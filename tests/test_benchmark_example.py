@@ -1,0 +1,95 @@
+"""The judge of examples/benchmark finds what is wrong with an answer, from its predictions."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import sdpid
+
+FOLDER = Path(__file__).resolve().parent.parent / "examples" / "benchmark"
+PLACES = [str(FOLDER), str(FOLDER / "adapters"), str(FOLDER.parent / "studies")]
+
+
+@pytest.fixture(scope="module")
+def record() -> Any:
+    """The simulated record of a quick run without data."""
+    sys.path[:0] = PLACES
+    try:
+        import records
+
+        yield records.without_data()
+    finally:
+        for place in PLACES:
+            sys.path.remove(place)
+
+
+def _robot_and_bodies(record: Any) -> tuple[Any, np.ndarray]:
+    from records import simulated_bodies
+
+    robot = sdpid.load_robot(record.task.urdf)
+    return robot, simulated_bodies(robot.n_links)
+
+
+def _efforts(record: Any, coulomb: np.ndarray) -> np.ndarray:
+    """Return the efforts of the simulated robot at the asked rows."""
+    robot, bodies = _robot_and_bodies(record)
+    rows = record.task.asked
+    v = rows.velocity
+    links = robot.inverse_dynamics(bodies.ravel(), rows.position, v, rows.acceleration)
+    return np.asarray(links + coulomb * np.sign(v) + 0.5 * v)
+
+
+def test_a_true_answer_passes(record: Any) -> None:
+    from judge import judge
+
+    robot, bodies = _robot_and_bodies(record)
+    found = judge(record, _efforts(record, np.ones(6)), bodies)
+    noise = 100.0 * 0.05 * np.sqrt(record.truth.size) / np.linalg.norm(record.truth)
+    assert found.held_out == pytest.approx(noise, rel=0.1)
+    assert (found.bodies, found.positive, found.links) == (6, 6, 6)
+    assert found.driving == 0
+    theta, none = bodies.ravel(), np.zeros((1, 6))
+    exact = []
+    for q in record.task.asked.position[record.parts["masses"]][:: 6 + 1]:
+        at_rest = robot.inverse_dynamics(theta, q[None], none, none)
+        columns = [robot.inverse_dynamics(theta, q[None], none, e[None]) for e in np.eye(6)]
+        exact.append(np.linalg.eigvalsh(np.vstack(columns) - at_rest)[0])
+    assert found.least_eigenvalue == pytest.approx(min(exact), rel=1e-6)
+
+
+def test_wrong_answers_are_seen(record: Any) -> None:
+    from judge import judge
+
+    _, bodies = _robot_and_bodies(record)
+    bodies[2, 4] += 10.0  # no mass distribution has one moment above the sum of the others
+    bodies[4, 0] = -1.0
+    driven = np.ones(6)
+    driven[3] = -1.0
+    efforts = _efforts(record, driven)
+    found = judge(record, efforts, bodies)
+    assert found.driving == 1
+    assert (found.bodies, found.positive) == (4, 5)
+    # An answer whose inertia at joint 1 is negative.
+    masses = record.parts["masses"]
+    negative = efforts.copy()
+    negative[masses, 0] -= 1e3 * record.task.asked.acceleration[masses, 0]
+    assert judge(record, negative, None).least_eigenvalue < 0.0
+    efforts[3, 2] = np.nan
+    with pytest.raises(ValueError, match="finite"):
+        judge(record, efforts, None)
+
+
+def test_a_task_survives_its_file(record: Any, tmp_path: Path) -> None:
+    from protocol import Task
+
+    record.task.write(tmp_path / "task.npz")
+    found = Task.read(tmp_path / "task.npz")
+    assert found.joints == record.task.joints
+    assert found.asked.effort is None
+    np.testing.assert_array_equal(found.common.effort, record.task.common.effort)
+    np.testing.assert_array_equal(found.log["time"], record.task.log["time"])
