@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import asyncio
 import base64
 import hashlib
 import json
@@ -114,23 +113,18 @@ def test_the_arm_moves_in_a_browser(page: str, tmp_path: Path) -> None:
         # Out of sight it stands still.
         await tab.value("document.getElementById('scene').scrollIntoView()")
         await tab.until("document.getElementById('scene-told').textContent !== ''")
-        first = await tab.value(picture), await tab.value(told)
-        await asyncio.sleep(0.5)
-        second = await tab.value(picture), await tab.value(told)
-        assert first[0] != second[0]
-        assert first[1] != second[1]
-        assert "nearest:" in second[1]
+        await tab.value(f"[window.seen, window.read] = [{picture}, {told}]")
+        await tab.until(f"{picture} !== seen && {told} !== read")
+        assert "nearest:" in await tab.value(told)
         await tab.value("document.getElementById('scene-view').focus()")
         await tab.key(" ")
-        assert await tab.value("document.getElementById('scene-play').textContent") == "Play"
-        still = await tab.value(picture)
+        await tab.until("document.getElementById('scene-play').textContent === 'Play'")
+        await tab.value(f"window.seen = {picture}")
         await tab.key("ArrowLeft")
-        await asyncio.sleep(0.2)
-        assert await tab.value(picture) != still
+        await tab.until(f"{picture} !== seen")
         slide = "s = document.getElementById('scene-time'); s.value = 2; s.dispatchEvent(new Event("
         await tab.value(f"{slide}'input'))")
-        await asyncio.sleep(0.2)
-        assert (await tab.value(told)).startswith("2.00 s of")
+        await tab.until(f"{told}.startsWith('2.00 s of')")
         for width in (1280, 390):
             size = {"width": width, "height": 900, "deviceScaleFactor": 1, "mobile": False}
             await tab.call("Emulation.setDeviceMetricsOverride", **size)
