@@ -305,7 +305,8 @@ class _Search:
         raise SolverError(
             f"SDP of '{self.problem.robot.name}': ended '{self.status}' with {found} "
             f"(limits {PROVEN:.0e} and {FEASIBLE:.0e}); check the excitation "
-            "(problem.excitation) and the margin, or give a prior.",
+            "(problem.excitation) and the margin, or give a prior or tighter bounds, such as "
+            "Constraints.of_size(robot).",
             problem=self.problem,
             found=self.best,
         )
