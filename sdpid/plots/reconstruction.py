@@ -83,7 +83,7 @@ def plot_fit(
     title: str | None = None,
     axes: Any = None,
 ) -> Any:
-    """Show measured against predicted effort, joint by joint, with the errors beside.
+    """Show the effort of samples against its prediction, with the errors beside.
 
     Parameters
     ----------
@@ -137,7 +137,7 @@ def plot_reconstruction(
     title: str | None = None,
     axes: Any = None,
 ) -> Any:
-    """Show measured against predicted effort, joint by joint, with the errors beside.
+    """Show arrays of measured and predicted effort, joint by joint, with the errors beside.
 
     Parameters
     ----------

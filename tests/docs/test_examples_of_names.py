@@ -50,6 +50,12 @@ def names_of_the_pages() -> list[str]:
 NAMES = sorted({*public_names(), *names_of_the_pages()})
 
 
+def _summary(name: str) -> str:
+    """Return the first line of a docstring as it stands in a table in Markdown."""
+    first = (inspect.getdoc(resolve(name)) or "").split("\n")[0]
+    return re.sub(r"\s*\[\w+\]_", "", first).replace("``", "`").replace("|", r"\|")
+
+
 def resolve(name: str) -> Any:
     module, _, attribute = name.rpartition(".")
     return getattr(importlib.import_module(module), attribute)
@@ -60,7 +66,8 @@ def test_every_public_name_stands_on_one_page() -> None:
     assert set(public_names()) <= set(shown)
     assert len(shown) == len(set(shown))
     index = (API / "index.md").read_text(encoding="utf-8")
-    assert not [name for name in public_names() if f"`{name}`" not in index]
+    rows = {name: f"| {{py:obj}}`{name}` | {_summary(name)} |" for name in public_names()}
+    assert not [row for row in rows.values() if row not in index]
 
 
 @pytest.mark.parametrize("name", NAMES)

@@ -173,7 +173,7 @@ class Certificate:
 
     @property
     def gap(self) -> float:
-        """(cost − lower bound) relative to the cost (see `relative_gap`), rounded up."""
+        """(cost − lower bound) relative to the cost, rounded up."""
         gap = self._claims["gap"]
         if gap is None:
             return relative_gap(self.problem, self.cost, self.lower_bound)
@@ -196,7 +196,7 @@ class Certificate:
 
     @property
     def passed(self) -> bool:
-        """Whether all that is claimed is proven, and the gap is no more than `GAP`."""
+        """Whether all that is claimed is proven, and the gap is no more than 1e-6 (`GAP`)."""
         return not self._proof.problems and self.gap <= GAP
 
     def __repr__(self) -> str:

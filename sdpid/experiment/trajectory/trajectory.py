@@ -30,7 +30,7 @@ _DURATIONS = ("rate_hz", "rest", "connection")
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Trajectory:
-    """Rest, connection, whole periods of a curve, connection, rest.
+    """A motion to run: rest, connection, whole periods of a curve, connection, rest.
 
     The joints rest at the center of a Fourier series; before and after any other curve they rest
     where it starts and ends. The connections are polynomials of fifth degree: position, velocity

@@ -137,9 +137,10 @@ class Tilt(PosedTerm):
 class LoadFriction(PosedTerm):
     """Coulomb friction that grows with the load of the gear, ``Fl·abs(load)·sign(v)``.
 
-    The load is the effort that moves and carries the links. `identify` chooses this term by the
-    data (``effects="load"`` puts it in), and takes the bodies from a first fit. In `build_problem`
-    the description's must have masses: without, there is no column and no parameter.
+    The load is the effort that moves and carries the links; Fl has no unit. `identify` chooses
+    this term by the data (``effects="load"`` puts it in), and takes the bodies from a first fit.
+    In `build_problem` the description's must have masses: without, there is no column and no
+    parameter.
 
     Attributes
     ----------

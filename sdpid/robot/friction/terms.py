@@ -69,6 +69,8 @@ class _SignTerm(JointwiseTerm):
 class Coulomb(_SignTerm):
     """Coulomb friction ``Fs·sign(v)``.
 
+    Its name is ``"coulomb"``; Fs is in N·m, of sliding joints in N.
+
     Attributes
     ----------
     width : float, tuple of float, or None
@@ -99,6 +101,8 @@ class Coulomb(_SignTerm):
 class Viscous(JointwiseTerm):
     """Viscous friction ``Fv·v``.
 
+    Its name is ``"viscous"``; Fv is in N·m·s/rad, of sliding joints in N·s/m.
+
     Examples
     --------
     >>> v = np.array([[-0.5, 0.0, 2.0]])
@@ -120,6 +124,8 @@ class Viscous(JointwiseTerm):
 class Offset(JointwiseTerm):
     """A constant effort ``Fo``: a sensor's or a current's zero error.
 
+    Its name is ``"offset"``; Fo is in N·m, of sliding joints in N.
+
     Examples
     --------
     >>> problem = sdpid.build_problem(robot, samples, friction=("coulomb", "viscous", "offset"))
@@ -140,6 +146,8 @@ class Offset(JointwiseTerm):
 @dataclass(frozen=True)
 class RotorInertia(JointwiseTerm):
     """Inertia of the rotor seen through the gear, ``Ia·a``, without its gyroscopic effects.
+
+    Its name is ``"rotor_inertia"``; Ia is in kg·m², of sliding joints in kg.
 
     Examples
     --------
@@ -165,7 +173,8 @@ class RotorInertia(JointwiseTerm):
 class SquareRootFriction(JointwiseTerm):
     """Square-root friction ``Fq·sign(v)·√|v|``.
 
-    Between Coulomb and viscous friction, for harmonic drives and greased gears.
+    Between Coulomb and viscous friction, for harmonic drives and greased gears. Its name is
+    ``"square_root"``; Fq is in N·m·√(s/rad), of sliding joints in N·√(s/m).
 
     Examples
     --------
@@ -187,7 +196,8 @@ class SquareRootFriction(JointwiseTerm):
 class Stribeck(JointwiseTerm):
     """Stribeck peak: friction above Coulomb's at low speed, ``Fst·exp(−|v/vs|^exponent)·sign(v)``.
 
-    A companion of `Coulomb`: the sum is the Stribeck curve [armstrong1994]_.
+    A companion of `Coulomb`: the sum is the Stribeck curve [armstrong1994]_. Its name is
+    ``"stribeck"``; Fst is in N·m, of sliding joints in N.
 
     Attributes
     ----------
@@ -256,7 +266,8 @@ class SigmoidFriction(JointwiseTerm):
     """Friction that saturates, ``Fsg·tanh(v / w)``.
 
     The field's sigmoid ``c/(1 + exp(−2·v/w)) − c/2`` with Fsg = c/2 [gaz2019]_. Alone it is
-    Coulomb friction with a smooth sign; beside `Coulomb` it is what still grows at first.
+    Coulomb friction with a smooth sign; beside `Coulomb` it is what still grows at first. Its name
+    is ``"sigmoid"``; Fsg is in N·m, of sliding joints in N.
 
     Attributes
     ----------
@@ -318,6 +329,7 @@ class AsymmetricCoulomb(FrictionTerm):
     """Coulomb friction ``Fsp`` for positive and ``Fsn`` for negative velocity, both ≥ 0.
 
     A prior believes that both sides are alike, so that a motion in one direction determines both.
+    Its name is ``"asymmetric_coulomb"``; Fsp and Fsn are in N·m, of sliding joints in N.
 
     Attributes
     ----------
