@@ -1,0 +1,75 @@
+"""Messages and kinds of findings on the page of troubleshooting are those of the package."""
+
+from __future__ import annotations
+
+import ast
+import re
+from collections.abc import Iterator
+from functools import cache
+from pathlib import Path
+
+from sdpid.experiment.inspection.accept import _FINAL, REFUSED
+
+ROOT = Path(__file__).resolve().parents[2]
+PAGE = (ROOT / "docs" / "troubleshooting.md").read_text("utf-8")
+_CODE = re.compile(r"`([^`]+)`")
+
+
+@cache
+def texts() -> tuple[str, ...]:
+    """Return every text in the package, a placeholder for what is filled in."""
+    trees = (ast.parse(path.read_text("utf-8")) for path in (ROOT / "sdpid").rglob("*.py"))
+    return tuple(filter(None, (text(node) for tree in trees for node in ast.walk(tree))))
+
+
+def text(node: ast.AST) -> str:
+    if isinstance(node, ast.Constant) and isinstance(node.value, str):
+        return node.value
+    if isinstance(node, ast.JoinedStr):
+        return "".join(text(part) or "\0" for part in node.values)
+    return ""
+
+
+def first_cells(header: str) -> Iterator[str]:
+    """Yield the code in the first column of each table that begins with this heading."""
+    inside = False
+    for line in PAGE.splitlines():
+        cell = line.strip().strip("|").split("|")[0].strip() if line.startswith("|") else ""
+        inside = bool(cell) and (inside or cell == header)
+        if inside:
+            yield from _CODE.findall(cell)
+
+
+def test_every_message_is_one_of_the_package() -> None:
+    messages = list(first_cells("message"))
+    assert len(messages) > 50
+    wanted = [[part for part in message.split("…") if len(part) > 2] for message in messages]
+    said = texts()
+    gone = [
+        message
+        for message, parts in zip(messages, wanted, strict=True)
+        if not any(all(part in words for part in parts) for words in said)
+    ]
+    assert not gone
+
+
+def kinds_made() -> Iterator[str]:
+    """Yield every kind that a check gives a finding, ``\0_clipped`` where it names a quantity."""
+    for folder in ("inspection", "preparation"):
+        for path in (ROOT / "sdpid" / "experiment" / folder).rglob("*.py"):
+            for node in ast.walk(ast.parse(path.read_text("utf-8"))):
+                if isinstance(node, ast.keyword) and node.arg == "kind":
+                    yield from map(text, ast.walk(node.value))
+
+
+def test_every_kind_of_finding_is_named() -> None:
+    kinds = {*REFUSED, *_FINAL}
+    for made in kinds_made():
+        if re.fullmatch(r"[a-z]+(_[a-z]+)*", made):
+            kinds.add(made)
+        elif made.startswith("\0"):
+            kinds |= {made.replace("\0", quantity) for quantity in ("velocity", "effort")}
+    assert len(kinds) > 30
+    named = set(first_cells("kind"))
+    assert kinds - named == set()
+    assert named - kinds == set()
