@@ -238,6 +238,37 @@ def summary(runs: Sequence[Run]) -> str:
     return "\n".join(lines)
 
 
+# What the parameters of an effect are, and its name among those that `identify` chooses.
+OF_EFFECT = {
+    "tilt": ("tilt", "tilt"),
+    "load": ("load", "load"),
+    "rotor": ("rotor inertia", "rotor_inertia"),
+}
+FOUND = (
+    "effect",
+    "logs",
+    "chosen_percent",
+    "another_chosen_percent",
+    "intervals",
+    "held_percent",
+    "friction_error_percent",
+)
+
+
+def found_row(effect: str, runs: Sequence[Run]) -> tuple[object, ...]:
+    """Return how often an effect was chosen, and how right its parameters are."""
+    kind, name = OF_EFFECT[effect]
+    rows = [row for each in runs for row in each.rows]
+    inside = held([row for row in rows if row.kind == kind])
+    errors = [abs(r.estimate / r.truth - 1.0) for r in rows if r.kind == "friction at 0.3"]
+    own = [name in each.chosen for each in runs]
+    others = [any(each != name for each in run.chosen) for run in runs]
+    shares = (100.0 * float(np.mean(each)) if each else None for each in (own, others))
+    middle = 100.0 * float(np.median(errors)) if errors else None
+    kept = 100.0 * float(np.mean(inside)) if inside else None
+    return effect, len(runs), *shares, len(inside), kept, middle
+
+
 def main() -> int:
     """Run every log and write the tables."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
@@ -257,6 +288,7 @@ def main() -> int:
     effects = options.effect or ["none"]
     done: list[Row] = []
     text = []
+    chosen: list[tuple[object, ...]] = []
     for effect in effects:
         tasks = []
         for robot in robots:
@@ -272,6 +304,9 @@ def main() -> int:
         done += [row for each in runs for row in each.rows]
         table = Table(tuple(f.name for f in fields(Row)), tuple(astuple(row) for row in done))
         table.write(options.out / "truth.csv")
+        if effect in OF_EFFECT:
+            chosen.append(found_row(effect, runs))
+            Table(FOUND, tuple(chosen)).write(options.out / "truth_effects.csv")
         text += [f"## {effect}", "", summary(runs), ""]
         print("\n".join(text[-3:]), flush=True)
     atomic_write_text(options.out / "truth.md", "\n".join(text))
