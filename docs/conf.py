@@ -59,6 +59,8 @@ nb_execution_mode = "off" if os.environ.get("SDPID_DOCS") == "draft" else "cache
 nb_execution_cache_path = str(
     DOCS / "_cache" / hashlib.sha256(tutorials.sources(ROOT)).hexdigest()[:16]
 )
+# What is not executed has no language that myst-nb knows of.
+suppress_warnings = [] if nb_execution_mode == "cache" and records else ["myst-nb.lexer"]
 nb_execution_in_temp = True
 nb_execution_timeout = 300
 nb_execution_raise_on_error = True
