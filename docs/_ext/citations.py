@@ -1,4 +1,4 @@
-"""Resolve citation keys, `[gautier1990]` in pages and `[gautier1990]_` in docstrings."""
+"""Resolve citation keys, `[gautier1990, bell2002]` in pages and `[gautier1990]_` in docstrings."""
 
 import re
 from pathlib import Path
@@ -14,7 +14,7 @@ _ENTRY = re.compile(r"\*\*\[(\w+)\]\*\*")
 _VERBATIM = re.compile(
     r"(^(`{3,}|:{3,}\{code).*?^\2[`:]*\s*?$|`[^`\n]*`|\$[^$]+\$|<!--.*?-->)", re.M | re.S
 )
-_CITED = re.compile(r"(?<![\w\]\[!*])\[(\w+)\](?![\[(:{])")
+_CITED = re.compile(r"(?<![\w\]\[!*])\[(\w+(?:,\s\w+)*)\](?![\[(:{])")
 
 
 def keys(docs: Path) -> set[str]:
@@ -31,8 +31,11 @@ def link_citations(app: Sphinx, name: str, source: list[str]) -> None:
     up = "../" * name.count("/")
 
     def link(found: re.Match[str]) -> str:
-        key = found[1]
-        return f"[\\[{key}\\]]({up}{PAGE}.md#ref-{key})" if key in known else found[0]
+        cited = re.split(r",\s", found[1])
+        if not known.issuperset(cited):
+            return found[0]
+        links = [f"[{key}]({up}{PAGE}.md#ref-{key})" for key in cited]
+        return f"\\[{', '.join(links)}\\]"
 
     pieces = _VERBATIM.split(source[0])
     # The pattern has two groups: text, verbatim, fence, text, ...
