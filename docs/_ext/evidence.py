@@ -81,6 +81,24 @@ class Evidence(SphinxDirective):
         return list(columns.values()), cells
 
 
+class Studies(SphinxDirective):
+    """List every study: its question, page, command, duration, and when its tables were made."""
+
+    def run(self) -> list[nodes.Node]:
+        """Return the list as a table."""
+        rows = []
+        for study in _studies(self.env).values():
+            dates = sorted({table.date for table in study.tables.values()})
+            anew = all(table.made == "by the command" for table in study.tables.values())
+            minutes = "" if study.minutes is None else f"{study.minutes:g}"
+            made = " to ".join(dict.fromkeys((dates[0], dates[-1])))
+            words = study.title + (f" ({study.note})" if study.note else "")
+            command = f"`{study.shown_command()}`"
+            rows.append([study.name, words, command, minutes, made if anew else f"{made}, page"])
+        header = ["Study", "What it asks", "Command", "Minutes", "Made"]
+        return [_table(header, rows, "")]
+
+
 class Measured(SphinxRole):
     """Show one number of a kept table."""
 
@@ -101,7 +119,7 @@ def _table(header: list[str], rows: list[list[str]], caption: str) -> nodes.tabl
     """Return a table, columns of numbers on the right."""
     table = nodes.table(classes=["evidence-table"])
     if caption:
-        table += nodes.title("", caption)
+        table += nodes.title("", "", *_inline(caption))
     group = nodes.tgroup(cols=len(header))
     right = [all(_numeric(row[k]) for row in rows) for k in range(len(header))]
     group += [nodes.colspec(colwidth=1) for _ in header]
@@ -114,10 +132,16 @@ def _table(header: list[str], rows: list[list[str]], caption: str) -> nodes.tabl
 def _row(cells: list[str], right: list[bool]) -> nodes.row:
     row = nodes.row()
     for cell, to_right in zip(cells, right, strict=True):
-        entry = nodes.entry("", nodes.paragraph("", cell))
+        entry = nodes.entry("", nodes.paragraph("", "", *_inline(cell)))
         entry["classes"] = ["text-right"] if to_right else []
         row += entry
     return row
+
+
+def _inline(text: str) -> list[nodes.Node]:
+    """Return a text with what stands between backticks as code."""
+    parts = enumerate(text.split("`"))
+    return [nodes.literal("", part) if n % 2 else nodes.Text(part) for n, part in parts if part]
 
 
 def _source(study: Study, table: Table) -> nodes.paragraph:
@@ -162,5 +186,6 @@ def _loaded(folder: Path, _changed: int) -> dict[str, Study]:
 def setup(app: Sphinx) -> dict[str, Any]:
     """Register directive and role."""
     app.add_directive("evidence", Evidence)
+    app.add_directive("studies", Studies)
     app.add_role("measured", Measured())
     return {"version": "1", "parallel_read_safe": True, "parallel_write_safe": True}

@@ -201,6 +201,9 @@ PAGE = """# Page
 ```
 
 Of the UR10 {measured}`first/arms arm=UR10 error .1f`.
+
+```{studies}
+```
 """
 WRONG = {
     "```{evidence} first/legs\n```": "has the tables arms",
@@ -234,7 +237,13 @@ def test_pages_show_tables_and_numbers_or_warn(folder: Path, tmp_path: Path) -> 
     assert "index.md" not in done.stderr
     html = (out / "index.html").read_text(encoding="utf-8")
     text = re.sub(r"<[^>]*>", "", html.partition("<h1>")[2])
-    for words in ("python study.py", "2e-9", "not made anew since", "Of the UR10 4.7"):
+    for words in (
+        "python study.py",
+        "2e-9",
+        "not made anew since",
+        "Of the UR10 4.7",
+        "One that fails",
+    ):
         assert words in text
     assert "seconds" not in text
 
