@@ -140,7 +140,6 @@ def identify(
     array([0.23, 0.31, 0.15, 0.12, 0.12, 0.11])
     >>> print(result.headline.error)
     0.14... % in motion (share of the effort), on 5 blocks held out in turn; ...
-    >>> files = result.save("results", figures=False)
     """
     if not isinstance(intervals, bool) and intervals not in get_args(Method):
         raise DataError(

@@ -105,8 +105,10 @@ class Tilt(PosedTerm):
 
     Examples
     --------
-    >>> leaning = sdpid.identify(robot, log, intervals=False, effects="tilt")
-    >>> angles = leaning.estimate.named()
+    >>> bodies = tuple(map(tuple, estimate.theta[:60].reshape(-1, 10)))
+    >>> terms = ("coulomb", "viscous", sdpid.friction.Tilt(bodies))
+    >>> problem = sdpid.build_problem(robot, samples, friction=terms)
+    >>> angles = sdpid.solve_sdp(problem).named()
     >>> bool(abs(angles["Gx"]) < 0.01), bool(abs(angles["Gy"]) < 0.01)
     (True, True)
     """
@@ -157,9 +159,13 @@ class LoadFriction(PosedTerm):
 
     Examples
     --------
-    >>> loaded = sdpid.identify(robot, log, intervals=False, effects="load")
-    >>> [name for name in loaded.problem.base.names if name.startswith("Fl")][:3]
-    ['Fl1', 'Fl2', 'Fl3']
+    >>> bodies = tuple(map(tuple, estimate.theta[:60].reshape(-1, 10)))
+    >>> terms = ("coulomb", "viscous", sdpid.friction.LoadFriction(bodies))
+    >>> problem = sdpid.build_problem(robot, samples, friction=terms)
+    >>> problem.base.names[-3:]
+    ('Fs6', 'Fv6', 'Fl6')
+    >>> sdpid.solve_sdp(problem).status
+    'optimal'
     """
 
     width: float | tuple[float, ...] = 0.0
