@@ -1,6 +1,6 @@
 """Measure; nothing is asserted.
 
-    python -m tests.benchmarks [--only PART ...] [--repeat 5] [--csv out.csv]
+    python -m tests.benchmarks [--only PART ...] [--repeat 5] [--csv out.csv] [--out FOLDER]
 
 Times depend on the machine, so all are ratios to a reference timed in the same repeat: the
 median over the repeats, and the smallest and the largest. One thread of linear algebra, unless
@@ -95,6 +95,7 @@ def main() -> int:
     parser.add_argument("--repeat", type=int, default=LEAST_REPEATS, help="at least 5 (default)")
     parser.add_argument("--log", type=Path, help="paper-size log, from `sdpid simulate`")
     parser.add_argument("--csv", type=Path, help="write the table here as well")
+    parser.add_argument("--out", type=Path, help="a folder for a table of each part")
     options = parser.parse_args()
     repeats: int = options.repeat
     if repeats < LEAST_REPEATS:
@@ -110,7 +111,11 @@ def main() -> int:
     rows: list[Row] = []
     for part in options.only or PARTS:
         print(part, file=sys.stderr, flush=True)
-        rows += measured(part, repeats, options.log)
+        found = list(measured(part, repeats, options.log))
+        rows += found
+        if options.out is not None:
+            options.out.mkdir(parents=True, exist_ok=True)
+            table(found).write(options.out / f"{part}.csv")
     result = table(rows)
     print(f"\n{result.text(digits=3)}")
     if options.csv is not None:
