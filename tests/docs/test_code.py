@@ -25,10 +25,8 @@ ROOT = Path(__file__).resolve().parents[2]
 _BLOCK = re.compile(r"^( *)```(python|console|toml)\n(.*?)^\1```", flags=re.M | re.S)
 _COMMAND = re.compile(r"^\$ (sdpid .*?(?<!\\))$", flags=re.M | re.S)
 
-# Run when the site is built (tutorials), or data that are not at hand.
+# Tutorials, which run when the site is built.
 ELSEWHERE = re.compile(r"\A---\n.*?\bkernelspec\b", flags=re.S)
-# Pages that are being written again; the set shrinks to nothing.
-PENDING: set[str] = set()
 
 
 class Block(NamedTuple):
@@ -90,8 +88,6 @@ def run_console(text: str) -> None:
 
 @pytest.mark.parametrize("page", list(pages()))
 def test_code_of(page: str, world: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    if page in PENDING:
-        pytest.skip("is being written again")
     folder = tmp_path / "world"
     shutil.copytree(world, folder)
     monkeypatch.chdir(folder)
@@ -108,7 +104,3 @@ def test_code_of(page: str, world: Path, tmp_path: Path, monkeypatch: pytest.Mon
             # Errors name the line of the page.
             code = "\n" * block.line + block.text
             exec(compile(code, str(ROOT / page), "exec"), names)
-
-
-def test_only_known_pages_are_pending() -> None:
-    assert set(pages()) >= PENDING
