@@ -74,8 +74,10 @@ ENTRIES = (
     Entry("sdpid", "SDP", bound="SDP"),
     Entry("sdpid", "SDP, free friction", bound="SDP, free friction"),
     Entry("sdpid", "SDP 6×6, tanh", bound="SDP 6×6, tanh", wrist=False),
+    Entry("sdpid", "SDP, tanh"),
     Entry("sdpid", "SDP, weights and prior"),
     Entry("sdpid", "least squares"),
+    Entry("sdpid", "least squares, tanh"),
     Entry("sdpid", "ridge"),
     Entry("sdpid", "SLSQP", bound="SDP"),
     Entry("sdpid", "log-Cholesky", bound="SDP"),
@@ -90,8 +92,8 @@ ENTRIES = (
     Entry("flobaroid", "least squares", wrist=False),
     Entry("flobaroid", "SDP", wrist=False),
     Entry("flobaroid", "SDP, no beliefs", bound="SDP 6×6, tanh", wrist=False),
-    Entry("mujoco_sysid", "inverse dynamics", bound="SDP", wrist=False),
-    Entry("mujoco_sysid", "rollouts", OWN, wrist=False, arms=("Panda",)),
+    # Minutes each.
+    Entry("mujoco_sysid", "inverse dynamics", bound="SDP", wrist=False, arms=("UR10", "Panda")),
 )
 QUICK = ("defaults", "SDP", "least squares")
 NAMES = {

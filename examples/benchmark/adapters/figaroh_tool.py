@@ -12,7 +12,7 @@ import yaml
 from figaroh.identification.base_identification import BaseIdentification
 from figaroh.tools.regressor import build_regressor_basic
 from figaroh.tools.robot import load_robot
-from protocol import Answer, Method, Rows, Task, main
+from protocol import Answer, Method, Rows, Task, inside, main
 
 # Its example for the TX40 (a coupled wrist) takes 100 Hz; elsewhere the cut-off of the common rows.
 TX40_HZ = 100.0
@@ -91,11 +91,14 @@ class Fit(BaseIdentification):  # type: ignore[misc, unused-ignore]
         }
 
     def filter_kinematics_data(self, filter_config: Any = None) -> None:
-        """Leave the common rows as they are."""
-        if self.own:
-            super().filter_kinematics_data(filter_config)
-        else:
+        """Leave the common rows as they are; leave out transients of the filter at the ends."""
+        if not self.own:
             self.processed_data = dict(self.raw_data)
+            return
+        super().filter_kinematics_data(filter_config)
+        kept = inside(self.task, self.identif_config["cut_off_frequency_butterworth"])
+        for held in (self.raw_data, self.processed_data):
+            held |= {k: v[kept] for k, v in held.items() if v is not None}
 
     def columns(self, v: np.ndarray, a: np.ndarray) -> np.ndarray:
         """Return the columns of the wrist (as its example has them), joint by joint."""

@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from protocol import Answer, Method, Rows, Task, main
+from protocol import Answer, Method, Rows, Task, inside, main
 
 FOLDER = Path(os.environ.get("FLOBAROID", "FloBaRoID"))
 SEED = 0
@@ -97,15 +97,16 @@ def _processed(task: Task, data: Any, order: list[int]) -> dict[str, np.ndarray]
         Q=q, V=v, Vdot=a, Tau=tau, T=time, Fs=task.rate_hz,
         Q_raw=q_raw, V_raw=v_raw, Tau_raw=tau_raw,
     )  # fmt: skip
-    return {
+    kept = inside(task, float(data.opt["filterLowPass2"][0]))
+    found = {
         "positions": q,
         "velocities": v,
         "accelerations": a,
         "torques": tau,
         "velocities_raw": v_raw,
         "times": time,
-        "frequency": np.array(task.rate_hz),
     }
+    return {k: x[kept] for k, x in found.items()} | {"frequency": np.array(task.rate_hz)}
 
 
 def fit(task: Task, *, own: bool, constrained: bool = True, beliefs: bool = True) -> Answer:
@@ -149,10 +150,13 @@ def fit(task: Task, *, own: bool, constrained: bool = True, beliefs: bool = True
     bodies = None
     if constrained:
         links = standard[: model.num_model_params].reshape(-1, 10)[:, ORDER]
-        # The base, which does not move, and frames without mass are not identified.
-        prior = model.xStdModel[: model.num_model_params].reshape(-1, 10)
-        moving = prior[:, 0] > 0.0
-        moving[0] = False
+        # Of links that do not move, and of frames without mass, nothing is identified.
+        still = set(model.non_id)
+        moving = [
+            k
+            for k in range(len(links))
+            if model.xStdModel[10 * k] > 0.0 and not still.issuperset(range(10 * k, 10 * k + 10))
+        ]
         bodies = links[moving]
     return Answer(predict, bodies, str(getattr(found.sdp, "status", "")))
 

@@ -1,9 +1,9 @@
 """mujoco.sysid for the benchmark.
 
 Its parametrization of bodies (pseudo-inertia, log-Cholesky) with its default bounds about the
-description, and its optimizer with its default settings. `inverse dynamics`: residuals are efforts
-on the common rows, weighted alike, with friction of the common terms added. `rollouts`: residuals
-are positions and velocities of short simulations under the recorded efforts, its documented use.
+description, and its optimizer with its default settings. Residuals are efforts of MuJoCo's inverse
+dynamics on the common rows, weighted alike, with friction of the common terms added. Its usual
+residuals, those of simulations, need windows and weights of one's own, and are left out.
 """
 
 from __future__ import annotations
@@ -14,17 +14,13 @@ from typing import Any
 
 import mujoco
 import numpy as np
-from mujoco import rollout, sysid
+from mujoco import sysid
 from mujoco.sysid import model_modifier
 from protocol import Answer, Method, Rows, Task, main
 
 # Bounds of friction, N·m and N·m·s/rad, which are wide for these arms.
 FRICTION = 200.0
 BOUND = 1e-9  # of nothing at all, above zero
-# Length of the rollouts, step of the simulation, s, and how many rollouts are spread over the log.
-WINDOW_S, STEP_S, WINDOWS = 0.2, 0.002, 60
-# Steps of the optimizer on rollouts, each of which takes seconds.
-ROLLOUT_STEPS = 30
 
 
 def _spec(task: Task) -> Any:
@@ -32,7 +28,6 @@ def _spec(task: Task) -> Any:
     spec.option.gravity = [0.0, 0.0, -9.81]
     spec.option.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONTACT
     spec.option.disableflags |= mujoco.mjtDisableBit.mjDSBL_LIMIT
-    spec.option.timestep = STEP_S
     for joint in spec.joints:
         joint.damping = np.zeros(np.shape(joint.damping))
         joint.frictionloss = 0.0
@@ -158,7 +153,7 @@ def _optimized(params: Any, missed: Callable[[Any], np.ndarray], **options: Any)
             columns.append(missed(known))
         return [np.stack(columns, axis=1) if np.ndim(x) > 1 else columns[0]], [], []
 
-    return sysid.optimize(params, residual, verbose=False, **options)  # type: ignore[no-any-return]
+    return sysid.optimize(params, residual, verbose=False)  # type: ignore[no-any-return]
 
 
 def inverse(task: Task) -> Answer:
@@ -179,71 +174,8 @@ def inverse(task: Task) -> Answer:
     return _answer(spec, found, order, result)
 
 
-def simulated(task: Task) -> Answer:
-    """Return the fit of short simulations to what was measured."""
-    spec = _spec(task)
-    rows = task.common
-    # Friction in the simulation is MuJoCo's: dry friction and damping of the joints.
-    model = spec.compile()
-    order = _order(task, model)
-    names = [model.joint(k).name for k in range(model.njnt)]
-    for name in names:
-        actuator = spec.add_actuator(name=f"motor_{name}", target=name)
-        actuator.trntype = mujoco.mjtTrn.mjTRN_JOINT
-    model = spec.compile()
-    params = _parameters(spec, model, ("coulomb", "viscous"))
-
-    def dry(spec: Any, param: Any) -> Any:
-        for name, value in zip(names, param.value, strict=True):
-            spec.joint(name).frictionloss = value
-        return spec
-
-    def damped(spec: Any, param: Any) -> Any:
-        for name, value in zip(names, param.value, strict=True):
-            # Damping may have more than one coefficient.
-            spec.joint(name).damping = np.r_[value, np.zeros(np.size(spec.joint(name).damping) - 1)]
-        return spec
-
-    params["coulomb"].modifier, params["viscous"].modifier = dry, damped
-    step = float(task.log["time"][-1] - task.log["time"][0]) / (len(task.log["time"]) - 1)
-    period = step * max(1, round(len(task.log["time"]) / len(rows.position)))
-    inner = max(1, round(period / STEP_S))
-    spec.option.timestep = period / inner
-    length = max(3, round(WINDOW_S / period))
-    starts = np.linspace(0, len(rows.position) - length - 1, WINDOWS).astype(int)
-    effort = rows.effort
-    assert effort is not None
-
-    def arranged(values: np.ndarray) -> np.ndarray:
-        out = np.empty_like(values)
-        out[..., order] = values
-        return out
-
-    q, v, tau = (arranged(x) for x in (rows.position, rows.velocity, effort))
-    controls = np.stack([np.repeat(tau[s : s + length], inner, axis=0) for s in starts])
-    scale = np.concatenate([q.std(axis=0), v.std(axis=0)])
-
-    def missed(known: Any) -> np.ndarray:
-        moved = sysid.apply_param_modifiers(known, spec)
-        data = mujoco.MjData(moved)
-        first = np.stack([sysid.create_initial_state(moved, q[s], v[s]) for s in starts])
-        state, _ = rollout.rollout(moved, data, first, controls)
-        ends = state[:, inner - 1 :: inner, 1 : 1 + moved.nq + moved.nv]
-        truth = np.stack([np.hstack([q, v])[s + 1 : s + 1 + length] for s in starts])
-        off = (ends[:, : truth.shape[1]] - truth) / scale
-        return np.nan_to_num(off, nan=1e3, posinf=1e3, neginf=-1e3).ravel()
-
-    found, result = _optimized(params, missed, max_iters=ROLLOUT_STEPS)
-    # Efforts are predicted from bodies and friction, without friction in the simulation.
-    plain = _spec(task)
-    for name in ("coulomb", "viscous"):
-        found[name].modifier = lambda spec, param: spec
-    return _answer(plain, found, order, result)
-
-
 METHODS: dict[str, Method] = {
-    "inverse dynamics": partial(inverse),
-    "rollouts": partial(simulated),
+    "inverse dynamics": inverse,
 }
 
 if __name__ == "__main__":

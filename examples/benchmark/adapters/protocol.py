@@ -130,6 +130,16 @@ class Answer:
 Method = Callable[[Task], Answer]
 
 
+def inside(task: Task, cutoff_hz: float) -> slice:
+    """Return the samples of the log that a filter's transients at the ends do not reach.
+
+    A part of a record begins and ends in motion. FIGAROH's example leaves out 20 samples at either
+    end; two periods of the cut-off are more.
+    """
+    border = max(20, round(2.0 * task.rate_hz / cutoff_hz))
+    return slice(border, len(task.log["time"]) - border)
+
+
 def _used() -> float:
     """Return processor seconds of this process and of those that it started."""
     each = [resource.getrusage(w) for w in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)]

@@ -14,8 +14,8 @@ import sdpid
 FRICTION = ("viscous", "offset")
 # As in examples/studies/real_robots.py, rad/s.
 WRIST_WIDTH = 0.05
-# FloBaRoID's, rad/s.
-TANH_WIDTH = 0.02
+# FloBaRoID's, 0.02 rad/s.
+TANH = sdpid.friction.Coulomb(width=0.02)
 
 
 def _robot(task: Task) -> Any:
@@ -90,6 +90,7 @@ def _on_common(
 METHODS: dict[str, Method] = {
     "defaults": defaults,
     "least squares": _on_common(sdpid.solve_wls),
+    "least squares, tanh": _on_common(sdpid.solve_wls, coulomb=TANH),
     "ridge": _on_common(sdpid.solve_wls, weighting="residual", prior=sdpid.Prior()),
     "SDP": _on_common(sdpid.solve_sdp, certified=True),
     # What two peers solve: friction of any sign; besides, the 6×6 inequality and Coulomb friction
@@ -98,10 +99,11 @@ METHODS: dict[str, Method] = {
     "SDP 6×6, tanh": _on_common(
         sdpid.solve_sdp,
         certified=True,
-        coulomb=sdpid.friction.Coulomb(width=TANH_WIDTH),
+        coulomb=TANH,
         signed=False,
         consistency="spatial_inertia",
     ),
+    "SDP, tanh": _on_common(sdpid.solve_sdp, coulomb=TANH),
     "SDP, weights and prior": _on_common(
         sdpid.solve_sdp, weighting="residual", prior=sdpid.Prior()
     ),
