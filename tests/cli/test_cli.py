@@ -321,6 +321,10 @@ def test_verify_a_folder(results: Path, log: Path, tmp_path: Path) -> None:
     assert recorded["name"] == log.name
     assert recorded["sha256"] == hashlib.sha256(log.read_bytes()).hexdigest()
     assert recorded["bytes"] == log.stat().st_size
+    short, full = (run("verify", results, *more).stdout.splitlines() for more in ((), ("-v",)))
+    assert short[-1] == full[-1] == "PROVEN, but for what was not checked."
+    assert "(-v lists them); --data LOG" in short[-2]
+    assert sum(line.startswith("not checked") for line in full) > 3
     copy = shutil.copytree(results, tmp_path / "copy")
     urdf = copy / "identified.urdf"
     urdf.write_text(urdf.read_text().replace('<mass value="', '<mass value="1'))
@@ -336,7 +340,7 @@ def test_verify_a_folder(results: Path, log: Path, tmp_path: Path) -> None:
 
 
 def test_verify_from_the_log(results: Path, log: Path, tmp_path: Path) -> None:
-    without = run("verify", results)
+    without = run("verify", results, "-v")
     assert without.exit_code == 0, without.output
     assert "the log 'run.parquet', SHA-256 " in without.stdout
     done = run("verify", results, "--data", log, "--robot", ROBOT, "--json")

@@ -16,6 +16,12 @@ def compare_runs(
     ],
     other: Annotated[Path, typer.Argument(metavar="OTHER", help="Another, of the same robot.")],
     printing: Printing,
+    verbose: Annotated[
+        bool,
+        typer.Option(
+            "--verbose", "-v", help="Print verdicts, baselines, all parameters and links too."
+        ),
+    ] = False,
 ) -> None:
     """Compare two results folders from their files: inputs, options, errors, parameters, proofs.
 
@@ -24,4 +30,5 @@ def compare_runs(
     from sdpid.workflow.runs.compare import compare_runs as run
 
     found = run(first, other)
-    printing.show(found.to_dict(), found.text())
+    more = "" if verbose else "\nVerdicts, baselines, all parameters and links: -v."
+    printing.show(found.to_dict(), found.text(full=verbose) + more)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -11,6 +11,20 @@ import sdpid.cli.options as opt
 from sdpid._common.text import printable
 from sdpid.cli.endings import OURS
 from sdpid.cli.printing import Printing
+
+if TYPE_CHECKING:
+    from sdpid.workflow.verify import Verification
+
+_FEW = 3  # things not checked that are listed without --verbose
+
+
+def _shortened(verification: Verification, *, needs_log: bool) -> tuple[str, ...]:
+    """Return the lines with all that was not checked told in one, before the verdict."""
+    listed = tuple(f"not checked: {each}" for each in verification.unchecked)
+    *lines, verdict = (line for line in verification.lines if line not in listed)
+    log = "; --data LOG checks that the rows are those of the robot and its log" * needs_log
+    told = f"not checked: {len(listed)} things beside these (-v lists them){log}"
+    return (*lines, told, verdict)
 
 
 def verify(
@@ -40,6 +54,9 @@ def verify(
             autocompletion=opt.complete_robot,
         ),
     ] = None,
+    verbose: Annotated[
+        bool, typer.Option("--verbose", "-v", help="List all that was not checked.")
+    ] = False,
 ) -> None:
     """Check a folder of results, or one proof, in exact arithmetic, from its own numbers.
 
@@ -48,8 +65,10 @@ def verify(
     from sdpid.workflow.verify import verify as run
 
     verification = run(path, data=data or None, robot=robot)
-    lines = map(printable, verification.lines)
-    printing.show(verification, "\n".join(lines))
+    lines = verification.lines
+    if not verbose and len(verification.unchecked) > _FEW:
+        lines = _shortened(verification, needs_log=data is None and path.is_dir())
+    printing.show(verification, "\n".join(map(printable, lines)))
     if not verification.passed:
         count = len(verification.problems)
         where = "; ".join(verification.problems) if printing.quiet else "above"

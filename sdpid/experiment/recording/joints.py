@@ -88,8 +88,9 @@ def joint_columns(robot: RobotModel, names: Sequence[str]) -> list[int]:
     lacks = f", which lack {', '.join(missing)}" if common else ""
     raise DataError(
         f"{here}{lacks} are not those of the robot '{robot.name}' "
-        f"({', '.join(robot.joint_names)}), not even with another prefix or suffix; rename them, "
-        "or leave the names out to take the columns in the robot's order."
+        f"({', '.join(robot.joint_names)}), not even with another prefix or suffix. Say which "
+        "joint each column is, in the columns' order, with joint_names=[...] or, for the robot's "
+        f"order, --joint-names {','.join(robot.joint_names)}."
     )
 
 

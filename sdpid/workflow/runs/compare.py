@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -80,16 +80,30 @@ class RunComparison:
             (self.links),
         )
 
-    def text(self) -> str:
-        """Return everything as text."""
+    def text(self, *, full: bool = True) -> str:
+        """Return everything as text; not in full what differs and what it means."""
         parts = [f"first: {self.folders[0]}\nother: {self.folders[1]}"]
-        for which, headline in zip(("first", "other"), self.headlines, strict=True):
-            lines = [f"{key}: {text}" for key, text in headline.items() if text]
-            parts.append("\n  ".join([f"verdict of the {which}", *lines]))
-        for title, table in self._sections():
+        if full:
+            for which, headline in zip(("first", "other"), self.headlines, strict=True):
+                lines = [f"{key}: {text}" for key, text in headline.items() if text]
+                parts.append("\n  ".join([f"verdict of the {which}", *lines]))
+        for title, table in self._sections() if full else self._short_sections():
             body = table.text() if table.rows else "nothing"
             parts.append(f"{title}\n  " + body.replace("\n", "\n  "))
         return "\n\n".join([*parts, "\n".join(self.notes)])
+
+    def _short_sections(self) -> Iterator[tuple[str, Table]]:
+        """Yield what tells the two apart: no baselines, and only parameters that differ."""
+        ours = tuple(row for row in self.held_out.rows if row[0] == OURS)
+        differ = tuple(row for row in self.parameters.rows if row[0] in self.outside)
+        for title, table in self._sections():
+            if table is self.held_out:
+                yield title, replace(table, rows=ours)
+            elif table is self.parameters:
+                if differ:
+                    yield "base parameters that differ", replace(table, rows=differ)
+            elif table is not self.links:
+                yield title, table
 
     def to_dict(self) -> dict[str, Any]:
         """Return plain values for JSON: tables as lists of rows by name."""

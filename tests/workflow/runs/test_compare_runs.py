@@ -188,7 +188,17 @@ def test_the_command(runs: dict[str, Path], tmp_path: Path) -> None:
     pair = [str(runs["first"]), str(runs["heavier"])]
     done = CliRunner().invoke(app, ["compare-runs", *pair])
     assert done.exit_code == 0
-    assert "base parameters" in done.stdout
+    assert "base parameters that differ" in done.stdout
+    assert " mx2 " in done.stdout
+    assert " Fv1 " not in done.stdout
+    assert "by chance" in done.stdout
+    alike = CliRunner().invoke(app, ["compare-runs", pair[0], str(runs["again"])]).stdout
+    assert "that differ" not in alike
+    assert "are not tested" in alike
+    full = CliRunner().invoke(app, ["compare-runs", *pair, "-v"]).stdout
+    for told in ("verdict of the first", " Fv1 ", "least squares", "principal inertias"):
+        assert told in full
+        assert told not in done.stdout
     data = json.loads(CliRunner().invoke(app, ["compare-runs", *pair, "--json"]).stdout)
     assert data["same_log"] is False
     assert {row["parameter"] for row in data["parameters"]} >= {"mx2", "Fs1"}
