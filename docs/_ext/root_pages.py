@@ -9,10 +9,6 @@ from sphinx.util import logging
 
 # Files of the repository, and the pages that include them.
 PAGES = {"CHANGELOG.md": "project/changelog.md", "SECURITY.md": "project/security.md"}
-# Pages that are being written. Until they are there, links to them are shown as text; the set
-# shrinks to nothing.
-AWAITED = {"evidence/benchmark.md"}
-_MARKDOWN = re.compile(r"\[([^\]\n]*)\]\(([\w./-]+\.md)(?:#[\w-]+)?\)")
 _LINK = re.compile(r"\]\(((?:\.\./)+[\w./-]+)(#[\w-]+)?\)")
 _log = logging.getLogger(__name__)
 
@@ -35,23 +31,7 @@ def point_inside(app: Sphinx, name: str, source: list[str]) -> None:
     source[0] = _LINK.sub(replace, source[0])
 
 
-def leave_out_awaited(app: Sphinx, name: str, source: list[str]) -> None:
-    """Show links to pages that are being written as text; leave them out of the contents."""
-    missing = {page for page in AWAITED if not (Path(app.srcdir) / page).exists()}
-    folder = posixpath.dirname(name)
-
-    def replace(found: re.Match[str]) -> str:
-        target = posixpath.normpath(posixpath.join(folder, found[2]))
-        return found[1] if target in missing else found[0]
-
-    source[0] = _MARKDOWN.sub(replace, source[0])
-    if name == "index":
-        lines = source[0].split("\n")
-        source[0] = "\n".join(line for line in lines if f"{line}.md" not in missing)
-
-
 def setup(app: Sphinx) -> dict[str, bool]:
     """Connect the extension."""
     app.connect("source-read", point_inside)
-    app.connect("source-read", leave_out_awaited)
     return {"parallel_read_safe": True, "parallel_write_safe": True}

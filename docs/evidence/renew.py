@@ -69,7 +69,7 @@ def parse(arguments: Sequence[str] | None) -> argparse.Namespace:
     parser.add_argument("--older-than", type=float, metavar="DAYS", help="only older studies")
     parser.add_argument("--quick", action="store_true", help="small runs; nothing is compared")
     parser.add_argument("--numbers", action="store_true", help="numbers that no table backs")
-    parser.add_argument("--data", type=Path, default=os.environ.get("SDPID_DATA"))
+    parser.add_argument("--data", type=Path, default=os.environ.get("SDPID_DATA") or None)
     parser.add_argument(
         "--from",
         dest="source",
@@ -90,7 +90,10 @@ def renew(study: Study, options: argparse.Namespace, folder: Path) -> int | None
         try:
             fresh = {name: read_grid(out / table.file) for name, table in study.tables.items()}
         except EvidenceError as missing:
-            print(f"   failed: {missing}")
+            print(f"   failed: {missing}" + (f" Note: {study.note}." if study.note else ""))
+            return None
+        if not any(grid.rows for grid in fresh.values()):
+            print("   failed: its tables have no rows; are all inputs of the study there?")
             return None
         if options.quick:
             print("   runs, and writes all its tables")
@@ -113,8 +116,9 @@ def renew(study: Study, options: argparse.Namespace, folder: Path) -> int | None
 
 def run(study: Study, options: argparse.Namespace, out: Path, folder: Path) -> bool:
     """Run a study's command into a folder, and return whether it ended well."""
-    if study.needs_data and options.data is None:
-        print("   failed: needs the public records; set SDPID_DATA")
+    if study.needs_data and (options.data is None or not options.data.is_dir()):
+        found = "is not set" if options.data is None else f"is {options.data}, which is no folder"
+        print(f"   failed: needs the public records; SDPID_DATA or --data {found}")
         return False
     out.mkdir(parents=True)
     words = shlex.split(study.command)
@@ -124,9 +128,13 @@ def run(study: Study, options: argparse.Namespace, out: Path, folder: Path) -> b
     command += [study.quick] if options.quick and study.quick else []
     root = folder.parent.parent
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join([str(root), *_pythonpath()])}
-    done = subprocess.run(
-        command, cwd=root, env=environment, text=True, capture_output=True, check=False
-    )
+    try:
+        done = subprocess.run(
+            command, cwd=root, env=environment, text=True, capture_output=True, check=False
+        )
+    except FileNotFoundError as missing:
+        print(f"   failed: {missing}")
+        return False
     (out / "stdout.txt").write_text(done.stdout, encoding="utf-8")
     if done.returncode:
         last = (done.stderr or done.stdout).strip().splitlines()[-5:]

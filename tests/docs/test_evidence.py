@@ -108,12 +108,31 @@ def test_a_study_that_fails_leaves_its_tables(
     before = (folder / "studies.toml").read_text(encoding="utf-8")
     assert renew.main(["second"], folder) == 1
     assert "failed with status 3" in capsys.readouterr().out
+    assert made_anew(folder, KEPT.splitlines()[0] + "\n") == 1
+    assert "no rows" in capsys.readouterr().out
     (folder.parents[1] / "study.py").write_text("", encoding="utf-8")
     assert renew.main(["first"], folder) == 1
     assert "arms.csv is missing" in capsys.readouterr().out
     assert kept(folder) == KEPT
     assert (folder / "studies.toml").read_text(encoding="utf-8") == before
     assert renew.main(["third"], folder) == 2
+
+
+@pytest.mark.parametrize("data", ["", "nowhere"])
+def test_a_study_without_what_it_needs(
+    folder: Path, data: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    import renew
+
+    monkeypatch.setenv("SDPID_DATA", data)
+    wants_data = STUDIES.replace("python study.py {out}", "python study.py {data} {out}")
+    wants_tool = wants_data.replace("python -c raise(SystemExit(3))", "no-such-command {out}")
+    (folder / "studies.toml").write_text(wants_tool, encoding="utf-8")
+    assert renew.main(["first", "second"], folder) == 1
+    told = capsys.readouterr().out
+    assert "needs the public records; SDPID_DATA" in told
+    assert "no-such-command" in told
+    assert kept(folder) == KEPT
 
 
 def test_results_of_a_run_elsewhere(folder: Path) -> None:
