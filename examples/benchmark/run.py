@@ -149,7 +149,8 @@ def answered(
             done = subprocess.run(
                 command, env=environment, capture_output=True, text=True, timeout=TIMEOUT_S
             )
-            (folder / f"{name}.txt").write_text(done.stdout + done.stderr, encoding="utf-8")
+            if words := done.stdout + done.stderr:
+                (folder / f"{name}.txt").write_text(words, encoding="utf-8")
             failure = f"process ended with {done.returncode}"
         except subprocess.TimeoutExpired:
             failure = f"not done after {TIMEOUT_S:.0f} s"
