@@ -85,3 +85,20 @@ copybutton_prompt_is_regexp = True
 linkcheck_timeout = 20
 linkcheck_retries = 2
 linkcheck_anchors = False
+
+
+def _mark(app, name, source):
+    """Say on a tutorial that was not executed why it shows no outputs."""
+    if "kernelspec:" not in source[0][:400]:
+        return
+    if nb_execution_mode == "off":
+        source[0] = tutorials.marked(source[0], "it is a draft.")
+    elif f"{name}.md" in nb_execution_excludepatterns:
+        level = "../" * name.count("/")
+        why = f"the [public records]({level}evidence/data.md) were not at hand."
+        source[0] = tutorials.marked(source[0], why)
+
+
+def setup(app):
+    """Mark tutorials that are not executed."""
+    app.connect("source-read", _mark)

@@ -39,3 +39,9 @@ def that_need_records(docs: Path) -> list[str]:
         for page in sorted(docs.rglob("*.md"))
         if (front := _FRONT.match(page.read_text(encoding="utf-8"))) and _NEEDS.search(front[1])
     ]
+
+
+def marked(text: str, why: str) -> str:
+    """Return a page with a note below its title that its code was not run."""
+    note = f":::{{note}}\nThis build of the site shows no outputs on this page: {why}\n:::\n"
+    return re.sub(r"^# .*\n", lambda title: f"{title[0]}\n{note}", text, count=1, flags=re.M)
