@@ -22,5 +22,5 @@ def test_notebooks_are_those_of_the_pages() -> None:
 def test_a_page_that_was_not_run_says_so_below_its_title() -> None:
     marked = runpy.run_path(str(SCRIPT.parent / "_ext" / "tutorials.py"))["marked"]
     lines = marked("---\na: b\n---\n\n# Title\n\ntext\n\n# not a title\n", "why.").splitlines()
-    assert lines[4:6] == ["# Title", ":::{note}"]
+    assert lines[4:7] == ["# Title", "", ":::{note}"]
     assert sum("why." in line for line in lines) == 1
