@@ -54,7 +54,11 @@ def main(arguments: Sequence[str] | None = None, folder: Path = HERE) -> int:
     if options.list or not chosen:
         print(listing(chosen or list(studies.values())))
         return 0
-    results = [renew(study, options, folder) for study in chosen]
+    results = []
+    for study in chosen:
+        results.append(renew(study, options, folder))
+        if results[-1] is None and study.note:
+            print(f"   note: {study.note}")
     failed, changed = sum(each is None for each in results), sum(map(bool, results))
     print(f"\n{len(results)} studies: {changed} changed, {failed} failed")
     return int(bool(failed or (options.check and changed)))
@@ -90,7 +94,7 @@ def renew(study: Study, options: argparse.Namespace, folder: Path) -> int | None
         try:
             fresh = {name: read_grid(out / table.file) for name, table in study.tables.items()}
         except EvidenceError as missing:
-            print(f"   failed: {missing}" + (f" Note: {study.note}." if study.note else ""))
+            print(f"   failed: {missing}")
             return None
         if not any(grid.rows for grid in fresh.values()):
             print("   failed: its tables have no rows; are all inputs of the study there?")
