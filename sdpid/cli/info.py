@@ -26,8 +26,8 @@ def info(
     joints, findings = facts.pop("joints"), facts.pop("findings")
     chosen = (facts["processing"] or {}).items()
     settings = ", ".join(f"{key.replace('_', ' ')} {_text(value)}" for key, value in chosen)
-    shown = {**source, **facts, "processing": settings}
-    del shown["read_from"]
+    shown = {**source, **facts, "processing": settings or None}
+    shown = {key: each for key, each in shown.items() if each is not None and key != "read_from"}
     width = max(map(len, shown))
     parts = [
         "\n".join(f"{key.replace('_', ' '):{width}}  {_text(each)}" for key, each in shown.items()),

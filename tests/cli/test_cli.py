@@ -203,6 +203,10 @@ def test_simulate_then_info(tmp_path: Path) -> None:
     # The robot's description has no masses, which is all that there is to say.
     (said,) = shown.stdout.split("findings:\n")[1].splitlines()
     assert said.startswith("  note effort_not_compared: efforts are not compared with the motion")
+    # What there is nothing to say of is not shown.
+    assert not any(
+        line.endswith("  -") for line in shown.stdout.partition("read from")[0].split("\n")
+    )
     facts = json.loads(run("info", path, "--json").stdout)
     assert facts["samples"] == record.n_samples
     assert facts["rate_hz"] == pytest.approx(1000.0)
