@@ -10,34 +10,22 @@ The folder of the data may also be named by the environment variable SDPID_DATA.
 
 from __future__ import annotations
 
-import argparse
-import os
 import sys
-from pathlib import Path
 
 from data_sets import ROBOTS, SETS
+from each_record import folders, parse
 
 import sdpid
 from sdpid._common.tables import Table
 
 HEADER = ("robot", "record", "mass_kg", "lower_kg", "upper_kg", "shown")
-QUICK = ("panda_unisa",)
 
 
 def main() -> int:
     """Find a payload in every record."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--out", type=Path, default=Path("results"))
-    parser.add_argument("--data", type=Path, default=os.environ.get("SDPID_DATA"))
-    parser.add_argument("--quick", action="store_true", help="one robot")
-    options = parser.parse_args()
-    options.out.mkdir(parents=True, exist_ok=True)
+    options = parse(__doc__.splitlines()[0])
     done: list[tuple[object, ...]] = []
-    for name in QUICK if options.quick else tuple(SETS):
-        if options.data is None or not (Path(options.data) / name).is_dir():
-            print(f"{name}: skipped; docs/evidence/data.md says where it comes from", flush=True)
-            continue
-        folder = Path(options.data) / name
+    for name, folder in folders(options):
         for run in SETS[name].records:
             found = sdpid.identify_payload(folder / SETS[name].urdf, folder / f"{run}.npz")
             ends = float(found.lower[0]), float(found.upper[0])

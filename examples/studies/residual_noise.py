@@ -12,13 +12,11 @@ The folder of the data may also be named by the environment variable SDPID_DATA.
 
 from __future__ import annotations
 
-import argparse
-import os
 import sys
-from pathlib import Path
 
 import numpy as np
 from data_sets import ROBOTS, SETS
+from each_record import folders, parse
 
 import sdpid
 from sdpid._common.tables import Table
@@ -26,23 +24,13 @@ from sdpid.excitation.criterion.noise import ExpectedNoise, usual_effort
 from sdpid.workflow.formulate import formulate
 
 HEADER = ("recording", "residual, % of the usual effort", "alike over, s")
-QUICK = ("panda_unisa",)
 
 
 def main() -> int:
     """Measure and write the table."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--out", type=Path, default=Path("results"))
-    parser.add_argument("--data", type=Path, default=os.environ.get("SDPID_DATA"))
-    parser.add_argument("--quick", action="store_true", help="one robot")
-    options = parser.parse_args()
-    options.out.mkdir(parents=True, exist_ok=True)
+    options = parse(__doc__.splitlines()[0])
     rows: list[tuple[object, ...]] = []
-    for name in QUICK if options.quick else tuple(SETS):
-        if options.data is None or not (Path(options.data) / name).is_dir():
-            print(f"{name}: skipped; docs/evidence/data.md says where it comes from", flush=True)
-            continue
-        folder = Path(options.data) / name
+    for name, folder in folders(options):
         robot = sdpid.load_robot(folder / SETS[name].urdf)
         problem = formulate(robot, sdpid.read_recording(folder / f"{SETS[name].records[0]}.npz"))
         noise = ExpectedNoise.of_residuals(problem, sdpid.solve_sdp(problem).theta)
