@@ -233,8 +233,6 @@ WRONG = {
 
 
 def test_pages_show_tables_and_numbers_or_warn(folder: Path, tmp_path: Path) -> None:
-    pytest.importorskip("sphinx.application")
-    pytest.importorskip("myst_parser")
     source = folder.parent
     (source / "index.md").write_text(PAGE, encoding="utf-8")
     (source / "wrong.md").write_text("# Wrong\n\n" + "\n\n".join(WRONG), encoding="utf-8")

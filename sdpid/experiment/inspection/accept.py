@@ -73,7 +73,7 @@ def require_accepted(findings: Sequence[Finding], accept: str | Iterable[str] = 
     refused = [each for each in findings if each.severity == "refuse" and each.kind not in kinds]
     if not refused:
         return
-    listed = ". ".join(f"{each.kind}: {each}" for each in refused)
+    listed = ". ".join(f"{each.kind}: {each}".rstrip(".") for each in refused)
     names = dict.fromkeys(each.kind for each in refused)
     overruled = [name for name in names if name not in _FINAL]
     asked = ", ".join(repr(name) for name in overruled)
