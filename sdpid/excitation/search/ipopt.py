@@ -111,6 +111,8 @@ def minimize(
     MissingExtraError
         When CasADi is not installed (extra ``excite``).
     """
+    from scipy.sparse import csc_matrix
+
     casadi = require_solver()
     matrix, lower, upper = linear
     N = len(start)
@@ -123,7 +125,8 @@ def minimize(
         calls.guarded(lambda x: calls.cached(x)[1]),
     )
     x = casadi.MX.sym("x", N)
-    limits = [casadi.densify(casadi.mtimes(casadi.DM(matrix.tocsc()), x))]
+    # CasADi 3.7.0 and older know sparse matrices, but no sparse arrays.
+    limits = [casadi.densify(casadi.mtimes(casadi.DM(csc_matrix(matrix)), x))]
     count = 0
     if rows is not None:
         r, c = np.nonzero(rows.pattern.T)[::-1]
