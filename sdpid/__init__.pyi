@@ -20,6 +20,7 @@ from .estimation.wls import solve_wls
 from .excitation.design.design import design_excitation
 from .excitation.limits.check import check_trajectory
 from .excitation.limits.limits import Limits
+from .experiment.drive_gains.gains import DriveGains
 from .experiment.inspection.inspect import inspect_recording
 from .experiment.plant.simulate import simulate
 from .experiment.processing.process import Processing, process
@@ -48,6 +49,7 @@ __version__: str
 __all__ = [
     "Constraints",
     "DhTable",
+    "DriveGains",
     "Limits",
     "MotorSide",
     "Prior",

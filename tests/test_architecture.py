@@ -30,6 +30,7 @@ ROOMS = {
     "robot": ["inertia", "consistent", "friction", "description", "model"],
     "experiment": [
         "recording",
+        "drive_gains",
         "readers",
         "processing",
         "inspection",

@@ -48,6 +48,7 @@ NAMESPACES = {"constraints", "errors", "friction", "plots"}
 # What goes with them often enough to stand beside them.
 BESIDE = {
     "DhTable",
+    "DriveGains",
     "MotorSide",
     "Prior",
     "RecursiveEstimator",

@@ -74,6 +74,9 @@ def motion() -> Trajectory:
 SHOWN: dict[str, Callable[[], Any]] = {
     "Constraints": lambda: sdpid.Constraints(others=TotalMass(1.0, links=(HOSTILE,))),
     "DhTable": lambda: sdpid.DhTable.of([{"name": f"{HOSTILE}{k}"} for k in range(7)]),
+    "DriveGains": lambda: sdpid.DriveGains(
+        joint_names=[f"{HOSTILE}{k}" for k in range(40)], gains=np.full(40, 1e4 / 3.0)
+    ),
     "Limits": lambda: sdpid.Limits(velocity={f"{HOSTILE}{k}": 1.0 for k in range(99)}),
     "MotorSide": lambda: sdpid.MotorSide.from_gears(np.full(40, 100.0)),
     "Prior": lambda: sdpid.Prior(bodies=np.ones((40, 10))),

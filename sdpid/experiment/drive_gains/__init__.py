@@ -1,0 +1,1 @@
+"""Gains of drives: joint torque per ampere, with what they rest on."""

@@ -1,0 +1,332 @@
+"""Drive gains with their covariance, and the file that keeps them."""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from sdpid._common.arrays import Array, frozen, real_array, require_probability
+from sdpid._common.files import atomic_write_text
+from sdpid._common.tables import Table, facts_html, plain
+from sdpid._common.text import printable
+from sdpid._common.toml import load_toml
+from sdpid.errors import DataError
+
+__all__ = ["DriveGains"]
+
+# An eigenvalue of a covariance below minus this share of the largest is no rounding.
+_ROUNDING = 1e-9
+
+_KEYS = ("joint_names", "gains", "covariance", "freedom", "basis", "sources", "notes")
+_UNIT = "N.m/A"
+
+
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class DriveGains:
+    """Drive gains: the joint torque per ampere of each joint, with their errors.
+
+    The torque of joint j is ``gains[j]`` times its current. A gain is torque constant × gear ratio
+    × efficiency. Errors of the gains of several joints go together, and their largest common part
+    is `common_factor`: it moves all torques, and so all masses and inertias, by one factor.
+
+    Parameters
+    ----------
+    joint_names : sequence of str
+        One name a joint.
+    gains : (n,) array_like
+        N·m/A (N/A for a prismatic joint), positive.
+    covariance : (n, n) array_like, optional
+        Covariance of the gains' errors, (N·m/A)²; by default zero: gains that are known.
+    freedom : (n,) array_like, optional
+        Degrees of freedom of each variance; by default infinite.
+    basis : str, optional
+        What the gains rest on, in words.
+    sources : mapping of str to str, optional
+        Names of the files that the gains were estimated from, and their SHA-256.
+    notes : sequence of str, optional
+        What was assumed, or is to be known.
+
+    Raises
+    ------
+    DataError
+        When shapes do not agree, a gain is not positive, or the covariance is none.
+
+    Examples
+    --------
+    >>> gains = sdpid.DriveGains(
+    ...     joint_names=["hip", "knee"], gains=[10.0, 8.0], covariance=np.diag([0.04, 0.01])
+    ... )
+    >>> gains
+    DriveGains(hip 10 ± 0.2, knee 8 ± 0.1 N·m/A)
+    >>> gains.standard_errors, gains.intervals(0.95).round(2)
+    (array([0.2, 0.1]), array([[ 9.62, 10.4 ],
+           [ 7.81,  8.2 ]]))
+    >>> gains.to_toml("gains.toml")
+    >>> sdpid.DriveGains.from_toml("gains.toml").torque([[1.0, 2.0]])
+    array([[10., 16.]])
+    """
+
+    joint_names: tuple[str, ...]
+    gains: Array
+    covariance: Array = None  # type: ignore[assignment]  # zeros when built
+    freedom: Array = None  # type: ignore[assignment]  # infinite when built
+    basis: str = "given"
+    sources: Mapping[str, str] = None  # type: ignore[assignment]  # empty when built
+    notes: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        names = _texts(self.joint_names, "joint_names")
+        n = len(names)
+        if n == 0 or len(set(names)) < n:
+            raise DataError(f"gains: joint_names are {list(names)}; give each joint a name.")
+        gains = frozen(real_array(self.gains, "gains", ndim=1))
+        if gains.shape != (n,):
+            raise DataError(f"gains: has shape {gains.shape}, expected {(n,)}: one a joint.")
+        if not np.all(gains > 0.0):
+            j = int(np.argmin(gains))
+            raise DataError(
+                f"gains: that of {names[j]} is {gains[j]:g} N·m/A; a gain is positive. Turn the "
+                "sign of a joint's current where the log is read (effort_scale)."
+            )
+        given = np.zeros((n, n)) if self.covariance is None else self.covariance
+        covariance = real_array(given, "gains: covariance", ndim=2)
+        if covariance.shape != (n, n):
+            raise DataError(f"gains: covariance has shape {covariance.shape}, expected {(n, n)}.")
+        covariance = frozen(0.5 * (covariance + covariance.T))
+        eigenvalues = np.linalg.eigvalsh(covariance / np.outer(gains, gains))
+        if eigenvalues[0] < -_ROUNDING * max(eigenvalues[-1], _ROUNDING):
+            raise DataError(
+                "gains: covariance is none: the smallest eigenvalue of the relative one is "
+                f"{eigenvalues[0]:.3g}."
+            )
+        freedom = np.full(n, np.inf) if self.freedom is None else self.freedom
+        freedom = real_array(freedom, "gains: freedom", ndim=1, infinite=True)
+        if freedom.shape != (n,) or not np.all(freedom > 0.0):
+            raise DataError(f"gains: freedom is {freedom.tolist()}; give {n} positive numbers.")
+        if not isinstance(self.basis, str):
+            raise DataError(f"gains: basis is {self.basis!r:.80}, expected a text.")
+        sources: Any = {} if self.sources is None else self.sources
+        if not isinstance(sources, Mapping):
+            raise DataError(f"gains: sources are {sources!r:.80}, expected names and digests.")
+        for name, value in {
+            "joint_names": names,
+            "gains": gains,
+            "covariance": covariance,
+            "freedom": frozen(freedom),
+            "sources": {str(key): str(value) for key, value in sources.items()},
+            "notes": _texts(self.notes, "notes"),
+        }.items():
+            object.__setattr__(self, name, value)
+
+    @property
+    def n(self) -> int:
+        """Number of joints."""
+        return len(self.joint_names)
+
+    @property
+    def standard_errors(self) -> Array:
+        """Standard error of each gain, (n,), N·m/A."""
+        return np.asarray(np.sqrt(np.maximum(np.diag(self.covariance), 0.0)))
+
+    @property
+    def relative_covariance(self) -> Array:
+        """Covariance of the errors' shares of the gains, (n, n): of the gains' logarithms."""
+        return np.asarray(self.covariance / np.outer(self.gains, self.gains))
+
+    @property
+    def common_factor(self) -> float:
+        """Standard deviation of the largest factor that the errors can have in common.
+
+        The largest c for which c² times the matrix of ones can be taken off the relative
+        covariance, so that a covariance is left.
+        """
+        values, vectors = np.linalg.eigh(self.relative_covariance)
+        seen = values > _ROUNDING * max(values[-1], 0.0)
+        along = vectors.T @ np.ones(self.n)
+        if not seen.any() or np.any(np.abs(along[~seen]) > np.sqrt(_ROUNDING * self.n)):
+            return 0.0
+        return float(np.sum(along[seen] ** 2 / values[seen]) ** -0.5)
+
+    def intervals(self, level: float = 0.95) -> Array:
+        """Return lower and upper ends of each gain's interval, (n, 2), N·m/A.
+
+        The gains' logarithms are taken to be distributed as Student's t, so no end is negative.
+
+        Parameters
+        ----------
+        level : float, optional
+            Probability of each interval.
+        """
+        from scipy.stats import t
+
+        require_probability(level, "gains: level")
+        quantile = np.asarray(t.ppf(0.5 * (1.0 + level), self.freedom))
+        share = quantile * self.standard_errors / self.gains
+        return np.stack([self.gains * np.exp(-share), self.gains * np.exp(share)], axis=1)
+
+    def torque(self, current: Any) -> Array:
+        """Return the joint torques (N, n) in N·m of currents (N, n) in A.
+
+        Raises
+        ------
+        DataError
+            When there is another number of columns.
+        """
+        values = real_array(current, "current", ndim=2)
+        if values.shape[1] != self.n:
+            raise DataError(
+                f"current: has {values.shape[1]} columns; there are gains for {self.n} joints."
+            )
+        return np.asarray(values * self.gains)
+
+    def of_joints(self, joint_names: Sequence[str]) -> DriveGains:
+        """Return the gains of some joints, in a given order.
+
+        Raises
+        ------
+        DataError
+            When there is no gain for one of them.
+        """
+        missing = [name for name in joint_names if name not in self.joint_names]
+        if missing:
+            raise DataError(
+                f"gains: none for {', '.join(missing)}; there are gains for "
+                f"{', '.join(self.joint_names)}."
+            )
+        order = [self.joint_names.index(name) for name in joint_names]
+        return replace(
+            self,
+            joint_names=tuple(joint_names),
+            gains=self.gains[order],
+            covariance=self.covariance[np.ix_(order, order)],
+            freedom=self.freedom[order],
+        )
+
+    def table(self, level: float = 0.95) -> Table:
+        """Return one row a joint: gain, standard error in percent, interval.
+
+        Parameters
+        ----------
+        level : float, optional
+            Probability of each interval.
+        """
+        ends = self.intervals(level)
+        return Table.of_columns(
+            {
+                "joint": self.joint_names,
+                "gain (N·m/A)": self.gains.tolist(),
+                "error (%)": (100.0 * self.standard_errors / self.gains).tolist(),
+                "lower": ends[:, 0].tolist(),
+                "upper": ends[:, 1].tolist(),
+            },
+            {"error (%)": ".2g"},
+        )
+
+    def describe(self, level: float = 0.95) -> str:
+        """Return the gains in words and numbers, one joint a line.
+
+        Parameters
+        ----------
+        level : float, optional
+            Probability of each interval.
+        """
+        title = f"drive gains, by {self.basis} ({100.0 * level:g} % intervals)"
+        return "\n".join([title, self.table(level).text(4), *self.notes])
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return plain values for JSON."""
+        found: dict[str, Any] = plain(
+            {
+                "unit": _UNIT,
+                **{key: getattr(self, key) for key in _KEYS},
+                "standard_errors": self.standard_errors,
+                "common_factor": self.common_factor,
+            }
+        )
+        return found
+
+    def to_toml(self, path: str | os.PathLike[str]) -> None:
+        """Write the gains to a TOML file, without loss, whole or not at all.
+
+        Raises
+        ------
+        ExportError
+            When the file cannot be written.
+        """
+        rows = [f"    {row}," for row in self.covariance.tolist()]
+        lines = [
+            f"# Drive gains: joint torque per current. common_factor = {self.common_factor:.3g}",
+            f'unit = "{_UNIT}"',
+            f"joint_names = {_toml(list(self.joint_names))}",
+            f"gains = {self.gains.tolist()}",
+            "covariance = [",
+            *rows,
+            "]",
+            f"freedom = {self.freedom.tolist()}",
+            f"basis = {_toml(self.basis)}",
+            f"notes = {_toml(list(self.notes))}",
+            "",
+            "[sources]",
+            *(f"{_toml(key)} = {_toml(value)}" for key, value in self.sources.items()),
+        ]
+        atomic_write_text(Path(path), "\n".join(lines) + "\n")
+
+    @classmethod
+    def from_toml(cls, path: str | os.PathLike[str]) -> DriveGains:
+        """Read a file that `to_toml` wrote, or one of a user with ``joint_names`` and ``gains``.
+
+        Raises
+        ------
+        DataError
+            When it cannot be read, lacks an entry, has an unknown one, or holds no gains.
+        """
+        table = load_toml(path)
+        unit = table.pop("unit", _UNIT)
+        if unit != _UNIT:
+            raise DataError(f"{path}: unit is {unit!r}, expected '{_UNIT}'.")
+        if missing := [key for key in _KEYS[:2] if key not in table]:
+            raise DataError(f"{path}: no {' and no '.join(missing)}; it is no file of gains.")
+        if unknown := sorted(set(table) - set(_KEYS)):
+            raise DataError(
+                f"{path}: {', '.join(unknown)} is not known; known are unit, {', '.join(_KEYS)}."
+            )
+        try:
+            return cls(**table)
+        except DataError as cause:
+            raise DataError(f"{path}: {cause}") from None
+
+    def __repr__(self) -> str:
+        shown = [
+            f"{printable(name[:_NAME])} {gain:.4g} ± {error:.2g}"
+            for name, gain, error in zip(
+                self.joint_names, self.gains, self.standard_errors, strict=True
+            )
+        ]
+        more = f", … {self.n - _SHOWN} more" if self.n > _SHOWN else ""
+        return f"DriveGains({', '.join(shown[:_SHOWN])}{more} N·m/A)"
+
+    def _repr_html_(self) -> str:
+        facts = {"rest on": self.basis, "common factor": self.common_factor}
+        return facts_html("DriveGains", facts, self.table())
+
+
+# How many joints a line shows, and how many characters of their names.
+_SHOWN, _NAME = 3, 24
+
+
+def _toml(value: object) -> str:
+    """Return texts as TOML has them: as JSON, but that no character is a pair of escapes."""
+    return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")
+
+
+def _texts(values: Any, name: str) -> tuple[str, ...]:
+    """Return a sequence of texts as a tuple."""
+    if isinstance(values, str) or not all(isinstance(each, str) for each in values):
+        raise DataError(f"gains: {name} is {values!r:.80}, expected a list of texts.")
+    return tuple(values)
