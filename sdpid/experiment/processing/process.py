@@ -21,46 +21,25 @@ from sdpid._common.arrays import Array
 from sdpid._common.threads import one_thread
 from sdpid.errors import DataError
 from sdpid.experiment.processing.choose import default_processing, with_changes
-from sdpid.experiment.processing.efforts import Efforts, in_threads
-from sdpid.experiment.processing.filters import ZeroPhaseFilter
-from sdpid.experiment.processing.period_mean import Chain, near_standstill
+from sdpid.experiment.processing.efforts import Efforts
+from sdpid.experiment.processing.period_mean import Chain
 from sdpid.experiment.processing.samples import Samples
 from sdpid.experiment.processing.settings import Processing
-from sdpid.experiment.processing.wide_velocity import wide_velocity
-from sdpid.experiment.processing.window import Window
+from sdpid.experiment.processing.states import CHUNK, TooShortError, chain_of, states_of
 from sdpid.experiment.recording.degrees import require_plausible_units
 from sdpid.experiment.recording.gaps import continuous
 from sdpid.experiment.recording.outliers import require_no_outliers
 from sdpid.experiment.recording.recording import Recording
-from sdpid.experiment.recording.rest import AT_REST
-from sdpid.experiment.recording.uniform_grid import Grid, make_grid
+from sdpid.experiment.recording.uniform_grid import Grid
 
 __all__ = ["Processing", "process"]
 
-# Without periods the signals beyond the ends are guessed; the guess decays exponentially.
-# On real logs (UR10, Gen3; orders 1, 2, 4 at 4, 10, 15 Hz) 5 time constants left at most 2 % of
-# the rms acceleration and 0.7 % of the rms torque, on the outermost samples only and below what
-# any model of these robots misses; 10 left 2e-4 and 5e-5 and would cost a third of a record of
-# two seconds at 10 Hz.
-_TRIM_TIME_CONSTANTS = 5.0
 # A block must be clearly longer than the memory of the filter, which is run twice: forward and
 # backward (four times over the derivatives with filter_alike=False).
 _BLOCK_TIME_CONSTANTS = 20.0
 _BLOCK_SECONDS = 1.0
-# Periods of a settled periodic motion repeat to a per cent or so; with a wrong period they
-# differ by as much as the joint moves. Below a hundredth of a radian it does not matter.
-_PERIOD_SPREAD = 0.2
-_PERIOD_SPREAD_FLOOR = 0.01
-# Records without periods are filtered in pieces of this many samples, to save memory.
-_CHUNK = 1 << 18
-# decimation=None: the paper keeps ten samples per period of the cut-off frequency.
-_RATE_OVER_CUTOFF = 10.0
 # A repeated effort that varies by less than this part of its rms is noise-free: rounding.
 _NOISE_FREE = 1e-9
-
-
-class _TooShortError(DataError):
-    """Raised when a record is too short to be filtered."""
 
 
 @one_thread
@@ -152,7 +131,7 @@ def _joined(
     for piece in pieces:
         try:
             samples_of_pieces.append(_processed(piece, processing, advance))
-        except _TooShortError as error:
+        except TooShortError as error:
             short.append((piece, str(error)))
             advance(piece.n)
     if not samples_of_pieces:
@@ -176,56 +155,12 @@ def _joined(
 
 def _processed(log: Recording, processing: Processing, advance: Callable[[int], object]) -> Samples:
     """Process a record without gaps and wrapped angles."""
-    grid = make_grid(log, processing.timing)
-    low_pass = processing.low_pass(1.0 / grid.step)
-    stencil = processing.stencil(1.0 / grid.step)
-    window = _window(log, grid, low_pass, processing)
-    decimation = processing.decimation or max(
-        1, math.floor(1.0 / (grid.step * _RATE_OVER_CUTOFF * processing.cutoff_hz) + 1e-9)
-    )
-    reach = math.floor((processing.reversal_time or 0.0) / grid.step + 1e-9)
-    chain = Chain(
-        window=window,
-        low_pass=low_pass,
-        stencil=stencil,
-        decimation=decimation,
-        passes=1 if processing.filter_alike else 2,
-        # A reversal just outside the window masks rows inside it (a change of sign shows one sample
-        # further out); a periodic window has no outside.
-        margin=stencil.margin + (0 if window.circular else reach + 1),
-    )
-
-    kept = np.arange(0, window.length, decimation, dtype=np.float64)
-    P, K, n = window.periods, kept.size, log.n
-    position, velocity, acceleration = (np.empty((K, n)) for _ in range(3))
-    mask = None if processing.reversal_time is None else np.empty((K, n), dtype=np.bool_)
-
-    def motion(j: int) -> None:
-        columns = log.position[:, j], None if log.velocity is None else log.velocity[:, j]
-        first = 0
-        for part in chain.parts(_CHUNK):
-            q, fine, a = _motion(log, j, columns, part, processing)
-            rows = slice(first, first + q.size)
-            position[rows, j], acceleration[rows, j] = q, a
-            velocity[rows, j] = part.kept(fine)
-            if mask is not None:
-                speed = processing.reversal_speed
-                slow = near_standstill(fine, speed, reach, circular=window.circular)
-                mask[rows, j] = ~part.kept(slow)
-            first = rows.stop
-        # Noise of a joint at rest would be scaled up like any other motion.
-        if np.ptp(position[:, j]) <= AT_REST:
-            velocity[:, j] = acceleration[:, j] = 0.0
-        advance(1)
-
-    in_threads(motion, range(n))
-    wide = None
-    if processing.filter_friction:
-        resting = np.asarray(~velocity.any(axis=0))
-        wide = (wide_velocity(log, chain, processing, resting, chunk=_CHUNK),)
+    chain = chain_of(log, processing)
+    grid, window, decimation = chain.window.grid, chain.window, chain.decimation
+    states = states_of(log, chain, processing, advance=advance)
     wanted = log.period is not None and processing.covariance is not None
-    efforts = Efforts.of(log, chain, covariance=wanted, chunk=_CHUNK)
-    notes = _notes(log, processing, chain, grid, mask)
+    efforts = Efforts.of(log, chain, covariance=wanted, chunk=CHUNK)
+    notes = _notes(log, processing, chain, grid, states.mask)
     if efforts.note is not None:
         notes.append(efforts.note)
     covariance = None
@@ -233,22 +168,23 @@ def _processed(log: Recording, processing: Processing, advance: Callable[[int], 
         covariance = _shrunk(efforts.covariance, processing)
         notes += _noise_free(log, covariance, efforts.mean)
     kept_rate = 1.0 / (grid.step * decimation)
-    memory_s = low_pass.time_constant * grid.step
+    memory_s = chain.low_pass.time_constant * grid.step
     block = math.ceil(max(_BLOCK_TIME_CONSTANTS * memory_s, _BLOCK_SECONDS) * kept_rate)
+    kept = np.arange(0, window.length, decimation, dtype=np.float64)
     return Samples(
-        position=position,
-        velocity=velocity,
-        acceleration=acceleration,
+        position=states.position,
+        velocity=states.velocity,
+        acceleration=states.acceleration,
         effort=efforts.mean,
         covariance=covariance,
-        mask=mask,
+        mask=states.mask,
         time=grid.origin + grid.step * (window.first + kept),
         joint_names=log.joint_names,
-        periods=None if log.period is None else P,
-        block=min(block, K),
+        periods=None if log.period is None else window.periods,
+        block=min(block, kept.size),
         notes=tuple(notes),
         effort_periods=efforts.periods,
-        wide=wide,
+        wide=None if states.wide is None else (states.wide,),
     )
 
 
@@ -272,45 +208,6 @@ def _noise_free(log: Recording, covariance: Array, effort: Array) -> list[str]:
         f"the effort of joint {', '.join(exact)} repeats exactly: its covariance is rounding "
         "error, use covariance=None"
     ]
-
-
-def _motion(
-    log: Recording,
-    j: int,
-    columns: tuple[Array, Array | None],
-    chain: Chain,
-    processing: Processing,
-) -> tuple[Array, Array, Array]:
-    """Return position (K,), velocity at the full rate and acceleration (K,) of one joint.
-
-    The velocity keeps the rest of its margins, for the mask.
-
-    Filtering a derivative is differentiating what was filtered, and averaging commutes with
-    both. So no derivative is filtered: only averages are differentiated, of the position after
-    as many passes as its derivatives are to have.
-    """
-    step = chain.window.grid.step
-    column, measured = columns
-    signal, last, spread = chain.mean(column)
-    motion = float(np.std(last))
-    limit = max(_PERIOD_SPREAD * motion, _PERIOD_SPREAD_FLOOR)
-    # What the filter removes does not count, but that is only looked at where it matters.
-    if spread > limit and (spread := chain.spread(column)) > limit:
-        raise DataError(
-            f"period: the periods of joint {log.names[j]} do not repeat: their positions spread "
-            f"by {spread:.3g} rad (rms) where the mean period moves by {motion:.3g} rad (rms), "
-            f"limit {100 * _PERIOD_SPREAD:g} %. Check period ({log.period:g} s) and start, and "
-            "leave out periods before the motion has settled."
-        )
-    position = chain.kept(signal)
-    differences = chain.stencil
-    if processing.velocity == "differentiated":
-        velocity = differences.velocity(last, step)
-        return position, velocity, chain.kept(differences.acceleration(last, step))
-    assert measured is not None
-    signal, last, _ = chain.mean(measured)
-    velocity = differences.inner(signal)
-    return position, velocity, chain.kept(differences.velocity(last, step))
 
 
 def _check_period_count(log: Recording, processing: Processing) -> None:
@@ -359,35 +256,6 @@ def _check_rows(log: Recording, processing: Processing, mask: NDArray[np.bool_] 
             f"{processing.reversal_speed:g} rad/s. Use a motion that moves it, a shorter "
             "reversal_time, or reversal_time=None to keep all rows."
         )
-
-
-def _window(
-    log: Recording, grid: Grid, low_pass: ZeroPhaseFilter, processing: Processing
-) -> Window:
-    """Return the part of the grid to keep: the whole periods, or all but the ends."""
-    layout = log.period_layout
-    if layout is not None:
-        first, length, periods = layout
-        if first + length * periods > grid.count:
-            raise DataError(
-                f"periods: {periods} periods of {length} samples from sample {first} on need "
-                f"{first + length * periods} samples, there are {grid.count}: samples were lost; "
-                "use timing='resample'."
-            )
-        return Window(grid=grid, first=first, length=length, periods=periods, circular=True)
-    if processing.trim_s is None:
-        trim = math.ceil(_TRIM_TIME_CONSTANTS * low_pass.time_constant)
-    else:
-        trim = round(processing.trim_s / grid.step)
-    length = grid.count - 2 * trim
-    if length < 1:
-        raise _TooShortError(
-            f"time: the record lasts {log.duration:.4g} s, and {trim * grid.step:.4g} s are cut "
-            f"off at either end (memory of the filter at {processing.cutoff_hz:g} Hz: "
-            f"{low_pass.time_constant * grid.step:.3g} s); record longer, raise cutoff_hz, or "
-            "set trim_s."
-        )
-    return Window(grid=grid, first=trim, length=length, periods=1, circular=False)
 
 
 def _notes(

@@ -13,6 +13,7 @@ from scipy import signal
 from sdpid.errors import DataError
 from sdpid.experiment.preparation.several import chosen_processing
 from sdpid.experiment.processing import process as processing_module
+from sdpid.experiment.processing import states as states_module
 from sdpid.experiment.processing.choose import default_processing
 from sdpid.experiment.processing.derivatives import Weights, stencil
 from sdpid.experiment.processing.filters import low_pass
@@ -213,7 +214,8 @@ def test_pieces_do_not_show(monkeypatch: pytest.MonkeyPatch):
         effort=rng.standard_normal((6000, 2)),
     )
     whole = process(log, Processing(decimation=7))
-    monkeypatch.setattr(processing_module, "_CHUNK", 500)
+    for module in (processing_module, states_module):
+        monkeypatch.setattr(module, "CHUNK", 500)
     pieces = process(log, Processing(decimation=7))
     for name in ("position", "velocity", "acceleration", "effort"):
         np.testing.assert_allclose(getattr(pieces, name), getattr(whole, name), rtol=0, atol=1e-7)

@@ -20,6 +20,7 @@ from scipy import signal
 from sdpid.errors import DataError
 from sdpid.experiment.processing import efforts
 from sdpid.experiment.processing import process as processing_module
+from sdpid.experiment.processing import states as states_module
 from sdpid.experiment.processing.efforts import Moments, in_threads
 from sdpid.experiment.processing.process import Processing, process
 from sdpid.experiment.readers.formats import parquet_file
@@ -83,7 +84,8 @@ def file_of(request: pytest.FixtureRequest, tmp_path: Path, monkeypatch: pytest.
     monkeypatch.setattr(stored, "ROWS", 37)
     monkeypatch.setattr(parquet_file, "ROWS", 37)
     monkeypatch.setattr(parquet_file, "_BUFFER", 1000)
-    monkeypatch.setattr(processing_module, "_CHUNK", 250)
+    for module in (processing_module, states_module):
+        monkeypatch.setattr(module, "CHUNK", 250)
     return write
 
 

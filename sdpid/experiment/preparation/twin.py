@@ -1,0 +1,252 @@
+"""Another motion of the same recordings, processed exactly as the measured one was."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from sdpid._common.arrays import Array, real_array
+from sdpid._common.threads import one_thread
+from sdpid.errors import DataError
+from sdpid.experiment.preparation.several import ProcessingOf, chosen_processing, recordings
+from sdpid.experiment.processing.efforts import Efforts
+from sdpid.experiment.processing.period_mean import Chain
+from sdpid.experiment.processing.process import Processing, process
+from sdpid.experiment.processing.samples import Samples
+from sdpid.experiment.processing.states import CHUNK, TooShortError, chain_of, states_of
+from sdpid.experiment.recording.gaps import continuous
+from sdpid.experiment.recording.joints import match_joints
+from sdpid.experiment.recording.recording import Recording
+from sdpid.robot.model.model import RobotModel
+
+__all__ = ["Twin"]
+
+# Processed positions of the same recording agree to rounding; those of another cut-off, or of other
+# sample times, differ by far more (rad).
+_SAME = 1e-9
+
+# Positions of one recording, or of each of several.
+Motions = ArrayLike | Sequence[ArrayLike]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class Twin:
+    """Recordings whose measured positions can be replaced by others, simulated ones say.
+
+    The other motion passes the same filter, window and decimation, is averaged over the same
+    periods and keeps the same rows as the measured one, whatever it is itself: time stamps, gaps,
+    masks, covariance and blocks are those of the measurement. So row k of the one belongs to row k
+    of the other.
+
+    Attributes
+    ----------
+    robot : RobotModel
+        The robot.
+    logs : tuple of Recording
+        As measured, joints in the robot's order.
+    processing : Processing
+        Of all of them.
+    measured : Samples
+        Of the measured motion.
+    """
+
+    robot: RobotModel
+    logs: tuple[Recording, ...]
+    processing: Processing
+    measured: Samples
+    _chains: tuple[tuple[Chain | None, ...], ...]
+
+    @classmethod
+    def of(
+        cls,
+        robot: RobotModel,
+        log: Any,
+        processing: ProcessingOf = None,
+        *,
+        measured: Samples | None = None,
+    ) -> Twin:
+        """Prepare recordings for another motion.
+
+        Parameters
+        ----------
+        robot : RobotModel
+            The robot.
+        log : Recording or path, or a sequence of these
+            What was measured.
+        processing : Processing or mapping, optional
+            As `measured` were made; by default as `prepare_recordings` chooses.
+        measured : Samples, optional
+            Made of these recordings, with masks of one's own, say. By default they are processed
+            here.
+
+        Raises
+        ------
+        DataError
+            When a recording cannot be processed, or `measured` were made otherwise.
+        """
+        logs = tuple(match_joints(robot, each) for each in recordings(log))
+        chosen, _ = chosen_processing(logs, processing)
+        chains = tuple(
+            tuple(_chain(piece, chosen) for piece in continuous(each)[0]) for each in logs
+        )
+        if measured is None:
+            limits = robot.position_limits
+            measured = Samples.join(
+                [process(each, chosen, position_limits=limits, progress=False) for each in logs]
+            )
+            return cls(robot=robot, logs=logs, processing=chosen, measured=measured, _chains=chains)
+        twin = cls(robot=robot, logs=logs, processing=chosen, measured=measured, _chains=chains)
+        _require_same(twin, measured)
+        return twin
+
+    def __repr__(self) -> str:
+        return f"Twin({len(self.logs)} recordings of '{self.robot.name}', {self.measured!r})"
+
+    @one_thread
+    def samples(
+        self,
+        position: Motions,
+        *,
+        velocity: Motions | None = None,
+        effort: Motions | None = None,
+    ) -> Samples:
+        """Process another motion.
+
+        Parameters
+        ----------
+        position : (N, n) array_like, or a sequence of these
+            Joint positions at the recording's time stamps, in rad; one array a recording.
+        velocity : (N, n) array_like, or a sequence of these, optional
+            Velocities in rad/s, where the processing takes measured ones; by default the
+            derivative of a cubic spline through the positions. Otherwise they are not used.
+        effort : (N, n) array_like, or a sequence of these, optional
+            Efforts in N·m to be filtered; by default those that were measured.
+
+        Returns
+        -------
+        Samples
+            Row by row beside `measured`, which share all but position, velocity, acceleration and,
+            where given, effort.
+
+        Raises
+        ------
+        DataError
+            When arrays are not finite or do not have the recordings' shapes.
+        """
+        positions = self._arrays(position, "position")
+        count = len(self.logs)
+        velocities = [None] * count if velocity is None else self._arrays(velocity, "velocity")
+        efforts = [None] * count if effort is None else self._arrays(effort, "effort")
+        states, forces = [], []
+        for log, chains, q, v, tau in zip(
+            self.logs, self._chains, positions, velocities, efforts, strict=True
+        ):
+            if v is None and self.processing.velocity == "measured":
+                v = _spline_velocity(log.time, q)
+            moved = replace(log, position=q, velocity=v, effort=log.effort if tau is None else tau)
+            for piece, chain in zip(continuous(moved)[0], chains, strict=True):
+                if chain is None:
+                    continue
+                states.append(states_of(piece, chain, self.processing, repeats=False))
+                if tau is not None:
+                    found = Efforts.of(piece, chain, covariance=False, chunk=CHUNK)
+                    forces.append(found.mean)
+        wide = tuple(each.wide for each in states if each.wide is not None)
+        changed: dict[str, Any] = {}
+        if forces:
+            changed = {"effort": np.concatenate(forces), "effort_periods": None}
+        return replace(
+            self.measured,
+            position=np.concatenate([each.position for each in states]),
+            velocity=np.concatenate([each.velocity for each in states]),
+            acceleration=np.concatenate([each.acceleration for each in states]),
+            wide=wide or None,
+            **changed,
+        )
+
+    def _arrays(self, given: Any, name: str) -> list[Array]:
+        """Return one checked array (N, n) a recording."""
+        alone = len(self.logs) == 1 and np.ndim(given[0] if len(given) else given) < 2
+        arrays = [given] if alone else list(given)
+        if len(arrays) != len(self.logs):
+            raise DataError(
+                f"{name}: has {len(arrays)} arrays for {len(self.logs)} recordings; give one each."
+            )
+        found = [real_array(each, name, ndim=2) for each in arrays]
+        for number, (array, log) in enumerate(zip(found, self.logs, strict=True), 1):
+            if array.shape != log.position.shape:
+                where = f" of recording {number}" if len(self.logs) > 1 else ""
+                raise DataError(
+                    f"{name}: has shape {array.shape}, expected {log.position.shape} as the "
+                    f"positions{where} have: one row a time stamp, one column a joint."
+                )
+        return found
+
+
+def _chain(piece: Recording, processing: Processing) -> Chain | None:
+    """Return how a piece of a record is processed, None where it is too short."""
+    try:
+        return chain_of(piece, processing)
+    except TooShortError:
+        return None
+
+
+def _spline_velocity(time: Array, position: Array) -> Array:
+    """Return the derivative of the cubic splines through positions (N, n)."""
+    from scipy.interpolate import CubicSpline
+
+    # Stamps since 1970 lose digits in the cubes.
+    relative = np.asarray(time) - time[0]
+    return np.asarray(CubicSpline(relative, position)(relative, 1))
+
+
+def _require_same(twin: Twin, measured: Samples) -> None:
+    """Raise unless samples were made of the twin's recordings in the twin's way."""
+    if measured.n != twin.robot.n:
+        raise DataError(
+            f"recording: the samples have {measured.n} joints, the robot '{twin.robot.name}' has "
+            f"{twin.robot.n}."
+        )
+    kept = [
+        len(range(0, chain.window.length, chain.decimation))
+        for chains in twin._chains
+        for chain in chains
+        if chain is not None
+    ]
+    remedy = (
+        "give the recordings that the problem was built of, and the same processing "
+        "(processing=sdpid.Processing(...))."
+    )
+    sizes = [part.stop - part.start for part in measured.parts]
+    if kept != sizes:
+        raise DataError(
+            f"recording: is processed to {_listed(kept)} samples, the problem's pieces have "
+            f"{_listed(sizes)}; {remedy}"
+        )
+    own = twin.samples(
+        [log.position for log in twin.logs],
+        velocity=(
+            [np.asarray(log.velocity) for log in twin.logs]
+            if twin.processing.velocity == "measured"
+            and all(log.velocity is not None for log in twin.logs)
+            else None
+        ),
+    )
+    for name in ("position", "velocity", "acceleration"):
+        mine, theirs = getattr(own, name), getattr(measured, name)
+        off = float(np.abs(mine - theirs).max()) if mine.shape == theirs.shape else np.inf
+        if off > _SAME * max(float(np.abs(theirs).max()), 1.0):
+            raise DataError(
+                f"recording: its {name}, processed, is up to {off:.3g} away from that of the "
+                f"problem's samples; {remedy}"
+            )
+
+
+def _listed(counts: Sequence[int]) -> str:
+    """Return counts in words, the first few of many."""
+    shown = ", ".join(str(count) for count in counts[:4])
+    return shown + (", …" if len(counts) > 4 else "")
