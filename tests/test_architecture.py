@@ -29,8 +29,8 @@ ROOMS = {
     "plots": [],
     "robot": ["inertia", "consistent", "friction", "description", "model"],
     "experiment": [
-        "recording",
         "drive_gains",
+        "recording",
         "readers",
         "processing",
         "inspection",

@@ -168,6 +168,14 @@ class Reading:
             "efforts in A.",
         ),
     ] = None
+    gains: Annotated[
+        Path | None,
+        _reading(
+            metavar="FILE",
+            help="Gains of the drives, for efforts in A: the file of 'sdpid gains'. Their errors "
+            "count in every interval.",
+        ),
+    ] = None
     mapping: Annotated[
         str | None,
         _reading(
@@ -201,6 +209,7 @@ class Reading:
             "units": pairs(self.unit, "--unit") or None,
             "joint_names": None if self.joint_names is None else split_list(self.joint_names),
             "effort_scale": None if scale is None else numbers(scale, "--effort-scale"),
+            "gains": self.gains,
             "mapping": False if self.mapping == "none" else self.mapping,
             "topic": self.topic,
             "missing": self.missing,
@@ -215,7 +224,7 @@ class Reading:
     def files(self, logs: Iterable[Path], *others: PathLike | None) -> list[PathLike | None]:
         """Return the files that a command reads: logs, mappings, and others."""
         beside = [log.with_suffix(".toml") if log.suffix else Path(f"{log}.toml") for log in logs]
-        return [*logs, *beside, self.mapping, *others]
+        return [*logs, *beside, self.mapping, self.gains, *others]
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -6,6 +6,7 @@ import os
 from collections.abc import Iterable
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from sdpid.errors import DataError
 from sdpid.estimation.compression.covariance import Weighting
@@ -14,6 +15,7 @@ from sdpid.estimation.effects.kinds import EFFECTS
 from sdpid.estimation.prior.prior import Prior
 from sdpid.estimation.problem import Problem, build_problem
 from sdpid.estimation.selection.choose import with_chosen_effects, with_effects
+from sdpid.experiment.drive_gains.gains import DriveGains
 from sdpid.experiment.inspection.accept import kinds_accepted
 from sdpid.experiment.preparation.for_robot import default_friction
 from sdpid.experiment.preparation.several import (
@@ -107,6 +109,7 @@ def formulate(
     processing: ProcessingOf = None,
     without_effort: Iterable[str] = (),
     accept: str | Iterable[str] = (),
+    gains: DriveGains | str | os.PathLike[str] | ArrayLike | None = None,
     friction: Iterable[str | FrictionTerm] | None = None,
     weighting: Weighting | None = None,
     consistency: Consistency = "pseudo_inertia",
@@ -123,7 +126,12 @@ def formulate(
     friction = tuple_of_terms(friction)
     if not isinstance(log, Prepared):
         log = prepare_recordings(
-            robot, log, processing, without_effort=without_effort, accept=kinds_accepted(accept)
+            robot,
+            log,
+            processing,
+            without_effort=without_effort,
+            accept=kinds_accepted(accept),
+            gains=gains,
         )
     samples = log.samples
     chosen: Weighting = weighting or ("residual" if samples.covariance is None else "gls")

@@ -7,6 +7,8 @@ from collections.abc import Iterable
 from dataclasses import replace
 from typing import Any, get_args
 
+from numpy.typing import ArrayLike
+
 from sdpid._common.progress import progress
 from sdpid._common.threads import one_thread
 from sdpid.assurance.certificate.certificate import certify
@@ -23,8 +25,10 @@ from sdpid.estimation.estimate import Estimate
 from sdpid.estimation.prior.prior import Prior
 from sdpid.estimation.sdp.solve import solve_sdp
 from sdpid.estimation.wls import solve_wls
+from sdpid.experiment.drive_gains.gains import DriveGains
 from sdpid.experiment.inspection.accept import kinds_accepted
 from sdpid.experiment.preparation.several import Logs, ProcessingOf, prepare_recordings
+from sdpid.experiment.readers.arguments import as_gains
 from sdpid.robot.friction.term import FrictionTerm
 from sdpid.robot.inertia import Consistency
 from sdpid.robot.model.load import load_robot
@@ -56,6 +60,7 @@ def identify(
     processing: ProcessingOf = None,
     without_effort: Iterable[str] = (),
     accept: str | Iterable[str] = (),
+    gains: DriveGains | str | os.PathLike[str] | ArrayLike | None = None,
     friction: Iterable[str | FrictionTerm] | None = None,
     weighting: Weighting | None = None,
     consistency: Consistency = "pseudo_inertia",
@@ -89,6 +94,10 @@ def identify(
     accept : str or iterable of str, optional
         Kinds of findings that make a recording worthless in general, but are as they should be
         here, such as ``"effort_sign"`` (see `inspect_recording`).
+    gains : DriveGains, path or (n,) array_like, optional
+        Gains of the drives, where efforts are currents in A: of `identify_drive_gains`, its file,
+        or numbers in N·m/A that are taken as exact. Errors of the gains count in every interval
+        (see docs/guides/gains.md). Recordings that were read with gains need none.
     friction : iterable, optional
         Friction terms, by name or as objects. By default, for records with periods, Coulomb and
         viscous friction; else these with a smooth sign, a sigmoid and offsets (see
@@ -149,10 +158,13 @@ def identify(
     asked = names_of_effects(effects)
     model = robot if isinstance(robot, RobotModel) else load_robot(robot)
     kinds = kinds_accepted(accept)
+    known = as_gains(gains)
     prepared = prepare_recordings(
-        model, log, processing, without_effort=without_effort, accept=kinds
+        model, log, processing, without_effort=without_effort, accept=kinds, gains=known
     )
-    fresh = None if validation is None else prepared.others(validation, accept=kinds)
+    fresh = None
+    if validation is not None:
+        fresh = prepared.others(validation, accept=kinds, gains=known)
     findings = prepared.findings + (() if fresh is None else fresh.findings)
     # Gaps and wrapped angles stand in the notes of the samples.
     notes = [str(finding) for finding in findings if finding.kind != "continued"]

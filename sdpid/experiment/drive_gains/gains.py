@@ -5,14 +5,14 @@ from __future__ import annotations
 import json
 import os
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from sdpid._common.arrays import Array, frozen, real_array, require_probability
-from sdpid._common.files import atomic_write_text
+from sdpid._common.files import Source, atomic_write_text
 from sdpid._common.tables import Table, facts_html, plain
 from sdpid._common.text import printable
 from sdpid._common.toml import load_toml
@@ -52,6 +52,11 @@ class DriveGains:
     notes : sequence of str, optional
         What was assumed, or is to be known.
 
+    Attributes
+    ----------
+    source : Source or None
+        The file that they were read from.
+
     Raises
     ------
     DataError
@@ -79,6 +84,7 @@ class DriveGains:
     basis: str = "given"
     sources: Mapping[str, str] = None  # type: ignore[assignment]  # empty when built
     notes: tuple[str, ...] = ()
+    source: Source | None = field(init=False, default=None)
 
     def __post_init__(self) -> None:
         names = _texts(self.joint_names, "joint_names")
@@ -199,13 +205,32 @@ class DriveGains:
                 f"gains: none for {', '.join(missing)}; there are gains for "
                 f"{', '.join(self.joint_names)}."
             )
-        order = [self.joint_names.index(name) for name in joint_names]
-        return replace(
+        return self.picked([self.joint_names.index(name) for name in joint_names], joint_names)
+
+    def picked(self, order: Sequence[int], joint_names: Sequence[str]) -> DriveGains:
+        """Return some of the gains, by their numbers, under other names."""
+        order = list(order)
+        result = replace(
             self,
             joint_names=tuple(joint_names),
             gains=self.gains[order],
             covariance=self.covariance[np.ix_(order, order)],
             freedom=self.freedom[order],
+        )
+        object.__setattr__(result, "source", self.source)
+        return result
+
+    def renamed(self, joint_names: Sequence[str]) -> DriveGains:
+        """Return the gains under other names of the joints."""
+        if tuple(joint_names) == self.joint_names:
+            return self
+        return self.picked(range(self.n), joint_names)
+
+    def same_errors(self, other: DriveGains) -> bool:
+        """Return whether others are the same gains, and so have the same errors."""
+        return all(
+            np.array_equal(getattr(self, name), getattr(other, name))
+            for name in ("gains", "covariance")
         )
 
     def table(self, level: float = 0.95) -> Table:
@@ -239,11 +264,28 @@ class DriveGains:
         title = f"drive gains, by {self.basis} ({100.0 * level:g} % intervals)"
         return "\n".join([title, self.table(level).text(4), *self.notes])
 
+    @property
+    def in_words(self) -> str:
+        """Where the gains come from and how well they are known, in a line."""
+        errors = 100.0 * self.standard_errors / self.gains
+        if not errors.any():
+            known = "taken as exact"
+        else:
+            known = f"standard errors of {errors.min():.2g} to {errors.max():.2g} %"
+            known += f", {100.0 * self.common_factor:.2g} % of it in common"
+        named = "" if self.source is None else f"{self.source.name}, "
+        return printable(f"{named}by {self.basis}: {known}")
+
     def to_dict(self) -> dict[str, Any]:
         """Return plain values for JSON."""
+        file = self.source
+        read = None
+        if file is not None:
+            read = {"name": file.name, "bytes": file.size, "sha256": file.sha256}
         found: dict[str, Any] = plain(
             {
                 "unit": _UNIT,
+                "file": read,
                 **{key: getattr(self, key) for key in _KEYS},
                 "standard_errors": self.standard_errors,
                 "common_factor": self.common_factor,
@@ -286,7 +328,8 @@ class DriveGains:
         DataError
             When it cannot be read, lacks an entry, has an unknown one, or holds no gains.
         """
-        table = load_toml(path)
+        given = Path(path)
+        table = load_toml(given)
         unit = table.pop("unit", _UNIT)
         if unit != _UNIT:
             raise DataError(f"{path}: unit is {unit!r}, expected '{_UNIT}'.")
@@ -297,9 +340,33 @@ class DriveGains:
                 f"{path}: {', '.join(unknown)} is not known; known are unit, {', '.join(_KEYS)}."
             )
         try:
-            return cls(**table)
-        except DataError as cause:
+            result = cls(**table)
+        except (DataError, TypeError) as cause:
             raise DataError(f"{path}: {cause}") from None
+        object.__setattr__(result, "source", Source.of(given))
+        return result
+
+    @classmethod
+    def from_dict(cls, given: Mapping[str, Any]) -> DriveGains:
+        """Return the gains of `to_dict`.
+
+        Raises
+        ------
+        DataError
+            When an entry is missing or of another kind.
+        """
+        try:
+            values = {key: given[key] for key in _KEYS}
+            values["freedom"] = [np.inf if each is None else each for each in values["freedom"]]
+            result = cls(**values)
+            file = given.get("file")
+            if file is not None:
+                name, size, digest = (file[key] for key in ("name", "bytes", "sha256"))
+                source = Source(name=str(name), size=int(size), sha256=str(digest))
+                object.__setattr__(result, "source", source)
+        except (KeyError, TypeError, ValueError, AttributeError) as cause:
+            raise DataError(f"gains: are no gains of to_dict ({cause!r:.80}).") from None
+        return result
 
     def __repr__(self) -> str:
         shown = [

@@ -232,5 +232,6 @@ def _scale_remedy(scale: float) -> str:
             return f"give the unit: units={{'effort': '{unit}'}} (--unit effort={unit})"
     return (
         "give N·m per unit of effort of each joint, torque constant times gear ratio: "
-        f"effort_scale (--effort-scale), about {1.0 / scale:.3g} here"
+        f"effort_scale (--effort-scale), about {1.0 / scale:.3g} here; for currents 'sdpid gains' "
+        "estimates it"
     )

@@ -15,7 +15,9 @@ from sdpid.experiment.preparation.for_robot import default_processing, prepare
 from sdpid.experiment.processing.choose import with_changes
 from sdpid.experiment.processing.process import Processing
 from sdpid.experiment.processing.samples import Samples
+from sdpid.experiment.readers.arguments import as_gains
 from sdpid.experiment.readers.read import is_frame, read_recording
+from sdpid.experiment.readers.scaled import require_torques, scaled
 from sdpid.experiment.recording.recording import Recording
 from sdpid.robot.model.model import RobotModel
 
@@ -28,11 +30,11 @@ ProcessingOf: TypeAlias = "Processing | Mapping[str, Any] | None"
 
 
 def all_recordings(
-    logs: Logs, name: str = "recordings", *, without_effort: Sequence[str] = ()
+    logs: Logs, name: str = "recordings", *, without_effort: Sequence[str] = (), gains: Any = None
 ) -> tuple[Recording, ...]:
     """Return recordings that are given as such, as data frames or by their files.
 
-    Messages call them `name`; `without_effort` is as in `read_recording`.
+    Messages call them `name`; `without_effort` and `gains` are as in `read_recording`.
 
     Raises
     ------
@@ -50,14 +52,20 @@ def all_recordings(
                 f"{name}: is or holds {type(log).__name__} {log!r:.80}; give a Recording, the path "
                 "of a log, a data frame, or a list of these."
             )
-    return tuple(
-        log if isinstance(log, Recording) else read_recording(log, without_effort=without_effort)
-        for log in given
-    )
+    found = as_gains(gains)
+    return tuple(_read(log, without_effort, found) for log in given)
+
+
+def _read(log: Any, without_effort: Sequence[str], gains: Any) -> Recording:
+    """Return one recording with its efforts as torques."""
+    if not isinstance(log, Recording):
+        read: Recording = read_recording(log, without_effort=without_effort, gains=gains)
+        return read
+    return log if gains is None else scaled(log, gains)
 
 
 def recordings(
-    logs: Logs, name: str = "recordings", *, without_effort: Sequence[str] = ()
+    logs: Logs, name: str = "recordings", *, without_effort: Sequence[str] = (), gains: Any = None
 ) -> tuple[Recording, ...]:
     """Return recordings that can be fitted together; arguments are those of `all_recordings`.
 
@@ -67,7 +75,7 @@ def recordings(
         Beside that of `all_recordings`, when there are several and one of them has periods:
         averages of different motions have no common covariance.
     """
-    read = all_recordings(logs, name, without_effort=without_effort)
+    read = all_recordings(logs, name, without_effort=without_effort, gains=gains)
     periodic = [number for number, log in enumerate(read, 1) if log.period is not None]
     if len(read) > 1 and periodic:
         raise DataError(
@@ -164,6 +172,7 @@ class Prepared:
         processing: Processing | None = None,
         *,
         accept: Iterable[str] | None = None,
+        gains: Any = None,
     ) -> Prepared:
         """Prepare other recordings in the same way, to be predicted.
 
@@ -177,11 +186,19 @@ class Prepared:
             By default as these.
         accept : iterable of str, optional
             As for `prepare_recordings`.
+        gains : DriveGains, path-like or (n,) array_like, optional
+            As for `prepare_recordings`.
         """
         chosen = replace(processing or self.processing, covariance=None)
         without = self.without_effort
         return prepare_recordings(
-            self.robot, logs, chosen, without_effort=without, accept=accept, name="validation"
+            self.robot,
+            logs,
+            chosen,
+            without_effort=without,
+            accept=accept,
+            gains=gains,
+            name="validation",
         )
 
 
@@ -192,6 +209,7 @@ def prepare_recordings(
     *,
     without_effort: Iterable[str] = (),
     accept: Iterable[str] | None = None,
+    gains: Any = None,
     name: str = "log",
 ) -> Prepared:
     """Read, match, process and join recordings of a robot.
@@ -210,6 +228,8 @@ def prepare_recordings(
     accept : iterable of str, optional
         The recordings are inspected, and refused where a finding makes every result meaningless,
         but for findings of these kinds. By default they are not inspected.
+    gains : DriveGains, path-like or (n,) array_like, optional
+        Gains that make torques of efforts that are currents, as in `read_recording`.
     name : str, optional
         What messages call the argument that holds the recordings.
 
@@ -220,7 +240,9 @@ def prepare_recordings(
         together, a joint does not exist, or no joint is left.
     """
     without = joints_without(without_effort)
-    read = recordings(logs, name, without_effort=columns_without(robot, without))
+    read = recordings(logs, name, without_effort=columns_without(robot, without), gains=gains)
+    for log in read:
+        require_torques(log)
     findings = () if accept is None else inspected(robot, read, accept, without, name)
     chosen, why = chosen_processing(read, processing)
     samples = Samples.join([prepare(robot, log, chosen) for log in read])

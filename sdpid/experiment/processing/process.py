@@ -26,6 +26,7 @@ from sdpid.experiment.processing.period_mean import Chain
 from sdpid.experiment.processing.samples import Samples
 from sdpid.experiment.processing.settings import Processing
 from sdpid.experiment.processing.states import CHUNK, TooShortError, chain_of, states_of
+from sdpid.experiment.readers.scaled import require_torques
 from sdpid.experiment.recording.degrees import require_plausible_units
 from sdpid.experiment.recording.gaps import continuous
 from sdpid.experiment.recording.outliers import require_no_outliers
@@ -97,6 +98,7 @@ def process(
         raise DataError(
             f"log: is {log!r:.80}; give a Recording, such as sdpid.read_recording(path) returns."
         )
+    require_torques(log)
     require_no_outliers(log)
     require_plausible_units(log, position_limits)
     if not isinstance(processing, Processing):
@@ -185,6 +187,7 @@ def _processed(log: Recording, processing: Processing, advance: Callable[[int], 
         notes=tuple(notes),
         effort_periods=efforts.periods,
         wide=None if states.wide is None else (states.wide,),
+        gains=log.gains,
     )
 
 

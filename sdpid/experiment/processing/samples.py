@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from sdpid._common.arrays import Array, frozen_view, real_array
 from sdpid._common.tables import Table, facts_html
 from sdpid.errors import DataError
+from sdpid.experiment.drive_gains.gains import DriveGains
 from sdpid.experiment.processing.wide_velocity import WideVelocity
 from sdpid.experiment.recording.recording import checked_names
 
@@ -64,6 +65,8 @@ class Samples:
     wide : sequence of WideVelocity, optional
         One a piece: what friction columns need to pass the filter of the efforts. Without, friction
         is that at `velocity`.
+    gains : DriveGains, optional
+        The gains that made the efforts of currents, one a column: their errors count.
 
     Raises
     ------
@@ -101,6 +104,7 @@ class Samples:
     effort_periods: Array | None = None
     starts: tuple[int, ...] = (0,)
     wide: tuple[WideVelocity, ...] | None = None
+    gains: DriveGains | None = None
 
     def __post_init__(self) -> None:
         effort = self._keep("effort", 2)
@@ -119,6 +123,8 @@ class Samples:
             self._expect("time", self._keep("time", 1), (K,))
         if self.joint_names is not None:
             object.__setattr__(self, "joint_names", checked_names(self.joint_names, n))
+        if self.gains is not None and self.gains.n != n:
+            raise DataError(f"gains: are of {self.gains.n} joints, expected {n} to match effort.")
         self._check_covariance(K, n)
         self._check_mask(K, n)
         for name, least in (("periods", 1), ("block", 1)):
@@ -214,6 +220,7 @@ class Samples:
                 for start in piece.starts
             ),
             wide=_joined_wide(pieces),
+            gains=_joined_gains(pieces),
         )
 
     @property
@@ -315,6 +322,7 @@ class Samples:
             joint_names=self.joint_names,
             block=self.block,
             wide=None if wide is None else (wide,),
+            gains=self.gains,
         )
         if self.mask is not None:
             # Unlike a whole, a part may have no row that is used.
@@ -468,6 +476,23 @@ def _joined_wide(pieces: Sequence[Samples]) -> tuple[WideVelocity, ...] | None:
             "friction columns with; process all of them alike (Processing.filter_friction)."
         )
     return tuple(wide for own in given for wide in own) or None
+
+
+def _joined_gains(pieces: Sequence[Samples]) -> DriveGains | None:
+    """Return the gains that all pieces have; others would make errors of another kind."""
+    first = pieces[0].gains
+    for number, piece in enumerate(pieces[1:], 2):
+        if first is None or piece.gains is None:
+            alike = first is piece.gains
+        else:
+            alike = first.same_errors(piece.gains)
+        if not alike:
+            said = ["none" if gains is None else gains.in_words for gains in (first, piece.gains)]
+            raise DataError(
+                f"gains: those of piece {number} ({said[1]}) are others than those of the first "
+                f"({said[0]}); read all recordings that are used together with the same gains."
+            )
+    return first
 
 
 def _joined_notes(pieces: Sequence[Samples]) -> tuple[str, ...]:

@@ -2,20 +2,24 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from sdpid._common.tables import plain
 from sdpid.errors import DataError
+from sdpid.experiment.drive_gains.gains import DriveGains
 from sdpid.experiment.readers.column_names import CONVENTIONS
 from sdpid.experiment.readers.mapping import find_mapping, read_mapping
 from sdpid.experiment.readers.missing import MISSING
 from sdpid.experiment.readers.unit_names import UNITS
 from sdpid.experiment.recording.motor_side import MotorSide
 
-__all__ = ["Arguments", "complete_arguments"]
+__all__ = ["Arguments", "as_gains", "complete_arguments", "only_signs"]
 
 
 @dataclass(kw_only=True)
@@ -33,13 +37,21 @@ class Arguments:
     start: float | None = None
     periods: int | None = None
     effort_scale: Any = None
+    gains: Any = None
+    currents: bool = False
     without_effort: tuple[str, ...] = ()
 
     @property
     def scaled(self) -> bool:
-        """Whether there are factors that turn currents into torques."""
+        """Whether there are factors that turn currents into torques, or currents are wanted."""
         constants = None if self.motors is None else self.motors.torque_constants
-        return self.effort_scale is not None or constants is not None
+        given = (self.effort_scale, constants, self.gains)
+        return self.currents or any(each is not None for each in given)
+
+    @property
+    def amperes(self) -> bool:
+        """Whether efforts are to be read as currents in A, which are turned into torques last."""
+        return self.currents or self.gains is not None
 
     @property
     def selection(self) -> dict[str, Any]:
@@ -57,6 +69,8 @@ class Arguments:
         ``read_recording(path, mapping=False, **arguments)`` reads the same again.
         """
         given = {each.name: plain(getattr(self, each.name)) for each in fields(self)}
+        if isinstance(self.gains, DriveGains):
+            given["gains"] = self.gains.to_dict()
         standard = plain(vars(Arguments()))
         return {name: value for name, value in given.items() if value != standard[name]}
 
@@ -95,18 +109,49 @@ def complete_arguments(
     elif mapping is not None and mapping is not False:
         stated = read_mapping(mapping)
         beside = None if isinstance(mapping, Mapping) else Path(mapping)
-    merged = {**stated, **{name: value for name, value in how.items() if value is not None}}
+    chosen = {name: value for name, value in how.items() if value is not None}
+    # Either turns currents into torques: what is given wins over what the mapping says.
+    if "gains" in chosen and not only_signs(stated.get("effort_scale")):
+        stated.pop("effort_scale", None)
+    if "effort_scale" in chosen and not only_signs(chosen["effort_scale"]):
+        stated.pop("gains", None)
+    merged = {**stated, **chosen}
     for name, allowed in (("columns", CONVENTIONS), ("units", UNITS)):
         merged[name] = _known({**stated.get(name, {}), **(how.get(name) or {})}, allowed, name)
     merged["columns"] = {q: _as_names(value) for q, value in merged["columns"].items()}
     if isinstance(merged.get("motors"), Mapping):
         merged["motors"] = MotorSide.from_mapping(merged["motors"])
+    if merged.get("gains") is not None:
+        merged["gains"] = as_gains(merged["gains"])
     merged["joint_names"] = _tuple(merged.get("joint_names"))
     merged["without_effort"] = _tuple(merged.get("without_effort"), "without_effort") or ()
     arguments = Arguments(**merged)
     if arguments.missing not in MISSING:
         raise DataError(f"missing: is {arguments.missing!r}, expected one of {', '.join(MISSING)}.")
+    if arguments.currents and arguments.gains is not None:
+        raise DataError("gains: turn currents into torques, and currents=True asks for currents.")
     return arguments, None if beside is None else str(beside)
+
+
+def as_gains(given: Any) -> Any:
+    """Return gains that are given as such, by their file, by `DriveGains.to_dict`, or as numbers.
+
+    Raises
+    ------
+    DataError
+        When a file cannot be read, or a mapping is none of gains.
+    """
+    if isinstance(given, (str, os.PathLike)):
+        return DriveGains.from_toml(given)
+    return DriveGains.from_dict(given) if isinstance(given, Mapping) else given
+
+
+def only_signs(scale: Any) -> bool:
+    """Tell whether factors only turn signs."""
+    try:
+        return scale is not None and bool(np.all(np.abs(np.asarray(scale, dtype=float)) == 1.0))
+    except (TypeError, ValueError):
+        return False
 
 
 def _as_names(value: Any) -> Any:

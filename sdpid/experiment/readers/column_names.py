@@ -70,7 +70,7 @@ _COMMANDED = re.compile(
 # Effort is often logged as a current, which is no torque before it is scaled.
 _CURRENT_NAMES = ("current", "actual_current", "motor_current", "currents", "curr", "cur", "i")
 _CURRENT = re.compile(
-    r"(?:.*[_./])?(?:current|curr|cur|amps?|i)s?(?:[_./\[]?\d+\]?)?", re.IGNORECASE
+    r"(?:.*[_./])?(?:(?:current|curr|cur|amps?|i)s?(?:[_./\[]?\d+\]?)?|current_.+)", re.IGNORECASE
 )
 # At most this many names, of at most this many letters, are listed in a message.
 _LISTED, _LETTERS = 40, 60
@@ -215,8 +215,9 @@ class Columns:
         currents = [name for name, plain in self._plain.items() if _CURRENT.fullmatch(plain)]
         if quantity == "effort" and currents:
             hint = (
-                f" {', '.join(currents[:8])} look like currents: give effort_scale= (or torque "
-                "constants of motors), or name them as effort if they are torques."
+                f" {', '.join(currents[:8])} look like currents: give gains= (a file of "
+                "`sdpid gains`), effort_scale= or torque constants of motors, or name them as "
+                "effort if they are torques."
             )
         return DataError(
             f"{self._file}: {quantity} is missing: none of {', '.join(CONVENTIONS[quantity])} is "

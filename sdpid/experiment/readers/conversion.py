@@ -12,8 +12,9 @@ from numpy.typing import NDArray
 
 from sdpid._common.arrays import real_array
 from sdpid.errors import DataError
-from sdpid.experiment.readers.arguments import Arguments
+from sdpid.experiment.readers.arguments import Arguments, only_signs
 from sdpid.experiment.readers.missing import mend_missing
+from sdpid.experiment.readers.scaled import IN_AMPERES, scaled
 from sdpid.experiment.readers.selection import Selection
 from sdpid.experiment.readers.unit_names import UNITS, is_current
 from sdpid.experiment.recording.recording import Recording
@@ -55,6 +56,8 @@ def convert(
         arrays do not make a recording.
     """
     motors, units = arguments.motors, {**found.units, **arguments.units}
+    if arguments.amperes:
+        _require_amperes(file, arguments, units)
     scale = _effort_scale(file, found, arguments, units)
     labels = None if found.labels is None else tuple(found.labels)
     count = found.tables["position"].shape[1]
@@ -84,10 +87,20 @@ def convert(
     stated["periods"] = _whole(stated["periods"])
     notes = (f"time: {sources['time']}",) if _INFERRED in sources.get("time", "") else ()
     try:
-        recording = Recording(time=time, joint_names=names, notes=notes, **{**tables, **stated})
+        recording = Recording(
+            time=time,
+            joint_names=names,
+            notes=notes,
+            currents=arguments.amperes,
+            **{**tables, **stated},
+        )
+        if arguments.gains is not None:
+            recording = scaled(recording, arguments.gains)
     except DataError as cause:
         raise DataError(f"{file}: {cause}") from None
     sources = {**_sources(found, units, arguments), **sources}
+    if recording.gains is not None:
+        sources["gains"] = recording.gains.in_words
     return recording, {**sources, "missing values": mended} if mended else sources
 
 
@@ -100,17 +113,33 @@ def _effort_scale(
     motors = arguments.motors
     if given is None:
         if is_current(units.get("effort")) and not arguments.scaled:
-            raise DataError(
-                f"{file}: effort in A needs effort_scale: torque constant times gear ratio, for "
-                "each joint, in N.m/A; or torque constants of motors."
-            )
+            raise DataError(f"{file}: {IN_AMPERES}")
         return None
     if motors is not None and "effort" in motors.applies_to:
         raise DataError(
             f"{file}: effort_scale is of the joints' side, but motors says that efforts are of "
             "the motors'; give torque_constants in motors instead."
         )
+    if arguments.amperes and not only_signs(given):
+        raise DataError(
+            f"{file}: effort_scale makes torques of currents, and "
+            f"{'currents are wanted' if arguments.currents else 'so do gains'}; leave it out. Only "
+            "signs, 1 and -1, are taken beside gains."
+        )
     return np.atleast_1d(real_array(given, f"{file}: effort_scale", ndim=np.ndim(given)))
+
+
+def _require_amperes(file: Path, arguments: Arguments, units: Mapping[str, Any]) -> None:
+    """Refuse gains for what is no current."""
+    unit, motors = units.get("effort"), arguments.motors
+    asked = "currents=True is" if arguments.currents else "gains are"
+    if unit is not None and not is_current(unit):
+        raise DataError(f"{file}: {asked} for currents in A, but the unit of the effort is {unit}.")
+    if motors is not None and motors.torque_constants is not None:
+        raise DataError(
+            f"{file}: {asked} for currents, and torque_constants of motors make torques of them "
+            "already; leave one out."
+        )
 
 
 def _torques(file: Path, efforts: NDArray[Any], scale: NDArray[np.float64]) -> NDArray[np.float64]:

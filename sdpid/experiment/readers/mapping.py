@@ -15,7 +15,8 @@ __all__ = ["find_mapping", "read_mapping"]
 
 _NUMBERS = ("period", "start", "periods", "rate_hz")
 _TEXTS = ("topic", "missing")
-_KNOWN = ("columns", "units", "motors", "joint_names", *_TEXTS, "effort_scale", *_NUMBERS)
+_SCALES = ("effort_scale", "gains")
+_KNOWN = ("columns", "units", "motors", "joint_names", *_TEXTS, *_SCALES, *_NUMBERS)
 # How TOML, which has no null, says that a quantity is not to be read.
 _NOTHING = (False, "none")
 
@@ -33,8 +34,8 @@ def read_mapping(source: str | os.PathLike[str] | Mapping[str, Any]) -> dict[str
     ----------
     source : path-like or mapping
         A TOML file, or its content. Keys are ``columns``, ``units`` and ``motors`` (tables),
-        ``joint_names``, ``topic``, ``missing``, ``effort_scale``, ``rate_hz``, ``period``,
-        ``start`` and ``periods``.
+        ``joint_names``, ``topic``, ``missing``, ``effort_scale``, ``gains`` (a file beside the
+        mapping), ``rate_hz``, ``period``, ``start`` and ``periods``.
 
     Returns
     -------
@@ -65,6 +66,8 @@ def read_mapping(source: str | os.PathLike[str] | Mapping[str, Any]) -> dict[str
     for key in _TEXTS:
         if not isinstance(content.get(key, ""), str):
             raise DataError(f"{where}: {key} is {content[key]!r}, expected a text.")
+    if isinstance(content.get("gains"), str) and not isinstance(source, Mapping):
+        content["gains"] = os.fspath(Path(where).parent / content["gains"])
     for key in _NUMBERS:
         value = content.get(key, 0)
         if isinstance(value, bool) or not isinstance(value, (int, float)):

@@ -102,6 +102,13 @@ def read_recording(path: Any, **how: Any) -> Any:
     effort_scale : (n,) array_like, optional
         N·m per unit of effort, where efforts are currents on the joints' side: the torque constant
         times the gear ratio.
+    gains : DriveGains, path-like or (n,) array_like, optional
+        Gains of the drives, N·m/A, for efforts that are currents: those of ``gains.toml``, which
+        ``sdpid gains`` writes, have errors that count in all that follows. Signs may stand in
+        `effort_scale` beside them.
+    currents : bool, optional
+        Keep efforts as currents in A, to estimate gains from (`identify_drive_gains`); nothing
+        else takes such a recording.
     without_effort : sequence of str, optional
         Joints whose effort may lack every value; it is then read as zero. Leave them out of the
         fit too (``identify(..., without_effort=...)``). Where the file has no names, numbers

@@ -59,6 +59,7 @@ def match_joints(robot: RobotModel, log: Recording) -> Recording:
         effort=picked(log.effort),
         velocity=None if log.velocity is None else picked(log.velocity),
         joint_names=robot.joint_names,
+        gains=None if log.gains is None else log.gains.picked(order, robot.joint_names),
     )
 
 
@@ -70,9 +71,7 @@ def joint_columns(robot: RobotModel, names: Sequence[str]) -> list[int]:
     DataError
         When a joint has no column, or could have several.
     """
-    ways = {robot.joint_names}
-    if not set(robot.joint_names) <= set(names):
-        ways = _ways(_without_affixes(robot.joint_names), names)
+    ways = ways_to_match(robot.joint_names, names)
     if len(ways) == 1:
         (way,) = ways
         return [list(names).index(name) for name in way]
@@ -92,6 +91,13 @@ def joint_columns(robot: RobotModel, names: Sequence[str]) -> list[int]:
         "joint each column is, in the columns' order, with joint_names=[...] or, for the robot's "
         f"order, --joint-names {','.join(robot.joint_names)}."
     )
+
+
+def ways_to_match(wanted: Sequence[str], names: Sequence[str]) -> set[tuple[str, ...]]:
+    """Return the names that may stand for those wanted: they themselves, or with other affixes."""
+    if set(wanted) <= set(names):
+        return {tuple(wanted)}
+    return _ways(_without_affixes(wanted), names)
 
 
 def _without_affixes(names: Sequence[str]) -> list[str]:

@@ -15,6 +15,7 @@ from sdpid._common.files import Source
 from sdpid._common.tables import Table, facts_html
 from sdpid._common.text import printable
 from sdpid.errors import DataError
+from sdpid.experiment.drive_gains.gains import DriveGains
 from sdpid.experiment.recording.stored import StoredArray
 from sdpid.experiment.recording.timestamps import Stamps
 
@@ -43,7 +44,8 @@ class Recording:
     position : (N, n) array_like
         Joint positions in rad (m for a prismatic joint).
     effort : (N, n) array_like
-        Joint efforts in N·m (N). `read_recording` turns currents into torques.
+        Joint efforts in N·m (N). `read_recording` turns currents into torques. With `currents` the
+        motors' currents in A.
     velocity : (N, n) array_like, optional
         Measured joint velocities in rad/s (m/s).
     joint_names : sequence of str, optional
@@ -57,6 +59,12 @@ class Recording:
         then must be a whole number.
     notes : tuple of str
         What a reader had to infer, in words.
+    currents : bool
+        Whether `effort` holds currents in A, of which gains are identified (see
+        `identify_drive_gains`). Everything else refuses them.
+    gains : DriveGains, optional
+        The gains that turned currents into these efforts (`DriveGains.torque`), one a column:
+        their errors count in all that follows.
 
     Attributes
     ----------
@@ -94,6 +102,8 @@ class Recording:
     start: float | None = None
     periods: int | None = None
     notes: tuple[str, ...] = ()
+    currents: bool = False
+    gains: DriveGains | None = None
     stamps: Stamps = field(init=False)
     source: Source | None = field(init=False, default=None)
 
@@ -119,6 +129,11 @@ class Recording:
                     )
         if self.joint_names is not None:
             object.__setattr__(self, "joint_names", checked_names(self.joint_names, n))
+        if self.gains is not None and (self.currents or self.gains.n != n):
+            raise DataError(
+                f"gains: are of {self.gains.n} joints, for {n} columns of efforts in "
+                f"{'A' if self.currents else 'N·m'}; torques have gains, one a column."
+            )
         self._check_period()
 
     def __repr__(self) -> str:
@@ -258,8 +273,10 @@ class Recording:
     def to_parquet(self, path: str | os.PathLike[str]) -> None:
         """Write the recording to a Parquet file, without loss, whole or not at all.
 
-        Columns are ``time``, ``position_<joint>``, ``effort_<joint>`` and, when there are any,
-        ``velocity_<joint>``; the rest is kept in the file's metadata under the key ``sdpid``.
+        Columns are ``time``, ``position_<joint>``, ``effort_<joint>`` (of currents
+        ``current_<joint>``) and, when there are any, ``velocity_<joint>``; the rest is kept in the
+        file's metadata under the key ``sdpid``. Gains are not kept, and so neither are their
+        errors: where they matter, write the currents.
 
         Raises
         ------
@@ -270,7 +287,7 @@ class Recording:
         """
         from sdpid.experiment.recording.parquet import write_columns
 
-        stated = ("n", "joint_names", "period", "start", "periods")
+        stated = ("n", "joint_names", "period", "start", "periods", "currents")
         write_columns(path, self._columns(), {name: getattr(self, name) for name in stated})
 
     def to_csv(self, path: str | os.PathLike[str]) -> None:
@@ -287,12 +304,13 @@ class Recording:
         Table.of_columns({name: column.tolist() for name, column in columns.items()}).write(path)
 
     def _columns(self) -> dict[str, Array]:
-        """Return time, positions, efforts and velocities by the names of their columns."""
+        """Return time, positions, efforts or currents, and velocities by their columns' names."""
         columns = {"time": self.time}
         for quantity in ("position", "effort", "velocity"):
             table = getattr(self, quantity)
             if table is not None:
-                columns |= {f"{quantity}_{name}": table[:, j] for j, name in enumerate(self.names)}
+                called = "current" if quantity == "effort" and self.currents else quantity
+                columns |= {f"{called}_{name}": table[:, j] for j, name in enumerate(self.names)}
         return columns
 
 
@@ -301,8 +319,11 @@ def renamed(log: Recording, names: tuple[str, ...]) -> Recording:
     if log.joint_names == names:
         return log
     result = copy(log)
-    object.__setattr__(result, "joint_names", checked_names(names, log.n))
+    checked = checked_names(names, log.n)
+    object.__setattr__(result, "joint_names", checked)
     object.__setattr__(result, "source", None)
+    if log.gains is not None:
+        object.__setattr__(result, "gains", log.gains.renamed(checked))
     return result
 
 

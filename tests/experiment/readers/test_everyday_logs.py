@@ -142,7 +142,7 @@ def test_units_in_brackets(tmp_path: Path, mark: str):
 def test_currents_with_units(tmp_path: Path):
     header = "t,q1,q2,current1 [A],current2 [mA]"
     file = write(tmp_path / "log.csv", header, T, Q, TAU / [10.0, 0.012])
-    with pytest.raises(DataError, match=r"current1 \[A\].* look like currents: give effort_scale"):
+    with pytest.raises(DataError, match=r"current1 \[A\].* look like currents: give gains="):
         read_recording(file)
     log = read_recording(file, effort_scale=[10.0, 12.0])
     np.testing.assert_allclose(log.effort, TAU, rtol=1e-13)

@@ -157,7 +157,7 @@ def test_bad_arguments(tmp_path: Path):
         read_recording(file, columns={"torque": "tau"})
     with pytest.raises(DataError, match="'grad' is not known for position; known are rad, deg"):
         read_recording(file, units={"position": "grad"})
-    with pytest.raises(DataError, match="needs effort_scale"):
+    with pytest.raises(DataError, match="currents in A, which need gains: let `sdpid gains`"):
         read_recording(file, units={"effort": "A"})
     with pytest.raises(DataError, match=r"supported are \.bag, \.csv, \.csv\.gz, \.db3"):
         read_recording(tmp_path / "log.xyz")

@@ -204,12 +204,13 @@ def _recorded_arrays(
         raise DataError(f"{path}: the metadata under 'sdpid' is damaged: it names no joints.")
     arrays: dict[str, Callable[[], NDArray[Any]]] = {}
     for quantity in ("position", "effort", "velocity"):
-        columns = [f"{quantity}_{label}" for label in labels]
+        called = "current" if quantity == "effort" and stated.get("currents") else quantity
+        columns = [f"{called}_{label}" for label in labels]
         if quantity == "velocity" and not set(columns) & set(plain):
             continue
         if absent := [name for name in columns if name not in plain]:
             raise DataError(f"{path}: lacks the columns {', '.join(absent)}.")
-        arrays[quantity] = partial(several, columns)
+        arrays[called] = partial(several, columns)
     for name in ("joint_names", "period", "start", "periods"):
         if stated.get(name) is not None:
             arrays[name] = partial(np.asarray, stated[name])
