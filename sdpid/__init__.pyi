@@ -1,4 +1,4 @@
-from . import constraints, errors, friction, plots
+from . import constraints, controllers, errors, friction, plots
 from .assurance.certificate.certificate import certify
 from .assurance.descriptions.audit import audit_urdf
 from .assurance.diagnostics.cost_of_constraints import cost_of_constraints
@@ -28,6 +28,7 @@ from .experiment.processing.samples import Samples
 from .experiment.readers.read import read_recording
 from .experiment.recording.motor_side import MotorSide
 from .experiment.recording.recording import Recording
+from .experiment.simulation.closed_loop import simulate_closed_loop
 from .experiment.trajectory.paper import Trajectory, paper_excitation
 from .output.plans.write import write_plan
 from .output.report.report import write_report
@@ -69,6 +70,7 @@ __all__ = [
     "compare",
     "confidence_intervals",
     "constraints",
+    "controllers",
     "cost_of_constraints",
     "cross_validate",
     "design_excitation",
@@ -85,6 +87,7 @@ __all__ = [
     "read_recording",
     "sample_parameters",
     "simulate",
+    "simulate_closed_loop",
     "smallest_mass_eigenvalue",
     "solve_log_cholesky",
     "solve_robust",

@@ -36,6 +36,7 @@ ROOMS = {
         "inspection",
         "preparation",
         "trajectory",
+        "simulation",
         "plant",
     ],
     "estimation": [
@@ -101,7 +102,12 @@ ALONE = "sdpid.verifier"
 
 # Who may use a library at all, as beginnings of module names.
 ALLOWED = {
-    "pinocchio": ("sdpid.robot.", "sdpid.excitation.", "sdpid.experiment.plant"),
+    "pinocchio": (
+        "sdpid.robot.",
+        "sdpid.excitation.",
+        "sdpid.experiment.plant",
+        "sdpid.experiment.simulation",
+    ),
     "casadi": ("sdpid.excitation.search.ipopt",),
     "cvxpy": ("sdpid.estimation.sdp.", "sdpid.assurance."),
     "clarabel": ("sdpid.estimation.conic",),
@@ -110,7 +116,7 @@ ALLOWED = {
         "sdpid.experiment.plant",
         "sdpid.robot.description.mjcf",
     ),
-    "numba": ("sdpid.robot.model.regressor_kernel",),
+    "numba": ("sdpid.robot.model.regressor_kernel", "sdpid.experiment.simulation.kernels"),
     "dask": ("sdpid.estimation.compression.distributed_rows",),
     "distributed": ("sdpid.estimation.compression.distributed_rows",),
 }

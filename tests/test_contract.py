@@ -44,7 +44,7 @@ CONTRACT = {
     "write_mjcf",
     "write_urdf",
 }
-NAMESPACES = {"constraints", "errors", "friction", "plots"}
+NAMESPACES = {"constraints", "controllers", "errors", "friction", "plots"}
 # What goes with them often enough to stand beside them.
 BESIDE = {
     "DhTable",
@@ -56,6 +56,7 @@ BESIDE = {
     "cost_of_constraints",
     "cross_validate",
     "read_parameters",
+    "simulate_closed_loop",
     "smallest_mass_eigenvalue",
     "solve_robust",
     "write_parameters",

@@ -106,6 +106,9 @@ SHOWN: dict[str, Callable[[], Any]] = {
     "read_recording": log,
     "sample_parameters": lambda: sdpid.sample_parameters(estimate(), 4, 0),
     "simulate": log,
+    "simulate_closed_loop": lambda: sdpid.simulate_closed_loop(
+        estimate().model(), motion(), sdpid.controllers.PD(*np.full((2, 2), 30.0))
+    ),
     "smallest_mass_eigenvalue": lambda: sdpid.smallest_mass_eigenvalue(estimate()),
     "solve_log_cholesky": lambda: sdpid.solve_log_cholesky(problem(), max_iterations=2),
     "solve_robust": lambda: sdpid.solve_robust(problem()),

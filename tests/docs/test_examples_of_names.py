@@ -18,7 +18,7 @@ from numpydoc.docscrape import NumpyDocString
 import sdpid
 
 API = Path(__file__).resolve().parents[2] / "docs" / "reference" / "api"
-NAMESPACES = ("constraints", "errors", "friction", "plots")
+NAMESPACES = ("constraints", "controllers", "errors", "friction", "plots")
 OBJECTS = re.compile(r"^\.\. auto(?:class|function|exception):: (\S+)$", re.M)
 FLAGS = doctest.ELLIPSIS | doctest.NORMALIZE_WHITESPACE
 

@@ -1,0 +1,1 @@
+"""Motion of a robot whose parameters are known, to be compared with logs."""

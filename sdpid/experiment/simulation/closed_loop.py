@@ -1,0 +1,334 @@
+"""Move a robot with known parameters in closed loop along a desired motion."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from sdpid._common.arrays import Array, frozen, real_array
+from sdpid._common.seeds import generator
+from sdpid._common.tables import Table, facts_html
+from sdpid.errors import DataError
+from sdpid.experiment.simulation.arm import SimulatedArm
+from sdpid.experiment.simulation.controllers import ComputedTorque, Controller, _Law
+from sdpid.experiment.simulation.kernels.linked import entries
+from sdpid.experiment.simulation.kernels.loops import INVERSE_DYNAMICS, JOINT_GAINS
+from sdpid.experiment.simulation.reference import DesiredMotion, Reference
+from sdpid.robot.model.dynamics import RobotDynamics
+
+# Longest step of the integrator (s) unless another is asked for: loops of industrial arms close
+# below 30 Hz, where steps of this length err by 1e-4 of the tracking error.
+LONGEST_STEP = 1e-3
+
+
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class Motion:
+    """A simulated motion at K sample times.
+
+    Attributes
+    ----------
+    time : ndarray, shape (K,)
+        Times from the start, s.
+    position, velocity, acceleration : ndarray, shape (K, n)
+        True states, in rad (m) and derivatives.
+    effort : ndarray, shape (K, n)
+        What the controller commands at these times, N·m (N).
+    measured : ndarray, shape (K, n)
+        Positions as the controller sees them: with the position noise that it feeds back.
+    diverged : float or None
+        Time (s) at which the motion diverged and the samples end: a speed that is not finite or
+        beyond 1000 rad/s (m/s). None where it did not.
+
+    Examples
+    --------
+    >>> law = sdpid.controllers.PD(np.full(6, 4000.0), np.full(6, 200.0))
+    >>> moved = sdpid.simulate_closed_loop(estimate.model(), motion, law, rate_hz=100.0)
+    >>> moved
+    Motion(3800 samples, 6 joints, 37.99 s)
+    >>> moved.diverged is None
+    True
+    """
+
+    time: Array
+    position: Array
+    velocity: Array
+    acceleration: Array
+    effort: Array
+    measured: Array
+    diverged: float | None = None
+
+    def __post_init__(self) -> None:
+        for name in ("time", "position", "velocity", "acceleration", "effort", "measured"):
+            object.__setattr__(self, name, frozen(getattr(self, name)))
+
+    def __repr__(self) -> str:
+        K, n = self.position.shape
+        span = f"{self.time[-1] - self.time[0]:.4g} s" if K else "no time"
+        end = "" if self.diverged is None else f", diverged at {self.diverged:.4g} s"
+        return f"Motion({K} samples, {n} joints, {span}{end})"
+
+    def _repr_html_(self) -> str:
+        joints = range(self.position.shape[1])
+        some = self.position if len(self.position) else np.zeros((1, len(joints)))
+        speeds = np.abs(self.velocity).max(axis=0, initial=0.0)
+        efforts = np.abs(self.effort).max(axis=0, initial=0.0)
+        table = Table.of_columns(
+            {
+                "joint": [j + 1 for j in joints],
+                "least position": some.min(axis=0).tolist(),
+                "greatest position": some.max(axis=0).tolist(),
+                "top speed": speeds.tolist(),
+                "top effort": efforts.tolist(),
+            }
+        )
+        facts: dict[str, object] = {
+            "samples": len(self.time),
+            "seconds": float(self.time[-1] - self.time[0]) if len(self.time) else 0.0,
+            "diverged at, s": self.diverged,
+        }
+        return facts_html("Motion", facts, table)
+
+
+def simulate_closed_loop(
+    model: RobotDynamics | SimulatedArm,
+    reference: Reference,
+    controller: Controller,
+    *,
+    rate_hz: float | None = None,
+    control_hz: float | None = None,
+    step: float | None = None,
+    position_noise: ArrayLike | None = None,
+    differenced: bool | None = None,
+    seed: int | np.random.Generator = 0,
+    start: tuple[ArrayLike, ArrayLike] | None = None,
+) -> Motion:
+    """Simulate a robot with known parameters that a controller moves along a reference.
+
+    Steps are of second order and linearly implicit in friction and in the feedback of velocity.
+    Where friction jumps, joints stick and slip as they should: nothing is smoothed.
+
+    Parameters
+    ----------
+    model : RobotDynamics or SimulatedArm
+        The robot, such as ``estimate.model()``.
+    reference : Trajectory, Recording, ndarray, or tuple of 3 ndarrays
+        The desired motion: a trajectory, a recording with commanded positions, positions (K, n)
+        that a cubic spline joins, or positions, velocities and accelerations.
+    controller : Controller
+        Such as `sdpid.controllers.PD`.
+    rate_hz : float, optional
+        Samples a second of the result. Arrays are sampled at this rate, and need it; a trajectory
+        has its own rate by default, a recording its own times always.
+    control_hz : float, optional
+        Rate at which the controller runs; its effort is held in between. By default it is
+        continuous.
+    step : float, optional
+        Longest step of the integrator, s; by default 1 ms.
+    position_noise : array_like, shape (n,), optional
+        Standard deviation of white noise on the positions that the controller sees, rad (m);
+        needs `control_hz`.
+    differenced : bool, optional
+        Whether the controller takes velocities from differences of the positions that it sees, as
+        drives with encoders do; by default with position noise. Needs `control_hz`.
+    seed : int or numpy.random.Generator, optional
+        The only source of randomness: the position noise.
+    start : tuple of 2 array_like, shape (n,), optional
+        Position and velocity at the start; by default those of the reference.
+
+    Returns
+    -------
+    Motion
+        A motion that diverges ends there, and says so: no error is raised.
+
+    Raises
+    ------
+    DataError
+        When joints do not match, a rate is missing, or noise is asked for without `control_hz`.
+    ModelError
+        When the base floats, or a friction term is not one of `sdpid.friction`.
+
+    Examples
+    --------
+    >>> law = sdpid.controllers.PD(np.full(6, 4000.0), np.full(6, 200.0))
+    >>> moved = sdpid.simulate_closed_loop(estimate.model(), motion, law, rate_hz=100.0)
+    >>> moved.position.shape
+    (3800, 6)
+    >>> bool(np.abs(moved.position - motion.sample()[0][::10]).max() < 0.2)
+    True
+    """
+    arm = model if isinstance(model, SimulatedArm) else SimulatedArm.of(model)
+    n = arm.n
+    if not isinstance(controller, Controller):
+        raise DataError(
+            f"controller: {type(controller).__name__} is none; give one of sdpid.controllers, or "
+            "derive from sdpid.controllers.Controller."
+        )
+    if controller.n != n:
+        raise DataError(
+            f"controller: gains of {controller.n} joints, the robot '{arm.model.robot.name}' has "
+            f"{n}; give one number a joint."
+        )
+    desired = DesiredMotion.of(reference, n, rate_hz)
+    times = np.ascontiguousarray(desired.time)
+    dt, every, steps = _steps(times, control_hz, step)
+    noise = _noise(position_noise, n, control_hz, generator(seed), steps, every)
+    if differenced is None:
+        differenced = position_noise is not None
+    if differenced and control_hz is None:
+        raise DataError("differenced: a continuous controller has no differences; set control_hz.")
+    if start is None:
+        states = desired.at(np.zeros(1))[0, :2]
+    else:
+        states = np.stack([real_array(each, "start", ndim=1) for each in start])
+        if states.shape != (2, n):
+            raise DataError(f"start: shapes {states.shape}, expected two of ({n},).")
+    instants = np.arange(0.0, steps, every) if every else 0.5 + np.arange(0.0, steps)
+    out = np.zeros((5, len(times), n))
+    plan = _Run(
+        arm,
+        desired.at(np.asarray(dt * instants)),
+        noise,
+        times,
+        steps,
+        every,
+        dt,
+        differenced,
+        states,
+        out,
+    )
+    count = plan.compiled(controller) if isinstance(controller, _Law) else plan.python(controller)
+    q, v, held, measured, integral = (x[:count] for x in out)
+    effort = held
+    if not every:
+        told = desired.at(times[:count])
+        effort = controller.effort(q, v, told[:, 0], told[:, 1], told[:, 2], integral)
+    return Motion(
+        time=times[:count],
+        position=q,
+        velocity=v,
+        acceleration=arm.acceleration(q, v, effort),
+        effort=effort,
+        measured=measured,
+        diverged=float(times[count]) if count < len(times) else None,
+    )
+
+
+@dataclass(frozen=True)
+class _Run:
+    """All that a loop takes."""
+
+    arm: SimulatedArm
+    desired: Array
+    noise: Array
+    times: Array
+    steps: int
+    every: int
+    dt: float
+    differenced: bool
+    start: Array
+    out: Array
+
+    def compiled(self, controller: _Law) -> int:
+        """Run the compiled loop; return how many samples there are before the motion diverged."""
+        inverse = isinstance(controller, ComputedTorque)
+        gains = controller.gains
+        law = (
+            INVERSE_DYNAMICS if inverse else JOINT_GAINS,
+            np.array([gains.proportional, gains.derivative, gains.integral, gains.feedforward]),
+            np.array(gains.limit),
+        )
+        own = controller.arm if isinstance(controller, ComputedTorque) else self.arm
+        count: int = entries().closed_loop(
+            self.arm.arrays,
+            law,
+            own.arrays,
+            self.desired,
+            self.noise,
+            self.times,
+            self.steps,
+            self.every,
+            self.dt,
+            self.differenced,
+            np.ascontiguousarray(self.start),
+            self.out,
+        )
+        return count
+
+    def python(self, controller: Controller) -> int:
+        """Run a controller of the user's, whose effort is held from step to step."""
+        arm, every = self.arm, max(self.every, 1)
+        q, v = self.start[0][None].copy(), self.start[1][None].copy()
+        integral, effort, before = np.zeros_like(q), np.zeros_like(q), q
+        seen = np.zeros_like(q)
+        sample = 0
+        for step in range(self.steps):
+            if step % every == 0:
+                row = step // every
+                told = self.desired[row][None]
+                seen = self.noise[row % len(self.noise)][None]
+                measured = q + seen
+                speed = v
+                if self.differenced and row:
+                    speed = (measured - before) / (every * self.dt)
+                before = measured
+                effort = controller.effort(
+                    measured, speed, told[:, 0], told[:, 1], told[:, 2], integral
+                )
+                integral = integral + every * self.dt * (told[:, 0] - measured)
+            q1, v1 = arm.step(q, v, effort, self.dt)
+            if not np.isfinite(v1).all():
+                return sample
+            while sample < len(self.times) and self.times[sample] < (step + 1 - 1e-6) * self.dt:
+                x = self.times[sample] / self.dt - step
+                rise = q1 - q
+                curve = 3.0 * rise - self.dt * (2.0 * v + v1)
+                cubic = self.dt * (v + v1) - 2.0 * rise
+                now = q + x * (self.dt * v + x * curve + x * x * cubic)
+                states = (now, v + x * (v1 - v), effort, now + seen, integral)
+                self.out[:, sample] = np.concatenate(states)
+                sample += 1
+            q, v = q1, v1
+        return sample
+
+
+def _steps(times: Array, control_hz: Any, step: Any) -> tuple[float, int, int]:
+    """Return the length of a step, the steps of a held effort (0: continuous), and how many."""
+    longest = LONGEST_STEP if step is None else float(step)
+    if not (np.isfinite(longest) and longest > 0.0):
+        raise DataError(f"step is {step!r:.80}; give a positive length in s.")
+    if control_hz is not None:
+        rate = float(control_hz)
+        if not (np.isfinite(rate) and rate > 0.0):
+            raise DataError(f"control_hz is {control_hz!r:.80}; give a positive rate in Hz.")
+        every = max(1, int(np.ceil(1.0 / (rate * longest) - 1e-9)))
+        dt = 1.0 / (rate * every)
+    else:
+        # Whole numbers of steps between samples, where these are even.
+        between = float(times[-1]) / max(len(times) - 1, 1)
+        every = 0
+        dt = between / max(1, int(np.ceil(between / longest - 1e-9)))
+    # One step past the last sample, which is the start of a step.
+    return dt, every, int(np.floor(float(times[-1]) / dt + 1e-6)) + 1
+
+
+def _noise(
+    deviation: Any, n: int, control_hz: Any, rng: np.random.Generator, steps: int, every: int
+) -> Array:
+    """Return the noise at every time of control, (C, n); one row of zeros without any."""
+    if deviation is None:
+        return np.zeros((1, n))
+    if control_hz is None:
+        raise DataError(
+            "position_noise: white noise has no meaning for a continuous controller; set "
+            "control_hz, the rate at which it runs."
+        )
+    sizes = np.asarray(deviation, dtype=np.float64)
+    sizes = real_array(np.full(n, sizes) if sizes.ndim == 0 else sizes, "position_noise", ndim=1)
+    if sizes.shape != (n,) or (sizes < 0.0).any():
+        raise DataError(
+            f"position_noise is {sizes.tolist()}; give {n} deviations that are not negative."
+        )
+    return np.asarray(rng.standard_normal((-(-steps // every), n)) * sizes)

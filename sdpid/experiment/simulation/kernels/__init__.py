@@ -1,0 +1,1 @@
+"""Compiled inner loops of the simulation: plain Python where Numba is missing."""

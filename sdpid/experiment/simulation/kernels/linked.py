@@ -1,0 +1,95 @@
+"""The inner loops, compiled where Numba is installed."""
+
+from __future__ import annotations
+
+import functools
+import hashlib
+import inspect
+import logging
+import sys
+import threading
+from collections.abc import Callable
+from types import FunctionType, ModuleType, SimpleNamespace
+from typing import Any
+
+import numpy as np
+
+from sdpid.experiment.simulation.kernels import friction, links, loops, solve, step
+
+_MODULES: tuple[ModuleType, ...] = (links, friction, solve, step, loops)
+
+# What is called from outside, and kept on the disk.
+_ENTRIES = ("closed_loop", "open_loop", "many_dynamics", "many_accelerations")
+
+# Compiling for longer than this is worth a line, s.
+_PATIENCE = 1.0
+
+
+@functools.cache
+def entries() -> SimpleNamespace:
+    """Return the loops: compiled, or as they are where Numba is missing."""
+    try:
+        import numba
+    except ImportError:  # missing, or it refuses this NumPy
+        return SimpleNamespace(**{name: _quiet(getattr(loops, name)) for name in _ENTRIES})
+    try:
+        # Beside the modules or, where that is not writable, in the user's cache folder.
+        return _linked(numba.njit, cache=True)
+    except (OSError, RuntimeError):  # neither is writable, or the disk is full
+        return _linked(numba.njit)
+
+
+def _linked(njit: Any, **kept: Any) -> SimpleNamespace:
+    """Compile copies of the functions that call each other's copies."""
+    found: dict[str, Any] = {}
+    for module in _MODULES:
+        found |= vars(module)
+    # The compiled code of an entry holds that of the others: their text is part of its name.
+    texts = "".join(inspect.getsource(module) for module in _MODULES)
+    digest = hashlib.sha256(texts.encode()).hexdigest()[:16]
+    options = {"nogil": True, "error_model": "numpy", "fastmath": {"contract", "nsz", "reassoc"}}
+    for module in _MODULES:
+        for name, function in vars(module).items():
+            if isinstance(function, FunctionType) and function.__module__ == module.__name__:
+                copy = FunctionType(function.__code__, found, name)
+                copy.__module__ = function.__module__
+                copy.__qualname__ = f"{name}_{digest}"
+                found[name] = njit(**options, **(kept if name in _ENTRIES else {}))(copy)
+    return SimpleNamespace(**{name: _announced(found[name]) for name in _ENTRIES})
+
+
+def _announced(function: Callable[..., Any]) -> Callable[..., Any]:
+    """Return the function with a line to the user where its first call takes long."""
+    called = False
+
+    def call(*arguments: Any) -> Any:
+        nonlocal called
+        if called:
+            return function(*arguments)
+        timer = threading.Timer(_PATIENCE, _say)
+        timer.daemon = True
+        timer.start()
+        try:
+            return function(*arguments)
+        finally:
+            timer.cancel()
+            called = True
+
+    return call
+
+
+def _say() -> None:
+    note = "compiling the simulation for this machine; this takes seconds, once"
+    logging.getLogger(__name__).info(note)
+    if sys.stderr.isatty():
+        print(f"sdpid: {note}", file=sys.stderr)
+
+
+def _quiet(function: Callable[..., Any]) -> Callable[..., Any]:
+    """Return the function without warnings of numbers that overflow: a motion may diverge."""
+
+    def call(*arguments: Any) -> Any:
+        with np.errstate(all="ignore"):
+            return function(*arguments)
+
+    return call

@@ -1,0 +1,105 @@
+"""The desired motion of a closed loop, at any time."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from sdpid._common.arrays import Array, real_array
+from sdpid.errors import DataError
+from sdpid.experiment.recording.recording import Recording
+from sdpid.experiment.trajectory.curve import Curve
+from sdpid.experiment.trajectory.sampled import SampledCurve
+from sdpid.experiment.trajectory.trajectory import Trajectory
+
+# What `simulate_closed_loop` takes.
+Reference = Any
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class DesiredMotion:
+    """A desired motion and the times at which it was sampled.
+
+    Attributes
+    ----------
+    time : ndarray, shape (K,)
+        Times of the samples from zero on, s.
+    curve : Curve
+        The motion between them.
+    trajectory : Trajectory or None
+        Whose own samples are exact.
+    """
+
+    time: Array
+    curve: Curve
+    trajectory: Trajectory | None = None
+
+    @classmethod
+    def of(cls, reference: Reference, n: int, rate_hz: float | None) -> DesiredMotion:
+        """Take a trajectory, a recording with a reference, positions, or all three derivatives.
+
+        Raises
+        ------
+        DataError
+            When shapes or joints do not fit, or the rate is missing.
+        """
+        if isinstance(reference, Trajectory):
+            rate = _rate(rate_hz or reference.rate_hz)
+            q, v, a = reference.sample()
+            own = np.arange(len(q)) / reference.rate_hz
+            curve = SampledCurve(time=own, position=q, velocity=v, acceleration=a)
+            time = np.arange(int(np.floor(own[-1] * rate * (1.0 + 1e-12))) + 1) / rate
+            found = cls(time=time, curve=curve)
+        elif isinstance(reference, Recording):
+            position = getattr(reference, "reference", None)
+            if position is None:
+                raise DataError(
+                    "reference: the recording has no commanded positions; give the trajectory, or "
+                    "read the log with its columns of commanded positions."
+                )
+            own = np.asarray(reference.time) - reference.time[0]
+            found = cls(time=own, curve=SampledCurve(time=own, position=np.asarray(position)))
+        else:
+            found = cls._of_arrays(reference, rate_hz)
+        if found.curve.n != n:
+            raise DataError(
+                f"reference: {found.curve.n} joints, the robot has {n}; give one column a joint."
+            )
+        return found
+
+    @classmethod
+    def _of_arrays(cls, reference: Any, rate_hz: float | None) -> DesiredMotion:
+        if rate_hz is None:
+            raise DataError("rate_hz: missing; an array of positions needs the rate of its rows.")
+        parts = reference if isinstance(reference, tuple) else (reference,)
+        if len(parts) not in (1, 3):
+            raise DataError(
+                f"reference: {len(parts)} arrays; give positions, or positions, velocities and "
+                "accelerations."
+            )
+        names = ("position", "velocity", "acceleration")
+        arrays = {
+            name: real_array(values, f"reference {name}", ndim=2)
+            for name, values in zip(names, parts, strict=False)
+        }
+        time = np.arange(len(arrays["position"])) / _rate(rate_hz)
+        return cls(time=time, curve=SampledCurve(time=time, **arrays))
+
+    def at(self, time: Array) -> Array:
+        """Return positions, velocities and accelerations (T, 3, n); held at the end."""
+        inside = np.clip(time, 0.0, self.curve.duration)
+        found = np.stack([self.curve.evaluate(inside, derivative=d) for d in range(3)], axis=1)
+        found[time > self.curve.duration, 1:] = 0.0
+        return np.ascontiguousarray(found)
+
+
+def _rate(rate_hz: Any) -> float:
+    try:
+        rate = float(rate_hz)
+    except (TypeError, ValueError):
+        rate = float("nan")
+    if not (np.isfinite(rate) and rate > 0.0):
+        raise DataError(f"rate_hz is {rate_hz!r:.80}; give a positive rate in Hz.")
+    return rate
