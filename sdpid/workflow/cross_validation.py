@@ -29,7 +29,7 @@ from sdpid.experiment.preparation.several import (
 )
 from sdpid.experiment.processing.process import Processing
 from sdpid.experiment.processing.samples import Samples
-from sdpid.experiment.recording.recording import Recording
+from sdpid.experiment.recording.recording import Recording, rows_of
 from sdpid.robot.friction.term import FrictionTerm
 from sdpid.robot.inertia import Consistency
 from sdpid.robot.model.load import load_robot
@@ -353,11 +353,4 @@ def _cut(log: Recording, first: int, last: int) -> Recording:
         raise DataError(
             f"cross-validation: a recording of {log.n_samples} samples is too short for blocks."
         )
-    rows = slice(first, last)
-    return replace(
-        log,
-        time=log.time[rows],
-        position=log.position[rows],
-        effort=log.effort[rows],
-        velocity=None if log.velocity is None else log.velocity[rows],
-    )
+    return rows_of(log, slice(first, last))

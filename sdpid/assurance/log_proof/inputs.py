@@ -11,7 +11,7 @@ import numpy as np
 
 from sdpid._common.files import Source
 from sdpid._common.tables import plain
-from sdpid.experiment.recording.recording import Recording
+from sdpid.experiment.recording.recording import CHANNELS, Recording
 from sdpid.experiment.recording.stored import blocks
 from sdpid.robot.model.digest import kinematics_digest
 from sdpid.robot.model.model import RobotModel
@@ -54,13 +54,16 @@ def _entry(role: str, source: Source | None, of_numbers: str | None) -> dict[str
 def recording_digest(log: Recording) -> str:
     """Return the SHA-256 of a recording's numbers: its names and periods, then its arrays.
 
-    Arrays count as their shape and little-endian doubles, row by row.
+    Arrays count as their shape and little-endian doubles, row by row. A reference that is not
+    there does not count.
     """
     stated = plain({name: getattr(log, name) for name in ("period", "start", "periods")})
     stated["joints"] = plain(log.joint_names)
     digest = hashlib.sha256(json.dumps(stated, sort_keys=True).encode("ascii"))
-    for name in ("time", "position", "effort", "velocity"):
+    for name in ("time", *CHANNELS):
         values = getattr(log, name)
+        if values is None and name == "reference":
+            continue
         shape = None if values is None else list(values.shape)
         digest.update(f"\n{name} {shape}\n".encode())
         for _, part in () if values is None else blocks(values):

@@ -15,6 +15,7 @@ from sdpid.experiment.inspection import (
     dynamics_checks,
     effort_checks,
     motion_checks,
+    reference_checks,
     time_checks,
 )
 from sdpid.experiment.inspection.finding import CHECKS, Finding, Subject
@@ -28,11 +29,17 @@ from sdpid.robot.model.model import RobotModel
 __all__ = ["Inspection", "inspect_recording", "inspect_recordings"]
 
 # Importing a file of checks adds them to the list. A new check is a function in one of these.
-_FILES = (time_checks, motion_checks, effort_checks, dynamics_checks, delay_checks)
+_FILES = (
+    *(time_checks, motion_checks, reference_checks, effort_checks, dynamics_checks),
+    delay_checks,
+)
 
 # Wrong units of position or time make the dynamics meaningless: they are told alone.
 _DROWNS = ("position_in_degrees", "position_jumps", "time_unit")
-_OF_SPEED = ("position_jumps", "velocity_scale", "velocity_late", "one_direction", "long_rest")
+_OF_SPEED = (
+    *("position_jumps", "velocity_scale", "velocity_late", "one_direction", "long_rest"),
+    "reference_unlike",
+)
 _DROWNED = (
     dynamics_checks.wrong_channels,
     dynamics_checks.scales,

@@ -153,14 +153,9 @@ def velocities(subject: Subject) -> Iterator[Finding]:
         if scale < 0.0:
             message = f"velocity of {name} has the sign opposite to the rate of its position"
         elif not 1.0 / _SCALE < scale < _SCALE:
-            known = [
-                f" ({unit})"
-                for factor, unit in _FACTORS.items()
-                if abs(scale / factor - 1.0) < _FACTOR_SLACK
-            ]
             message = (
                 f"velocity of {name} is {scale:.3g} times the rate of its position"
-                f"{''.join(known)}, limit {1.0 / _SCALE:.2g} to {_SCALE:g}"
+                f"{scale_in_words(scale)}, limit {1.0 / _SCALE:.2g} to {_SCALE:g}"
             )
         else:
             continue
@@ -172,3 +167,9 @@ def velocities(subject: Subject) -> Iterator[Finding]:
             remedy="correct it, or leave the velocity out",
             numbers={"scale": scale, "correlation": fit.correlation},
         )
+
+
+def scale_in_words(scale: float) -> str:
+    """Return which units mixed up make a scale, in brackets; empty for none."""
+    known = [u for factor, u in _FACTORS.items() if abs(scale / factor - 1.0) < _FACTOR_SLACK]
+    return f" ({known[0]})" if known else ""

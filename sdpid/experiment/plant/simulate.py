@@ -65,7 +65,8 @@ def simulate(
 
     A proportional position controller commands the drives' velocity loop:
     ``torque = velocity_gain·(proportional_gain·(q_d − q) − v)``. Joints have Coulomb and viscous
-    friction. Recorded are encoder positions and noisy motor currents, as efforts in N·m.
+    friction. Recorded are encoder positions, the desired ones (`Recording.reference`), and noisy
+    motor currents, as efforts in N·m.
 
     The record has `trajectory.n_samples` samples: whole periods from ``Recording.start`` on, after
     one settling period that is not recorded. A motion that ends elsewhere than it starts is run
@@ -117,7 +118,7 @@ def simulate(
     --------
     >>> run = sdpid.simulate(robot, motion, exact=True, seed=1)
     >>> run
-    Recording(38000 samples, 6 joints, 1000 Hz, 2 periods of 10 s)
+    Recording(38000 samples, 6 joints, 1000 Hz, 2 periods of 10 s, with reference)
     >>> run.notes
     ('simulated without a controller: the robot follows its motion exactly',)
     """
@@ -137,12 +138,14 @@ def simulate(
     settling = per_period if trajectory.closed else 0
     total = trajectory.n_samples + settling
     position = np.empty((trajectory.n_samples, robot.n))
-    effort = np.empty_like(position)
+    effort, reference = np.empty_like(position), np.empty_like(position)
     row = 0
     scale, resolution = plant.drives.effort_scale, plant.drives.resolution
 
-    def record(states: Array) -> None:
+    def record(states: Array, first: int) -> None:
         nonlocal row
+        count = states.shape[1]
+        reference[row : row + count] = trajectory.sample(first, first + count)[0]
         for start in range(0, states.shape[1], CHUNK):
             q, v, torque = states[:, start : start + CHUNK]
             current = (torque + plant.extra_torque(q, v)) / scale
@@ -155,7 +158,7 @@ def simulate(
 
     with progress_bar(total, "simulating", enabled=progress) as advance:
         # Rest, connection and the settling period; the record begins within them.
-        record(plant.run(0, lead + settling, advance)[:, settling:])
+        record(plant.run(0, lead + settling, advance)[:, settling:], settling)
         settled = False
         for _ in range(trajectory.periods):
             if settled:
@@ -164,14 +167,15 @@ def simulate(
                 before = plant.state()
                 states = plant.run(lead, lead + per_period, advance)
                 settled = bool(np.abs(plant.state() - before).max() <= SETTLED)
-            record(states)
+            record(states, lead)
         end = trajectory.n_samples
-        record(plant.run(end - lead, end, advance))
+        record(plant.run(end - lead, end, advance), end - lead)
     rate = trajectory.rate_hz
     return Recording(
         time=np.arange(trajectory.n_samples) / rate,
         position=position,
         effort=effort,
+        reference=reference,
         joint_names=robot.joint_names,
         period=trajectory.period if trajectory.closed else None,
         start=lead / rate if trajectory.closed else None,

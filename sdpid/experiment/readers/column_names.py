@@ -19,6 +19,12 @@ from sdpid.experiment.recording.stored import StoredArray
 
 __all__ = ["CONVENTIONS", "Columns"]
 
+# Words of positions that are commanded, and not what the robot did.
+_COMMAND_WORDS = (
+    *("reference", "ref", "desired", "des", "commanded", "command", "cmd", "target"),
+    "setpoint",
+)
+_POSITIONS = ("q", "position", "positions", "pos", "joint_position", "joint_positions", "angle")
 # Names under which quantities are usually found, in the order in which they are looked for.
 CONVENTIONS: dict[str, tuple[str, ...]] = {
     "time": ("time", "t", "timestamp", "time_s", "stamp", "times", "__time", "elapsed_time"),
@@ -37,6 +43,12 @@ CONVENTIONS: dict[str, tuple[str, ...]] = {
         *("joint_velocities", "actual_qd", "actual_velocity", "measured_velocity"),
         *("velocity_measured", "dq_measured", "qd_measured", "speed"),
     ),
+    # What is commanded may be a velocity or a torque as well: the name must say position.
+    "reference": (
+        *(f"{name}_{word}" for name in _POSITIONS for word in _COMMAND_WORDS),
+        *(f"{word}_{name}" for name in _POSITIONS for word in _COMMAND_WORDS),
+        *("q_d", "reference"),
+    ),
     "joint_names": ("joint_names", "names"),
     "rate": ("fs", "rate_hz", "rate", "sample_rate"),
     "period": ("period",),
@@ -46,6 +58,8 @@ CONVENTIONS: dict[str, tuple[str, ...]] = {
 }
 # Names that any quantity may have; the unit beside them tells which: Joint 1 [deg].
 _BARE = ("joint", "axis", "j", "a")
+# Words that say of which quantity a command is by their unit only: command_1 [deg].
+_BARE_COMMANDS = ("desired", "commanded", "command", "cmd", "target", "setpoint")
 # Units that stand at the end of names, as in time_ms or position_deg_1.
 _UNIT_ENDINGS: dict[str, dict[str, str]] = {
     "time": {"ms": "ms", "us": "us", "ns": "ns", "sec": "s"},
@@ -59,6 +73,7 @@ _UNIT_ENDINGS: dict[str, dict[str, str]] = {
     },
     "effort": {"nm": "N.m", "mnm": "mN.m"},
 }
+_UNIT_ENDINGS["reference"] = _UNIT_ENDINGS["position"]
 # Names of commanded quantities, which are not what the robot did.
 _COMMANDED = re.compile(
     r"(?:^|[_./\s-])(?:target|desired|des|cmd|command|commanded|ref|reference|setpoint|goal|err|error)"
@@ -67,6 +82,10 @@ _COMMANDED = re.compile(
     r"|(?:^|[_./])d[_./]?\[?\d+\]?$",
     re.IGNORECASE,
 )
+# Those of differences, and of a derivative: q_d beside q_dd.
+_NO_REFERENCE = re.compile(r"(?:^|[_./\s-])(?:err|error|goal)(?:$|[_./\s\d-])", re.IGNORECASE)
+_DERIVATIVE = re.compile(r"(?:^|.*[_./\s-])q_?dd(?:ot)?(?:[_./\s\[-]?\d+\]?)?", re.IGNORECASE)
+_DESIRED = re.compile(r"(?:^|[_./\s-])q_d(?:$|[_./\s\[-])", re.IGNORECASE)
 # Effort is often logged as a current, which is no torque before it is scaled.
 _CURRENT_NAMES = ("current", "actual_current", "motor_current", "currents", "curr", "cur", "i")
 _CURRENT = re.compile(
@@ -203,6 +222,45 @@ class Columns:
             self._joints = set(found[1] or names or ()), found[0].shape[1]
         return found
 
+    def commands(self, names: Sequence[str] | None) -> list[tuple[str | None, _Group]]:
+        """Return all that may be references by the usual names: their unit, and their columns.
+
+        Columns are found by the labels of joints; an array of samples × joints has none, and its
+        label is empty.
+        """
+        plain = self._candidates("reference")
+        texts = " ".join(plain.values()).lower()
+        derived = any(_DERIVATIVE.fullmatch(text) for text in self._plain.values())
+        keys = [(k, u) for k, u in self._keys("reference") if not (derived and k == "q_d")]
+        found: dict[frozenset[str], tuple[str | None, _Group]] = {}
+        for key, unit in keys if plain else ():
+            if any(word not in texts for word in key.split("_")):
+                continue
+            if places := self._exact(key, "reference"):
+                found |= {frozenset([place]): (unit, {"": place}) for place in places}
+                continue
+            for style in (_numbered, _labeled, _suffixed):
+                group = style(plain, key, names, False)
+                if group and self._fits(group) and all(map(self._is_column, group.values())):
+                    found.setdefault(frozenset(group.values()), (unit, group))
+        said = {name: text for name, text in plain.items() if name in self._units}
+        for key in _BARE_COMMANDS:
+            if (group := _numbered(said, key, names, False)) and self._fits(group):
+                found.setdefault(frozenset(group.values()), (None, group))
+        return list(found.values())
+
+    def read(self, quantity: str, unit: str | None, group: _Group) -> NDArray[Any]:
+        """Read columns, or an array, that are a quantity."""
+        if "" in group:
+            table = self._one(quantity, group[""], unit)
+            return table[:, None] if table.ndim == 1 else table
+        return self._stacked(quantity, list(group.values()), unit)
+
+    def forget(self, quantity: str) -> None:
+        """Take back that a quantity was read."""
+        self.used.pop(quantity, None)
+        self.implied.pop(quantity, None)
+
     def missing(self, quantity: str) -> DataError:
         """Return the error that a quantity was not found, and what was."""
         if self._table.unnamed:
@@ -295,10 +353,23 @@ class Columns:
 
     def _candidates(self, quantity: str) -> dict[str, str]:
         """Return names and how they are looked for, but those in units of other quantities."""
+        names = self._plain if quantity != "reference" else self._commanded
+        return {
+            name: plain
+            for name, plain in names.items()
+            if self._units.get(name) is None or self._units[name] in UNITS.get(quantity, ())
+        }
+
+    @property
+    def _commanded(self) -> dict[str, str]:
+        """The names that may be of commands, and of nothing that was read."""
+        taken = {name for names in self.used.values() for name in names}
         return {
             name: plain
             for name, plain in self._plain.items()
-            if self._units.get(name) is None or self._units[name] in UNITS.get(quantity, ())
+            if name not in taken
+            and (_COMMANDED.search(plain) or _DESIRED.search(plain))
+            and not _NO_REFERENCE.search(plain)
         }
 
     def _keys(self, quantity: str) -> list[tuple[str, str | None]]:
@@ -350,7 +421,7 @@ class Columns:
         if len(set(units)) == 1 and units[0] is not None:
             self.implied[quantity] = units[0]
         elif any(units):
-            plain = {"position": "rad", "velocity": "rad/s", "effort": "N.m"}[quantity]
+            plain = next(iter(UNITS[quantity]))
             self.implied[quantity] = [unit or plain for unit in units]
 
     def _stacked(self, quantity: str, keys: list[str], unit: str | None) -> NDArray[Any]:

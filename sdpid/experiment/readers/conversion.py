@@ -58,6 +58,9 @@ def convert(
     motors, units = arguments.motors, {**found.units, **arguments.units}
     if arguments.amperes:
         _require_amperes(file, arguments, units)
+    if "position" in units:
+        # Where nothing is said of references, they are as positions are.
+        units = {"reference": units["position"], **units}
     scale = _effort_scale(file, found, arguments, units)
     labels = None if found.labels is None else tuple(found.labels)
     count = found.tables["position"].shape[1]
@@ -225,7 +228,7 @@ def _sources(found: Selection, units: Mapping[str, Any], arguments: Arguments) -
         if motors is not None and quantity in motors.applies_to:
             text += ", motor side"
         sources[quantity] = text
-    return sources
+    return sources | {quantity: f"left out: {why}" for quantity, why in found.left_out.items()}
 
 
 def _whole(count: Any) -> Any:

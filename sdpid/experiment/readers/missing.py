@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from sdpid.errors import DataError
 from sdpid.experiment.recording.recording import LARGEST
 
-__all__ = ["MISSING", "mend_missing"]
+__all__ = ["MISSING", "mend_missing", "sound"]
 
 # What to do with samples that lack a value.
 MISSING = ("refuse", "drop", "interpolate")
@@ -60,7 +60,7 @@ def mend_missing(
     columns = {"time": time[:, None], **tables}
     if any(len(table) != len(time) for table in tables.values()):
         return time, dict(tables), None  # the recording says which length is wrong
-    if all(_sound(table) for table in columns.values()):
+    if all(sound(table) for table in columns.values()):
         return time, dict(tables), None
     for quantity, table in columns.items():
         bad = np.isinf(table) | (np.abs(table) > LARGEST)
@@ -87,7 +87,7 @@ def mend_missing(
     return time, filled, note
 
 
-def _sound(table: NDArray[Any]) -> bool:
+def sound(table: NDArray[Any]) -> bool:
     """Tell whether all values are finite and of a size that robots have."""
     if not table.size or table.dtype.kind not in "fiu":
         return True

@@ -14,7 +14,9 @@ from sdpid._common.sandbox import run_in_sandbox
 from sdpid.errors import DataError
 from sdpid.experiment.readers.column_names import Columns
 from sdpid.experiment.readers.formats.loaders import LOADERS, SANDBOXED
+from sdpid.experiment.readers.references import find_reference
 from sdpid.experiment.readers.table import Table, row_number
+from sdpid.experiment.recording.recording import CHANNELS
 
 __all__ = ["Selection", "read_selection", "select"]
 
@@ -28,7 +30,7 @@ class Selection:
     Attributes
     ----------
     tables : dict
-        Position, effort and, where there is any, velocity: (N, n) each.
+        Position, effort and, where there are any, velocity and reference: (N, n) each.
     labels : tuple of str or None
         Names of the joints in the order of the columns.
     time : (N,) ndarray or None
@@ -41,6 +43,8 @@ class Selection:
         The names that each quantity was read from.
     units : dict
         The units that these names imply.
+    left_out : dict
+        Why a quantity is left out that seems to be there.
     """
 
     tables: dict[str, NDArray[Any]]
@@ -50,6 +54,7 @@ class Selection:
     numbers: dict[str, Any] = field(default_factory=dict)
     used: dict[str, Sequence[str]] = field(default_factory=dict)
     units: dict[str, Any] = field(default_factory=dict)
+    left_out: dict[str, str] = field(default_factory=dict)
 
 
 def select(
@@ -88,10 +93,17 @@ def select(
     tables: dict[str, NDArray[Any]] = {}
     labels: dict[str, tuple[str, ...]] = {}
     known = stored if wanted is None else tuple(wanted)
-    for quantity in ("position", "effort", "velocity"):
-        found, label = log.table(quantity, labels.get("position", known))
+    left_out: dict[str, str] = {}
+    for quantity in CHANNELS:
+        joints = labels.get("position", known)
+        if quantity == "reference" and quantity not in columns:
+            of_positions = labels.get("position")
+            found, label, why = find_reference(log, joints, tables["position"], of_positions)
+            left_out |= {} if why is None else {quantity: why}
+        else:
+            found, label = log.table(quantity, joints)
         if found is None:
-            if quantity == "velocity":
+            if quantity in ("velocity", "reference"):
                 continue
             raise log.missing(quantity)
         tables[quantity] = _numbers(file, quantity, found)
@@ -122,6 +134,7 @@ def select(
         numbers={**numbers, "effort_scale": scale},
         used=dict(log.used),
         units=dict(log.implied),
+        left_out=left_out,
     )
 
 

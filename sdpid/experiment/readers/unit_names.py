@@ -24,6 +24,7 @@ UNITS: dict[str, dict[str, float]] = {
         **_CURRENTS,
     },
 }
+UNITS["reference"] = UNITS["position"]
 # Other spellings, in small letters.
 _SPELLINGS = {unit.lower(): unit for known in UNITS.values() for unit in known}
 _SPELLINGS |= {"sec": "s", "seconds": "s", "µs": "us", "μs": "us", "msec": "ms", "usec": "us"}

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sdpid._common.arrays import Array
-from sdpid.experiment.recording.recording import Recording
+from sdpid.experiment.recording.recording import Recording, rows_of
 from sdpid.experiment.recording.uniform_grid import MAX_GAP_STEPS, longest_gap
 
 __all__ = ["continuous", "in_time", "split_at_gaps", "unwrapped"]
@@ -98,7 +98,7 @@ def split_at_gaps(log: Recording) -> tuple[Recording, ...]:
     for first, stop in pairwise(bounds):
         if stop - first > 1:
             # A piece may have a shorter nominal step, so that another of its steps is a gap.
-            pieces += split_at_gaps(_rows(log, slice(first, stop)))
+            pieces += split_at_gaps(rows_of(log, slice(first, stop)))
     return tuple(pieces)
 
 
@@ -113,7 +113,8 @@ def unwrapped(log: Recording) -> tuple[Recording, NDArray[np.intp]]:
     Returns
     -------
     log : Recording
-        Without such jumps; the same object where there were none.
+        Without such jumps, the reference whole turns from where it was; the same object where
+        there were none.
     jumps : (n,) ndarray of int
         Jumps of each joint. A joint that also jumps by something between 1 rad and a turn
         less 1 rad is left alone: it is in another unit, or has outliers.
@@ -129,7 +130,27 @@ def unwrapped(log: Recording) -> tuple[Recording, NDArray[np.intp]]:
         if position is None:
             position = np.array(log.position)
         position[1:, j] -= _TURN * np.cumsum(turns)
-    return (log if position is None else replace(log, position=position)), jumps
+    if position is not None:
+        log = replace(log, position=position)
+    return _near_positions(log), jumps
+
+
+def _near_positions(log: Recording) -> Recording:
+    """Return a recording whose references are moved by whole turns, to where positions are."""
+    if log.reference is None:
+        return log
+    reference: Array | None = None
+    for j in range(log.n):
+        column = np.asarray(log.reference[:, j])
+        turns = np.rint((column - log.position[:, j]) / _TURN)
+        if not turns.any():
+            continue
+        moved = column - _TURN * turns
+        # A reference in another unit, or of another joint, jumps where it leaves the position.
+        if np.abs(np.diff(moved)).max() <= _LARGEST_STEP:
+            reference = np.array(log.reference) if reference is None else reference
+            reference[:, j] = moved
+    return log if reference is None else replace(log, reference=reference)
 
 
 def _may_wrap(log: Recording) -> list[int]:
@@ -146,17 +167,6 @@ def _may_wrap(log: Recording) -> list[int]:
         if steps.max() >= least or steps.min() <= -least:
             return list(range(log.n))
     return []
-
-
-def _rows(log: Recording, rows: slice | NDArray[np.bool_]) -> Recording:
-    """Return some rows of a recording without periods."""
-    return replace(
-        log,
-        time=log.time[rows],
-        position=log.position[rows],
-        effort=log.effort[rows],
-        velocity=None if log.velocity is None else log.velocity[rows],
-    )
 
 
 def in_time(log: Recording) -> tuple[Recording, list[str]]:
@@ -208,7 +218,7 @@ def in_time(log: Recording) -> tuple[Recording, list[str]]:
     if not notes:
         return log, []
     if not keep.all() and log.period is None:
-        return _rows(replace(log, time=time), keep), notes
+        return rows_of(replace(log, time=time), keep), notes
     return replace(log, time=time), notes
 
 

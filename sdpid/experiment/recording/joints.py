@@ -6,9 +6,10 @@ from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
 from itertools import takewhile
+from typing import Any
 
 from sdpid.errors import DataError
-from sdpid.experiment.recording.recording import Recording, renamed
+from sdpid.experiment.recording.recording import Recording, channels, renamed
 from sdpid.experiment.recording.stored import transformed
 from sdpid.robot.model.model import RobotModel
 
@@ -53,14 +54,9 @@ def match_joints(robot: RobotModel, log: Recording) -> Recording:
     if order == list(range(log.n)):
         return renamed(log, robot.joint_names)
     picked = partial(transformed, function=lambda values: values[:, order])
-    return replace(
-        log,
-        position=picked(log.position),
-        effort=picked(log.effort),
-        velocity=None if log.velocity is None else picked(log.velocity),
-        joint_names=robot.joint_names,
-        gains=None if log.gains is None else log.gains.picked(order, robot.joint_names),
-    )
+    tables: dict[str, Any] = {name: picked(table) for name, table in channels(log).items()}
+    gains = None if log.gains is None else log.gains.picked(order, robot.joint_names)
+    return replace(log, **tables, joint_names=robot.joint_names, gains=gains)
 
 
 def joint_columns(robot: RobotModel, names: Sequence[str]) -> list[int]:

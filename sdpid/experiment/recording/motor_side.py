@@ -17,7 +17,7 @@ __all__ = ["MotorSide"]
 # Beyond this condition number (columns scaled) a matrix of gear ratios is a mistake: real ones
 # differ from a diagonal by a coupling or two.
 _MOST_CONDITION = 1e6
-_QUANTITIES = ("position", "velocity", "effort")
+_QUANTITIES = ("position", "velocity", "effort", "reference")
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
@@ -25,9 +25,10 @@ class MotorSide(Settings):
     """Gears, signs, offsets and couplings that convert motor-side logs to the joints.
 
     With the matrix R of motor turns a joint turn, joint positions are
-    ``inv(R) @ motor_position + offsets``, velocities ``inv(R) @ motor_velocity``, and efforts
-    ``T @ (torque_constants * motor_effort)``. Equal power on both sides makes T the transpose of
-    R, which is the default. Joints that are coupled at their motors have entries off the diagonal.
+    ``inv(R) @ motor_position + offsets`` (references too), velocities ``inv(R) @ motor_velocity``,
+    and efforts ``T @ (torque_constants * motor_effort)``. Equal power on both sides makes T the
+    transpose of R, which is the default. Joints that are coupled at their motors have entries off
+    the diagonal.
 
     Parameters
     ----------
@@ -161,6 +162,6 @@ class MotorSide(Settings):
                 turned = turned * self.torque_constants
             return np.ascontiguousarray(values @ turned.T)
         joints = np.ascontiguousarray(values @ np.linalg.inv(self.position_matrix).T)
-        if quantity == "position" and self.offsets is not None:
+        if quantity in ("position", "reference") and self.offsets is not None:
             joints += self.offsets
         return joints

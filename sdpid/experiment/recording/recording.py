@@ -5,10 +5,11 @@ from __future__ import annotations
 import os
 from collections.abc import Sequence
 from copy import copy
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from sdpid._common.arrays import Array, frozen_view, real_array
 from sdpid._common.files import Source
@@ -19,7 +20,10 @@ from sdpid.experiment.drive_gains.gains import DriveGains
 from sdpid.experiment.recording.stored import StoredArray
 from sdpid.experiment.recording.timestamps import Stamps
 
-__all__ = ["LARGEST", "Recording"]
+__all__ = ["CHANNELS", "LARGEST", "Recording", "channels", "rows_of"]
+
+# What is measured, or commanded, of each joint.
+CHANNELS = ("position", "effort", "velocity", "reference")
 
 # Beyond any measured value in SI units, stamps since 1970 included; squares are far from overflow.
 LARGEST = 1e12
@@ -48,6 +52,8 @@ class Recording:
         motors' currents in A.
     velocity : (N, n) array_like, optional
         Measured joint velocities in rad/s (m/s).
+    reference : (N, n) array_like, optional
+        Commanded joint positions in rad (m): what the controller was to follow.
     joint_names : sequence of str, optional
         One name a joint, in the order of the columns.
     period : float, optional
@@ -97,6 +103,7 @@ class Recording:
     position: Array
     effort: Array
     velocity: Array | None = None
+    reference: Array | None = None
     joint_names: tuple[str, ...] | None = None
     period: float | None = None
     start: float | None = None
@@ -119,7 +126,7 @@ class Recording:
         n = position.shape[1]
         if n == 0:
             raise DataError("position: has no joints (no columns).")
-        for name in ("position", "effort", "velocity"):
+        for name in CHANNELS:
             if getattr(self, name) is not None:
                 shape = _kept(self, name, 2).shape
                 if shape != (time.size, n):
@@ -141,6 +148,8 @@ class Recording:
         layout = self.period_layout
         if layout is not None:
             parts.append(f"{layout[2]} periods of {self.period:.6g} s")
+        if self.reference is not None:
+            parts.append("with reference")
         return f"Recording({', '.join(parts)})"
 
     def _repr_html_(self) -> str:
@@ -159,6 +168,7 @@ class Recording:
             "rate, Hz": self.rate_hz,
             "seconds": float(self.time[-1] - self.time[0]),
             "periods": None if layout is None else layout[2],
+            "reference": None if self.reference is None else "commanded positions",
         }
         return facts_html("Recording", facts, table)
 
@@ -274,9 +284,9 @@ class Recording:
         """Write the recording to a Parquet file, without loss, whole or not at all.
 
         Columns are ``time``, ``position_<joint>``, ``effort_<joint>`` (of currents
-        ``current_<joint>``) and, when there are any, ``velocity_<joint>``; the rest is kept in the
-        file's metadata under the key ``sdpid``. Gains are not kept, and so neither are their
-        errors: where they matter, write the currents.
+        ``current_<joint>``) and, when there are any, ``velocity_<joint>`` and
+        ``reference_<joint>``; the rest is kept in the file's metadata under the key ``sdpid``.
+        Gains are not kept, and so neither are their errors: where they matter, write the currents.
 
         Raises
         ------
@@ -304,14 +314,24 @@ class Recording:
         Table.of_columns({name: column.tolist() for name, column in columns.items()}).write(path)
 
     def _columns(self) -> dict[str, Array]:
-        """Return time, positions, efforts or currents, and velocities by their columns' names."""
+        """Return time and channels by the names of their columns."""
         columns = {"time": self.time}
-        for quantity in ("position", "effort", "velocity"):
-            table = getattr(self, quantity)
-            if table is not None:
-                called = "current" if quantity == "effort" and self.currents else quantity
-                columns |= {f"{called}_{name}": table[:, j] for j, name in enumerate(self.names)}
+        for quantity, table in channels(self).items():
+            called = "current" if quantity == "effort" and self.currents else quantity
+            columns |= {f"{called}_{name}": table[:, j] for j, name in enumerate(self.names)}
         return columns
+
+
+def channels(log: Recording) -> dict[str, Any]:
+    """Return the tables of samples × joints that a recording has, by the names of its fields."""
+    tables = {name: getattr(log, name) for name in CHANNELS}
+    return {name: table for name, table in tables.items() if table is not None}
+
+
+def rows_of(log: Recording, rows: slice | NDArray[np.bool_]) -> Recording:
+    """Return some rows of a recording without periods."""
+    taken = {name: table[rows] for name, table in channels(log).items()}
+    return replace(log, time=log.time[rows], **taken)
 
 
 def renamed(log: Recording, names: tuple[str, ...]) -> Recording:

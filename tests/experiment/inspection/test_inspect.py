@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -104,6 +105,30 @@ def test_wrong_signals_are_named(
     # At 200 Hz the default processing does not use the recorded velocity.
     assert (finding.severity == "note") == (quantity == "velocity")
     assert inspect_recording(wrong, robot).ok == (quantity == "velocity")
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (lambda q, v: q + 0.1 * v, None),
+        (lambda q, v: np.degrees(q), "is 57.3 times the position (deg instead of rad), limit"),
+        (lambda q, v: np.roll(q, 1, axis=1), "is followed by shoulder_pan_joint (correlation 1)"),
+        (lambda q, v: q + 0.2, "is 0.2 rad off the position on average, limit 0.1"),
+        (lambda q, v: q - 0.05 * v, "comes 0.05 s after the motion, limit 0.02: it is no command"),
+        (lambda q, v: 0.0 * q, "is not followed (correlation 0.00, limit 0.9)"),
+    ],
+)
+def test_references_that_are_not_followed_are_named(
+    log: Recording, robot: sdpid.RobotModel, change: Any, words: str | None
+):
+    logged = replace(log, reference=change(log.position, log.velocity))
+    inspection = inspect_recording(logged, robot)
+    assert inspection.ok
+    assert {each.kind for each in inspection.findings} == ({"reference_unlike"} if words else set())
+    if words:
+        assert len(inspection.findings) == robot.n
+        (finding,) = (each for each in inspection.findings if each.joint == log.names[1])
+        assert words in finding.message
 
 
 def test_one_sample_that_jumps_is_named_with_its_row(log: Recording):

@@ -17,6 +17,7 @@ from sdpid.errors import DataError
 from sdpid.experiment.readers.table import Table
 from sdpid.experiment.recording.memory_budget import check_claim
 from sdpid.experiment.recording.parquet import FORMAT, KEY
+from sdpid.experiment.recording.recording import CHANNELS
 from sdpid.experiment.recording.stored import ROWS, store
 
 __all__ = ["LARGE", "load_parquet"]
@@ -26,6 +27,7 @@ LARGE = 1 << 28
 # Bytes read from the file at a time, so that the size of row groups is no matter.
 _BUFFER = 1 << 20
 _MOST_JOINTS = 10_000
+_OPTIONAL = ("velocity", "reference")
 # What pyarrow calls plain numbers.
 _KINDS = {"double": "f8", "float": "f4"}
 _KINDS |= {f"int{8 * k}": f"i{k}" for k in (1, 2, 4, 8)}
@@ -203,10 +205,10 @@ def _recorded_arrays(
     else:
         raise DataError(f"{path}: the metadata under 'sdpid' is damaged: it names no joints.")
     arrays: dict[str, Callable[[], NDArray[Any]]] = {}
-    for quantity in ("position", "effort", "velocity"):
+    for quantity in CHANNELS:
         called = "current" if quantity == "effort" and stated.get("currents") else quantity
         columns = [f"{called}_{label}" for label in labels]
-        if quantity == "velocity" and not set(columns) & set(plain):
+        if quantity in _OPTIONAL and not set(columns) & set(plain):
             continue
         if absent := [name for name in columns if name not in plain]:
             raise DataError(f"{path}: lacks the columns {', '.join(absent)}.")
