@@ -51,6 +51,7 @@ ROOMS = {
         "coordinates",
         "cluster_robust",
         "noise_spectrum",
+        "gain_errors",
         "posterior",
         "agreement",
         "duality",

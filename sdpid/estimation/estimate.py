@@ -17,6 +17,7 @@ from sdpid.estimation.agreement.agreement import Agreement
 from sdpid.estimation.agreement.compare import compare_estimates
 from sdpid.estimation.cluster_robust import covariance
 from sdpid.estimation.duality.multipliers import Multipliers
+from sdpid.estimation.gain_errors import GainErrors
 from sdpid.estimation.problem import Problem
 from sdpid.robot.inertia import margin
 from sdpid.robot.model.dynamics import RobotDynamics
@@ -198,10 +199,14 @@ class Estimate:
         """Covariance of the unconstrained fit's base parameters, (b, b).
 
         The sandwich estimate from blocks of samples that are longer than the filter's memory,
-        corrected for leverage (see `sdpid.estimation.cluster_robust`). It is that of the problem:
+        corrected for leverage (see `sdpid.estimation.cluster_robust`), and where efforts were made
+        of currents the errors of the gains. It is that of the problem:
         neither constraints nor a prior have a say.
         """
-        return frozen(covariance(self.problem))
+        own = covariance(self.problem)
+        gains = GainErrors.of(self.problem)
+        moved = np.linalg.lstsq(self.problem.A, gains.rows, rcond=None)[0]
+        return frozen(own + moved @ gains.covariance @ moved.T)
 
     @cached_property
     def standard_errors(self) -> Array:

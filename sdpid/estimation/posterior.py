@@ -4,8 +4,9 @@ Where no inequality is active, an estimate is the least-squares solution of the 
 ``A·B·theta = h`` and of the prior's rows ``R·theta = r``. So its error is ``L·(errors of h and r)``
 with L the pseudoinverse of both. The errors of h are those that the residuals show, whatever the
 weights say (see `sdpid.estimation.noise_spectrum`); those of the prior's rows have a variance of
-one, as stated. An active inequality can only bring an estimate nearer to the truth, all in all: it
-is not counted, which errs on the wide side.
+one, as stated. Where efforts were made of currents, the errors of the gains come on top (see
+`sdpid.estimation.gain_errors`). An active inequality can only bring an estimate nearer to the
+truth, all in all: it is not counted, which errs on the wide side.
 """
 
 from __future__ import annotations
@@ -15,10 +16,11 @@ from typing import Literal, Protocol
 
 import numpy as np
 
-from sdpid._common.arrays import Array
+from sdpid._common.arrays import Array, Mask
 from sdpid.errors import SolverError
 from sdpid.estimation.cluster_robust import ScoreBlocks
 from sdpid.estimation.coordinates import Coordinates
+from sdpid.estimation.gain_errors import GainErrors
 from sdpid.estimation.noise_spectrum import NoiseSpectrum
 from sdpid.estimation.problem import Problem
 from sdpid.estimation.scaling import Scaling
@@ -89,6 +91,10 @@ class Posterior:
         How theta moves with the unconstrained fit.
     from_prior : ndarray, shape (p, rows)
         How theta moves with the prior's rows.
+    from_gains : ndarray, shape (p, n)
+        How theta moves with the logarithms of the gains that made the efforts of currents.
+    gains : GainErrors
+        Their errors.
     seen, unseen : ndarray, shape (p, r) and (p, k)
         Directions in which they move it, and in which neither does, scaled.
     """
@@ -96,6 +102,8 @@ class Posterior:
     errors: FitErrors
     from_fit: Array
     from_prior: Array
+    from_gains: Array
+    gains: GainErrors
     seen: Array
     unseen: Array
 
@@ -126,12 +134,21 @@ class Posterior:
         rank = int(np.count_nonzero(singular > _OPEN * singular.max(initial=0.0)))
         seen, unseen = basis @ V[:rank].T, basis @ V[rank:].T
         L = (seen / singular[:rank]) @ U[:, :rank].T
-        return cls(errors, L[:, : len(A)] @ A, L[:, len(A) :], seen, unseen)
+        gains = GainErrors.of(problem)
+        of_data, of_prior = L[:, : len(A)], L[:, len(A) :]
+        return cls(errors, of_data @ A, of_prior, of_data @ gains.rows, gains, seen, unseen)
 
-    def covariance(self, functions: Array) -> Array:
-        """Return the covariance (k, k) of functions (k, p) of theta, of what data and prior see."""
+    def covariance(self, functions: Array, *, gains: bool = True) -> Array:
+        """Return the covariance (k, k) of functions (k, p) of theta, of what data and prior see.
+
+        The errors of gains are left out on request.
+        """
         data, prior = functions @ self.from_fit, functions @ self.from_prior
-        return np.asarray(data @ self.errors.covariance @ data.T + prior @ prior.T)
+        found = data @ self.errors.covariance @ data.T + prior @ prior.T
+        if gains and self.gains.any:
+            moved = functions @ self.from_gains
+            found = found + moved @ self.gains.covariance @ moved.T
+        return np.asarray(found)
 
     def spread(self, functions: Array) -> tuple[Array, Array, Array]:
         """Return what is known of the errors of functions (k, p) of theta.
@@ -147,12 +164,32 @@ class Posterior:
         """
         data, prior = functions @ self.from_fit, functions @ self.from_prior
         own = np.maximum(np.einsum("ki,ij,kj->k", data, self.errors.covariance, data), 0.0)
-        total = own + np.sum(prior**2, axis=1)
-        share = np.divide(own, total, out=np.ones_like(own), where=total > 0.0)
-        freedom = self.errors.freedom(data) / np.maximum(share, np.finfo(float).eps) ** 2
+        slopes = functions @ self.from_gains
+        of_gains, believed = self.gains.variance(slopes), np.sum(prior**2, axis=1)
+        total = own + of_gains + believed
+        share = _share(believed, total, 0.0)
+        uncertain = _share(own, total, 1.0) ** 2 / self.errors.freedom(data)
+        uncertain += _share(of_gains, total, 0.0) ** 2 / self.gains.degrees(slopes)
+        freedom = 1.0 / np.maximum(uncertain, np.finfo(float).eps)
+        lost = self.lost(functions)
+        return np.where(lost, np.inf, total), np.where(lost, 1.0, share), freedom
+
+    def lost(self, functions: Array) -> Mask:
+        """Return of which functions (k, p) of theta neither data nor prior say anything."""
         seen, unseen = (np.linalg.norm(functions @ d, axis=1) for d in (self.seen, self.unseen))
-        lost = unseen > _LOST * np.hypot(seen, unseen)
-        return np.where(lost, np.inf, total), np.where(lost, 1.0, 1.0 - share), freedom
+        return np.asarray(unseen > _LOST * np.hypot(seen, unseen))
+
+    def gains_share(self, functions: Array) -> Array:
+        """Return the share (k,) of the gains' errors in the variances of functions (k, p)."""
+        variance, _, _ = self.spread(functions)
+        of_gains = self.gains.variance(functions @ self.from_gains)
+        return np.asarray(np.where(np.isfinite(variance), _share(of_gains, variance, 0.0), 0.0))
+
+
+def _share(part: Array, total: Array, otherwise: float) -> Array:
+    """Return the share of a part; of nothing it is stated."""
+    out = np.full_like(part, otherwise)
+    return np.asarray(np.divide(part, total, out=out, where=total > 0.0))
 
 
 def prior_rows(estimate: Estimated) -> Array:

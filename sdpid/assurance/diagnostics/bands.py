@@ -8,6 +8,11 @@ with the covariance C of the constrained estimate's base parameters (see
 `sdpid.estimation.posterior`), the base regressor Y_j, and the rms error s_j of the joint
 while it moves, on blocks held out where that can be done, else on the training rows. It is about
 motion: at rest stiction holds what it will.
+
+Efforts that were made of currents by the gains of the training are off by what the parameters are
+off by: of the gains' errors there counts only what the parameters do not follow,
+``Y_j(x)·S_i − δ_ij·tau_j`` for the gain of joint i, with S_i the parameters' slope by its
+logarithm. About other efforts, the true torques, all of ``Y_j(x)·S_i`` counts.
 """
 
 from __future__ import annotations
@@ -22,7 +27,8 @@ from sdpid.assurance.diagnostics.blocks import held_out_blocks, in_blocks, own, 
 from sdpid.assurance.diagnostics.rest import moving_rows
 from sdpid.estimation.compression.rows import RowSource
 from sdpid.estimation.estimate import Estimate
-from sdpid.estimation.posterior import constrained_covariance
+from sdpid.estimation.gain_errors import GainErrors
+from sdpid.estimation.posterior import Posterior
 from sdpid.estimation.problem import Problem
 from sdpid.experiment.processing.samples import Samples
 
@@ -95,17 +101,27 @@ def random_motion(estimate: Estimate) -> tuple[Array, Array]:
     return deviation, problem.predict(estimate.base, states)
 
 
-def parameter_root(estimate: Estimate) -> Array:
-    """Return L (b, r) whose L·L^T is the covariance of the estimate's base parameters."""
-    covariance = constrained_covariance(estimate)
+def parameter_root(estimate: Estimate) -> tuple[Array, Array]:
+    """Return the errors of the estimate's base parameters by their sources.
+
+    Returns
+    -------
+    ndarray, shape (b, r)
+        L whose L·L^T is their covariance, errors of gains aside.
+    ndarray, shape (b, n)
+        How they move with the logarithm of each gain.
+    """
+    posterior, B = Posterior.of(estimate), estimate.problem.base.matrix
+    covariance = posterior.covariance(B, gains=False)
     scale = np.sqrt(np.maximum(np.diag(covariance), np.finfo(float).tiny))
     values, vectors = np.linalg.eigh(covariance / np.outer(scale, scale))
     kept = values > _ROUNDING * max(float(values[-1]), 0.0)
-    return np.asarray(scale[:, None] * vectors[:, kept] * np.sqrt(values[kept]))
+    root = np.asarray(scale[:, None] * vectors[:, kept] * np.sqrt(values[kept]))
+    return root, B @ posterior.from_gains
 
 
 # Of problems that are still in use, each computed once: several recordings are predicted.
-_ROOTS: WeakKeyDictionary[Problem, Array] = WeakKeyDictionary()
+_ROOTS: WeakKeyDictionary[Problem, tuple[Array, Array]] = WeakKeyDictionary()
 _MISSED: WeakKeyDictionary[Problem, Array] = WeakKeyDictionary()
 
 
@@ -135,7 +151,19 @@ def _left_open(estimate: Estimate, samples: Samples) -> Array:
     problem = estimate.problem
     if problem not in _ROOTS:
         _ROOTS[problem] = parameter_root(estimate)
-    root = _ROOTS[problem]
+    root, slopes = _ROOTS[problem]
     rows = RowSource(problem.robot, problem.friction, problem.base, samples)
-    pieces = [np.sqrt(np.sum((W @ root) ** 2, axis=2)) for _, W, _, _ in rows.chunks()]
-    return np.concatenate(pieces)
+    gains = GainErrors.of(problem)
+    if not gains.any:
+        pieces = [np.sqrt(np.sum((W @ root) ** 2, axis=2)) for _, W, _, _ in rows.chunks()]
+        return np.concatenate(pieces)
+    own, theirs = gains.gains, samples.gains
+    alike = own is not None and theirs is not None and own.same_errors(theirs)
+    found = []
+    for _, W, _, _ in rows.chunks():
+        moved = W @ slopes
+        if alike:
+            moved = moved - (W @ estimate.base)[:, :, None] * np.eye(samples.n)
+        variance = np.einsum("kji,im,kjm->kj", moved, gains.covariance, moved)
+        found.append(np.sqrt(np.sum((W @ root) ** 2, axis=2) + np.maximum(variance, 0.0)))
+    return np.concatenate(found)

@@ -4,7 +4,8 @@ Drawn are blocks of consecutive samples, as many as there are, each beginning an
 wraps around at its end) [politis1992]_: residuals of filtered signals are correlated, but hardly
 from one block to the next. Every draw brings its own regressor, so nothing is assumed of the
 noise's distribution or of how it depends on the motion. Rows are compressed beforehand: a draw adds
-up small matrices. Or whole periods are drawn, of which only the efforts differ.
+up small matrices. Or whole periods are drawn, of which only the efforts differ. Where efforts were
+made of currents, every draw has its own gains too.
 
 The intervals are about base parameters and what they determine. At a boundary of the feasible set
 the bootstrap is known not to be consistent [andrews2000]_: an estimate that a constraint holds
@@ -26,6 +27,7 @@ from sdpid.errors import DataError, SolverError
 from sdpid.estimation.cluster_robust import Groups, ScoreBlocks
 from sdpid.estimation.conic.retry import Retried, solve_with_retries
 from sdpid.estimation.estimate import Estimate
+from sdpid.estimation.gain_errors import PRINTED, GainErrors
 from sdpid.estimation.sdp.reusable import ReusableProgram, program_about
 
 Kind = Literal["percentile", "basic"]
@@ -33,6 +35,9 @@ KINDS: tuple[Kind, ...] = ("percentile", "basic")
 
 # Pieces of a block at which a drawn block may begin.
 _PIECES = 2
+
+# Tells a draw's generator of gains from that of its blocks.
+_OF_GAINS = 1
 
 # Clarabel's regularizations, in turn until one ends with an accurate point.
 _REGULARIZATIONS = (1e-10, 1e-8)
@@ -152,7 +157,9 @@ def resample(
         run = _PIECES if size > 1 else 1
     else:
         pieces, run = ScoreBlocks.of(problem, groups), 1
-    draws = _Draws(pieces, run, _whole(seed), Refit.of(estimate))
+    gains = GainErrors.of(problem)
+    moves = gains.root if problem.weighting in PRINTED else problem.A.T @ gains.root
+    draws = _Draws(pieces, run, _whole(seed), Refit.of(estimate), moves)
     starts = range(0, resamples, _TOGETHER)
     tasks = (delayed(draws.solve)(range(i, min(i + _TOGETHER, resamples))) for i in starts)
     done = list(chain.from_iterable(parallel(n_jobs, threads=True)(tasks)))
@@ -187,12 +194,15 @@ class _Draws:
         Of all draws.
     refit : Refit
         The estimate.
+    gains : ndarray, shape (b, n)
+        How the target moves with errors of the gains of variance one.
     """
 
     pieces: ScoreBlocks
     run: int
     seed: int
     refit: Refit
+    gains: Array
 
     def times(self, number: int) -> Array:
         """Return the weight of each piece in draw `number`, (G,)."""
@@ -217,6 +227,9 @@ class _Draws:
             times = self.times(number)
             information = np.einsum("g,gij->ij", times, pieces.information)
             target = np.einsum("g,gi->i", times, pieces.target)
+            if self.gains.any():
+                rng = np.random.default_rng([self.seed, number, _OF_GAINS])
+                target += self.gains @ rng.standard_normal(self.gains.shape[1])
             found.append(self.refit.solve(information, target))
         return found
 

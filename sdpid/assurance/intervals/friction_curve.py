@@ -170,6 +170,7 @@ class _Bands:
         moves = np.hstack([functions @ self._posterior.from_fit, slopes])
         variance = np.einsum("ji,il,jl->j", moves, self._errors.whole_covariance, moves)
         variance += np.sum((functions @ self._posterior.from_prior) ** 2, axis=1)
+        variance += self._posterior.gains.variance(functions @ self._posterior.from_gains)
         freedom = self._posterior.spread(functions)[2]
         half = stdtrit(freedom, 0.5 * (1.0 + level)) * np.sqrt(variance)
         return functions @ self.theta, np.asarray(half)

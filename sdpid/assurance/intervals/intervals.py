@@ -29,6 +29,7 @@ from sdpid.assurance.intervals.profile_likelihood import End, ProfileLikelihood
 from sdpid.errors import DataError
 from sdpid.estimation.cluster_robust import Groups as DrawnGroups
 from sdpid.estimation.estimate import Estimate
+from sdpid.estimation.gain_errors import GainErrors
 from sdpid.estimation.information import require_excitation
 from sdpid.estimation.posterior import Groups, Posterior, fit_errors
 
@@ -69,6 +70,9 @@ class Intervals:
         What was taken as independent: ``"frequencies"``, ``"blocks"`` or ``"periods"``.
     slack : ndarray, shape (k, 2), or None
         Of profile intervals: how far each end, which is proven, is outside of what is attained.
+    gains_share : ndarray, shape (k,), or None
+        Share of the errors of drive gains in the variance of each parameter, all inequalities
+        aside; None where efforts were not made of currents by gains with errors.
     seconds : float
         In the solver.
     solves : int
@@ -97,6 +101,7 @@ class Intervals:
     method: str
     groups: str
     slack: Array | None = None
+    gains_share: Array | None = None
     seconds: float = 0.0
     solves: int = field(default=0)
 
@@ -130,6 +135,8 @@ class Intervals:
             "upper": self.upper.tolist(),
             "label": self.label,
         }
+        if self.gains_share is not None:
+            columns["from gains, %"] = [round(100.0 * each) for each in self.gains_share.tolist()]
         if self.by_mass.any():
             columns["at mass_max"] = [
                 " and ".join(compress(("lower", "upper"), pair)) for pair in self.by_mass.tolist()
@@ -142,7 +149,7 @@ class Intervals:
 
     def to_dict(self) -> dict[str, Any]:
         """Return plain values for JSON."""
-        columns = {
+        columns: dict[str, Sequence[object]] = {
             "name": self.names,
             "kind": self.kind,
             "unit": self.units,
@@ -152,6 +159,8 @@ class Intervals:
             "label": self.label,
             "ends_at_largest_mass": self.by_mass.tolist(),
         }
+        if self.gains_share is not None:
+            columns["gains_share"] = self.gains_share.tolist()
         rows = zip(*columns.values(), strict=True)
         found: dict[str, Any] = plain(
             {
@@ -277,7 +286,8 @@ def _gauss_markov(
         if estimate.theta is None
         else wanted.functions @ estimate.theta
     )
-    variance, prior_share, freedom = Posterior.of(estimate, groups).spread(wanted.functions)
+    posterior = Posterior.of(estimate, groups)
+    variance, prior_share, freedom = posterior.spread(wanted.functions)
     half = stdtrit(freedom, 0.5 * (1.0 + level)) * np.sqrt(variance)
     lower, upper = value - half, value + half
     if estimate.method != "wls":
@@ -286,7 +296,17 @@ def _gauss_markov(
         lower = np.minimum(np.maximum(lower, least), value)
         upper = np.maximum(np.minimum(upper, most), value)
     labels = tuple(FROM_PRIOR if share > 0.5 else FROM_DATA for share in prior_share)
-    return _made(wanted, lower, upper, value, level, "gauss_markov", groups, label=labels)
+    return _made(
+        wanted,
+        lower,
+        upper,
+        value,
+        level,
+        "gauss_markov",
+        groups,
+        label=labels,
+        gains_share=_gains_share(estimate, wanted, posterior),
+    )
 
 
 def _answered(
@@ -323,6 +343,7 @@ def _bootstrap(
         level,
         "bootstrap",
         groups,
+        gains_share=_gains_share(estimate, wanted),
         seconds=drawn.seconds,
         solves=len(drawn.base),
     )
@@ -382,6 +403,7 @@ def _profile(
         label=labels,
         by_mass=np.array([(low.rests[1], high.rests[1]) for low, high in ends]).reshape(-1, 2),
         slack=frozen(slack),
+        gains_share=_gains_share(estimate, wanted),
         seconds=sum(end.seconds for end in found),
         solves=sum(end.solves for end in found),
     )
@@ -424,6 +446,7 @@ def _made(
     label: tuple[str, ...] | None = None,
     by_mass: Mask | None = None,
     slack: Array | None = None,
+    gains_share: Array | None = None,
     seconds: float = 0.0,
     solves: int = 0,
 ) -> Intervals:
@@ -443,6 +466,16 @@ def _made(
         method=method,
         groups=groups,
         slack=slack,
+        gains_share=gains_share,
         seconds=seconds,
         solves=solves,
     )
+
+
+def _gains_share(
+    estimate: Estimate, wanted: ParameterFunctions, posterior: Posterior | None = None
+) -> Array | None:
+    """Return the gains' share in the variances (k,); None where gains have no errors."""
+    if not GainErrors.of(estimate.problem).any:
+        return None
+    return frozen((posterior or Posterior.of(estimate)).gains_share(wanted.functions))

@@ -27,6 +27,7 @@ import numpy as np
 
 from sdpid._common.arrays import Array
 from sdpid.estimation.duality.bound import cost_scale
+from sdpid.estimation.gain_errors import GainErrors
 from sdpid.estimation.posterior import FitErrors
 from sdpid.estimation.problem import Problem
 
@@ -84,7 +85,9 @@ class Level:
         self.count = problem.base.count
         self.A = problem.A
         self.least = _LEAST_RISE * max(cost, cost_scale(problem))
-        data = problem.A @ errors.covariance @ problem.A.T
+        own = problem.A @ errors.covariance @ problem.A.T
+        self.gains = GainErrors.of(problem)
+        data = own + self.gains.root @ self.gains.root.T
         self.noise = np.eye(len(problem.squared.rhs))
         self.noise[: len(data), : len(data)] = data
         self._average = float(np.trace(data)) / self.count
@@ -125,12 +128,26 @@ class Level:
         if not known:
             return out
         d = np.array([residual for _, residual, _ in known])
-        freedom = self.errors.freedom(d[:, : self.count] @ self.A)
+        freedom = self._freedom(d[:, : self.count])
         variance = np.einsum("ki,ki->k", d @ self.noise, d) / np.einsum("ki,ki->k", d, d)
         one = variance * _quantile(1.0, freedom, self.probability)
         for (i, _, lost), own, rise in zip(known, freedom.tolist(), one.tolist(), strict=True):
             out[i] = max(rise, self._several(lost, own), self.least)
         return out
+
+    def _freedom(self, moves: Array) -> Array:
+        """Return the degrees of freedom of the variance of each combination (k, b) of the data."""
+        moved = moves @ self.A
+        freedom = self.errors.freedom(moved)
+        if not self.gains.any:
+            return freedom
+        slopes = moves @ self.gains.rows
+        own = np.einsum("ki,ij,kj->k", moved, self.errors.covariance, moved)
+        of_gains = self.gains.variance(slopes)
+        spread = own**2 / freedom + of_gains**2 / self.gains.degrees(slopes)
+        total = (own + of_gains) ** 2
+        out = np.full_like(own, np.inf)
+        return np.asarray(np.divide(total, spread, out=out, where=spread > 0.0))
 
     def _several(self, lost: Array | None, freedom: float) -> float:
         """Return the rise where several directions are lost; 0 where it is but one."""

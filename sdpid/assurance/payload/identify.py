@@ -9,6 +9,7 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from sdpid._common.arrays import Array, Indices, frozen, require_probability
 from sdpid._common.threads import one_thread
@@ -27,6 +28,7 @@ from sdpid.estimation.compression.covariance import Weighting
 from sdpid.estimation.estimate import Estimate
 from sdpid.estimation.prior.prior import Prior
 from sdpid.estimation.problem import Problem, build_problem
+from sdpid.experiment.drive_gains.gains import DriveGains
 from sdpid.experiment.inspection.finding import Finding
 from sdpid.experiment.preparation.for_robot import default_friction, prepare
 from sdpid.experiment.preparation.several import (
@@ -37,7 +39,9 @@ from sdpid.experiment.preparation.several import (
 )
 from sdpid.experiment.processing.process import Processing
 from sdpid.experiment.processing.samples import Samples
+from sdpid.experiment.readers.arguments import as_gains
 from sdpid.experiment.readers.read import read_recording
+from sdpid.experiment.readers.scaled import require_torques, scaled
 from sdpid.experiment.recording.recording import Recording
 from sdpid.robot.consistent import raise_second_moments
 from sdpid.robot.friction.model import BY_NAME
@@ -76,6 +80,7 @@ def identify_payload(
     level: float = 0.95,
     accept: str | Iterable[str] = (),
     without_effort: Iterable[str] = (),
+    gains: DriveGains | str | os.PathLike[str] | ArrayLike | None = None,
 ) -> Payload:
     """Identify the payload that a link carries.
 
@@ -127,6 +132,8 @@ def identify_payload(
         As for `identify`: kinds of findings that do not refuse a recording.
     without_effort : iterable of str, optional
         As for `identify`: joints whose effort was not measured, or is wrong, in either recording.
+    gains : DriveGains, path or (n,) array_like, optional
+        As for `identify`: gains of the drives, where efforts are currents, in both recordings.
 
     Returns
     -------
@@ -162,7 +169,10 @@ def identify_payload(
     findings: tuple[Finding, ...] = ()
     absent = joints_without(without_effort)
     columns_absent = columns_without(model, absent)
-    with_load, without_load = (_read(log, columns_absent) for log in (with_load, without_load))
+    known = as_gains(gains)
+    with_load, without_load = (
+        _read(log, columns_absent, known) for log in (with_load, without_load)
+    )
     for log, name in ((with_load, "log"), (without_load, "without_load")):
         if isinstance(log, Recording):
             findings += inspected(model, [log], accept, absent, name=name)
@@ -186,6 +196,7 @@ def identify_payload(
             f"a recording is too short for blocks of {loaded.samples.block} samples: the intervals "
             "trust the weighting",
         )
+    notes += tuple(f"gains: {errors.gains.in_words}" for errors, _ in rows.gains if errors.gains)
     found = _solved(rows, model.link_names[number], name, mass_max, extent, level, notes)
     return replace(found, described=described, findings=findings)
 
@@ -247,14 +258,19 @@ def _solved(
         shown=shown,
         status=status,
         notes=notes,
+        gains_share=frozen(intervals.gains_share()) if rows.gains else None,
     )
 
 
-def _read(log: Any, absent: Sequence[str]) -> Any:
+def _read(log: Any, absent: Sequence[str], gains: Any) -> Any:
     """Return the recording of a path, some efforts of which may lack, and others as they are."""
-    if not isinstance(log, (str, os.PathLike)):
-        return log
-    return read_recording(log, without_effort=absent)
+    if isinstance(log, (str, os.PathLike)):
+        log = read_recording(log, without_effort=absent, gains=gains)
+    elif isinstance(log, Recording) and gains is not None:
+        log = scaled(log, gains)
+    if isinstance(log, Recording):
+        require_torques(log)
+    return log
 
 
 def _robot(robot: RobotModel | str | os.PathLike[str], given: Estimate | None) -> RobotModel:

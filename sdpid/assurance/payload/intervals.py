@@ -74,6 +74,18 @@ class PayloadIntervals:
             upper[k] = self._extreme(k, -1.0, upper[k])
         return lower, upper
 
+    def gains_share(self) -> Array:
+        """Return the share (10,) of the gains' errors in each variance, inequalities aside."""
+        rows, found = self.program.rows, np.zeros(10)
+        for k in range(10 if self.best[0] > NOTHING else 1):
+            functional = self._linear(k, self.best)
+            direction = np.asarray(
+                np.linalg.lstsq(rows.matrix.T, functional, rcond=None)[0], dtype=np.float64
+            )
+            variance, _ = rows.error(direction)
+            found[k] = rows.of_gains(direction)[0] / variance if variance > 0.0 else 0.0
+        return found
+
     def _linear(self, k: int, at: Array) -> Array:
         """Return a linear function of pi whose extreme is that of quantity k.
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
 
@@ -53,6 +54,9 @@ class Payload:
         What was granted to the description, where the arm's links are taken from it: the intervals
         then have their probability only if it deserves that. None where the arm is known from a
         recording, or believed in by a prior.
+    gains_share : ndarray, shape (10,), or None
+        Share of the errors of drive gains in the variance of each of `names`; None where efforts
+        were not made of currents by gains with errors.
 
     Examples
     --------
@@ -83,6 +87,7 @@ class Payload:
     notes: tuple[str, ...] = ()
     findings: tuple[Finding, ...] = ()
     described: Description | None = None
+    gains_share: Array | None = None
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -103,15 +108,16 @@ class Payload:
 
     def _table(self) -> Table:
         """Return one row a quantity."""
-        return Table.of_columns(
-            {
-                "quantity": QUANTITIES,
-                "unit": QUANTITY_UNITS,
-                "value": self.values.tolist(),
-                "lower": self.lower.tolist(),
-                "upper": self.upper.tolist(),
-            }
-        )
+        columns: dict[str, Sequence[object]] = {
+            "quantity": QUANTITIES,
+            "unit": QUANTITY_UNITS,
+            "value": self.values.tolist(),
+            "lower": self.lower.tolist(),
+            "upper": self.upper.tolist(),
+        }
+        if self.gains_share is not None:
+            columns["from gains, %"] = [round(100.0 * each) for each in self.gains_share.tolist()]
+        return Table.of_columns(columns)
 
     def describe(self) -> str:
         """Return the payload in words and numbers, one quantity a line."""
@@ -145,6 +151,11 @@ class Payload:
                 "shown": self.shown,
                 "status": self.status,
                 "described": None if self.described is None else asdict(self.described),
+                "gains_share": (
+                    None
+                    if self.gains_share is None
+                    else dict(zip(QUANTITIES, self.gains_share.tolist(), strict=True))
+                ),
                 "notes": self.notes,
                 "findings": [finding.to_dict() for finding in self.findings],
             }

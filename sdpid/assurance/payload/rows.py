@@ -20,6 +20,7 @@ import numpy as np
 from sdpid._common.arrays import Array, Indices
 from sdpid.errors import DataError
 from sdpid.estimation.cluster_robust import ScoreBlocks
+from sdpid.estimation.gain_errors import GainErrors
 from sdpid.estimation.prior.cost_terms import SquaredTerm
 from sdpid.estimation.prior.evidence import strength_by_evidence
 from sdpid.estimation.prior.prior import Prior, prior_terms
@@ -50,6 +51,9 @@ class PayloadRows:
         What takes errors of variance one to rhs: of priors, and of records too short for blocks.
     short : bool
         Whether a record was too short.
+    gains : tuple of (GainErrors, ndarray)
+        Errors of the gains that made efforts of currents, and how rhs moves with their logarithms,
+        (10, n).
     """
 
     matrix: Array
@@ -58,11 +62,23 @@ class PayloadRows:
     sources: tuple[tuple[ScoreBlocks, Array], ...]
     unit: Array
     short: bool
+    gains: tuple[tuple[GainErrors, Array], ...] = ()
+
+    def of_gains(self, direction: Array) -> tuple[float, float]:
+        """Return the gains' variance of ``direction @ rhs``, and its square over its freedom."""
+        total, spread = 0.0, 0.0
+        for errors, moves in self.gains:
+            slopes = (direction @ moves)[None]
+            own = float(errors.variance(slopes)[0])
+            total += own
+            spread += own**2 / float(errors.degrees(slopes)[0])
+        return total, spread
 
     def error(self, direction: Array) -> tuple[float, float]:
         """Return variance and degrees of freedom of ``direction @ rhs``, by Welch's formula."""
+        of_gains, spread = self.of_gains(direction)
         known = float(np.sum((direction @ self.unit) ** 2))
-        variance, spread = known, 0.0
+        variance = known + of_gains
         for blocks, matrix in self.sources:
             functional = direction @ matrix
             own = float(functional @ blocks.covariance @ functional)
@@ -196,13 +212,14 @@ def rows_beside_description(
     granted = Description(tolerance, likely > _MOST_TOLERANCE)
     spread = tolerance * np.linalg.inv(term.matrix[each, : links.size])
     described = W @ loaded.A @ B[:, : links.size] @ spread
+    gains = _of_gains([(loaded, W)])
     try:
         blocks = ScoreBlocks.of(loaded)
     except DataError:
         # The rows are whitened by the residuals of a fit in which the links are free too.
         worse = floor / loaded.floor if loaded.floor > 0.0 else 1.0
         unit = np.hstack([described, W * np.sqrt(max(worse, 1.0))])
-        return PayloadRows(T, s, floor, (), unit, True), granted
+        return PayloadRows(T, s, floor, (), unit, True, gains), granted
     K = np.hstack([friction, columns])
     reduced = ScoreBlocks(
         blocks.groups,
@@ -210,7 +227,8 @@ def rows_beside_description(
         (blocks.target - blocks.information @ known) @ K,
     )
     takes = np.hstack([np.zeros((len(T), friction.shape[1])), T])
-    return PayloadRows(T, s, floor, ((reduced, takes),), described, False), granted
+    rows = PayloadRows(T, s, floor, ((reduced, takes),), described, False, gains)
+    return rows, granted
 
 
 def _with_errors(
@@ -223,7 +241,24 @@ def _with_errors(
         except DataError:
             # Too short for blocks: the rows are whitened, their variance is one.
             unit, short = np.hstack([unit, W]), True
-    return PayloadRows(T, s, floor, tuple(sources), unit, short)
+    return PayloadRows(T, s, floor, tuple(sources), unit, short, _of_gains(parts))
+
+
+def _of_gains(parts: list[tuple[Problem, Array]]) -> tuple[tuple[GainErrors, Array], ...]:
+    """Return the errors of gains and how rhs moves with them; those of the same gains are one."""
+    found: list[tuple[GainErrors, Array]] = []
+    for problem, W in parts:
+        errors = GainErrors.of(problem)
+        if not errors.any or errors.gains is None:
+            continue
+        moves = W @ errors.rows
+        for i, (other, others_moves) in enumerate(found):
+            if other.gains is not None and other.gains.same_errors(errors.gains):
+                found[i] = other, others_moves + moves
+                break
+        else:
+            found.append((errors, moves))
+    return tuple(found)
 
 
 def _eliminated(nuisance: Array, payload: Array, rhs: Array) -> tuple[Array, Array, float, Array]:

@@ -5,9 +5,10 @@ With ``d`` the difference of the base parameters that both have and ``S`` its co
 one robot. The errors of the data are independent; those of a prior that both state are the same in
 both and cancel where both lean on it alike: ``S = V_1 + V_2 + (P_1 − P_2)·(P_1 − P_2)^T`` with
 ``V_i`` the data's part and ``P_i`` how the estimate moves with the prior's rows (see
-`sdpid.estimation.posterior`). Directions that rest on such a prior alone cannot differ and are left
-out. Inequalities are not counted: projections onto one convex set only bring estimates nearer to
-each other, all in all, so that the joint test errs on the quiet side.
+`sdpid.estimation.posterior`). The errors of gains that made efforts of currents are treated as a
+prior's: those of the same gains cancel. Directions that rest on such a prior alone cannot differ
+and are left out. Inequalities are not counted: projections onto one convex set only bring estimates
+nearer to each other, all in all, so that the joint test errs on the quiet side.
 """
 
 from __future__ import annotations
@@ -115,6 +116,7 @@ class _Part:
     data: Array
     covariance: Array
     prior: Array
+    gains: Array
     open: Mask
     posterior: Posterior | None
 
@@ -123,7 +125,7 @@ class _Part:
         if estimate.method == "given":
             k = len(chosen)
             nothing = np.zeros((k, 0))
-            return cls(nothing, np.zeros((k, k)), nothing, np.zeros(k, dtype=bool), None)
+            return cls(nothing, np.zeros((k, k)), nothing, nothing, np.zeros(k, dtype=bool), None)
         posterior = Posterior.of(estimate)
         functions = estimate.problem.base.matrix[chosen]
         data = functions @ posterior.from_fit
@@ -131,6 +133,7 @@ class _Part:
             data,
             data @ posterior.errors.covariance @ data.T,
             functions @ posterior.from_prior,
+            functions @ posterior.from_gains,
             ~np.isfinite(posterior.spread(functions)[0]),
             posterior,
         )
@@ -143,10 +146,31 @@ class _Part:
         return variance, self.posterior.errors.freedom(directions @ self.data)
 
     @property
+    def of_gains(self) -> Array:
+        """Covariance (k, k) that the errors of gains make."""
+        if self.posterior is None:
+            return np.zeros((len(self.data), len(self.data)))
+        return np.asarray(self.gains @ self.posterior.gains.covariance @ self.gains.T)
+
+    @property
     def errors(self) -> Array:
         """Standard errors (k,); infinite where nothing is known."""
         own = np.diag(self.covariance) + np.sum(self.prior**2, axis=1)
+        own = own + np.diag(self.of_gains)
         return np.where(self.open, np.inf, np.sqrt(np.maximum(own, 0.0)))
+
+
+def _of_gains(first: _Part, other: _Part) -> Array:
+    """Return the covariance (k, k) of the difference that the errors of gains make.
+
+    Those of the same gains are the same in both, and cancel where both move with them alike.
+    """
+    if first.posterior is not None and other.posterior is not None:
+        own, gains = (part.posterior.gains.gains for part in (first, other) if part.posterior)
+        if own is not None and gains is not None and own.same_errors(gains):
+            moved = other.gains - first.gains
+            return np.asarray(moved @ first.posterior.gains.covariance @ moved.T)
+    return np.asarray(first.of_gains + other.of_gains)
 
 
 class _Errors:
@@ -163,7 +187,8 @@ class _Errors:
         alone = [np.delete(a, i, axis=1), np.delete(b, j, axis=1)]
         self.unlike_beliefs = bool(a.size and b.size and (alone[0].any() or alone[1].any()))
         self.known = sum((x @ x.T for x in (same, *alone)), np.zeros((len(a), len(a))))
-        parts = [part.covariance + part.prior @ part.prior.T for part in self.parts]
+        self.known += _of_gains(*self.parts)
+        parts = [p.covariance + p.prior @ p.prior.T + p.of_gains for p in self.parts]
         self.summed = parts[0] + parts[1]
 
     @cached_property

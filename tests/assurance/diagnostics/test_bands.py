@@ -42,7 +42,7 @@ def test_the_covariance_is_that_of_the_estimate() -> None:
     theta = arm_theta()
     drawn = [identified(moved(theta, 1, noise_seed=k)) for k in range(40)]
     bases = np.array([each.wls.base for each in drawn])
-    root = parameter_root(drawn[0].estimate)
+    root, _ = parameter_root(drawn[0].estimate)
     expected = np.sqrt(np.sum(root**2, axis=1))
     assert np.std(bases, axis=0) == pytest.approx(expected, rel=0.45)
 

@@ -16,7 +16,7 @@ from sdpid.assurance.payload.identify import identify_payload
 from sdpid.assurance.payload.intervals import PayloadIntervals
 from sdpid.assurance.payload.payload import Payload
 from sdpid.assurance.payload.program import PayloadProgram, least_second_moment, quantities
-from sdpid.assurance.payload.rows import Description, PayloadRows
+from sdpid.assurance.payload.rows import Description, PayloadRows, rows_beside_recording
 from sdpid.errors import DataError, ModelError
 from sdpid.estimation.conic.solve import (
     ConicFamily,
@@ -28,6 +28,7 @@ from sdpid.estimation.estimate import Estimate
 from sdpid.estimation.prior.prior import Prior
 from sdpid.estimation.problem import build_problem
 from sdpid.estimation.wls import solve_wls
+from sdpid.experiment.drive_gains.gains import DriveGains
 from sdpid.experiment.processing.samples import Samples
 from sdpid.experiment.recording.recording import Recording
 from sdpid.robot.inertia import margin, point_masses, transform
@@ -396,3 +397,61 @@ def test_refusals(arm: RobotModel) -> None:
         identify_payload(arm, loaded, estimate)
     with pytest.raises(DataError, match=r"estimate\.problem\.robot"):
         identify_payload("denso_vp6242", loaded, estimate)
+
+
+def test_gains_move_the_payload_as_told(arm: RobotModel) -> None:
+    """The rows move with the gains of both recordings at once; a common factor scales the mass."""
+    loaded, bare, _ = pair(arm, load())
+    gains = DriveGains(
+        joint_names=arm.joint_names, gains=np.full(6, 10.0), covariance=np.eye(6) + 0.5
+    )
+    columns = slice(50, 60)
+
+    def rows(off: Array) -> PayloadRows:
+        problems = [
+            build_problem(arm, replace(s, effort=s.effort * (1.0 + off), gains=gains))
+            for s in (loaded, bare)
+        ]
+        link = problems[0].base.matrix[:, columns]
+        return rows_beside_recording(problems[0], problems[1], link, np.zeros(0, dtype=np.intp))
+
+    here = rows(np.zeros(6))
+    ((_, moves),) = here.gains
+
+    def turned(given: PayloadRows) -> Array:
+        """Return the right-hand side of the normal equations: rows may be turned."""
+        return given.matrix.T @ given.rhs
+
+    slopes = here.matrix.T @ moves
+    size = np.abs(turned(here)).max()
+    for j in (0, 3):
+        moved = (turned(rows(1e-3 * np.eye(6)[j])) - turned(here)) / 1e-3
+        np.testing.assert_allclose(slopes[:, j] / size, moved / size, atol=1e-6)
+    np.testing.assert_allclose(slopes.sum(axis=1) / size, turned(here) / size, atol=1e-6)
+
+
+def test_errors_of_gains_widen_intervals_and_are_told(arm: RobotModel) -> None:
+    loaded, bare, _ = pair(arm, load())
+    relative = 0.03
+    gains = DriveGains(
+        joint_names=arm.joint_names,
+        gains=np.full(6, 10.0),
+        covariance=np.full((6, 6), (10.0 * relative) ** 2),
+        basis="a common factor",
+    )
+    given = [replace(each, gains=gains) for each in (loaded, bare)]
+    found = identify_payload(arm, *given)
+    plain_found = identify_payload(arm, loaded, bare)
+    assert found.gains_share is not None
+    assert plain_found.gains_share is None
+    # A common factor of the efforts is one of the mass, and no shift of its center.
+    half = 0.5 * (found.upper - found.lower)[0]
+    own = 0.5 * (plain_found.upper - plain_found.lower)[0]
+    assert half == pytest.approx(np.hypot(1.96 * relative * found.mass, own), rel=0.03)
+    assert found.gains_share[0] > 0.9
+    np.testing.assert_allclose(found.gains_share[1:4], 0.0, atol=1e-3)
+    assert "from gains, %" in found.describe()
+    assert "by a common factor: standard errors of 3 to 3 %, 3 % of it in common" in str(
+        found.notes
+    )
+    assert found.to_dict()["gains_share"]["mass"] == found.gains_share[0]
