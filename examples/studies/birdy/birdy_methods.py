@@ -1,0 +1,218 @@
+"""The methods that are compared, each from a log to an estimate."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+from functools import partial
+
+from birdy_closed_loop import METHODS as CLOSED_LOOP
+from birdy_closed_loop import solver as closed_loop_solver
+from birdy_logs import CUT
+from birdy_robots import Benchmark
+
+import sdpid
+from sdpid._common.arrays import Array
+from sdpid.estimation.compression.covariance import Weighting
+from sdpid.estimation.estimate import Estimate
+from sdpid.estimation.problem import Problem
+
+# What the benchmark's "no filter" lets through: MATLAB's decimate filters at 0.8 of half the rate
+# that is left, with order 8. Where nothing is left out (138.9 Hz) next to nothing is filtered.
+UNFILTERED_SHARE, UNFILTERED_ORDER, UNFILTERED_TOP = 0.4, 8, 0.499
+
+# Logs are decimated to this rate, Hz; those of 138.9 Hz stay as they are.
+DECIMATED_HZ = 500.0
+
+# "filtered" is the benchmark's. Logs of 69.4 Hz cannot have its cut-off: theirs is the same share
+# of the rate as that of logs of 138.9 Hz.
+CUTOFF_HZ, CUTOFF_SHARE, ORDER = 50.0, 0.36, 4
+
+# "masked" filters friction's columns as it filters torques, leaves out what the filter smears about
+# a reversal, for a period of the cut-off, and differentiates to a higher order: without noise that
+# takes the error of base parameters from 0.28 to 0.03 % on the RV2SQ.
+REVERSAL_SPEED = 0.05
+
+PROCESSINGS = ("unfiltered", "filtered", "masked")
+
+# Groups of methods, which are run together or apart. Robust ones take seconds where logs hold
+# outliers, which filters smear; "identify" processes as it sees fit.
+GROUPS = ("direct", "instrumental", "didim", "output_error", "identify", "robust")
+_METHODS = {
+    "direct": (PROCESSINGS, ("OLS", "WLS", "PC-OLS", "PC-WLS")),
+    "instrumental": (("filtered", "masked"), ("IV", "PC-IV")),
+    "didim": (("filtered", "masked"), ("DIDIM", "PC-DIDIM")),
+    "output_error": (("masked",), ("CLOE", "PC-CLOE")),
+    "robust": (("filtered", "masked"), ("IRLS", "PC-IRLS")),
+    "identify": (("default",), ("identify",)),
+}
+
+
+def group_methods(group: str) -> list[tuple[str, str]]:
+    """Return the processings and methods of a group."""
+    processings, methods = _METHODS[group]
+    return [(processing, method) for processing in processings for method in methods]
+
+
+def processing(benchmark: Benchmark, name: str) -> sdpid.Processing:
+    """Return one of `PROCESSINGS` for a robot's logs."""
+    rate = benchmark.sample_hz
+    decimation = max(1, round(rate / DECIMATED_HZ))
+    plain = sdpid.Processing(
+        cutoff_hz=min(CUTOFF_HZ, CUTOFF_SHARE * rate),
+        order=ORDER,
+        decimation=decimation,
+        reversal_time=None,
+        filter_friction=False,
+        covariance=None,
+        trim_s=CUT / rate,
+    )
+    if name == "masked":
+        return replace(
+            plain,
+            reversal_speed=REVERSAL_SPEED,
+            reversal_time=1.0 / plain.cutoff_hz,
+            filter_friction=True,
+            derivative="central6",
+        )
+    if name == "filtered":
+        return plain
+    if decimation > 1:
+        cutoff = UNFILTERED_SHARE * rate / decimation
+        return replace(plain, cutoff_hz=cutoff, order=UNFILTERED_ORDER)
+    return replace(plain, cutoff_hz=UNFILTERED_TOP * rate, order=1)
+
+
+@dataclass(frozen=True)
+class Result:
+    """What a method found in a run.
+
+    Attributes
+    ----------
+    processing, method : str
+        Names.
+    base : ndarray, shape (b,), or None
+        Base parameters; None where the method failed.
+    theta : ndarray, shape (p,), or None
+        Standard parameters, where it has any.
+    seconds : float
+        Of the processor, from the log to the estimate.
+    iterations, simulations : int
+        Rounds of solving, and how often the robot was simulated.
+    note : str
+        Why it failed.
+    """
+
+    processing: str
+    method: str
+    base: Array | None
+    theta: Array | None = None
+    seconds: float = 0.0
+    iterations: int = 1
+    simulations: int = 0
+    note: str = ""
+
+
+def timed(
+    benchmark: Benchmark,
+    name: str,
+    method: str,
+    solve: Callable[[], Estimate],
+    *,
+    before: float = 0.0,
+) -> Result:
+    """Return what a method finds, or why it fails; `before` are seconds spent for several."""
+    begin = time.process_time()
+    try:
+        found = solve()
+    except sdpid.errors.SdpidError as error:
+        return Result(name, method, None, note=f"{type(error).__name__}: {error}"[:200])
+    seconds = before + time.process_time() - begin
+    rounds = getattr(found, "rounds", 1)
+    simulations = getattr(found, "simulations", rounds if method in CLOSED_LOOP else 0)
+    base = found.base
+    if found.theta is not None:
+        # Base parameters of another description may be others.
+        base = benchmark.base.matrix @ found.theta
+    return Result(name, method, base, found.theta, seconds, rounds, simulations)
+
+
+def solved(
+    benchmark: Benchmark,
+    log: sdpid.Recording,
+    start: Array,
+    wanted: list[tuple[str, str]],
+) -> Iterator[Result]:
+    """Yield the results of processings and methods in one run."""
+    for name in dict.fromkeys(processing for processing, _ in wanted):
+        methods = [method for processing, method in wanted if processing == name]
+        if name == "default":
+            yield timed(benchmark, name, "identify", lambda: identified(benchmark, log, start))
+        else:
+            robot = benchmark.described(start)
+            yield from from_rows(benchmark, robot, log, start, name, methods)
+
+
+def identified(benchmark: Benchmark, log: sdpid.Recording, start: Array) -> Estimate:
+    """Return what `sdpid.identify` makes of a log, with the start for a description."""
+    cut = slice(CUT, -CUT)
+    record = sdpid.Recording(
+        time=log.time[cut],
+        position=log.position[cut],
+        effort=log.effort[cut],
+        joint_names=log.joint_names,
+        reference=log.reference[cut] if log.reference is not None else None,
+    )
+    found = sdpid.identify(
+        benchmark.described(start),
+        record,
+        friction=benchmark.friction,
+        effects="none",
+        intervals=False,
+    )
+    return found.estimate
+
+
+def from_rows(
+    benchmark: Benchmark,
+    robot: sdpid.RobotModel,
+    log: sdpid.Recording,
+    start: Array,
+    name: str,
+    methods: list[str],
+) -> Iterator[Result]:
+    """Yield the results of methods that begin with the same rows, from one log processed once."""
+    begin = time.process_time()
+    chosen = processing(benchmark, name)
+    samples = sdpid.process(log, chosen)
+    processed = time.process_time() - begin
+    solvers: dict[str, Callable[[Problem], Estimate]] = {
+        "OLS": sdpid.solve_wls,
+        "PC-OLS": sdpid.solve_sdp,
+        "WLS": sdpid.solve_wls,
+        "PC-WLS": sdpid.solve_sdp,
+        "IRLS": partial(sdpid.solve_robust, solver=sdpid.solve_wls),
+        "PC-IRLS": sdpid.solve_robust,
+    }
+    built: dict[str, tuple[Problem, float]] = {}
+    for method in methods:
+        weighting: Weighting = "gls" if method in ("OLS", "PC-OLS") else "residual"
+        if weighting not in built:
+            begin = time.process_time()
+            problem = sdpid.build_problem(
+                robot,
+                samples,
+                friction=benchmark.friction,
+                weighting=weighting,
+                # The bounds of `sdpid.identify`.
+                constraints=sdpid.Constraints.of_size(robot),
+                base=benchmark.base,
+            )
+            built[weighting] = problem, processed + time.process_time() - begin
+        problem, before = built[weighting]
+        if method in CLOSED_LOOP:
+            solve = closed_loop_solver(benchmark, problem, log, chosen, method, start)
+        else:
+            solve = partial(solvers[method], problem)
+        yield timed(benchmark, name, method, solve, before=before)
