@@ -235,7 +235,7 @@ def main() -> int:
     ]
     if options.quick:
         chosen = [Cell("tx40_uncoupled", "fed_back", "lowPosition")]
-    groups = options.methods or list(GROUPS)
+    groups = options.methods or (["direct"] if options.quick else list(GROUPS))
     done = {
         (cell, int(row["run"]), row["processing"], row["method"])
         for cell in chosen
