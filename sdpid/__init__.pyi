@@ -4,6 +4,8 @@ from .assurance.descriptions.audit import audit_urdf
 from .assurance.diagnostics.cost_of_constraints import cost_of_constraints
 from .assurance.diagnostics.mass_matrix import smallest_mass_eigenvalue
 from .assurance.diagnostics.validation import validate
+from .assurance.drive_gains.identify import identify_drive_gains
+from .assurance.drive_gains.load import Load
 from .assurance.intervals.intervals import confidence_intervals
 from .assurance.payload.identify import identify_payload
 from .assurance.tables.audit import audit_base_parameters
@@ -52,6 +54,7 @@ __all__ = [
     "DhTable",
     "DriveGains",
     "Limits",
+    "Load",
     "MotorSide",
     "Prior",
     "Processing",
@@ -77,6 +80,7 @@ __all__ = [
     "errors",
     "friction",
     "identify",
+    "identify_drive_gains",
     "identify_payload",
     "inspect_recording",
     "load_robot",

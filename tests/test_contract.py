@@ -26,6 +26,7 @@ CONTRACT = {
     "compare",
     "confidence_intervals",
     "identify",
+    "identify_drive_gains",
     "identify_payload",
     "inspect_recording",
     "load_robot",
@@ -49,6 +50,7 @@ NAMESPACES = {"constraints", "controllers", "errors", "friction", "plots"}
 BESIDE = {
     "DhTable",
     "DriveGains",
+    "Load",
     "MotorSide",
     "Prior",
     "RecursiveEstimator",
@@ -75,6 +77,7 @@ def test_the_top_level_holds_the_contract_and_little_else() -> None:
         ("adapt", ["estimate", "log"]),
         ("build_problem", ["robot", "samples"]),
         ("identify", ["robot", "log"]),
+        ("identify_drive_gains", ["robot", "without_load", "with_load"]),
         ("identify_payload", ["robot", "with_load", "without_load"]),
         ("inspect_recording", ["log", "robot"]),
         ("process", ["log", "processing"]),

@@ -54,6 +54,11 @@ def log() -> sdpid.Recording:
     return sdpid.Recording(time=t, position=q, effort=effort, joint_names=robot().joint_names)
 
 
+def currents() -> sdpid.Recording:
+    given = {name: getattr(log(), name) for name in ("time", "position", "joint_names")}
+    return sdpid.Recording(**given, effort=log().effort / 10.0, currents=True)
+
+
 @cache
 def result() -> Any:
     return sdpid.identify(robot(), log(), effects="none")
@@ -98,6 +103,10 @@ SHOWN: dict[str, Callable[[], Any]] = {
     "cross_validate": lambda: sdpid.cross_validate(robot(), log(), folds=2, effects="none"),
     "design_excitation": small_plan,
     "identify": result,
+    "Load": lambda: sdpid.Load(mass=2.0, com=[0.0, 0.0, 0.1]),
+    "identify_drive_gains": lambda: sdpid.identify_drive_gains(
+        robot(), currents(), known={robot().joint_names[0]: 10.0}, effects="none"
+    ),
     "identify_payload": lambda: sdpid.identify_payload(robot(), *[problem().samples] * 2),
     "inspect_recording": lambda: sdpid.inspect_recording(log(), robot()),
     "load_robot": robot,

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from sdpid._common.arrays import Array, Indices, frozen, require_probability
+from sdpid._common.arrays import Indices, frozen, require_probability
 from sdpid._common.threads import one_thread
 from sdpid.assurance.payload.intervals import NOTHING, PayloadIntervals
 from sdpid.assurance.payload.payload import Payload
@@ -49,6 +49,7 @@ from sdpid.robot.friction.term import FrictionTerm
 from sdpid.robot.inertia import margin, physical_parameters, transform
 from sdpid.robot.model.load import load_robot
 from sdpid.robot.model.model import RobotModel
+from sdpid.robot.model.mounting import carrying_link, frame_on_link
 
 Log = Recording | Samples | str | os.PathLike[str]
 
@@ -176,8 +177,8 @@ def identify_payload(
     for log, name in ((with_load, "log"), (without_load, "without_load")):
         if isinstance(log, Recording):
             findings += inspected(model, [log], accept, absent, name=name)
-    number = _link(model, link)
-    rotation, translation, name = _frame(model, number, frame)
+    number = carrying_link(model, link, what="payload")
+    rotation, translation, name = frame_on_link(model, number, frame, what="payload")
     read = functools.partial(_samples, model, processing=processing, absent=absent)
     loaded, arm = _problems(model, with_load, without_load, prior, friction, read, weighting)
     placed = transform(np.eye(10), rotation, translation).T
@@ -286,42 +287,6 @@ def _robot(robot: RobotModel | str | os.PathLike[str], given: Estimate | None) -
             "description of it; give estimate.problem.robot as the robot."
         )
     return own
-
-
-def _link(robot: RobotModel, name: str | None) -> int:
-    """Return the link that carries the payload."""
-    if name is not None:
-        if name not in robot.link_names:
-            raise ModelError(
-                f"payload: '{robot.name}' has no link '{name}'; its links are "
-                f"{', '.join(robot.link_names)}."
-            )
-        return robot.link_names.index(name)
-    parents = {int(i) for i in list(robot.pin_model.parents)[1:]}
-    last = [i for i in range(robot.n_links) if i + 1 not in parents]
-    if len(last) > 1:
-        raise ModelError(
-            f"payload: '{robot.name}' has {len(last)} last links, "
-            f"{', '.join(robot.link_names[i] for i in last)}; say which carries it (link=...)."
-        )
-    return last[0]
-
-
-def _frame(robot: RobotModel, link: int, name: str | None) -> tuple[Array, Array, str]:
-    """Return the placement of a frame in a link's joint frame, and what to call it."""
-    if name is None:
-        joint = str(robot.pin_model.names[link + 1])
-        return np.eye(3), np.zeros(3), f"of joint {joint}"
-    fixed = [f for f in robot.pin_model.frames if f.parentJoint == link + 1]
-    for found in fixed:
-        if found.name == name:
-            place = found.placement
-            return np.array(place.rotation), np.array(place.translation), name
-    there = sorted({str(f.name) for f in fixed})
-    raise ModelError(
-        f"payload: no frame '{name}' is fixed to link '{robot.link_names[link]}'; there are "
-        f"{', '.join(there)}."
-    )
 
 
 def _samples(

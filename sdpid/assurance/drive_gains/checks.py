@@ -1,0 +1,302 @@
+"""Refuse recordings of currents from which no gains would follow, before they are estimated."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from sdpid._common.arrays import Array, Mask
+from sdpid.assurance.drive_gains.fit import GainFit
+from sdpid.assurance.drive_gains.load import Load
+from sdpid.assurance.drive_gains.rows import RunRows
+from sdpid.errors import DataError, IdentifiabilityError
+from sdpid.experiment.inspection.accept import require_accepted
+from sdpid.experiment.inspection.finding import Finding
+from sdpid.experiment.inspection.inspect import inspect_recordings
+from sdpid.experiment.processing.samples import Samples
+from sdpid.experiment.recording.recording import Recording
+from sdpid.robot.model.model import RobotModel
+
+# Efforts that are this near to what the description's bodies need, at every joint that shows it,
+# are torques: of 17 recordings of six arms with torque sensors the scales lie between 0.7 and 2.3.
+_LIKE_TORQUES = 0.5, 2.0
+# A description's efforts are followed where they explain this much of a current beside friction.
+_FOLLOWS = 0.5
+
+# Errors of filtered currents are so alike from sample to sample that the errors of gains are up to
+# this many times those that white noise would make (2 to 4 on a UR10e).
+_ALIKE = 3.0
+# A gain that is known no better than to this share is not shown by the recordings.
+NOT_SHOWN = 0.25
+# Explained together, recordings leave at most this many times what each leaves alone, or at most
+# this share of the currents (rms about their mean): 1 to 4 % and, of short ones which explain
+# themselves too well, up to 5 times, on two pairs of a UR10e.
+_ONE_ARM, _LEFT = 3.0, 0.1
+# Null directions of the derivative: a singular value below this share of the largest.
+_INVISIBLE = 1e-6
+# An entry of such a direction that is nothing.
+_NO_PART = 0.05
+
+
+def require_currents(logs: Sequence[Recording], name: str) -> None:
+    """Refuse recordings whose efforts are torques.
+
+    Raises
+    ------
+    DataError
+        Naming the recording.
+    """
+    for number, log in enumerate(logs, 1):
+        if not log.currents:
+            why = (
+                "its currents were turned into torques by gains already"
+                if log.gains is not None
+                else "its efforts are torques in N·m"
+            )
+            raise DataError(
+                f"{name} recording {number}: {why}; give currents in A (read_recording(..., "
+                "currents=True), Recording(..., currents=True))."
+            )
+
+
+def rough_gains(robot: RobotModel, samples: Sequence[Samples]) -> tuple[Array, Array]:
+    """Return rough gains (n,) by the described links, and at which joints they are shown.
+
+    Of joints that do not show it the median of the others; 10 N·m/A where there is no description.
+    """
+    gains, shown = np.full(robot.n, 10.0), np.zeros(robot.n, dtype=bool)
+    if not np.any(robot.prior[:, 0] > 0.0):
+        return gains, shown
+    for j in range(robot.n):
+        columns, currents = [], []
+        for each in samples:
+            used = each.used[:, j]
+            rigid = robot.efforts_of_bodies(
+                robot.prior, each.position, each.velocity, each.acceleration
+            )[used, j]
+            v, a = each.velocity[used, j], each.acceleration[used, j]
+            columns.append(np.column_stack([rigid, np.sign(v), v, a, np.ones(len(v))]))
+            currents.append(each.effort[used, j])
+        A, y = np.vstack(columns), np.concatenate(currents)
+        size = np.linalg.norm(A, axis=0)
+        if len(y) < A.shape[1] or not size[0] > 0.0:
+            continue
+        size[size == 0.0] = 1.0
+        others, _ = np.linalg.qr(A[:, 1:] / size[1:])
+        x, left = (each - others @ (others.T @ each) for each in (A[:, 0], y))
+        if np.linalg.norm(x) < _INVISIBLE * size[0]:
+            continue
+        kappa = float(x @ left) / float(x @ x)
+        shown[j] = float(x @ left) > _FOLLOWS * np.linalg.norm(x) * np.linalg.norm(left)
+        if kappa > 0.0:
+            gains[j] = 1.0 / kappa
+    if shown.any():
+        gains[~shown] = float(np.median(gains[shown]))
+    return gains, shown
+
+
+def require_no_torques(gains: Array, shown: Array, accept: Iterable[str]) -> None:
+    """Refuse efforts that are what the description's bodies need: torques, not currents.
+
+    Raises
+    ------
+    DataError
+        Unless ``effort_scale`` is accepted.
+    """
+    low, high = _LIKE_TORQUES
+    if not shown.any() or "effort_scale" in accept:
+        return
+    if np.all((gains[shown] > low) & (gains[shown] < high)):
+        raise DataError(
+            "gains: the efforts are torques, not currents: the described links need "
+            f"{gains[shown].min():.2g} to {gains[shown].max():.2g} times as much at every joint "
+            f"that shows it, limits {low:g} and {high:g}. Give the columns of currents, or accept "
+            "'effort_scale' for drives of about 1 N·m/A."
+        )
+
+
+def looked_at(
+    robot: RobotModel,
+    logs: Sequence[Recording],
+    gains: Array,
+    accept: Iterable[str],
+    name: str,
+    *,
+    together: bool,
+) -> tuple[Finding, ...]:
+    """Return what is wrong with recordings of currents, but for their scale.
+
+    Parameters
+    ----------
+    robot : RobotModel
+        The arm.
+    logs : sequence of Recording
+        Recordings of the arm's joints in its order.
+    gains : ndarray, shape (n,)
+        Rough ones, by which the currents are compared with the description.
+    accept : iterable of str
+        Kinds of findings that do not refuse a recording.
+    name : str
+        What messages call them.
+    together : bool
+        Whether they carry the same.
+
+    Raises
+    ------
+    DataError
+        When a finding refuses one.
+    """
+    scaled = [replace(log, effort=np.asarray(log.effort) * gains, currents=False) for log in logs]
+    groups = [scaled] if together else [[each] for each in scaled]
+    found = tuple(f for group in groups for f in inspect_recordings(group, robot, name=name))
+    found = tuple(f for f in found if f.kind not in ("effort_scale", "effort_unlike_description"))
+    require_accepted(found, tuple(accept))
+    return found
+
+
+def require_bearable(robot: RobotModel, load: Load, samples: Samples, columns: Array) -> None:
+    """Refuse a load whose weight alone is more than the arm's drives can hold.
+
+    Parameters
+    ----------
+    robot : RobotModel
+        The arm.
+    load : Load
+        The load.
+    samples : Samples
+        Of the recording that carries it.
+    columns : ndarray, shape (10·links,)
+        What 1 kg at the frame's origin adds to the links' parameters.
+
+    Raises
+    ------
+    DataError
+        Naming the joint.
+    """
+    still = np.zeros_like(samples.velocity)
+    weight = load.mass * np.abs(
+        robot.efforts_of_bodies(columns.reshape(-1, 10), samples.position, still, still)
+    ).max(axis=0)
+    limits = np.where(robot.effort_limits > 0.0, robot.effort_limits, np.inf)
+    worst = int(np.argmax(weight / limits))
+    if weight[worst] > limits[worst]:
+        raise DataError(
+            f"load: {load.mass:g} kg is heavier than the arm can tell: its weight alone needs "
+            f"{weight[worst]:.3g} N·m of {robot.joint_names[worst]}, whose limit is "
+            f"{limits[worst]:.3g} N·m. Check the mass (kg) and the frame of the load."
+        )
+
+
+def own_errors(runs: Sequence[RunRows]) -> Array:
+    """Return mean squared errors of each joint's current, each recording explained alone, A².
+
+    Such a fit knows no gains: the links at each joint are its own.
+    """
+    squares = sum(np.array([R[-1, -1] ** 2 for R in run.triangles]) for run in runs)
+    used = sum(run.used for run in runs)
+    return np.asarray(squares / np.maximum(used, 1.0))
+
+
+def require_one_arm(errors: Array, alone: Array, squares: Array, names: Sequence[str]) -> None:
+    """Refuse recordings that no one arm explains together.
+
+    Parameters
+    ----------
+    errors, alone, squares : ndarray, shape (n,)
+        Mean squares of what the fit to all recordings leaves, of what fits to each alone leave, and
+        of the currents about their means, A².
+    names : sequence of str
+        Of the joints.
+
+    Raises
+    ------
+    DataError
+        Naming the joints.
+    """
+    ratio = np.sqrt(errors / np.maximum(alone, 1e-300))
+    left = np.sqrt(errors / np.maximum(squares, 1e-300))
+    joints = np.flatnonzero((ratio > _ONE_ARM) & (left > _LEFT)).tolist()
+    if not joints:
+        return
+    bad = ", ".join(
+        f"{100.0 * left[j]:.2g} % of the currents of {names[j]}, {ratio[j]:.2g} times as much as "
+        "each alone"
+        for j in joints
+    )
+    raise DataError(
+        "gains: the recordings are not of one arm with one load: explained together they leave "
+        f"(rms) {bad}; limits {100.0 * _LEFT:g} % and {_ONE_ARM:g} times. Leave out recordings of "
+        "another arm, tool or mounting, and check which carry the load."
+    )
+
+
+def require_shown(fit: GainFit, log_kappa: Array, free: Mask, *, anchored: bool) -> None:
+    """Refuse recordings that do not show a gain, naming what they do show.
+
+    Parameters
+    ----------
+    fit : GainFit
+        The fit; its weights are those of every joint alone.
+    log_kappa : ndarray, shape (n,)
+        Rough gains.
+    free : ndarray of bool, shape (n,)
+        Which are to be estimated.
+    anchored : bool
+        Whether a load, a gain or the description gives the scale.
+
+    Raises
+    ------
+    IdentifiabilityError
+        With the joints.
+    """
+    names = [name for name, each in zip(fit.model.robot.joint_names, free, strict=True) if each]
+    _, residual, slopes = fit.at(log_kappa)
+    own = slopes[:, free]
+    z = fit.at(log_kappa)[0]
+    whole = np.linalg.norm(fit.slopes(log_kappa, z, len(residual))[:, free], axis=0)
+    scale = np.where(whole > 0.0, whole, 1.0)
+    _, singular, Vt = np.linalg.svd(own / scale, full_matrices=True)
+    singular = np.concatenate([singular, np.zeros(len(names) - len(singular))])
+    invisible = Vt[singular <= _INVISIBLE] / scale
+    if len(invisible):
+        raise IdentifiabilityError(_invisible_words(invisible, names, anchored))
+    errors = _ALIKE * np.sqrt(np.diag(np.linalg.inv(own.T @ own)))
+    if np.any(errors > NOT_SHOWN):
+        bad = ", ".join(
+            f"{name} to {100.0 * error:.0f} %"
+            for name, error in zip(names, errors, strict=True)
+            if error > NOT_SHOWN
+        )
+        known = [n for n, e in zip(names, errors, strict=True) if e <= NOT_SHOWN]
+        rest = f"; those of {', '.join(known)} are" if known else ""
+        raise IdentifiabilityError(
+            f"gains: the recordings do not show the gains of all joints: {bad}, limit "
+            f"{100.0 * NOT_SHOWN:.0f} %{rest}. A heavier load, further from the axes, or a longer "
+            "and faster motion shows more; or give the gain of such a joint (known=, --known)."
+        )
+
+
+def _invisible_words(directions: Array, names: Sequence[str], anchored: bool) -> str:
+    """Return in words which gains are open, and which combinations are not."""
+    size = np.abs(directions).max(axis=1, keepdims=True)
+    parts = np.abs(directions / size) > _NO_PART
+    concerned = [name for name, part in zip(names, parts.any(axis=0), strict=True) if part]
+    others = [name for name in names if name not in concerned]
+    if len(directions) == 1 and len(concerned) > 1:
+        shown = f"only their ratios are shown ({' : '.join(concerned)})"
+    elif len(directions) < len(concerned):
+        shown = f"only {len(concerned) - len(directions)} combinations of them are shown"
+    else:
+        shown = "what they move and how strong they are cannot be told apart"
+    rest = f" Those of {', '.join(others)} are shown." if others else ""
+    remedy = (
+        "give one of them (known=, --known)"
+        if anchored
+        else "give a run with a load of known mass (with_load=, load=; --with, --load), a known "
+        "gain (known=, --known), or what error the described links may have "
+        "(description_error=, --description-error)"
+    )
+    opened = ", ".join(concerned)
+    return f"gains: those of {opened} are open: {shown}.{rest} To close them, {remedy}."

@@ -1,0 +1,125 @@
+"""Errors of gains, from blocks of samples that are independent of each other.
+
+The sandwich of the fit without constraints, linear about its own optimum, in all unknowns at once:
+gains, links, loads and friction (see `sdpid.estimation.cluster_robust`). White noise would make the
+errors some three times too small: what filtered currents leave unexplained is friction, which is
+alike from sample to sample.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from sdpid._common.arrays import Array, Mask
+from sdpid.assurance.drive_gains.fit import GainFit
+from sdpid.errors import DataError
+from sdpid.estimation.cluster_robust import FEWEST_BLOCKS, ScoreBlocks
+from sdpid.estimation.information import information_root
+
+
+@dataclass(frozen=True, eq=False)
+class GainErrors:
+    """Errors of the logarithms of gains.
+
+    Attributes
+    ----------
+    covariance : ndarray, shape (n, n)
+        Zero for gains that are held.
+    freedom : ndarray, shape (n,)
+        Degrees of freedom of each variance.
+    blocks : int
+        How many independent groups of samples they rest on.
+    """
+
+    covariance: Array
+    freedom: Array
+    blocks: int
+
+
+def gain_errors(fit: GainFit, log_kappa: Array, z: Array, free: Mask) -> GainErrors:
+    """Return the errors of gains about the optimum of a fit; arguments as of `score_blocks`.
+
+    Raises
+    ------
+    DataError
+        When the recordings are too short.
+    """
+    blocks = score_blocks(fit, log_kappa, z, free)
+    n, size = int(free.sum()), blocks.information.shape[1]
+    covariance, freedom = np.zeros((fit.n, fit.n)), np.full(fit.n, np.inf)
+    own = blocks.covariance
+    functionals = np.eye(n, size)
+    if fit.knowledge is not None:
+        # What is known has errors of variance one, and holds the fit of the blocks.
+        rows = np.zeros((len(fit.knowledge[0]), size))
+        rows[:, n : n + len(z)] = fit.knowledge[0]
+        H = blocks.information.sum(axis=0)
+        root = information_root(H + rows.T @ rows)
+        inverse = root @ root.T
+        functionals = functionals @ inverse @ H
+        known = np.eye(n, size) @ inverse @ rows.T
+        found = functionals @ own @ functionals.T + known @ known.T
+    else:
+        found = own[:n, :n]
+    covariance[np.ix_(free, free)] = found
+    freedom[free] = blocks.freedom(functionals)
+    return GainErrors(covariance, freedom, blocks.count)
+
+
+def score_blocks(fit: GainFit, log_kappa: Array, z: Array, free: Mask) -> ScoreBlocks:
+    """Return the blocks of the fit, linear at gains and links; the first unknowns are log kappa.
+
+    Parameters
+    ----------
+    fit : GainFit
+        The fit.
+    log_kappa, z : ndarray
+        Where it is linear: at its optimum.
+    free : ndarray of bool, shape (n,)
+        Which gains are not held.
+
+    Raises
+    ------
+    DataError
+        When there are too few.
+    """
+    n, q = int(free.sum()), len(z)
+    place = np.cumsum(free) - 1
+    sizes = [
+        max((max(c, default=-1) for c in fit.friction_columns(j)), default=-1) + 1
+        for j in range(fit.n)
+    ]
+    starts = n + q + np.concatenate([[0], np.cumsum(sizes)]).astype(int)
+    total = int(starts[-1])
+    information, target = [], []
+    frictions = [fit.friction(j, log_kappa, z) for j in range(fit.n)]
+    present = np.concatenate([-log_kappa[free], z, *frictions])
+    for number, (run, (matrix, known)) in enumerate(zip(fit.runs, fit.maps, strict=True)):
+        links = matrix @ z + known
+        H = np.zeros((len(run.products[0]), total, total))
+        c = np.zeros((len(H), total))
+        for j, products in enumerate(run.products):
+            kappa, places = np.exp(log_kappa[j]), list(fit.friction_columns(j)[number])
+            f = len(places)
+            T = np.zeros((products.shape[1] - 1, total))
+            T[:f, [starts[j] + k for k in places]] = np.eye(f)
+            T[f:, n : n + q] = kappa * matrix
+            if free[j]:
+                T[f:, place[j]] = -kappa * links
+            error = np.concatenate([-frictions[j][places], -kappa * links, [1.0]])
+            kept = np.flatnonzero(T.any(axis=0))
+            own = T[:, kept] / fit.sigma[j]
+            part = np.einsum("ac,gab,bd->gcd", own, products[:, :-1, :-1], own, optimize=True)
+            H[:, kept[:, None], kept] += part
+            c[:, kept] += np.einsum("ac,gab,b->gc", own, products[:, :-1], error) / fit.sigma[j]
+        information.append(H)
+        target.append(H @ present + c)
+    blocks = ScoreBlocks("blocks", np.concatenate(information), np.concatenate(target))
+    if blocks.count < FEWEST_BLOCKS:
+        raise DataError(
+            f"gains: the recordings have {blocks.count} blocks of samples that are independent of "
+            f"each other, at least {FEWEST_BLOCKS} are needed for errors; record longer."
+        )
+    return blocks

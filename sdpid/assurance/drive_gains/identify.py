@@ -1,0 +1,307 @@
+"""Identify drive gains from currents, with a load, a gain, or the description to give the scale."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from sdpid._common.arrays import Array, frozen
+from sdpid._common.threads import one_thread
+from sdpid.assurance.drive_gains import checks
+from sdpid.assurance.drive_gains.consistent import Consistent
+from sdpid.assurance.drive_gains.errors import gain_errors
+from sdpid.assurance.drive_gains.load import Load
+from sdpid.assurance.drive_gains.model_choice import (
+    Effects,
+    chosen_terms,
+    first_terms,
+    gain_processing,
+)
+from sdpid.assurance.drive_gains.result import CarriedLoad, IdentifiedGains
+from sdpid.assurance.drive_gains.rows import GainModel
+from sdpid.assurance.drive_gains.search import Search, Task
+from sdpid.assurance.drive_gains.words import basis_in_words, notes_on
+from sdpid.errors import DataError, ModelError
+from sdpid.experiment.drive_gains.gains import DriveGains
+from sdpid.experiment.inspection.accept import kinds_accepted
+from sdpid.experiment.inspection.finding import Finding
+from sdpid.experiment.preparation.for_robot import prepare
+from sdpid.experiment.preparation.several import Logs, ProcessingOf
+from sdpid.experiment.readers.read import is_frame, read_recording
+from sdpid.experiment.recording.joints import match_joints
+from sdpid.experiment.recording.recording import Recording
+from sdpid.robot.friction.term import FrictionTerm
+from sdpid.robot.inertia import transform
+from sdpid.robot.model.load import load_robot
+from sdpid.robot.model.model import RobotModel
+from sdpid.robot.model.mounting import carrying_link, frame_on_link
+
+# Starts of the search beside the rough gains.
+_STARTS = 12
+_SUMS = ("squares", "used")
+
+
+@one_thread
+def identify_drive_gains(
+    robot: RobotModel | str | os.PathLike[str],
+    without_load: Logs,
+    with_load: Logs | None = None,
+    *,
+    load: float | Load | Sequence[float | Load] | None = None,
+    link: str | None = None,
+    frame: str | None = None,
+    known: Mapping[str, float] | None = None,
+    description_error: float | None = None,
+    friction: Iterable[str | FrictionTerm] | None = None,
+    effects: Effects = "auto",
+    shared: Iterable[str] = ("rotor_inertia", "load"),
+    processing: ProcessingOf = None,
+    consistent: bool = True,
+    starts: int = _STARTS,
+    accept: str | Iterable[str] = (),
+) -> IdentifiedGains:
+    """Identify drive gains, N·m/A, from motor currents.
+
+    The gains with which one arm of links that can exist, without and with the load, explains all
+    currents best; errors are those of the currents. Something must give the scale: a load of
+    known mass, the gain of a joint, or the described links with a stated error.
+    See docs/guides/gains.md.
+
+    Parameters
+    ----------
+    robot : RobotModel, name or path
+        The arm without the load.
+    without_load : Recording or path, or a sequence of these
+        Currents in A without the load.
+    with_load : Recording or path, or a sequence of these, optional
+        Currents in A with it. Where and how it is mounted may differ between recordings.
+    load : float, Load or a sequence of these, optional
+        Mass in kg, or what more is known of the load; one for all recordings with load, or one
+        each.
+    link : str, optional
+        Which link carries it; by default the last one.
+    frame : str, optional
+        A frame fixed to that link, in which the load's center of mass is given; by default the
+        joint frame of the link.
+    known : mapping of str to float, optional
+        Gains of joints that are known, N·m/A.
+    description_error : float, optional
+        Relative standard deviation that the described links are granted, such as 0.1. By default
+        nothing is taken from them.
+    friction : iterable, optional
+        Friction terms; by default Coulomb and viscous friction with a smooth sign, a sigmoid and
+        an offset.
+    effects : {"auto", "none"}, str or iterable of str, optional
+        Effects beside them, as for `identify`.
+    shared : iterable of str, optional
+        Names of terms that are the same in all recordings; of others every recording has its own
+        parameters, for friction changes with temperature.
+    processing : Processing or mapping, optional
+        By default as `identify` chooses it, with slow motion masked.
+    consistent : bool, optional
+        Whether links and loads must be bodies that can exist.
+    starts : int, optional
+        From how many further, random gains the search starts.
+    accept : str or iterable of str, optional
+        As for `identify`: kinds of findings that do not refuse a recording.
+
+    Returns
+    -------
+    IdentifiedGains
+        Gains with their covariance, and what they were found from.
+
+    Raises
+    ------
+    DataError
+        When recordings or numbers make no sense: torques in place of currents, a load that is
+        heavier than the arm can hold, recordings that are not of one arm.
+    IdentifiabilityError
+        When the recordings do not show a gain; it says which, and what they do show.
+    ModelError
+        When the robot has no such link or frame, or no description to believe.
+
+    Examples
+    --------
+    >>> theta = estimate.theta.copy()
+    >>> theta[50:60] += [5.0, 0.0, 0.0, 1.0, 0.25, 0.0, 0.25, 0.0, 0.0, 0.05]  # 5 kg at link_6
+    >>> loaded = sdpid.simulate(robot, motion, theta=theta, exact=True, seed=1)
+    >>> currents = [
+    ...     sdpid.Recording(time=each.time, position=each.position, effort=each.effort / 10.0,
+    ...                     joint_names=robot.joint_names, currents=True)
+    ...     for each in (log, loaded)
+    ... ]
+    >>> found = sdpid.identify_drive_gains(robot, *currents, load=5.0, effects="none")
+    >>> bool(np.all(np.abs(found.gains.gains / 10.0 - 1.0) < 0.05))
+    True
+    """
+    model = robot if isinstance(robot, RobotModel) else load_robot(robot)
+    kinds = kinds_accepted(accept)
+    bare = _recordings(without_load, "without_load")
+    loaded = () if with_load is None else _recordings(with_load, "with_load")
+    if not bare:
+        raise DataError("without_load: there are no recordings; give at least one.")
+    loads = _loads(load, len(loaded))
+    held = _held(model, known)
+    _check_numbers(model, description_error, starts)
+    matched = [[_matched(model, log) for log in logs] for logs in (bare, loaded)]
+    chosen, why = gain_processing([*matched[0], *matched[1]], processing)
+    samples = [
+        [prepare(model, replace(log, currents=False), chosen) for log in logs] for logs in matched
+    ]
+    rough, shown = checks.rough_gains(model, samples[0])
+    checks.require_no_torques(rough, shown, kinds)
+    findings: tuple[Finding, ...] = ()
+    for logs, name in zip(matched, ("without_load", "with_load"), strict=True):
+        findings += checks.looked_at(
+            model, logs, rough, kinds, name, together=name == "without_load"
+        )
+    number = carrying_link(model, link, what="gains")
+    rotation, translation, frame_name = frame_on_link(model, number, frame, what="gains")
+    placed = transform(np.eye(10), rotation, translation).T
+    for each, own in zip(loads, samples[1], strict=True):
+        column = np.zeros(10 * model.n_links)
+        column[10 * number : 10 * number + 10] = placed[:, 0]
+        checks.require_bearable(model, each, own, column)
+    rough = np.where(held > 0.0, held, rough)
+    task = Task(
+        model=GainModel.of(model, first_terms(model), tuple(shared)),
+        samples=(*samples[0], *samples[1]),
+        carries=(*[None] * len(samples[0]), *range(len(samples[1]))),
+        loads=loads,
+        link=number,
+        placed=placed,
+        free=held == 0.0,
+        description_error=description_error,
+    )
+    # Effects are told by what links that can exist explain, so nearly right gains are needed.
+    near = task.run(-np.log(rough), 0).found.log_kappa
+    terms, told = chosen_terms(model, samples[0], matched[0], np.exp(-near), friction, effects)
+    task = replace(task, model=GainModel.of(model, terms, tuple(shared)))
+    search = task.run(near, starts)
+    final = task.constrained(search) if consistent else None
+    errors = gain_errors(search.fit, search.found.log_kappa, search.found.z, task.free)
+    covariance = errors.covariance + task.from_masses(search)
+    log_kappa = search.found.log_kappa if final is None else final.log_kappa
+    gains, unconstrained = np.exp(-log_kappa), np.exp(-search.found.log_kappa)
+    z = search.found.z if final is None else final.z
+    rmse = np.sqrt(task.errors(search.fit, log_kappa, z))
+    runs = search.fit.runs
+    squares, used = (np.sum([getattr(run, name) for run in runs], axis=0) for name in _SUMS)
+    spread = np.sqrt(squares / np.maximum(used, 1.0))
+    notes = notes_on(
+        model.joint_names, gains, unconstrained, covariance, task.free, loads, errors.blocks
+    )
+    result = DriveGains(
+        joint_names=model.joint_names,
+        gains=gains,
+        covariance=covariance * np.outer(gains, gains),
+        freedom=errors.freedom,
+        basis=basis_in_words(loads, known, description_error),
+        sources={
+            log.source.name: log.source.sha256 for log in (*bare, *loaded) if log.source is not None
+        },
+        notes=notes,
+    )
+    return IdentifiedGains(
+        gains=result,
+        loads=tuple(
+            CarriedLoad(
+                mass=each.mass,
+                com=frozen(theta[1:4] / theta[0]),
+                theta=frozen(theta),
+                link=model.link_names[number],
+                frame=frame_name,
+            )
+            for each, theta in zip(loads, task.load_parameters(search, final), strict=True)
+        ),
+        rmse=frozen(rmse),
+        share=frozen(rmse / np.where(spread > 0.0, spread, 1.0)),
+        unconstrained=frozen(unconstrained),
+        starts=search.starts,
+        agreed=search.agreed,
+        effects=told,
+        status=_status(search, final),
+        notes=(*(() if why is None else (why,)), *notes),
+        findings=findings,
+    )
+
+
+def _recordings(given: Logs, name: str) -> tuple[Recording, ...]:
+    """Return recordings of currents, read as amperes."""
+    alone = isinstance(given, Recording | str | os.PathLike) or is_frame(given)
+    each: Any = given
+    logs = (each,) if alone else tuple(each)
+    read = tuple(
+        log if isinstance(log, Recording) else read_recording(log, currents=True) for log in logs
+    )
+    checks.require_currents(read, name)
+    return read
+
+
+def _matched(robot: RobotModel, log: Recording) -> Recording:
+    """Return a recording with the robot's joints in its order, currents as they are."""
+    return match_joints(robot, log)
+
+
+def _loads(given: float | Load | Sequence[float | Load] | None, count: int) -> tuple[Load, ...]:
+    """Return one load a recording with load."""
+    if not count:
+        if given is not None:
+            raise DataError("load: there is no recording with load; give it (with_load=, --with).")
+        return ()
+    if given is None:
+        raise DataError("load: say the mass of the load in kg (load=, --load).")
+    one = isinstance(given, Load | int | float | np.number)
+    each: Any = [given] if one else list(given)  # type: ignore[arg-type]
+    loads = [load if isinstance(load, Load) else Load(mass=load) for load in each]
+    if len(loads) == 1:
+        loads *= count
+    if len(loads) != count:
+        raise DataError(
+            f"load: there are {len(loads)} for {count} recordings with load; give one for all, or "
+            "one each."
+        )
+    return tuple(loads)
+
+
+def _held(robot: RobotModel, known: Mapping[str, float] | None) -> Array:
+    """Return the known gains (n,), zero where there is none."""
+    held = np.zeros(robot.n)
+    for name, value in (known or {}).items():
+        if name not in robot.joint_names:
+            raise DataError(
+                f"known: '{robot.name}' has no joint '{name}'; it has "
+                f"{', '.join(robot.joint_names)}."
+            )
+        if not (np.isfinite(value) and value > 0.0):
+            raise DataError(f"known: the gain of {name} is {value}; give a positive one, N·m/A.")
+        held[robot.joint_names.index(name)] = float(value)
+    return held
+
+
+def _check_numbers(robot: RobotModel, description_error: float | None, starts: int) -> None:
+    if description_error is not None and not np.all(robot.prior[:, 0] > 0.0):
+        raise ModelError(
+            f"description_error: the description of '{robot.name}' gives links no mass; give a "
+            "load of known mass, or a known gain."
+        )
+    if description_error is not None and not 0.0 < description_error < 10.0:
+        raise DataError(
+            f"description_error is {description_error!r:.80}; give a relative standard deviation, "
+            "such as 0.1."
+        )
+    if isinstance(starts, bool) or not isinstance(starts, int) or starts < 0:
+        raise DataError(f"starts is {starts!r:.80}; give a number of at least 0.")
+
+
+def _status(search: Search, final: Consistent | None) -> str:
+    """Return whether the searches ended at an optimum."""
+    if not search.found.settled:
+        return "the search did not settle"
+    if final is not None and not final.settled:
+        return "the search among bodies that can exist did not settle"
+    return "optimal"

@@ -1,0 +1,128 @@
+"""A load of which something is known."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from sdpid._common.arrays import Array, frozen, real_array
+from sdpid._common.tables import Settings
+from sdpid.errors import DataError
+from sdpid.robot.inertia import margin
+
+__all__ = ["Load", "Mounted"]
+
+_SHAPES = {"com": (3,), "inertia": (3, 3)}
+
+
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class Load(Settings):
+    """A load of known mass, and where known its center of mass and inertia.
+
+    Parameters
+    ----------
+    mass : float
+        kg.
+    mass_error : float, optional
+        Standard error of the mass, kg: it becomes one of all gains together.
+    com : (3,) array_like, optional
+        Center of mass in the frame in which the load is given, m. By default it is estimated.
+    inertia : (3, 3) array_like, optional
+        Inertia about the center of mass along the axes of that frame, kg·m²; only beside `com`.
+        By default it is estimated.
+
+    Raises
+    ------
+    DataError
+        When a number makes no sense, or no body can have them together.
+
+    Examples
+    --------
+    >>> sdpid.Load(mass=2.805)
+    Load(mass=2.805)
+    >>> sdpid.Load(mass=2.0, com=[0.0, 0.0, 0.05], mass_error=0.001)
+    Load(mass=2.0, mass_error=0.001, com=array (3,))
+    """
+
+    mass: float
+    mass_error: float = 0.0
+    com: Array | None = None
+    inertia: Array | None = None
+
+    def __post_init__(self) -> None:
+        for name in ("mass", "mass_error"):
+            value = getattr(self, name)
+            number = isinstance(value, int | float | np.number) and not isinstance(value, bool)
+            if not number or not np.isfinite(value) or value < 0.0 or (name, value) == ("mass", 0):
+                raise DataError(f"load: {name} is {value!r:.80}; give kg.")
+            object.__setattr__(self, name, float(value))
+        if self.mass_error >= self.mass:
+            raise DataError(
+                f"load: mass_error {self.mass_error:g} kg is not below the mass {self.mass:g} kg; "
+                "weigh the load."
+            )
+        for name, shape in _SHAPES.items():
+            if getattr(self, name) is not None:
+                array = frozen(real_array(getattr(self, name), f"load: {name}", ndim=len(shape)))
+                if array.shape != shape:
+                    raise DataError(f"load: {name} has shape {array.shape}, expected {shape}.")
+                object.__setattr__(self, name, array)
+        if self.inertia is not None:
+            if self.com is None:
+                raise DataError("load: an inertia about the center of mass needs com.")
+            if not np.allclose(self.inertia, self.inertia.T):
+                raise DataError("load: inertia is not symmetric.")
+            if not margin(self.theta, "pseudo_inertia") >= 0.0:
+                raise DataError(
+                    f"load: no body of {self.mass:g} kg has this inertia: its principal moments "
+                    f"are {np.linalg.eigvalsh(self.inertia).tolist()} kg·m², and none may be more "
+                    "than the sum of the others."
+                )
+
+    @property
+    def theta(self) -> Array:
+        """The ten parameters about the frame's origin, what is not known as at the origin."""
+        m = self.mass
+        c = np.zeros(3) if self.com is None else self.com
+        own = np.zeros((3, 3)) if self.inertia is None else self.inertia
+        inertia = own + m * (float(c @ c) * np.eye(3) - np.outer(c, c))
+        xx, xy, xz, yy, yz, zz = inertia[[0, 0, 0, 1, 1, 2], [0, 1, 2, 1, 2, 2]]
+        return np.array([m, *(m * c), xx, xy, yy, xz, yz, zz])
+
+    @property
+    def first_unknown(self) -> int:
+        """How many of the ten parameters are known: 1, 4 or 10."""
+        return 1 if self.com is None else 4 if self.inertia is None else 10
+
+
+@dataclass(frozen=True, eq=False)
+class Mounted:
+    """A load on a link.
+
+    Attributes
+    ----------
+    load : Load
+        What is known of it.
+    columns : ndarray, shape (b, 10)
+        What its ten parameters about the frame's origin add to the base parameters.
+    link : int
+        The link.
+    placed : ndarray, shape (10, 10)
+        What takes its parameters about the frame's origin to those about the joint frame.
+    """
+
+    load: Load
+    columns: Array
+    link: int
+    placed: Array
+
+    @property
+    def free(self) -> Array:
+        """Matrix (10, k) of the parameters that are not known."""
+        return np.eye(10)[:, self.load.first_unknown :]
+
+    @property
+    def known(self) -> Array:
+        """The ten parameters, what is not known as at the frame's origin, without inertia."""
+        return self.load.theta
