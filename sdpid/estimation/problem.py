@@ -407,9 +407,11 @@ def _check_samples(robot: RobotModel, samples: Samples) -> None:
 
 def describe(problem: Problem) -> dict[str, Any]:
     """Return the problem's sizes and choices as plain values."""
+    gains = None if problem.rows is None else problem.rows.samples.gains
     return {
         "robot": problem.robot.name,
         "joints": list(problem.robot.joint_names),
+        "gains": None if gains is None else gains.to_dict(),
         "samples": problem.n_samples,
         "rows_used": problem.n_rows,
         "standard_parameters": problem.n_theta,

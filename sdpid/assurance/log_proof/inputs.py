@@ -20,7 +20,7 @@ from sdpid.robot.model.model import RobotModel
 def input_files(
     robot: RobotModel, logs: Sequence[Recording], validation: Sequence[Recording] = ()
 ) -> list[dict[str, Any]]:
-    """Return role, name, bytes and SHA-256 of the robot's description and of every log, in order.
+    """Return role, name, bytes and SHA-256 of description, every log in order, and gains.
 
     What came from no file has neither name nor bytes; its SHA-256 is that of its numbers
     (`recording_digest`, `kinematics_digest`).
@@ -31,7 +31,20 @@ def input_files(
         *(log_entry(log, "validation") for log in validation),
         # A model in memory whose joints have no plain form is known by nothing.
         *([] if described["sha256"] is None else [described]),
+        *_gains((*logs, *validation)),
     ]
+
+
+def _gains(logs: Sequence[Recording]) -> list[dict[str, Any]]:
+    """Return the entries of the gains that made efforts of currents, each once."""
+    found: dict[str, dict[str, Any]] = {}
+    for log in logs:
+        if log.gains is None:
+            continue
+        text = json.dumps(log.gains.to_dict(), sort_keys=True)
+        entry = _entry("gains", log.gains.source, hashlib.sha256(text.encode("utf-8")).hexdigest())
+        found[entry["sha256"]] = entry
+    return list(found.values())
 
 
 def log_entry(log: Recording, role: str) -> dict[str, Any]:

@@ -271,7 +271,8 @@ class DriveGains:
         if not errors.any():
             known = "taken as exact"
         else:
-            known = f"standard errors of {errors.min():.2g} to {errors.max():.2g} %"
+            ends = dict.fromkeys(f"{each:.2g}" for each in (errors.min(), errors.max()))
+            known = f"standard errors of {' to '.join(ends)} %"
             known += f", {100.0 * self.common_factor:.2g} % of it in common"
         named = "" if self.source is None else f"{self.source.name}, "
         return printable(f"{named}by {self.basis}: {known}")

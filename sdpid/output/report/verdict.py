@@ -18,6 +18,7 @@ from sdpid.estimation.compression.rows import RowSource
 from sdpid.estimation.problem import Problem
 from sdpid.output.report.cause_words import cause_findings
 from sdpid.output.report.finding import Finding, listed, percent
+from sdpid.output.report.gains_verdict import gains_findings
 from sdpid.output.report.grades import MOVES
 from sdpid.output.report.held_back import held_back_findings
 from sdpid.output.report.held_out_verdict import held_out_findings
@@ -94,6 +95,7 @@ def findings(
             identification.problem.effects,
         ),
         *held_back_findings(identification),
+        *gains_findings(identification),
         *_reach(identification),
         *_one_way(identification),
         *_weak(identification),

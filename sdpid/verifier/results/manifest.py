@@ -24,7 +24,7 @@ from ..result import Result
 NAME = "manifest.json"
 SCHEMA, VERSION = "sdpid-manifest", 1
 KEYS = ("schema", "version", "metadata", "inputs", "recipe", "certificate", "files", "sha256")
-_ROLES = ("log", "validation", "robot", "config")
+_ROLES = ("log", "validation", "robot", "gains", "config")
 _SHA256 = re.compile("[0-9a-f]{64}")
 
 # More bytes than any file has.

@@ -200,7 +200,7 @@ def _same(a: SavedRun, b: SavedRun, role: str) -> bool | None:
 def _inputs(a: SavedRun, b: SavedRun) -> Table:
     """Return the files of each role, and whether they are the same."""
     rows = []
-    for role in ("robot", "log", "validation", "config"):
+    for role in ("robot", "log", "validation", "gains", "config"):
         names = [", ".join(n for n, _ in (run.inputs or {}).get(role, ())) for run in (a, b)]
         if any(names):
             same = {True: "same", False: "differ", None: "not known"}[_same(a, b, role)]

@@ -451,7 +451,5 @@ def test_errors_of_gains_widen_intervals_and_are_told(arm: RobotModel) -> None:
     assert found.gains_share[0] > 0.9
     np.testing.assert_allclose(found.gains_share[1:4], 0.0, atol=1e-3)
     assert "from gains, %" in found.describe()
-    assert "by a common factor: standard errors of 3 to 3 %, 3 % of it in common" in str(
-        found.notes
-    )
+    assert "by a common factor: standard errors of 3 %, 3 % of it in common" in str(found.notes)
     assert found.to_dict()["gains_share"]["mass"] == found.gains_share[0]

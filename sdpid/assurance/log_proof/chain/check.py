@@ -382,7 +382,16 @@ def _read(log: Any, how: dict[str, Any]) -> Recording:
 
 def _options(how: dict[str, Any]) -> str:
     """Return how a log is read, in words."""
-    return ", ".join(f"{name}={shown(json.dumps(value))}" for name, value in how.items())
+    said = []
+    for name, value in how.items():
+        if name == "gains" and isinstance(value, dict):
+            # Their errors stand in the recipe, and change no row.
+            file = value.get("file")
+            called = file.get("name") if isinstance(file, dict) else "in memory"
+            pairs = zip(value.get("joint_names", ()), value.get("gains", ()), strict=False)
+            value = f"{called}: {', '.join(f'{joint} {gain}' for joint, gain in pairs)} N.m/A"
+        said.append(f"{name}={shown(json.dumps(value))}")
+    return ", ".join(said)
 
 
 def _weights(sigma: Any) -> str:

@@ -29,9 +29,31 @@ def values(result: Judged) -> dict[str, Any]:
         "driven": list(driven(result)),
         "units": units(result.problem.robot),
         "excitation": _excitation(result),
+        "gains": _gains(result),
         "weak_limit": WEAK,
         "processed": [note for note in dict.fromkeys(notes) if note not in found],
         "friction": [_term(term) for term in problem.friction.described()],
+    }
+
+
+def _gains(result: Judged) -> dict[str, Any] | None:
+    """Return the gains that made efforts of currents, joint by joint."""
+    gains = result.problem.samples.gains
+    if gains is None:
+        return None
+    ends = gains.intervals()
+    return {
+        "words": gains.in_words,
+        "joints": [
+            {"name": name, "gain": gain, "share": 100.0 * error / gain, "ends": own}
+            for name, gain, error, own in zip(
+                gains.joint_names,
+                gains.gains.tolist(),
+                gains.standard_errors.tolist(),
+                ends.tolist(),
+                strict=True,
+            )
+        ],
     }
 
 

@@ -1,0 +1,94 @@
+"""Currents and a file of gains on the command line: from the log to the proof."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+import sdpid
+from sdpid.cli import app
+from sdpid.experiment.recording.recording import Recording
+from tests.helpers.arm_files import ARM_URDF, arm_log
+
+GAINS = np.array([10.0, 5.0])
+
+
+def run(*arguments: object, status: int = 0) -> str:
+    found = CliRunner().invoke(app, list(map(str, arguments)), catch_exceptions=False)
+    assert found.exit_code == status, found.output
+    return found.stdout if status == 0 else found.output
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return a folder with an arm, a log of its currents, gains, and a result."""
+    folder = tmp_path_factory.mktemp("currents")
+    (folder / "arm.urdf").write_text(ARM_URDF, encoding="utf-8")
+    time, q, effort = arm_log(folder / "arm.urdf")
+    log = Recording(
+        time=time, position=q, effort=effort / GAINS, joint_names=("a", "b"), currents=True
+    )
+    log.to_csv(folder / "run.csv")
+    gains = sdpid.DriveGains(
+        joint_names=("b", "a"),
+        gains=GAINS[::-1],
+        covariance=np.diag((0.05 * GAINS[::-1]) ** 2),
+        basis="a load of 2 kg",
+    )
+    gains.to_toml(folder / "gains.toml")
+    arm = ("--robot", folder / "arm.urdf")
+    out = ("--gains", folder / "gains.toml", "--out", folder / "out", "--no-figures", "-q")
+    run("identify", folder / "run.csv", *arm, *out)
+    return folder
+
+
+def test_currents_without_gains_are_refused(folder: Path) -> None:
+    said = run("identify", folder / "run.csv", "--robot", folder / "arm.urdf", status=2)
+    assert "look like currents: give gains=" in said
+    unit = ("--column", "effort=current_a,current_b", "--unit", "effort=A")
+    said = run("identify", folder / "run.csv", "--robot", folder / "arm.urdf", *unit, status=2)
+    assert "currents in A, which need gains: let `sdpid gains`" in said
+
+
+def test_gains_are_kept_shown_and_proven(folder: Path) -> None:
+    out = folder / "out"
+    inputs = json.loads((out / "manifest.json").read_text())["inputs"]
+    assert [each["name"] for each in inputs if each["role"] == "gains"] == ["gains.toml"]
+    result = json.loads((out / "result.json").read_text())
+    assert result["problem"]["gains"]["gains"] == GAINS.tolist()
+    assert any("gains that are known to 5 % (one standard error)" in s for s in result["verdict"])
+    shares = {each["name"]: each["gains_share"] for each in result["intervals"]["parameters"]}
+    assert max(shares.values()) > 0.9
+    report = (out / "report.html").read_text()
+    assert "Gains that made efforts of currents: gains.toml, by a load of 2 kg" in report
+    assert 'gains = "' in (out / "run.toml").read_text()
+    said = run("verify", out, "--data", folder / "run.csv", "--robot", folder / "arm.urdf")
+    assert "gains.toml: b 5.0, a 10.0 N.m/A" in said
+    assert "PROVEN" in said.splitlines()[-1]
+
+
+def test_other_gains_in_the_recipe_are_no_proof(folder: Path) -> None:
+    """Who changes the gains that a result states changes its rows."""
+    from sdpid.verifier.results.manifest import sealed
+
+    path = folder / "out" / "manifest.json"
+    content: dict[str, Any] = json.loads(path.read_text())
+    kept = path.read_text()
+    content["recipe"]["logs"][0]["reading"]["gains"]["gains"] = [5.0, 9.9]
+    del content["sha256"]
+    path.write_text(json.dumps(sealed(content)))
+    try:
+        said = run("verify", folder / "out", "--data", folder / "run.csv", status=1)
+    finally:
+        path.write_text(kept)
+    assert "compression" in said
+
+
+def test_info_says_where_torques_come_from(folder: Path) -> None:
+    said = run("info", folder / "run.csv", "--gains", folder / "gains.toml")
+    assert "gains: gains.toml, by a load of 2 kg: standard errors of 5 %" in said
