@@ -10,6 +10,8 @@ from .assurance.intervals.intervals import confidence_intervals
 from .assurance.payload.identify import identify_payload
 from .assurance.tables.audit import audit_base_parameters
 from .estimation.constraints.constraints import Constraints
+from .estimation.instrumental.bias import check_bias
+from .estimation.instrumental.solve import solve_instrumental
 from .estimation.local.log_cholesky import solve_log_cholesky
 from .estimation.local.slsqp import solve_slsqp
 from .estimation.prior.prior import Prior
@@ -69,6 +71,7 @@ __all__ = [
     "audit_urdf",
     "build_problem",
     "certify",
+    "check_bias",
     "check_trajectory",
     "compare",
     "confidence_intervals",
@@ -93,6 +96,7 @@ __all__ = [
     "simulate",
     "simulate_closed_loop",
     "smallest_mass_eigenvalue",
+    "solve_instrumental",
     "solve_log_cholesky",
     "solve_robust",
     "solve_sdp",

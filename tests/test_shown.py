@@ -95,6 +95,7 @@ SHOWN: dict[str, Callable[[], Any]] = {
     "audit_base_parameters": lambda: sdpid.audit_base_parameters(robot(), {"Fv1": 1.0}, 0.1),
     "audit_urdf": lambda: sdpid.audit_urdf(ARM_URDF.replace('"upper"', '"&lt;i>upper"')),
     "build_problem": problem,
+    "check_bias": lambda: sdpid.check_bias(problem(), instruments=problem().samples),
     "certify": lambda: result().certificate,
     "check_trajectory": lambda: sdpid.check_trajectory(robot(), motion()),
     "compare": lambda: sdpid.compare(problem(), starts=1, local=("slsqp",), max_iterations=2),
@@ -119,6 +120,9 @@ SHOWN: dict[str, Callable[[], Any]] = {
         estimate().model(), motion(), sdpid.controllers.PD(*np.full((2, 2), 30.0))
     ),
     "smallest_mass_eigenvalue": lambda: sdpid.smallest_mass_eigenvalue(estimate()),
+    "solve_instrumental": lambda: sdpid.solve_instrumental(
+        problem(), instruments=problem().samples
+    ),
     "solve_log_cholesky": lambda: sdpid.solve_log_cholesky(problem(), max_iterations=2),
     "solve_robust": lambda: sdpid.solve_robust(problem()),
     "solve_sdp": estimate,

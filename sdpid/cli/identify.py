@@ -95,8 +95,7 @@ def identify(
         *result.problem.samples.notes,
         *(each for each in result.notes if each not in findings),
     ]
-    if result.intervals_note:
-        notes.append(result.intervals_note)
+    notes += [note for note in (result.intervals_note, result.bias_note) if note]
     exports: list[ExportReport] = []
     if config is not None:
         result = replace(result, inputs=(*result.inputs, file_entry("config", Source.of(config))))
@@ -125,7 +124,8 @@ def identify(
         details += [listed("verdict", result.verdict), listed("files", files)]
     else:
         details = [_short(result, out, files, notes, exports), *_findings(result)]
-    lines = (*result.headline.lines, f"certificate: {result.certificate.summary()}")
+    bias = () if result.bias is None else (f"motion:      {result.bias.verdict}",)
+    lines = (*result.headline.lines, *bias, f"certificate: {result.certificate.summary()}")
     parts = [*details, "\n".join(printable(line) for line in lines)]
     content = {**result.to_dict(), "notes": notes, "files": files}
     content["exports"] = [export.to_dict() for export in exports]

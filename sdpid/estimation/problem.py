@@ -79,6 +79,9 @@ class Problem:
         Solvers do not need them, standard errors and residuals do.
     constant : float
         Part of `floor` that is of no row: what a robust loss adds to the weighted rows.
+    meaning : str or None
+        What the cost is where it is not that of the measured motion's own rows, such as the last
+        one that an iteration solved; None where it is.
 
     Examples
     --------
@@ -109,9 +112,11 @@ class Problem:
     effects: tuple[Tried, ...] = ()
     rows: Rows | None = None
     constant: float = 0.0
+    meaning: str | None = None
 
     def __repr__(self) -> str:
         prior = "" if self.prior is None else ", with a prior"
+        prior += "" if self.meaning is None else f"; {self.meaning}"
         return (
             f"Problem({self.robot.name!r:.60}: {self.n_samples} samples, {self.n_rows} rows, "
             f"{self.base.count} base of {self.n_theta} standard parameters, "
@@ -131,6 +136,8 @@ class Problem:
             "prior": "no" if self.prior is None else "yes",
             "condition number": self.excitation.condition_number,
         }
+        if self.meaning is not None:
+            facts["cost"] = self.meaning
         return facts_html(f"Problem of {self.robot.name}", facts)
 
     @property
@@ -423,5 +430,6 @@ def describe(problem: Problem) -> dict[str, Any]:
         "friction_terms": problem.friction.described(),
         "profiled": [asdict(each) for each in problem.profiled],
         "effects": [asdict(each) for each in problem.effects],
+        "cost_of": problem.meaning,
         "condition_number": problem.excitation.condition_number,
     }

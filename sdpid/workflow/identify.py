@@ -18,16 +18,22 @@ from sdpid.assurance.diagnostics.validation import validate
 from sdpid.assurance.intervals.intervals import Intervals, Method, confidence_intervals
 from sdpid.assurance.log_proof.inputs import input_files
 from sdpid.assurance.log_proof.recipe import recipe_or_reason
-from sdpid.errors import DataError, IdentifiabilityError, SolverError
+from sdpid.errors import DataError, IdentifiabilityError, SdpidError, SolverError
 from sdpid.estimation.compression.covariance import Weighting
 from sdpid.estimation.constraints.constraints import Constraints
 from sdpid.estimation.estimate import Estimate
+from sdpid.estimation.instrumental.bias import BiasTest, check_bias
 from sdpid.estimation.prior.prior import Prior
 from sdpid.estimation.sdp.solve import solve_sdp
 from sdpid.estimation.wls import solve_wls
 from sdpid.experiment.drive_gains.gains import DriveGains
 from sdpid.experiment.inspection.accept import kinds_accepted
-from sdpid.experiment.preparation.several import Logs, ProcessingOf, prepare_recordings
+from sdpid.experiment.preparation.several import (
+    Logs,
+    Prepared,
+    ProcessingOf,
+    prepare_recordings,
+)
 from sdpid.experiment.readers.arguments import as_gains
 from sdpid.robot.friction.term import FrictionTerm
 from sdpid.robot.inertia import Consistency
@@ -47,8 +53,11 @@ from sdpid.workflow.result import Identification
 # six and seven joints; Gauss-Markov intervals take some 0.1 s.
 DEFAULT_INTERVALS: Method = "gauss_markov"
 
-# Unconstrained fit, estimate, certificate, intervals.
-_STEPS = 4
+# Unconstrained fit, estimate, certificate, intervals, test of bias.
+_STEPS = 5
+
+# Rows up to which bias is tested without being asked for: a few seconds of work.
+_MOST_ROWS = 3_000_000
 
 
 @one_thread
@@ -191,6 +200,8 @@ def identify(
         advance(1)
         confidence, intervals_note = _intervals(estimate, intervals)
         advance(1)
+        bias, bias_note = _bias(estimate, prepared)
+        advance(1)
     cross_validation = None
     if folds is not None:
         cross_validation = cross_validate(
@@ -216,6 +227,8 @@ def identify(
         intervals=confidence,
         cross_validation=cross_validation,
         intervals_note=intervals_note,
+        bias=bias,
+        bias_note=bias_note,
         notes=tuple(notes),
         findings=findings,
         inputs=tuple(input_files(model, prepared.logs, () if fresh is None else fresh.logs)),
@@ -233,3 +246,14 @@ def _intervals(estimate: Estimate, wanted: bool | Method) -> tuple[Intervals | N
         return confidence_intervals(estimate, method=method), None
     except (DataError, IdentifiabilityError, SolverError) as reason:
         return None, f"no intervals of the parameters ({method}): {reason}"
+
+
+def _bias(estimate: Estimate, prepared: Prepared) -> tuple[BiasTest | None, str | None]:
+    """Return the test whether noise in the motion biases least squares, or why there is none."""
+    untested = "bias by noise in the motion is not tested"
+    if estimate.problem.n_rows > _MOST_ROWS or any(log.stored for log in prepared.logs):
+        return None, f"{untested}: the log is long (sdpid.check_bias tests it all the same)"
+    try:
+        return check_bias(estimate, prepared.logs, processing=prepared.processing), None
+    except SdpidError as reason:
+        return None, f"{untested}: {reason}"

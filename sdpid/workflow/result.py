@@ -20,6 +20,7 @@ from sdpid.assurance.intervals.intervals import Intervals
 from sdpid.assurance.log_proof.recipe import Recipe
 from sdpid.estimation.effects.tried import Tried
 from sdpid.estimation.estimate import Estimate
+from sdpid.estimation.instrumental.bias import BiasTest
 from sdpid.estimation.problem import Problem, describe
 from sdpid.experiment.inspection.finding import Finding
 from sdpid.experiment.processing.samples import Samples
@@ -68,6 +69,11 @@ class Identification:
         Blocks of the training recordings held out in turn (see `sdpid.cross_validate`).
     intervals_note : str or None
         Why there are no intervals, or how far to trust them.
+    bias : BiasTest or None
+        Whether noise in the measured motion biases least squares (see `sdpid.check_bias`); None
+        where nothing is known of the motion but the measurement.
+    bias_note : str or None
+        Why there is no such test.
     notes : tuple of str
         The choices that were made, and the findings, in words.
     findings : tuple of Finding
@@ -102,6 +108,8 @@ class Identification:
     intervals: Intervals | None = None
     cross_validation: CrossValidation | None = None
     intervals_note: str | None = None
+    bias: BiasTest | None = None
+    bias_note: str | None = None
     notes: tuple[str, ...] = ()
     findings: tuple[Finding, ...] = ()
     inputs: tuple[dict[str, Any], ...] = ()
@@ -238,6 +246,8 @@ class Identification:
                 None if self.cross_validation is None else self.cross_validation.to_dict()
             ),
             "intervals": None if self.intervals is None else _intervals(self.intervals),
+            "bias": None if self.bias is None else self.bias.to_dict(),
+            "bias_note": self.bias_note,
         }
         return cast(dict[str, Any], plain(content))
 
@@ -259,6 +269,8 @@ class Identification:
             lines.append(f"on the validation recording, {where}, {100 * moving.relative:.2f} %")
         if self.cross_validation is not None:
             lines.append(self.cross_validation.summary())
+        if self.bias is not None:
+            lines.append(self.bias.verdict)
         if (meaning := in_words(self.intervals)) is not None:
             lines.append(meaning)
         weak = self.problem.excitation.weak()

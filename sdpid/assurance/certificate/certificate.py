@@ -218,16 +218,17 @@ class Certificate:
 
     def summary(self) -> str:
         """Return what is proven, in words."""
+        of = "" if self.problem.meaning is None else f"of {self.problem.meaning}: "
         if not self.feasible:
             reason = "; ".join(self._proof.problems)
             return (
-                f"not feasible: {reason}; no feasible parameters cost less than "
+                f"{of}not feasible: {reason}; no feasible parameters cost less than "
                 f"{self.lower_bound:.10g}."
             )
         margins = [margin for margin in self.margins or () if margin is not None]
         how = f" with margin {min(margins):.6g} kg.m2" if margins else ""
         return (
-            f"feasible{how}; cost {self.cost:.10g}; no feasible parameters cost less than "
+            f"{of}feasible{how}; cost {self.cost:.10g}; no feasible parameters cost less than "
             f"{self.lower_bound:.10g}; {self._distance()}."
         )
 
@@ -263,9 +264,9 @@ def _compression(problem: Problem) -> dict[str, float] | None:
 
 
 def _loss(problem: Problem) -> str | None:
-    """Return what a robust loss made of the rows, None where there is none."""
+    """Return what the rows are where they are not the log's own, None where they are."""
     if not problem.constant:
-        return None
+        return problem.meaning
     return f"robust: rows are weighted by it, and it adds {problem.constant!r} to the floor"
 
 

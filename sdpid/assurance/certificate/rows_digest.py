@@ -36,7 +36,13 @@ def _joined(digests: Sequence[str]) -> str:
 
 
 def _of_rows(rows: RowSource) -> str:
-    return _of_piece(rows.samples)
+    digest = _of_piece(rows.samples)
+    if not rows.hashed:
+        return digest
+    found = hashlib.sha256(digest.encode())
+    for array in rows.hashed:
+        found.update(np.ascontiguousarray(array, dtype="<f8").data)
+    return found.hexdigest()
 
 
 def _of_piece(samples: Samples) -> str:

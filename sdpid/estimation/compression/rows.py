@@ -135,6 +135,11 @@ class RowSource:
         """Return the rows of other samples."""
         return RowSource(self.robot, self.friction, self.base, samples)
 
+    @property
+    def hashed(self) -> tuple[Array, ...]:
+        """What the rows are made of beside the samples, for their digest: nothing."""
+        return ()
+
     @cached_property
     def chunk_size(self) -> int:
         """Samples of a chunk: those whose rows have `CHUNK_BYTES`, at least one."""

@@ -44,6 +44,18 @@ class Crossed(Protocol):
         """Mean relative residual of the folds on their training rows."""
 
 
+class Bias(Protocol):
+    """What the verdict needs of a `BiasTest`."""
+
+    @property
+    def biased(self) -> bool:
+        """Whether least squares is biased, and by how much matters."""
+
+    @property
+    def verdict(self) -> str:
+        """That in words."""
+
+
 class Judged(Protocol):
     """What the verdict needs of an `Identification`."""
 
@@ -86,6 +98,14 @@ class Judged(Protocol):
     @property
     def cross_validation(self) -> Crossed | None:
         """Cross-validation on the training recordings."""
+
+    @property
+    def bias(self) -> Bias | None:
+        """Whether noise in the measured motion biases least squares."""
+
+    @property
+    def bias_note(self) -> str | None:
+        """Why that is not known."""
 
     @property
     def findings(self) -> tuple[inspection.Finding, ...]:

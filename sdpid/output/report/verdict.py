@@ -96,6 +96,7 @@ def findings(
         ),
         *held_back_findings(identification),
         *gains_findings(identification),
+        *_bias(identification),
         *_reach(identification),
         *_one_way(identification),
         *_weak(identification),
@@ -110,6 +111,12 @@ def _recordings(identification: Judged) -> Iterator[Finding]:
     for each in identification.findings:
         if each.severity == "refuse":
             yield Finding("bad", f"The recording is not what it says: {each}.")
+
+
+def _bias(result: Judged) -> Iterator[Finding]:
+    """Report that noise in the measured motion biases the fit."""
+    if result.bias is not None and result.bias.biased:
+        yield Finding("bad", result.bias.verdict)
 
 
 def _reach(result: Judged) -> Iterator[Finding]:

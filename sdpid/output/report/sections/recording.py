@@ -23,7 +23,8 @@ def values(result: Judged) -> dict[str, Any]:
     problem = result.problem
     # What the inspection found stands in a table of its own.
     found = {str(finding) for finding in result.findings}
-    notes = (*problem.samples.notes, *result.notes)
+    bias = result.bias_note if result.bias is None else result.bias.verdict
+    notes = (*problem.samples.notes, *result.notes, *([] if bias is None else [bias]))
     return {
         "data": list(_data(result)),
         "driven": list(driven(result)),

@@ -1,0 +1,1 @@
+"""Instrumental variables: estimates that noise in the measured motion does not bias."""
