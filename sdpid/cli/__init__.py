@@ -20,7 +20,8 @@ from sdpid.cli.judge.audit import audit
 from sdpid.cli.judge.certify import certify
 from sdpid.cli.judge.compare_runs import compare_runs
 from sdpid.cli.judge.verify import verify
-from sdpid.cli.payload import payload
+from sdpid.cli.loads.gains import gains
+from sdpid.cli.loads.payload import payload
 from sdpid.cli.sample import sample
 from sdpid.cli.simulate import simulate
 from sdpid.cli.validate import validate
@@ -64,6 +65,7 @@ for command in (
     compare,
     compare_runs,
     simulate,
+    gains,
     payload,
     audit,
     certify,

@@ -32,7 +32,7 @@ _NOT_WRITTEN = ("config", "json", "quiet")
 _PERHAPS_FILES = ("robot", "mapping")
 
 # Keys that differ from the parameter's name.
-_KEYS = {"logs": "log", "purpose": "for"}
+_KEYS = {"logs": "log", "purpose": "for", "with_load": "with"}
 
 # Commands that take the file of another one's run: options that they do not have are passed over.
 _FILES_OF = {"certify": "identify", "sample": "identify"}

@@ -14,6 +14,8 @@ import sdpid
 from sdpid.cli import app
 from sdpid.experiment.recording.recording import Recording
 from tests.helpers.arm_files import ARM_URDF, arm_log
+from tests.helpers.world import GAINS as TRUE
+from tests.helpers.world import LOAD, write_world
 
 GAINS = np.array([10.0, 5.0])
 
@@ -87,6 +89,52 @@ def test_other_gains_in_the_recipe_are_no_proof(folder: Path) -> None:
     finally:
         path.write_text(kept)
     assert "compression" in said
+
+
+def test_gains_of_a_known_load(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """From currents to gains by a file of options, and to the load that made them."""
+    monkeypatch.chdir(tmp_path)
+    write_world(tmp_path)
+    Path("gains_of.toml").write_text(
+        'robot = "arm.urdf"\nwithout = "currents.csv"\nwith = "currents_loaded.csv"\n'
+        f'load = {LOAD}\neffects = "none"\n'
+    )
+    said = run("gains", "--config", "gains_of.toml", "--out", "found.toml")
+    assert "drive gains, by a load of 2 kg (95 % intervals)" in said
+    found = sdpid.DriveGains.from_toml("found.toml")
+    assert set(found.sources) == {"currents.csv", "currents_loaded.csv"}
+    low, high = found.intervals(0.999).T
+    assert np.all((low < TRUE) & (high > TRUE))
+    more = ("--load-com", "0.2,0,0.08", "--frame", "tool0", "--load-error", "0.02")
+    more += ("--known", f"joint_1={TRUE[0]}", "--out", "known.toml", "--json")
+    plain = json.loads(run("gains", "--config", "gains_of.toml", *more))
+    assert plain["gains"]["gains"][0] == TRUE[0]
+    assert plain["gains"]["common_factor"] == 0.0
+    assert plain["file"] == "known.toml"
+    logs = ("currents_loaded.csv", "--without", "currents.csv", "--gains", "found.toml")
+    load = json.loads(run("payload", *logs, "--robot", "arm.urdf", "--json"))
+    assert load["intervals"]["mass"][0] < LOAD < load["intervals"]["mass"][1]
+    assert load["gains_share"]["mass"] > 0.01
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        (("--load", "2", "--load-com", "1,2"), "--load-com 1,2: has 2 numbers, expected 3"),
+        (("--load-error", "0.1"), "--load-error: of a load without a mass; give --load"),
+        (("--load", "2", "--known", "a=x"), "--known x: expected numbers"),
+        (("--load", "2"), "load: there is no recording with load; give it"),
+        (("--out", "run.csv"), "run.csv"),
+    ],
+)
+def test_what_cannot_be_meant_is_told(
+    folder: Path, options: tuple[str, ...], said: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(folder)
+    before = {path.name for path in folder.iterdir()}
+    shown = run("gains", "--robot", "arm.urdf", "--without", "run.csv", *options, status=2)
+    assert said in shown
+    assert {path.name for path in folder.iterdir()} == before
 
 
 def test_info_says_where_torques_come_from(folder: Path) -> None:

@@ -12,6 +12,9 @@ from sdpid._common.arrays import Array
 RATE = 100.0
 SECONDS = 20.0
 LOAD = 2.0
+# N·m/A, of the logs of currents.
+GAINS = (13.0, 12.0, 10.0, 10.5, 10.0, 10.5)
+ASIDE = 0.2
 
 # Of each joint: origin in m and rad in the parent's frame, and its limits.
 _JOINTS = (
@@ -77,8 +80,11 @@ def arm_urdf(factors: Array) -> str:
     return "\n".join(parts)
 
 
-def arm_log(seed: int, load: float = 0.0) -> str:
-    """Return a log of the true arm as CSV; the motion and the noise depend on the seed."""
+def arm_log(seed: int, load: float = 0.0, gains: tuple[float, ...] | None = None) -> str:
+    """Return a log of the true arm as CSV; the motion and the noise depend on the seed.
+
+    With gains, N·m/A, it holds currents in place of torques.
+    """
     robot = sdpid.load_robot(arm_urdf(np.ones(len(_LINKS))))
     rng = np.random.default_rng(seed)
     t = np.arange(round(SECONDS * RATE)) / RATE
@@ -89,25 +95,31 @@ def arm_log(seed: int, load: float = 0.0) -> str:
     v = (size * w * np.cos(angle)).sum(axis=0)
     a = -(size * w**2 * np.sin(angle)).sum(axis=0)
     theta = robot.prior.copy()
-    # The load: a cube of 12 cm whose center stands 8 cm off the tool's frame.
-    r, inertia = 0.05 + 0.08, load * 0.12**2 / 6.0
-    turned = inertia + load * r**2
-    theta[-1] += [load, 0.0, 0.0, load * r, turned, 0.0, turned, 0.0, 0.0, inertia]
+    # The load: a cube of 12 cm whose center stands 8 cm off the tool's frame; where it is to show
+    # gains, also off the last axis.
+    r, x, inertia = 0.05 + 0.08, ASIDE if gains else 0.0, load * 0.12**2 / 6.0
+    Ixx, Iyy, Izz = (inertia + load * square for square in (r**2, r**2 + x**2, x**2))
+    theta[-1] += [load, load * x, 0.0, load * r, Ixx, 0.0, Iyy, -load * r * x, 0.0, Izz]
     coulomb, viscous, offset = np.array(_FRICTION).T
     effort = robot.inverse_dynamics(theta, q, v, a)
     effort += coulomb * np.tanh(v / 0.01) + viscous * v + offset
     effort += np.array(_NOISE) * rng.standard_normal(q.shape)
     q = q + 2e-5 * rng.standard_normal(q.shape)
     numbers = range(1, robot.n + 1)
-    names = ["time", *(f"position_{k}" for k in numbers), *(f"effort_{k}" for k in numbers)]
+    what = "effort" if gains is None else "current"
+    effort /= 1.0 if gains is None else np.array(gains)
+    names = ["time", *(f"position_{k}" for k in numbers), *(f"{what}_{k}" for k in numbers)]
     rows = (",".join(f"{x:.6f}" for x in row) for row in np.column_stack([t, q, effort]))
     return "\n".join([",".join(names), *rows]) + "\n"
 
 
 def write_world(folder: Path) -> None:
-    """Write a description that is 15 % off, two logs, and the first motion with a load."""
+    """Write a description that is 15 % off, two logs, the first motion loaded, and currents."""
     off = np.array([1.15, 0.85, 1.15, 0.85, 1.15, 0.85])
     (folder / "arm.urdf").write_text(arm_urdf(off), encoding="utf-8")
     (folder / "run.csv").write_text(arm_log(1), encoding="utf-8")
     (folder / "other.csv").write_text(arm_log(2), encoding="utf-8")
     (folder / "loaded.csv").write_text(arm_log(1, LOAD), encoding="utf-8")
+    for name, load in (("currents", 0.0), ("currents_loaded", LOAD)):
+        text = arm_log(1, load, GAINS)
+        (folder / f"{name}.csv").write_text(text, encoding="utf-8")

@@ -1,0 +1,1 @@
+"""Commands about what an arm carries: payloads, and gains from a known load."""
