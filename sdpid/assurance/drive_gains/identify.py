@@ -178,7 +178,7 @@ def identify_drive_gains(
         description_error=description_error,
     )
     # Effects are told by what links that can exist explain, so nearly right gains are needed.
-    near = task.run(-np.log(rough), 0).found.log_kappa
+    near = task.run(-np.log(rough), 0, rounds=2).found.log_kappa
     terms, told = chosen_terms(model, samples[0], matched[0], np.exp(-near), friction, effects)
     task = replace(task, model=GainModel.of(model, terms, tuple(shared)))
     search = task.run(near, starts)

@@ -112,6 +112,11 @@ class GainModel:
                 share[list(self.base.kept).index(both.kept[same[0]])] = 0.0
         return share
 
+    def links(self, samples: Samples) -> Array:
+        """Return the regressor of links and shared terms, (K, n, b)."""
+        rows = RowSource(self.robot, self.shared, self.base, samples)
+        return rows.regressor(slice(0, samples.n_samples))
+
     def of_joint(self, j: int) -> Indices:
         """Return which parameters of `own` act on joint j."""
         return np.flatnonzero(self.acts[:, j])
@@ -152,13 +157,25 @@ class RunRows:
 
     @classmethod
     def of(
-        cls, model: GainModel, samples: Samples, bodies: Array, load: int | None = None
+        cls, model: GainModel, samples: Samples, L: Array, bodies: Array, load: int | None = None
     ) -> RunRows:
-        """Compress the rows of samples whose effort is in A; `bodies` load the gears."""
-        every = slice(0, samples.n_samples)
-        links = RowSource(model.robot, model.shared, model.base, samples)
+        """Compress the rows of samples whose effort is in A.
+
+        Parameters
+        ----------
+        model : GainModel
+            What they are explained by.
+        samples : Samples
+            The samples.
+        L : ndarray, shape (K, n, b)
+            Their regressor of the links (see `GainModel.links`).
+        bodies : ndarray, shape (links, 10)
+            What loads the gears.
+        load : int, optional
+            Number of the load that they carry.
+        """
+        every, mask = slice(0, samples.n_samples), samples.used
         own = RowSource(model.robot, model.own_with_load(bodies), model.base, samples)
-        L, mask = links.regressor(every), samples.used
         F = own.friction.columns_in(own.motion(every))
         triangles, products = [], []
         used, squares = np.zeros(samples.n), np.zeros(samples.n)

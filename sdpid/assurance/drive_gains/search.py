@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -20,7 +21,7 @@ from sdpid.robot.friction.posed import LoadFriction
 
 # Rounds in which weights and friction of the load follow the fit: after four the gains of a UR10e
 # move by less than 0.1 %.
-_ROUNDS = 4
+ROUNDS = 4
 # The spread of the logarithms of random starts.
 _SPREAD = 0.7
 # Costs of one minimum, relative.
@@ -84,8 +85,17 @@ class Task:
     free: Mask
     description_error: float | None
 
-    def run(self, start: Array, starts: int) -> Search:
+    def run(self, start: Array, starts: int, rounds: int = ROUNDS) -> Search:
         """Search from log kappa and from random ones about it.
+
+        Parameters
+        ----------
+        start : ndarray, shape (n,)
+            Log kappa.
+        starts : int
+            How many random ones.
+        rounds : int, optional
+            How often weights and friction of the load follow the fit.
 
         Raises
         ------
@@ -103,7 +113,7 @@ class Task:
         require_shown(fit, start, self.free, anchored=anchored)
         found = fit.search(start, self.free)
         follows = any(isinstance(term, LoadFriction) for term in self.model.own.terms)
-        for _ in range(_ROUNDS):
+        for _ in range(rounds):
             if follows:
                 rows = self._rows(self._bodies(fit, found))
             errors = self.errors(fit, found.log_kappa, found.z)
@@ -166,10 +176,16 @@ class Task:
             first += width
         return tuple(found)
 
+    @cached_property
+    def _regressors(self) -> tuple[Array, ...]:
+        return tuple(self.model.links(samples) for samples in self.samples)
+
     def _rows(self, bodies: list[Array]) -> tuple[RunRows, ...]:
         return tuple(
-            RunRows.of(self.model, samples, own, load)
-            for samples, own, load in zip(self.samples, bodies, self.carries, strict=True)
+            RunRows.of(self.model, samples, L, own, load)
+            for samples, L, own, load in zip(
+                self.samples, self._regressors, bodies, self.carries, strict=True
+            )
         )
 
     def _fit(self, rows: tuple[RunRows, ...], sigma: Array, scale: Array) -> GainFit:
