@@ -1,6 +1,7 @@
 """Drive gains of a UR10e from motor currents: two pairs of recordings, and simulated arms.
 
     python examples/studies/drive_gains.py --data /path/to/data --out results
+    python examples/studies/drive_gains.py --data /path/to/data --out results --simulated
 
 Each pair is a run without and a run with a load of 2.805 kg. The gains of one pair weigh the load
 of the other. Simulated arms have known gains: how often do intervals hold them? The folder of the
@@ -69,9 +70,10 @@ def main() -> int:
     options = parse()
     folder = Path(options.data) / "ur10e_innopolis"
     robot = sdpid.load_robot(folder / "ur10e.urdf")
-    if not options.simulated_only:
-        real(robot, folder, options.out)
-    simulated(robot, options.runs, options.out)
+    if options.simulated:
+        simulated(robot, 2 if options.quick else options.arms, options.out)
+    else:
+        real(robot, folder, options.out, quick=options.quick)
     return 0
 
 
@@ -80,8 +82,9 @@ def parse() -> argparse.Namespace:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--data", default=os.environ.get("SDPID_DATA"), help="public records")
     parser.add_argument("--out", type=Path, default=Path(), help="folder of the tables")
-    parser.add_argument("--runs", type=int, default=100, help="simulated arms of each case")
-    parser.add_argument("--simulated-only", action="store_true", help="leave out the recordings")
+    parser.add_argument("--simulated", action="store_true", help="simulated arms, no recordings")
+    parser.add_argument("--arms", type=int, default=100, help="simulated arms of each case")
+    parser.add_argument("--quick", action="store_true", help="effects not chosen, two arms")
     options = parser.parse_args()
     if options.data is None:
         parser.error("name the folder of the public records: --data or SDPID_DATA")
@@ -100,21 +103,22 @@ def read(robot: sdpid.RobotModel, folder: Path, name: str, out: Path) -> sdpid.R
     return sdpid.read_recording(path, columns=COLUMNS, joint_names=names, currents=True)
 
 
-def real(robot: sdpid.RobotModel, folder: Path, out: Path) -> None:
+def real(robot: sdpid.RobotModel, folder: Path, out: Path, *, quick: bool) -> None:
     """Write the gains of both pairs, and the loads that the gains of others weigh."""
+    settings = {"load": MASS, "effects": EFFECTS if quick else "auto"}
     logs = {
         pair: [read(robot, folder, name, out) for name in names] for pair, names in PAIRS.items()
     }
     others = [read(robot, folder, name, out) for name in OTHERS]
     found, rows = {}, []
     for pair, (bare, loaded) in logs.items():
-        found[pair] = sdpid.identify_drive_gains(robot, bare, loaded, load=MASS)
+        found[pair] = sdpid.identify_drive_gains(robot, bare, loaded, **settings)
     many = [logs["19 February"][0], *others]
     found["19 February, five runs"] = sdpid.identify_drive_gains(
-        robot, many, logs["19 February"][1], load=MASS
+        robot, many, logs["19 February"][1], **settings
     )
     bare, loaded = ([log[k] for log in logs.values()] for k in (0, 1))
-    found["both pairs"] = sdpid.identify_drive_gains(robot, bare, loaded, load=MASS)
+    found["both pairs"] = sdpid.identify_drive_gains(robot, bare, loaded, **settings)
     for name, each in found.items():
         print(name, each.describe(), sep="\n", flush=True)
         gains = each.gains
