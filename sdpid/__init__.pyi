@@ -8,6 +8,7 @@ from .assurance.drive_gains.identify import identify_drive_gains
 from .assurance.drive_gains.load import Load
 from .assurance.intervals.intervals import confidence_intervals
 from .assurance.payload.identify import identify_payload
+from .assurance.rollouts.rollout import rollout
 from .assurance.tables.audit import audit_base_parameters
 from .estimation.constraints.constraints import Constraints
 from .estimation.instrumental.bias import check_bias
@@ -92,6 +93,7 @@ __all__ = [
     "process",
     "read_parameters",
     "read_recording",
+    "rollout",
     "sample_parameters",
     "simulate",
     "simulate_closed_loop",

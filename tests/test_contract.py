@@ -60,6 +60,7 @@ BESIDE = {
     "cross_validate",
     "read_parameters",
     "simulate_closed_loop",
+    "rollout",
     "smallest_mass_eigenvalue",
     "solve_instrumental",
     "solve_robust",

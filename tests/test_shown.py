@@ -114,6 +114,7 @@ SHOWN: dict[str, Callable[[], Any]] = {
     "paper_excitation": lambda: sdpid.paper_excitation("denso_vp6242", 5, periods=2, period=20.0),
     "process": lambda: problem().samples,
     "read_recording": log,
+    "rollout": lambda: sdpid.rollout(estimate(), log(), (0.1,), start_every=4.0),
     "sample_parameters": lambda: sdpid.sample_parameters(estimate(), 4, 0),
     "simulate": log,
     "simulate_closed_loop": lambda: sdpid.simulate_closed_loop(

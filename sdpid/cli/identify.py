@@ -43,6 +43,14 @@ def identify(
         int | None,
         typer.Option(metavar="N", help="Cross-validate: hold out N blocks of the logs in turn."),
     ] = None,
+    rollout: Annotated[
+        bool,
+        typer.Option(
+            "--rollout",
+            help="Simulate the first --validation recording in open loop too; takes seconds, a "
+            "minute without Numba.",
+        ),
+    ] = False,
     intervals: Annotated[
         bool, typer.Option(help="Compute confidence intervals of the parameters.")
     ] = True,
@@ -87,6 +95,7 @@ def identify(
         processing=processing.changes(),
         intervals=interval_method.value if intervals else False,
         folds=folds,
+        rollout=rollout,
         **acceptance.arguments(),
         **formulation,
     )
@@ -121,6 +130,7 @@ def identify(
             details.append(result.cross_validation.table())
         if result.held_out is not None:
             details.append(result.held_out.table())
+        details += [each.table() for each in result.rollouts]
         details += [listed("verdict", result.verdict), listed("files", files)]
     else:
         details = [_short(result, out, files, notes, exports), *_findings(result)]

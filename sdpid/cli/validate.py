@@ -23,6 +23,13 @@ def validate(
     printing: Printing,
     without_effort: opt.WithoutEffort = None,
     figure: Annotated[Path | None, typer.Option(help="Image file for the plot.")] = None,
+    rollout: Annotated[
+        bool,
+        typer.Option(
+            "--rollout",
+            help="Simulate the robot under the log's efforts too, and compare positions.",
+        ),
+    ] = False,
 ) -> None:
     """Predict a log's efforts with a URDF: its inertias, its damping and its friction.
 
@@ -66,6 +73,18 @@ def validate(
         listed("notes", notes),
         errors_table({"prediction": fit}),
     ]
+    moved = []
+    if rollout:
+        from sdpid.assurance.diagnostics.described import described_dynamics
+        from sdpid.assurance.rollouts.rollout import rollout as simulated
+
+        described = described_dynamics(model, samples)
+        moved = [
+            simulated(described, record, free=free, processing=chosen, without_effort=absent)
+            for free in ("all", "each")
+        ]
+        verdict += [each.verdict for each in moved]
+        parts += [f"{each.table()}\n{listed('notes', list(each.notes))}" for each in moved]
     if findings:
         parts.insert(1, findings_listed(findings))
     if files:
@@ -77,5 +96,6 @@ def validate(
         "verdict": verdict,
         "notes": notes,
         "files": files,
+        "rollouts": [each.to_dict() for each in moved],
     }
     printing.show(content, "\n\n".join(parts))

@@ -16,6 +16,7 @@ from sdpid.plots.motion import (
     plot_distances,
     plot_motion,
     plot_over_duration,
+    plot_rollout,
     plot_spectrum,
 )
 from sdpid.plots.parameters import plot_parameters
@@ -36,6 +37,7 @@ __all__ = [
     "plot_over_duration",
     "plot_parameters",
     "plot_reconstruction",
+    "plot_rollout",
     "plot_signals",
     "plot_spectrum",
     "save_figure",

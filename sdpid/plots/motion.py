@@ -24,7 +24,9 @@ from sdpid.plots.figures import (
     SMALL,
     axes_of,
     decimate,
+    dress,
     head,
+    legend,
     new_figure,
 )
 from sdpid.plots.panels import Panel, logarithmic, stacked
@@ -46,6 +48,10 @@ _ROOM = 500.0
 
 # Of lines in one panel; red is left to limits.
 COLORS = (BLUE, GREEN, ORANGE, PURPLE, SKY, GRAY, INK)
+
+
+# Of models beside the one that is judged, which is blue.
+_OTHERS = (RED, ORANGE, PURPLE, GREEN, GRAY, SKY)
 
 
 class Motion(Protocol):
@@ -274,3 +280,60 @@ def plot_over_duration(seconds: Array, shares: Sequence[Array], *, axes: Any = N
 
 def _line(axis: Any, x: ArrayLike, y: ArrayLike, **style: Any) -> None:
     axis.plot(*decimate(x, y, points=_POINTS), solid_joinstyle="round", **style)
+
+
+def plot_rollout(
+    time: Array,
+    curves: Mapping[str, Array],
+    *,
+    own: str | None = None,
+    title: str | None = None,
+    axes: Any = None,
+) -> Any:
+    """Show errors of simulated positions over the time since the start, model by model.
+
+    Parameters
+    ----------
+    time : ndarray, shape (L,)
+        Time since the start, s.
+    curves : mapping of str to ndarray, shape (L,)
+        Errors of each model, rad; a curve ends where it is infinite.
+    own : str, optional
+        The model that is drawn stronger.
+    title : str, optional
+        Heading of the figure.
+    axes : matplotlib.axes.Axes, optional
+        Where to draw; by default in a figure of its own.
+
+    Returns
+    -------
+    matplotlib.axes.Axes
+
+    Raises
+    ------
+    MissingExtraError
+        When matplotlib is not installed (extra ``plot``).
+
+    Examples
+    --------
+    >>> time = np.array([0.1, 0.5, 2.0])
+    >>> axes = sdpid.plots.plot_rollout(time, {"model": 0.01 * time})
+    >>> axes.get_ylabel()
+    'position error, mrad'
+    """
+    if axes is None:
+        axis = new_figure(7.0, 4.0, title).subplots()
+    else:
+        axis = axes_of(axes, 1)[0, 0]
+        head(axis, title)
+    colors = iter(_OTHERS * len(curves))
+    for name, curve in curves.items():
+        ours = name == own
+        shown = np.where(np.isfinite(curve) & (curve > 0.0), 1e3 * np.asarray(curve), np.nan)
+        color, width = (BLUE, 2.2) if ours else (next(colors), 1.2)
+        axis.plot(time, shown, label=name, color=color, linewidth=width)
+    axis.set_yscale("log")
+    dress(axis, xlabel="time since the start, s", ylabel="position error, mrad")
+    if curves:
+        legend(axis)
+    return axis

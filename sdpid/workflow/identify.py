@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Iterable
 from dataclasses import replace
-from typing import Any, get_args
+from typing import TYPE_CHECKING, Any, get_args
 
 from numpy.typing import ArrayLike
 
@@ -49,6 +49,9 @@ from sdpid.workflow.formulate import (
 )
 from sdpid.workflow.result import Identification
 
+if TYPE_CHECKING:
+    from sdpid.assurance.rollouts.result import Rollout
+
 # Profile intervals respect the constraints, but take several hundred solves, 2 to 10 s for arms of
 # six and seven joints; Gauss-Markov intervals take some 0.1 s.
 DEFAULT_INTERVALS: Method = "gauss_markov"
@@ -78,6 +81,7 @@ def identify(
     effects: Effects = "auto",
     intervals: bool | Method = True,
     folds: int | None = None,
+    rollout: bool = False,
 ) -> Identification:
     """Identify the dynamics of a robot from one recording or several.
 
@@ -137,6 +141,9 @@ def identify(
         Number of blocks of the recordings to hold out in turn, with everything chosen anew without
         each (see `cross_validate`). By default the choices stay, and the parameters alone are
         found anew.
+    rollout : bool, optional
+        Simulate the first validation recording in open loop too, all joints free and one at a time
+        (see `rollout`), which takes some seconds.
 
     Returns
     -------
@@ -164,6 +171,11 @@ def identify(
             f"intervals: is {intervals!r}; use True, False or one of {', '.join(get_args(Method))}."
         )
     check_kinds(constraints, prior)
+    if rollout and validation is None:
+        raise DataError(
+            "rollout: simulates a recording that was not fitted, and there is none; give another "
+            "recording as validation, or call sdpid.rollout."
+        )
     asked = names_of_effects(effects)
     model = robot if isinstance(robot, RobotModel) else load_robot(robot)
     kinds = kinds_accepted(accept)
@@ -226,6 +238,7 @@ def identify(
         held_out=hold_out(estimate, wls, None if fresh is None else fresh.samples, predicted),
         intervals=confidence,
         cross_validation=cross_validation,
+        rollouts=_rollouts(estimate, prepared, fresh) if rollout and fresh is not None else (),
         intervals_note=intervals_note,
         bias=bias,
         bias_note=bias_note,
@@ -235,6 +248,14 @@ def identify(
         recipe=recipe,
         recipe_note=no_recipe,
     )
+
+
+def _rollouts(estimate: Estimate, prepared: Prepared, fresh: Prepared) -> tuple[Rollout, ...]:
+    """Return the first validation recording simulated, all joints free and one at a time."""
+    from sdpid.assurance.rollouts.rollout import rollout
+
+    log, how = fresh.logs[0], prepared.processing
+    return tuple(rollout(estimate, log, free=free, processing=how) for free in ("all", "each"))
 
 
 def _intervals(estimate: Estimate, wanted: bool | Method) -> tuple[Intervals | None, str | None]:

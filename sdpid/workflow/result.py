@@ -33,6 +33,7 @@ from sdpid.robot.model.dynamics import RobotDynamics
 from sdpid.workflow.results_folder import save as save_results
 
 if TYPE_CHECKING:
+    from sdpid.assurance.rollouts.result import Rollout
     from sdpid.output.robots.export_report import ExportReport
     from sdpid.workflow.cross_validation import CrossValidation
 
@@ -67,6 +68,9 @@ class Identification:
         not allow them (see `intervals_note`).
     cross_validation : CrossValidation or None
         Blocks of the training recordings held out in turn (see `sdpid.cross_validate`).
+    rollouts : tuple of Rollout
+        The validation recording simulated in open loop, all joints free and one at a time, where
+        that was asked for (see `sdpid.rollout`).
     intervals_note : str or None
         Why there are no intervals, or how far to trust them.
     bias : BiasTest or None
@@ -107,6 +111,7 @@ class Identification:
     held_out: HeldOut | None = None
     intervals: Intervals | None = None
     cross_validation: CrossValidation | None = None
+    rollouts: tuple[Rollout, ...] = ()
     intervals_note: str | None = None
     bias: BiasTest | None = None
     bias_note: str | None = None
@@ -245,6 +250,7 @@ class Identification:
             "cross_validation": (
                 None if self.cross_validation is None else self.cross_validation.to_dict()
             ),
+            "rollouts": [each.to_dict() for each in self.rollouts],
             "intervals": None if self.intervals is None else _intervals(self.intervals),
             "bias": None if self.bias is None else self.bias.to_dict(),
             "bias_note": self.bias_note,
@@ -271,6 +277,7 @@ class Identification:
             lines.append(self.cross_validation.summary())
         if self.bias is not None:
             lines.append(self.bias.verdict)
+        lines += [each.verdict for each in self.rollouts]
         if (meaning := in_words(self.intervals)) is not None:
             lines.append(meaning)
         weak = self.problem.excitation.weak()

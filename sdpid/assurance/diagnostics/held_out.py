@@ -153,6 +153,11 @@ def _description(estimate: Estimate) -> Array:
 
 def _friction_fitted(estimate: Estimate) -> Array:
     """Return the base parameters (b,) of the description's links with friction fitted."""
+    return estimate.problem.base_of(friction_fitted(estimate))
+
+
+def friction_fitted(estimate: Estimate) -> Array:
+    """Return standard parameters (p,): the description's links, friction fitted to the rows."""
     problem = estimate.problem
     first = problem.robot.prior.size
     bodies = problem.robot.prior.ravel()
@@ -166,7 +171,7 @@ def _friction_fitted(estimate: Estimate) -> Array:
     scale = np.linalg.norm(columns, axis=0)
     scale = np.where(scale > 0.0, scale, 1.0)
     friction = np.linalg.lstsq(columns / scale, missing, rcond=None)[0] / scale
-    return problem.base_of(np.concatenate([bodies, friction]))
+    return np.concatenate([bodies, friction])
 
 
 def _least_squares(estimate: Estimate) -> Array:

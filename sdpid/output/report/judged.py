@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
-from typing import Protocol
+from collections.abc import Sequence
+from typing import Any, Protocol
 from weakref import WeakKeyDictionary
 
 from sdpid._common.arrays import Array
+from sdpid._common.tables import Table
 from sdpid.assurance.certificate.certificate import Certificate
 from sdpid.assurance.diagnostics.causes import Cause, find_causes
 from sdpid.assurance.diagnostics.held_out import LEAST_SQUARES, HeldOut
@@ -15,7 +17,7 @@ from sdpid.estimation.estimate import Estimate
 from sdpid.estimation.problem import Problem
 from sdpid.experiment.inspection import finding as inspection
 from sdpid.experiment.processing.samples import Samples
-from sdpid.output.report.grades import Grade, grades
+from sdpid.output.report.grades import Grade, Level, grades
 from sdpid.output.robots.export_report import Errors
 from sdpid.output.robots.urdf_errors import urdf_errors
 
@@ -54,6 +56,43 @@ class Bias(Protocol):
     @property
     def verdict(self) -> str:
         """That in words."""
+
+
+class Rolled(Protocol):
+    """What the report needs of a `Rollout`."""
+
+    @property
+    def free(self) -> str:
+        """Which joints were simulated together."""
+
+    @property
+    def horizons(self) -> tuple[float, ...]:
+        """Times after the start at which errors are told, s."""
+
+    @property
+    def start(self) -> Array:
+        """Times at which the simulations start, s."""
+
+    @property
+    def verdict(self) -> str:
+        """What it says, in a sentence."""
+
+    @property
+    def level(self) -> Level:
+        """What that means for the model."""
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What was done, and what to know about the numbers."""
+
+    def as_table(self) -> Table:
+        """Return a row a model."""
+
+    def joint_table(self) -> Table:
+        """Return a row a joint."""
+
+    def plot(self, *, title: str | None = None, axes: Any = None) -> Any:
+        """Draw the errors over time."""
 
 
 class Judged(Protocol):
@@ -106,6 +145,10 @@ class Judged(Protocol):
     @property
     def bias_note(self) -> str | None:
         """Why that is not known."""
+
+    @property
+    def rollouts(self) -> Sequence[Rolled]:
+        """Simulations of the validation recording in open loop, if any."""
 
     @property
     def findings(self) -> tuple[inspection.Finding, ...]:

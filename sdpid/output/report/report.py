@@ -17,7 +17,15 @@ from sdpid._common.files import atomic_write_text
 from sdpid.assurance.diagnostics.active_constraints import constraint_states
 from sdpid.output.report.judged import Judged, errors_of
 from sdpid.output.report.page import page
-from sdpid.output.report.sections import joints, links, mass_matrix, parameters, recording, short
+from sdpid.output.report.sections import (
+    joints,
+    links,
+    mass_matrix,
+    parameters,
+    recording,
+    rollouts,
+    short,
+)
 from sdpid.output.robots.export_report import ExportReport
 from sdpid.output.scene.identified import identified_scene
 from sdpid.output.scene.scene import Scene
@@ -142,5 +150,6 @@ def _context(result: Judged, draw: bool, intervals: GivenIntervals | None) -> di
         **parameters.values(result, intervals, draw),
         **links.values(result),
         **mass_matrix.values(result, draw),
+        **rollouts.values(result, draw),
         **recording.values(result),
     }

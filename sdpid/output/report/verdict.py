@@ -12,6 +12,7 @@ import numpy as np
 from sdpid._common.arrays import Array
 from sdpid.assurance.diagnostics.active_constraints import constraint_states
 from sdpid.assurance.diagnostics.held_out import LEAST_SQUARES
+from sdpid.assurance.diagnostics.motion.light_joints import light_joints
 from sdpid.assurance.diagnostics.provenance import provenance
 from sdpid.assurance.diagnostics.residuals import JointErrors
 from sdpid.estimation.compression.rows import RowSource
@@ -94,6 +95,8 @@ def findings(
             terms_of(identification),
             identification.problem.effects,
         ),
+        *_rollouts(identification),
+        *_light(identification),
         *held_back_findings(identification),
         *gains_findings(identification),
         *_bias(identification),
@@ -117,6 +120,28 @@ def _bias(result: Judged) -> Iterator[Finding]:
     """Report that noise in the measured motion biases the fit."""
     if result.bias is not None and result.bias.biased:
         yield Finding("bad", result.bias.verdict)
+
+
+def _rollouts(result: Judged) -> Iterator[Finding]:
+    """Say how the simulated robot moves, where that was looked at."""
+    for each in result.rollouts:
+        how = "One joint free at a time: " if each.free == "each" else ""
+        yield Finding(each.level, f"{how}{each.verdict}")
+
+
+def _light(result: Judged) -> Iterator[Finding]:
+    """Name joints whose own effort error drives them farther than they go."""
+    problem = result.problem
+    found = light_joints(result.estimate.model(), problem.samples, result.training.moving)
+    if not found:
+        return
+    worst = max(found, key=lambda each: each.ratio)
+    names = listed([each.joint for each in found])
+    yield Finding(
+        "caution",
+        f"Do not simulate {names} under efforts with it. {worst.words[:1].upper()}"
+        f"{worst.words[1:]}. {worst.remedy[:1].upper()}{worst.remedy[1:]}.",
+    )
 
 
 def _reach(result: Judged) -> Iterator[Finding]:

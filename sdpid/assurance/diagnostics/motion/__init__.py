@@ -1,0 +1,1 @@
+"""What an estimate means for simulated motion."""

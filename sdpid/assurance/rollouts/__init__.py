@@ -1,0 +1,1 @@
+"""Judge an estimate by how its robot moves under the measured efforts."""

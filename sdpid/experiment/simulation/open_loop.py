@@ -1,0 +1,185 @@
+"""Motion under given efforts, of many short stretches of a recording at once.
+
+Each stretch starts in the measured state. Joints that are not free follow the recording: their
+accelerations are prescribed, and the free ones are solved for. Many stretches are simulated in one
+call.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+import numpy as np
+
+from sdpid._common.arrays import Array, Indices, Mask
+from sdpid.experiment.processing.samples import Samples
+
+# Longest step, s. Linearly implicit in friction, halving it moves no median by more than
+# docs/evidence/rollouts.md says.
+STEP = 0.005
+
+# Bytes of efforts and states of stretches that are simulated together.
+_BYTES = 1 << 26
+
+# A joint this many times faster than any joint of the recording has run away: on the way there it
+# has left the recorded motion by turns.
+_RUNAWAY = 20.0
+
+
+class Arm(Protocol):
+    """What is simulated, such as a `SimulatedArm`."""
+
+    def run(
+        self,
+        q: Array,
+        v: Array,
+        effort: Array,
+        dt: float,
+        *,
+        free: Mask | None = None,
+        record: tuple[Array, Array] | None = None,
+    ) -> tuple[Array, Array, Any]:
+        """Return positions and velocities (S, T + 1, n), and how many there are of each.
+
+        Efforts are (S, T, n), and the joints that are not free follow a record of T + 1 states.
+        """
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Track:
+    """A processed recording on the grid of the simulation.
+
+    Attributes
+    ----------
+    step : float
+        Of the grid, s.
+    time : ndarray, shape (T,)
+        s; pieces of the recording stand one after the other.
+    position, velocity : ndarray, shape (T, n)
+        Measured states.
+    effort : ndarray, shape (T, n)
+        Measured efforts halfway to the next instant.
+    piece : ndarray of int, shape (T,)
+        Number of the piece that each instant belongs to.
+    """
+
+    step: float
+    time: Array
+    position: Array
+    velocity: Array
+    effort: Array
+    piece: Indices
+
+    @classmethod
+    def of(cls, samples: Samples, *, step: float = STEP) -> Track:
+        """Interpolate samples by cubic splines; `step` is the longest that the grid may have."""
+        from scipy.interpolate import CubicSpline
+
+        assert samples.time is not None
+        spacing = float(np.median(np.diff(samples.time)))
+        # Whole numbers of steps between samples, so that samples stay what they are.
+        h = spacing / math.ceil(spacing / step - 1e-9)
+        parts: list[tuple[Array, ...]] = []
+        for number, part in enumerate(samples.parts):
+            own = samples.time[part]
+            if len(own) < 2:
+                continue
+            count = math.floor((own[-1] - own[0]) / h + 1e-6)
+            time = own[0] + h * np.arange(count + 1)
+            states = [CubicSpline(own, x[part])(time) for x in (samples.position, samples.velocity)]
+            effort = CubicSpline(own, samples.effort[part])(time + 0.5 * h)
+            parts.append((time, *states, effort, np.full(len(time), number)))
+        joined = [np.concatenate(each) for each in zip(*parts, strict=True)]
+        return cls(
+            step=h,
+            time=joined[0],
+            position=joined[1],
+            velocity=joined[2],
+            effort=joined[3],
+            piece=joined[4],
+        )
+
+    def starts(self, length: float, every: float) -> Indices:
+        """Return instants `every` s apart that have `length` s of their piece before them."""
+        steps, stride = self.steps(length), max(1, round(every / self.step))
+        found = []
+        for number in np.unique(self.piece):
+            own = np.flatnonzero(self.piece == number)
+            found.append(own[: max(0, len(own) - steps) : stride])
+        return np.concatenate(found)
+
+    def steps(self, seconds: float) -> int:
+        """Return how many steps there are in a time."""
+        return max(1, round(seconds / self.step))
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Stretches:
+    """Simulated stretches of a track.
+
+    Attributes
+    ----------
+    position : ndarray, shape (S, L, n)
+        Simulated positions at L instants; not finite from where a stretch ran away.
+    first : ndarray of int, shape (S,)
+        Instant of the track that each starts at.
+    after : ndarray of int, shape (L,)
+        Steps after the start.
+    """
+
+    position: Array
+    first: Indices
+    after: Indices
+
+    @property
+    def ran_away(self) -> Mask:
+        """Whether a stretch has run away, (S, L)."""
+        return np.asarray(~np.isfinite(self.position).all(axis=2))
+
+
+def simulate_stretches(
+    arm: Arm, track: Track, first: Indices, free: Mask, after: Sequence[int] | Indices
+) -> Stretches:
+    """Simulate stretches of a track under its efforts.
+
+    Parameters
+    ----------
+    arm : Arm
+        What moves.
+    track : Track
+        Efforts, states to start from, and the motion of joints that are not free.
+    first : ndarray of int, shape (S,)
+        Instants at which stretches start.
+    free : ndarray of bool, shape (S, n)
+        Joints that are free; the others follow the track.
+    after : sequence of int
+        Steps after which positions are kept, rising.
+
+    Returns
+    -------
+    Stretches
+        Divergence is no error: what ran away is NaN from then on.
+    """
+    wanted = np.asarray(after, dtype=np.intp)
+    steps, n = int(wanted[-1]), track.position.shape[1]
+    limit = _RUNAWAY * float(np.abs(track.velocity).max())
+    out = np.empty((len(first), len(wanted), n))
+    size = max(1, _BYTES // (40 * n * steps))
+    for begin in range(0, len(first), size):
+        own = slice(begin, begin + size)
+        states = first[own, None] + np.arange(steps + 1)
+        q, v = track.position[states], track.velocity[states]
+        loose: dict[str, Any] = {}
+        if not free[own].all():
+            loose = {"free": free[own], "record": (q, v)}
+        found = arm.run(q[:, 0], v[:, 0], track.effort[states[:, :-1]], track.step, **loose)
+        position, velocity = found[0], found[1]
+        with np.errstate(invalid="ignore"):
+            # Not a number is not below the limit either.
+            lost = ~(np.abs(velocity).max(axis=2) < limit)
+        lost = np.logical_or.accumulate(lost, axis=1)
+        out[own] = np.where(lost[:, :, None], np.nan, position)[:, wanted]
+    return Stretches(position=out, first=first, after=wanted)
