@@ -109,7 +109,8 @@ def _targets(rows: RowSource, sigma: Array, exponent: float) -> Array:
     found = np.zeros((count, n))
     for part in rows.parts():
         own, mask = rows.rows(part), rows.mask(part)
-        alone = own[:, :, -1:] * np.eye(n)
+        # The last column of rows may be another: that of a second stage of instruments.
+        alone = rows.samples.effort[part][:, :, None] * np.eye(n)
         stacked = np.concatenate([own[:, :, :-1], alone], axis=2)
         weighted = whiten(stacked, sigma if sigma.ndim == 2 else sigma[part], mask, exponent)
         weighted = np.where(mask[:, :, None], weighted, 0.0).reshape(-1, count + n)

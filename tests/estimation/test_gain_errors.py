@@ -54,6 +54,23 @@ def test_slopes_are_those_of_the_fit(weighting: str) -> None:
     np.testing.assert_allclose(slopes.sum(axis=1) / size, estimate.base / size, atol=1e-7)
 
 
+def test_slopes_of_an_instrumental_estimate() -> None:
+    def fitted(off: Array) -> sdpid.Estimate:
+        samples = samples_of(off, count=200)
+        rng = np.random.default_rng(8)
+        shaken = replace(samples, position=samples.position + 0.01 * rng.standard_normal((200, 2)))
+        return sdpid.solve_instrumental(
+            build_problem(ARM, samples), instruments=shaken, solver=sdpid.solve_wls
+        )
+
+    estimate = fitted(np.zeros(2))
+    slopes = estimate.problem.base.matrix @ Posterior.of(estimate, "blocks").from_gains
+    size = np.abs(estimate.base) + 1e-3
+    moved = (fitted(np.array([1e-3, 0.0])).base - estimate.base) / 1e-3
+    np.testing.assert_allclose(slopes[:, 0] / size, moved / size, atol=1e-6)
+    np.testing.assert_allclose(slopes.sum(axis=1) / size, estimate.base / size, atol=1e-6)
+
+
 def test_a_prior_holds_against_gains() -> None:
     """With a prior the parameters follow the gains as the estimate without inequalities does."""
 
