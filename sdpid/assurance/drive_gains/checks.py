@@ -292,7 +292,8 @@ def _invisible_words(directions: Array, names: Sequence[str], anchored: bool) ->
         shown = "what they move and how strong they are cannot be told apart"
     rest = f" Those of {', '.join(others)} are shown." if others else ""
     remedy = (
-        "give one of them (known=, --known)"
+        "give one of them (known=, --known), or the center of mass and inertia of the load too "
+        "(load=, --load-com, --load-inertia)"
         if anchored
         else "give a run with a load of known mass (with_load=, load=; --with, --load), a known "
         "gain (known=, --known), or what error the described links may have "

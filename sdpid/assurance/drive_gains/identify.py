@@ -122,7 +122,7 @@ def identify_drive_gains(
     IdentifiabilityError
         When the recordings do not show a gain; it says which, and what they do show.
     ModelError
-        When the robot has no such link or frame, or no description to believe.
+        When the robot has no such link or frame, no description to believe, or a floating base.
 
     Examples
     --------
@@ -139,6 +139,10 @@ def identify_drive_gains(
     True
     """
     model = robot if isinstance(robot, RobotModel) else load_robot(robot)
+    if model.n_base:
+        raise ModelError(
+            f"gains: '{model.name}' has a floating base; give a description fixed to it."
+        )
     kinds = kinds_accepted(accept)
     bare = _recordings(without_load, "without_load")
     loaded = () if with_load is None else _recordings(with_load, "with_load")
