@@ -5,6 +5,7 @@ Heavy libraries are imported inside the commands, so that ``sdpid --help`` answe
 
 from __future__ import annotations
 
+import os
 from typing import Annotated
 
 import typer
@@ -79,4 +80,7 @@ def main() -> None:
     """Run the command."""
     open_standard_streams()
     clean_up_when_ended()
+    # Nothing is drawn by MuJoCo here. Else it imports glfw, which asks child processes for
+    # versions; they print a traceback where a signal ends this process before it has asked.
+    os.environ["MUJOCO_GL"] = "disable"
     app(prog_name="sdpid")

@@ -82,6 +82,21 @@ def test_a_first_run_leaves_nothing(folder: Path) -> None:
     assert not fresh.exists()
 
 
+def test_the_command_starts_no_children_by_which_mujoco_looks_for_a_window() -> None:
+    pytest.importorskip("mujoco")
+    code = """
+import sys, sdpid.cli
+sys.argv = ["sdpid", "--version"]
+try:
+    sdpid.cli.main()
+except SystemExit:
+    import mujoco
+    sys.exit("glfw" in sys.modules)
+"""
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60)
+    assert (done.returncode, done.stderr) == (0, "")
+
+
 @pytest.mark.parametrize("mistake", [False, True])
 def test_an_end_that_comes_amid_a_callback_is_quiet(mistake: bool) -> None:
     amid = "1 / 0" if mistake else "os.kill(os.getpid(), signal.SIGTERM)"
