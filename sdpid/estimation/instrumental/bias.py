@@ -16,7 +16,6 @@ from sdpid.estimation.instrumental.moments import Columns
 from sdpid.estimation.instrumental.second_stage import FirstStage, require_instrumentable
 from sdpid.estimation.instrumental.sources import Instruments, source_of, start_model
 from sdpid.estimation.problem import Problem
-from sdpid.estimation.sdp.solve import solve_sdp
 from sdpid.experiment.preparation.several import ProcessingOf
 from sdpid.experiment.processing.samples import Samples
 from sdpid.experiment.simulation.controllers import Controller
@@ -94,7 +93,8 @@ class BiasTest:
         """One sentence: whether it matters, by how much, and what to do."""
         found = f"predictions shift by {100.0 * self.shift:.2g} % of the effort"
         chance = "too short for a test" if self.p is None else f"p = {self.p:.2g}"
-        against = f"({chance}; against {self.instruments})"
+        weak = f"; weak for {len(self.weak)} base parameters" if self.weak else ""
+        against = f"({chance}; against {self.instruments}{weak})"
         if self.biased:
             worst = self.joint_names[int(np.argmax(self.shifts))]
             return (
@@ -156,7 +156,7 @@ def check_bias(
     Parameters
     ----------
     problem : Problem or Estimate
-        Of the measured samples. An estimate saves solving once.
+        Of the measured samples. An estimate saves solving once where a model is simulated.
     recording : Recording or path, or a sequence of these
         What the problem was built of. Not needed with Samples as `instruments`.
     processing, reference, controller, instruments : optional
@@ -196,10 +196,11 @@ def check_bias(
         controller=controller,
         instruments=instruments,
     )
-    estimate = problem if isinstance(problem, Estimate) and problem.theta is not None else None
-    if estimate is None:
-        estimate = solve_sdp(given)
-    first = source.first_stage(Columns.of(given), start_model(given, estimate))
+    model = None
+    if source.follows_model:
+        known = isinstance(problem, Estimate) and problem.theta is not None
+        model = start_model(given, problem if known else None)
+    first = source.first_stage(Columns.of(given), model)
     return bias_of(first, source.words, source.note, level)
 
 

@@ -155,11 +155,11 @@ def solve_instrumental(
         instruments=instruments,
     )
     began = time.perf_counter()
-    first = start if isinstance(start, Estimate) else None
-    if first is None and start is None:
-        first = solver(problem)
-    model = start_model(problem, start if first is None else first)
-    base = problem.base_of(model.theta) if first is None else first.base
+    model = start_model(problem, start, solver) if source.follows_model else None
+    # Without a model there is but one round, and a model of other terms has other parameters.
+    base = np.zeros(problem.base.count)
+    if model is not None and model.theta.size == problem.n_theta:
+        base = problem.base_of(model.theta)
     columns = Columns.of(problem)
     iterations, found = 0, None
     for rounds in range(1, max_iterations + 1):

@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any, Literal, Protocol
 
 import numpy as np
 
 from sdpid._common.arrays import Array, real_array
-from sdpid.errors import DataError, ModelError
+from sdpid.errors import DataError, ModelError, SolverError
+from sdpid.estimation.estimate import Estimate
 from sdpid.estimation.instrumental.moments import Columns
 from sdpid.estimation.instrumental.second_stage import FirstStage
 from sdpid.estimation.problem import Problem
+from sdpid.estimation.sdp.solve import solve_sdp
 from sdpid.experiment.preparation.several import ProcessingOf, chosen_processing, recordings
 from sdpid.experiment.preparation.twin import Twin
 from sdpid.experiment.processing.process import Processing, process
@@ -45,7 +48,7 @@ class Source(Protocol):
     def follows_model(self) -> bool:
         """Whether another model gives other instruments."""
 
-    def first_stage(self, columns: Columns, model: RobotDynamics) -> FirstStage:
+    def first_stage(self, columns: Columns, model: RobotDynamics | None) -> FirstStage:
         """Return the instrumental estimate with the instruments that a model gives."""
 
 
@@ -58,7 +61,7 @@ class GivenMotion:
     note: str | None = None
     follows_model: bool = False
 
-    def first_stage(self, columns: Columns, model: RobotDynamics) -> FirstStage:
+    def first_stage(self, columns: Columns, model: RobotDynamics | None) -> FirstStage:
         """Return the estimate with this motion as instrument."""
         return FirstStage.of_motion(columns, self.instruments)
 
@@ -84,7 +87,7 @@ class SimulatedMotion:
     note: str | None = None
     follows_model: bool = True
 
-    def first_stage(self, columns: Columns, model: RobotDynamics) -> FirstStage:
+    def first_stage(self, columns: Columns, model: RobotDynamics | None) -> FirstStage:
         """Simulate the model, and return the estimate with its motion as instrument.
 
         Raises
@@ -92,6 +95,7 @@ class SimulatedMotion:
         DataError
             When the simulated robot runs away.
         """
+        assert model is not None
         positions, velocities = [], []
         for log, reference in zip(self.twin.logs, self.commanded, strict=True):
             motion = simulate_closed_loop(model, replace(log, reference=reference), self.controller)
@@ -118,7 +122,7 @@ class OtherPeriods:
     note: str | None = None
     follows_model: bool = False
 
-    def first_stage(self, columns: Columns, model: RobotDynamics) -> FirstStage:
+    def first_stage(self, columns: Columns, model: RobotDynamics | None) -> FirstStage:
         """Return the estimate with the halves as each other's instruments."""
         return FirstStage.of_halves(columns, self.first, self.second)
 
@@ -297,14 +301,18 @@ def _periods(
     return OtherPeriods(first=halves[0], second=halves[1])
 
 
-def start_model(problem: Problem, start: Any) -> RobotDynamics:
-    """Return the model of an estimate that instruments start from.
+def start_model(
+    problem: Problem, start: Any, solver: Callable[[Problem], Estimate] = solve_sdp
+) -> RobotDynamics:
+    """Return the model that instruments start from: a given one, or what a solver finds.
 
     Raises
     ------
     DataError
         When it is no estimate, or of another robot.
     """
+    if start is None:
+        return _first(problem, solver).model()
     if isinstance(start, RobotDynamics):
         model = start
     elif hasattr(start, "model"):
@@ -316,3 +324,14 @@ def start_model(problem: Problem, start: Any) -> RobotDynamics:
             f"start: is of '{model.robot.name}', the problem of '{problem.robot.name}'."
         )
     return model
+
+
+def _first(problem: Problem, solver: Callable[[Problem], Estimate]) -> Estimate:
+    """Return a solver's estimate; what it found where it proves no optimum will do for a start."""
+    try:
+        return solver(problem)
+    except SolverError as error:
+        found = error.found
+        if not isinstance(found, Estimate) or not found.feasible:
+            raise
+        return found

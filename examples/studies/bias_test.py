@@ -1,0 +1,330 @@
+"""Size and power of the test whether noise in the motion biases least squares.
+
+Simulated arms under a PD controller with known parameters. Two tables:
+
+* ``bias_size.csv``: nothing biases least squares (the motion is measured exactly, efforts have
+  white noise of 5 % of their rms), logs are filtered. How often `sdpid.check_bias` rejects at 5 %,
+  and the textbook test, which takes all columns and independent samples. Instruments
+  are the commanded motion, and in fewer runs the model's own in closed loop.
+* ``bias_power.csv``: encoders have white noise, which the controller feeds back. How often the test
+  rejects, by how much predictions shift, and the true errors of the efforts that least squares and
+  `sdpid.solve_instrumental` predict.
+
+    python examples/studies/bias_test.py --runs 100 --power-runs 4 --out results
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from functools import cached_property
+from pathlib import Path
+
+import numpy as np
+
+import sdpid
+from sdpid._common.arrays import Array
+from sdpid._common.progress import progress
+from sdpid._common.tables import Table
+from sdpid.errors import SolverError
+from sdpid.estimation.compression.rows import RowSource
+from sdpid.estimation.estimate import Estimate
+from sdpid.estimation.instrumental.moments import Columns, Moments, Pair
+from sdpid.estimation.problem import Problem
+from sdpid.experiment.plant.default_plant import default_parameters
+from sdpid.experiment.preparation.twin import Twin
+from sdpid.experiment.trajectory.fourier import FourierSeries
+from sdpid.robot.friction.model import FrictionModel
+from sdpid.robot.model.dynamics import RobotDynamics
+
+LEVEL = 0.05
+
+# White noise of the efforts, as a share of their rms.
+EFFORT_NOISE = 0.05
+
+# The loop's bandwidth (rad/s) and damping at the mean inertia.
+BANDWIDTH, DAMPING = 25.0, 0.9
+
+# Controllers run at this rate where encoders are noisy, and difference what they measure.
+CONTROL_HZ = 5000.0
+
+SECONDS, HARMONICS = 20.0, 5
+
+# Of one run in so many the model's own motion is the instrument, which has to be simulated.
+SIMULATED = 5
+
+# What is measured of each log: viscous friction alone needs no mask, exact Coulomb friction does.
+FILTERED = {"reversal_time": None, "kept_share": 0.1, "order": 4}
+MASKED = {**FILTERED, "reversal_speed": 0.05, "reversal_time": 0.02}
+
+# Robot, sample rate (Hz), cut-off (Hz), friction, mask.
+SIZE = (
+    ("denso_vp6242", 1000.0, 50.0, ("viscous",), FILTERED),
+    ("denso_vp6242", 250.0, 20.0, ("coulomb", "viscous"), MASKED),
+    ("ur10_robot", 1000.0, 50.0, ("viscous",), FILTERED),
+    ("ur10_robot", 250.0, 20.0, ("coulomb", "viscous"), MASKED),
+    ("talos_left_arm", 500.0, 30.0, ("viscous",), FILTERED),
+)
+
+# Noise of the encoders in rad, cut-offs in Hz, and masks.
+POWER = tuple(
+    ("ur10_robot", noise, cutoff, mask)
+    for noise in (1e-6, 1e-5, 5e-5)
+    for cutoff, mask in ((130.0, FILTERED), (30.0, FILTERED), (30.0, MASKED))
+)
+
+
+@dataclass(frozen=True)
+class Arm:
+    """A simulated arm on a Fourier series, at a sample rate, with some friction."""
+
+    name: str
+    rate_hz: float
+    friction: tuple[str, ...]
+
+    @cached_property
+    def model(self) -> RobotDynamics:
+        """The true arm."""
+        robot = sdpid.load_robot(self.name)
+        theta = default_parameters(robot)
+        bodies, coulomb, viscous = np.split(theta, [10 * robot.n_links, theta.size - robot.n])
+        friction = {"coulomb": coulomb, "viscous": viscous}
+        theta = np.concatenate([bodies, *(friction[each] for each in self.friction)])
+        terms = FrictionModel.from_terms(self.friction, robot.joint_names)
+        return RobotDynamics(robot=robot, terms=terms, theta=theta)
+
+    @cached_property
+    def motion(self) -> sdpid.Trajectory:
+        """The commanded motion."""
+        robot, rng = self.model.robot, np.random.default_rng(1)
+        limits = np.clip(np.asarray(robot.position_limits).reshape(-1, 2), -2.0, 2.0)
+        shape = (robot.n, HARMONICS)
+        harmonics = np.tile(np.arange(1, HARMONICS + 1), (robot.n, 1))
+        sizes, phases = (
+            rng.standard_normal(shape) / np.sqrt(harmonics),
+            rng.uniform(0.0, 6.0, shape),
+        )
+        time = np.linspace(0.0, 1.0, 500)
+        angle = 2.0 * np.pi * harmonics[:, :, None] * time + phases[:, :, None]
+        reach = np.abs((sizes[:, :, None] * np.sin(angle)).sum(axis=1)).max(axis=1)
+        room = 0.4 * np.ptp(limits, axis=1)
+        return sdpid.Trajectory(
+            joint_names=robot.joint_names,
+            series=FourierSeries(
+                period=SECONDS,
+                center=limits.mean(axis=1),
+                harmonics=harmonics,
+                amplitudes=sizes * (room / reach)[:, None],
+                phases=phases,
+            ),
+            rate_hz=self.rate_hz,
+            periods=1,
+            rest=0.5,
+            connection=1.5,
+            position_range=np.tile([-np.pi, np.pi], (robot.n, 1)),
+            velocity_limit=np.full(robot.n, 20.0),
+        )
+
+    @cached_property
+    def controller(self) -> sdpid.controllers.PD:
+        """The loop."""
+        poses = self.motion.sample()[0][:: int(self.rate_hz)]
+        inertia = np.mean([np.diag(self.model.mass_matrix(q)) for q in poses], axis=0)
+        return sdpid.controllers.PD(
+            kp=BANDWIDTH**2 * inertia, kd=2.0 * DAMPING * BANDWIDTH * inertia
+        )
+
+    @cached_property
+    def exact(self) -> sdpid.Recording:
+        """The log without any noise, and what was commanded."""
+        return self._recording(0.0, 0)
+
+    def _recording(self, position_noise: float, seed: int) -> sdpid.Recording:
+        noise = {}
+        if position_noise:
+            noise = {
+                "position_noise": np.full(self.model.robot.n, position_noise),
+                "control_hz": CONTROL_HZ,
+                "seed": seed,
+            }
+        moved = sdpid.simulate_closed_loop(
+            self.model, self.motion, self.controller, rate_hz=self.rate_hz, **noise
+        )
+        return sdpid.Recording(
+            time=moved.time,
+            position=moved.measured if position_noise else moved.position,
+            effort=moved.effort,
+            joint_names=self.model.robot.joint_names,
+            reference=self.motion.sample()[0],
+        )
+
+    def log(self, seed: int, position_noise: float = 0.0) -> sdpid.Recording:
+        """Return a log with noise of the efforts, and of the positions that the loop sees."""
+        clean = self._recording(position_noise, seed) if position_noise else self.exact
+        rng = np.random.default_rng((seed, 1))
+        size = EFFORT_NOISE * np.sqrt(np.mean(self.exact.effort**2, axis=0))
+        return replace(clean, effort=clean.effort + size * rng.standard_normal(clean.effort.shape))
+
+    def problem(self, log: sdpid.Recording, processing: sdpid.Processing) -> Problem:
+        """Return the least-squares problem of a log."""
+        samples = sdpid.process(log, processing, progress=False)
+        robot = self.model.robot
+        bounds = sdpid.Constraints.of_size(robot)
+        return sdpid.build_problem(
+            robot, samples, friction=self.friction, weighting="residual", constraints=bounds
+        )
+
+
+def solved(problem: Problem) -> Estimate:
+    """Return the constrained estimate, also where its optimum is proven to less than 1e-6."""
+    try:
+        return sdpid.solve_sdp(problem)
+    except SolverError as error:
+        if not isinstance(error.found, Estimate) or not error.found.feasible:
+            raise
+        return error.found
+
+
+def processing_of(rate: float, cutoff: float, settings: dict[str, object]) -> sdpid.Processing:
+    """Return the processing, decimated to twice the cut-off and a little more."""
+    return sdpid.Processing(
+        cutoff_hz=cutoff, decimation=max(1, int(rate / (2.5 * cutoff))), **settings
+    )
+
+
+def textbook(problem: Problem, instruments: sdpid.Samples) -> float:
+    """Return p of the test of all columns of V, samples taken as independent."""
+    from scipy.special import fdtrc
+
+    pair = Pair(measured=problem.samples, instruments=instruments)
+    found = Moments.of(Columns.of(problem), (pair,))
+    r = len(found.target)
+    gram = np.block([[found.instruments, found.cross], [found.cross.T, found.measured]])
+    target = np.concatenate([found.target, found.plain])
+    explained = target @ np.linalg.lstsq(gram, target, rcond=1e-12)[0]
+    fit = found.plain @ np.linalg.solve(found.measured, found.plain)
+    total = float(problem.rhs @ problem.rhs) + problem.floor
+    freedom = problem.n_rows - 2 * r
+    statistic = (explained - fit) / r / ((total - explained) / freedom)
+    return float(fdtrc(r, freedom, statistic))
+
+
+def size_rows(runs: int) -> Iterator[list[object]]:
+    """Yield the rows of the table of sizes."""
+    every = {}
+    for name, rate, cutoff, friction, settings in SIZE:
+        arm, processing = Arm(name, rate, friction), processing_of(rate, cutoff, settings)
+        commanded = None
+        found: dict[str, list[float]] = {"commanded": [], "simulated": [], "textbook": []}
+        blocks = 0
+        for seed in range(runs):
+            log = arm.log(seed)
+            problem = arm.problem(log, processing)
+            if commanded is None:
+                twin = Twin.of(problem.robot, log, processing, measured=problem.samples)
+                commanded = twin.samples(log.reference)
+            test = sdpid.check_bias(problem, instruments=commanded)
+            found["commanded"].append(test.p)
+            found["textbook"].append(textbook(problem, commanded))
+            blocks = sum(test.freedom)
+            if seed % SIMULATED == 0:
+                own = sdpid.check_bias(
+                    problem, log, processing=processing, controller=arm.controller
+                )
+                found["simulated"].append(own.p)
+        told = "masked" if settings is MASKED else "filtered"
+        yield [
+            name, rate, told, cutoff, " and ".join(friction), blocks,
+            *_shares(found),
+        ]  # fmt: skip
+        for key, values in found.items():
+            every.setdefault(key, []).extend(values)
+    yield ["all", *[None] * 5, *_shares(every)]
+
+
+def _shares(found: dict[str, list[float]]) -> list[object]:
+    """Return runs and rejections in per cent."""
+    out: list[object] = []
+    for key in ("commanded", "simulated", "textbook"):
+        out += [len(found[key])] if key != "textbook" else []
+        out.append(100.0 * float(np.mean(np.array(found[key]) < LEVEL)))
+    return out
+
+
+def power_rows(runs: int) -> Iterator[list[object]]:
+    """Yield the rows of the table of powers."""
+    for name, noise, cutoff, settings in POWER:
+        rate = 1000.0
+        arm = Arm(name, rate, ("coulomb", "viscous"))
+        processing = processing_of(rate, cutoff, settings)
+        rejected, shifts, least, second, biased = [], [], [], [], []
+        for seed in range(runs):
+            log = arm.log(seed, noise)
+            problem = arm.problem(log, processing)
+            test = sdpid.check_bias(problem, log, processing=processing, controller=arm.controller)
+            estimate = sdpid.solve_instrumental(
+                problem,
+                log,
+                processing=processing,
+                controller=arm.controller,
+                solver=solved,
+            )
+            rejected.append(test.p < LEVEL)
+            biased.append(test.biased)
+            shifts.append(test.shift)
+            least.append(_error(arm, problem, solved(problem).base, processing))
+            second.append(_error(arm, problem, estimate.base, processing))
+        told = "masked" if settings is MASKED else "filtered"
+        yield [
+            noise, cutoff, told, runs, 100.0 * np.mean(rejected), 100.0 * np.mean(biased),
+            *(100.0 * np.median(each) for each in (shifts, least, second)),
+        ]  # fmt: skip
+
+
+def _error(arm: Arm, problem: Problem, base: Array, processing: sdpid.Processing) -> float:
+    """Return the error of predicted efforts on the exact motion, as a share of the efforts."""
+    samples = sdpid.process(arm.exact, processing, progress=False)
+    rows = RowSource(problem.robot, problem.friction, problem.base, samples)
+    W = rows.regressor(slice(None))
+    truth = W @ problem.base_of(arm.model.theta)
+    return float(np.linalg.norm(W @ base - truth) / np.linalg.norm(truth))
+
+
+SIZES = (
+    "robot", "rate_hz", "processing", "cutoff_hz", "friction", "blocks",
+    "runs", "rejected_percent", "runs_simulated", "rejected_simulated_percent",
+    "textbook_percent",
+)  # fmt: skip
+POWERS = (
+    "noise_rad", "cutoff_hz", "processing", "runs", "rejected_percent", "biased_percent",
+    "shift_percent", "error_least_squares_percent", "error_instruments_percent",
+)  # fmt: skip
+
+
+def main() -> None:
+    """Write both tables."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--runs", type=int, default=100)
+    parser.add_argument("--power-runs", type=int, default=4)
+    parser.add_argument("--only", choices=("size", "power"), help="one of the tables")
+    parser.add_argument("--out", type=Path, default=Path("results"))
+    chosen = parser.parse_args()
+    chosen.out.mkdir(parents=True, exist_ok=True)
+    for file, header, rows, count in (
+        ("bias_size.csv", SIZES, size_rows(chosen.runs), len(SIZE) + 1),
+        ("bias_power.csv", POWERS, power_rows(chosen.power_runs), len(POWER)),
+    ):
+        if chosen.only is not None and chosen.only not in file:
+            continue
+        kept = []
+        with progress(count, file) as advance:
+            for row in rows:
+                kept.append(tuple(row))
+                print(*row, flush=True)
+                advance(1)
+        Table(header, tuple(kept)).write(chosen.out / file)
+
+
+if __name__ == "__main__":
+    main()
