@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import asdict, dataclass
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
@@ -142,7 +142,7 @@ def check_bias(
     *,
     processing: ProcessingOf = None,
     reference: Any = None,
-    controller: Controller | None = None,
+    controller: Controller | Literal["fit"] | None = None,
     instruments: Instruments | Samples | None = None,
     level: float = 0.05,
 ) -> BiasTest:
@@ -206,6 +206,7 @@ def check_bias(
 
 def bias_of(first: FirstStage, words: str, note: str | None, level: float) -> BiasTest:
     """Return the test of an instrumental estimate."""
+    first.require_strong()
     samples = first.columns.rows.samples
     contrast = Contrast.of(first, samples.block)
     test = Hotelling.of(contrast.sums)

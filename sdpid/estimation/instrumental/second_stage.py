@@ -26,6 +26,9 @@ _UNSEEN = 1e-6
 # [staiger1997]_: the estimate then leans towards least squares, and its errors are not normal.
 WEAK = 10.0
 
+# Where they are weak for more than this share, they are not of this motion.
+_MOST_WEAK = 0.5
+
 # A block of samples is at least this many time constants of the filter; samples closer than one
 # are not independent.
 _TIME_CONSTANTS = 20.0
@@ -175,8 +178,29 @@ class FirstStage:
             least_squares=_solved(moments.measured, moments.plain),
         )
 
+    def require_strong(self) -> None:
+        """Raise where the instruments are weak for most base parameters that the data show.
+
+        Any motion is a strong instrument for an offset, and so may another robot's be for gravity.
+
+        Raises
+        ------
+        IdentifiabilityError
+            With their number.
+        """
+        seen = int(np.count_nonzero(self.relevance > 0.0))
+        if len(self.weak) <= _MOST_WEAK * seen:
+            return
+        raise IdentifiabilityError(
+            f"instruments: they do not move with the measured motion: weak for {len(self.weak)} of "
+            f"{seen} base parameters (F statistic of the first stage below {WEAK:g}); check that "
+            "the reference is that of this recording and the joints are in its order, or use "
+            "solve_sdp."
+        )
+
     def second(self, words: str) -> SecondStage:
         """Return the problem of the second stage; `words` say what its cost is."""
+        self.require_strong()
         columns = self.columns
         problem, root, inverse = columns.problem, columns.root, columns.inverse
         rows = InstrumentalRows(

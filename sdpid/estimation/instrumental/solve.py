@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field, fields
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
@@ -72,7 +72,7 @@ def solve_instrumental(
     *,
     processing: ProcessingOf = None,
     reference: Any = None,
-    controller: Controller | None = None,
+    controller: Controller | Literal["fit"] | None = None,
     instruments: Instruments | Samples | None = None,
     start: Any = None,
     solver: Callable[[Problem], Estimate] = solve_sdp,
@@ -98,8 +98,9 @@ def solve_instrumental(
     reference : Trajectory or (N, n) array_like, or a sequence of these, optional
         What was commanded: positions at the recording's time stamps, or the trajectory that begins
         with it. By default `Recording.reference`.
-    controller : Controller, optional
-        That of the robot, from `sdpid.controllers`. Wrong gains cost accuracy, but bias nothing.
+    controller : Controller or "fit", optional
+        That of the robot, from `sdpid.controllers`, or one fitted to the first recording (see
+        `sdpid.controllers.fit_controller`). Wrong gains cost accuracy, but bias nothing.
     instruments : {"simulated", "reference", "periods"} or Samples, optional
         The motion of the model under `controller`; the commanded motion; either half of the
         periods as the other's instrument, as noise of different periods is independent; or another

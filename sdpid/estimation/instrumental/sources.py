@@ -23,11 +23,15 @@ from sdpid.experiment.recording.joints import match_joints
 from sdpid.experiment.recording.recording import Recording
 from sdpid.experiment.simulation.closed_loop import simulate_closed_loop
 from sdpid.experiment.simulation.controllers import Controller
+from sdpid.experiment.simulation.fit_controller import fit_controller
 from sdpid.experiment.trajectory.trajectory import Trajectory
 from sdpid.robot.model.dynamics import RobotDynamics
 
 Instruments = Literal["simulated", "reference", "periods"]
 KINDS: tuple[Instruments, ...] = ("simulated", "reference", "periods")
+
+# Laws that are tried, the most common first.
+_FITTED = ("pd", "p", "pid")
 
 # Each half of the periods is at least one.
 _FEWEST_PERIODS = 2
@@ -134,7 +138,7 @@ def source_of(
     purpose: str,
     processing: ProcessingOf = None,
     reference: Any = None,
-    controller: Controller | None = None,
+    controller: Controller | Literal["fit"] | None = None,
     instruments: Instruments | Samples | None = None,
 ) -> Source:
     """Return where instruments for a problem come from.
@@ -182,16 +186,11 @@ def source_of(
         )
     if instruments == "reference":
         return _reference(twin, commanded)
-    if controller is None:
-        raise DataError(
-            f"{purpose}: instruments='simulated' needs the controller that followed the reference; "
-            "give one of sdpid.controllers, or take instruments='reference'."
-        )
-    return SimulatedMotion(twin=twin, commanded=commanded, controller=controller)
+    return _simulated(twin, commanded, controller, purpose)
 
 
 def _best(
-    logs: tuple[Recording, ...], commanded: object | None, controller: Controller | None
+    logs: tuple[Recording, ...], commanded: object | None, controller: object | None
 ) -> Instruments:
     """Return the instruments that are strongest, of those that there are."""
     if commanded is not None and controller is not None:
@@ -266,6 +265,49 @@ def _reference(twin: Twin, commanded: tuple[Array, ...], note: str | None = None
     """Return the commanded motion as instrument."""
     samples = twin.samples(commanded)
     return GivenMotion(instruments=samples, words="the commanded motion", note=note)
+
+
+def _simulated(
+    twin: Twin,
+    commanded: tuple[Array, ...],
+    controller: Controller | Literal["fit"] | None,
+    purpose: str,
+) -> SimulatedMotion:
+    """Return the motion of a model under a controller that is given, or fitted.
+
+    Raises
+    ------
+    DataError
+        When there is no controller, or the recordings do not show it well enough.
+    """
+    words = SimulatedMotion.words
+    if isinstance(controller, str):
+        if controller != "fit":
+            raise DataError(
+                f"{purpose}: controller is {controller!r}; give one of sdpid.controllers, or 'fit'."
+            )
+        log = replace(twin.logs[0], reference=commanded[0])
+        controller = _fitted(log)
+        words = f"{words}, its controller fitted"
+    if controller is None:
+        raise DataError(
+            f"{purpose}: instruments='simulated' needs the controller that followed the reference; "
+            "give one of sdpid.controllers, or controller='fit', or take instruments='reference'."
+        )
+    return SimulatedMotion(twin=twin, commanded=commanded, controller=controller, words=words)
+
+
+def _fitted(log: Recording) -> Controller:
+    """Return a controller that explains a log's efforts: of the kinds that need nothing else.
+
+    Raises
+    ------
+    DataError
+        When none is known well enough.
+    """
+    tried = [fit_controller(log, kind) for kind in _FITTED]
+    usable = [each for each in tried if each.usable]
+    return (usable or tried)[0].require()
 
 
 def _periods(

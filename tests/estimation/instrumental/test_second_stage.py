@@ -173,7 +173,7 @@ def test_instruments_that_do_not_move_with_the_robot_are_refused(
 
 def test_weak_instruments_are_named(problem: Problem, clean: Samples) -> None:
     second = sdpid.solve_instrumental(
-        replace(problem), instruments=noisy(clean, 7, size=0.8), solver=sdpid.solve_wls
+        replace(problem), instruments=noisy(clean, 7, size=0.6), solver=sdpid.solve_wls
     )
     assert second.weak
     assert "weak for" in second.message
