@@ -33,6 +33,7 @@ from birdy_robots import NOISE, ROBOTS, SPREAD, STARTS, Benchmark
 
 from sdpid._common.files import atomic_write_text
 from sdpid._common.tables import Table
+from sdpid.robot.model import regressor_kernel
 
 # Motions, which runs take in turn; starts are taken in turn too.
 MOTIONS = 10
@@ -224,6 +225,8 @@ def main() -> int:
     parser.add_argument("--level", action="append", choices=tuple(NOISE), help="default all")
     parser.add_argument("--quick", action="store_true", help="one run of one cell")
     options = parser.parse_args()
+    # Thousands of small logs are worth compiling for, one is not.
+    regressor_kernel.WORTH = 0
     folder = options.out / "runs"
     folder.mkdir(parents=True, exist_ok=True)
     chosen = [

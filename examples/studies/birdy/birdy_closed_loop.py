@@ -34,12 +34,15 @@ def solver(
     options: dict[str, Any] = {
         "processing": processing,
         "controller": benchmark.controller,
-        "start": benchmark.model(start),
         "max_iterations": ROUNDS,
         "tolerance": TOLERANCE,
     }
     if method.endswith("IV"):
         solve = sdpid.solve_sdp if consistent else sdpid.solve_wls
-        return partial(sdpid.solve_instrumental, problem, log, solver=solve, **options)
+        options |= {"solver": solve, "start": benchmark.model(start)}
+        return partial(sdpid.solve_instrumental, problem, log, **options)
     kind = "didim" if method.endswith("DIDIM") else "closed_loop"
-    return partial(sdpid.solve_output_error, problem, log, method=kind, **options)
+    # DIDIM hardly depends on the controller; output error does, on its delay too.
+    rate = benchmark.rate_hz if kind == "closed_loop" else None
+    options |= {"method": kind, "start": start, "control_hz": rate}
+    return partial(sdpid.solve_output_error, problem, log, **options)

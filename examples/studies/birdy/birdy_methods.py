@@ -129,7 +129,9 @@ def timed(
     except sdpid.errors.SdpidError as error:
         return Result(name, method, None, note=f"{type(error).__name__}: {error}"[:200])
     seconds = before + time.process_time() - begin
-    rounds = getattr(found, "rounds", 1)
+    # Of one linear problem there is one iteration, whatever its solver counts.
+    own = found.iterations if hasattr(found, "simulations") else 1
+    rounds = getattr(found, "rounds", own)
     simulations = getattr(found, "simulations", rounds if method in CLOSED_LOOP else 0)
     base = found.base
     if found.theta is not None:
