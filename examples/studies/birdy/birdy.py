@@ -195,23 +195,22 @@ def summary(folder: Path) -> Table:
     return Table(HEADER, tuple(rows))
 
 
-PIVOTS = {
-    "errors": "error",
-    "mean_relative": "mean_relative",
-    "torques": "torque",
-    "positions": "position",
-}
+def errors(table: Table) -> Table:
+    """Return the errors of base parameters, with a column for each level of noise.
 
-
-def pivot(table: Table, column: str) -> Table:
-    """Return one figure of merit, with a column for each level of noise."""
-    place = table.header.index(column)
-    rows: dict[tuple[object, ...], dict[object, object]] = defaultdict(dict)
+    Runs are the fewest of the main levels.
+    """
+    place, count = table.header.index("error"), table.header.index("runs")
+    rows: dict[tuple[object, ...], dict[object, tuple[object, ...]]] = defaultdict(dict)
     for row in table.rows:
         robot, noise, level, processing, method = row[:5]
-        rows[robot, noise, processing, method][level] = row[place]
-    lines = tuple((*key, *(found.get(level) for level in NOISE)) for key, found in rows.items())
-    return Table(("robot", "noise", "processing", "method", *NOISE), lines)
+        rows[robot, noise, processing, method][level] = row
+    lines = []
+    for key, found in rows.items():
+        runs = min((row[count] for level, row in found.items() if level in MAIN), default=None)
+        values = [found[level][place] if level in found else None for level in NOISE]
+        lines.append((*key, runs, *values))
+    return Table(("robot", "noise", "processing", "method", "runs", *NOISE), tuple(lines))
 
 
 def main() -> int:
@@ -221,6 +220,7 @@ def main() -> int:
     parser.add_argument("--runs", type=int, default=100, help="runs a cell")
     parser.add_argument("--robot", action="append", choices=ROBOTS, help="default all")
     parser.add_argument("--methods", action="append", choices=GROUPS, help="default all")
+    parser.add_argument("--only", action="append", help="a method, such as PC-DIDIM; default all")
     parser.add_argument("--noise", action="append", choices=NOISES, help="default both")
     parser.add_argument("--level", action="append", choices=tuple(NOISE), help="default all")
     parser.add_argument("--quick", action="store_true", help="one run of one cell")
@@ -250,14 +250,14 @@ def main() -> int:
                 key
                 for key in plan(cell, number, groups, SELDOM)
                 if (cell, number, *key) not in done
+                if not options.only or key[1] in options.only
             ]
             if wanted:
                 rows = run(cell, number, wanted, options.out / "motions", SELDOM)
                 append(folder / cell.file, rows)
     table = summary(folder)
     table.write(options.out / "figures.csv")
-    for name, column in PIVOTS.items():
-        pivot(table, column).write(options.out / f"{name}.csv")
+    errors(table).write(options.out / "errors.csv")
     spread = f"{STARTS} starts of {100.0 * SPREAD:.0f} %, {MOTIONS} motions\n\n"
     atomic_write_text(options.out / "figures.txt", spread + table.text() + "\n")
     print(f"{len(table.rows)} medians in {options.out}")

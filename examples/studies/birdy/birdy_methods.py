@@ -41,8 +41,8 @@ PROCESSINGS = ("unfiltered", "filtered", "masked")
 GROUPS = ("direct", "instrumental", "didim", "output_error", "identify", "robust")
 _METHODS = {
     "direct": (PROCESSINGS, ("OLS", "WLS", "PC-OLS", "PC-WLS")),
-    "instrumental": (("filtered", "masked"), ("IV", "PC-IV")),
-    "didim": (("filtered", "masked"), ("DIDIM", "PC-DIDIM")),
+    "instrumental": (PROCESSINGS, ("IV", "PC-IV")),
+    "didim": (PROCESSINGS, ("DIDIM", "PC-DIDIM")),
     "output_error": (("masked",), ("CLOE", "PC-CLOE")),
     "robust": (("filtered", "masked"), ("IRLS", "PC-IRLS")),
     "identify": (("default",), ("identify",)),
