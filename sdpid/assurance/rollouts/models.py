@@ -21,6 +21,9 @@ from sdpid.estimation.wls import solve_wls
 from sdpid.experiment.processing.samples import Samples
 from sdpid.robot.model.dynamics import RobotDynamics
 
+# What takes the place of the joints that are free.
+CLOSED_LOOP = "closed loop"
+
 # A model that comes without an estimate.
 MODEL = "this model"
 

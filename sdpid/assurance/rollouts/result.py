@@ -12,6 +12,7 @@ from sdpid._common.arrays import Array, Indices, Mask
 from sdpid._common.extras import require
 from sdpid._common.tables import Table, facts_html, plain
 from sdpid.assurance.diagnostics.motion.light_joints import LightJoint
+from sdpid.assurance.rollouts.models import CLOSED_LOOP
 from sdpid.assurance.rollouts.words import level_of, notes_on, verdict_on
 
 
@@ -85,8 +86,9 @@ class Rollout:
     sliding : ndarray of bool, shape (n,)
         Which of them slide: their errors are in m, mm in tables.
     free : str
-        ``"all"``: all at once; ``"each"``: one at a time, the others on the record; or the names
-        of those that are free together.
+        ``"all"``: all at once; ``"closed loop"``: all, under a controller; ``"each"``: one at a
+        time, the others on the record; or the names of those that are free
+        together.
     horizons : tuple of float
         Times after the start at which errors are told, s.
     time : ndarray, shape (L,)
@@ -199,7 +201,7 @@ class Rollout:
         """
         unit = "mrad, mm of sliding joints" if self.sliding.any() else "mrad"
         return (
-            f"position errors in open loop, {_free_words(self)}: median over {len(self.start)} "
+            f"position errors in {_free_words(self)}: median over {len(self.start)} "
             f"starts\n{self.as_table().text(3)}\n\n{self.own} joint by joint, {unit}\n"
             f"{self.joint_table().text(3)}"
         )
@@ -273,6 +275,8 @@ def _gone(errors: MotionErrors) -> Array:
 
 
 def _free_words(rollout: Rollout) -> str:
+    if rollout.free == CLOSED_LOOP:
+        return CLOSED_LOOP
     if rollout.free == "each":
-        return "one joint free at a time, the others on the record"
-    return "all joints free" if rollout.free == "all" else f"free: {rollout.free}"
+        return "open loop, one joint free at a time, the others on the record"
+    return f"open loop, {'all joints free' if rollout.free == 'all' else f'free: {rollout.free}'}"

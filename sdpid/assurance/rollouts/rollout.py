@@ -9,14 +9,15 @@ from typing import Any
 
 import numpy as np
 
-from sdpid._common.arrays import Indices
+from sdpid._common.arrays import Array, Indices
 from sdpid._common.seeds import generator
 from sdpid._common.threads import one_thread
 from sdpid.assurance.diagnostics.held_out import OURS
 from sdpid.assurance.diagnostics.motion.light_joints import light_joints
 from sdpid.assurance.diagnostics.validation import validate_dynamics
+from sdpid.assurance.rollouts.closed import REFERENCE, in_closed_loop, reference_on
 from sdpid.assurance.rollouts.errors import Runs
-from sdpid.assurance.rollouts.models import FLOOR, MODEL, models_beside
+from sdpid.assurance.rollouts.models import CLOSED_LOOP, FLOOR, MODEL, models_beside
 from sdpid.assurance.rollouts.noise import noisier
 from sdpid.assurance.rollouts.result import Rollout
 from sdpid.errors import DataError
@@ -29,6 +30,7 @@ from sdpid.experiment.processing.samples import Samples
 from sdpid.experiment.readers.read import read_recording
 from sdpid.experiment.recording.recording import Recording
 from sdpid.experiment.simulation.arm import SimulatedArm
+from sdpid.experiment.simulation.controllers import Controller
 from sdpid.experiment.simulation.open_loop import Track
 from sdpid.robot.model.coordinates import sliding
 from sdpid.robot.model.dynamics import RobotDynamics
@@ -50,6 +52,7 @@ def rollout(
     free: str | Iterable[str] = "each",
     without_effort: Iterable[str] = (),
     start_every: float | None = None,
+    controller: Controller | None = None,
     processing: Processing | Mapping[str, Any] | None = None,
     baselines: bool = True,
     seed: int | np.random.Generator = 0,
@@ -83,6 +86,9 @@ def rollout(
         used no effort do so anyway.
     start_every : float, optional
         Time between starts, s; by default 0.25 s, or what gives 60 starts.
+    controller : Controller, optional
+        Simulate in closed loop instead: all joints follow the recording's commanded positions
+        under this controller (see `sdpid.controllers`), and measured efforts are not used.
     processing : Processing or mapping, optional
         How states and efforts are filtered; by default as `identify` would, or a mapping of
         changes of that. Rows are never masked, and periods not averaged.
@@ -117,6 +123,8 @@ def rollout(
     model, judged, name = _judged(estimate)
     robot, arm = model.robot, SimulatedArm.of(model)
     wanted = _checked_horizons(horizons)
+    if controller is not None and free == "each":
+        free = "all"
     absent = _without(judged, robot, without_effort)
     groups, named = _groups(robot, free, absent)
     rng = generator(seed)
@@ -138,16 +146,33 @@ def rollout(
     after, at = _instants(track, kept)
     runs = Runs(robot=robot, first=first, groups=groups, after=after, at=at)
     measured = runs.measured(track)
-    own = runs.simulated(arm, track)
+    reference = None
+    if controller is not None:
+        if groups != (tuple(range(robot.n)),):
+            raise DataError("controller: moves all joints; leave free and without_effort out.")
+        controller = getattr(controller, "controller", controller)
+        reference = reference_on(track, robot, log)
+
+    def simulated(its: SimulatedArm, along: Track) -> Array:
+        if controller is None or reference is None:
+            return runs.simulated(its, along)
+        return in_closed_loop(its, runs, along, reference, controller)
+
+    own = simulated(arm, track)
     errors = {name: runs.errors(own, measured)}
     beside = models_beside(judged, samples) if judged is not None and baselines else {}
     for other, its in beside.items():
-        errors[other] = runs.errors(runs.simulated(SimulatedArm.of(its), track), measured)
+        errors[other] = runs.errors(simulated(SimulatedArm.of(its), track), measured)
     for other, positions in runs.idle(track).items():
         errors[other] = runs.errors(positions, measured)
+    if reference is not None:
+        commanded = reference[first[:, None] + after]
+        errors[REFERENCE] = runs.errors(commanded[None], measured)
     said = [
         f"{len(first)} starts, {every:.3g} s apart, simulated in steps of "
         f"{1e3 * track.step:.3g} ms under the filtered efforts, which raw ones hardly change"
+        if controller is None
+        else f"{len(first)} starts, {every:.3g} s apart, simulated in closed loop"
     ]
     if absent:
         said.append(f"on the record, as their effort is not used: {', '.join(absent)}")
@@ -158,7 +183,7 @@ def rollout(
         said.append("no floor of noise: samples do not tell the noise; give the recording")
     else:
         again = Track.of(prepare(robot, noisier(log, rng), chosen))
-        moved = runs.simulated(arm, again)
+        moved = simulated(arm, again)
         # What is compared with is measured with noise, too.
         errors[FLOOR] = runs.errors(moved, own + (runs.measured(again) - measured))
     slides = sliding(robot.pin_model, robot.joint_names)
@@ -167,7 +192,7 @@ def rollout(
         robot=robot.name,
         joint_names=tuple(robot.joint_names[j] for j in joints),
         sliding=slides[joints],
-        free=named,
+        free=named if controller is None else CLOSED_LOOP,
         horizons=kept,
         time=np.asarray(after * track.step, dtype=np.float64),
         start=track.time[first],

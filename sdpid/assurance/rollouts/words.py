@@ -14,7 +14,7 @@ from sdpid.assurance.diagnostics.held_out import (
     LEAST_SQUARES,
 )
 from sdpid.assurance.diagnostics.motion.light_joints import LightJoint
-from sdpid.assurance.rollouts.models import CONSTANT_VELOCITY, FLOOR, STAND_STILL
+from sdpid.assurance.rollouts.models import CLOSED_LOOP, CONSTANT_VELOCITY, FLOOR, STAND_STILL
 
 # The verdict is on the first horizon from here on, s: before, a motion is mostly its own start, and
 # what holds its velocity beats the models of most arms (docs/evidence/rollouts.md).
@@ -39,6 +39,10 @@ class Off(Protocol):
 
 class Told(Protocol):
     """What is put into words of a `Rollout`."""
+
+    @property
+    def free(self) -> str:
+        """Which joints are free, or that a controller moves them."""
 
     @property
     def own(self) -> str:
@@ -72,6 +76,7 @@ def verdict_on(rollout: Told) -> str:
     medians = {name: float(each.quantile(0.5)[k]) for name, each in rollout.models.items()}
     own = medians.pop(rollout.own)
     horizon = f"{rollout.horizons[k]:g} s"
+    loop = CLOSED_LOOP if rollout.free == CLOSED_LOOP else "open loop"
     beside = [
         f"{name} {_angle(medians[name])}"
         for name in (FRICTION_FITTED, LEAST_SQUARES, CONSTANT_VELOCITY, STAND_STILL, FLOOR)
@@ -80,7 +85,7 @@ def verdict_on(rollout: Told) -> str:
     numbers = f"; {', '.join(beside)}" if beside else ""
     if not np.isfinite(own):
         return (
-            f"Simulated in open loop it runs away: within {horizon} from "
+            f"Simulated in {loop} it runs away: within {horizon} from "
             f"{rollout.diverged[k]:.0%} of the starts{numbers}."
         )
     idle = min(medians.get(name, np.inf) for name in (CONSTANT_VELOCITY, STAND_STILL))
@@ -95,7 +100,7 @@ def verdict_on(rollout: Told) -> str:
         head = f"It moves less like the robot than {' and '.join(better)}"
     else:
         head = "It moves as the robot does"
-    return f"{head}: after {horizon} in open loop it is off by {_angle(own)}{numbers}."
+    return f"{head}: after {horizon} in {loop} it is off by {_angle(own)}{numbers}."
 
 
 def level_of(rollout: Told) -> Literal["good", "caution", "bad"]:

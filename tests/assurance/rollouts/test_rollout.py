@@ -226,3 +226,25 @@ def test_identify_shows_it(tmp_path: Any) -> None:
     page = sdpid.write_report(result, tmp_path / "report.html", figures=False).read_text("utf-8")
     assert "Motion in open loop" in page
     assert result.to_dict()["rollouts"][0]["verdict"] in page
+
+
+def test_closed_loop_follows_the_reference() -> None:
+    law = sdpid.controllers.PD(np.full(2, 200.0), np.full(2, 20.0))
+    t, q, _, _ = motion(2, seconds=6.0)
+    moved = sdpid.simulate_closed_loop(truth(), q, law, rate_hz=200.0)
+    log = sdpid.Recording(
+        time=t,
+        position=moved.position,
+        effort=moved.effort,
+        reference=q,
+        joint_names=arm().joint_names,
+    )
+    found = sdpid.rollout(truth(), log, (0.1, 0.5), controller=law, start_every=1.0)
+    assert found.free == "closed loop"
+    assert found.median[-1] < 1e-3
+    assert found.median[-1] < 0.1 * found.models["reference followed exactly"].quantile(0.5)[-1]
+    assert "in closed loop" in found.verdict
+    with pytest.raises(DataError, match="has none"):
+        sdpid.rollout(truth(), recorded(2), controller=law)
+    with pytest.raises(DataError, match="moves all joints"):
+        sdpid.rollout(truth(), log, controller=law, free=arm().joint_names[0])
