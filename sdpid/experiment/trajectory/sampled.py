@@ -109,6 +109,11 @@ class SampledCurve(Pieces):
         inner = (leave, 2.0 * leave + first, moved - 2.0 * arrive + last, moved - arrive)
         return np.stack([zero, *inner, moved])
 
+    @property
+    def control_points(self) -> Array:
+        """Bernstein coefficients of each piece, (q + 1, K - 1, n), in rad."""
+        return np.asarray(self._offsets + self.position[:-1])
+
     def _polynomials(self, derivative: int, piece: Any) -> tuple[Array, Array, Array]:
         """Return control points (q+1, S, n), knots (2q, S) and rounding (S, n) of S pieces."""
         points = self._offsets[:, piece]

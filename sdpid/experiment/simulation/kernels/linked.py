@@ -21,6 +21,9 @@ _MODULES: tuple[ModuleType, ...] = (links, friction, solve, step, loops)
 # What is called from outside, and kept on the disk.
 _ENTRIES = ("closed_loop", "open_loop", "many_dynamics", "many_accelerations")
 
+# Called in every step with many arrays, whose counting takes longer than the work.
+_INLINED = ("change_over", "smooth_at", "bounds_at")
+
 # Compiling for longer than this is worth a line, s.
 _PATIENCE = 1.0
 
@@ -54,7 +57,9 @@ def _linked(njit: Any, **kept: Any) -> SimpleNamespace:
                 copy = FunctionType(function.__code__, found, name)
                 copy.__module__ = function.__module__
                 copy.__qualname__ = f"{name}_{digest}"
-                found[name] = njit(**options, **(kept if name in _ENTRIES else {}))(copy)
+                more = kept if name in _ENTRIES else {}
+                more = {"inline": "always"} if name in _INLINED else more
+                found[name] = njit(**options, **more)(copy)
     return SimpleNamespace(**{name: _announced(found[name]) for name in _ENTRIES})
 
 

@@ -162,6 +162,11 @@ def change_over(
         mode[changed] = 1 if K[row, size] / dt > bounds[changed, 1] else -1
     for i in range(n):
         dv[i] = K[i, size]
+    for k in range(count):
+        i = contacts[k, 0]
+        if at[k] and mode[k] == 0 and contacts[k, 1] < 0:
+            # Exactly: what sticks does not creep.
+            dv[i] = values[k, 0] - v[i] if moves else 0.0
 
 
 def advance(

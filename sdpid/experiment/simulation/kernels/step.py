@@ -18,7 +18,7 @@ from sdpid.experiment.simulation.kernels.solve import advance
 RUNAWAY = 1e3
 
 # Rounds for friction that grows with the load, each shrinking the error by the share that it takes.
-LOAD_ROUNDS = 20
+LOAD_ROUNDS = 100
 SETTLED = 1e-10
 
 
