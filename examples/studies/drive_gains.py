@@ -13,8 +13,10 @@ from __future__ import annotations
 import argparse
 import os
 import sys
-from dataclasses import dataclass
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -59,6 +61,12 @@ ROTORS = np.array([0.15, 0.15, 0.12, 0.02, 0.02, 0.02])
 OF_LOAD = 0.07
 RATE = 100.0  # Hz
 EFFECTS = ("rotor_inertia", "load")
+# Masked as `identify` does, close to reversals only.
+UNMASKED = {"reversal_speed": 0.02, "reversal_time": 0.0225, "kept_share": 0.1}
+CHOICES = (
+    *("choice", "gains_february", "gains_january"),
+    *("joint_1_percent", "others_percent", "left_percent"),
+)
 COVERAGE = (
     *("case", "joint", "arms", "held_percent", "error_percent", "off_percent"),
     *("bias_percent", "refused"),
@@ -148,6 +156,8 @@ def real(robot: sdpid.RobotModel, folder: Path, out: Path, *, quick: bool) -> No
     header = ("joint", "difference_percent", "in_errors", "overlap")
     Table(header, tuple(rows)).write(out / "pairs.csv")
 
+    Table(CHOICES, tuple(choices(robot, logs))).write(out / "choices.csv")
+
     rows = []
     for pair in PAIRS:
         own = found[pair].gains
@@ -157,6 +167,65 @@ def real(robot: sdpid.RobotModel, folder: Path, out: Path, *, quick: bool) -> No
             rows.append((pair, source, mass, error, 100.0 * (mass / MASS - 1.0)))
     header = ("load_of", "gains_of", "mass_kg", "error_kg", "off_percent")
     Table(header, tuple(rows)).write(out / "crosswise.csv")
+
+
+def choices(
+    robot: sdpid.RobotModel, logs: dict[str, list[sdpid.Recording]]
+) -> Iterator[tuple[object, ...]]:
+    """Yield how far the gains of two pairs are apart when something is done otherwise."""
+    own = ("rotor_inertia", "load", "coulomb", "viscous", "sigmoid", "offset")
+    others: dict[str, dict[str, Any]] = {
+        "as by default": {},
+        "slow motion not masked": {"processing": UNMASKED},
+        "friction of both runs alike": {"shared": own},
+        "no rotor inertia": {"effects": ("load",)},
+        "no friction of the load": {"effects": ("rotor_inertia",)},
+        "bodies need not exist": {"consistent": False},
+    }
+    for name, settings in others.items():
+        given = {"load": MASS, "effects": EFFECTS, "starts": 0, **settings}
+        found = [sdpid.identify_drive_gains(robot, *pair, **given) for pair in logs.values()]
+        left = 100.0 * np.mean([each.share[3:] for each in found])
+        yield _apart(name, *(each.gains.gains for each in found), float(left))
+    regressed = [currents_as_regressors(robot, *pair) for pair in logs.values()]
+    yield _apart("errors in torques: currents as regressors", *regressed, None)
+
+
+def _apart(name: str, one: np.ndarray, two: np.ndarray, left: float | None) -> tuple[object, ...]:
+    """Return a row of the table of choices."""
+    shift = 100.0 * np.abs(np.log(np.maximum(one, 1e-9) / np.maximum(two, 1e-9)))
+    gains = [" ".join(f"{gain:.2f}" for gain in each) for each in (one, two)]
+    return (name, *gains, float(shift[0]), float(shift[1:].max()), left)
+
+
+def currents_as_regressors(
+    robot: sdpid.RobotModel, bare: sdpid.Recording, loaded: sdpid.Recording
+) -> np.ndarray:
+    """Return gains by least squares of torques: links + friction - gain × current = 0."""
+    rows, rhs = [], []
+    n, links = robot.n, 10 * robot.n_links
+    for number, log in enumerate((bare, loaded)):
+        samples = sdpid.process(replace(log, currents=False))
+        Y = robot.regressor(samples.position, samples.velocity, samples.acceleration)
+        v, a = samples.velocity, samples.acceleration
+        shapes = (np.sign(v), v, np.ones_like(v), a, np.abs(Y @ robot.prior.ravel()) * np.sign(v))
+        A = np.zeros((len(v), n, links + 9 + n + 2 * len(shapes) * n))
+        A[:, :, :links] = Y
+        if number:
+            A[:, :, links : links + 9] = Y[:, :, -9:]
+        joints = np.arange(n)
+        A[:, joints, links + 9 + joints] = -samples.effort
+        first = links + 9 + n + number * len(shapes) * n
+        for k, shape in enumerate(shapes):
+            A[:, joints, first + k * n + joints] = shape
+        used = samples.used
+        rows.append(A[used])
+        rhs.append(-number * MASS * Y[used][:, -10])
+    stacked = np.vstack(rows)
+    size = np.linalg.norm(stacked, axis=0)
+    size[size == 0.0] = 1.0
+    found = np.linalg.lstsq(stacked / size, np.concatenate(rhs), rcond=1e-10)[0] / size
+    return np.asarray(found[links + 9 : links + 9 + n])
 
 
 def weighed(own: sdpid.DriveGains, gains: np.ndarray) -> tuple[float, float]:
