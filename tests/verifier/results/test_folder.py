@@ -117,7 +117,7 @@ def test_any_digit_of_any_file(folder: Path, tmp_path_factory: Any, data: st.Dat
     (path / name).write_bytes(text[:at] + bytes([new]) + text[at + 1 :])
     try:
         problems = verified(path).problems
-    except MalformedError:
+    except (MalformedError, json.JSONDecodeError):  # no JSON has numbers such as 02
         assert name in ("manifest.json", "certificate.json")
         return
     assert any(name in problem for problem in problems)
