@@ -10,7 +10,7 @@ Simulated arms under a PD controller with known parameters. Two tables:
   rejects, by how much predictions shift, and the true errors of the efforts that least squares and
   `sdpid.solve_instrumental` predict.
 
-    python examples/studies/bias_test.py --runs 100 --power-runs 4 --out results
+    python examples/studies/bias_test.py --runs 40 --power-runs 4 --out results
 """
 
 from __future__ import annotations
@@ -305,7 +305,7 @@ POWERS = (
 def main() -> None:
     """Write both tables."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--runs", type=int, default=100)
+    parser.add_argument("--runs", type=int, default=40)
     parser.add_argument("--power-runs", type=int, default=4)
     parser.add_argument("--only", choices=("size", "power"), help="one of the tables")
     parser.add_argument("--out", type=Path, default=Path("results"))
