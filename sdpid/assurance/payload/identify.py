@@ -62,6 +62,13 @@ _AT_THE_EDGE = (
 # are invisible, but for rounding.
 _INVISIBLE = 1e-9
 
+# Friction changes from run to run. To let it differ hardly widens intervals where
+# it does not change; to take it as common puts the center of mass off by centimeters where it
+# does (docs/evidence/exports.md).
+SEPARATE = (
+    *("coulomb", "viscous", "offset", "asymmetric_coulomb", "stribeck", "sigmoid", "square_root"),
+)
+
 
 @one_thread
 def identify_payload(
@@ -73,7 +80,7 @@ def identify_payload(
     frame: str | None = None,
     prior: Prior | None = None,
     friction: Iterable[str | FrictionTerm] | None = None,
-    separate: Iterable[str] = ("offset",),
+    separate: Iterable[str] = SEPARATE,
     processing: Processing | None = None,
     weighting: Weighting | None = None,
     mass_max: float = 100.0,
@@ -115,8 +122,9 @@ def identify_payload(
     friction : iterable, optional
         Friction terms; by default those of the estimate, or as `identify` chooses them.
     separate : iterable of str, optional
-        Names of friction terms that may differ between the recordings, such as the sensors' zero
-        errors.
+        Names of friction terms that may differ between the recordings, as friction does when
+        motors warm up and sensors' zeros drift. By default friction of every kind but that which
+        grows with load.
     processing : Processing, optional
         Processing of the recordings; by default as `identify` chooses it.
     weighting : str, optional

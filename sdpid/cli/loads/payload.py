@@ -45,14 +45,14 @@ def payload(
         typer.Option(
             metavar="TERM",
             help="Friction term that may differ between the recordings, such as coulomb; repeat "
-            "for several. Default: offset.",
+            "for several. Default: all but friction of the load.",
         ),
     ] = None,
     level: Annotated[float, typer.Option(help="Probability of the intervals.")] = 0.95,
     without_effort: opt.WithoutEffort = None,
 ) -> None:
     """Identify what is mounted on the last link: mass, center of mass and inertia."""
-    from sdpid.assurance.payload.identify import identify_payload
+    from sdpid.assurance.payload.identify import SEPARATE, identify_payload
     from sdpid.estimation.prior.prior import Prior
     from sdpid.experiment.preparation.several import columns_without
     from sdpid.robot.model.load import load_robot
@@ -67,7 +67,7 @@ def payload(
         frame=frame,
         link=link,
         prior=None if strength is None else Prior(strength=strength),
-        separate=("offset",) if separate is None else separate,
+        separate=SEPARATE if separate is None else separate,
         level=level,
         without_effort=joints,
         **acceptance.arguments(),

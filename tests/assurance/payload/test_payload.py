@@ -102,6 +102,22 @@ def test_a_known_payload_by_another_dynamics_algorithm(arm: RobotModel) -> None:
     assert found.notes == ()
 
 
+def test_friction_that_changed_between_the_recordings_does_no_harm(arm: RobotModel) -> None:
+    loaded, bare, theta = pair(arm, load())
+    tail = slice(-2 * arm.n, None)
+    ways = np.resize([1.3, 0.7, 1.2], 2 * arm.n)
+    changed = theta.copy()
+    changed[tail] *= ways
+    rng = np.random.default_rng(6)
+    full = with_payload(changed, load())
+    loaded = make_samples(arm, full, rng, count=300, noise=NOISE, block=5)
+    found = identify_payload(arm, loaded, bare, friction=TERMS)
+    assert holds(found, load()).all()
+    common = identify_payload(arm, loaded, bare, friction=TERMS, separate=("offset",))
+    assert not holds(common, load())[:4].all()
+    assert common.cost > 2.0 * found.cost
+
+
 def test_exact_data_give_the_exact_payload(arm: RobotModel) -> None:
     loaded, bare, _ = pair(arm, load(), noise=0.0)
     found = identify_payload(arm, loaded, bare, friction=TERMS, weighting="gls")
@@ -161,7 +177,7 @@ def test_a_payload_that_is_not_solved_is_solved_again(
 def test_the_arm_is_eliminated_exactly(arm: RobotModel) -> None:
     loaded, bare, _ = pair(arm, load())
     options = {"friction": FRICTION, "weighting": "gls"}
-    found = identify_payload(arm, loaded, bare, **options)  # type: ignore[arg-type]
+    found = identify_payload(arm, loaded, bare, separate=(), **options)  # type: ignore[arg-type]
     problem = build_problem(arm, bare, **options)  # type: ignore[arg-type]
     W = np.vstack([b for s in (bare, loaded) for _, b, _, _ in
                    replace(problem.rows, samples=s).chunks()])  # fmt: skip
