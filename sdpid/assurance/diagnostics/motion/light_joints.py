@@ -90,7 +90,7 @@ class LightJoint:
         rotor = "" if self.rotor else ", or give the model the rotor's inertia where the drive's is"
         return (
             f"what bounds {self.joint}: a prior that holds its inertia nearer to the description, "
-            f"where that is right (Prior(strength=10)){rotor}; a run that accelerates it "
+            f"where that is right (Prior(strength=100)){rotor}; a run that accelerates it "
             f"{faster:.2g} times as hard, so that its inertia takes as much effort as is off; or a "
             "longer run, where its friction is what is off"
         )
