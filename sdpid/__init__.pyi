@@ -15,6 +15,7 @@ from .estimation.instrumental.bias import check_bias
 from .estimation.instrumental.solve import solve_instrumental
 from .estimation.local.log_cholesky import solve_log_cholesky
 from .estimation.local.slsqp import solve_slsqp
+from .estimation.output_error.solve import solve_output_error
 from .estimation.prior.prior import Prior
 from .estimation.problem import build_problem
 from .estimation.recursive import RecursiveEstimator
@@ -100,6 +101,7 @@ __all__ = [
     "smallest_mass_eigenvalue",
     "solve_instrumental",
     "solve_log_cholesky",
+    "solve_output_error",
     "solve_robust",
     "solve_sdp",
     "solve_slsqp",

@@ -63,6 +63,7 @@ BESIDE = {
     "rollout",
     "smallest_mass_eigenvalue",
     "solve_instrumental",
+    "solve_output_error",
     "solve_robust",
     "write_parameters",
     "write_plan",

@@ -125,6 +125,10 @@ SHOWN: dict[str, Callable[[], Any]] = {
         problem(), instruments=problem().samples
     ),
     "solve_log_cholesky": lambda: sdpid.solve_log_cholesky(problem(), max_iterations=2),
+    "solve_output_error": lambda: sdpid.solve_output_error(
+        problem(), log(), controller=sdpid.controllers.PD(*np.full((2, 2), 900.0)),
+        reference=np.array(log().position), max_iterations=1,
+    ),
     "solve_robust": lambda: sdpid.solve_robust(problem()),
     "solve_sdp": estimate,
     "solve_slsqp": lambda: sdpid.solve_slsqp(problem(), max_iterations=2),

@@ -168,6 +168,35 @@ class Twin:
             **changed,
         )
 
+    @one_thread
+    def positions(self, position: Motions) -> Array:
+        """Filter the positions of another motion, (K, n): as in `samples`, but nothing else.
+
+        Parameters
+        ----------
+        position : (N, n) array_like, or a sequence of these
+            As for `samples`. Filtering is linear, so derivatives of positions by parameters pass
+            like positions.
+        """
+        found = []
+        for log, chains, q in zip(
+            self.logs, self._chains, self._arrays(position, "position"), strict=True
+        ):
+            for piece, chain in zip(continuous(replace(log, position=q))[0], chains, strict=True):
+                if chain is None:
+                    continue
+                columns = [
+                    np.concatenate(
+                        [
+                            part.kept(part.mean(piece.position[:, j])[0])
+                            for part in chain.parts(CHUNK)
+                        ]
+                    )
+                    for j in range(piece.n)
+                ]
+                found.append(np.stack(columns, axis=1))
+        return np.concatenate(found)
+
     def _arrays(self, given: Any, name: str) -> list[Array]:
         """Return one checked array (N, n) a recording."""
         alone = len(self.logs) == 1 and np.ndim(given[0] if len(given) else given) < 2

@@ -1,0 +1,1 @@
+"""Output error: parameters whose simulated motion is the measured one."""

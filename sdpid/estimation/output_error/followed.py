@@ -1,0 +1,289 @@
+"""The closed loop along recordings: what a robot with given parameters would have done there."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from sdpid._common.arrays import Array, real_array
+from sdpid.errors import DataError, SolverError
+from sdpid.experiment.preparation.twin import Twin
+from sdpid.experiment.processing.samples import Samples
+from sdpid.experiment.recording.recording import Recording
+from sdpid.experiment.simulation.arm import SimulatedArm
+from sdpid.experiment.simulation.closed_loop import simulate_closed_loop
+from sdpid.experiment.simulation.controllers import Controller
+from sdpid.experiment.simulation.reference import DesiredMotion
+from sdpid.experiment.simulation.sensitivities import Loop, sensitivities
+from sdpid.experiment.trajectory.trajectory import Trajectory
+from sdpid.robot.model.base_parameters import BaseParameters
+from sdpid.robot.model.dynamics import RobotDynamics
+
+# The state that a simulation starts from is that of a parabola through the first tracking errors:
+# through as many samples as noise alone explains, each time more by this factor, from the fewest to
+# those of as many seconds. Fewer leave noise in the velocity, more lose what a loop does at first.
+_FEWEST, _MORE, _BEGINNING = 6, 1.4, 0.2
+
+# Noise alone explains residuals whose variance is above its own by this many standard deviations.
+_EXPLAINED = 2.0
+
+# Median of the square of a standard normal variable.
+_MEDIAN_OF_SQUARES = 0.4549
+
+# Longest step (s) of the linearized loop: that of the simulation itself, times two. It only gives
+# the direction of a step, and loops of arms close below 30 Hz.
+_LINEARIZED = 2e-3
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Path:
+    """What the robot was told to do in one recording.
+
+    Attributes
+    ----------
+    log : Recording
+        Its stamps, and as `reference` the commanded positions at them.
+    told : ndarray, shape (N, 3, n)
+        Commanded positions, velocities and accelerations.
+    start : tuple of 2 ndarrays, shape (n,)
+        Measured position and velocity at the first stamp.
+    """
+
+    log: Recording
+    told: Array
+    start: tuple[Array, Array]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Followed:
+    """Simulated motions of recordings, processed as the measured ones.
+
+    Attributes
+    ----------
+    positions, velocities, efforts : tuple of ndarray, shape (N, n)
+        One a recording, at its stamps.
+    """
+
+    positions: tuple[Array, ...]
+    velocities: tuple[Array, ...]
+    efforts: tuple[Array, ...]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class ClosedLoop:
+    """The controlled robot along recordings, whatever its parameters.
+
+    Attributes
+    ----------
+    twin : Twin
+        The recordings and their processing.
+    paths : tuple of Path
+        What was commanded.
+    controller : Controller
+        What closes the loop.
+    control_hz : float or None
+        Rate at which it runs; None for a continuous one.
+    """
+
+    twin: Twin
+    paths: tuple[Path, ...]
+    controller: Controller
+    control_hz: float | None
+
+    @classmethod
+    def of(
+        cls, twin: Twin, controller: Controller, reference: Any, control_hz: float | None
+    ) -> ClosedLoop:
+        """Take commanded positions from the recordings, or as given.
+
+        Raises
+        ------
+        DataError
+            When there are none, or joints or lengths do not fit.
+        """
+        logs, n = twin.logs, twin.robot.n
+        if controller.n != n:
+            raise DataError(
+                f"controller: has gains of {controller.n} joints, the robot '{twin.robot.name}' "
+                f"has {n}; give one number a joint."
+            )
+        given = _given(reference, len(logs))
+        paths = tuple(_path(log, each, n) for log, each in zip(logs, given, strict=True))
+        return cls(twin=twin, paths=paths, controller=controller, control_hz=control_hz)
+
+    def follow(self, model: RobotDynamics) -> Followed | None:
+        """Simulate all recordings; None where a motion diverges."""
+        arm = SimulatedArm.of(model)
+        motions = []
+        for path in self.paths:
+            found = simulate_closed_loop(
+                arm, path.log, self.controller, control_hz=self.control_hz, start=path.start
+            )
+            if found.diverged is not None:
+                return None
+            motions.append(found)
+        return Followed(
+            positions=tuple(each.position for each in motions),
+            velocities=tuple(each.velocity for each in motions),
+            efforts=tuple(each.effort for each in motions),
+        )
+
+    def require(self, model: RobotDynamics, what: str) -> Followed:
+        """Simulate all recordings; raise where a motion diverges."""
+        found = self.follow(model)
+        if found is None:
+            raise SolverError(
+                f"output error: the simulated motion of {what} diverges under {self.controller!r}: "
+                "check the gains' units (N.m/rad, N.m.s/rad) and signs, give the rate that the "
+                "controller runs at (control_hz) if it is below 1 kHz, or start from consistent "
+                "parameters nearer to the robot (start=...)."
+            )
+        return found
+
+    def samples(self, followed: Followed) -> Samples:
+        """Process simulated motions as the measured ones, with the measured efforts."""
+        return self.twin.samples(list(followed.positions), velocity=list(followed.velocities))
+
+    def missed(self, followed: Followed) -> Array:
+        """Return measured less simulated positions, filtered alike, (K, n)."""
+        return self.twin.measured.position - self.twin.positions(list(followed.positions))
+
+    def told_samples(self) -> Samples:
+        """Process the commanded motion as the measured one."""
+        return self.twin.samples(
+            [path.told[:, 0] for path in self.paths], velocity=[p.told[:, 1] for p in self.paths]
+        )
+
+    def efforts(self, followed: Followed) -> Array:
+        """Return simulated efforts, filtered as the measured ones, (K, n)."""
+        found = self.twin.samples(
+            list(followed.positions),
+            velocity=list(followed.velocities),
+            effort=list(followed.efforts),
+        )
+        return found.effort
+
+    def slopes(self, model: RobotDynamics, base: BaseParameters) -> Array | None:
+        """Return the derivative of the filtered positions by base parameters, (K, n, b).
+
+        None where the motion diverges.
+        """
+        arm, found = SimulatedArm.of(model), []
+        for path in self.paths:
+            fine, every = _refined(path.log)
+            moved = simulate_closed_loop(
+                arm, fine, self.controller, control_hz=self.control_hz, start=path.start
+            )
+            if moved.diverged is not None:
+                return None
+            told = DesiredMotion.of(fine, arm.n, None).at(moved.time)
+            error = told[:, 0] - moved.position
+            steps = np.diff(moved.time, prepend=moved.time[0])[:, None]
+            integral = np.cumsum(steps * error, axis=0)
+            stiffness, damping = self.controller.slopes(
+                moved.position, moved.velocity, told[:, 0], told[:, 1], told[:, 2], integral
+            )
+            gains = getattr(self.controller, "gains", None)
+            ki = None if gains is None or not np.any(gains.integral) else gains.integral
+            loop = Loop(
+                time=moved.time,
+                position=moved.position,
+                velocity=moved.velocity,
+                # The effort of these states: a held one is that of the last period.
+                effort=self.controller.effort(
+                    moved.position, moved.velocity, told[:, 0], told[:, 1], told[:, 2], integral
+                ),
+                stiffness=stiffness,
+                damping=damping,
+                integral=ki,
+            )
+            rows = np.arange(0, len(moved.time), every)
+            found.append(sensitivities(model, base, loop, at=rows))
+        columns = [
+            self.twin.positions([each[:, :, k] for each in found]) for k in range(base.count)
+        ]
+        return np.stack(columns, axis=2)
+
+
+def _given(reference: Any, count: int) -> list[Any]:
+    """Return one given reference a recording, None for the recording's own."""
+    if reference is None:
+        return [None] * count
+    if isinstance(reference, (Trajectory, np.ndarray)):
+        reference = [reference]
+    if not isinstance(reference, Sequence) or len(reference) != count:
+        many = len(reference) if isinstance(reference, Sequence) else type(reference).__name__
+        raise DataError(
+            f"reference: is {many}, expected one Trajectory or array (N, n) for each of the "
+            f"{count} recordings."
+        )
+    return list(reference)
+
+
+def _path(log: Recording, given: Any, n: int) -> Path:
+    """Return what was commanded in a recording, at its stamps."""
+    time = np.asarray(log.time) - log.time[0]
+    if isinstance(given, Trajectory):
+        if given.n != n:
+            raise DataError(f"reference: the trajectory has {given.n} joints, the robot {n}.")
+        given = DesiredMotion.of(given, n, None).at(time)[:, 0]
+    if given is None:
+        given = log.reference
+    if given is None:
+        raise DataError(
+            "output error: the recording has no commanded positions (Recording.reference), along "
+            "which the loop is simulated; read the log with its columns of commanded positions, or "
+            "give reference=, a Trajectory or an array (N, n)."
+        )
+    position = real_array(given, "reference", ndim=2)
+    if position.shape != log.position.shape:
+        raise DataError(
+            f"reference: has shape {position.shape}, expected {log.position.shape}: one row a time "
+            "stamp, one column a joint."
+        )
+    told = replace(log, reference=position)
+    motion = DesiredMotion.of(told, n, None).at(time)
+    return Path(log=told, told=motion, start=_start(log, time, motion))
+
+
+def _start(log: Recording, time: Array, told: Array) -> tuple[Array, Array]:
+    """Return the measured state at the first stamp: as told, less a parabola of the errors."""
+    error = told[:, 0] - np.asarray(log.position)
+    # Third differences of what is smooth are small; of white noise they have 20 times its variance.
+    rough = np.diff(error, n=3, axis=0)
+    noise = np.median(rough**2, axis=0) / (_MEDIAN_OF_SQUARES * 20.0)
+    q, v = np.array(told[0, 0]), np.array(told[0, 1])
+    for j in range(log.n):
+        count = min(_FEWEST, len(time))
+        found = _parabola(time[:count], error[:count, j])
+        while (count := int(_MORE * count)) < len(time) and time[count - 1] <= _BEGINNING:
+            longer = _parabola(time[:count], error[:count, j])
+            if longer[2] > noise[j] * (1.0 + _EXPLAINED * np.sqrt(2.0 / (count - 3))):
+                break
+            found = longer
+        q[j], v[j] = q[j] - found[0], v[j] - found[1]
+    return q, v
+
+
+def _parabola(time: Array, values: Array) -> tuple[float, float, float]:
+    """Return value and slope at zero of the best parabola, and the variance that it leaves."""
+    powers = time[:, None] ** np.arange(min(3, len(time)))
+    fitted = np.linalg.lstsq(powers, values, rcond=None)[0]
+    left = float(np.sum((values - powers @ fitted) ** 2))
+    return float(fitted[0]), float(fitted[1]), left / max(len(time) - 3, 1)
+
+
+def _refined(log: Recording) -> tuple[Recording, int]:
+    """Return a recording with stamps close enough for the linearized loop, every how many."""
+    every = max(1, int(np.ceil(log.step / _LINEARIZED - 1e-6)))
+    if every == 1:
+        return log, 1
+    rows = np.arange(log.n_samples)
+    fine = np.arange((log.n_samples - 1) * every + 1) / every
+    time = np.interp(fine, rows, np.asarray(log.time))
+    told = DesiredMotion.of(log, log.n, None).at(time - time[0])[:, 0]
+    still = np.zeros_like(told)
+    return Recording(time=time, position=told, effort=still, reference=told), every

@@ -1,0 +1,242 @@
+"""Estimate parameters from what a simulated robot does, not from the measured motion's noise."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from sdpid._common.arrays import frozen
+from sdpid._common.threads import one_thread
+from sdpid.errors import DataError, SolverError
+from sdpid.estimation.estimate import Estimate
+from sdpid.estimation.output_error import closed_loop, didim
+from sdpid.estimation.output_error.checks import ControllerCheck
+from sdpid.estimation.output_error.followed import ClosedLoop
+from sdpid.estimation.output_error.result import OutputErrorEstimate
+from sdpid.estimation.output_error.starts import solver_of, starting
+from sdpid.estimation.problem import Problem
+from sdpid.experiment.preparation.several import ProcessingOf
+from sdpid.experiment.preparation.twin import Twin
+from sdpid.experiment.simulation.controllers import Controller
+
+Method = Literal["didim", "closed_loop"]
+METHODS = ("didim", "closed_loop")
+_NAMES = {"didim": "didim", "closed_loop": "closed_loop_output_error"}
+
+# The benchmarks' own: a further iteration would move less than this share [leboutet2021]_.
+_TOLERANCE = 0.025
+
+# Gains that are off by this share show in the efforts of a few seconds, and every parameter of the
+# output error is off by as much.
+_CONTROLLER = 0.03
+
+# Share of a joint's motion by which a simulated one may miss the measured one in the end: beyond,
+# the regressor of the simulated motion is that of another motion.
+_FOLLOWS = 0.2
+
+
+@one_thread
+def solve_output_error(
+    problem: Problem | Estimate,
+    recording: Any,
+    *,
+    method: Method = "didim",
+    controller: Controller | Literal["fit"] | None = None,
+    reference: Any = None,
+    start: ArrayLike | Estimate | None = None,
+    solver: Callable[[Problem], Estimate] | None = None,
+    processing: ProcessingOf = None,
+    control_hz: float | None = None,
+    max_iterations: int = 10,
+    tolerance: float = _TOLERANCE,
+    controller_tolerance: float = _CONTROLLER,
+) -> OutputErrorEstimate:
+    """Fit the motion of a simulated robot, in closed loop with its controller, to a recording.
+
+    Encoders' noise is in the measured regressor and biases least squares. It is not in the motion
+    of a simulated robot that follows the same commands. Every iteration simulates, and solves a
+    semidefinite program under all constraints, so that every iterate is consistent. Which method
+    to take: docs/guides/closed_loop.md.
+
+    Parameters
+    ----------
+    problem : Problem or Estimate
+        Built of the recording, with its rows. Its constraints, prior and weighting are kept.
+    recording : Recording or path, or a sequence of these
+        What the problem was built of, with the commanded positions (`Recording.reference`).
+    method : {"didim", "closed_loop"}, optional
+        ``"didim"`` [gautier2013]_ takes the measured efforts and the regressor of the simulated
+        motion. It takes two or three iterations and hardly depends on the controller.
+        ``"closed_loop"`` fits simulated positions to measured ones by Gauss-Newton with their
+        sensitivities. It is the most precise where the controller is known exactly, and as wrong
+        as the controller where not.
+    controller : Controller or "fit", optional
+        What closed the loop, one of `sdpid.controllers`; by default and with "fit" a PD controller
+        is fitted to the first recording.
+    reference : Trajectory, ndarray of shape (N, n), or a sequence of these, optional
+        What was commanded, where the recordings do not hold it; a trajectory begins with the
+        recording.
+    start : Estimate, or array_like of shape (p,) or (b,), optional
+        Parameters that are simulated first, made consistent where they are not; by default the
+        solution of the problem.
+    solver : callable, optional
+        What solves each linearized problem: by default `solve_sdp`, or `solve_wls` where the
+        problem demands no consistency.
+    processing : Processing or mapping, optional
+        As the problem's samples were made; by default as `build_problem` does it.
+    control_hz : float, optional
+        Rate at which the controller runs, Hz; by default it is continuous.
+    max_iterations : int, optional
+        Largest number of linearized problems.
+    tolerance : float, optional
+        Iterations end when one lowers the cost by no more than this share.
+    controller_tolerance : float, optional
+        Largest share by which measured efforts may differ from those of the controller on the
+        measured motion, for ``"closed_loop"``; ``inf`` allows any.
+
+    Returns
+    -------
+    OutputErrorEstimate
+        Its `problem` is the last linearized one, for certificates and errors; `history` has the
+        cost of each iteration.
+
+    Raises
+    ------
+    DataError
+        When options make no sense, nothing says what was commanded, or the output error is asked
+        for with a controller that is not that of the recording, or not known well enough.
+    IdentifiabilityError
+        When the simulated motion leaves a base parameter undetermined.
+    SolverError
+        When a simulated motion diverges, or does not follow the measured one; what was found so
+        far is attached.
+
+    Examples
+    --------
+    >>> law = sdpid.controllers.PD(np.full(6, 4000.0), np.full(6, 200.0))
+    >>> moved = sdpid.simulate_closed_loop(estimate.model(), motion, law, rate_hz=100.0)
+    >>> told = motion.sample()[0][::10]
+    >>> run = sdpid.Recording(
+    ...     time=moved.time, position=moved.position, effort=moved.effort, reference=told
+    ... )
+    >>> whole = sdpid.build_problem(robot, sdpid.process(run))
+    >>> found = sdpid.solve_output_error(whole, run, controller=law)
+    >>> found.method, found.status, found.feasible
+    ('didim', 'optimal', True)
+    >>> found.problem.meaning
+    'the last linearized problem, and no more'
+    """
+    owner = getattr(problem, "estimate", problem)
+    given = owner.problem if isinstance(owner, Estimate) else owner
+    _check(given, method, max_iterations, tolerance, controller_tolerance)
+    begin = time.perf_counter()
+    if processing is None:
+        processing = getattr(problem, "processing", None)
+    twin = Twin.of(given.robot, recording, processing, measured=given.samples)
+    law = _controller(controller, twin, method)
+    loop = ClosedLoop.of(twin, law, reference, control_hz)
+    check = ControllerCheck.of(loop)
+    if method == "closed_loop":
+        check.require(controller_tolerance)
+    if start is None and isinstance(owner, Estimate):
+        start = owner
+    solve = solver_of(given, solver)
+    first = starting(given, start, solve)
+    run = didim.iterate if method == "didim" else closed_loop.iterate
+    search = run(given, loop, first, solve, max_iterations, tolerance)
+    missed = np.sqrt(np.mean(loop.missed(search.followed) ** 2, axis=0))
+    words = (
+        f"{len(search.history)} iterations, {search.simulations} simulations; "
+        f"{search.estimate.message or 'no step lowers the cost'}"
+    )
+    estimate = OutputErrorEstimate.of(
+        replace(
+            search.estimate,
+            method=_NAMES[method],
+            status=search.status,
+            message=words,
+            iterations=len(search.history),
+            solve_time=time.perf_counter() - begin,
+            history=tuple(search.history),
+            start=None if first.theta is None else frozen(first.theta),
+        ),
+        controller=law,
+        position_error=frozen(missed),
+        effort_ratio=frozen(check.ratio),
+        simulations=search.simulations,
+    )
+    motion = np.std(twin.measured.position, axis=0)
+    lost = missed > np.maximum(_FOLLOWS * motion, _FOLLOWS * motion.max() * 0.1)
+    if lost.any():
+        j = int(np.argmax(missed / np.maximum(motion, 1e-12)))
+        raise SolverError(
+            f"output error: the simulated motion does not follow the measured one: joint "
+            f"{given.robot.joint_names[j]} misses it by {missed[j]:.3g} (rms) of a motion of "
+            f"{motion[j]:.3g} (limit {100 * _FOLLOWS:g} %); check the controller and that the "
+            "commanded positions belong to this recording, in its time and units.",
+            problem=given,
+            found=estimate,
+        )
+    return estimate
+
+
+def _check(
+    problem: Any, method: str, max_iterations: int, tolerance: float, controller_tolerance: float
+) -> None:
+    """Refuse what cannot be solved, before anything is simulated."""
+    if not isinstance(problem, Problem):
+        raise DataError(
+            f"solve_output_error: problem is {type(problem).__name__} {problem!r:.60}; give a "
+            "Problem (sdpid.build_problem) or an Estimate of one."
+        )
+    if method not in METHODS:
+        raise DataError(f"method is {method!r}: use 'didim' or 'closed_loop'.")
+    if isinstance(max_iterations, bool) or not max_iterations >= 1:
+        raise DataError(f"max_iterations is {max_iterations!r}, at least 1 is needed.")
+    for name, value in (("tolerance", tolerance), ("controller_tolerance", controller_tolerance)):
+        if not value > 0.0:
+            raise DataError(f"{name} is {value!r}; give a positive share, such as 0.025.")
+    if problem.weighting in ("eq9", "eq18"):
+        raise DataError(
+            f"output error: weighting {problem.weighting!r} has no rows of its own to simulate; "
+            "build the problem with 'residual', 'gls' or 'gls_per_sample'."
+        )
+    if problem.meaning is not None or problem.constant:
+        raise DataError(
+            "output error: the problem is not that of the measured samples "
+            f"({problem.meaning or 'its rows are weighted by a robust loss'}); give the one that "
+            "was built of the recording."
+        )
+    if problem.robot.free_flyer:
+        raise DataError(
+            f"output error: '{problem.robot.name}' has a floating base, which no joint controller "
+            "holds; only arms on a fixed base are simulated."
+        )
+    problem.require_rows_here("output error")
+
+
+def _controller(given: Controller | str | None, twin: Twin, method: Method) -> Controller:
+    """Return the controller, fitted where none is given."""
+    if isinstance(given, Controller):
+        return given
+    if given not in (None, "fit"):
+        raise DataError(
+            f"controller is {given!r:.80}: give one of sdpid.controllers (P, PD, PID, "
+            "ComputedTorque), or 'fit'."
+        )
+    from sdpid.experiment.simulation.fit_controller import fit_controller
+
+    found = fit_controller(twin.logs[0])
+    law: Controller | None = found.controller
+    if law is None or (method == "closed_loop" and not found.usable):
+        raise DataError(
+            "output error: the controller is not known well enough from this log: "
+            f"{'; '.join(found.reasons)}. Give the gains that ran (controller=), or use "
+            "method='didim' or sdpid.solve_instrumental, which hardly depend on them."
+        )
+    return law

@@ -1,0 +1,288 @@
+"""How the motion of a controlled arm changes with its base parameters.
+
+Along a motion the equations of motion are linear in small changes. With the inverse dynamics
+``tau(q, v, a, base)`` and the controller ``u(q, v)`` the change S = dq/dbase obeys::
+
+    M·S'' + (dtau/dv − du/dv)·S' + (dtau/dq − du/dq)·S + ki·∫S = −Y,
+
+where Y is the regressor of the motion. So all base parameters share one linear recursion over the
+motion's time stamps: the trapezoidal rule, which damps nothing and is stable for stiff controllers.
+A joint that passes through zero velocity while dry friction changes sides changes speed by another
+amount than its neighbor motion, which passes a little earlier or later: the rates jump there by the
+saltation matrix [leine2004]_. A joint that friction holds does not change at all.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from sdpid._common.arrays import Array, Indices, Mask
+from sdpid.experiment.simulation.arm import SimulatedArm
+from sdpid.robot.friction.motion import Motion as FrictionMotion
+from sdpid.robot.model.base_parameters import BaseParameters
+from sdpid.robot.model.dynamics import RobotDynamics
+
+# Velocity (rad/s or m/s) below which a joint is at rest: what sticks is set to zero exactly.
+_RESTS = 1e-9
+
+# Step of velocity (rad/s or m/s) for the slopes of friction, away from its jump at zero: small
+# beside any width of a smooth sign, large beside rounding.
+_NUDGE = 1e-6
+
+# Instants handled at a time, whose transition matrices are held together.
+_CHUNK = 1024
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Loop:
+    """What acts along a motion: its states, and how the controller answers them.
+
+    Attributes
+    ----------
+    time : ndarray, shape (N,)
+        Instants in s, close enough together to follow the controlled arm.
+    position, velocity, effort : ndarray, shape (N, n)
+        The motion, and the controller's effort.
+    stiffness, damping : ndarray, shape (N, n, n) or (n, n)
+        Derivatives of the controller's effort by position and velocity.
+    integral : ndarray, shape (n,) or None
+        Minus the effort per integrated position, in N·m/(rad·s): the gain ki of a PID controller.
+    """
+
+    time: Array
+    position: Array
+    velocity: Array
+    effort: Array
+    stiffness: Array
+    damping: Array
+    integral: Array | None = None
+
+
+def sensitivities(
+    model: RobotDynamics, base: BaseParameters, loop: Loop, *, at: Indices | None = None
+) -> Array:
+    """Return the derivative of the positions by the base parameters, (N, n, b).
+
+    The motion starts from the same state whatever the parameters are.
+
+    Parameters
+    ----------
+    model : RobotDynamics
+        The robot that moved.
+    base : BaseParameters
+        Its base parameters, b.
+    loop : Loop
+        Its motion, and its controller.
+    at : ndarray of int, optional
+        Rising numbers of the instants to return; by default all.
+    """
+    arm = SimulatedArm.of(model)
+    count, n = loop.position.shape
+    wanted = np.arange(count) if at is None else at
+    out = np.empty((len(wanted), n, base.count))
+    blocks = 3 if loop.integral is None else 4
+    state = np.zeros((blocks * n, base.count))
+    jumps = _jumps(model)
+    first = _Instants.of(arm, base, loop, slice(0, 1), jumps)
+    # At rest the arm changes first in its accelerations.
+    state[2 * n : 3 * n] = first.accelerated()
+    row = 0
+    if len(wanted) and wanted[0] == 0:
+        out[0] = 0.0
+        row = 1
+    for start in range(0, count - 1, _CHUNK):
+        stop = min(start + _CHUNK, count - 1)
+        instants = _Instants.of(arm, base, loop, slice(start, stop + 1), jumps)
+        transition, forced = instants.transitions()
+        for k in range(stop - start):
+            state = transition[k] @ state + forced[k]
+            if row < len(wanted) and wanted[row] == start + k + 1:
+                out[row] = state[:n]
+                row += 1
+    return out
+
+
+@dataclass(frozen=True, eq=False)
+class _Instants:
+    """The linearized loop at some instants: M·S'' + C·S' + K·S + ki·∫S = −Y."""
+
+    step: Array
+    M: Array
+    C: Array
+    K: Array
+    Y: Array
+    integral: Array | None
+    velocity: Array
+    acceleration: Array
+    jumps: Array
+
+    @classmethod
+    def of(
+        cls, arm: SimulatedArm, base: BaseParameters, loop: Loop, part: slice, jumps: Array
+    ) -> _Instants:
+        q, v, effort = loop.position[part], loop.velocity[part], loop.effort[part]
+        model = arm.model
+        # A joint that sticks keeps a velocity of rounding.
+        v = np.where((np.abs(v) <= _RESTS) & (jumps > 0.0), 0.0, v)
+        a = arm.acceleration(q, v, effort)
+        M, _ = arm.mass_and_bias(q, v)
+        by_position, by_velocity = _inverse_dynamics_slopes(model, q, v, a)
+        stiffness = loop.stiffness if loop.stiffness.ndim == 2 else loop.stiffness[part]
+        damping = loop.damping if loop.damping.ndim == 2 else loop.damping[part]
+        return cls(
+            np.diff(loop.time[part]),
+            M,
+            by_velocity + _friction_slopes(model, v) - damping,
+            by_position - stiffness,
+            base_regressor(model, base, q, v, a),
+            loop.integral,
+            v,
+            a,
+            jumps,
+        )
+
+    def accelerated(self) -> Array:
+        """Return S'' at the first instant where S and S' are zero."""
+        held = (self.velocity[0] == 0.0) & (self.acceleration[0] == 0.0)
+        M, Y = self.M[0].copy(), self.Y[0].copy()
+        M[held], Y[held] = 0.0, 0.0
+        M[held, held] = 1.0
+        return -np.linalg.solve(M, Y)
+
+    def transitions(self) -> tuple[Array, Array]:
+        """Return T (k, 3n, 3n) and G (k, 3n, b): the next (S, S', S'') is ``T @ now + G``."""
+        v, n = self.velocity, self.velocity.shape[1]
+        count, b = len(self.step), self.Y.shape[2]
+        rests = v == 0.0
+        turns = (v[:-1] * v[1:] < 0.0) & (self.jumps > 0.0)
+        held = rests[1:] & (self.jumps > 0.0)
+        enters, leaves = held & ~rests[:-1], rests[:-1] & ~held & (self.jumps > 0.0)
+        # Accelerations of before count for nothing where friction has jumped.
+        new = (turns | enters | leaves).any(axis=1)
+        P = self._saltations(turns, enters)
+        h = self.step[:, None, None]
+        gamma = np.where(new, 1.0, 0.5)[:, None, None]
+        beta = np.where(new, 0.5, 0.25)[:, None, None]
+        M, C, K, Y = self.M[1:].copy(), self.C[1:].copy(), self.K[1:].copy(), -self.Y[1:]
+        ki = None
+        if self.integral is not None:
+            ki = np.zeros((count, n, n))
+            ki[:, np.arange(n), np.arange(n)] = self.integral
+            ki[held] = 0.0
+        for matrix in (M, C, K, Y):
+            matrix[held] = 0.0
+        M[held, np.nonzero(held)[1]] = 1.0
+        K1 = K if ki is None else K + 0.5 * h * ki
+        inverse = np.linalg.inv(M + gamma * h * C + beta * h**2 * K1)
+        E = np.broadcast_to(np.eye(n), (count, n, n))
+        blocks = 3 if ki is None else 4
+        # What S and S' come to without the new acceleration, by blocks of the state.
+        S0 = np.zeros((count, n, blocks * n))
+        V0 = np.zeros_like(S0)
+        S0[:, :, :n], S0[:, :, n : 2 * n] = E, h * P
+        S0[:, :, 2 * n : 3 * n] = (0.5 - beta) * h**2 * E
+        V0[:, :, n : 2 * n], V0[:, :, 2 * n : 3 * n] = P, (1.0 - gamma) * h * E
+        pull = C @ V0 + K1 @ S0
+        if ki is not None:
+            pull[:, :, :n] += 0.5 * h * ki
+            pull[:, :, 3 * n :] += ki
+        A1, GA = -inverse @ pull, inverse @ Y
+        T = np.empty((count, blocks * n, blocks * n))
+        G = np.empty((count, blocks * n, b))
+        T[:, :n], G[:, :n] = S0 + beta * h**2 * A1, beta * h**2 * GA
+        T[:, n : 2 * n], G[:, n : 2 * n] = V0 + gamma * h * A1, gamma * h * GA
+        T[:, 2 * n : 3 * n], G[:, 2 * n : 3 * n] = A1, GA
+        if ki is not None:
+            T[:, 3 * n :] = 0.5 * h * T[:, :n]
+            T[:, 3 * n :, :n] += 0.5 * h * E
+            T[:, 3 * n :, 3 * n :] += E
+            G[:, 3 * n :] = 0.5 * h * G[:, :n]
+        return T, G
+
+    def _saltations(self, turns: Mask, enters: Mask) -> Array:
+        """Return what the rates S' are multiplied by before each step, (k, n, n)."""
+        count, n = turns.shape
+        P = np.tile(np.eye(n), (count, 1, 1))
+        for k, j in zip(*np.nonzero(turns | enters), strict=True):
+            before = self.acceleration[k, j]
+            if before == 0.0:
+                continue
+            mobility = np.linalg.inv(self.M[k])[:, j]
+            # Friction opposes the new direction with as much as it opposed the old one.
+            change = np.sign(self.velocity[k, j]) * self.jumps[j] * mobility
+            if enters[k, j] or before * (before + change[j]) <= 0.0:
+                change = -before / mobility[j] * mobility
+            salted = np.eye(n)
+            salted[:, j] += change / before
+            P[k] = salted @ P[k]
+            if enters[k, j]:
+                P[k, j] = 0.0
+        return P
+
+
+def base_regressor(
+    model: RobotDynamics, base: BaseParameters, q: Array, v: Array, a: Array
+) -> Array:
+    """Return the base regressor at an instant, (N, n, b), friction at these velocities."""
+    robot, terms = model.robot, model.terms
+    places = np.full(len(base.theta_names), -1, dtype=np.intp)
+    places[base.kept] = np.arange(base.count)
+    links = 10 * robot.n_links
+    out = np.zeros((len(q), robot.n, base.count))
+    robot.regressor_columns(q, v, a, places=places[:links], out=out)
+    first = terms.first
+    motion = FrictionMotion(
+        position=q, velocity=v[:, first:], acceleration=a[:, first:], robot=robot
+    )
+    columns = terms.columns_in(motion)
+    own = places[links:]
+    out[:, :, own[own >= 0]] = columns[:, :, own >= 0]
+    return out
+
+
+def _inverse_dynamics_slopes(
+    model: RobotDynamics, q: Array, v: Array, a: Array
+) -> tuple[Array, Array]:
+    """Return the derivatives (N, n, n) of the links' efforts by position and velocity."""
+    import pinocchio as pin
+
+    robot, pinned = model.robot, model.to_pinocchio()
+    data, E = pinned.createData(), robot.expansion
+    configurations = robot.configuration(q)
+    by_position = np.empty((len(q), robot.n, robot.n))
+    by_velocity = np.empty_like(by_position)
+    for k, (each, rate, change) in enumerate(zip(configurations, v @ E.T, a @ E.T, strict=True)):
+        pin.computeRNEADerivatives(pinned, data, each, rate, change)
+        by_position[k], by_velocity[k] = E.T @ data.dtau_dq @ E, E.T @ data.dtau_dv @ E
+    return by_position, by_velocity
+
+
+def _friction_slopes(model: RobotDynamics, v: Array) -> Array:
+    """Return the derivative (N, n, n) of friction by velocity, without its jumps at zero."""
+    n = v.shape[1]
+    slopes, here = np.empty((len(v), n, n)), model.friction(v)
+    for j in range(n):
+        # Away from zero, where friction may jump.
+        nudge = np.where(v[:, j] < 0.0, -_NUDGE, _NUDGE)
+        start, moved = v.copy(), v.copy()
+        moved[:, j] += nudge
+        before = here
+        if np.any(v[:, j] == 0.0):
+            start[:, j] = np.where(v[:, j] == 0.0, nudge, v[:, j])
+            moved[:, j] = start[:, j] + nudge
+            before = model.friction(start)
+        slopes[:, :, j] = (model.friction(moved) - before) / nudge[:, None]
+    return slopes
+
+
+def _jumps(model: RobotDynamics) -> Array:
+    """Return by how much each joint's friction jumps at zero velocity, (n,), N·m."""
+    n, found = model.robot.n, []
+    for nudge in (_NUDGE**2, 2.0 * _NUDGE**2):
+        moved = nudge * np.eye(n)
+        found.append(np.diagonal(model.friction(moved) - model.friction(-moved)))
+    # What grows with the velocity, however steeply, is none.
+    jumps = 2.0 * found[0] - found[1]
+    return np.asarray(np.where(jumps > 0.5 * found[0], np.maximum(jumps, 0.0), 0.0))

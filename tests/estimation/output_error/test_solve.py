@@ -1,0 +1,159 @@
+"""Output error on simulated logs, whose truth is known."""
+
+from __future__ import annotations
+
+from functools import cache
+from typing import Any
+
+import numpy as np
+import pytest
+
+import sdpid
+from sdpid.errors import DataError, SolverError
+from sdpid.estimation.problem import Problem
+from sdpid.robot.friction.model import FrictionModel
+from sdpid.robot.model.dynamics import RobotDynamics
+from tests.helpers.arm_files import ARM_URDF
+
+FRICTION = ("coulomb", "viscous")
+LAW = sdpid.controllers.PD(np.array([300.0, 80.0]), np.array([30.0, 8.0]))
+PROCESSING = sdpid.Processing(
+    cutoff_hz=25.0, order=4, decimation=4, reversal_time=0.04, reversal_speed=0.05
+)
+
+
+@cache
+def truth() -> RobotDynamics:
+    robot = sdpid.load_robot(ARM_URDF)
+    terms = FrictionModel.from_terms(FRICTION, robot.joint_names)
+    friction = [1.5, 0.6, 2.0, 0.8]
+    return RobotDynamics(robot=robot, terms=terms, theta=np.append(robot.prior.ravel(), friction))
+
+
+@cache
+def log(noise: float = 1e-3, seed: int = 0) -> sdpid.Recording:
+    t, rng = np.arange(0.0, 8.5, 0.002), np.random.default_rng(5)
+    w = np.array([1.3, 2.9, 4.7, 7.1])[:, None, None]
+    c = rng.uniform(0.0, 6.0, (4, 1, 2))
+    told = 0.35 * np.sin(w * t[:, None] + c).sum(axis=0) * np.minimum(t, 1.0)[:, None] ** 3
+    moved = sdpid.simulate_closed_loop(truth(), told, LAW, rate_hz=500.0)
+    # The log begins in the midst of the motion.
+    rng, later = np.random.default_rng(seed), slice(250, None)
+    return sdpid.Recording(
+        time=t[later],
+        position=(moved.position + noise * rng.standard_normal(told.shape))[later],
+        effort=(moved.effort + 0.02 * rng.standard_normal(told.shape))[later],
+        reference=told[later],
+        joint_names=truth().robot.joint_names,
+    )
+
+
+@cache
+def problem(noise: float = 1e-3, seed: int = 0) -> Problem:
+    samples = sdpid.process(log(noise, seed), PROCESSING)
+    return sdpid.build_problem(
+        truth().robot, samples, friction=FRICTION, weighting="residual",
+        constraints=sdpid.Constraints.of_size(truth().robot),
+    )  # fmt: skip
+
+
+def right() -> Any:
+    return problem().base_of(truth().theta)
+
+
+def solve(**options: Any) -> Any:
+    options = {"controller": LAW, "processing": PROCESSING, **options}
+    return sdpid.solve_output_error(problem(), log(), **options)
+
+
+def error(estimate: Any) -> float:
+    return float(np.linalg.norm(estimate.base - right()) / np.linalg.norm(right()))
+
+
+@pytest.mark.parametrize("method", ["didim", "closed_loop"])
+def test_noise_of_encoders_does_not_bias_it(method: Any) -> None:
+    found = solve(method=method)
+    assert (found.status, found.feasible) == ("optimal", True)
+    assert error(found) < 0.5 * error(sdpid.solve_sdp(problem()))
+    assert np.abs((found.base - right()) / found.standard_errors).max() < 4.0
+    assert found.position_error.max() < 5e-4
+    certificate = sdpid.certify(found)
+    assert certificate.passed
+    assert certificate.summary().startswith("of the last linearized problem, and no more: ")
+    assert "of the last linearized problem, and no more" in repr(found)
+    inside = sdpid.confidence_intervals(found, method="gauss_markov")
+    assert np.all(inside.lower < inside.upper)
+
+
+@pytest.mark.parametrize("method", ["didim", "closed_loop"])
+def test_starts_far_away_end_at_the_same_parameters(method: Any) -> None:
+    near, rng = solve(method=method, tolerance=1e-4), np.random.default_rng(2)
+    theta = truth().theta * (1.0 + 0.6 * rng.uniform(-1.0, 1.0, len(truth().theta)))
+    far = solve(method=method, start=theta, tolerance=1e-4)
+    assert far.iterations < 10
+    off = np.abs(far.base - near.base) / near.standard_errors
+    assert off.max() < 0.2
+    # Base parameters that no bodies have are replaced by the nearest that bodies have.
+    base = right() * (1.0 + 0.5 * rng.uniform(-1.0, 1.0, len(right())))
+    projected = solve(method=method, start=base, max_iterations=1, tolerance=1e9)
+    assert projected.feasible
+
+
+def test_the_cost_never_rises() -> None:
+    theta = truth().theta * np.random.default_rng(4).uniform(0.5, 1.6, len(truth().theta))
+    found = solve(method="closed_loop", start=theta, tolerance=1e-3)
+    costs = np.array([step.cost for step in found.history])
+    # Where the joints' variances are estimated anew the cost is another.
+    rises = np.count_nonzero(np.diff(costs) > 0.0)
+    assert rises <= 1
+    assert all(step.violation <= 1e-9 for step in found.history)
+
+
+def test_a_wrong_controller_shifts_all_parameters_of_output_error_alone() -> None:
+    wrong = sdpid.controllers.PD(1.05 * LAW.kp, 1.05 * LAW.kd)
+    with pytest.raises(
+        DataError, match=r"not that of this log: measured efforts of joint . are 0\.9"
+    ):
+        solve(method="closed_loop", controller=wrong)
+    shifted = solve(method="closed_loop", controller=wrong, controller_tolerance=np.inf)
+    exact = solve(method="closed_loop")
+    np.testing.assert_allclose(shifted.base, 1.05 * exact.base, rtol=5e-3, atol=1e-4)
+    np.testing.assert_allclose(shifted.effort_ratio, 1.0 / 1.05, rtol=5e-3)
+    direct, other = solve(), solve(controller=wrong)
+    # By as much as the tracking errors, which the gains decide, are of the motion.
+    shift = np.linalg.norm(other.base - direct.base) / np.linalg.norm(direct.base)
+    assert shift < 0.01
+
+
+def test_a_fitted_controller_serves() -> None:
+    assert error(solve(controller="fit")) < 2.0 * error(solve()) + 1e-3
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"method": "cloe"}, "method is 'cloe': use 'didim' or 'closed_loop'"),
+        ({"controller": "lqr"}, "controller is 'lqr': give one of sdpid.controllers"),
+        ({"controller": sdpid.controllers.PD(np.ones(3), np.ones(3))}, "gains of 3 joints"),
+        ({"reference": np.zeros((7, 2))}, r"reference: has shape \(7, 2\)"),
+        ({"start": np.zeros(5)}, r"start: has shape \(5,\)"),
+        ({"max_iterations": 0}, "at least 1"),
+        ({"processing": sdpid.Processing(cutoff_hz=10.0)}, "give the recordings"),
+    ],
+)
+def test_bad_input_is_told_before_a_solve(options: Any, message: str) -> None:
+    with pytest.raises(DataError, match=message):
+        solve(**options)
+
+
+def test_other_problems_are_told() -> None:
+    with pytest.raises(DataError, match="not that of the measured samples"):
+        sdpid.solve_output_error(solve(), log(), controller=LAW)
+    with pytest.raises(DataError, match="give a Problem"):
+        sdpid.solve_output_error(log(), log())  # type: ignore[arg-type]
+
+
+def test_divergence_is_told() -> None:
+    wild = sdpid.controllers.PD(np.array([8e5, 8e5]), np.array([0.0, 0.0]))
+    with pytest.raises(SolverError, match="diverges under PD"):
+        solve(controller=wild, control_hz=50.0)
