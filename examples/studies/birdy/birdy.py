@@ -172,8 +172,12 @@ def append(path: Path, rows: list[Row]) -> None:
         csv.writer(file, lineterminator="\n").writerows(lines)
 
 
+# What others are compared with on the same runs, of which they may have fewer.
+COMPARED = ("masked", "PC-WLS")
+
 COLUMNS = ("error", "mean_relative", "torque", "position", "seconds", "iterations", "simulations")
-HEADER = ("robot", "noise", "level", "processing", "method", "runs", "failed", "diverged", *COLUMNS)
+KEYS = ("robot", "noise", "level", "processing", "method")
+HEADER = (*KEYS, "runs", "failed", "diverged", "masked_pc_wls", *COLUMNS)
 
 
 def summary(folder: Path) -> Table:
@@ -191,7 +195,11 @@ def summary(folder: Path) -> Table:
             failed = sum(not row["error"] for row in own)
             diverged = sum(int(row["diverged"]) for row in own)
             key = cell.robot, cell.noise, cell.level, processing, method
-            rows.append((*key, len(own), failed, diverged, *values))
+            done = {row["run"] for row in own if row["error"]}
+            others = [row for row in found.get(COMPARED, ()) if row["run"] in done]
+            same = [float(row["error"]) for row in others if row["error"]]
+            beside = float(np.median(same)) if same else None
+            rows.append((*key, len(own), failed, diverged, beside, *values))
     return Table(HEADER, tuple(rows))
 
 
