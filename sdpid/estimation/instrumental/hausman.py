@@ -4,7 +4,7 @@ Instruments split the measured regressor into ``W = X + V``. Where V has nothing
 errors e of the efforts, least squares is as right as the instruments are. Tested is, one number a
 joint, whether ``E[v_j^T·e] = 0`` for ``v_j``, the rows of ``V·β`` of joint j, less what W itself
 explains of them. Testing all columns of V at once, or taking filtered samples as independent,
-rejects nearly always [janot2016]_.
+rejects too often [janot2016]_.
 
 The sums of ``v_j·e`` over blocks of samples, which are longer than the filter's memory, are
 independent of each other, and Hotelling's T² [hotelling1931]_ tests whether their mean is zero. It
