@@ -104,8 +104,16 @@ class DriveGains:
         covariance = real_array(given, "gains: covariance", ndim=2)
         if covariance.shape != (n, n):
             raise DataError(f"gains: covariance has shape {covariance.shape}, expected {(n, n)}.")
-        covariance = frozen(0.5 * (covariance + covariance.T))
-        eigenvalues = np.linalg.eigvalsh(covariance / np.outer(gains, gains))
+        covariance = frozen(0.5 * covariance + 0.5 * covariance.T)
+        # By one gain after the other: their product may be too small for a number.
+        with np.errstate(over="ignore"):
+            relative = covariance / gains / gains[:, None]
+        if not np.all(np.isfinite(relative)):
+            raise DataError(
+                "gains: covariance is too large beside gains of "
+                f"{gains.min():.3g} to {gains.max():.3g} N·m/A; give it in (N·m/A)²."
+            )
+        eigenvalues = np.linalg.eigvalsh(relative)
         if eigenvalues[0] < -_ROUNDING * max(eigenvalues[-1], _ROUNDING):
             raise DataError(
                 "gains: covariance is none: the smallest eigenvalue of the relative one is "
@@ -143,7 +151,7 @@ class DriveGains:
     @property
     def relative_covariance(self) -> Array:
         """Covariance of the errors' shares of the gains, (n, n): of the gains' logarithms."""
-        return np.asarray(self.covariance / np.outer(self.gains, self.gains))
+        return np.asarray(self.covariance / self.gains / self.gains[:, None])
 
     @property
     def common_factor(self) -> float:
@@ -262,7 +270,9 @@ class DriveGains:
             Probability of each interval.
         """
         title = f"drive gains, by {self.basis} ({100.0 * level:g} % intervals)"
-        return "\n".join([title, self.table(level).text(4), *self.notes])
+        lines = [title, *self.table(level).text(4).splitlines(), *self.notes]
+        # A file's names and notes are a stranger's, and may drive a terminal.
+        return "\n".join(map(printable, lines))
 
     @property
     def in_words(self) -> str:

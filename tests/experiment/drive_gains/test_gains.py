@@ -94,6 +94,7 @@ def test_joints_are_taken_by_name() -> None:
         ({"covariance": [[1.0, 2.0], [2.0, 1.0]]}, "covariance is none"),
         ({"freedom": [1.0, 0.0]}, "positive"),
         ({"gains": [1.0, np.nan]}, "not finite"),
+        ({"gains": [1e308, 1e-308], "covariance": np.full((2, 2), 1e308)}, "too large beside"),
         ({"sources": ["a.csv"]}, "names and digests"),
     ],
 )
@@ -117,3 +118,10 @@ def test_a_file_that_holds_none_is_told(tmp_path: Path, text: str, said: str) ->
     path.write_text(text)
     with pytest.raises(DataError, match=said):
         sdpid.DriveGains.from_toml(path)
+
+
+def test_what_a_file_says_drives_no_terminal() -> None:
+    gains = sdpid.DriveGains(
+        joint_names=("a\x1b[2J",), gains=[1.0], basis="b\x1b[2J", notes=["c\x1b[2J"]
+    )
+    assert not {"\x1b"} & {*gains.describe(), *gains.in_words, *repr(gains)}
