@@ -1,0 +1,105 @@
+"""A controlled arm moved by the compiled loop, by Pinocchio in a loop, and by MuJoCo's rollout.
+
+    python -m tests.benchmarks.simulation [--repeat 5]
+
+Ten seconds of the Denso under its drives' position loop at 5 kHz, viscous and Coulomb friction.
+Pinocchio's loop is the least one can write: a semi-implicit step, with the sign of the velocity as
+friction. MuJoCo has the controller as its actuators, and friction as its constraint solver has.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from typing import Any
+
+import numpy as np
+
+from sdpid._common.extras import require
+from sdpid.experiment.plant.drives import load_drives
+from sdpid.experiment.plant.mujoco_model import build_mujoco
+from sdpid.experiment.plant.simulate import true_parameters
+from sdpid.experiment.simulation.arm import SimulatedArm
+from sdpid.experiment.simulation.closed_loop import simulate_closed_loop
+from sdpid.experiment.simulation.controllers import P
+from sdpid.experiment.trajectory.paper import paper_excitation
+from sdpid.robot.friction.model import FrictionModel
+from sdpid.robot.model.dynamics import RobotDynamics
+from sdpid.robot.model.load import load_robot
+from tests.benchmarks.timing import Row, side_by_side, table
+
+ROBOT, SECONDS, RATE = "denso_vp6242", 10.0, 5000.0
+
+
+def measure(repeats: int) -> list[Row]:
+    """Return the rows of the table."""
+    import pinocchio as pin
+
+    mujoco = require("mujoco", extra="sim")
+    rollout = require("mujoco.rollout", extra="sim")
+    robot, theta, drives = load_robot(ROBOT), true_parameters(ROBOT), load_drives(ROBOT)
+    friction = FrictionModel.from_terms(("coulomb", "viscous"), robot.joint_names)
+    model = RobotDynamics(robot=robot, terms=friction, theta=theta)
+    arm = SimulatedArm.of(model)
+    motion = paper_excitation(ROBOT, 0, periods=1, period=SECONDS)
+    first = motion.lead_samples
+    told = motion.sample(first, first + round(SECONDS * motion.rate_hz))
+    law = P(drives.proportional_gain, drives.velocity_gain)
+    steps, dt = round(SECONDS * RATE), 1.0 / RATE
+    fine = np.repeat(told[0], round(RATE / motion.rate_hz), axis=0)
+
+    def ours(hold: float | None = RATE, step: float = dt) -> None:
+        moved = simulate_closed_loop(
+            arm, told, law, rate_hz=motion.rate_hz, control_hz=hold, step=step
+        )
+        assert moved.diverged is None
+
+    links = model.to_pinocchio()
+    data, coulomb, viscous = links.createData(), theta[60:66], theta[66:]
+
+    def loop() -> None:
+        q, v = told[0][0].copy(), told[1][0].copy()
+        stiffness = law.velocity_gain * law.proportional_gain
+        for desired in fine:
+            effort = stiffness * (desired - q) - law.velocity_gain * v
+            a = pin.aba(links, data, q, v, effort - coulomb * np.sign(v) - viscous * v)
+            v = v + dt * a
+            q = q + dt * v
+
+    plant = build_mujoco(robot, theta, drives, timestep=dt)
+    kind = mujoco.mjtState.mjSTATE_FULLPHYSICS
+    state = np.empty(mujoco.mj_stateSize(plant.model, kind))
+    held: Any = mujoco.MjData(plant.model)
+    held.qpos[plant.qpos], held.act[:] = told[0][0], told[0][0]
+    mujoco.mj_getState(plant.model, held, state, kind)
+    rates = np.diff(fine, axis=0, append=fine[-1:]) * RATE
+
+    def engine() -> None:
+        rollout.rollout(plant.model, held, state[None], rates[None])
+
+    actions = (ours, lambda: ours(None), lambda: ours(None, 1e-3), loop, engine)
+    held_5k, free_5k, free_1k, python, engines = side_by_side(actions, repeats)
+    rows = []
+    for what, seconds in (
+        (f"{steps} steps, control held at 5 kHz", held_5k),
+        (f"{steps} steps, continuous control", free_5k),
+        (f"{round(SECONDS * 1e3)} steps, continuous control", free_1k),
+    ):
+        rows.append(Row.of(what, seconds, "a Python loop over pinocchio.aba, 5 kHz", python))
+        rows.append(Row.of(what, seconds, "mujoco.rollout, 5 kHz", engines))
+    return rows
+
+
+def main() -> int:
+    """Print the table."""
+    parser = argparse.ArgumentParser(prog="python -m tests.benchmarks.simulation")
+    parser.add_argument("--repeat", type=int, default=5, help="at least 5 (default)")
+    options = parser.parse_args()
+    if options.repeat < 5:
+        parser.error(f"--repeat: is {options.repeat}; at least 5 give a spread.")
+    print(table(measure(options.repeat)).text(digits=3))
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
