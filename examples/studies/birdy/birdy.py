@@ -44,6 +44,9 @@ SELDOM = 4
 
 MAIN = ("lowPosition", "standard", "highPosition")
 
+# What the small form does.
+QUICK = ["direct", "instrumental", "didim"]
+
 
 @dataclass(frozen=True)
 class Cell:
@@ -246,7 +249,7 @@ def main() -> int:
     ]
     if options.quick:
         chosen = [Cell("tx40_uncoupled", "fed_back", "lowPosition")]
-    groups = options.methods or (["direct"] if options.quick else list(GROUPS))
+    groups = options.methods or (QUICK if options.quick else list(GROUPS))
     done = {
         (cell, int(row["run"]), row["processing"], row["method"])
         for cell in chosen
