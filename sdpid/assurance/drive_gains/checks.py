@@ -28,12 +28,15 @@ _FOLLOWS = 0.5
 # Errors of filtered currents are so alike from sample to sample that the errors of gains are up to
 # this many times those that white noise would make (2 to 4 on a UR10e).
 _ALIKE = 3.0
-# A gain that is known no better than to this share is not shown by the recordings.
-NOT_SHOWN = 0.25
+# A gain that is known no better than to this share is not shown by the recordings, and from an
+# error of this many times the gain on numbers say nothing more.
+NOT_SHOWN, _NOT_AT_ALL = 0.25, 10.0
 # Explained together, recordings leave at most this many times what each leaves alone, or at most
 # this share of the currents (rms about their mean): 1 to 4 % and, of short ones which explain
 # themselves too well, up to 5 times, on two pairs of a UR10e.
 _ONE_ARM, _LEFT = 3.0, 0.1
+# Where not even the scale of all gains together is shown.
+_NO_LOAD_SEEN = "If a load gives the scale, check that it was mounted, and in which recordings."
 # Null directions of the derivative: a singular value below this share of the largest.
 _INVISIBLE = 1e-6
 # An entry of such a direction that is nothing.
@@ -59,6 +62,25 @@ def require_currents(logs: Sequence[Recording], name: str) -> None:
                 f"{name} recording {number}: {why}; give currents in A (read_recording(..., "
                 "currents=True), Recording(..., currents=True))."
             )
+
+
+def require_different(bare: Sequence[Recording], loaded: Sequence[Recording]) -> None:
+    """Refuse a recording that is given both without and with load.
+
+    Raises
+    ------
+    DataError
+        Naming the recordings.
+    """
+    for k, first in enumerate(bare, 1):
+        for m, second in enumerate(loaded, 1):
+            same = first.effort.shape == second.effort.shape
+            if same and np.array_equal(first.effort, second.effort):
+                raise DataError(
+                    f"gains: recording {k} without load and recording {m} with load are the same: "
+                    "all their efforts are equal. Give the log of the run with the load "
+                    "(with_load=, --with)."
+                )
 
 
 def rough_gains(robot: RobotModel, samples: Sequence[Samples]) -> tuple[Array, Array]:
@@ -228,7 +250,8 @@ def require_one_arm(errors: Array, alone: Array, squares: Array, names: Sequence
     raise DataError(
         "gains: the recordings are not of one arm with one load: explained together they leave "
         f"(rms) {bad}; limits {100.0 * _LEFT:g} % and {_ONE_ARM:g} times. Leave out recordings of "
-        "another arm, tool or mounting, and check which carry the load."
+        "another arm, tool or mounting, and check which carry the load, and whether the robot's "
+        "description is of this arm."
     )
 
 
@@ -265,16 +288,18 @@ def require_shown(fit: GainFit, log_kappa: Array, free: Mask, *, anchored: bool)
     errors = _ALIKE * np.sqrt(np.diag(np.linalg.inv(own.T @ own)))
     if np.any(errors > NOT_SHOWN):
         bad = ", ".join(
-            f"{name} to {100.0 * error:.0f} %"
+            f"{name} {f'to {100.0 * error:.0f} %' if error < _NOT_AT_ALL else 'not at all'}"
             for name, error in zip(names, errors, strict=True)
             if error > NOT_SHOWN
         )
         known = [n for n, e in zip(names, errors, strict=True) if e <= NOT_SHOWN]
         rest = f"; those of {', '.join(known)} are" if known else ""
+        load = f" {_NO_LOAD_SEEN}" if anchored and not known else ""
         raise IdentifiabilityError(
             f"gains: the recordings do not show the gains of all joints: {bad}, limit "
             f"{100.0 * NOT_SHOWN:.0f} %{rest}. A heavier load, further from the axes, or a longer "
             "and faster motion shows more; or give the gain of such a joint (known=, --known)."
+            f"{load}"
         )
 
 
@@ -300,4 +325,5 @@ def _invisible_words(directions: Array, names: Sequence[str], anchored: bool) ->
         "(description_error=, --description-error)"
     )
     opened = ", ".join(concerned)
-    return f"gains: those of {opened} are open: {shown}.{rest} To close them, {remedy}."
+    load = f" {_NO_LOAD_SEEN}" if anchored and not others else ""
+    return f"gains: those of {opened} are open: {shown}.{rest} To close them, {remedy}.{load}"

@@ -148,6 +148,7 @@ def identify_drive_gains(
     loaded = () if with_load is None else _recordings(with_load, "with_load")
     if not bare:
         raise DataError("without_load: there are no recordings; give at least one.")
+    checks.require_different(bare, loaded)
     loads = _loads(load, len(loaded))
     held = _held(model, known)
     _check_numbers(model, description_error, starts)

@@ -14,6 +14,9 @@ _WEAK, _WEAK_SHARE = 1.5, 0.01
 # The demand that bodies can exist moves gains by less than this many standard errors, or the
 # currents contradict it.
 _MOVED = 2.0
+# Gains that are all between these, N·m/A, are told: torques that were made of a UR10e's currents
+# came out at 0.93 to 1.03.
+_LIKE_TORQUES = 0.8, 1.25
 # Fewer blocks than this make intervals uncertain.
 _FEW = 20
 
@@ -45,7 +48,7 @@ def notes_on(
     loads: Sequence[Load],
     blocks: int,
 ) -> tuple[str, ...]:
-    """Return notes on weak joints, errors in common, and what bodies that can exist change.
+    """Return notes on gains near 1, weak joints, errors in common, and what consistency changes.
 
     Parameters
     ----------
@@ -69,6 +72,13 @@ def notes_on(
         found.append(
             f"the gain of {names[j]} is weak: its error is {100.0 * error[j]:.2g} %, the joints' "
             f"median {100.0 * median:.2g} %; what is known changes its current least"
+        )
+    low, high = _LIKE_TORQUES
+    if free.any() and np.all((gains[free] > low) & (gains[free] < high)):
+        found.append(
+            f"all gains are near 1 N·m/A ({gains[free].min():.2g} to {gains[free].max():.2g}), as "
+            "if the efforts were torques in N·m already: check the columns and their unit; "
+            "torques need no gains"
         )
     shift = np.abs(np.log(gains / unconstrained))
     moved = free & (shift > _MOVED * np.maximum(error, 1e-12)) & (shift > 1e-6)

@@ -173,6 +173,22 @@ def test_torques_are_no_currents() -> None:
         identified(currents(0, currents=False), currents(1, mass=MASS))
     with pytest.raises(DataError, match="torques, not currents: the described links need"):
         identified(currents(0, gains=one), currents(1, gains=one, mass=MASS))
+    taken = identified(
+        currents(0, gains=one), currents(1, gains=one, mass=MASS), accept="effort_scale"
+    )
+    assert any("all gains are near 1 N·m/A" in note for note in taken.notes)
+    assert not any("near 1" in note for note in plain().notes)
+
+
+def test_a_recording_that_is_given_twice_is_told() -> None:
+    log = currents(0)
+    with pytest.raises(DataError, match="recording 1 without load and recording 1 with load"):
+        identified(log, log)
+
+
+def test_a_load_that_was_not_mounted_is_told() -> None:
+    with pytest.raises(IdentifiabilityError, match="are open.*check that it was mounted"):
+        identified(currents(0), currents(1))
 
 
 def test_a_load_that_is_too_light_is_told() -> None:
