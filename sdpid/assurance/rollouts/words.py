@@ -118,6 +118,10 @@ def _angle(value: float) -> str:
     return f"{1e3 * value:.3g} mrad" if np.isfinite(value) else "runs away"
 
 
+def _off(value: float) -> str:
+    return f"is off by {_angle(value)}" if np.isfinite(value) else "runs away"
+
+
 def notes_on(rollout: Told) -> list[str]:
     """Return what to know about the numbers."""
     notes = []
@@ -127,7 +131,7 @@ def notes_on(rollout: Told) -> list[str]:
         own, held = (float(each.quantile(0.5)[0]) for each in (rollout.models[rollout.own], still))
         notes.append(
             f"never judge at {first:g} s alone: holding the starting velocity, without any model, "
-            f"is off by {_angle(held)} there, {rollout.own} by {_angle(own)}"
+            f"{_off(held)} there, {rollout.own} {_off(own)}"
         )
     floor = rollout.models.get(FLOOR)
     if floor is not None and float(floor.quantile(0.5)[-1]) < SMOOTHED:
@@ -141,6 +145,12 @@ def notes_on(rollout: Told) -> list[str]:
             "an arm under given efforts has nothing that brings it back, so that errors grow with "
             "time even for a good model"
         )
-    for each in rollout.light:
-        notes += [each.words, each.remedy]
+    notes += [each.words for each in rollout.light]
+    if rollout.light:
+        worst = max(rollout.light, key=lambda each: each.ratio)
+        notes.append(
+            f"{worst.remedy} ({len(rollout.light)} joints, this one the worst)"
+            if len(rollout.light) > 1
+            else worst.remedy
+        )
     return notes

@@ -194,8 +194,8 @@ class FirstStage:
         raise IdentifiabilityError(
             f"instruments: they do not move with the measured motion: weak for {len(self.weak)} of "
             f"{seen} base parameters (F statistic of the first stage below {WEAK:g}); check that "
-            "the reference is that of this recording and the joints are in its order, or use "
-            "solve_sdp."
+            "the reference is that of this recording and the joints are in its order, that the "
+            "processing is that of the problem, or use solve_sdp."
         )
 
     def second(self, words: str) -> SecondStage:

@@ -187,7 +187,7 @@ def test_a_recording_that_is_given_twice_is_told() -> None:
 
 
 def test_a_load_that_was_not_mounted_is_told() -> None:
-    with pytest.raises(IdentifiabilityError, match="are open.*check that it was mounted"):
+    with pytest.raises(IdentifiabilityError, match=r"are open.*check that it was mounted"):
         identified(currents(0), currents(1))
 
 

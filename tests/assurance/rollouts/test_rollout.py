@@ -207,6 +207,9 @@ def test_light_joints_are_named() -> None:
     assert found
     assert "too light to be simulated" in found[0].words
     assert "prior" in found[0].remedy
+    hopeless = replace(found[0], inertia=1e-9, damping=0.0)
+    assert "no faster run" in hopeless.remedy
+    assert "no viscous friction" in hopeless.remedy
 
 
 def test_identify_shows_it(tmp_path: Any) -> None:

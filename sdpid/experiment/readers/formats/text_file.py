@@ -172,7 +172,7 @@ class _TextColumns:
                     )
                 held = _count(line, layout.delimiter)
                 if held != count:
-                    hint = ""
+                    hint = "; repair or delete that line"
                     if layout.delimiter == "," and held > count:
                         hint = "; where commas are decimal marks, separate columns by semicolons"
                     raise _LineError(
