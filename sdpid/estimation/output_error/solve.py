@@ -23,6 +23,8 @@ from sdpid.estimation.problem import Problem
 from sdpid.experiment.preparation.several import ProcessingOf
 from sdpid.experiment.preparation.twin import Twin
 from sdpid.experiment.simulation.controllers import Controller
+from sdpid.robot.friction.posed import LoadFriction
+from sdpid.robot.friction.terms import Coupling
 
 Method = Literal["didim", "closed_loop"]
 METHODS = ("didim", "closed_loop")
@@ -109,7 +111,8 @@ def solve_output_error(
     ------
     DataError
         When options make no sense, nothing says what was commanded, or the output error is asked
-        for with a controller that is not that of the recording, or not known well enough.
+        for with a controller that is not that of the recording, or not known well enough, or with
+        friction of the load or a coupling without a width.
     IdentifiabilityError
         When the simulated motion leaves a base parameter undetermined.
     SolverError
@@ -217,7 +220,28 @@ def _check(
             f"output error: '{problem.robot.name}' has a floating base, which no joint controller "
             "holds; only arms on a fixed base are simulated."
         )
+    if method == "closed_loop":
+        _require_smooth(problem)
     problem.require_rows_here("output error")
+
+
+def _require_smooth(problem: Problem) -> None:
+    """Refuse friction whose part in the sensitivities is not known: errors would be too small.
+
+    Friction of the load changes with the whole motion, and friction of two joints' sum jumps where
+    neither joint reverses.
+    """
+    for term in problem.friction.terms:
+        if isinstance(term, LoadFriction):
+            words = "friction of the load"
+        elif isinstance(term, Coupling) and term.width == 0.0:
+            words = f"friction of {term.first} and {term.second} together without a width"
+        else:
+            continue
+        raise DataError(
+            f"output error: closed_loop cannot take {words}, which is not in the derivatives of "
+            "the motion; use method='didim' or sdpid.solve_instrumental, which need none."
+        )
 
 
 def _controller(given: Controller | str | None, twin: Twin, method: Method) -> Controller:

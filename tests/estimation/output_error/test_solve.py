@@ -157,3 +157,19 @@ def test_divergence_is_told() -> None:
     wild = sdpid.controllers.PD(np.array([8e5, 8e5]), np.array([0.0, 0.0]))
     with pytest.raises(SolverError, match="diverges under PD"):
         solve(controller=wild, control_hz=50.0)
+
+
+@pytest.mark.parametrize(
+    ("term", "words"),
+    [
+        (sdpid.friction.LoadFriction(), "friction of the load"),
+        (None, "together without a width"),
+    ],
+)
+def test_friction_without_derivatives_is_refused(term: Any, words: str) -> None:
+    first = problem()
+    names = first.robot.joint_names
+    chosen = ("viscous", term or sdpid.friction.Coupling(*names[:2]))
+    own = sdpid.build_problem(first.robot, first.samples, friction=chosen)
+    with pytest.raises(DataError, match=words):
+        sdpid.solve_output_error(own, log(), method="closed_loop", controller=LAW)
