@@ -110,9 +110,9 @@ def test_identify_prints_and_writes(results: Path, log: Path) -> None:
     done = run("identify", log, "--robot", ROBOT, "--out", out, "--validation", log)
     assert done.exit_code == 0
     assert done.stderr == ""
-    # The verdict in three lines, what it stands beside before them, and the certificate last.
-    last = [line.split(":")[0] for line in done.stdout.splitlines()[-5:]]
-    assert last == ["beside", "error", "worst joint", "next step", "certificate"]
+    # What the verdict stands beside, its three lines, the test of bias, and the certificate last.
+    last = [line.split(":")[0] for line in done.stdout.splitlines()[-6:]]
+    assert last == ["beside", "error", "worst joint", "next step", "motion", "certificate"]
     assert "on recordings that were not fitted" in done.stdout
     assert str(out) in done.stdout
     assert "NRMSE" not in done.stdout
