@@ -22,11 +22,6 @@ class Controller(ABC):
     Those of `sdpid.controllers` run in the compiled loop; a class of your own that derives from
     this one works too, at the speed of Python.
 
-    Attributes
-    ----------
-    n : int
-        Number of joints.
-
     Examples
     --------
     >>> law = sdpid.controllers.PD(np.full(6, 400.0), np.full(6, 40.0))
