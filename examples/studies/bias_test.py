@@ -210,10 +210,10 @@ def textbook(problem: Problem, instruments: sdpid.Samples) -> float:
     return float(fdtrc(r, freedom, statistic))
 
 
-def size_rows(runs: int) -> Iterator[list[object]]:
+def size_rows(runs: int, cases: int = len(SIZE)) -> Iterator[list[object]]:
     """Yield the rows of the table of sizes."""
     every = {}
-    for name, rate, cutoff, friction, settings in SIZE:
+    for name, rate, cutoff, friction, settings in SIZE[:cases]:
         arm, processing = Arm(name, rate, friction), processing_of(rate, cutoff, settings)
         commanded = None
         found: dict[str, list[float]] = {"commanded": [], "simulated": [], "textbook": []}
@@ -252,9 +252,9 @@ def _shares(found: dict[str, list[float]]) -> list[object]:
     return out
 
 
-def power_rows(runs: int) -> Iterator[list[object]]:
+def power_rows(runs: int, cases: int = len(POWER)) -> Iterator[list[object]]:
     """Yield the rows of the table of powers."""
-    for name, noise, cutoff, settings in POWER:
+    for name, noise, cutoff, settings in POWER[:cases]:
         rate = 1000.0
         arm = Arm(name, rate, ("coulomb", "viscous"))
         processing = processing_of(rate, cutoff, settings)
@@ -308,12 +308,16 @@ def main() -> None:
     parser.add_argument("--runs", type=int, default=40)
     parser.add_argument("--power-runs", type=int, default=4)
     parser.add_argument("--only", choices=("size", "power"), help="one of the tables")
+    parser.add_argument("--quick", action="store_true", help="one case of each table, two logs")
     parser.add_argument("--out", type=Path, default=Path("results"))
     chosen = parser.parse_args()
+    sizes, powers = len(SIZE), len(POWER)
+    if chosen.quick:
+        chosen.runs, chosen.power_runs, sizes, powers = 2, 1, 1, 1
     chosen.out.mkdir(parents=True, exist_ok=True)
     for file, header, rows, count in (
-        ("bias_size.csv", SIZES, size_rows(chosen.runs), len(SIZE) + 1),
-        ("bias_power.csv", POWERS, power_rows(chosen.power_runs), len(POWER)),
+        ("bias_size.csv", SIZES, size_rows(chosen.runs, sizes), sizes + 1),
+        ("bias_power.csv", POWERS, power_rows(chosen.power_runs, powers), powers),
     ):
         if chosen.only is not None and chosen.only not in file:
             continue
