@@ -32,6 +32,8 @@ from .experiment.plant.simulate import simulate
 from .experiment.processing.process import Processing, process
 from .experiment.processing.samples import Samples
 from .experiment.readers.read import read_recording
+from .experiment.recording.floating.base import BaseMotion, Imu
+from .experiment.recording.floating.contacts import Contacts
 from .experiment.recording.motor_side import MotorSide
 from .experiment.recording.recording import Recording
 from .experiment.simulation.closed_loop import simulate_closed_loop
@@ -54,9 +56,12 @@ from .workflow.verify import verify
 __version__: str
 
 __all__ = [
+    "BaseMotion",
     "Constraints",
+    "Contacts",
     "DhTable",
     "DriveGains",
+    "Imu",
     "Limits",
     "Load",
     "MotorSide",

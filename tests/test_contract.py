@@ -48,8 +48,11 @@ CONTRACT = {
 NAMESPACES = {"constraints", "controllers", "errors", "friction", "plots"}
 # What goes with them often enough to stand beside them.
 BESIDE = {
+    "BaseMotion",
+    "Contacts",
     "DhTable",
     "DriveGains",
+    "Imu",
     "Load",
     "MotorSide",
     "Prior",

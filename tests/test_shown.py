@@ -64,6 +64,18 @@ def result() -> Any:
     return sdpid.identify(robot(), log(), effects="none")
 
 
+def base() -> sdpid.BaseMotion:
+    still = np.zeros((4, 3))
+    return sdpid.BaseMotion(
+        orientation=np.tile([0.0, 0.0, 0.0, 1.0], (4, 1)),
+        position=still,
+        linear_velocity=still,
+        angular_velocity=still,
+        velocity_frame="base",
+        imu=sdpid.Imu(gyroscope=still, accelerometer=still),
+    )
+
+
 def estimate() -> Any:
     return result().estimate
 
@@ -77,11 +89,16 @@ def motion() -> Trajectory:
 
 
 SHOWN: dict[str, Callable[[], Any]] = {
+    "BaseMotion": base,
     "Constraints": lambda: sdpid.Constraints(others=TotalMass(1.0, links=(HOSTILE,))),
+    "Contacts": lambda: sdpid.Contacts(
+        frames=[f"{HOSTILE}{k}" for k in range(9)], down=np.ones((4, 9))
+    ),
     "DhTable": lambda: sdpid.DhTable.of([{"name": f"{HOSTILE}{k}"} for k in range(7)]),
     "DriveGains": lambda: sdpid.DriveGains(
         joint_names=[f"{HOSTILE}{k}" for k in range(40)], gains=np.full(40, 1e4 / 3.0)
     ),
+    "Imu": lambda: base().imu,
     "Limits": lambda: sdpid.Limits(velocity={f"{HOSTILE}{k}": 1.0 for k in range(99)}),
     "MotorSide": lambda: sdpid.MotorSide.from_gears(np.full(40, 100.0)),
     "Prior": lambda: sdpid.Prior(bodies=np.ones((40, 10))),

@@ -11,6 +11,7 @@ import numpy as np
 
 from sdpid._common.files import Source
 from sdpid._common.tables import plain
+from sdpid.experiment.recording.floating.columns import base_columns, base_metadata
 from sdpid.experiment.recording.recording import CHANNELS, Recording
 from sdpid.experiment.recording.stored import blocks
 from sdpid.robot.model.digest import kinematics_digest
@@ -68,15 +69,17 @@ def recording_digest(log: Recording) -> str:
     """Return the SHA-256 of a recording's numbers: its names and periods, then its arrays.
 
     Arrays count as their shape and little-endian doubles, row by row. A reference that is not
-    there does not count.
+    there does not count, nor do a base and contacts.
     """
     stated = plain({name: getattr(log, name) for name in ("period", "start", "periods")})
     stated["joints"] = plain(log.joint_names)
+    stated |= plain(dict(base_metadata(log.base, log.contacts)))
     digest = hashlib.sha256(json.dumps(stated, sort_keys=True).encode("ascii"))
-    for name in ("time", *CHANNELS):
-        values = getattr(log, name)
-        if values is None and name == "reference":
-            continue
+    tables = {name: getattr(log, name) for name in ("time", *CHANNELS)}
+    if log.reference is None:
+        del tables["reference"]
+    tables |= base_columns(log.base, log.contacts)
+    for name, values in tables.items():
         shape = None if values is None else list(values.shape)
         digest.update(f"\n{name} {shape}\n".encode())
         for _, part in () if values is None else blocks(values):

@@ -28,6 +28,7 @@ from sdpid.experiment.processing.settings import Processing
 from sdpid.experiment.processing.states import CHUNK, TooShortError, chain_of, states_of
 from sdpid.experiment.readers.scaled import require_torques
 from sdpid.experiment.recording.degrees import require_plausible_units
+from sdpid.experiment.recording.floating.refusal import require_fixed_base
 from sdpid.experiment.recording.gaps import continuous
 from sdpid.experiment.recording.outliers import require_no_outliers
 from sdpid.experiment.recording.recording import Recording
@@ -99,6 +100,7 @@ def process(
             f"log: is {log!r:.80}; give a Recording, such as sdpid.read_recording(path) returns."
         )
     require_torques(log)
+    require_fixed_base(log, "processing without the robot")
     require_no_outliers(log)
     require_plausible_units(log, position_limits)
     if not isinstance(processing, Processing):

@@ -17,6 +17,9 @@ from sdpid._common.tables import Table, facts_html
 from sdpid._common.text import printable
 from sdpid.errors import DataError
 from sdpid.experiment.drive_gains.gains import DriveGains
+from sdpid.experiment.recording.floating.base import BaseMotion
+from sdpid.experiment.recording.floating.columns import base_columns, base_metadata
+from sdpid.experiment.recording.floating.contacts import Contacts
 from sdpid.experiment.recording.stored import StoredArray
 from sdpid.experiment.recording.timestamps import Stamps
 
@@ -71,6 +74,11 @@ class Recording:
     gains : DriveGains, optional
         The gains that turned currents into these efforts (`DriveGains.torque`), one a column:
         their errors count in all that follows.
+    base : BaseMotion, optional
+        Pose of the base link of a robot that nothing holds: a quadruped or a humanoid. Positions
+        and efforts stay those of the joints.
+    contacts : Contacts, optional
+        Its feet on the ground; only with `base`.
 
     Attributes
     ----------
@@ -84,8 +92,8 @@ class Recording:
     ------
     DataError
         When the arrays are ragged, not finite or of different lengths, when time does not
-        increase, when names do not match the joints, or when the period does not
-        divide the record.
+        increase, when names do not match the joints, when the period does not divide the record,
+        or when there are contacts without a base.
 
     Examples
     --------
@@ -111,6 +119,8 @@ class Recording:
     notes: tuple[str, ...] = ()
     currents: bool = False
     gains: DriveGains | None = None
+    base: BaseMotion | None = None
+    contacts: Contacts | None = None
     stamps: Stamps = field(init=False)
     source: Source | None = field(init=False, default=None)
 
@@ -141,6 +151,7 @@ class Recording:
                 f"gains: are of {self.gains.n} joints, for {n} columns of efforts in "
                 f"{'A' if self.currents else 'N·m'}; torques have gains, one a column."
             )
+        self._check_base()
         self._check_period()
 
     def __repr__(self) -> str:
@@ -150,6 +161,10 @@ class Recording:
             parts.append(f"{layout[2]} periods of {self.period:.6g} s")
         if self.reference is not None:
             parts.append("with reference")
+        if self.base is not None:
+            parts.append("floating base" + (" with IMU" if self.base.imu is not None else ""))
+        if self.contacts is not None:
+            parts.append(f"{self.contacts.n} contacts")
         return f"Recording({', '.join(parts)})"
 
     def _repr_html_(self) -> str:
@@ -169,6 +184,8 @@ class Recording:
             "seconds": float(self.time[-1] - self.time[0]),
             "periods": None if layout is None else layout[2],
             "reference": None if self.reference is None else "commanded positions",
+            "base": None if self.base is None else repr(self.base),
+            "contacts": None if self.contacts is None else repr(self.contacts),
         }
         return facts_html("Recording", facts, table)
 
@@ -226,6 +243,27 @@ class Recording:
             return int(first), per_period, self.periods
         held = (self.duration / self.step + 1.0 - first) / per_period
         return int(first), per_period, round(held)
+
+    def _check_base(self) -> None:
+        """Check that base and contacts have a row for each time stamp."""
+        for name, kind in (("base", BaseMotion), ("contacts", Contacts)):
+            given = getattr(self, name)
+            if given is None:
+                continue
+            if not isinstance(given, kind):
+                raise DataError(
+                    f"{name}: is {type(given).__name__}, expected sdpid.{kind.__name__}."
+                )
+            if given.n_samples != self.n_samples:
+                raise DataError(
+                    f"{name}: has {given.n_samples} samples, expected one for each of the "
+                    f"{self.n_samples} time stamps; bring all channels to the same stamps."
+                )
+        if self.contacts is not None and self.base is None:
+            raise DataError(
+                "contacts: are given without a base; give base=sdpid.BaseMotion(orientation=...). "
+                "The forces at a fixed robot's tool are a payload's."
+            )
 
     def _check_period(self) -> None:
         """Check `period`, `start` and `periods` against the record and each other."""
@@ -285,7 +323,9 @@ class Recording:
 
         Columns are ``time``, ``position_<joint>``, ``effort_<joint>`` (of currents
         ``current_<joint>``) and, when there are any, ``velocity_<joint>`` and
-        ``reference_<joint>``; the rest is kept in the file's metadata under the key ``sdpid``.
+        ``reference_<joint>``; of a floating base ``base_position_x``, ``base_orientation_x``,
+        ``gyroscope_x``, ``contact_<frame>`` and so on. The rest is kept in the file's metadata
+        under the key ``sdpid``.
         Gains are not kept, and so neither are their errors: where they matter, write the currents.
 
         Raises
@@ -297,13 +337,16 @@ class Recording:
         """
         from sdpid.experiment.recording.parquet import write_columns
 
-        stated = ("n", "joint_names", "period", "start", "periods", "currents")
-        write_columns(path, self._columns(), {name: getattr(self, name) for name in stated})
+        names = ("n", "joint_names", "period", "start", "periods", "currents")
+        stated = {name: getattr(self, name) for name in names}
+        stated |= base_metadata(self.base, self.contacts)
+        write_columns(path, self._columns(), stated)
 
     def to_csv(self, path: str | os.PathLike[str]) -> None:
         """Write the recording to a CSV file with all digits, whole or not at all.
 
-        Columns are those of `to_parquet`. A CSV file has no place for the period of the motion.
+        Columns are those of `to_parquet`. A CSV file has no place for the period of the motion,
+        nor for where an IMU sits and what kind of contacts there are: say it when it is read.
 
         Raises
         ------
@@ -319,7 +362,7 @@ class Recording:
         for quantity, table in channels(self).items():
             called = "current" if quantity == "effort" and self.currents else quantity
             columns |= {f"{called}_{name}": table[:, j] for j, name in enumerate(self.names)}
-        return columns
+        return columns | base_columns(self.base, self.contacts)
 
 
 def channels(log: Recording) -> dict[str, Any]:
@@ -330,7 +373,10 @@ def channels(log: Recording) -> dict[str, Any]:
 
 def rows_of(log: Recording, rows: slice | NDArray[np.bool_]) -> Recording:
     """Return some rows of a recording without periods."""
-    taken = {name: table[rows] for name, table in channels(log).items()}
+    taken: dict[str, Any] = {name: table[rows] for name, table in channels(log).items()}
+    for name in ("base", "contacts"):
+        if (floating := getattr(log, name)) is not None:
+            taken[name] = floating.rows(rows)
     return replace(log, time=log.time[rows], **taken)
 
 

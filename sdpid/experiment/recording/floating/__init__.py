@@ -1,0 +1,1 @@
+"""What a recording of a robot with a floating base has beside its joints."""

@@ -1,0 +1,72 @@
+"""The columns of a base and its contacts in files, by their names."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from sdpid._common.arrays import Array
+from sdpid.experiment.recording.floating.base import BaseMotion
+from sdpid.experiment.recording.floating.contacts import Contacts
+
+__all__ = ["base_columns", "base_metadata"]
+
+_XYZ, _WRENCH = ("x", "y", "z"), ("fx", "fy", "fz", "mx", "my", "mz")
+
+
+def base_columns(base: BaseMotion | None, contacts: Contacts | None) -> dict[str, Array]:
+    """Return the columns of a base and of contacts, by the names that readers find them by.
+
+    Velocities carry the frame of their axes in their names: ``base_linear_velocity_world_x``.
+    """
+    found: dict[str, Any] = {}
+    if base is not None:
+        frame = base.velocity_frame
+        found |= _columns("base_position", base.position, _XYZ)
+        found |= _columns("base_orientation", base.orientation, (*_XYZ, "w"))
+        found |= _columns(f"base_linear_velocity_{frame}", base.linear_velocity, _XYZ)
+        found |= _columns(f"base_angular_velocity_{frame}", base.angular_velocity, _XYZ)
+        if base.imu is not None:
+            found |= _columns("gyroscope", base.imu.gyroscope, _XYZ)
+            found |= _columns("accelerometer", base.imu.accelerometer, _XYZ)
+    if contacts is not None:
+        down = contacts.down
+        found |= _columns(
+            "contact", None if down is None else down.astype(np.float64), contacts.frames
+        )
+        for i, contact in enumerate(contacts.frames):
+            for name, table, parts in (
+                ("contact_force", contacts.forces, _XYZ),
+                ("contact_wrench", contacts.wrenches, _WRENCH),
+            ):
+                found |= _columns(
+                    f"{name}_{contact}", None if table is None else table[:, i], parts
+                )
+    return found
+
+
+def base_metadata(base: BaseMotion | None, contacts: Contacts | None) -> Mapping[str, Any]:
+    """Return what a file says of base and contacts beside their columns."""
+    found: dict[str, Any] = {}
+    if base is not None and base.imu is not None:
+        imu = base.imu
+        found["imu"] = {
+            "translation": imu.translation.tolist(),
+            "rotation": imu.rotation.tolist(),
+        }
+    if contacts is not None:
+        found["contacts"] = {
+            "frames": list(contacts.frames),
+            "kind": list(contacts.kind),
+            "offset": contacts.offset.tolist(),
+        }
+    return found
+
+
+def _columns(name: str, table: Array | None, parts: tuple[str, ...]) -> dict[str, Array]:
+    """Return the columns of a table by name and part."""
+    if table is None:
+        return {}
+    return {f"{name}_{part}": table[:, i] for i, part in enumerate(parts)}
