@@ -183,6 +183,11 @@ class JointRows:
         base, _, rank, _ = np.linalg.lstsq(joined[:, :-1], joined[:, -1], rcond=None)
         return np.asarray(base), int(rank)
 
+    def squared_residuals(self, base: Array) -> Array:
+        """Return the sum of every joint's squared residuals at some base parameters, (n,)."""
+        error = np.append(base, -1.0)
+        return np.array([float(np.sum((t.R @ error) ** 2)) for t in self.triangles])
+
     def variance(self, base: Array, rank: int) -> Array:
         """Return the variance of every joint's residuals at some base parameters, (n,).
 
@@ -192,8 +197,7 @@ class JointRows:
         return self._residual_variance(base, rank) + self.least_variance
 
     def _residual_variance(self, base: Array, rank: int) -> Array:
-        error = np.append(base, -1.0)
-        residual = np.array([np.sum((t.R @ error) ** 2) for t in self.triangles])
+        residual = self.squared_residuals(base)
         freedom = np.maximum(self.used * (1.0 - rank / self.used.sum()), 1.0)
         return np.asarray(residual / freedom)
 

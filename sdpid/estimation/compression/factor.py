@@ -43,12 +43,7 @@ class Factor:
     def of(cls, rows: Rows, weighting: Weighting) -> Factor:
         """Weight and compress rows, piece by piece; the order of the pieces decides rounding."""
         if weighting == "residual":
-            joints = JointRows.merged(rows.map(JointRows.of))
-            sigma = residual_covariance(rows, joints)
-            # One variance a joint: its rows have been compressed already.
-            triangle = Triangle(rows.base.count + 1)
-            triangle.add(joints.joined(np.diagonal(sigma)))
-            return cls(sigma, *triangle.split(), int(joints.used.sum()))
+            return cls.of_joints(rows, JointRows.merged(rows.map(JointRows.of)))
         sigma = covariance(rows, weighting)
         if weighting in ("eq9", "eq18"):
             # W^T·Sigma^e·W, as a product of equal factors.
@@ -60,6 +55,14 @@ class Factor:
             triangle.merge(piece)
             used += count
         return cls(sigma, *triangle.split(), used)
+
+    @classmethod
+    def of_joints(cls, rows: Rows, joints: JointRows) -> Factor:
+        """Weight rows that are compressed already with one variance a joint, from residuals."""
+        sigma = residual_covariance(rows, joints)
+        triangle = Triangle(rows.base.count + 1)
+        triangle.add(joints.joined(np.diagonal(sigma)))
+        return cls(sigma, *triangle.split(), int(joints.used.sum()))
 
 
 def covariance(rows: Rows, weighting: Weighting) -> Array:

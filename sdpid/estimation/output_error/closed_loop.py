@@ -10,10 +10,10 @@ import numpy as np
 from sdpid._common.arrays import Array, frozen
 from sdpid.errors import SolverError
 from sdpid.estimation.compression.rows import RowSource
-from sdpid.estimation.estimate import Estimate, Status, Step
+from sdpid.estimation.estimate import Estimate, Status
 from sdpid.estimation.information import require_excitation
 from sdpid.estimation.output_error.didim import Search
-from sdpid.estimation.output_error.followed import ClosedLoop
+from sdpid.estimation.output_error.followed import ClosedLoop, Followed
 from sdpid.estimation.output_error.result import moved
 from sdpid.estimation.output_error.rows import (
     SensitivityRows,
@@ -23,6 +23,7 @@ from sdpid.estimation.output_error.rows import (
     position_covariance,
 )
 from sdpid.estimation.output_error.starts import Solver
+from sdpid.estimation.output_error.trials import Trial, compared
 from sdpid.estimation.problem import Problem
 
 # Halvings of a step that does not lower the cost; what is left of it is then below 1 %.
@@ -40,6 +41,7 @@ def iterate(
     problem: Problem,
     loop: ClosedLoop,
     start: Estimate,
+    followed: Followed,
     solver: Solver,
     max_iterations: int,
     tolerance: float,
@@ -47,12 +49,12 @@ def iterate(
     """Minimize the squares of the position errors, a linearized problem at a time.
 
     A step is the solution of the linearized problem under all constraints, and is halved until the
-    simulated motion itself is nearer: with the same variances the cost never rises.
+    simulated motion itself is nearer: with the same variances the cost never rises. `followed` is
+    the motion of the start.
     """
     begin = time.perf_counter()
     rows = problem.require_rows_here("output error")
-    at, history = start, []
-    followed = loop.require(start.model(), "the start")
+    at, trials = start, list[Trial]()
     simulations = 1
     missed = loop.missed(followed)
     sigma: Array | None = None
@@ -89,7 +91,15 @@ def iterate(
                     at, followed, missed = candidate, motion, miss
                     break
         now = _cost(linear, missed, at)
-        history.append(Step(time.perf_counter() - begin, now, at.violation or 0.0))
+        trials.append(
+            Trial(
+                time.perf_counter() - begin,
+                np.sum(missed**2, axis=0),
+                now,
+                np.diag(linear.sigma),
+                at.violation or 0.0,
+            )
+        )
         if before - now > tolerance * before:
             continue
         settled = promised <= tolerance * before
@@ -98,7 +108,7 @@ def iterate(
             status = "optimal" if settled else "stalled"
             break
         sigma = fresh
-    return Search(at, followed, history, simulations, status)
+    return Search(at, followed, compared(trials), simulations, status)
 
 
 def _linear(

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from sdpid.estimation.compression.covariance import JointRows
 from sdpid.estimation.compression.factor import Factor
 from sdpid.estimation.compression.rows import RowSource
 from sdpid.estimation.estimate import Estimate, Status, Step
@@ -14,6 +15,7 @@ from sdpid.estimation.information import require_excitation
 from sdpid.estimation.output_error.followed import ClosedLoop, Followed
 from sdpid.estimation.output_error.rows import cost_in, linearized
 from sdpid.estimation.output_error.starts import Solver
+from sdpid.estimation.output_error.trials import Trial, compared
 from sdpid.estimation.problem import Problem
 
 
@@ -46,31 +48,47 @@ def iterate(
     problem: Problem,
     loop: ClosedLoop,
     start: Estimate,
+    followed: Followed,
     solver: Solver,
     max_iterations: int,
     tolerance: float,
 ) -> Search:
     """Solve for the measured efforts with the regressor of the motion simulated last.
 
+    `followed` is the motion of the start.
+
     Feedback keeps the simulated motion near the commanded one whatever the parameters are. So its
     regressor hardly depends on them, and holds no noise of the encoders.
     """
     begin = time.perf_counter()
     rows = problem.require_rows_here("output error")
-    estimate, history = start, []
-    followed = loop.require(start.model(), "the start")
+    estimate, trials = start, list[Trial]()
     status: Status = "iteration limit"
     for count in range(1, max_iterations + 1):
         simulated = RowSource(rows.robot, rows.friction, rows.base, loop.samples(followed))
-        linear = linearized(problem, simulated, Factor.of(simulated, problem.weighting))
+        linear, joints = _linear(problem, simulated)
         if problem.prior is None:
             require_excitation(linear.excitation)
         found = solver(linear)
-        history.append(Step(time.perf_counter() - begin, found.cost, found.violation or 0.0))
+        seconds, violation = time.perf_counter() - begin, found.violation or 0.0
+        if joints is None:
+            trials.append(Trial(seconds, None, found.cost, None, violation))
+        else:
+            squares = joints.squared_residuals(found.base)
+            variances = np.diagonal(linear.sigma)
+            trials.append(Trial(seconds, squares, found.cost, variances, violation))
         drop = cost_in(linear, estimate) - found.cost
         estimate = found
         followed = loop.require(found.model(), f"iteration {count}")
         if drop <= tolerance * max(found.cost, np.finfo(float).tiny):
             status = "optimal"
             break
-    return Search(estimate, followed, history, 1 + len(history), status)
+    return Search(estimate, followed, compared(trials), 1 + len(trials), status)
+
+
+def _linear(problem: Problem, rows: RowSource) -> tuple[Problem, JointRows | None]:
+    """Return the problem of other rows, and these joint by joint where variances are from them."""
+    if problem.weighting != "residual":
+        return linearized(problem, rows, Factor.of(rows, problem.weighting)), None
+    joints = JointRows.merged(rows.map(JointRows.of))
+    return linearized(problem, rows, Factor.of_joints(rows, joints)), joints

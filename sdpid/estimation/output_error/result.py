@@ -26,21 +26,17 @@ class OutputErrorEstimate(Estimate):
         Root mean square of measured less simulated positions of each joint, filtered alike, rad
         (m).
     effort_ratio : ndarray, shape (n,)
-        Measured efforts over those that the controller gives on the measured motion. Far from
-        one, the controller is another.
+        Measured efforts over those that the controller gives on the measured motion, by
+        instruments. Far from one, the controller is another.
+    effort_ratio_error : ndarray, shape (n,)
+        Its standard error; infinite where a joint has no effort.
     simulations : int
         How often the recordings were simulated.
 
     Examples
     --------
     >>> law = sdpid.controllers.PD(np.full(6, 4000.0), np.full(6, 200.0))
-    >>> moved = sdpid.simulate_closed_loop(estimate.model(), motion, law, rate_hz=100.0)
-    >>> told = motion.sample()[0][::10]
-    >>> run = sdpid.Recording(
-    ...     time=moved.time, position=moved.position, effort=moved.effort, reference=told
-    ... )
-    >>> whole = sdpid.build_problem(robot, sdpid.process(run))
-    >>> found = sdpid.solve_output_error(whole, run, controller=law)
+    >>> found = sdpid.solve_output_error(problem, log, controller=law, reference=log.position)
     >>> found.status, found.simulations == found.iterations + 1
     ('optimal', True)
     >>> print(sdpid.certify(found).summary())
@@ -50,6 +46,7 @@ class OutputErrorEstimate(Estimate):
     controller: Controller
     position_error: Array = field(repr=False)
     effort_ratio: Array = field(repr=False)
+    effort_ratio_error: Array = field(repr=False)
     simulations: int
 
     def __repr__(self) -> str:

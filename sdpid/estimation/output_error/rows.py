@@ -99,9 +99,8 @@ def position_covariance(rows: SensitivityRows) -> Array:
     base = np.zeros(rows.base.count)
     for _ in range(_ROUNDS):
         base, rank = joints.fit(variance)
-        error = np.append(base, -1.0)
-        squares = np.array([float(np.sum((each.R @ error) ** 2)) for each in joints.triangles])
-        found = squares / np.maximum(joints.used * (1.0 - rank / joints.used.sum()), 1.0)
+        freedom = np.maximum(joints.used * (1.0 - rank / joints.used.sum()), 1.0)
+        found = joints.squared_residuals(base) / freedom
         variance = np.maximum(found, max(_LEAST * float(found.max()), np.finfo(float).tiny))
     return np.diag(variance * correlation_time(rows, base, joints))
 

@@ -15,7 +15,7 @@ from sdpid._common.threads import one_thread
 from sdpid.errors import DataError, SolverError
 from sdpid.estimation.estimate import Estimate
 from sdpid.estimation.output_error import closed_loop, didim
-from sdpid.estimation.output_error.checks import ControllerCheck
+from sdpid.estimation.output_error.checks import FOLLOWS, START, ControllerCheck
 from sdpid.estimation.output_error.followed import ClosedLoop
 from sdpid.estimation.output_error.result import OutputErrorEstimate
 from sdpid.estimation.output_error.starts import solver_of, starting
@@ -36,10 +36,6 @@ _TOLERANCE = 0.025
 # Gains that are off by this share show in the efforts of a few seconds, and every parameter of the
 # output error is off by as much.
 _CONTROLLER = 0.03
-
-# Share of a joint's motion by which a simulated one may miss the measured one in the end: beyond,
-# the regressor of the simulated motion is that of another motion.
-_FOLLOWS = 0.2
 
 
 @one_thread
@@ -99,20 +95,22 @@ def solve_output_error(
         Iterations end when one lowers the cost by no more than this share.
     controller_tolerance : float, optional
         Largest share by which measured efforts may differ from those of the controller on the
-        measured motion, for ``"closed_loop"``; ``inf`` allows any.
+        measured motion, three standard errors allowed for, for ``"closed_loop"``; ``inf`` allows
+        any.
 
     Returns
     -------
     OutputErrorEstimate
         Its `problem` is the last linearized one, for certificates and errors; `history` has the
-        cost of each iteration.
+        cost of each iteration, all with the last variances of the joints.
 
     Raises
     ------
     DataError
-        When options make no sense, nothing says what was commanded, or the output error is asked
-        for with a controller that is not that of the recording, or not known well enough, or with
-        friction of the load or a coupling without a width.
+        When options make no sense, nothing says what was commanded, the robot of the start does
+        not follow it as it did in the recording, or ``"closed_loop"`` is asked for with a
+        controller that is not that of the recording, or not known well enough, or with friction of
+        the load or a coupling without a width.
     IdentifiabilityError
         When the simulated motion leaves a base parameter undetermined.
     SolverError
@@ -121,12 +119,8 @@ def solve_output_error(
 
     Examples
     --------
-    >>> law = sdpid.controllers.PD(np.full(6, 4000.0), np.full(6, 200.0))
-    >>> moved = sdpid.simulate_closed_loop(estimate.model(), motion, law, rate_hz=100.0)
-    >>> told = motion.sample()[0][::10]
-    >>> run = sdpid.Recording(
-    ...     time=moved.time, position=moved.position, effort=moved.effort, reference=told
-    ... )
+    >>> run = sdpid.simulate(robot, motion, seed=1)
+    >>> law = sdpid.controllers.fit_controller(run, "p").require()
     >>> whole = sdpid.build_problem(robot, sdpid.process(run))
     >>> found = sdpid.solve_output_error(whole, run, controller=law)
     >>> found.method, found.status, found.feasible
@@ -150,8 +144,11 @@ def solve_output_error(
         start = owner
     solve = solver_of(given, solver)
     first = starting(given, start, solve)
+    followed = loop.require(first.model(), "the start")
+    if (fault := check.fault(loop, followed, START)) is not None:
+        raise DataError(fault)
     run = didim.iterate if method == "didim" else closed_loop.iterate
-    search = run(given, loop, first, solve, max_iterations, tolerance)
+    search = run(given, loop, first, followed, solve, max_iterations, tolerance)
     missed = np.sqrt(np.mean(loop.missed(search.followed) ** 2, axis=0))
     words = (
         f"{len(search.history)} iterations, {search.simulations} simulations; "
@@ -171,20 +168,11 @@ def solve_output_error(
         controller=law,
         position_error=frozen(missed),
         effort_ratio=frozen(check.ratio),
+        effort_ratio_error=frozen(check.error),
         simulations=search.simulations,
     )
-    motion = np.std(twin.measured.position, axis=0)
-    lost = missed > np.maximum(_FOLLOWS * motion, _FOLLOWS * motion.max() * 0.1)
-    if lost.any():
-        j = int(np.argmax(missed / np.maximum(motion, 1e-12)))
-        raise SolverError(
-            f"output error: the simulated motion does not follow the measured one: joint "
-            f"{given.robot.joint_names[j]} misses it by {missed[j]:.3g} (rms) of a motion of "
-            f"{motion[j]:.3g} (limit {100 * _FOLLOWS:g} %); check the controller and that the "
-            "commanded positions belong to this recording, in its time and units.",
-            problem=given,
-            found=estimate,
-        )
+    if (fault := check.fault(loop, search.followed, FOLLOWS)) is not None:
+        raise SolverError(fault, problem=given, found=estimate)
     return estimate
 
 
@@ -257,10 +245,13 @@ def _controller(given: Controller | str | None, twin: Twin, method: Method) -> C
 
     found = fit_controller(twin.logs[0])
     law: Controller | None = found.controller
-    if law is None or (method == "closed_loop" and not found.usable):
-        raise DataError(
-            "output error: the controller is not known well enough from this log: "
-            f"{'; '.join(found.reasons)}. Give the gains that ran (controller=), or use "
-            "method='didim' or sdpid.solve_instrumental, which hardly depend on them."
-        )
-    return law
+    if law is not None and (method == "didim" or found.usable):
+        return law
+    others = "sdpid.solve_instrumental with instruments='reference' or 'periods', which needs none"
+    if method != "didim":
+        others = f"method='didim', which hardly depends on them, or {others}"
+    raise DataError(
+        "output error: the controller is not known well enough from this log: "
+        f"{'; '.join(found.reasons)}. Give the gains that ran (controller=), look whether the "
+        f"commanded positions are those of this log, in rad, or use {others}."
+    )

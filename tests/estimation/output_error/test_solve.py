@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import cache
 from typing import Any
 
@@ -10,7 +11,10 @@ import pytest
 
 import sdpid
 from sdpid.errors import DataError, SolverError
+from sdpid.estimation.output_error.checks import ControllerCheck
+from sdpid.estimation.output_error.followed import ClosedLoop
 from sdpid.estimation.problem import Problem
+from sdpid.experiment.preparation.twin import Twin
 from sdpid.robot.friction.model import FrictionModel
 from sdpid.robot.model.dynamics import RobotDynamics
 from tests.helpers.arm_files import ARM_URDF
@@ -99,14 +103,15 @@ def test_starts_far_away_end_at_the_same_parameters(method: Any) -> None:
     assert projected.feasible
 
 
-def test_the_cost_never_rises() -> None:
+def test_costs_of_iterations_are_comparable() -> None:
     theta = truth().theta * np.random.default_rng(4).uniform(0.5, 1.6, len(truth().theta))
-    found = solve(method="closed_loop", start=theta, tolerance=1e-3)
-    costs = np.array([step.cost for step in found.history])
-    # Where the joints' variances are estimated anew the cost is another.
-    rises = np.count_nonzero(np.diff(costs) > 0.0)
-    assert rises <= 1
-    assert all(step.violation <= 1e-9 for step in found.history)
+    for method in ("didim", "closed_loop"):
+        found = solve(method=method, start=theta, tolerance=1e-3)
+        costs = np.array([step.cost for step in found.history])
+        # Under the last variances of the joints, which those of an iteration differ from.
+        assert np.all(np.diff(costs) < 1e-3 * costs[-1])
+        assert costs[-1] == pytest.approx(found.cost)
+        assert all(step.violation <= 1e-9 for step in found.history)
 
 
 def test_a_wrong_controller_shifts_all_parameters_of_output_error_alone() -> None:
@@ -125,8 +130,53 @@ def test_a_wrong_controller_shifts_all_parameters_of_output_error_alone() -> Non
     assert shift < 0.01
 
 
-def test_a_fitted_controller_serves() -> None:
+def test_noise_that_the_loop_feeds_back_does_not_hide_the_controller() -> None:
+    told = np.asarray(log().reference)
+    moved = sdpid.simulate_closed_loop(
+        truth(), told, LAW, rate_hz=500.0, control_hz=2000.0, position_noise=1e-4, seed=3
+    )
+    noisy = replace(log(), position=moved.measured, effort=moved.effort, reference=told)
+    twin = Twin.of(truth().robot, noisy, PROCESSING)
+
+    def check(factor: float) -> ControllerCheck:
+        law = sdpid.controllers.PD(factor * LAW.kp, factor * LAW.kd)
+        return ControllerCheck.of(ClosedLoop.of(twin, law, None, 2000.0))
+
+    exact = check(1.0)
+    assert exact.misfit.min() > 0.1
+    assert np.all(np.abs(exact.ratio - 1.0) < 4.0 * exact.error)
+    exact.require(0.03)
+    for factor in (0.9, 1.1):
+        with pytest.raises(DataError, match="standard error"):
+            check(factor).require(0.03)
+
+
+SOFT = sdpid.controllers.PD(np.array([5.0, 1.0]), np.array([1.0, 1.0]))
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        ({"controller": SOFT}, "gains are too low, or of another unit .* times those that it"),
+        ({"reference": np.degrees(log().reference)}, "commanded positions are not those of this"),
+        ({"reference": np.asarray(log().reference)[:, ::-1]}, "not those of this recording"),
+    ],
+)
+def test_a_start_that_moves_otherwise_is_told_before_a_solve(options: Any, words: str) -> None:
+    def never(problem: Problem) -> Any:
+        raise AssertionError("solved")
+
+    with pytest.raises(DataError, match=rf"does not follow what was .* \(limit 50 %\): .*{words}"):
+        solve(start=truth().theta, solver=never, **options)
+
+
+def test_a_fitted_controller_serves_where_the_log_shows_it() -> None:
     assert error(solve(controller="fit")) < 2.0 * error(solve()) + 1e-3
+    other = replace(log(), reference=np.degrees(log().reference))
+    for method, advised in (("didim", False), ("closed_loop", True)):
+        with pytest.raises(DataError, match="not known well enough") as caught:
+            sdpid.solve_output_error(problem(), other, method=method, processing=PROCESSING)
+        assert ("method='didim'" in str(caught.value)) == advised
 
 
 @pytest.mark.parametrize(
