@@ -14,6 +14,7 @@ from sdpid._common.arrays import Array, frozen_view, real_array
 from sdpid._common.tables import Table, facts_html
 from sdpid.errors import DataError
 from sdpid.experiment.drive_gains.gains import DriveGains
+from sdpid.experiment.processing.contacts.contact_samples import ContactSamples
 from sdpid.experiment.processing.wide_velocity import WideVelocity
 from sdpid.experiment.recording.recording import checked_names
 
@@ -67,6 +68,9 @@ class Samples:
         is that at `velocity`.
     gains : DriveGains, optional
         The gains that made the efforts of currents, one a column: their errors count.
+    contacts : ContactSamples, optional
+        Contacts of a robot whose base floats, sample by sample. Its efforts begin with the six of
+        the base, which are zero: nothing drives it but contacts.
 
     Raises
     ------
@@ -105,6 +109,7 @@ class Samples:
     starts: tuple[int, ...] = (0,)
     wide: tuple[WideVelocity, ...] | None = None
     gains: DriveGains | None = None
+    contacts: ContactSamples | None = None
 
     def __post_init__(self) -> None:
         effort = self._keep("effort", 2)
@@ -125,6 +130,10 @@ class Samples:
             object.__setattr__(self, "joint_names", checked_names(self.joint_names, n))
         if self.gains is not None and self.gains.n != n:
             raise DataError(f"gains: are of {self.gains.n} joints, expected {n} to match effort.")
+        if self.contacts is not None and self.contacts.n_samples != K:
+            raise DataError(
+                f"contacts: are of {self.contacts.n_samples} samples, expected {K} to match effort."
+            )
         self._check_covariance(K, n)
         self._check_mask(K, n)
         for name, least in (("periods", 1), ("block", 1)):
@@ -221,6 +230,7 @@ class Samples:
             ),
             wide=_joined_wide(pieces),
             gains=_joined_gains(pieces),
+            contacts=ContactSamples.join([piece.contacts for piece in pieces]),
         )
 
     @property
@@ -323,6 +333,7 @@ class Samples:
             block=self.block,
             wide=None if wide is None else (wide,),
             gains=self.gains,
+            contacts=None if self.contacts is None else self.contacts.picked(which),
         )
         if self.mask is not None:
             # Unlike a whole, a part may have no row that is used.
@@ -335,6 +346,8 @@ class Samples:
             parts.append(f"mean of {self.periods} periods")
         if len(self.starts) > 1:
             parts.append(f"{len(self.starts)} pieces")
+        if self.contacts is not None:
+            parts.append(f"{self.contacts.n} contacts")
         return f"Samples({', '.join(parts)})"
 
     def _repr_html_(self) -> str:
@@ -346,7 +359,13 @@ class Samples:
                 "rms effort": np.sqrt(np.mean(np.square(self.effort), axis=0)).tolist(),
             }
         )
-        facts = {"samples": self.n_samples, "rows used": self.n_rows, "pieces": len(self.starts)}
+        facts: dict[str, object] = {
+            "samples": self.n_samples,
+            "rows used": self.n_rows,
+            "pieces": len(self.starts),
+        }
+        if self.contacts is not None:
+            facts["contacts"] = ", ".join(self.contacts.frames)
         return facts_html("Samples", facts, table)
 
     @property

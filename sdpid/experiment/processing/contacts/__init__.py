@@ -1,0 +1,1 @@
+"""Contacts of a robot with its surroundings, sample by sample."""

@@ -1,0 +1,239 @@
+"""`ContactSamples`: where a robot touches its surroundings, sample by sample."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any, Literal, get_args
+
+import numpy as np
+
+from sdpid._common.arrays import Array, Mask, frozen, frozen_view, real_array
+from sdpid._common.tables import Table, facts_html
+from sdpid.errors import DataError
+
+__all__ = ["ContactSamples"]
+
+Kind = Literal["point", "line", "plane"]
+KINDS: tuple[Kind, ...] = get_args(Kind)
+
+# A covariance may be this far from symmetric, relative to its largest entry.
+_ASYMMETRY = 1e-6
+
+
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class ContactSamples:
+    """Contacts of K samples: which are closed, and what is known of their forces.
+
+    What a contact transmits and no sensor measures is eliminated from the equations of motion while
+    it is closed. What is measured is added to the efforts whether the contact is said to be closed
+    or not, with its covariance.
+
+    Parameters
+    ----------
+    frames : sequence of str
+        Names of frames of the robot, c in all.
+    kind : {"point", "line", "plane"} or sequence of them
+        What a contact transmits: a force; a force and the two moments across an edge, which lies
+        along the frame's y axis; a force and three moments.
+    offset : (3,) or (c, 3) array_like, optional
+        Contact point relative to the frame's origin in the world's axes, m.
+    down : (K, c) array_like of bool
+        Whether the contact may transmit something; the filter's memory is included.
+    forces : (K, c, 6) array_like, optional
+        Measured forces in N and moments in N·m, on the robot, about the contact point, in the
+        world's axes, filtered as the efforts are. Zero where a kind transmits nothing.
+    force_covariance : (6, 6) or (c, 6, 6) array_like, optional
+        Of `forces`, for all contacts or each; needed with them. Zeros trust the forces as they
+        are, an infinite variance says that this component is not measured. Moments of points have
+        none.
+
+    Raises
+    ------
+    DataError
+        When shapes disagree, a kind is not known, or forces and their covariance are not given
+        together.
+
+    Examples
+    --------
+    >>> from sdpid.experiment.processing.contacts.contact_samples import ContactSamples
+    >>> feet = ContactSamples(frames=["left_foot", "right_foot"], kind="point",
+    ...                       offset=(0.0, 0.0, -0.02), down=np.ones((100, 2), dtype=bool))
+    >>> feet
+    ContactSamples(100 samples, left_foot 100 % and right_foot 100 % closed, forces eliminated)
+    """
+
+    frames: tuple[str, ...]
+    kind: tuple[Kind, ...] = ("point",)
+    offset: Array = field(default_factory=lambda: np.zeros(3))
+    down: Mask
+    forces: Array | None = None
+    force_covariance: Array | None = None
+
+    def __post_init__(self) -> None:
+        given: Any = self.frames
+        frames = (given,) if isinstance(given, str) else tuple(given)
+        if not frames or not all(isinstance(name, str) and name for name in frames):
+            raise DataError(f"contacts: frames are {frames!r:.80}, expected names, at least one.")
+        object.__setattr__(self, "frames", frames)
+        c = len(frames)
+        given = self.kind
+        kinds = (given,) if isinstance(given, str) else tuple(given)
+        kinds = kinds * c if len(kinds) == 1 else kinds
+        if len(kinds) != c or not set(kinds) <= set(KINDS):
+            raise DataError(
+                f"contacts: kind is {self.kind!r:.80}, expected one of {', '.join(KINDS)} for all, "
+                f"or for each of {c} frames."
+            )
+        object.__setattr__(self, "kind", kinds)
+        offset = real_array(self.offset, "contacts: offset", ndim=np.ndim(self.offset) or 1)
+        if offset.shape not in ((3,), (c, 3)):
+            raise DataError(
+                f"contacts: offset has shape {offset.shape}, expected (3,) or {(c, 3)}: x, y, z in "
+                "m, for all frames or each."
+            )
+        object.__setattr__(self, "offset", frozen(np.broadcast_to(offset, (c, 3))))
+        down = np.ascontiguousarray(self.down)
+        if down.dtype != np.bool_ or down.ndim != 2 or down.shape[1] != c:
+            raise DataError(
+                f"contacts: down has shape {down.shape} and type {down.dtype}, expected (K, {c}) "
+                "and bool."
+            )
+        object.__setattr__(self, "down", frozen_view(down))
+        self._check_forces(c)
+
+    def _check_forces(self, c: int) -> None:
+        """Check measured forces and their covariance, and clear what is not transmitted."""
+        if (self.forces is None) != (self.force_covariance is None):
+            raise DataError(
+                "contacts: give forces and force_covariance together (zeros trust the forces as "
+                "they are), or neither, and forces are eliminated."
+            )
+        if self.forces is None or self.force_covariance is None:
+            return
+        forces = np.ascontiguousarray(real_array(self.forces, "contacts: forces", ndim=3))
+        if forces.shape != (len(self.down), c, 6):
+            raise DataError(
+                f"contacts: forces have shape {forces.shape}, expected {(len(self.down), c, 6)}."
+            )
+        given = real_array(
+            self.force_covariance,
+            "contacts: force_covariance",
+            ndim=np.ndim(self.force_covariance),
+            infinite=True,
+        )
+        if given.shape not in ((6, 6), (c, 6, 6)):
+            raise DataError(
+                f"contacts: force_covariance has shape {given.shape}, expected (6, 6) or "
+                f"{(c, 6, 6)}."
+            )
+        covariance = np.array(np.broadcast_to(given, (c, 6, 6)))
+        points = [i for i, kind in enumerate(self.kind) if kind == "point"]
+        covariance[points, 3:] = 0.0
+        covariance[points, :, 3:] = 0.0
+        if np.any(forces[:, points, 3:]):
+            forces = forces.copy()
+            forces[:, points, 3:] = 0.0
+        _check_covariance(covariance, self.frames)
+        object.__setattr__(self, "forces", frozen_view(forces))
+        object.__setattr__(self, "force_covariance", frozen(covariance))
+
+    @property
+    def n(self) -> int:
+        """Number of contacts, c."""
+        return len(self.frames)
+
+    @property
+    def n_samples(self) -> int:
+        """Number of samples, K."""
+        return len(self.down)
+
+    @property
+    def measured(self) -> bool:
+        """Whether forces are measured."""
+        return self.forces is not None
+
+    def same_contacts(self, other: ContactSamples | None) -> bool:
+        """Return whether other samples are of the same contacts, known equally well."""
+        if other is None or (self.frames, self.kind) != (other.frames, other.kind):
+            return False
+        if not np.array_equal(self.offset, other.offset) or self.measured != other.measured:
+            return False
+        if self.force_covariance is None or other.force_covariance is None:
+            return True
+        return np.array_equal(self.force_covariance, other.force_covariance)
+
+    def picked(self, which: Any) -> ContactSamples:
+        """Return some samples: a slice, or numbers."""
+        forces = None if self.forces is None else self.forces[which]
+        return replace(self, down=self.down[which], forces=forces)
+
+    @staticmethod
+    def join(pieces: Sequence[ContactSamples | None]) -> ContactSamples | None:
+        """Return the contacts of several pieces behind each other.
+
+        Raises
+        ------
+        DataError
+            When they are not those of the same frames, known equally well.
+        """
+        first = pieces[0]
+        if all(piece is None for piece in pieces):
+            return None
+        given = [piece for piece in pieces if piece is not None]
+        for number, piece in enumerate(pieces[1:], 2):
+            if first is None or not first.same_contacts(piece):
+                raise DataError(
+                    f"contacts: those of piece {number} ({piece}) are others than those of the "
+                    f"first ({first}); give all pieces the same frames, kinds, offsets and force "
+                    "covariance, with flags that are all False where nothing is touched."
+                )
+        forces = [piece.forces for piece in given if piece.forces is not None]
+        return replace(
+            given[0],
+            down=np.concatenate([piece.down for piece in given]),
+            forces=np.concatenate(forces) if forces else None,
+        )
+
+    def __repr__(self) -> str:
+        shares = [f"{100.0 * share:.0f} %" for share in self.down.mean(axis=0)]
+        closed = [f"{name:.40} {share}" for name, share in zip(self.frames, shares, strict=True)]
+        said = closed[-1] if len(closed) == 1 else f"{', '.join(closed[:-1])} and {closed[-1]}"
+        forces = "measured" if self.measured else "eliminated"
+        return f"ContactSamples({self.n_samples} samples, {said} closed, forces {forces})"
+
+    def _repr_html_(self) -> str:
+        columns: dict[str, Sequence[object]] = {
+            "frame": self.frames,
+            "kind": self.kind,
+            "share closed": self.down.mean(axis=0).tolist(),
+        }
+        facts = {
+            "samples": self.n_samples,
+            "forces": "measured" if self.measured else "eliminated",
+        }
+        return facts_html("Contacts", facts, Table.of_columns(columns))
+
+
+def _check_covariance(covariance: Array, frames: Sequence[str]) -> None:
+    """Refuse what is no covariance of the components that are measured."""
+    for name, own in zip(frames, covariance, strict=True):
+        known = np.isfinite(np.diagonal(own))
+        finite = own[np.ix_(known, known)]
+        others = own[known][:, ~known]
+        size = float(np.abs(finite).max(initial=0.0))
+        if np.any(others != 0.0) or np.any(np.diagonal(own)[~known] < 0.0):
+            raise DataError(
+                f"contacts: force_covariance of {name}: a component with an infinite variance is "
+                "not measured; its other entries have to be zero."
+            )
+        if not np.isfinite(finite).all() or np.abs(finite - finite.T).max(initial=0.0) > (
+            _ASYMMETRY * size
+        ):
+            raise DataError(f"contacts: force_covariance of {name} is not finite and symmetric.")
+        least = float(np.linalg.eigvalsh(finite).min(initial=0.0))
+        if least < -_ASYMMETRY * size:
+            raise DataError(
+                f"contacts: force_covariance of {name} is no covariance: its least eigenvalue is "
+                f"{least:.3g}, the limit is 0."
+            )

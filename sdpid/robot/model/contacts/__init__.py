@@ -1,0 +1,1 @@
+"""Where a robot touches its surroundings: Jacobians of contact points."""

@@ -1,0 +1,85 @@
+"""Jacobians of contact points against Pinocchio's, and against differences of places."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+import pytest
+
+from sdpid import load_robot
+from sdpid.errors import DataError
+from sdpid.robot.model.contacts.jacobians import (
+    _by_pinocchio,
+    _frame_numbers,
+    contact_jacobians,
+    frame_axes,
+)
+from tests.helpers.robots import TREE, TREE_MIMIC_NO_OFFSET
+
+FEET = ("FL_FOOT", "FR_FOOT", "HL_FOOT", "HR_FOOT")
+CASES = [
+    pytest.param("solo12", "free_flyer", FEET, id="solo12"),
+    pytest.param(TREE, "free_flyer", ("thumb", "bracket", "left_slide"), id="floating tree"),
+    pytest.param(TREE, None, ("thumb", "bracket", "left_slide"), id="tree"),
+    pytest.param(TREE_MIMIC_NO_OFFSET, "free_flyer", ("thumb", "finger"), id="mimic"),
+]
+
+
+@pytest.mark.parametrize(("source", "root", "frames"), CASES)
+def test_equals_pinocchio(source: str, root: Any, frames: tuple[str, ...]) -> None:
+    robot = load_robot(source, root=root)
+    rng = np.random.default_rng(1)
+    offset = rng.normal(scale=0.1, size=(len(frames), 3))
+    q = rng.uniform(-1.0, 1.0, (4, robot.n if root is None else robot.pin_model.nq))
+    if root is not None:
+        q = np.array([pin.randomConfiguration(robot.pin_model, *_box(robot)) for _ in range(4)])
+    found = contact_jacobians(robot, q, frames, offset)
+    assert found.shape == (4, len(frames), 6, robot.n)
+    numbers = _frame_numbers(robot, frames)
+    expected = _by_pinocchio(robot, robot.configuration(q), numbers, offset)
+    np.testing.assert_allclose(found, expected, atol=1e-13)
+    data = robot.pin_model.createData()
+    axes = frame_axes(robot, q, frames)
+    for k, configuration in enumerate(robot.configuration(q)):
+        pin.framesForwardKinematics(robot.pin_model, data, configuration)
+        for i, number in enumerate(numbers):
+            np.testing.assert_allclose(axes[k, i], data.oMf[number].rotation, atol=1e-13)
+
+
+def _box(robot: Any) -> tuple[Any, Any]:
+    size = robot.pin_model.nq
+    return -np.ones(size), np.ones(size)
+
+
+def test_points_move_as_the_jacobian_says() -> None:
+    robot = load_robot("solo12", root="free_flyer")
+    model = robot.pin_model
+    q = pin.randomConfiguration(model, *_box(robot))
+    offset = np.array([0.03, -0.02, -0.018])
+    J = contact_jacobians(robot, q[None], FEET[1:2], offset)[0, 0, :3]
+    data, step = model.createData(), 1e-6
+    number = model.getFrameId(FEET[1])
+
+    def placement(at: Any) -> Any:
+        pin.framesForwardKinematics(model, data, at)
+        return pin.SE3(data.oMf[number])
+
+    # The point is fixed to the foot: its place in the foot's axes does not change.
+    own = placement(q).rotation.T @ offset
+    for j in range(robot.n):
+        ends = [
+            placement(pin.integrate(model, q, sign * step * np.eye(robot.n)[j])) for sign in (-1, 1)
+        ]
+        slope = (ends[1].act(own) - ends[0].act(own)) / (2.0 * step)
+        np.testing.assert_allclose(J[:, j], slope, atol=1e-8)
+
+
+def test_refuses_a_frame_that_is_not_there() -> None:
+    robot = load_robot("solo12", root="free_flyer")
+    q = pin.neutral(robot.pin_model)[None]
+    with pytest.raises(DataError, match=r"'FL_FOTO' is no frame .* FL_FOOT"):
+        contact_jacobians(robot, q, ["FL_FOTO"])
+    with pytest.raises(DataError, match=r"offset: has shape \(2, 3\), expected \(3,\) or \(1, 3\)"):
+        contact_jacobians(robot, q, FEET[:1], np.zeros((2, 3)))
