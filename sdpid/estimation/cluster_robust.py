@@ -41,7 +41,7 @@ Groups = Literal["blocks", "periods"]
 FEWEST_BLOCKS = 8
 
 # Where a group alone determines a direction its residual there is zero, and holds no information.
-_ALONE = 1e-9
+ALONE = 1e-9
 
 
 @dataclass(frozen=True, eq=False)
@@ -146,7 +146,7 @@ class ScoreBlocks:
             return np.broadcast_to(factor * np.eye(count), (self.count, count, count))
         values, vectors = np.linalg.eigh(self._shares)
         room = 1.0 - values
-        factor = np.where(room > _ALONE, 1.0 / np.sqrt(np.maximum(room, _ALONE)), 0.0)
+        factor = np.where(room > ALONE, 1.0 / np.sqrt(np.maximum(room, ALONE)), 0.0)
         return np.asarray((vectors * factor[:, None, :]) @ np.swapaxes(vectors, 1, 2))
 
     @cached_property

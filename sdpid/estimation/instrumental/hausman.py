@@ -8,7 +8,10 @@ rejects too often [janot2016]_.
 
 The sums of ``v_j·e`` over blocks of samples, which are longer than the filter's memory, are
 independent of each other, and Hotelling's T² [hotelling1931]_ tests whether their mean is zero. It
-needs no model of the noise.
+needs no model of the noise. What varies from block to block is taken of errors that are corrected
+for leverage (CR2, [bell2002]_): least squares follows its data, so the sums of its residuals vary
+less than those of the errors, by a half and more in blocks that hold what is seen nowhere else.
+Left alone, tests at 5 % reject in 8 to 11 % of logs of 20 to 60 blocks.
 """
 
 from __future__ import annotations
@@ -18,15 +21,14 @@ from dataclasses import dataclass
 import numpy as np
 
 from sdpid._common.arrays import Array, frozen
+from sdpid.estimation.cluster_robust import ALONE, FEWEST_BLOCKS
+from sdpid.estimation.information import information_root
 from sdpid.estimation.instrumental.moments import Pair
 from sdpid.estimation.instrumental.second_stage import FirstStage
 
 # Blocks beyond the number of joints that Hotelling's test needs to say anything: with fewer, the
 # joints' numbers are added up to one.
 _SPARE_BLOCKS = 6
-
-# Fewer blocks than this say nothing about a variance.
-FEWEST_BLOCKS = 8
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -36,7 +38,8 @@ class Contrast:
     Attributes
     ----------
     sums : ndarray, shape (G, n)
-        Sums over blocks of ``v_j·e``, joint by joint.
+        Sums over blocks of ``v_j·e``, joint by joint. Their mean is that of the residuals, what
+        they differ by is corrected for leverage.
     shift : ndarray, shape (n,)
         Sum of squares of ``Z·(β_IV − β_LS)`` over each joint's rows in use, (N·m)².
     effort : ndarray, shape (n,)
@@ -68,24 +71,26 @@ class Contrast:
         # What W explains of every v counts for nothing.
         explained = np.linalg.solve(gram[:, :r], gram[:, r:])
         scores = np.sum([each.scores for each in found], axis=0)
+        inner = np.sum([each.inner for each in found], axis=0)
+        own = scores[:, r:] - scores[:, :r] @ explained
+        freed = own + _hidden(gram[:, :r], inner, scores[:, :r], explained)
         return cls(
-            sums=frozen(scores[:, r:] - scores[:, :r] @ explained),
+            sums=frozen(own.mean(axis=0) + freed - freed.mean(axis=0)),
             shift=frozen(np.sum([each.shift for each in found], axis=0)),
             effort=frozen(np.sum([each.effort for each in found], axis=0)),
         )
 
 
 class _Pass:
-    """The sums over the rows of one pair: ``W^T·[W | v]``, and by blocks ``[W | v]^T·e``."""
+    """The sums over the rows of one pair: ``W^T·[W | v]`` and ``[W | v]^T·e``, also by blocks."""
 
     def __init__(self, first: FirstStage, pair: Pair, moved: Array, block: int) -> None:
         columns = first.columns
         root, n = columns.root, columns.rows.robot.n
         r = len(first.fit)
         fit, projected = root @ first.fit, root @ (first.projection @ first.fit)
-        self.gram = np.zeros((r, r + n))
         self.shift, self.effort = np.zeros(n), np.zeros(n)
-        scores = []
+        scores, inner = [], []
         for chunk in columns.chunks(pair, block=block):
             W, y = chunk.measured[:, :, :-1], chunk.measured[:, :, -1]
             used = chunk.mask
@@ -98,9 +103,41 @@ class _Pass:
             residual = white[:, :, -1] - white[:, :, :r] @ first.least_squares
             for start in range(0, len(white), block):
                 own = white[start : start + block, :, :-1].reshape(-1, r + n)
-                self.gram += own[:, :r].T @ own
+                inner.append(own[:, :r].T @ own)
                 scores.append(own.T @ residual[start : start + block].reshape(-1))
-        self.scores = np.array(scores)
+        self.scores, self.inner = np.array(scores), np.array(inner)
+        self.gram = self.inner.sum(axis=0)
+
+
+def _hidden(gram: Array, inner: Array, scores: Array, explained: Array) -> Array:
+    """Return what leverage hides of the sums of ``v_j·e`` over blocks, (G, n).
+
+    With Q the rows of W of a block in coordinates in which the columns of W are orthonormal, the
+    errors are ``(E − Q·Q^T)^(-1/2)·e = e + Q·h(Q^T·Q)·Q^T·e`` with ``h(x) = 1/(s + s²)`` and
+    ``s = √(1 − x)``.
+
+    Parameters
+    ----------
+    gram : ndarray, shape (r, r)
+        ``W^T·W``.
+    inner : ndarray, shape (G, r, r + n)
+        ``W^T·[W | v]`` of the blocks.
+    scores : ndarray, shape (G, r)
+        ``W^T·e`` of the blocks.
+    explained : ndarray, shape (r, n)
+        The fit of v by W.
+    """
+    r = len(gram)
+    root = information_root(gram)
+    values, vectors = np.linalg.eigh(root.T @ inner[:, :, :r] @ root)
+    left = np.sqrt(np.maximum(1.0 - values, 0.0))
+    # What a block alone determines has no residual, and no information.
+    alone = left**2 <= ALONE
+    h = np.where(alone, -1.0, 1.0 / np.where(alone, 1.0, left + left**2))
+    turned = root @ vectors
+    errors = np.einsum("gij,gi->gj", turned, scores) * h
+    test = np.swapaxes(turned, 1, 2) @ (inner[:, :, r:] - inner[:, :, :r] @ explained)
+    return np.asarray(np.einsum("gin,gi->gn", test, errors))
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -6,12 +6,14 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.linalg import fractional_matrix_power
 
 import sdpid
 from sdpid._common.arrays import Array
 from sdpid.errors import DataError, IdentifiabilityError
 from sdpid.estimation.compression.rows import RowSource
 from sdpid.estimation.compression.whitening import whiten
+from sdpid.estimation.instrumental.hausman import Contrast
 from sdpid.estimation.instrumental.moments import Columns
 from sdpid.estimation.instrumental.second_stage import FirstStage, require_instrumentable
 from sdpid.estimation.problem import Problem
@@ -77,6 +79,34 @@ def test_the_second_stage_is_two_stage_least_squares(problem: Problem, clean: Sa
     ratio = np.diag(np.linalg.inv(W.T @ W)) / np.diag(inverse)
     np.testing.assert_allclose(stage.relevance, ratio, rtol=1e-6)
     assert stage.weak == ()
+
+
+def test_block_sums_of_the_test_of_bias_are_corrected_for_leverage(
+    problem: Problem, clean: Samples
+) -> None:
+    instruments = noisy(clean, 4)
+    first = FirstStage.of_motion(Columns.of(problem), instruments)
+    found = Contrast.of(first, 20).sums
+    own, Z = dense(problem, problem.samples), dense(problem, instruments)[:, :-1]
+    W, y = own[:, :-1], own[:, -1]
+    fit = np.linalg.solve(Z.T @ W, Z.T @ y)
+    rows = RowSource(ARM, problem.friction, problem.base, problem.samples)
+    unseen = rows.regressor(slice(None)) @ fit
+    others = rows.on(instruments).regressor(slice(None))
+    unseen -= others @ np.linalg.lstsq(Z, W, rcond=None)[0] @ fit
+    v = whiten(unseen[:, :, None] * np.eye(2), SIGMA, USED).reshape(-1, 2)
+    v -= W @ np.linalg.lstsq(W, v, rcond=None)[0]
+    hat = W @ np.linalg.pinv(W)
+    residual = y - hat @ y
+    plain, freed = [], []
+    for start in range(0, len(W), 40):
+        rows_of = slice(start, start + 40)
+        root = fractional_matrix_power(np.eye(40) - hat[rows_of, rows_of], -0.5).real
+        plain.append(v[rows_of].T @ residual[rows_of])
+        freed.append(v[rows_of].T @ root @ residual[rows_of])
+    np.testing.assert_allclose(found.sum(axis=0), np.sum(plain, axis=0), rtol=1e-6)
+    expected = np.array(freed) - np.mean(freed, axis=0)
+    np.testing.assert_allclose(found - found.mean(axis=0), expected, rtol=1e-6, atol=1e-6)
 
 
 def test_two_halves_correct_least_squares_for_their_difference(
