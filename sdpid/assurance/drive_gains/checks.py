@@ -16,6 +16,7 @@ from sdpid.experiment.inspection.accept import require_accepted
 from sdpid.experiment.inspection.finding import Finding
 from sdpid.experiment.inspection.inspect import inspect_recordings
 from sdpid.experiment.processing.samples import Samples
+from sdpid.experiment.recording.floating.refusal import require_fixed_base
 from sdpid.experiment.recording.recording import Recording
 from sdpid.robot.model.model import RobotModel
 
@@ -52,6 +53,7 @@ def require_currents(logs: Sequence[Recording], name: str) -> None:
         Naming the recording.
     """
     for number, log in enumerate(logs, 1):
+        require_fixed_base(log, f"gains, {name} recording {number}")
         if not log.currents:
             why = (
                 "its currents were turned into torques by gains already"

@@ -42,6 +42,7 @@ from sdpid.experiment.processing.samples import Samples
 from sdpid.experiment.readers.arguments import as_gains
 from sdpid.experiment.readers.read import read_recording
 from sdpid.experiment.readers.scaled import require_torques, scaled
+from sdpid.experiment.recording.floating.refusal import require_fixed_base
 from sdpid.experiment.recording.recording import Recording
 from sdpid.robot.consistent import raise_second_moments
 from sdpid.robot.friction.model import BY_NAME
@@ -184,6 +185,7 @@ def identify_payload(
     )
     for log, name in ((with_load, "log"), (without_load, "without_load")):
         if isinstance(log, Recording):
+            require_fixed_base(log, f"payload, {name}")
             findings += inspected(model, [log], accept, absent, name=name)
     number = carrying_link(model, link, what="payload")
     rotation, translation, name = frame_on_link(model, number, frame, what="payload")

@@ -28,6 +28,7 @@ from sdpid.experiment.processing.choose import with_changes
 from sdpid.experiment.processing.process import Processing
 from sdpid.experiment.processing.samples import Samples
 from sdpid.experiment.readers.read import read_recording
+from sdpid.experiment.recording.floating.refusal import require_fixed_base
 from sdpid.experiment.recording.recording import Recording
 from sdpid.experiment.simulation.arm import SimulatedArm
 from sdpid.experiment.simulation.controllers import Controller
@@ -272,6 +273,7 @@ def _prepared(
             raise DataError("samples: have no time; give the recording, or samples with time.")
         return None, recording, None
     log = recording if isinstance(recording, Recording) else read_recording(recording)
+    require_fixed_base(log, "rollout")
     log = replace(log, period=None, start=None, periods=None)
     if not isinstance(processing, Processing):
         processing = with_changes(default_processing(log), processing or {})

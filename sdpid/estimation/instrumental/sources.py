@@ -19,6 +19,7 @@ from sdpid.experiment.preparation.several import ProcessingOf, chosen_processing
 from sdpid.experiment.preparation.twin import Twin
 from sdpid.experiment.processing.process import Processing, process
 from sdpid.experiment.processing.samples import Samples
+from sdpid.experiment.recording.floating.refusal import require_fixed_base
 from sdpid.experiment.recording.joints import match_joints
 from sdpid.experiment.recording.recording import Recording
 from sdpid.experiment.simulation.closed_loop import simulate_closed_loop
@@ -171,7 +172,10 @@ def source_of(
             f"{purpose}: needs the recording that the problem was built of, to know what was "
             "commanded or to split its periods; give it, or instruments=Samples(...)."
         )
-    logs = tuple(match_joints(problem.robot, log) for log in recordings(recording, "recording"))
+    read = recordings(recording, "recording")
+    for log in read:
+        require_fixed_base(log, purpose)
+    logs = tuple(match_joints(problem.robot, log) for log in read)
     chosen, _ = chosen_processing(logs, processing)
     twin = Twin.of(problem.robot, logs, chosen, measured=problem.samples)
     commanded = _commanded(twin.logs, reference)

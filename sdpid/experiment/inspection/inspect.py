@@ -185,7 +185,9 @@ def _looked_at(
     findings: list[Finding] = []
     if robot is not None:
         log, robot, findings = _matched(log, robot)
-    subject = Subject(log=log, robot=robot, without=without)
+    # The dynamics of a robot that is fixed say nothing about one that is not.
+    fixed = None if log.base is not None else robot
+    subject = Subject(log=log, robot=fixed, without=without)
     for each in CHECKS:
         if each not in _DROWNED:
             findings += each(subject)

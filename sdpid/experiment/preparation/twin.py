@@ -18,6 +18,7 @@ from sdpid.experiment.processing.period_mean import Chain
 from sdpid.experiment.processing.process import Processing, process
 from sdpid.experiment.processing.samples import Samples
 from sdpid.experiment.processing.states import CHUNK, TooShortError, chain_of, states_of
+from sdpid.experiment.recording.floating.refusal import require_fixed_base
 from sdpid.experiment.recording.gaps import continuous
 from sdpid.experiment.recording.joints import match_joints
 from sdpid.experiment.recording.recording import Recording
@@ -88,7 +89,10 @@ class Twin:
         DataError
             When a recording cannot be processed, or `measured` were made otherwise.
         """
-        logs = tuple(match_joints(robot, each) for each in recordings(log))
+        read = recordings(log)
+        for each in read:
+            require_fixed_base(each, "simulated motion and instruments")
+        logs = tuple(match_joints(robot, each) for each in read)
         chosen, _ = chosen_processing(logs, processing)
         chains = tuple(
             tuple(_chain(piece, chosen) for piece in continuous(each)[0]) for each in logs

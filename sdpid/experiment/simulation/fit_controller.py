@@ -6,6 +6,7 @@ import numpy as np
 
 from sdpid._common.arrays import Array, frozen
 from sdpid.errors import DataError
+from sdpid.experiment.recording.floating.refusal import require_fixed_base
 from sdpid.experiment.recording.joints import match_joints
 from sdpid.experiment.recording.recording import Recording
 from sdpid.experiment.simulation.arm import SimulatedArm
@@ -82,6 +83,7 @@ def fit_controller(
     """
     if kind not in KINDS:
         raise DataError(f"kind: '{kind}' is not known; known are {', '.join(KINDS)}.")
+    require_fixed_base(recording, "fit_controller")
     if recording.reference is None:
         raise DataError(
             "fit_controller: the recording has no commanded positions (reference); read the log "

@@ -10,13 +10,17 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+import sdpid
 from sdpid.assurance.log_proof.inputs import recording_digest
+from sdpid.assurance.rollouts import rollout
 from sdpid.errors import DataError
+from sdpid.experiment.preparation.twin import Twin
 from sdpid.experiment.processing.process import process
 from sdpid.experiment.recording.floating.base import BaseMotion, Imu
 from sdpid.experiment.recording.floating.contacts import Contacts
 from sdpid.experiment.recording.gaps import continuous
 from sdpid.experiment.recording.recording import Recording, rows_of
+from tests.helpers.arm_files import ARM_URDF
 
 N = 40
 
@@ -49,7 +53,7 @@ def log(**changes: Any) -> Recording:
     rng = np.random.default_rng(2)
     given = {
         "time": 0.01 * np.arange(N),
-        "position": rng.standard_normal((N, 2)),
+        "position": np.sin(0.05 * np.arange(N)[:, None] + [0.0, 1.0]),
         "effort": rng.standard_normal((N, 2)),
         "base": base(),
         "contacts": contacts(),
@@ -141,6 +145,24 @@ def test_columns_in_files_carry_the_frame_of_velocities(tmp_path: Path) -> None:
     assert "contact_force_right_z" in header
 
 
-def test_fixed_chains_refuse_a_floating_base() -> None:
-    with pytest.raises(DataError, match="this recording has a floating base"):
-        process(log())
+def commanded() -> Recording:
+    return log(reference=np.zeros((N, 2)), joint_names=("a", "b"))
+
+
+ARM = sdpid.load_robot(ARM_URDF)
+
+
+@pytest.mark.parametrize(
+    ("call", "what"),
+    [
+        (lambda: sdpid.controllers.fit_controller(commanded(), "pd"), "fit_controller"),
+        (lambda: sdpid.identify_payload(ARM, commanded()), "payload"),
+        (lambda: sdpid.identify_drive_gains(ARM, log(currents=True)), "gains"),
+        (lambda: Twin.of(ARM, commanded()), "simulated motion"),
+        (lambda: rollout._prepared(ARM, commanded(), None), "rollout"),
+        (lambda: process(log()), "processing"),
+    ],
+)
+def test_what_knows_fixed_robots_only_refuses_a_floating_base(call: Any, what: str) -> None:
+    with pytest.raises(DataError, match=f"{what}.*this recording has a floating base"):
+        call()
