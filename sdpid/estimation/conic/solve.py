@@ -183,7 +183,9 @@ class ConicFamily:
         solver = solvers.get(key)
         again = solver is not None
         if solver is None:
-            solver = _clarabel_solver(changed, regularization, fixed=self._tolerance)
+            solver = _clarabel_solver(
+                changed, regularization, tolerance=self._tolerance, fixed=True
+            )
             # An older Clarabel takes no other numbers, or not of every program.
             if getattr(solver, "is_data_update_allowed", bool)():
                 solvers[key] = solver
@@ -202,6 +204,7 @@ def solve_conic(
     *,
     solver: Solver = "clarabel",
     regularization: float = 1e-8,
+    tolerance: float = TOLERANCE,
     verbose: bool = False,
 ) -> ConicSolution:
     """Solve a program.
@@ -214,6 +217,8 @@ def solve_conic(
         The solver.
     regularization : float, optional
         What Clarabel adds to the diagonal of its linear systems.
+    tolerance : float, optional
+        Relative gap and residuals at which Clarabel stops.
     verbose : bool, optional
         Let the solver print.
 
@@ -227,7 +232,8 @@ def solve_conic(
     if lower:
         found = _scs(standard, verbose)
     else:
-        found = _clarabel_found(_clarabel_solver(standard, regularization, verbose=verbose))
+        made = _clarabel_solver(standard, regularization, tolerance=tolerance, verbose=verbose)
+        found = _clarabel_found(made)
     return _read(program, standard, found, lower=lower)
 
 
@@ -264,18 +270,18 @@ def _clarabel_solver(
     standard: Standard,
     regularization: float,
     *,
+    tolerance: float = TOLERANCE,
     verbose: bool = False,
-    fixed: float | None = None,
+    fixed: bool = False,
 ) -> Any:
-    """Return Clarabel with a program; fixed, to a tolerance, it keeps what others may need."""
+    """Return Clarabel with a program; fixed, it keeps what others may need."""
     import clarabel
 
     settings = clarabel.DefaultSettings()
     settings.verbose = verbose
-    tolerance = TOLERANCE if fixed is None else fixed
     settings.tol_gap_abs = settings.tol_gap_rel = settings.tol_feas = tolerance
     settings.static_regularization_constant = regularization
-    if fixed is not None:
+    if fixed:
         settings.presolve_enable = settings.chordal_decomposition_enable = False
         settings.equilibrate_enable = False
     cones: list[Any] = [clarabel.ZeroConeT(standard.zero)] if standard.zero else []
