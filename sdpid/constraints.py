@@ -19,6 +19,7 @@ from sdpid.estimation.constraints.mass import (
     MassInEllipsoid,
     TotalMass,
 )
+from sdpid.estimation.constraints.mirrored_links import mirror_pairs
 
 __all__ = [
     "CenterOfMassInBox",
@@ -35,4 +36,5 @@ __all__ = [
     "MirrorSymmetry",
     "Row",
     "TotalMass",
+    "mirror_pairs",
 ]

@@ -39,14 +39,15 @@ def compare(
     if out is not None:
         opt.require_folder("--out", out, reading.files((log,), robot, printing.config))
     from sdpid.experiment.preparation.several import columns_without, prepare_recordings
-    from sdpid.robot.model.load import load_robot
+    from sdpid.experiment.recording.floating.robots import robot_of
     from sdpid.workflow.comparison import compare as run
     from sdpid.workflow.formulate import formulate
 
-    model = load_robot(robot)
-    formulation = estimation.arguments(model)
-    absent = columns_without(model, formulation["without_effort"])
+    model = robot_of(robot)
+    absent = columns_without(model, estimation.arguments(model)["without_effort"])
     record = reading.read(log, without_effort=absent, **periods.arguments())
+    model = robot_of(robot, [record])
+    formulation = estimation.arguments(model)
     prepared = prepare_recordings(
         model,
         record,

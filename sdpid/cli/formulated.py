@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 
 def formulated(
-    model: RobotModel,
+    robot: RobotModel | Path | str,
     logs: Sequence[Path],
     reading: opt.Reading,
     periods: opt.Periods,
@@ -23,13 +23,19 @@ def formulated(
     estimation: opt.Estimation,
     acceptance: opt.Acceptance,
 ) -> tuple[Problem, Prepared]:
-    """Return the problem that `sdpid identify` solves with these options, and its recordings."""
+    """Return the problem that `sdpid identify` solves with these options, and its recordings.
+
+    The problem's robot is `robot`, with a floating base where a log has one.
+    """
     from sdpid.experiment.preparation.several import columns_without, prepare_recordings
+    from sdpid.experiment.recording.floating.robots import robot_of
     from sdpid.workflow.formulate import formulate
 
-    formulation = estimation.arguments(model)
-    absent = columns_without(model, formulation["without_effort"])
+    model = robot_of(robot)
+    absent = columns_without(model, estimation.arguments(model)["without_effort"])
     records = [reading.read(log, without_effort=absent, **periods.arguments()) for log in logs]
+    model = robot_of(robot, records)
+    formulation = estimation.arguments(model)
     prepared = prepare_recordings(
         model,
         records,

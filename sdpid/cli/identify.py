@@ -80,14 +80,15 @@ def identify(
     if draw:
         require("matplotlib", extra="plot")
     from sdpid.experiment.preparation.several import columns_without
-    from sdpid.robot.model.load import load_robot
+    from sdpid.experiment.recording.floating.robots import robot_of
     from sdpid.workflow.identify import identify as run
 
-    model = load_robot(robot)
-    formulation = estimation.arguments(model)
-    absent = columns_without(model, formulation["without_effort"])
+    model = robot_of(robot)
+    absent = columns_without(model, estimation.arguments(model)["without_effort"])
     records = [reading.read(log, without_effort=absent, **periods.arguments()) for log in logs]
     checks = [reading.read(log, without_effort=absent) for log in validation or ()]
+    model = robot_of(robot, records)
+    formulation = estimation.arguments(model)
     result = run(
         model,
         records,

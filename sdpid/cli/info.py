@@ -17,10 +17,11 @@ def info(
     from sdpid._common.tables import Table
     from sdpid.experiment.preparation.overview import overview
     from sdpid.experiment.readers.read import read_described
-    from sdpid.robot.model.load import load_robot
+    from sdpid.experiment.recording.floating.robots import robot_of
 
     log_read = read_described(log, **reading.arguments(), **periods.arguments())
-    facts = overview(log_read.recording, None if robot is None else load_robot(robot))
+    model = None if robot is None else robot_of(robot, [log_read.recording])
+    facts = overview(log_read.recording, model)
     source = {"file": log_read.file, "mapping": log_read.mapping, "read_from": log_read.sources}
     content = {**source, **facts}
     joints, findings = facts.pop("joints"), facts.pop("findings")

@@ -261,8 +261,8 @@ class ProcessingOptions:
         str | None,
         _processing(
             metavar="TYPE",
-            help="Type of the low-pass filter: butterworth or bessel.",
-            autocompletion=_beginning(("butterworth", "bessel")),
+            help="Type of the low-pass filter: butterworth, bessel or finite.",
+            autocompletion=_beginning(("butterworth", "bessel", "finite")),
         ),
     ] = None
     derivative: Annotated[

@@ -108,7 +108,7 @@ def sample(
     model = load_robot(robot)
     kinds = _kinds(urdf, mjcf, described=model.urdf is not None)
     problem, prepared = formulated(
-        model, logs, reading, periods, processing, estimation, acceptance
+        robot, logs, reading, periods, processing, estimation, acceptance
     )
     best = optimum(problem)
     if results is not None:

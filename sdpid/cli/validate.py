@@ -46,13 +46,14 @@ def validate(
         inspected,
         without_efforts,
     )
+    from sdpid.experiment.recording.floating.robots import robot_of
     from sdpid.output.report.prediction_verdict import prediction_findings
-    from sdpid.robot.model.load import load_robot
 
-    model = load_robot(robot)
+    model = robot_of(robot)
     absent = opt.joints(without_effort)
     columns = columns_without(model, absent)
     record = reading.read(log, without_effort=columns, **periods.arguments())
+    model = robot_of(robot, [record])
     findings = inspected(model, [record], without_effort=absent, **acceptance.arguments())
     chosen, _ = chosen_processing([record], processing.changes())
     samples = prepare(model, record, replace(chosen, covariance=None))

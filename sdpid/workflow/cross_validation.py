@@ -29,10 +29,10 @@ from sdpid.experiment.preparation.several import (
 )
 from sdpid.experiment.processing.process import Processing
 from sdpid.experiment.processing.samples import Samples
+from sdpid.experiment.recording.floating.robots import robot_of
 from sdpid.experiment.recording.recording import Recording, rows_of
 from sdpid.robot.friction.term import FrictionTerm
 from sdpid.robot.inertia import Consistency
-from sdpid.robot.model.load import load_robot
 from sdpid.robot.model.model import RobotModel
 from sdpid.workflow.formulate import Effects, formulate, names_of_effects, tuple_of_terms
 
@@ -249,9 +249,10 @@ def cross_validate(
     >>> print(held_out.summary())
     2 blocks of time held out in turn: relative residual 0.14 % (...)
     """
-    model = robot if isinstance(robot, RobotModel) else load_robot(robot)
     without_effort = joints_without(without_effort)
-    logs = all_recordings(log, "log", without_effort=columns_without(model, without_effort))
+    columns = columns_without(robot_of(robot), without_effort) if without_effort else ()
+    logs = all_recordings(log, "log", without_effort=columns)
+    model = robot_of(robot, logs)
     asked = names_of_effects(effects)
     formulation: dict[str, Any] = {
         "friction": tuple_of_terms(friction),

@@ -24,9 +24,9 @@ from sdpid.experiment.preparation.several import (
     ProcessingOf,
     prepare_recordings,
 )
+from sdpid.experiment.recording.floating.robots import robot_of
 from sdpid.robot.friction.term import FrictionTerm
 from sdpid.robot.inertia import Consistency
-from sdpid.robot.model.load import load_robot
 from sdpid.robot.model.model import RobotModel
 
 # Effects beside the friction terms: by the data ("auto"), none ("none"), or by name, in one string
@@ -122,7 +122,6 @@ def formulate(
     `log` may also be recordings that are prepared already (see `prepare_recordings`).
     """
     check_kinds(constraints, prior)
-    robot = robot if isinstance(robot, RobotModel) else load_robot(robot)
     friction = tuple_of_terms(friction)
     if not isinstance(log, Prepared):
         log = prepare_recordings(
@@ -133,6 +132,7 @@ def formulate(
             accept=kinds_accepted(accept),
             gains=gains,
         )
+    robot = robot_of(robot, log.logs)
     samples = log.samples
     chosen: Weighting = weighting or ("residual" if samples.covariance is None else "gls")
     if prior is None:

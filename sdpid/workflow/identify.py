@@ -37,7 +37,6 @@ from sdpid.experiment.preparation.several import (
 from sdpid.experiment.readers.arguments import as_gains
 from sdpid.robot.friction.term import FrictionTerm
 from sdpid.robot.inertia import Consistency
-from sdpid.robot.model.load import load_robot
 from sdpid.robot.model.model import RobotModel
 from sdpid.workflow.cross_validation import cross_validate
 from sdpid.workflow.formulate import (
@@ -91,7 +90,7 @@ def identify(
     Parameters
     ----------
     robot : RobotModel, name or path
-        The robot (see `load_robot`).
+        The robot (see `load_robot`). By name or path, its base floats where a recording has one.
     log : Recording or path, or a sequence of these
         What was measured (see `read_recording`). Several recordings are processed alike, each
         alone, and fitted together; none of them may have periods then.
@@ -177,12 +176,12 @@ def identify(
             "recording as validation, or call sdpid.rollout."
         )
     asked = names_of_effects(effects)
-    model = robot if isinstance(robot, RobotModel) else load_robot(robot)
     kinds = kinds_accepted(accept)
     known = as_gains(gains)
     prepared = prepare_recordings(
-        model, log, processing, without_effort=without_effort, accept=kinds, gains=known
+        robot, log, processing, without_effort=without_effort, accept=kinds, gains=known
     )
+    model = prepared.robot
     fresh = None
     if validation is not None:
         fresh = prepared.others(validation, accept=kinds, gains=known)

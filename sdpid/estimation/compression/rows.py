@@ -237,6 +237,11 @@ def motion_of(robot: RobotModel, samples: Samples, part: slice, *, first: int = 
     """Return the motion of some samples, of the joints from `first` on that have friction."""
 
     def through_filter(function: OfMotion, key: Hashable | None = None) -> Array:
+        if first:
+            # The coordinates of a floating base come first, and have no friction.
+            return samples.through_filter(
+                lambda v, a: function(v[:, first:], a[:, first:]), part, key
+            )
         return samples.through_filter(function, part, key)
 
     return Motion(
@@ -244,6 +249,5 @@ def motion_of(robot: RobotModel, samples: Samples, part: slice, *, first: int = 
         velocity=samples.velocity[part][:, first:],
         acceleration=samples.acceleration[part][:, first:],
         robot=robot,
-        # A floating base is in no recording, and the filter's velocities are a recording's.
-        through_filter=None if samples.wide is None or first else through_filter,
+        through_filter=None if samples.wide is None else through_filter,
     )

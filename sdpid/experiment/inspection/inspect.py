@@ -21,9 +21,9 @@ from sdpid.experiment.inspection import (
 from sdpid.experiment.inspection.finding import CHECKS, Finding, Subject
 from sdpid.experiment.inspection.joined import other_loads
 from sdpid.experiment.readers.read import is_frame, read_recording
+from sdpid.experiment.recording.floating.robots import robot_of
 from sdpid.experiment.recording.joints import joint_columns, match_joints
 from sdpid.experiment.recording.recording import Recording
-from sdpid.robot.model.load import load_robot
 from sdpid.robot.model.model import RobotModel
 
 __all__ = ["Inspection", "inspect_recording", "inspect_recordings"]
@@ -139,8 +139,8 @@ def inspect_recording(
         )
     if not isinstance(log, Recording):
         log = read_recording(log)
-    if robot is not None and not isinstance(robot, RobotModel):
-        robot = load_robot(robot)
+    if robot is not None:
+        robot = robot_of(robot, [log])
     return Inspection(findings=_looked_at(log, robot)[1])
 
 
@@ -214,14 +214,14 @@ def _matched(
         matched = match_joints(robot, log)
     except DataError as cause:
         return log, None, [Finding(severity="refuse", kind="joints_unknown", message=str(cause))]
-    names = log.joint_names
-    if names is None or set(robot.joint_names) <= set(names):
-        left_out = () if names is None else sorted(set(names) - set(robot.joint_names))
+    names, own = log.joint_names, robot.joint_names[robot.n_base :]
+    if names is None or set(own) <= set(names):
+        left_out = () if names is None else sorted(set(names) - set(own))
         if not left_out:
             return matched, robot, []
         message = f"columns of joints that the robot lacks are left out: {', '.join(left_out)}"
     else:
         found = [names[column] for column in joint_columns(robot, names)]
-        pairs = [f"{a} is {b}" for a, b in zip(found, robot.joint_names, strict=True)]
+        pairs = [f"{a} is {b}" for a, b in zip(found, own, strict=True)]
         message = f"joints have another prefix or suffix than the robot's: {', '.join(pairs)}"
     return matched, robot, [Finding(severity="note", kind="joints", message=message)]

@@ -40,7 +40,8 @@ _RESTING, _LONGEST_REST = 0.005, 0.3
 @check
 def degrees(subject: Subject) -> Iterator[Finding]:
     """Find positions in degrees."""
-    limits = None if subject.robot is None else subject.robot.position_limits
+    robot = subject.robot
+    limits = None if robot is None else robot.position_limits[robot.n_base :]
     suspects = suspect_units(subject.log, limits, subject.position_range)
     if suspects:
         yield Finding(

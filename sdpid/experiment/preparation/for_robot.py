@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 from sdpid.experiment.processing.choose import default_processing
 from sdpid.experiment.processing.process import Processing, process
 from sdpid.experiment.processing.samples import Samples
+from sdpid.experiment.recording.floating.robots import require_its_base
 from sdpid.experiment.recording.joints import match_joints
 from sdpid.experiment.recording.recording import Recording
 from sdpid.robot.friction.term import FrictionTerm
@@ -52,8 +55,11 @@ def prepare(robot: RobotModel, log: Recording, processing: Processing | None = N
     Raises
     ------
     DataError
-        When a joint of the robot is not in it, positions look like degrees, or it cannot be
-        processed.
+        When a joint of the robot is not in it, positions look like degrees, it cannot be
+        processed, or only one of the two has a floating base.
     """
+    require_its_base(robot, log)
     named = match_joints(robot, log)
-    return process(named, processing, position_limits=robot.position_limits)
+    limits = robot.position_limits[robot.n_base :]
+    samples = process(named, processing, position_limits=limits, gravity=robot.gravity.tolist())
+    return replace(samples, joint_names=robot.joint_names) if robot.n_base else samples

@@ -12,12 +12,14 @@ from sdpid.experiment.inspection.accept import kinds_accepted, require_accepted
 from sdpid.experiment.inspection.finding import Finding
 from sdpid.experiment.inspection.inspect import inspect_recordings
 from sdpid.experiment.preparation.for_robot import default_processing, prepare
+from sdpid.experiment.preparation.joined_contacts import join_samples
 from sdpid.experiment.processing.choose import with_changes
 from sdpid.experiment.processing.process import Processing
 from sdpid.experiment.processing.samples import Samples
 from sdpid.experiment.readers.arguments import as_gains
 from sdpid.experiment.readers.read import is_frame, read_recording
 from sdpid.experiment.readers.scaled import require_torques, scaled
+from sdpid.experiment.recording.floating.robots import require_its_base, robot_of
 from sdpid.experiment.recording.recording import Recording
 from sdpid.robot.model.model import RobotModel
 
@@ -203,7 +205,7 @@ class Prepared:
 
 
 def prepare_recordings(
-    robot: RobotModel,
+    robot: RobotModel | str | os.PathLike[str],
     logs: Logs,
     processing: ProcessingOf = None,
     *,
@@ -216,8 +218,8 @@ def prepare_recordings(
 
     Parameters
     ----------
-    robot : RobotModel
-        The robot.
+    robot : RobotModel, name or path
+        The robot; loaded with a floating base where a recording has one.
     logs : Recording or path, or a sequence of these
         What was measured.
     processing : Processing or mapping, optional
@@ -240,12 +242,15 @@ def prepare_recordings(
         together, a joint does not exist, or no joint is left.
     """
     without = joints_without(without_effort)
-    read = recordings(logs, name, without_effort=columns_without(robot, without), gains=gains)
+    columns = columns_without(robot_of(robot), without) if without else ()
+    read = recordings(logs, name, without_effort=columns, gains=gains)
+    robot = robot_of(robot, read)
     for log in read:
         require_torques(log)
+        require_its_base(robot, log)
     findings = () if accept is None else inspected(robot, read, accept, without, name)
     chosen, why = chosen_processing(read, processing)
-    samples = Samples.join([prepare(robot, log, chosen) for log in read])
+    samples = join_samples([prepare(robot, log, chosen) for log in read])
     if without:
         samples = without_efforts(samples, robot, without)
     return Prepared(
@@ -318,7 +323,8 @@ def columns_without(robot: RobotModel, joints: Iterable[str]) -> tuple[str, ...]
         When they are no names.
     """
     joints = joints_without(joints)
-    known = [str(robot.joint_names.index(name) + 1) for name in joints if name in robot.joint_names]
+    own = robot.joint_names[robot.n_base :]
+    known = [str(own.index(name) + 1) for name in joints if name in own]
     return (*joints, *known)
 
 
@@ -330,13 +336,14 @@ def without_efforts(samples: Samples, robot: RobotModel, joints: Sequence[str]) 
     DataError
         When the robot has no such joint, or none is left.
     """
-    unknown = [name for name in joints if name not in robot.joint_names]
+    own = robot.joint_names[robot.n_base :]
+    unknown = [name for name in joints if name not in own]
     if unknown:
         raise DataError(
             f"without_effort: the robot '{robot.name}' has no joint {', '.join(unknown)}; it has "
-            f"{', '.join(robot.joint_names)}."
+            f"{', '.join(own)}."
         )
-    if set(joints) == set(robot.joint_names):
+    if set(joints) == set(own) and not robot.n_base:
         raise DataError("without_effort: names every joint; no effort is left to identify from.")
     mask = samples.used.copy()
     mask[:, [robot.joint_names.index(name) for name in joints]] = False
@@ -401,5 +408,5 @@ def all_samples(robot: RobotModel, given: object, processing: Processing | None)
     why = None
     if processing is None and logs:
         processing, why = common_processing(logs)
-    samples = Samples.join([samples_of(robot, piece, processing) for piece in read])
+    samples = join_samples([samples_of(robot, piece, processing) for piece in read])
     return samples if why is None else replace(samples, notes=(*samples.notes, why))

@@ -24,6 +24,10 @@ _CUTOFF_OVER_MOTION = 25.0
 # near reversals that other motion has. A joint that hardly moves is not masked.
 _MASKED_PERIODS = 0.1
 _KEPT_SHARE = 0.1
+# Recordings with a base: a filter that forgets, since a foot counts as down for as long as it is
+# remembered. Its half length is one period of the cut-off.
+_FINITE_ORDER = 2
+_FINITE_CUTOFF_OVER_MOTION = 10.0
 # Below this rate differences of the position lose too much, and a recorded velocity is used.
 RATE_OF_DIFFERENCES = 100.0
 
@@ -141,22 +145,24 @@ def _without_periods(log: Recording, motion: float) -> tuple[Processing, Sequenc
     rate = log.rate_hz
     slowest = rate / log.n_samples
     highest = BAND_OVER_RATE * rate
+    times = _CUTOFF_OVER_MOTION if log.base is None else _FINITE_CUTOFF_OVER_MOTION
     processing = Processing(
-        cutoff_hz=min(_CUTOFF_OVER_MOTION * max(motion, slowest), highest),
-        order=4,
+        cutoff_hz=min(times * max(motion, slowest), highest),
+        order=4 if log.base is None else _FINITE_ORDER,
         decimation=None,
         kept_share=_KEPT_SHARE,
         derivative="central4",
+        filter="butterworth" if log.base is None else "finite",
     )
     processing = replace(processing, reversal_time=_MASKED_PERIODS / processing.cutoff_hz)
     lies = f"{100 * MOTION_SHARE:g} % of the motion lies below {motion:.4g} Hz"
     cap = f"2/15 of the rate of {rate:.6g} Hz"
     if processing.cutoff_hz == highest:
-        why = f"{cap}, below {_CUTOFF_OVER_MOTION:g} × motion; {lies}"
+        why = f"{cap}, below {times:g} × motion; {lies}"
     elif motion < slowest:
-        why = f"{_CUTOFF_OVER_MOTION:g} × {slowest:.4g} Hz, the slowest that the record shows"
+        why = f"{times:g} × {slowest:.4g} Hz, the slowest that the record shows"
     else:
-        why = f"{_CUTOFF_OVER_MOTION:g} × motion, below {cap}; {lies}"
+        why = f"{times:g} × motion, below {cap}; {lies}"
     reasons = [Reason(field="cutoff_hz", value=processing.cutoff_hz, text=why)]
     velocity, why = _velocity(log, max(motion, slowest))
     reasons.append(Reason(field="velocity", value=velocity, text=why))

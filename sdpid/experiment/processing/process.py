@@ -9,7 +9,7 @@ rounding, that equals filtering the whole record first, and it needs the memory 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -22,13 +22,13 @@ from sdpid._common.threads import one_thread
 from sdpid.errors import DataError
 from sdpid.experiment.processing.choose import default_processing, with_changes
 from sdpid.experiment.processing.efforts import Efforts
+from sdpid.experiment.processing.floating.with_base import GRAVITY, require_finite, with_base
 from sdpid.experiment.processing.period_mean import Chain
 from sdpid.experiment.processing.samples import Samples
 from sdpid.experiment.processing.settings import Processing
 from sdpid.experiment.processing.states import CHUNK, TooShortError, chain_of, states_of
 from sdpid.experiment.readers.scaled import require_torques
 from sdpid.experiment.recording.degrees import require_plausible_units
-from sdpid.experiment.recording.floating.refusal import require_fixed_base
 from sdpid.experiment.recording.gaps import continuous
 from sdpid.experiment.recording.outliers import require_no_outliers
 from sdpid.experiment.recording.recording import Recording
@@ -50,6 +50,7 @@ def process(
     processing: Processing | Mapping[str, Any] | None = None,
     *,
     position_limits: ArrayLike | None = None,
+    gravity: Sequence[float] | None = None,
     progress: bool | None = None,
 ) -> Samples:
     """Turn a recording into samples for a regression: filter, differentiate, average, decimate.
@@ -71,13 +72,16 @@ def process(
     position_limits : (n, 2) array_like, optional
         The robot's limits in rad, infinite where there are none. They tell degrees from radians
         more surely than the positions alone.
+    gravity : sequence of 3 floats, optional
+        Of a robot with a floating base, in world axes, m/s²; by default (0, 0, -9.81).
     progress : bool, optional
         Show a progress bar or not; by default on a terminal.
 
     Returns
     -------
     Samples
-        With `notes` that say what was done and noticed.
+        With `notes` that say what was done and noticed. Those of a recording with a base hold its
+        turn, angular velocity and accelerations before those of the joints, and its contacts.
 
     Raises
     ------
@@ -100,7 +104,6 @@ def process(
             f"log: is {log!r:.80}; give a Recording, such as sdpid.read_recording(path) returns."
         )
     require_torques(log)
-    require_fixed_base(log, "processing without the robot")
     require_no_outliers(log)
     require_plausible_units(log, position_limits)
     if not isinstance(processing, Processing):
@@ -115,26 +118,31 @@ def process(
             "derivative: 'spectral' takes the Fourier series of a whole period, and the recording "
             "has no periods; give its period, or use derivative='central4' or 'savitzky_golay'."
         )
+    if log.base is not None:
+        require_finite(log, processing)
     _check_period_count(log, processing)
     pieces, notes = continuous(log)
     with _progress.progress(log.n * len(pieces), "processing", enabled=progress) as advance:
-        samples = _joined(pieces, processing, advance)
+        samples = _joined(pieces, processing, advance, GRAVITY if gravity is None else gravity)
     if samples.mask is not None:
         samples = _unmasked(samples, processing)
-        _check_rows(log, processing, samples.mask)
+        _check_rows(samples, processing)
     reasons = [reason.in_words(processing) for reason in processing.reasons]
     return replace(samples, notes=(*reasons, *notes, *samples.notes))
 
 
 def _joined(
-    pieces: tuple[Recording, ...], processing: Processing, advance: Callable[[int], object]
+    pieces: tuple[Recording, ...],
+    processing: Processing,
+    advance: Callable[[int], object],
+    gravity: Sequence[float],
 ) -> Samples:
     """Process the pieces of a record and join their samples."""
     samples_of_pieces: list[Samples] = []
     short: list[tuple[Recording, str]] = []
     for piece in pieces:
         try:
-            samples_of_pieces.append(_processed(piece, processing, advance))
+            samples_of_pieces.append(_processed(piece, processing, advance, gravity))
         except TooShortError as error:
             short.append((piece, str(error)))
             advance(piece.n)
@@ -157,7 +165,12 @@ def _joined(
     return replace(samples, notes=(dropped, *samples.notes))
 
 
-def _processed(log: Recording, processing: Processing, advance: Callable[[int], object]) -> Samples:
+def _processed(
+    log: Recording,
+    processing: Processing,
+    advance: Callable[[int], object],
+    gravity: Sequence[float],
+) -> Samples:
     """Process a record without gaps and wrapped angles."""
     chain = chain_of(log, processing)
     grid, window, decimation = chain.window.grid, chain.window, chain.decimation
@@ -175,7 +188,7 @@ def _processed(log: Recording, processing: Processing, advance: Callable[[int], 
     memory_s = chain.low_pass.time_constant * grid.step
     block = math.ceil(max(_BLOCK_TIME_CONSTANTS * memory_s, _BLOCK_SECONDS) * kept_rate)
     kept = np.arange(0, window.length, decimation, dtype=np.float64)
-    return Samples(
+    samples = Samples(
         position=states.position,
         velocity=states.velocity,
         acceleration=states.acceleration,
@@ -191,6 +204,7 @@ def _processed(log: Recording, processing: Processing, advance: Callable[[int], 
         wide=None if states.wide is None else (states.wide,),
         gains=log.gains,
     )
+    return samples if log.base is None else with_base(samples, log, chain, processing, gravity)
 
 
 def _shrunk(covariance: Array, processing: Processing) -> Array:
@@ -249,11 +263,11 @@ def _unmasked(samples: Samples, processing: Processing) -> Samples:
     return replace(samples, mask=samples.mask | few, notes=(*samples.notes, note))
 
 
-def _check_rows(log: Recording, processing: Processing, mask: NDArray[np.bool_] | None) -> None:
+def _check_rows(samples: Samples, processing: Processing) -> None:
     """Raise when all rows of a joint are masked: a joint at rest cannot be identified."""
-    if mask is None:
-        return
-    empty = [name for j, name in enumerate(log.names) if not mask[:, j].any()]
+    empty = [
+        name for name, used in zip(samples.names, samples.used.T, strict=True) if not used.any()
+    ]
     if empty:
         raise DataError(
             f"mask: leaves no row of joint {', '.join(empty)}: it never moves clear of standstill, "
@@ -278,9 +292,12 @@ def _notes(
         alike = "position and torque once, velocity and acceleration twice"
         if processing.velocity == "measured":
             alike = "position, velocity and torque once, acceleration twice"
+    memory = ""
+    if processing.filter == "finite":
+        memory = f", which sees {1e3 * chain.low_pass.reach * grid.step:.3g} ms to either side"
     notes.append(
         f"zero-phase {processing.filter.capitalize()} filter of order {processing.order} at "
-        f"{processing.cutoff_hz:g} Hz: {alike}"
+        f"{processing.cutoff_hz:g} Hz{memory}: {alike}"
     )
     if processing.derivative == "savitzky_golay":
         notes.append(

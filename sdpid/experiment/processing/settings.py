@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Any, Literal
+from typing import Any, Literal, get_args
 
 import numpy as np
 
@@ -32,8 +32,22 @@ _RANGES: dict[str, tuple[float, float]] = {
     "kept_share": (0.0, 1.0),
     "shrinkage": (0.0, 1.0),
     "trim_s": (0.0, 1e9),
+    "contact_margin_s": (0.0, 1e6),
+    "impact_s": (0.0, 1e6),
+    "contact_force_std": (0.0, 1e9),
+    "contact_moment_std": (0.0, 1e9),
 }
-_OPTIONAL = ("decimation", "reversal_time", "trim_s")
+_OPTIONAL = (
+    "decimation",
+    "reversal_time",
+    "trim_s",
+    "impact_s",
+    "contact_force_std",
+    "contact_moment_std",
+)
+
+# What accelerations of a floating base are from.
+BaseSource = Literal["auto", "imu", "twist", "pose"]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -110,8 +124,21 @@ class Processing(Settings):
     timing : {"auto", "nominal", "resample"}
         What to do with time stamps that jitter; see
         `sdpid.experiment.recording.uniform_grid.make_grid`.
-    filter : {"butterworth", "bessel"}
-        Type of the low-pass filter.
+    filter : {"butterworth", "bessel", "finite"}
+        Type of the low-pass filter. Recordings with a floating base need ``"finite"``, which sees
+        order / (2 cutoff_hz) to either side and nothing beyond.
+    base_motion : {"auto", "imu", "twist", "pose"}
+        What accelerations of a floating base are from; ``"auto"`` takes the first of these that
+        was recorded.
+    contact_force_std, contact_moment_std : float, optional
+        Standard deviations of recorded contact forces, N, and moments, N·m. By default forces of
+        contacts are unknowns, which are eliminated, recorded or not; with the first they are
+        measurements, and with the second moments are.
+    contact_margin_s : float
+        By how much flags of contacts may be late or early, s: a contact counts as closed within
+        this time, and the filter's memory, of a closed one.
+    impact_s : float, optional
+        Samples whose filter sees this time around a landing are left out; by default none is.
     reasons : tuple of Reason
         Why settings were chosen, where a rule chose them; samples carry them in their notes. They
         do not count when two settings are compared.
@@ -145,6 +172,11 @@ class Processing(Settings):
     trim_s: float | None = None
     timing: Timing = "auto"
     filter: FilterType = "butterworth"
+    base_motion: BaseSource = "auto"
+    contact_force_std: float | None = None
+    contact_moment_std: float | None = None
+    contact_margin_s: float = 0.0
+    impact_s: float | None = None
     reasons: tuple[Reason, ...] = field(default=(), compare=False, repr=False)
 
     def __post_init__(self) -> None:
@@ -154,6 +186,7 @@ class Processing(Settings):
             "timing": ("auto", "nominal", "resample"),
             "derivative": DERIVATIVES,
             "filter": FILTERS,
+            "base_motion": get_args(BaseSource),
             "filter_friction": (True, False),
             "filter_alike": (True, False),
         }

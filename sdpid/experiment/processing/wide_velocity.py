@@ -174,4 +174,4 @@ def _fine_step(decimation: int, most: float) -> int:
 
 def lead_samples(low_pass: ZeroPhaseFilter) -> int:
     """Return how many samples on either side of the kept ones the filter needs."""
-    return int(np.ceil(LEAD * low_pass.time_constant))
+    return min(int(np.ceil(LEAD * low_pass.time_constant)), low_pass.reach)

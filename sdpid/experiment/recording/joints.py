@@ -41,22 +41,22 @@ def match_joints(robot: RobotModel, log: Recording) -> Recording:
         When a joint of the robot has no column or could have several, or when there are no names
         and another number of columns.
     """
-    names = log.joint_names
-    if log.n < robot.n or (names is None and log.n != robot.n):
+    names, wanted = log.joint_names, robot.joint_names[robot.n_base :]
+    if log.n < len(wanted) or (names is None and log.n != len(wanted)):
         raise DataError(
-            f"the recording has {log.n} joints, the robot '{robot.name}' has {robot.n}: "
-            f"{', '.join(robot.joint_names)}. Give a column for each of them and, where there are "
+            f"the recording has {log.n} joints, the robot '{robot.name}' has {len(wanted)}: "
+            f"{', '.join(wanted)}. Give a column for each of them and, where there are "
             "others, the columns' joint_names."
         )
     if names is None or log.n == 1:
-        return renamed(log, robot.joint_names)
+        return renamed(log, wanted)
     order = joint_columns(robot, names)
     if order == list(range(log.n)):
-        return renamed(log, robot.joint_names)
+        return renamed(log, wanted)
     picked = partial(transformed, function=lambda values: values[:, order])
     tables: dict[str, Any] = {name: picked(table) for name, table in channels(log).items()}
-    gains = None if log.gains is None else log.gains.picked(order, robot.joint_names)
-    return replace(log, **tables, joint_names=robot.joint_names, gains=gains)
+    gains = None if log.gains is None else log.gains.picked(order, wanted)
+    return replace(log, **tables, joint_names=wanted, gains=gains)
 
 
 def joint_columns(robot: RobotModel, names: Sequence[str]) -> list[int]:
@@ -67,7 +67,8 @@ def joint_columns(robot: RobotModel, names: Sequence[str]) -> list[int]:
     DataError
         When a joint has no column, or could have several.
     """
-    ways = ways_to_match(robot.joint_names, names)
+    wanted = robot.joint_names[robot.n_base :]
+    ways = ways_to_match(wanted, names)
     if len(ways) == 1:
         (way,) = ways
         return [list(names).index(name) for name in way]
@@ -78,14 +79,14 @@ def joint_columns(robot: RobotModel, names: Sequence[str]) -> list[int]:
             f"{here} match those of the robot '{robot.name}' in {len(ways)} ways: {listed}. Leave "
             "out the columns of other joints, or rename the columns."
         )
-    common = set(names) & set(robot.joint_names)
-    missing = [name for name in robot.joint_names if name not in common]
+    common = set(names) & set(wanted)
+    missing = [name for name in wanted if name not in common]
     lacks = f", which lack {', '.join(missing)}" if common else ""
     raise DataError(
         f"{here}{lacks} are not those of the robot '{robot.name}' "
-        f"({', '.join(robot.joint_names)}), not even with another prefix or suffix. Say which "
+        f"({', '.join(wanted)}), not even with another prefix or suffix. Say which "
         "joint each column is, in the columns' order, with joint_names=[...] or, for the robot's "
-        f"order, --joint-names {','.join(robot.joint_names)}."
+        f"order, --joint-names {','.join(wanted)}."
     )
 
 

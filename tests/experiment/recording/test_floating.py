@@ -15,7 +15,6 @@ from sdpid.assurance.log_proof.inputs import recording_digest
 from sdpid.assurance.rollouts import rollout
 from sdpid.errors import DataError
 from sdpid.experiment.preparation.twin import Twin
-from sdpid.experiment.processing.process import process
 from sdpid.experiment.recording.floating.base import BaseMotion, Imu
 from sdpid.experiment.recording.floating.contacts import Contacts
 from sdpid.experiment.recording.gaps import continuous
@@ -160,7 +159,6 @@ ARM = sdpid.load_robot(ARM_URDF)
         (lambda: sdpid.identify_drive_gains(ARM, log(currents=True)), "gains"),
         (lambda: Twin.of(ARM, commanded()), "simulated motion"),
         (lambda: rollout._prepared(ARM, commanded(), None), "rollout"),
-        (lambda: process(log()), "processing"),
     ],
 )
 def test_what_knows_fixed_robots_only_refuses_a_floating_base(call: Any, what: str) -> None:

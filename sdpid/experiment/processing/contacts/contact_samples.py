@@ -12,7 +12,7 @@ from sdpid._common.arrays import Array, Mask, frozen, frozen_view, real_array
 from sdpid._common.tables import Table, facts_html
 from sdpid.errors import DataError
 
-__all__ = ["ContactSamples"]
+__all__ = ["ContactSamples", "Kind"]
 
 Kind = Literal["point", "line", "plane"]
 KINDS: tuple[Kind, ...] = get_args(Kind)

@@ -1,0 +1,139 @@
+"""Find the links of a robot that are mirror images of each other: left and right legs."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Iterator, Sequence
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from sdpid._common.arrays import Array
+from sdpid.errors import DataError, ModelError
+from sdpid.estimation.constraints.equalities import MirrorPair
+from sdpid.robot.model.geometry import link_placements
+from sdpid.robot.model.model import RobotModel
+
+__all__ = ["mirror_pairs"]
+
+# Descriptions are written with four digits or more; another joint's zero is off by much more.
+_OFF_PLACE = 2e-3
+# Words of two letters that name a leg: front, fore, hind, rear, back, middle, and a side.
+_LEGS = "fhrbm"
+
+
+def mirror_pairs(
+    robot: RobotModel,
+    pairs: Iterable[Sequence[str]] | None = None,
+    *,
+    normal: ArrayLike = (0.0, 1.0, 0.0),
+    position: ArrayLike | None = None,
+) -> tuple[MirrorPair, ...]:
+    """Return the conditions that a robot's right links are mirror images of its left ones.
+
+    A gait on level ground shows little of each leg; legs that were built alike say more together.
+
+    Parameters
+    ----------
+    robot : RobotModel
+        The robot.
+    pairs : iterable of (str, str), optional
+        Names of links, left and right. By default those whose names differ in one word that names
+        a side: ``left`` and ``right``, ``l`` and ``r``, ``FL`` and ``FR``, ``LF`` and ``RF``, and
+        so with H, R, B and M for F.
+    normal : (3,) array_like, optional
+        Normal of the plane in the base link's frame.
+    position : (n,) or (nq,) array_like, optional
+        Joint positions at which left and right are mirror images; by default all zero.
+
+    Returns
+    -------
+    tuple of MirrorPair
+        For ``sdpid.Constraints(others=...)``.
+
+    Raises
+    ------
+    DataError
+        When no names differ by a side.
+    ModelError
+        When joints of a pair do not lie as mirror images of each other.
+
+    Examples
+    --------
+    >>> floating = sdpid.load_robot("solo12", root="free_flyer")
+    >>> legs = sdpid.constraints.mirror_pairs(floating)
+    >>> len(legs), (legs[0].first, legs[0].second)
+    (6, ('FL_SHOULDER', 'FR_SHOULDER'))
+    >>> limits = sdpid.Constraints.of_size(floating, others=legs)
+    """
+    names = robot.link_names
+    if pairs is None:
+        found = tuple(_by_names(names))
+        if not found:
+            raise DataError(
+                f"mirror_pairs: no two links of '{robot.name}' ({', '.join(names)}) differ in a "
+                "word for a side, such as left and right or FL and FR; give pairs=[(left, right)]."
+            )
+    else:
+        found = tuple((str(first), str(second)) for first, second in pairs)
+    unknown = [name for pair in found for name in pair if name not in names]
+    if unknown:
+        raise ModelError(
+            f"mirror_pairs: '{robot.name}' has no link {', '.join(unknown)}; it has "
+            f"{', '.join(names)}."
+        )
+    plane = np.asarray(normal, dtype=np.float64)
+    plane = plane / np.linalg.norm(plane)
+    placements = link_placements(robot, None if position is None else np.asarray(position))
+    for first, second in found:
+        _check_places(robot, placements, plane, first, second)
+    return tuple(
+        MirrorPair(first, second, normal=normal, position=position) for first, second in found
+    )
+
+
+def _by_names(names: Sequence[str]) -> Iterator[tuple[str, str]]:
+    """Yield pairs of names that differ in one word for a side, left first."""
+    for name in names:
+        words = re.split(r"([_\-./ ]|(?<=[a-z])(?=[A-Z]))", name)
+        for i, word in enumerate(words):
+            for other in _other_side(word):
+                image = "".join([*words[:i], other, *words[i + 1 :]])
+                if image in names:
+                    yield name, image
+
+
+def _other_side(word: str) -> Iterator[str]:
+    """Yield what a word for the left would be on the right, in its letters."""
+    small = word.lower()
+    if small == "left":
+        other = "right"
+    elif small == "l":
+        other = "r"
+    elif len(small) == 2 and small[1] == "l" and small[0] in _LEGS:
+        other = small[0] + "r"
+    elif len(small) == 2 and small[0] == "l" and small[1] in _LEGS:
+        other = "r" + small[1]
+    else:
+        return
+    if word.isupper():
+        yield other.upper()
+    elif word[0].isupper():
+        yield other.capitalize()
+    else:
+        yield other
+
+
+def _check_places(
+    robot: RobotModel, placements: Array, plane: Array, first: str, second: str
+) -> None:
+    """Raise when the joint of one link does not lie where that of the other is mirrored to."""
+    one, two = (placements[robot.link_names.index(name)][:3, 3] for name in (first, second))
+    image = one - 2.0 * (plane @ one) * plane
+    off = float(np.linalg.norm(image - two))
+    if off > _OFF_PLACE:
+        raise ModelError(
+            f"mirror_pairs: the mirror image of the joint of '{first}' is {off:.3g} m away from "
+            f"that of '{second}', limit {_OFF_PLACE:g} m; give the joint positions at which the "
+            "two sides are mirror images (position=), other pairs, or another normal."
+        )

@@ -1,0 +1,1 @@
+"""Process a recording with a floating base: its accelerations, and contacts within the filter."""

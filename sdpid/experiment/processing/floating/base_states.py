@@ -1,0 +1,145 @@
+"""Turn of a base, its angular velocity and accelerations, from an IMU, a twist or a pose.
+
+The base's own velocity is never needed: seen from a frame that moves along with it at one instant,
+all accelerations are the same (Galilei). In that frame it is zero, and the spatial acceleration of
+Pinocchio is the classical one. What is filtered is the specific force (acceleration less gravity,
+which is what an accelerometer measures) and the angular velocity, both in body axes.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from sdpid._common.arrays import Array
+from sdpid.errors import DataError
+from sdpid.experiment.processing.derivatives import Weights
+from sdpid.experiment.processing.floating.on_grid import OnGrid
+from sdpid.experiment.processing.floating.rotations import body_rate, into_body, unit
+from sdpid.experiment.processing.settings import BaseSource
+from sdpid.experiment.recording.floating.base import BaseMotion
+
+__all__ = ["BaseStates", "base_states"]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class BaseStates:
+    """Filtered states of a base at the kept samples, in body axes.
+
+    Attributes
+    ----------
+    position : (K, 7) ndarray
+        Position in m, zero where it was not recorded; quaternion x, y, z, w, base to world.
+    velocity : (K, 6) ndarray
+        Linear, which is zero, and angular in rad/s.
+    acceleration : (K, 6) ndarray
+        Linear in m/s², angular in rad/s².
+    note : str
+        What they are from.
+    """
+
+    position: Array
+    velocity: Array
+    acceleration: Array
+    note: str
+
+
+def base_states(
+    base: BaseMotion, on_grid: OnGrid, gravity: Array, wanted: BaseSource = "auto"
+) -> BaseStates:
+    """Filter the motion of a base.
+
+    Parameters
+    ----------
+    base : BaseMotion
+        As it was recorded.
+    on_grid : OnGrid
+        Grid, filter and window.
+    gravity : (3,) ndarray
+        In world axes, m/s².
+    wanted : {"auto", "imu", "twist", "pose"}
+        What accelerations are from. ``"auto"`` takes the first of these that was recorded, the
+        angular and the linear part each by itself.
+
+    Raises
+    ------
+    DataError
+        When what is wanted was not recorded.
+    """
+    raw = unit(on_grid.read(base.orientation))
+    orientation = unit(on_grid.filtered(raw))
+    source, rate = _angular(base, on_grid, raw, wanted)
+    linear_source, force = _specific_force(base, on_grid, orientation, rate, gravity, wanted)
+    smooth_rate = on_grid.filtered(rate)
+    acceleration = on_grid.filtered(force) + into_body(orientation, gravity)
+    place = np.zeros((len(raw), 3))
+    if base.position is not None:
+        place = on_grid.filtered(on_grid.read(base.position))
+    states = (
+        np.hstack([place, orientation]),
+        np.hstack([np.zeros_like(smooth_rate), smooth_rate]),
+        np.hstack([acceleration, on_grid.rate(smooth_rate)]),
+    )
+    position, velocity, both = (on_grid.kept(each) for each in states)
+    note = f"accelerations of the base: linear from {linear_source}, angular from {source}"
+    return BaseStates(position=position, velocity=velocity, acceleration=both, note=note)
+
+
+def _angular(
+    base: BaseMotion, on_grid: OnGrid, raw: Array, wanted: BaseSource
+) -> tuple[str, Array]:
+    """Return the source and the angular velocity (M, 3) in body axes, not filtered."""
+    imu = base.imu
+    if wanted in ("auto", "imu") and imu is not None and imu.gyroscope is not None:
+        return "the gyroscope", on_grid.read(imu.gyroscope) @ np.asarray(imu.rotation).T
+    if wanted in ("auto", "imu", "twist") and base.angular_velocity is not None:
+        rate = on_grid.read(base.angular_velocity)
+        if base.velocity_frame == "world":
+            rate = into_body(raw, rate)
+        return "the recorded angular velocity", rate
+    if wanted == "twist":
+        raise DataError(
+            "base_motion: is 'twist', and the recording has no angular velocity of the base; use "
+            "'pose' or 'auto'."
+        )
+    stencil = on_grid.chain.stencil
+    assert isinstance(stencil, Weights)  # a record with a base has no periods
+    return "the orientation", body_rate(raw, stencil.first, on_grid.grid.step)
+
+
+def _specific_force(
+    base: BaseMotion,
+    on_grid: OnGrid,
+    orientation: Array,
+    rate: Array,
+    gravity: Array,
+    wanted: BaseSource,
+) -> tuple[str, Array]:
+    """Return the source and the specific force (M, 3) at the base's origin, not filtered."""
+    imu = base.imu
+    if wanted in ("auto", "imu") and imu is not None and imu.accelerometer is not None:
+        lever = np.asarray(imu.translation)
+        measured = on_grid.read(imu.accelerometer) @ np.asarray(imu.rotation).T
+        turning = np.cross(rate, np.cross(rate, lever))
+        return "the accelerometer", measured - np.cross(on_grid.rate(rate), lever) - turning
+    if wanted == "imu":
+        raise DataError(
+            "base_motion: is 'imu', and the recording has no accelerometer; give base.imu, or use "
+            "'twist', 'pose' or 'auto'."
+        )
+    if wanted in ("auto", "twist") and base.linear_velocity is not None:
+        velocity = on_grid.read(base.linear_velocity)
+        source = "the recorded linear velocity"
+        if base.velocity_frame == "base":
+            own = on_grid.rate(velocity) + np.cross(rate, velocity)
+            return source, own - into_body(orientation, gravity)
+        return source, into_body(orientation, on_grid.rate(velocity) - gravity)
+    if wanted == "twist" or base.position is None:
+        lacks = "linear velocity" if wanted == "twist" else "accelerometer, velocity or position"
+        raise DataError(
+            f"base_motion: is '{wanted}', and the recording has no {lacks} of the base; its linear "
+            "acceleration is not known. Record one of them."
+        )
+    position = on_grid.read(base.position)
+    return "the position", into_body(orientation, on_grid.second(position) - gravity)

@@ -1,0 +1,158 @@
+"""Contacts of a recording as its filtered efforts know them: widened flags, filtered forces."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from sdpid._common.arrays import Array, Mask
+from sdpid.errors import DataError
+from sdpid.experiment.processing.contacts.contact_samples import ContactSamples
+from sdpid.experiment.processing.floating.on_grid import OnGrid
+from sdpid.experiment.processing.settings import Processing
+from sdpid.experiment.recording.floating.contacts import Contacts
+
+__all__ = ["Feet", "feet_of", "near"]
+
+# Without flags a contact counts as down where its force is at least this share of the largest that
+# any contact of the recording carries: well above what a sensor shows in the air, and widened by
+# the memory of the filter afterwards.
+_DOWN_SHARE = 0.03
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Feet:
+    """Contacts at the kept samples, with what was found out on the way.
+
+    Attributes
+    ----------
+    samples : ContactSamples
+        For the rows.
+    clear : (K,) ndarray of bool
+        Samples away from landings.
+    notes : tuple of str
+        What was done, in words.
+    """
+
+    samples: ContactSamples
+    clear: Mask
+    notes: tuple[str, ...]
+
+
+def feet_of(contacts: Contacts, on_grid: OnGrid, processing: Processing) -> Feet:
+    """Return the contacts at the kept samples.
+
+    A filtered effort holds the contact forces of all samples that the filter sees. A foot that was
+    down at one of them counts as down.
+
+    Parameters
+    ----------
+    contacts : Contacts
+        As they were recorded.
+    on_grid : OnGrid
+        Grid, filter and window.
+    processing : Processing
+        By how much flags may be late or early, whether samples around landings are clear, and
+        whether recorded forces are measurements.
+
+    Raises
+    ------
+    DataError
+        When forces are to be measurements, and none were recorded.
+    """
+    step, reach = on_grid.grid.step, on_grid.chain.low_pass.reach
+    margin_s, impact_s = processing.contact_margin_s, processing.impact_s
+    wrench = _wrenches(contacts)
+    on_ground = _down(contacts, wrench)
+    down = on_grid.read_flags(on_ground)
+    wide = near(down, reach + round(margin_s / step))
+    kept_down = on_grid.kept(wide)
+    filtered = covariance = None
+    if processing.contact_force_std is not None:
+        if wrench is None:
+            raise DataError(
+                "contact_force_std: the recording has no contact forces; leave it out, and they "
+                "are eliminated, or give contacts.forces or contacts.wrenches."
+            )
+        filtered = on_grid.kept(on_grid.filtered(on_grid.read(wrench)))
+        covariance = _covariance(contacts, processing)
+    clear: Mask = np.ones(len(kept_down), dtype=np.bool_)
+    notes = [_share_note(contacts, on_grid.kept(down), kept_down, reach * step + margin_s)]
+    if impact_s is not None:
+        landing = np.zeros((len(down), 1), dtype=np.bool_)
+        landing[1:, 0] = (down[1:] & ~down[:-1]).any(axis=1)
+        beside: Mask = on_grid.kept(near(landing, reach + round(impact_s / step)))
+        clear = ~beside[:, 0]
+        notes.append(
+            f"{100.0 * (1.0 - clear.mean()):.3g} % of the samples left out, within "
+            f"{1e3 * impact_s:.3g} ms and the filter's memory of {int(landing.sum())} landings"
+        )
+    if wrench is not None:
+        said = "used as measurements"
+        if filtered is None:
+            said = "not used: those of closed contacts are eliminated (contact_force_std)"
+        notes.append(f"recorded contact forces are {said}")
+    return Feet(
+        samples=ContactSamples(
+            frames=contacts.frames,
+            kind=contacts.kind,
+            offset=contacts.offset,
+            down=kept_down,
+            forces=filtered,
+            force_covariance=covariance,
+        ),
+        clear=clear,
+        notes=tuple(notes),
+    )
+
+
+def near(flags: Mask, reach: int) -> Mask:
+    """Return whether each column of flags (M, c) is set at most `reach` samples away."""
+    count = np.cumsum(np.pad(flags, ((reach + 1, reach), (0, 0))), axis=0)
+    around: Mask = count[2 * reach + 1 :] != count[: -2 * reach - 1]
+    return around
+
+
+def _wrenches(contacts: Contacts) -> Array | None:
+    """Return forces and moments at the contact points (N, c, 6), in the world's axes."""
+    if contacts.wrenches is not None:
+        wrench = np.array(contacts.wrenches)
+        wrench[..., 3:] -= np.cross(np.asarray(contacts.offset), wrench[..., :3])
+        points = np.array([kind == "point" for kind in contacts.kind])
+        wrench[:, points, 3:] = 0.0
+        return wrench
+    if contacts.forces is None:
+        return None
+    return np.concatenate([contacts.forces, np.zeros_like(contacts.forces)], axis=-1)
+
+
+def _covariance(contacts: Contacts, processing: Processing) -> Array:
+    """Return the covariance (6, 6) of recorded forces and moments, infinite where there is none."""
+    moment = processing.contact_moment_std if contacts.wrenches is not None else None
+    variance = np.full(6, np.inf if moment is None else moment**2)
+    variance[:3] = (processing.contact_force_std or 0.0) ** 2
+    covariance = np.zeros((6, 6))
+    np.fill_diagonal(covariance, variance)
+    return covariance
+
+
+def _down(contacts: Contacts, wrench: Array | None) -> Mask:
+    """Return the flags, or those that forces tell."""
+    if contacts.down is not None:
+        return contacts.down
+    assert wrench is not None  # Contacts have one of the two
+    size = np.linalg.norm(wrench[..., :3], axis=-1)
+    told: Mask = size > _DOWN_SHARE * size.max()
+    return told
+
+
+def _share_note(contacts: Contacts, raw: Mask, wide: Mask, memory_s: float) -> str:
+    shares = ", ".join(
+        f"{name} {100.0 * a:.3g} → {100.0 * b:.3g} %"
+        for name, a, b in zip(contacts.frames, raw.mean(axis=0), wide.mean(axis=0), strict=True)
+    )
+    return (
+        f"a contact counts as closed within {1e3 * memory_s:.3g} ms of a closed one, which is as "
+        f"far as the filter sees; share of time: {shares}"
+    )
