@@ -10,7 +10,8 @@ from numpy.typing import ArrayLike
 
 from sdpid._common.arrays import Array, real_array
 from sdpid.errors import DataError, ModelError
-from sdpid.experiment.simulation.friction_arrays import FrictionArrays
+from sdpid.experiment.simulation.kernels.friction_arrays import FrictionArrays
+from sdpid.experiment.simulation.kernels.layout import Robot, memory_for
 from sdpid.experiment.simulation.kernels.linked import entries
 from sdpid.robot.friction.posed import LoadFriction, PosedTerm, Tilt
 from sdpid.robot.model.dynamics import RobotDynamics
@@ -31,12 +32,12 @@ class SimulatedArm:
     ----------
     model : RobotDynamics
         The robot and its parameters.
-    arrays : tuple
+    arrays : Robot
         What the compiled loops take.
     """
 
     model: RobotDynamics
-    arrays: Any
+    arrays: Robot
 
     @classmethod
     def of(cls, model: RobotDynamics) -> SimulatedArm:
@@ -76,34 +77,26 @@ class SimulatedArm:
                     loaded = np.array(own)
         if len(tilted) and np.array_equal(tilted, bodies):
             gravity, tilted = gravity + tilt, none
-        which, curves, joints, efforts = friction.arrays()
+        which, curves, contacts, jumps = friction.arrays()
         own_v = tree.first_v
-        trees = (
-            tree.kind,
-            tree.parent,
-            tree.column[own_v],
-            tree.factor[own_v],
-            np.asarray(robot.offset, dtype=np.float64)[own_v],
-            tree.turn,
-            tree.place,
-            tree.axis,
-        )
-        arrays = (
-            tuple(_packed(each) for each in trees),
-            _packed(bodies),
-            _packed(gravity),
-            _packed(model.drive_inertia),
-            _packed(friction.constant),
-            _packed(friction.viscous),
-            _packed(which),
-            _packed(curves),
-            _packed(joints),
-            _packed(efforts),
-            _packed(tilted),
-            _packed(tilt),
-            _packed(loaded),
-            _packed(robot.gravity),
-            _packed(friction.load),
+        offset = np.asarray(robot.offset, dtype=np.float64)[own_v]
+        nothing = np.zeros_like(bodies)
+        arrays = Robot(
+            tree=_packed([tree.kind, tree.parent, tree.column[own_v]]),
+            angles=_packed([tree.factor[own_v], offset]),
+            turn=_packed(tree.turn),
+            place=_packed(np.concatenate([tree.place, tree.axis[:, None]], axis=1)),
+            bodies=_packed([bodies, *(x if len(x) else nothing for x in (tilted, loaded))]),
+            gravity=_packed([gravity, tilt, robot.gravity]),
+            matrices=_packed([model.drive_inertia, friction.viscous]),
+            constant=_packed(friction.constant),
+            load=_packed(friction.load),
+            which=_packed(which),
+            curves=_packed(curves),
+            contacts=_packed(contacts),
+            jumps=_packed(jumps),
+            tilted=len(tilted) > 0,
+            loaded=len(loaded) > 0,
         )
         return cls(model=model, arrays=arrays)
 
@@ -125,7 +118,7 @@ class SimulatedArm:
         """
         q, v = self._states(q, v)
         M, h = np.empty((len(q), self.n, self.n)), np.empty((len(q), self.n))
-        entries().many_dynamics(self.arrays, q, v, M, h)
+        entries().many_dynamics(self.arrays, memory_for(self.arrays), q, v, M, h)
         return M, h
 
     def acceleration(self, q: ArrayLike, v: ArrayLike, effort: ArrayLike) -> Array:
@@ -138,7 +131,9 @@ class SimulatedArm:
         """
         q, v, effort = self._states(q, v, effort)
         out = np.empty_like(q)
-        entries().many_accelerations(self.arrays, q, v, effort, out)
+        none = np.zeros(self.n, dtype=np.bool_)
+        memory = memory_for(self.arrays)
+        entries().many_accelerations(self.arrays, memory, q, v, effort, none, out)
         return out
 
     def step(
@@ -230,9 +225,8 @@ class SimulatedArm:
                 )
             given = np.require(record, np.float64, _COMPILED_FOR)
         out, count = np.full((2, S, T + 1, self.n), np.nan), np.zeros(S, dtype=np.int64)
-        entries().open_loop(
-            self.arrays, q, v, np.zeros_like(q), False, efforts, float(dt), fixed, given, out, count
-        )
+        memory = memory_for(self.arrays)
+        entries().open_loop(self.arrays, memory, q, v, efforts, float(dt), fixed, given, out, count)
         return out[0], out[1], count
 
     def _states(self, *arrays: ArrayLike) -> list[Array]:

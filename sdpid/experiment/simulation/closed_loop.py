@@ -13,9 +13,11 @@ from sdpid._common.seeds import generator
 from sdpid._common.tables import Table, facts_html
 from sdpid.errors import DataError
 from sdpid.experiment.simulation.arm import SimulatedArm
-from sdpid.experiment.simulation.controllers import ComputedTorque, Controller, _Law
+from sdpid.experiment.simulation.controllers import ComputedTorque
+from sdpid.experiment.simulation.kernels.layout import memory_for
 from sdpid.experiment.simulation.kernels.linked import entries
 from sdpid.experiment.simulation.kernels.loops import INVERSE_DYNAMICS, JOINT_GAINS
+from sdpid.experiment.simulation.law import Controller, Law
 from sdpid.experiment.simulation.reference import DesiredMotion, Reference
 from sdpid.robot.model.dynamics import RobotDynamics
 
@@ -199,7 +201,7 @@ def simulate_closed_loop(
         states,
         out,
     )
-    count = plan.compiled(controller) if isinstance(controller, _Law) else plan.python(controller)
+    count = plan.compiled(controller) if isinstance(controller, Law) else plan.python(controller)
     q, v, held, measured, integral = (x[:count] for x in out)
     effort = held
     if not every:
@@ -231,7 +233,7 @@ class _Run:
     start: Array
     out: Array
 
-    def compiled(self, controller: _Law) -> int:
+    def compiled(self, controller: Law) -> int:
         """Run the compiled loop; return how many samples there are before the motion diverged."""
         inverse = isinstance(controller, ComputedTorque)
         gains = controller.gains
@@ -245,6 +247,7 @@ class _Run:
             self.arm.arrays,
             law,
             own.arrays,
+            memory_for(self.arm.arrays, own.arrays),
             self.desired,
             self.noise,
             self.times,
@@ -252,6 +255,7 @@ class _Run:
             self.every,
             self.dt,
             self.differenced,
+            np.zeros(self.arm.n, dtype=np.bool_),
             np.ascontiguousarray(self.start),
             self.out,
         )
@@ -262,7 +266,7 @@ class _Run:
         arm, every = self.arm, max(self.every, 1)
         q, v = self.start[0][None].copy(), self.start[1][None].copy()
         integral, effort, before = np.zeros_like(q), np.zeros_like(q), q
-        seen = np.zeros_like(q)
+        seen, error = np.zeros_like(q), np.zeros_like(q)
         sample = 0
         for step in range(self.steps):
             if step % every == 0:
@@ -277,7 +281,7 @@ class _Run:
                 effort = controller.effort(
                     measured, speed, told[:, 0], told[:, 1], told[:, 2], integral
                 )
-                integral = integral + every * self.dt * (told[:, 0] - measured)
+                error = told[:, 0] - measured
             q1, v1 = arm.step(q, v, effort, self.dt)
             if not np.isfinite(v1).all():
                 return sample
@@ -287,10 +291,10 @@ class _Run:
                 curve = 3.0 * rise - self.dt * (2.0 * v + v1)
                 cubic = self.dt * (v + v1) - 2.0 * rise
                 now = q + x * (self.dt * v + x * curve + x * x * cubic)
-                states = (now, v + x * (v1 - v), effort, now + seen, integral)
+                states = (now, v + x * (v1 - v), effort, now + seen, integral + x * self.dt * error)
                 self.out[:, sample] = np.concatenate(states)
                 sample += 1
-            q, v = q1, v1
+            q, v, integral = q1, v1, integral + self.dt * error
         return sample
 
 

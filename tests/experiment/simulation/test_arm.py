@@ -14,6 +14,7 @@ from sdpid._common.arrays import Array
 from sdpid.errors import ModelError
 from sdpid.experiment.simulation.arm import SimulatedArm
 from sdpid.experiment.simulation.kernels import loops
+from sdpid.experiment.simulation.kernels.layout import memory_for
 from sdpid.robot.model.dynamics import RobotDynamics
 from sdpid.robot.model.load import load_robot
 from tests.experiment.simulation.models import model_of, slider
@@ -76,14 +77,14 @@ def test_the_loops_do_the_same_without_a_compiler() -> None:
     rng = np.random.default_rng(0)
     q, v, effort = rng.normal(size=(3, 2, 3))
     M, h = np.empty((2, 3, 3)), np.empty((2, 3))
-    loops.many_dynamics(arm.arrays, q, v, M, h)
+    memory = memory_for(arm.arrays)
+    loops.many_dynamics(arm.arrays, memory, q, v, M, h)
     for found, expected in zip((M, h), arm.mass_and_bias(q, v), strict=True):
         np.testing.assert_allclose(found, expected, rtol=1e-12, atol=1e-12)
     efforts = np.repeat(effort[:, None], 20, axis=1)
     out, count = np.zeros((2, 2, 21, 3)), np.zeros(2, dtype=np.int64)
     free, record = np.zeros((2, 3), dtype=np.bool_), np.zeros((2, 0, 0, 3))
-    a = np.zeros_like(q)
-    loops.open_loop(arm.arrays, q, v, a, False, efforts, 2e-3, free, record, out, count)
+    loops.open_loop(arm.arrays, memory, q, v, efforts, 2e-3, free, record, out, count)
     position, velocity, steps = arm.run(q, v, efforts, 2e-3)
     assert (steps == count).all()
     np.testing.assert_allclose(out, np.stack([position, velocity]), rtol=1e-7, atol=1e-9)

@@ -43,11 +43,14 @@ def curve_at(kind: int, side: int, c: float, a: float, b: float, w: float, x: fl
     return c * sign * peak * y, c * (slope * y + peak * (1.0 - y * y) / w)
 
 
-def smooth_at(arm: Any, carried: Array, v: Array, F: Array, S: Array) -> None:
+def smooth_at(robot: Any, carried: Array, v: Array, F: Array, S: Array) -> None:
     """Write the smooth part of friction and its slopes; viscous friction is not in it."""
-    which, curves, load = arm[6], arm[7], arm[14]
-    F[:] = 0.0
-    S[:] = 0.0
+    which, curves, load = robot.which, robot.curves, robot.load
+    n = len(v)
+    for i in range(n):
+        F[i] = 0.0
+        for j in range(n):
+            S[i, j] = 0.0
     for p in range(len(which)):
         j, k = which[p, 0], which[p, 1]
         x = v[j] + (v[k] if k >= 0 else 0.0)
@@ -61,9 +64,8 @@ def smooth_at(arm: Any, carried: Array, v: Array, F: Array, S: Array) -> None:
             S[k, k] += slope
             S[j, k] += slope
             S[k, j] += slope
-    if len(arm[12]):
-        # Columns: share of the load, share of the sigmoid, its speed, width of the sign.
-        for j in range(len(v)):
+    if robot.loaded:
+        for j in range(n):
             size, share = load[j, 0] * carried[j], load[j, 1]
             if share > 0.0:
                 y = math.tanh(v[j] / load[j, 2])
@@ -75,9 +77,9 @@ def smooth_at(arm: Any, carried: Array, v: Array, F: Array, S: Array) -> None:
                 S[j, j] += size * (1.0 - share) * (1.0 - y * y) / load[j, 3]
 
 
-def bounds_at(arm: Any, carried: Array, bounds: Array) -> None:
+def bounds_at(robot: Any, carried: Array, bounds: Array) -> None:
     """Write the least and the largest effort of each jump of friction."""
-    contacts, values, load = arm[8], arm[9], arm[14]
+    contacts, values, load = robot.contacts, robot.jumps, robot.load
     for k in range(len(contacts)):
         extra = 0.0
         if values[k, 3] > 0.0:

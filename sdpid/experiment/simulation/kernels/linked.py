@@ -21,9 +21,6 @@ _MODULES: tuple[ModuleType, ...] = (links, friction, solve, step, loops)
 # What is called from outside, and kept on the disk.
 _ENTRIES = ("closed_loop", "open_loop", "many_dynamics", "many_accelerations")
 
-# Called in every step with many arrays, whose counting takes longer than the work.
-_INLINED = ("change_over", "smooth_at", "bounds_at")
-
 # Compiling for longer than this is worth a line, s.
 _PATIENCE = 1.0
 
@@ -51,14 +48,16 @@ def _linked(njit: Any, **kept: Any) -> SimpleNamespace:
     texts = "".join(inspect.getsource(module) for module in _MODULES)
     digest = hashlib.sha256(texts.encode()).hexdigest()[:16]
     options = {"nogil": True, "error_model": "numpy", "fastmath": {"contract", "nsz", "reassoc"}}
+    # Nothing here allocates: counting the users of arrays and a door from Python for each function
+    # would take most of the time to compile, and part of that to run.
+    inner = {"no_cpython_wrapper": True, "no_cfunc_wrapper": True, "_nrt": False}
     for module in _MODULES:
         for name, function in vars(module).items():
             if isinstance(function, FunctionType) and function.__module__ == module.__name__:
                 copy = FunctionType(function.__code__, found, name)
                 copy.__module__ = function.__module__
                 copy.__qualname__ = f"{name}_{digest}"
-                more = kept if name in _ENTRIES else {}
-                more = {"inline": "always"} if name in _INLINED else more
+                more = kept if name in _ENTRIES else inner
                 found[name] = njit(**options, **more)(copy)
     return SimpleNamespace(**{name: _announced(found[name]) for name in _ENTRIES})
 

@@ -6,19 +6,74 @@ import math
 from typing import Any
 
 from sdpid._common.arrays import Array
+from sdpid.experiment.simulation.kernels.layout import (
+    BIAS,
+    BIAS2,
+    BIAS3,
+    DRIVES,
+    LOADING,
+    MASSES,
+    MASSES2,
+    OWN,
+    TILTED,
+)
 
 PRISMATIC = 1
 
 
+def cross(ax: float, ay: float, az: float, bx: float, by: float, bz: float) -> Any:
+    """Return the vector product."""
+    return ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx
+
+
+def turned(R: Array, i: int, x: float, y: float, z: float) -> Any:
+    """Return a vector in the parent's axes."""
+    return (
+        R[i, 0, 0] * x + R[i, 0, 1] * y + R[i, 0, 2] * z,
+        R[i, 1, 0] * x + R[i, 1, 1] * y + R[i, 1, 2] * z,
+        R[i, 2, 0] * x + R[i, 2, 1] * y + R[i, 2, 2] * z,
+    )
+
+
+def turned_back(R: Array, i: int, x: float, y: float, z: float) -> Any:
+    """Return a vector of the parent's axes in the link's own."""
+    return (
+        R[i, 0, 0] * x + R[i, 1, 0] * y + R[i, 2, 0] * z,
+        R[i, 0, 1] * x + R[i, 1, 1] * y + R[i, 2, 1] * z,
+        R[i, 0, 2] * x + R[i, 1, 2] * y + R[i, 2, 2] * z,
+    )
+
+
+def inertia_times(C: Array, i: int, x: float, y: float, z: float) -> Any:
+    """Return the product of a body's inertia matrix and a vector."""
+    return (
+        C[i, 4] * x + C[i, 5] * y + C[i, 7] * z,
+        C[i, 5] * x + C[i, 6] * y + C[i, 8] * z,
+        C[i, 7] * x + C[i, 8] * y + C[i, 9] * z,
+    )
+
+
 def links_at(
-    tree: Any, bodies: Array, gravity: Array, q: Array, v: Array, space: Any, M: Array, h: Array
+    robot: Any,
+    bodies: Array,
+    gravity: Array,
+    q: Array,
+    v: Array,
+    memory: Any,
+    M: Array,
+    h: Array,
 ) -> None:
-    """Write the mass matrix and the bias of the links: Coriolis, centrifugal, gravity."""
-    kind, parent, column, factor, offset, turn, place, axis = tree
-    R, r, w, u, b, f, t, C = space
-    links = len(kind)
-    M[:] = 0.0
-    h[:] = 0.0
+    """Write the mass matrix and the bias of some bodies: Coriolis, centrifugal, gravity."""
+    kind, parent, column = robot.tree[0], robot.tree[1], robot.tree[2]
+    factor, offset = robot.angles[0], robot.angles[1]
+    turn, place = robot.turn, robot.place
+    R, C, found = memory.rotations, memory.bodies, memory.links
+    r, w, u, b, f, t = found[0], found[1], found[2], found[3], found[4], found[5]
+    links, n = len(kind), len(q)
+    for i in range(n):
+        h[i] = 0.0
+        for j in range(n):
+            M[i, j] = 0.0
     for i in range(links):
         p, c = parent[i], column[i]
         x, rate = factor[i] * q[c] + offset[i], factor[i] * v[c]
@@ -31,154 +86,122 @@ def links_at(
             for m in range(3):
                 R[i, k, m] = turn[i, 0, k, m] * cosine + turn[i, 1, k, m] * sine + turn[i, 2, k, m]
             r[i, k] = place[i, 0, k] + place[i, 1, k] * d
+        wx = wy = wz = ux = uy = uz = 0.0
+        gx, gy, gz = -gravity[0], -gravity[1], -gravity[2]
         if p >= 0:
             wx, wy, wz = w[p, 0], w[p, 1], w[p, 2]
             ux, uy, uz = u[p, 0], u[p, 1], u[p, 2]
-            x, y, z = r[i, 0], r[i, 1], r[i, 2]
             # Acceleration of this origin: u x r + w x (w x r).
-            kx, ky, kz = wy * z - wz * y, wz * x - wx * z, wx * y - wy * x
-            gx = b[p, 0] + uy * z - uz * y + wy * kz - wz * ky
-            gy = b[p, 1] + uz * x - ux * z + wz * kx - wx * kz
-            gz = b[p, 2] + ux * y - uy * x + wx * ky - wy * kx
-        else:
-            wx = wy = wz = ux = uy = uz = 0.0
-            gx, gy, gz = -gravity[0], -gravity[1], -gravity[2]
-        a0 = R[i, 0, 0] * wx + R[i, 1, 0] * wy + R[i, 2, 0] * wz
-        a1 = R[i, 0, 1] * wx + R[i, 1, 1] * wy + R[i, 2, 1] * wz
-        a2 = R[i, 0, 2] * wx + R[i, 1, 2] * wy + R[i, 2, 2] * wz
-        e0 = R[i, 0, 0] * ux + R[i, 1, 0] * uy + R[i, 2, 0] * uz
-        e1 = R[i, 0, 1] * ux + R[i, 1, 1] * uy + R[i, 2, 1] * uz
-        e2 = R[i, 0, 2] * ux + R[i, 1, 2] * uy + R[i, 2, 2] * uz
-        b0 = R[i, 0, 0] * gx + R[i, 1, 0] * gy + R[i, 2, 0] * gz
-        b1 = R[i, 0, 1] * gx + R[i, 1, 1] * gy + R[i, 2, 1] * gz
-        b2 = R[i, 0, 2] * gx + R[i, 1, 2] * gy + R[i, 2, 2] * gz
-        sx, sy, sz = axis[i, 0] * rate, axis[i, 1] * rate, axis[i, 2] * rate
-        cx, cy, cz = a1 * sz - a2 * sy, a2 * sx - a0 * sz, a0 * sy - a1 * sx
+            kx, ky, kz = cross(wx, wy, wz, r[i, 0], r[i, 1], r[i, 2])
+            kx, ky, kz = cross(wx, wy, wz, kx, ky, kz)
+            gx, gy, gz = cross(ux, uy, uz, r[i, 0], r[i, 1], r[i, 2])
+            gx, gy, gz = gx + kx + b[p, 0], gy + ky + b[p, 1], gz + kz + b[p, 2]
+        wx, wy, wz = turned_back(R, i, wx, wy, wz)
+        ux, uy, uz = turned_back(R, i, ux, uy, uz)
+        gx, gy, gz = turned_back(R, i, gx, gy, gz)
+        sx, sy, sz = place[i, 2, 0] * rate, place[i, 2, 1] * rate, place[i, 2, 2] * rate
+        kx, ky, kz = cross(wx, wy, wz, sx, sy, sz)
         if kind[i] == PRISMATIC:
-            b0 += 2.0 * cx
-            b1 += 2.0 * cy
-            b2 += 2.0 * cz
+            gx, gy, gz = gx + 2.0 * kx, gy + 2.0 * ky, gz + 2.0 * kz
         else:
-            e0 += cx
-            e1 += cy
-            e2 += cz
-            a0 += sx
-            a1 += sy
-            a2 += sz
-        w[i, 0], w[i, 1], w[i, 2] = a0, a1, a2
-        u[i, 0], u[i, 1], u[i, 2] = e0, e1, e2
-        b[i, 0], b[i, 1], b[i, 2] = b0, b1, b2
-        m, hx, hy, hz = bodies[i, 0], bodies[i, 1], bodies[i, 2], bodies[i, 3]
-        xx, xy, yy = bodies[i, 4], bodies[i, 5], bodies[i, 6]
-        xz, yz, zz = bodies[i, 7], bodies[i, 8], bodies[i, 9]
-        kx, ky, kz = a1 * hz - a2 * hy, a2 * hx - a0 * hz, a0 * hy - a1 * hx
-        f[i, 0] = m * b0 + e1 * hz - e2 * hy + a1 * kz - a2 * ky
-        f[i, 1] = m * b1 + e2 * hx - e0 * hz + a2 * kx - a0 * kz
-        f[i, 2] = m * b2 + e0 * hy - e1 * hx + a0 * ky - a1 * kx
-        kx = xx * a0 + xy * a1 + xz * a2
-        ky = xy * a0 + yy * a1 + yz * a2
-        kz = xz * a0 + yz * a1 + zz * a2
-        t[i, 0] = xx * e0 + xy * e1 + xz * e2 + a1 * kz - a2 * ky + hy * b2 - hz * b1
-        t[i, 1] = xy * e0 + yy * e1 + yz * e2 + a2 * kx - a0 * kz + hz * b0 - hx * b2
-        t[i, 2] = xz * e0 + yz * e1 + zz * e2 + a0 * ky - a1 * kx + hx * b1 - hy * b0
+            ux, uy, uz = ux + kx, uy + ky, uz + kz
+            wx, wy, wz = wx + sx, wy + sy, wz + sz
+        w[i, 0], w[i, 1], w[i, 2] = wx, wy, wz
+        u[i, 0], u[i, 1], u[i, 2] = ux, uy, uz
+        b[i, 0], b[i, 1], b[i, 2] = gx, gy, gz
         for k in range(10):
             C[i, k] = bodies[i, k]
-    for i in range(links - 1, -1, -1):
-        p, c, s = parent[i], column[i], factor[i]
-        sx, sy, sz = axis[i, 0], axis[i, 1], axis[i, 2]
         m, hx, hy, hz = C[i, 0], C[i, 1], C[i, 2], C[i, 3]
-        xx, xy, yy, xz, yz, zz = C[i, 4], C[i, 5], C[i, 6], C[i, 7], C[i, 8], C[i, 9]
+        # Force: m·b + u x h + w x (w x h).
+        kx, ky, kz = cross(wx, wy, wz, hx, hy, hz)
+        kx, ky, kz = cross(wx, wy, wz, kx, ky, kz)
+        sx, sy, sz = cross(ux, uy, uz, hx, hy, hz)
+        f[i, 0], f[i, 1], f[i, 2] = m * gx + sx + kx, m * gy + sy + ky, m * gz + sz + kz
+        # Torque: I·u + w x (I·w) + h x b.
+        kx, ky, kz = inertia_times(C, i, wx, wy, wz)
+        kx, ky, kz = cross(wx, wy, wz, kx, ky, kz)
+        sx, sy, sz = cross(hx, hy, hz, gx, gy, gz)
+        ux, uy, uz = inertia_times(C, i, ux, uy, uz)
+        t[i, 0], t[i, 1], t[i, 2] = ux + kx + sx, uy + ky + sy, uz + kz + sz
+    for i in range(links - 1, -1, -1):
+        p, c = parent[i], column[i]
+        sx, sy, sz = (
+            factor[i] * place[i, 2, 0],
+            factor[i] * place[i, 2, 1],
+            factor[i] * place[i, 2, 2],
+        )
+        m, hx, hy, hz = C[i, 0], C[i, 1], C[i, 2], C[i, 3]
         # The links' effort, and the force and torque that accelerate all that hangs on this joint.
         if kind[i] == PRISMATIC:
-            h[c] += s * (sx * f[i, 0] + sy * f[i, 1] + sz * f[i, 2])
+            h[c] += sx * f[i, 0] + sy * f[i, 1] + sz * f[i, 2]
             fx, fy, fz = m * sx, m * sy, m * sz
-            tx, ty, tz = hy * sz - hz * sy, hz * sx - hx * sz, hx * sy - hy * sx
-            M[c, c] += s * s * (sx * fx + sy * fy + sz * fz)
+            tx, ty, tz = cross(hx, hy, hz, sx, sy, sz)
+            M[c, c] += sx * fx + sy * fy + sz * fz
         else:
-            h[c] += s * (sx * t[i, 0] + sy * t[i, 1] + sz * t[i, 2])
-            fx, fy, fz = sy * hz - sz * hy, sz * hx - sx * hz, sx * hy - sy * hx
-            tx = xx * sx + xy * sy + xz * sz
-            ty = xy * sx + yy * sy + yz * sz
-            tz = xz * sx + yz * sy + zz * sz
-            M[c, c] += s * s * (sx * tx + sy * ty + sz * tz)
+            h[c] += sx * t[i, 0] + sy * t[i, 1] + sz * t[i, 2]
+            fx, fy, fz = cross(sx, sy, sz, hx, hy, hz)
+            tx, ty, tz = inertia_times(C, i, sx, sy, sz)
+            M[c, c] += sx * tx + sy * ty + sz * tz
         j = i
         while parent[j] >= 0:
-            gx = R[j, 0, 0] * fx + R[j, 0, 1] * fy + R[j, 0, 2] * fz
-            gy = R[j, 1, 0] * fx + R[j, 1, 1] * fy + R[j, 1, 2] * fz
-            gz = R[j, 2, 0] * fx + R[j, 2, 1] * fy + R[j, 2, 2] * fz
-            x, y, z = r[j, 0], r[j, 1], r[j, 2]
-            kx = R[j, 0, 0] * tx + R[j, 0, 1] * ty + R[j, 0, 2] * tz + y * gz - z * gy
-            ky = R[j, 1, 0] * tx + R[j, 1, 1] * ty + R[j, 1, 2] * tz + z * gx - x * gz
-            kz = R[j, 2, 0] * tx + R[j, 2, 1] * ty + R[j, 2, 2] * tz + x * gy - y * gx
-            fx, fy, fz, tx, ty, tz = gx, gy, gz, kx, ky, kz
+            fx, fy, fz = turned(R, j, fx, fy, fz)
+            tx, ty, tz = turned(R, j, tx, ty, tz)
+            kx, ky, kz = cross(r[j, 0], r[j, 1], r[j, 2], fx, fy, fz)
+            tx, ty, tz = tx + kx, ty + ky, tz + kz
             j = parent[j]
             if kind[j] == PRISMATIC:
-                value = axis[j, 0] * fx + axis[j, 1] * fy + axis[j, 2] * fz
+                value = place[j, 2, 0] * fx + place[j, 2, 1] * fy + place[j, 2, 2] * fz
             else:
-                value = axis[j, 0] * tx + axis[j, 1] * ty + axis[j, 2] * tz
-            value *= s * factor[j]
+                value = place[j, 2, 0] * tx + place[j, 2, 1] * ty + place[j, 2, 2] * tz
+            value *= factor[j]
             M[c, column[j]] += value
             M[column[j], c] += value
         if p < 0:
             continue
         x, y, z = r[i, 0], r[i, 1], r[i, 2]
-        gx = R[i, 0, 0] * f[i, 0] + R[i, 0, 1] * f[i, 1] + R[i, 0, 2] * f[i, 2]
-        gy = R[i, 1, 0] * f[i, 0] + R[i, 1, 1] * f[i, 1] + R[i, 1, 2] * f[i, 2]
-        gz = R[i, 2, 0] * f[i, 0] + R[i, 2, 1] * f[i, 1] + R[i, 2, 2] * f[i, 2]
-        f[p, 0] += gx
-        f[p, 1] += gy
-        f[p, 2] += gz
-        kx = R[i, 0, 0] * t[i, 0] + R[i, 0, 1] * t[i, 1] + R[i, 0, 2] * t[i, 2]
-        ky = R[i, 1, 0] * t[i, 0] + R[i, 1, 1] * t[i, 1] + R[i, 1, 2] * t[i, 2]
-        kz = R[i, 2, 0] * t[i, 0] + R[i, 2, 1] * t[i, 1] + R[i, 2, 2] * t[i, 2]
-        t[p, 0] += kx + y * gz - z * gy
-        t[p, 1] += ky + z * gx - x * gz
-        t[p, 2] += kz + x * gy - y * gx
-        # The same body about the parent's origin, in its axes.
-        gx = R[i, 0, 0] * hx + R[i, 0, 1] * hy + R[i, 0, 2] * hz
-        gy = R[i, 1, 0] * hx + R[i, 1, 1] * hy + R[i, 1, 2] * hz
-        gz = R[i, 2, 0] * hx + R[i, 2, 1] * hy + R[i, 2, 2] * hz
-        a0 = R[i, 0, 0] * xx + R[i, 0, 1] * xy + R[i, 0, 2] * xz
-        a1 = R[i, 0, 0] * xy + R[i, 0, 1] * yy + R[i, 0, 2] * yz
-        a2 = R[i, 0, 0] * xz + R[i, 0, 1] * yz + R[i, 0, 2] * zz
-        b0 = R[i, 1, 0] * xx + R[i, 1, 1] * xy + R[i, 1, 2] * xz
-        b1 = R[i, 1, 0] * xy + R[i, 1, 1] * yy + R[i, 1, 2] * yz
-        b2 = R[i, 1, 0] * xz + R[i, 1, 1] * yz + R[i, 1, 2] * zz
-        e0 = R[i, 2, 0] * xx + R[i, 2, 1] * xy + R[i, 2, 2] * xz
-        e1 = R[i, 2, 0] * xy + R[i, 2, 1] * yy + R[i, 2, 2] * yz
-        e2 = R[i, 2, 0] * xz + R[i, 2, 1] * yz + R[i, 2, 2] * zz
+        gx, gy, gz = turned(R, i, f[i, 0], f[i, 1], f[i, 2])
+        kx, ky, kz = turned(R, i, t[i, 0], t[i, 1], t[i, 2])
+        sx, sy, sz = cross(x, y, z, gx, gy, gz)
+        f[p, 0], f[p, 1], f[p, 2] = f[p, 0] + gx, f[p, 1] + gy, f[p, 2] + gz
+        t[p, 0], t[p, 1], t[p, 2] = t[p, 0] + kx + sx, t[p, 1] + ky + sy, t[p, 2] + kz + sz
+        # The same body about the parent's origin, in its axes: columns of R·I first.
+        gx, gy, gz = turned(R, i, hx, hy, hz)
+        ax, ay, az = turned(R, i, C[i, 4], C[i, 5], C[i, 7])
+        bx, by, bz = turned(R, i, C[i, 5], C[i, 6], C[i, 8])
+        ex, ey, ez = turned(R, i, C[i, 7], C[i, 8], C[i, 9])
+        xx, xy, xz = turned(R, i, ax, bx, ex)
+        _, yy, yz = turned(R, i, ay, by, ey)
+        _, _, zz = turned(R, i, az, bz, ez)
         # Twice the first moment along the offset, and the offset's own square.
         wx, wy, wz = 2.0 * x * gx + m * x * x, 2.0 * y * gy + m * y * y, 2.0 * z * gz + m * z * z
         C[p, 0] += m
         C[p, 1] += gx + m * x
         C[p, 2] += gy + m * y
         C[p, 3] += gz + m * z
-        C[p, 4] += a0 * R[i, 0, 0] + a1 * R[i, 0, 1] + a2 * R[i, 0, 2] + wy + wz
-        C[p, 5] += a0 * R[i, 1, 0] + a1 * R[i, 1, 1] + a2 * R[i, 1, 2] - x * gy - y * gx - m * x * y
-        C[p, 6] += b0 * R[i, 1, 0] + b1 * R[i, 1, 1] + b2 * R[i, 1, 2] + wx + wz
-        C[p, 7] += a0 * R[i, 2, 0] + a1 * R[i, 2, 1] + a2 * R[i, 2, 2] - x * gz - z * gx - m * x * z
-        C[p, 8] += b0 * R[i, 2, 0] + b1 * R[i, 2, 1] + b2 * R[i, 2, 2] - y * gz - z * gy - m * y * z
-        C[p, 9] += e0 * R[i, 2, 0] + e1 * R[i, 2, 1] + e2 * R[i, 2, 2] + wx + wy
+        C[p, 4] += xx + wy + wz
+        C[p, 5] += xy - x * gy - y * gx - m * x * y
+        C[p, 6] += yy + wx + wz
+        C[p, 7] += xz - x * gz - z * gx - m * x * z
+        C[p, 8] += yz - y * gz - z * gy - m * y * z
+        C[p, 9] += zz + wx + wy
 
 
-def dynamics_at(
-    arm: Any, q: Array, v: Array, space: Any, M: Array, h: Array, M2: Array, h2: Array
-) -> None:
+def dynamics_at(robot: Any, q: Array, v: Array, memory: Any) -> None:
     """Write mass matrix and bias, drives and offsets included, and those of what carries load."""
-    tree, bodies, drive, constant, load = arm[0], arm[1], arm[3], arm[4], arm[12]
-    tilted = arm[10]
+    M, M2 = memory.matrices[MASSES], memory.matrices[MASSES2]
+    h, h2, h3 = memory.vectors[BIAS], memory.vectors[BIAS2], memory.vectors[BIAS3]
     n = len(q)
-    links_at(tree, bodies, arm[2], q, v, space, M, h)
-    if len(tilted):
+    links_at(robot, robot.bodies[OWN], robot.gravity[OWN], q, v, memory, M, h)
+    if robot.tilted:
         # What other bodies weigh more under a gravity that is tilted.
         for i in range(n):
             h2[i] = 0.0
-        links_at(tree, tilted, arm[11], q, h2, space, M2, h2[n:])
+        links_at(robot, robot.bodies[TILTED], robot.gravity[TILTED], q, h2, memory, M2, h3)
         for i in range(n):
-            h[i] += h2[n + i]
+            h[i] += h3[i]
     for i in range(n):
-        h[i] += constant[i]
+        h[i] += robot.constant[i]
         for j in range(n):
-            M[i, j] += drive[i, j]
-    if len(load):
-        links_at(tree, load, arm[13], q, v, space, M2, h2[:n])
+            M[i, j] += robot.matrices[DRIVES, i, j]
+    if robot.loaded:
+        links_at(robot, robot.bodies[LOADING], robot.gravity[LOADING], q, v, memory, M2, h2)

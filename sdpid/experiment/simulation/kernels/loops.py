@@ -4,17 +4,42 @@ from __future__ import annotations
 
 from typing import Any
 
-import numpy as np
-
 from sdpid._common.arrays import Array
 from sdpid.experiment.simulation.kernels.friction import bounds_at, sign_of, smooth_at
+from sdpid.experiment.simulation.kernels.layout import (
+    ACCELERATION,
+    BEFORE,
+    BIAS,
+    BIAS2,
+    CARRIED,
+    CHANGE,
+    DAMPING,
+    EFFORT,
+    ERROR,
+    FEEDBACK,
+    GIVEN,
+    INTEGRAL,
+    MASSES,
+    MASSES2,
+    NEXT,
+    NEXT_SPEED,
+    NOW,
+    PUSH,
+    SEEN,
+    SIGHT,
+    SIGHT_SPEED,
+    SLOPES,
+    SMOOTH,
+    SPEED,
+    TRIAL,
+    VISCOUS,
+)
 from sdpid.experiment.simulation.kernels.links import dynamics_at
 from sdpid.experiment.simulation.kernels.solve import change_over
 from sdpid.experiment.simulation.kernels.step import (
     LOAD_ROUNDS,
     SETTLED,
     has_diverged,
-    memory_of,
     step_of,
 )
 
@@ -40,13 +65,14 @@ def law_at(
     slope: Array,
 ) -> None:
     """Write the effort of a controller but for its feedback of velocity, and the gains of that."""
-    kind, gains, limit = law[0], law[1], law[2]
-    first, second, third = memory
-    M, h, M2, h2, u, carried = third[0], third[1], third[2], third[3], third[4], third[7]
-    F, S = second[3], second[2]
+    kind, gains, limit = law
+    M, h, u = memory.matrices[MASSES], memory.vectors[BIAS], memory.vectors[TRIAL]
+    F, S, carried = memory.vectors[SMOOTH], memory.matrices[SLOPES], memory.vectors[CARRIED]
     n = len(q)
-    slope[:] = 0.0
     for i in range(n):
+        carried[i] = 0.0
+        for j in range(n):
+            slope[i, j] = 0.0
         u[i] = (
             gains[0, i] * (desired[0, i] - q[i])
             + gains[1, i] * gains[3, i] * desired[1, i]
@@ -57,14 +83,14 @@ def law_at(
             effort[i] = u[i]
             slope[i, i] = gains[1, i]
     else:
-        viscous, contacts, values = inverse[5], inverse[8], inverse[9]
-        dynamics_at(inverse, q, v, first, M, h, M2, h2)
-        carried[:] = 0.0
+        contacts, values = inverse.contacts, inverse.jumps
+        dynamics_at(inverse, q, v, memory)
         smooth_at(inverse, carried, desired[1], F, S)
         for i in range(n):
             effort[i] = h[i] + F[i]
             for j in range(n):
-                effort[i] += M[i, j] * (desired[2, j] + u[j]) + viscous[i, j] * desired[1, j]
+                effort[i] += M[i, j] * (desired[2, j] + u[j])
+                effort[i] += inverse.matrices[VISCOUS, i, j] * desired[1, j]
                 slope[i, j] = M[i, j] * gains[1, j]
         for k in range(len(contacts)):
             i, j = contacts[k, 0], contacts[k, 1]
@@ -84,9 +110,10 @@ def law_at(
 
 
 def closed_loop(
-    arm: Any,
+    robot: Any,
     law: Any,
     inverse: Any,
+    memory: Any,
     desired: Array,
     noise: Array,
     times: Array,
@@ -94,24 +121,33 @@ def closed_loop(
     every: int,
     dt: float,
     differenced: bool,
+    fixed: Any,
     start: Array,
     out: Array,
 ) -> int:
     """Write positions, velocities, held efforts, measured positions and integrals at sample times.
 
     With `every` steps of effort held, `desired` has one row for each time of control; without, one
-    for each middle of a step. Return how many samples were written before the motion diverged.
+    for each middle of a step. No joint is `fixed`, (n,). Return how many samples were written
+    before the motion diverged.
     """
-    tree = arm[0]
-    n = len(arm[4])
-    memory = memory_of(len(tree[0]), n, len(arm[8]))
-    ideal = memory_of(len(inverse[0][0]), n, len(inverse[8]))
-    q, v, a, q1, v1 = start[0].copy(), start[1].copy(), np.zeros(n), np.zeros(n), np.zeros(n)
-    qm, vm, integral, seen, effort = q.copy(), v.copy(), np.zeros(n), np.zeros(n), np.zeros(n)
-    before, error = np.zeros(n), np.zeros(n)
-    slope, D, nothing = np.zeros((n, n)), arm[5].copy(), np.zeros(n)
-    fixed = np.zeros(n, dtype=np.bool_)
-    known, sample = False, 0
+    vectors, gains = memory.vectors, law[1]
+    q, v, a, q1, v1 = (
+        vectors[NOW],
+        vectors[SPEED],
+        vectors[ACCELERATION],
+        vectors[NEXT],
+        vectors[NEXT_SPEED],
+    )
+    qm, vm, integral, seen = vectors[SIGHT], vectors[SIGHT_SPEED], vectors[INTEGRAL], vectors[SEEN]
+    effort, before, error, given = vectors[EFFORT], vectors[BEFORE], vectors[ERROR], vectors[GIVEN]
+    D, slope = memory.matrices[DAMPING], memory.matrices[FEEDBACK]
+    n = len(q)
+    for i in range(n):
+        q[i], v[i] = start[0, i], start[1, i]
+        for j in range(n):
+            D[i, j] = robot.matrices[VISCOUS, i, j]
+    sample = 0
     for step in range(steps):
         if every > 0:
             if step % every == 0:
@@ -124,31 +160,31 @@ def closed_loop(
                     if differenced and row > 0:
                         vm[i] = (qm[i] - before[i]) / period
                     before[i] = qm[i]
-                    error[i] = desired[row, 0, i] - qm[i]
-                law_at(law, inverse, qm, vm, desired[row], integral, ideal, effort, slope)
+                law_at(law, inverse, qm, vm, desired[row], integral, memory, effort, slope)
                 for i in range(n):
                     free = False
                     for j in range(n):
                         free = free or slope[i, j] != 0.0
                         effort[i] -= slope[i, j] * vm[j]
-                    if free or law[1][1, i] == 0.0:
-                        integral[i] += period * error[i]
+                    # The integral grows over this period, and rests at the limit of effort.
+                    error[i] = 0.0
+                    if free or gains[1, i] == 0.0:
+                        error[i] = desired[row, 0, i] - qm[i]
         else:
             for i in range(n):
                 qm[i] = q[i] + 0.5 * dt * v[i]
                 vm[i] = v[i] + 0.5 * dt * a[i]
                 error[i] = desired[step, 0, i] - qm[i]
                 before[i] = integral[i] + 0.5 * dt * error[i]
-            law_at(law, inverse, qm, vm, desired[step], before, ideal, effort, slope)
+            law_at(law, inverse, qm, vm, desired[step], before, memory, effort, slope)
             for i in range(n):
                 free = False
                 for j in range(n):
                     free = free or slope[i, j] != 0.0
-                    D[i, j] = arm[5][i, j] + slope[i, j]
-                if free or law[1][1, i] == 0.0:
-                    integral[i] += dt * error[i]
-        step_of(arm, q, v, a, known, effort, D, dt, fixed, nothing, memory, q1, v1)
-        known = True
+                    D[i, j] = robot.matrices[VISCOUS, i, j] + slope[i, j]
+                if not free and gains[1, i] != 0.0:
+                    error[i] = 0.0
+        step_of(robot, q, v, a, step > 0, effort, D, dt, fixed, given, memory, q1, v1)
         if has_diverged(v1):
             return sample
         while sample < len(times) and times[sample] < (step + 1 - NEAR) * dt:
@@ -164,19 +200,19 @@ def closed_loop(
                 out[1, sample, i] = v[i] + x * (v1[i] - v[i])
                 out[2, sample, i] = effort[i]
                 out[3, sample, i] = out[0, sample, i] + seen[i]
-                out[4, sample, i] = integral[i]
+                out[4, sample, i] = integral[i] + x * dt * error[i]
             sample += 1
         for i in range(n):
             q[i], v[i] = q1[i], v1[i]
+            integral[i] += dt * error[i]
     return sample
 
 
 def open_loop(
-    arm: Any,
+    robot: Any,
+    memory: Any,
     q: Array,
     v: Array,
-    a: Array,
-    known: bool,
     effort: Array,
     dt: float,
     fixed: Any,
@@ -189,19 +225,17 @@ def open_loop(
     Joints that are `fixed`, (S, n), follow the record (2, S, T + 1, n). `count` gets the states of
     each segment before it diverged.
     """
-    n = len(arm[4])
-    memory = memory_of(len(arm[0][0]), n, len(arm[8]))
-    given = np.zeros(n)
-    q0, v0, q1, v1 = np.zeros(n), np.zeros(n), np.zeros(n), np.zeros(n)
+    vectors, viscous = memory.vectors, robot.matrices[VISCOUS]
+    q0, v0, a, given = vectors[NOW], vectors[SPEED], vectors[ACCELERATION], vectors[GIVEN]
+    q1, v1 = vectors[NEXT], vectors[NEXT_SPEED]
+    n = len(q0)
     for s in range(len(q)):
-        q0[:] = q[s]
-        v0[:] = v[s]
-        going = known
         count[s] = 0
-        if has_diverged(v0):
+        if has_diverged(v[s]):
             continue
-        out[0, s, 0] = q0
-        out[1, s, 0] = v0
+        for i in range(n):
+            q0[i], v0[i] = q[s, i], v[s, i]
+            out[0, s, 0, i], out[1, s, 0, i] = q0[i], v0[i]
         count[s] = 1
         for k in range(effort.shape[1]):
             for i in range(n):
@@ -211,51 +245,54 @@ def open_loop(
                     v0[i] = record[1, s, k, i]
                     q0[i] -= 0.5 * dt * v0[i]
             step_of(
-                arm, q0, v0, a[s], going, effort[s, k], arm[5], dt, fixed[s], given, memory, q1, v1
+                robot, q0, v0, a, k > 0, effort[s, k], viscous, dt, fixed[s], given, memory, q1, v1
             )
-            going = True
             for i in range(n):
                 if fixed[s, i]:
                     q1[i], v1[i] = record[0, s, k + 1, i], record[1, s, k + 1, i]
             if has_diverged(v1):
                 break
-            q0[:] = q1
-            v0[:] = v1
-            out[0, s, k + 1] = q1
-            out[1, s, k + 1] = v1
+            for i in range(n):
+                q0[i], v0[i] = q1[i], v1[i]
+                out[0, s, k + 1, i], out[1, s, k + 1, i] = q1[i], v1[i]
             count[s] = k + 2
 
 
-def many_dynamics(arm: Any, q: Array, v: Array, M: Array, h: Array) -> None:
+def many_dynamics(robot: Any, memory: Any, q: Array, v: Array, M: Array, h: Array) -> None:
     """Write mass matrices and biases of many states."""
-    n = len(arm[4])
-    first, _, third = memory_of(len(arm[0][0]), n, len(arm[8]))
+    n = q.shape[1]
     for k in range(len(q)):
-        dynamics_at(arm, q[k], v[k], first, M[k], h[k], third[2], third[3])
+        dynamics_at(robot, q[k], v[k], memory)
+        for i in range(n):
+            h[k, i] = memory.vectors[BIAS, i]
+            for j in range(n):
+                M[k, i, j] = memory.matrices[MASSES, i, j]
 
 
-def many_accelerations(arm: Any, q: Array, v: Array, effort: Array, out: Array) -> None:
+def many_accelerations(
+    robot: Any, memory: Any, q: Array, v: Array, effort: Array, fixed: Any, out: Array
+) -> None:
     """Write accelerations of many states; joints at rest stay there where friction holds them."""
-    n = len(arm[4])
-    first, second, third = memory_of(len(arm[0][0]), n, len(arm[8]))
-    M, h, M2, h2, _, _, g, carried, _ = third
-    dv, S, F = second[1], second[2], second[3]
-    fixed, given = np.zeros(n, dtype=np.bool_), np.zeros(n)
+    vectors, matrices = memory.vectors, memory.matrices
+    h, h2, g, carried = vectors[BIAS], vectors[BIAS2], vectors[PUSH], vectors[CARRIED]
+    dv, F, given = vectors[CHANGE], vectors[SMOOTH], vectors[GIVEN]
+    M2, S = matrices[MASSES2], matrices[SLOPES]
+    n = q.shape[1]
     for k in range(len(q)):
-        dynamics_at(arm, q[k], v[k], first, M, h, M2, h2)
+        dynamics_at(robot, q[k], v[k], memory)
         for i in range(n):
             g[i] = effort[k, i] - h[i]
             out[k, i] = 0.0
-        for _ in range(LOAD_ROUNDS if len(arm[12]) else 1):
-            if len(arm[12]):
+        for _ in range(LOAD_ROUNDS if robot.loaded else 1):
+            if robot.loaded:
                 for i in range(n):
                     total = h2[i]
                     for j in range(n):
                         total += M2[i, j] * out[k, j]
                     carried[i] = abs(total)
-            bounds_at(arm, carried, second[9])
-            smooth_at(arm, carried, v[k], F, S)
-            change_over(arm, M, arm[5], g, v[k], INSTANT, fixed, given, second)
+            bounds_at(robot, carried, memory.bounds)
+            smooth_at(robot, carried, v[k], F, S)
+            change_over(robot, robot.matrices[VISCOUS], v[k], INSTANT, fixed, given, memory)
             moved, size = 0.0, 0.0
             for i in range(n):
                 found = dv[i] / INSTANT

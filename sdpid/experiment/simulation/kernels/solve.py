@@ -12,6 +12,17 @@ from typing import Any
 
 from sdpid._common.arrays import Array
 from sdpid.experiment.simulation.kernels.friction import bounds_at, smooth_at
+from sdpid.experiment.simulation.kernels.layout import (
+    CARRIED,
+    CHANGE,
+    MASSES,
+    PUSH,
+    SLOPES,
+    SLOPES1,
+    SMOOTH,
+    SMOOTH1,
+    TRIAL,
+)
 
 # A joint this near (rad/s) to where its friction jumps is there: rounding of steps is far smaller.
 AT_JUMP = 1e-9
@@ -63,24 +74,23 @@ def weight_of(z: float) -> float:
 
 
 def change_over(
-    arm: Any,
-    M: Array,
+    robot: Any,
     D: Array,
-    g: Array,
     v: Array,
     dt: float,
     fixed: Any,
     given: Array,
-    space: Any,
+    memory: Any,
 ) -> None:
     """Write the change of velocities over a time in which nothing reaches a jump of friction.
 
-    It is left in the last column that `solve_in_place` used, copied to `space[1]`. Contacts at
-    their jump are stuck, or slip where what holds them is not enough.
+    Masses, effort less bias, friction and its slopes are read from the memory, and the change is
+    written there. Contacts at their jump are stuck, or slip where what holds them is not enough.
     """
-    K, dv, S, F = space[0], space[1], space[2], space[3]
-    mode, at, bounds = space[7], space[8], space[9]
-    contacts, values = arm[8], arm[9]
+    K, M, S = memory.system, memory.matrices[MASSES], memory.matrices[SLOPES]
+    dv, F, g = memory.vectors[CHANGE], memory.vectors[SMOOTH], memory.vectors[PUSH]
+    mode, at, bounds = memory.states[0], memory.states[1], memory.bounds
+    contacts, values = robot.contacts, robot.jumps
     n, count = len(v), len(contacts)
     moves = dt > AT_JUMP
     for k in range(count):
@@ -170,32 +180,31 @@ def change_over(
 
 
 def advance(
-    arm: Any,
-    M: Array,
+    robot: Any,
     D: Array,
-    g: Array,
-    carried: Array,
     v: Array,
     dt: float,
     fixed: Any,
     given: Array,
-    space: Any,
+    memory: Any,
     end: Array,
 ) -> None:
-    """Write the velocities after a time with this mass matrix and this effort."""
-    dv, S, F, S1, F1 = space[1], space[2], space[3], space[4], space[5]
-    contacts, values = arm[8], arm[9]
+    """Write the velocities after a time with the memory's mass matrix and effort."""
+    M, S, S1 = memory.matrices[MASSES], memory.matrices[SLOPES], memory.matrices[SLOPES1]
+    dv, F, F1 = memory.vectors[CHANGE], memory.vectors[SMOOTH], memory.vectors[SMOOTH1]
+    trial, carried = memory.vectors[TRIAL], memory.vectors[CARRIED]
+    contacts, values = robot.contacts, robot.jumps
     n = len(v)
-    curved = len(arm[6]) > 0 or len(arm[12]) > 0
-    bounds_at(arm, carried, space[9])
+    curved = len(robot.which) > 0 or robot.loaded
+    bounds_at(robot, carried, memory.bounds)
     for i in range(n):
         end[i] = v[i]
     left, part = dt, dt
     for count in range(PARTS):
         last = count == PARTS - 1
         part = left if last else min(part, left)
-        smooth_at(arm, carried, end, F, S)
-        change_over(arm, M, D, g, end, part, fixed, given, space)
+        smooth_at(robot, carried, end, F, S)
+        change_over(robot, D, end, part, fixed, given, memory)
         share, reached = 1.0, -1
         if not last:
             for k in range(len(contacts)):
@@ -209,9 +218,9 @@ def advance(
             if curved:
                 largest = 0.0
                 for i in range(n):
-                    space[6][i] = end[i] + share * dv[i]
+                    trial[i] = end[i] + share * dv[i]
                     largest = max(largest, abs(dv[i]))
-                smooth_at(arm, carried, space[6], F1, S1)
+                smooth_at(robot, carried, trial, F1, S1)
                 missed = 0.0
                 for i in range(n):
                     line = F[i]

@@ -8,9 +8,16 @@ from __future__ import annotations
 
 from typing import Any
 
-import numpy as np
-
 from sdpid._common.arrays import Array
+from sdpid.experiment.simulation.kernels.layout import (
+    BIAS,
+    BIAS2,
+    CARRIED,
+    MASSES2,
+    MIDDLE,
+    PUSH,
+    RATE,
+)
 from sdpid.experiment.simulation.kernels.links import dynamics_at
 from sdpid.experiment.simulation.kernels.solve import advance
 
@@ -23,7 +30,7 @@ SETTLED = 1e-10
 
 
 def step_of(
-    arm: Any,
+    robot: Any,
     q: Array,
     v: Array,
     a: Array,
@@ -41,8 +48,9 @@ def step_of(
 
     `a` holds those of the step before where they are `known`.
     """
-    first, second, third = memory
-    M, h, M2, h2, qm, vm, g, carried, guess = third
+    M2, h, h2 = memory.matrices[MASSES2], memory.vectors[BIAS], memory.vectors[BIAS2]
+    qm, vm, g = memory.vectors[MIDDLE], memory.vectors[RATE], memory.vectors[PUSH]
+    carried = memory.vectors[CARRIED]
     n = len(q)
     for i in range(n):
         qm[i] = q[i] + 0.5 * dt * v[i]
@@ -51,25 +59,25 @@ def step_of(
             vm[i] = v[i] + (0.5 * dt * a[i] if known or pass_ else 0.0)
             if fixed[i]:
                 vm[i] = v[i] + 0.5 * dt * given[i]
-        dynamics_at(arm, qm, vm, first, M, h, M2, h2)
+        dynamics_at(robot, qm, vm, memory)
         for i in range(n):
             g[i] = effort[i] - h[i]
             if not known and not pass_:
                 a[i] = 0.0
-        for _ in range(LOAD_ROUNDS if len(arm[12]) else 1):
-            if len(arm[12]):
+        for _ in range(LOAD_ROUNDS if robot.loaded else 1):
+            if robot.loaded:
                 for i in range(n):
                     total = h2[i]
                     for j in range(n):
                         total += M2[i, j] * a[j]
                     carried[i] = abs(total)
-            advance(arm, M, D, g, carried, v, dt, fixed, given, second, v1)
+            advance(robot, D, v, dt, fixed, given, memory, v1)
             moved, size = 0.0, 0.0
             for i in range(n):
-                guess[i] = (v1[i] - v[i]) / dt
-                moved = max(moved, abs(guess[i] - a[i]))
-                size = max(size, abs(guess[i]))
-                a[i] = guess[i]
+                guess = (v1[i] - v[i]) / dt
+                moved = max(moved, abs(guess - a[i]))
+                size = max(size, abs(guess))
+                a[i] = guess
             if moved <= SETTLED * size:
                 break
     for i in range(n):
@@ -82,45 +90,3 @@ def has_diverged(v: Array) -> bool:
     for i in range(len(v)):
         slow = slow and abs(v[i]) < RUNAWAY
     return not slow
-
-
-def space_of(links: int, n: int, contacts: int) -> Any:
-    """Return memory for the functions below."""
-    return (
-        np.zeros((links, 3, 3)),
-        np.zeros((links, 3)),
-        np.zeros((links, 3)),
-        np.zeros((links, 3)),
-        np.zeros((links, 3)),
-        np.zeros((links, 3)),
-        np.zeros((links, 3)),
-        np.zeros((links, 10)),
-    ), (
-        np.zeros((n + contacts, n + contacts + 1)),
-        np.zeros(n),
-        np.zeros((n, n)),
-        np.zeros(n),
-        np.zeros((n, n)),
-        np.zeros(n),
-        np.zeros(n),
-        np.zeros(contacts, dtype=np.int64),
-        np.zeros(contacts, dtype=np.int64),
-        np.zeros((contacts, 2)),
-    )
-
-
-def memory_of(links: int, n: int, contacts: int) -> Any:
-    """Return memory for a step."""
-    first, second = space_of(links, n, contacts)
-    third = (
-        np.zeros((n, n)),
-        np.zeros(n),
-        np.zeros((n, n)),
-        np.zeros(2 * n),
-        np.zeros(n),
-        np.zeros(n),
-        np.zeros(n),
-        np.zeros(n),
-        np.zeros(n),
-    )
-    return first, second, third

@@ -1,0 +1,129 @@
+"""The few arrays that the compiled loops take: a robot, and memory to work in.
+
+Every array that a function is given costs time to compile and to call, so they are packed.
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+
+# Bodies and their gravity: the robot's, those of a tilt, and those that carry load.
+OWN, TILTED, LOADING = 0, 1, 2
+
+# Matrices (n, n) of a robot: inertia of its drives, effort per velocity.
+DRIVES, VISCOUS = 0, 1
+
+# Matrices (n, n) of the memory: masses, those of a tilt or a load, slopes of friction, damping and
+# the controller's share of it.
+MASSES, MASSES2, SLOPES, SLOPES1, DAMPING, FEEDBACK = range(6)
+
+# Vectors (n,) of the memory: change of the velocities, friction, friction after it, velocities
+# after it; biases; position and velocity amid a step, effort less bias, load.
+CHANGE, SMOOTH, SMOOTH1, TRIAL, BIAS, BIAS2, BIAS3, MIDDLE, RATE, PUSH, CARRIED = range(11)
+
+# Those of a run: state, acceleration, state after a step, state as seen and its noise, integral of
+# the error, error, effort, what was seen before, and accelerations of joints that are not free.
+NOW, SPEED, ACCELERATION, NEXT, NEXT_SPEED, SIGHT, SIGHT_SPEED, SEEN = range(11, 19)
+INTEGRAL, ERROR, EFFORT, BEFORE, GIVEN = range(19, 24)
+VECTORS, MATRICES = 24, 6
+
+
+class Robot(NamedTuple):
+    """A robot with L links, n joints and known parameters.
+
+    Attributes
+    ----------
+    tree : ndarray of int, shape (3, L)
+        Kind, parent and joint of each link.
+    angles : ndarray, shape (2, L)
+        Factor and offset between position and angle.
+    turn : ndarray, shape (L, 3, 3, 3)
+        What the rotation is made of: cosine, sine, constant.
+    place : ndarray, shape (L, 3, 3)
+        What the origin is made of, constant and along the joint, and the joint's axis.
+    bodies : ndarray, shape (3, L, 10)
+        Inertial parameters: the robot's, those of a tilt, and those that carry load.
+    gravity : ndarray, shape (3, 3)
+        Of each of these.
+    matrices : ndarray, shape (2, n, n)
+        Inertia of drives, and effort per velocity.
+    constant : ndarray, shape (n,)
+        Effort at rest.
+    load : ndarray, shape (n, 4)
+        Share of the load, share of the sigmoid in it, its speed, width of the sign.
+    which : ndarray of int, shape (C, 4)
+        Joints, kind and side of every smooth curve of friction.
+    curves : ndarray, shape (C, 4)
+        Its four numbers.
+    contacts : ndarray of int, shape (J, 2)
+        Joints of every jump of friction.
+    jumps : ndarray, shape (J, 4)
+        Its velocity, least and largest effort, and whether the load adds to them.
+    tilted, loaded : bool
+        Whether there are bodies of a tilt, and such that carry load.
+    """
+
+    tree: Any
+    angles: Any
+    turn: Any
+    place: Any
+    bodies: Any
+    gravity: Any
+    matrices: Any
+    constant: Any
+    load: Any
+    which: Any
+    curves: Any
+    contacts: Any
+    jumps: Any
+    tilted: bool
+    loaded: bool
+
+
+class Memory(NamedTuple):
+    """What the loops write while they work.
+
+    Attributes
+    ----------
+    rotations : ndarray, shape (L, 3, 3)
+    links : ndarray, shape (6, L, 3)
+        Origins, angular velocities and accelerations, accelerations, forces, torques.
+    bodies : ndarray, shape (L, 10)
+        Links with all that hangs on them.
+    system : ndarray, shape (n + J, n + J + 1)
+        Equations that are solved.
+    vectors : ndarray, shape (24, n)
+    matrices : ndarray, shape (6, n, n)
+    states : ndarray of int, shape (2, J)
+        Whether contacts slip, and where to, and whether they are at their jump.
+    bounds : ndarray, shape (J, 2)
+        What contacts can hold.
+    """
+
+    rotations: Any
+    links: Any
+    bodies: Any
+    system: Any
+    vectors: Any
+    matrices: Any
+    states: Any
+    bounds: Any
+
+
+def memory_for(*robots: Robot) -> Memory:
+    """Return memory that suffices for each of some robots with as many joints."""
+    L = max(robot.tree.shape[1] for robot in robots)
+    J = max(len(robot.contacts) for robot in robots)
+    n = len(robots[0].constant)
+    return Memory(
+        rotations=np.zeros((L, 3, 3)),
+        links=np.zeros((6, L, 3)),
+        bodies=np.zeros((L, 10)),
+        system=np.zeros((n + J, n + J + 1)),
+        vectors=np.zeros((VECTORS, n)),
+        matrices=np.zeros((MATRICES, n, n)),
+        states=np.zeros((2, J), dtype=np.int64),
+        bounds=np.zeros((J, 2)),
+    )
