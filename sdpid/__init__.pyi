@@ -28,6 +28,7 @@ from .excitation.limits.check import check_trajectory
 from .excitation.limits.limits import Limits
 from .experiment.drive_gains.gains import DriveGains
 from .experiment.inspection.inspect import inspect_recording
+from .experiment.plant.legged.simulate import simulate_legged
 from .experiment.plant.simulate import simulate
 from .experiment.processing.process import Processing, process
 from .experiment.processing.samples import Samples
@@ -103,6 +104,7 @@ __all__ = [
     "sample_parameters",
     "simulate",
     "simulate_closed_loop",
+    "simulate_legged",
     "smallest_mass_eigenvalue",
     "solve_instrumental",
     "solve_log_cholesky",

@@ -135,6 +135,7 @@ FEATURES = (
     "sdpid.assurance.drive_gains",
     "sdpid.estimation.instrumental",
     "sdpid.estimation.output_error",
+    "sdpid.experiment.plant.legged",
     "sdpid.assurance.payload",
     "sdpid.assurance.rollouts",
     "sdpid.assurance.sampling",

@@ -63,6 +63,7 @@ BESIDE = {
     "cross_validate",
     "read_parameters",
     "simulate_closed_loop",
+    "simulate_legged",
     "rollout",
     "smallest_mass_eigenvalue",
     "solve_instrumental",

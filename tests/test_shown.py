@@ -137,6 +137,9 @@ SHOWN: dict[str, Callable[[], Any]] = {
     "simulate_closed_loop": lambda: sdpid.simulate_closed_loop(
         estimate().model(), motion(), sdpid.controllers.PD(*np.full((2, 2), 30.0))
     ),
+    "simulate_legged": lambda: sdpid.simulate_legged(
+        sdpid.load_robot("solo12", root="free_flyer"), duration=0.05
+    ),
     "smallest_mass_eigenvalue": lambda: sdpid.smallest_mass_eigenvalue(estimate()),
     "solve_instrumental": lambda: sdpid.solve_instrumental(
         problem(), instruments=problem().samples

@@ -95,12 +95,12 @@ def build_mujoco(
         )
     bodies = theta[: 10 * robot.n_links].reshape(robot.n_links, 10)
     coulomb, viscous = theta[10 * robot.n_links :].reshape(2, n)
-    _check_bodies(robot, bodies)
+    check_bodies(robot, bodies)
     spec = mujoco.MjSpec()
     spec.compiler.degree = False
     spec.compiler.balanceinertia = False
-    _set_options(mujoco, spec, robot, timestep)
-    _add_bodies(mujoco, spec, robot, bodies)
+    set_options(mujoco, spec, robot, timestep)
+    add_bodies(mujoco, spec, robot, bodies)
     for j, name in enumerate(robot.joint_names):
         gain = float(drives.velocity_gain[j])
         stiffness = gain * float(drives.proportional_gain[j])
@@ -134,7 +134,14 @@ def build_mujoco(
     return MujocoModel(model, dof, qpos)
 
 
-def _check_bodies(robot: RobotModel, bodies: Array) -> None:
+def check_bodies(robot: RobotModel, bodies: Array) -> None:
+    """Refuse links that no body has.
+
+    Raises
+    ------
+    ModelError
+        When one is not physically consistent.
+    """
     margins = margin(bodies, "pseudo_inertia")
     for name, body, value in zip(robot.link_names, bodies, margins, strict=True):
         # Not a number where the mass is not positive.
@@ -146,7 +153,8 @@ def _check_bodies(robot: RobotModel, bodies: Array) -> None:
             )
 
 
-def _set_options(mujoco: Any, spec: Any, robot: RobotModel, timestep: float) -> None:
+def set_options(mujoco: Any, spec: Any, robot: RobotModel, timestep: float) -> None:
+    """Set the integrator, the solver and what is switched off."""
     option = spec.option
     option.timestep = timestep
     option.gravity = robot.gravity
@@ -159,11 +167,13 @@ def _set_options(mujoco: Any, spec: Any, robot: RobotModel, timestep: float) -> 
         option.disableflags |= 0 if flag is None else flag.value
 
 
-def _add_bodies(mujoco: Any, spec: Any, robot: RobotModel, bodies: Array) -> None:
+def add_bodies(mujoco: Any, spec: Any, robot: RobotModel, bodies: Array) -> dict[int, Any]:
+    """Add the links and their joints, and return the bodies by Pinocchio's numbers."""
     model = robot.pin_model
     masses, centers, inertias = physical_parameters(bodies)
     nodes = {0: spec.worldbody}
-    for i, name in enumerate(robot.joint_names, start=1):
+    for i in range(1, model.njoints):
+        name = model.names[i]
         placement = model.jointPlacements[i]
         body = nodes[model.parents[i]].add_body(
             name=f"{i}:{robot.link_names[i - 1]}",
@@ -178,12 +188,16 @@ def _add_bodies(mujoco: Any, spec: Any, robot: RobotModel, bodies: Array) -> Non
         body.inertia = moments
         body.iquat = _quaternion(mujoco, axes)
         body.explicitinertial = True
+        nodes[i] = body
+        if i == 1 and robot.free_flyer:
+            body.add_freejoint(name=name)
+            continue
         kind, axis = joint_axis(model.joints[i])
         joint_type = getattr(
             mujoco.mjtJoint, "mjJNT_HINGE" if kind == "revolute" else "mjJNT_SLIDE"
         )
         body.add_joint(name=name, type=joint_type, axis=axis)
-        nodes[i] = body
+    return nodes
 
 
 def _quaternion(mujoco: Any, rotation: Array) -> Array:

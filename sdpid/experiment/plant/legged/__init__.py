@@ -1,0 +1,1 @@
+"""Robots on legs: motions, plants and what their sensors record."""

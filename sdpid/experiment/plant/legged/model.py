@@ -1,0 +1,152 @@
+"""A MuJoCo model of a robot on legs: its bodies, the ground and balls for feet."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from sdpid._common.arrays import Array
+from sdpid._common.extras import require
+from sdpid.errors import ModelError
+from sdpid.experiment.plant.legged.legs import Legs
+from sdpid.experiment.plant.mujoco_model import (
+    add_bodies,
+    check_bodies,
+    set_options,
+)
+
+__all__ = ["LeggedModel", "build_legged"]
+
+# Time constant of the ground in s: stiff against the gait, and soft against the step.
+_GROUND = 0.01
+# Coefficient of friction of the ground, and how much stiffer it is along the ground than MuJoCo's
+# default, so that feet do not creep.
+_GRIP, _IMPEDANCE_RATIO = 1.0, 10.0
+# Newton's method ends below this: the equation of motion then holds to 1e-8 N, to 1e-5 with the
+# tolerance of the other plants.
+_TOLERANCE = 1e-20
+# Switches of the other plants that would take the ground away.
+_NEEDED = ("CONTACT", "EQUALITY")
+
+
+@dataclass(frozen=True, eq=False)
+class LeggedModel:
+    """A compiled model with the addresses of the robot's joints in it.
+
+    Attributes
+    ----------
+    model : mujoco.MjModel
+        Bodies, rotor inertias, ground and feet; torques of motors and friction are applied forces.
+    dof, qpos : ndarray of int, shape (joints,)
+        Addresses of the joints in MuJoCo's velocities and positions; the base is first in both.
+    feet : tuple of int
+        Numbers of the feet's geometries.
+    """
+
+    model: Any
+    dof: Any
+    qpos: Any
+    feet: tuple[int, ...]
+
+
+def build_legged(
+    legs: Legs,
+    theta: Array,
+    *,
+    held: bool,
+    timestep: float,
+    start: Array,
+) -> LeggedModel:
+    """Build the plant of a robot on legs.
+
+    Parameters
+    ----------
+    legs : Legs
+        The robot and its feet.
+    theta : ndarray, shape (10·links + 3·joints,)
+        The links' standard parameters, Coulomb and viscous friction, rotor inertias.
+    held : bool
+        Hold the base where it starts, and leave out the ground.
+    timestep : float
+        Step of the integrator, s.
+    start : ndarray, shape (6,)
+        Position of the base at the start, and rotation vector.
+
+    Raises
+    ------
+    ModelError
+        When links are not physically consistent, or MuJoCo refuses the model.
+    MissingExtraError
+        When MuJoCo is not installed (extra ``sim``).
+    """
+    from scipy.spatial.transform import Rotation
+
+    mujoco = require("mujoco", extra="sim")
+    robot, n = legs.robot, legs.n_joints
+    links = 10 * robot.n_links
+    bodies = theta[:links].reshape(-1, 10)
+    check_bodies(robot, bodies)
+    spec = mujoco.MjSpec()
+    spec.compiler.degree = False
+    spec.compiler.balanceinertia = False
+    set_options(mujoco, spec, robot, timestep)
+    for name in _NEEDED:
+        spec.option.disableflags &= ~getattr(mujoco.mjtDisableBit, f"mjDSBL_{name}").value
+    spec.option.tolerance = _TOLERANCE
+    spec.option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
+    spec.option.impratio = _IMPEDANCE_RATIO
+    nodes = add_bodies(mujoco, spec, robot, bodies)
+    # Where the free joint starts, and where a held base stays.
+    nodes[1].pos, nodes[1].quat = start[:3], np.roll(Rotation.from_rotvec(start[3:]).as_quat(), 1)
+    names = robot.joint_names[6:]
+    if held:
+        spec.add_equality(
+            name="hold",
+            type=mujoco.mjtEq.mjEQ_WELD,
+            objtype=mujoco.mjtObj.mjOBJ_BODY,
+            name1=nodes[1].name,
+            solref=[_GROUND, 1.0],
+        )
+    else:
+        _add_ground(mujoco, spec, legs, nodes)
+    try:
+        model = spec.compile()
+    except ValueError as cause:
+        raise ModelError(f"plant of '{robot.name}': MuJoCo refuses it ({cause}).") from None
+    dof = np.array([model.joint(name).dofadr[0] for name in names])
+    qpos = np.array([model.joint(name).qposadr[0] for name in names])
+    model.dof_armature[dof] = theta[links + 2 * n :]
+    feet = () if held else tuple(model.geom(f"foot:{name}").id for name in legs.frames)
+    return LeggedModel(model, dof, qpos, feet)
+
+
+def _add_ground(mujoco: Any, spec: Any, legs: Legs, nodes: dict[int, Any]) -> None:
+    """Add a plane, and a ball at every foot; nothing else touches."""
+    shared = {
+        "condim": 3,
+        "friction": [_GRIP, 0.0, 0.0],
+        "solref": [_GROUND, 1.0],
+        "density": 0.0,
+    }
+    spec.worldbody.add_geom(
+        name="ground",
+        type=mujoco.mjtGeom.mjGEOM_PLANE,
+        size=[0.0, 0.0, 1.0],
+        contype=1,
+        conaffinity=0,
+        **shared,
+    )
+    model = legs.robot.pin_model
+    for name, number in zip(legs.frames, legs.frame_ids, strict=True):
+        frame = model.frames[number]
+        nodes[frame.parentJoint].add_geom(
+            name=f"foot:{name}",
+            type=mujoco.mjtGeom.mjGEOM_SPHERE,
+            size=[legs.radius, 0.0, 0.0],
+            pos=frame.placement.translation,
+            contype=0,
+            conaffinity=1,
+            **shared,
+        )

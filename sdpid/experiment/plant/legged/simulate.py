@@ -1,0 +1,146 @@
+"""`simulate_legged`: what a quadruped with known parameters records of itself."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from sdpid._common.arrays import Array, frozen, real_array
+from sdpid._common.seeds import generator
+from sdpid._common.tables import facts_html
+from sdpid.errors import DataError
+from sdpid.experiment.plant.legged.legs import Legs, find_legs
+from sdpid.experiment.plant.legged.motions import LEAD, plan_motion
+from sdpid.experiment.plant.legged.run import run_plan
+from sdpid.experiment.plant.legged.sensors import Sensors, record
+from sdpid.experiment.plant.legged.truth import Motion, changed_parameters
+from sdpid.experiment.recording.recording import Recording
+from sdpid.robot.model.model import RobotModel
+
+__all__ = ["LeggedRun", "simulate_legged"]
+
+_RATES = (500.0, 5000.0)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class LeggedRun:
+    """A recording of a simulated robot on legs, and what is true of it.
+
+    Attributes
+    ----------
+    recording : Recording
+        What the sensors measured.
+    theta : ndarray, shape (10·links + 3·joints,)
+        True parameters: of the links, then Coulomb friction, viscous friction and rotor inertia
+        of all joints.
+    motion : Motion
+        The motion without sensors: positions, velocities, accelerations, torques, friction and
+        contact wrenches at the recorded instants.
+
+    Examples
+    --------
+    >>> quadruped = sdpid.load_robot("solo12", root="free_flyer")
+    >>> sdpid.simulate_legged(quadruped, "stand", duration=0.1).motion.wrenches.shape
+    (100, 4, 6)
+    """
+
+    recording: Recording
+    theta: Array
+    motion: Motion
+
+    def __repr__(self) -> str:
+        return f"LeggedRun({self.recording!r})"
+
+    def _repr_html_(self) -> str:
+        return facts_html("LeggedRun", {"recording": repr(self.recording)})
+
+
+def simulate_legged(
+    robot: RobotModel,
+    motion: str = "stand",
+    *,
+    theta: ArrayLike | None = None,
+    duration: float = 10.0,
+    seed: int | np.random.Generator = 0,
+    sensors: Sensors | None = None,
+    legs: Legs | None = None,
+    rate_hz: float = 1000.0,
+) -> LeggedRun:
+    """Let a simulated quadruped stand, trot, walk or hang, and record it.
+
+    The robot stands on balls at the ends of legs of three joints, on level ground. Its motors
+    follow planned joint positions with proportional and derivative feedback, and carry the weight
+    that the description gives; its joints have dry and viscous friction and rotor inertia. MuJoCo
+    integrates it by a Runge-Kutta method of fourth order.
+
+    Parameters
+    ----------
+    robot : RobotModel
+        A quadruped on a floating base: ``load_robot("go1", root="free_flyer")``.
+    motion : {"stand", "trot", "walk", "hang"}, optional
+        Stand with a swaying base, trot in place, walk forward, or move all joints with the base
+        held in the air.
+    theta : array_like, shape (10·links + 3·joints,), optional
+        True parameters, as `changed_parameters` returns them; by default those of seed 0, which
+        are 15 % off the description.
+    duration : float, optional
+        Length of the recording, s.
+    seed : int or numpy.random.Generator, optional
+        The motion's phases and the sensors' noise.
+    sensors : Sensors, optional
+        Noise, resolution, delays and which sensors there are.
+    legs : Legs, optional
+        By default `find_legs`.
+    rate_hz : float, optional
+        Samples a second, and steps of the integrator.
+
+    Returns
+    -------
+    LeggedRun
+
+    Raises
+    ------
+    DataError
+        When the motion is unknown, theta has another length, or the robot falls.
+    ModelError
+        When the robot has a fixed base or other legs, or theta belongs to no real robot.
+    MissingExtraError
+        When MuJoCo is not installed (extra ``sim``).
+
+    Examples
+    --------
+    >>> quadruped = sdpid.load_robot("solo12", root="free_flyer")
+    >>> run = sdpid.simulate_legged(quadruped, "trot", duration=0.5)
+    >>> run.recording.contacts
+    Contacts(500 samples, 4 points, flags)
+    >>> run.theta.shape, run.motion.acceleration.shape
+    ((166,), (500, 18))
+    """
+    rng = generator(seed)
+    sensors = Sensors() if sensors is None else sensors
+    legs = find_legs(robot) if legs is None else legs
+    if theta is None:
+        theta = changed_parameters(robot, legs=legs)
+    values = frozen(real_array(theta, "theta", ndim=1))
+    wanted = 10 * robot.n_links + 3 * legs.n_joints
+    if len(values) != wanted:
+        raise DataError(
+            f"theta: {len(values)} numbers, expected {wanted}: 10 a link, then Coulomb friction, "
+            "viscous friction and rotor inertia of every joint; see changed_parameters."
+        )
+    if not _RATES[0] <= rate_hz <= _RATES[1]:
+        raise DataError(
+            f"rate_hz: {rate_hz:g}, limits {_RATES[0]:g} and {_RATES[1]:g}: feet on the ground "
+            "need short steps."
+        )
+    if not duration * rate_hz >= 2.0:
+        raise DataError(f"duration: {duration:g} s, the least is two samples.")
+    before = round(sensors.longest_delay * rate_hz)
+    if before > LEAD * rate_hz:
+        raise DataError(f"delays: {sensors.longest_delay:g} s, the limit is {LEAD:g} s.")
+    plan = plan_motion(legs, motion, duration=duration, rng=rng)
+    time, truth = run_plan(legs, plan, values, rate_hz=rate_hz, before=before)
+    log = record(legs, time, truth, sensors, gravity=robot.gravity, held=plan.held, rng=rng)
+    return LeggedRun(recording=log, theta=values, motion=truth.after(before))

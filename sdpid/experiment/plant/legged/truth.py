@@ -1,0 +1,113 @@
+"""What is true of a simulated robot with legs: its parameters and the motion without sensors."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from sdpid._common.arrays import Array, Mask, frozen, frozen_view
+from sdpid._common.seeds import generator
+from sdpid.experiment.plant.legged.legs import Legs, find_legs
+from sdpid.robot.inertia import from_pseudo_inertia, pseudo_inertia
+from sdpid.robot.model.model import RobotModel
+
+__all__ = ["Motion", "changed_parameters"]
+
+# Friction and rotor inertia of a leg's joint, where nobody gives them. Coulomb friction is this
+# share of what one leg of four bears at its length, viscous friction this share of that at 1
+# rad/s, and the rotor inertia this share of the mass at the leg's length: 0.2 N·m, 0.06 N·m·s and
+# 0.01 kg·m² on a quadruped of 13 kg, 0.03, 0.009 and 0.001 on one of 2.5 kg.
+_COULOMB, _VISCOUS, _ROTOR = 0.03, 0.3, 0.02
+_GRAVITY = 9.81
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Motion:
+    """A motion as it was, in Pinocchio's order, without sensors.
+
+    Attributes
+    ----------
+    position : ndarray, shape (N, nq)
+        Base position, quaternion (x, y, z, w), joints.
+    velocity, acceleration : ndarray, shape (N, nv)
+        Of the base linear and angular in base axes, then of the joints.
+    effort : ndarray, shape (N, nv)
+        Zeros for the base, then torques of the motors, N·m.
+    friction : ndarray, shape (N, joints)
+        Torques that friction takes, N·m.
+    wrenches : ndarray, shape (N, c, 6)
+        Forces and torques on the robot at the frames of the contacts, world axes.
+    down : ndarray, shape (N, c)
+        Whether a contact is closed.
+    """
+
+    position: Array
+    velocity: Array
+    acceleration: Array
+    effort: Array
+    friction: Array
+    wrenches: Array
+    down: Mask
+
+    def after(self, samples: int) -> Motion:
+        """Return the motion without its first samples."""
+        return Motion(**{name: frozen_view(value[samples:]) for name, value in vars(self).items()})
+
+
+def changed_parameters(
+    robot: RobotModel,
+    *,
+    change: float = 0.15,
+    seed: int | np.random.Generator = 0,
+    legs: Legs | None = None,
+) -> Array:
+    """Return parameters of a robot that differs from its description, with friction.
+
+    Every link's mass, center of mass and inertia change together, and stay those of a body: its
+    pseudo-inertia is moved along a random direction by `change` in the body's own units, so that
+    masses change by about this share.
+
+    Parameters
+    ----------
+    robot : RobotModel
+        The robot, on a floating base.
+    change : float, optional
+        Size of the change; 0 leaves the links as described.
+    seed : int or numpy.random.Generator, optional
+        Randomness of the change.
+    legs : Legs, optional
+        Its legs; by default `find_legs`.
+
+    Returns
+    -------
+    ndarray, shape (10·links + 3·joints,)
+        The links' standard parameters, then Coulomb and viscous friction and rotor inertia of all
+        joints.
+
+    Examples
+    --------
+    >>> from sdpid.experiment.plant.legged.truth import changed_parameters
+    >>> quadruped = sdpid.load_robot("solo12", root="free_flyer")
+    >>> theta = changed_parameters(quadruped, seed=1)
+    >>> (theta[:130:10] / quadruped.prior[:, 0]).round(2)[:3]
+    array([1.11, 1.01, 0.84])
+    """
+    rng = generator(seed)
+    legs = find_legs(robot) if legs is None else legs
+    bodies = np.empty_like(robot.prior)
+    for i, body in enumerate(robot.prior):
+        step = change * rng.normal(size=(4, 4))
+        values, axes = np.linalg.eigh((step + step.T) / 2.0)
+        root = np.linalg.cholesky(pseudo_inertia(body))
+        moved = root @ (axes * np.exp(values)) @ axes.T @ root.T
+        bodies[i] = from_pseudo_inertia(moved)
+    return frozen(np.concatenate([bodies.ravel(), *default_friction(legs)]))
+
+
+def default_friction(legs: Legs) -> tuple[Array, Array, Array]:
+    """Return Coulomb and viscous friction and rotor inertia of all joints."""
+    mass = float(legs.robot.prior[:, 0].sum())
+    length, ones = legs.height, np.ones(legs.n_joints)
+    coulomb = _COULOMB * mass * _GRAVITY * length / len(legs.frames) * ones
+    return coulomb, _VISCOUS * coulomb, _ROTOR * mass * length**2 * ones

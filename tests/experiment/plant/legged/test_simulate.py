@@ -1,0 +1,142 @@
+"""Quadrupeds obey the equation of motion that identification assumes, and sensors say so."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pinocchio as pin
+import pytest
+from scipy.spatial.transform import Rotation
+
+import sdpid
+from sdpid._common.arrays import Array
+from sdpid.errors import DataError, ModelError
+from sdpid.experiment.plant.legged.legs import find_legs
+from sdpid.experiment.plant.legged.run import FRICTION_SPEED
+from sdpid.experiment.plant.legged.sensors import Sensors
+from sdpid.experiment.plant.legged.simulate import LeggedRun, simulate_legged
+from sdpid.experiment.plant.legged.truth import changed_parameters
+from sdpid.robot.inertia import margin
+from sdpid.robot.model.model import RobotModel
+
+# What forces from the simulator may leave of the equation of motion, N and N·m.
+EQUATION = 1e-6
+
+
+@cache
+def robot() -> RobotModel:
+    return sdpid.load_robot("go1", root="free_flyer")
+
+
+@cache
+def exact(motion: str) -> LeggedRun:
+    # Three steps of the trot, and the first half of the walk's first.
+    return simulate_legged(robot(), motion, duration=0.8, seed=1, sensors=Sensors.exact())
+
+
+def contact_torques(run: LeggedRun) -> Array:
+    """Return J^T·f of the true wrenches by Pinocchio, sample by sample, shape (N, 18)."""
+    model, contacts = robot().pin_model, run.recording.contacts
+    assert contacts is not None
+    data, out = model.createData(), np.zeros((len(run.motion.position), model.nv))
+    for k, q in enumerate(run.motion.position):
+        pin.computeJointJacobians(model, data, q)
+        for name, wrench in zip(contacts.frames, run.motion.wrenches[k], strict=True):
+            frame = model.getFrameId(name)
+            pin.updateFramePlacement(model, data, frame)
+            out[k] += pin.getFrameJacobian(model, data, frame, pin.LOCAL_WORLD_ALIGNED).T @ wrench
+    return out
+
+
+@pytest.mark.parametrize("motion", ["stand", "trot", "walk", "hang"])
+def test_the_equation_of_motion_holds_with_the_simulators_forces(motion: str) -> None:
+    run = exact(motion)
+    moved, n = run.motion, 12
+    links, (coulomb, viscous, rotor) = run.theta[:130], run.theta[130:].reshape(3, n)
+    needed = robot().inverse_dynamics(
+        links.reshape(-1, 10), moved.position, moved.velocity, moved.acceleration
+    )
+    needed[:, 6:] += rotor * moved.acceleration[:, 6:] + moved.friction
+    residual = needed - moved.effort - contact_torques(run)
+    assert np.abs(residual).max() < EQUATION
+    speed = moved.velocity[:, 6:]
+    law = coulomb * np.tanh(speed / FRICTION_SPEED) + viscous * speed
+    np.testing.assert_allclose(moved.friction, law)
+
+
+@pytest.mark.parametrize("motion", ["trot", "hang"])
+def test_the_sensors_measure_the_motion(motion: str) -> None:
+    run = exact(motion)
+    log, moved = run.recording, run.motion
+    assert log.base is not None
+    assert log.base.imu is not None
+    assert log.contacts is not None
+    np.testing.assert_allclose(log.position, moved.position[:, 7:])
+    np.testing.assert_allclose(log.effort, moved.effort[:, 6:])
+    assert np.array_equal(log.contacts.down, moved.down)
+    imu, step = log.base.imu, log.step
+    # The sensor's place and axes in the world, differentiated.
+    base = Rotation.from_quat(log.base.orientation)
+    place = np.asarray(log.base.position) + base.apply(np.array(imu.translation))
+    second = np.diff(place, n=2, axis=0) / step**2 + [0.0, 0.0, 9.81]
+    felt = (base * Rotation.from_matrix(np.array(imu.rotation))).inv()[1:-1].apply(second)
+    turned = (base[:-2].inv() * base[2:]).as_rotvec() @ imu.rotation / (2.0 * step)
+    # Steps of impacts apart, which a central difference spreads over neighbors.
+    accelerometer = np.abs(felt - np.asarray(imu.accelerometer)[1:-1])
+    assert np.median(accelerometer) < 0.02
+    assert np.median(np.abs(turned - np.asarray(imu.gyroscope)[1:-1])) < 1e-3
+
+
+def test_feet_bear_the_weight_where_they_touch() -> None:
+    run = exact("stand")
+    assert np.all(run.motion.down)
+    mass = run.theta[:130:10].sum()
+    vertical = run.motion.wrenches[:, :, 2].sum(axis=1)
+    assert vertical.mean() == pytest.approx(9.81 * mass, rel=0.02)
+    trot = exact("trot").motion
+    assert 0.4 < trot.down.mean() < 0.9
+    assert np.abs(trot.wrenches[~trot.down]).max() == 0.0
+    feet = find_legs(robot()).feet(trot.position[:, 7:])
+    base = Rotation.from_quat(trot.position[:, 3:7])
+    height = np.stack([base.apply(each)[:, 2] for each in feet.transpose(1, 0, 2)], axis=1)
+    height += trot.position[:, 2:3] - 0.02
+    assert np.array_equal(height < 0.0, trot.down)
+
+
+def test_channels_come_late_and_gains_are_off() -> None:
+    sensors = replace(Sensors.exact(), delays={"effort": 0.002}, effort_gain=1.05)
+    run = simulate_legged(robot(), "hang", duration=0.2, seed=1, sensors=sensors)
+    np.testing.assert_allclose(run.recording.effort[2:], 1.05 * run.motion.effort[:-2, 6:])
+    np.testing.assert_allclose(run.recording.position, run.motion.position[:, 7:])
+    assert run.recording.time[0] == pytest.approx(0.0, abs=1e-9)
+
+
+def test_changed_links_are_bodies_and_seeds_repeat() -> None:
+    theta = changed_parameters(robot(), seed=3)
+    bodies, described = theta[:130].reshape(-1, 10), robot().prior
+    assert margin(bodies, "pseudo_inertia").min() > 0.0
+    assert 0.05 < np.abs(np.log(bodies[:, 0] / described[:, 0])).mean() < 0.3
+    assert np.array_equal(theta, changed_parameters(robot(), seed=3))
+    np.testing.assert_allclose(
+        changed_parameters(robot(), change=0.0)[:130].reshape(-1, 10), described, atol=1e-12
+    )
+
+
+def test_what_cannot_be_simulated_is_refused() -> None:
+    fixed = sdpid.load_robot("go1")
+    with pytest.raises(ModelError, match=r"fixed base.*free_flyer"):
+        simulate_legged(fixed)
+    with pytest.raises(DataError, match=r"'dance'.*stand, trot"):
+        simulate_legged(robot(), "dance")
+    with pytest.raises(DataError, match="expected 166"):
+        simulate_legged(robot(), theta=np.ones(130))
+    with pytest.raises(DataError, match="no channel 'torque'"):
+        Sensors(delays={"torque": 0.1})
+    with pytest.raises(ModelError, match="no frame 'paw'"):
+        find_legs(robot(), feet=["paw"])
+    heavy = np.array(changed_parameters(robot()))
+    heavy[:10] *= 30.0
+    with pytest.raises(DataError, match="falls"):
+        simulate_legged(robot(), "trot", theta=heavy, duration=3.0)
