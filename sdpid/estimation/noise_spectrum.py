@@ -32,7 +32,7 @@ import numpy as np
 
 from sdpid._common.arrays import Array, Indices, frozen
 from sdpid.estimation.compression.rows import RowSource
-from sdpid.estimation.compression.whitening import whiten
+from sdpid.estimation.compression.whitening import shares_of, whiten_rows
 from sdpid.estimation.effects.bending import Bending
 from sdpid.estimation.information import information_root
 from sdpid.estimation.problem import Problem
@@ -230,18 +230,18 @@ def _bands(
     products = np.zeros((n, _OCTAVES * _BANDS_PER_OCTAVE + 1, columns, columns))
     count = np.zeros(products.shape[:2])
     for part in rows.parts(-(-K // pieces)):
-        mask, own = rows.mask(part), rows.rows(part)
+        own = rows.rows(part)
         residual = own[:, :, -1:] - own[:, :, :-1] @ fit[:, None]
         slopes = bending.columns(rows.motion(part))
         stacked = np.concatenate([own[:, :, :-1], slopes, residual], axis=2)
-        weighted = whiten(stacked, sigma if sigma.ndim == 2 else sigma[part], mask, exponent)
-        used = np.count_nonzero(mask, axis=0)
+        weighted = whiten_rows(rows, part, stacked, sigma, exponent)
+        used = shares_of(rows, part, sigma).sum(axis=0)
         for j in range(n):
             seen = np.flatnonzero(np.any(weighted[:, j] != 0.0, axis=0))
             place = np.ix_(seen, seen)
             for m, coefficients in _transformed(weighted[:, j, seen]):
                 products[j, m][place] += coefficients.T @ coefficients
-                count[j, m] += used[j] * len(coefficients) / _padded(len(mask))
+                count[j, m] += used[j] * len(coefficients) / _padded(len(own))
     return products, count
 
 

@@ -17,6 +17,7 @@ from sdpid.errors import DataError
 from sdpid.estimation.compression.covariance import WEIGHTINGS, Weighting, pooled
 from sdpid.estimation.compression.factor import Factor, covariance
 from sdpid.estimation.compression.rows import Rows, RowSource, SamplesElsewhere
+from sdpid.estimation.compression.whitening import effort_errors
 from sdpid.estimation.constraints.condition import Layout
 from sdpid.estimation.constraints.constraints import Constraints
 from sdpid.estimation.constraints.feasible_set import FeasibleSet
@@ -33,6 +34,7 @@ from sdpid.robot.friction.model import FrictionModel
 from sdpid.robot.friction.term import FrictionTerm
 from sdpid.robot.inertia import CONSISTENCIES, Consistency
 from sdpid.robot.model.base_parameters import BaseParameters, structural_base
+from sdpid.robot.model.contacts.jacobians import contact_jacobians
 from sdpid.robot.model.model import RobotModel
 
 
@@ -63,7 +65,8 @@ class Problem:
     floor : float
         Cost that no parameters can take away.
     n_samples, n_rows : int
-        Samples, and their rows that are not masked.
+        Samples, and their rows that are not masked; independent ones where contacts tie rows
+        together.
     feasible : FeasibleSet
         The constraints.
     prior : PriorTerms or None
@@ -245,11 +248,24 @@ class Problem:
         return replace(self, rows=None, sigma=frozen(pooled(self.sigma)))
 
     def predict(self, base: ArrayLike, samples: Samples | None = None) -> Array:
-        """Return the efforts (K, n) that base parameters give on samples, by default its own."""
+        """Return the efforts (K, n) that base parameters give on samples, by default its own.
+
+        Where samples have contacts, together with the contact forces: as they were measured, or
+        those that leave the least weighted error.
+        """
         values = np.asarray(base, dtype=np.float64)
         chosen = self.samples if samples is None else samples
         rows = RowSource(self.robot, self.friction, self.base, chosen)
-        return np.concatenate([W @ values for _, W, _, _ in rows.chunks()])
+        if chosen.contacts is None:
+            return np.concatenate([W @ values for _, W, _, _ in rows.chunks()])
+        if isinstance(self.rows, RowSource):
+            rows = self.rows.on(chosen)
+        sigma = pooled(self.sigma)
+        found = []
+        for part, W, effort, _ in rows.chunks():
+            errors = effort_errors(rows, part, sigma, effort - W @ values)
+            found.append(chosen.effort[part] - errors)
+        return np.concatenate(found)
 
     @property
     def score_exponent(self) -> float:
@@ -360,6 +376,11 @@ def build_problem(
     elsewhere = samples if isinstance(samples, SamplesElsewhere) else None
     here = elsewhere.samples if elsewhere else all_samples(robot, samples, processing)
     _check_samples(robot, here)
+    if here.contacts is not None and weighting in ("eq9", "eq18"):
+        raise DataError(
+            f"weighting: {weighting!r} takes powers of covariances, and samples with contacts have "
+            "directions without one; use 'residual', 'gls' or 'gls_per_sample'."
+        )
     model = FrictionModel.from_terms(friction, robot.joint_names, first=robot.n_base)
     model, profiled = close_terms(model, robot, here, lambda rows: covariance(rows, weighting))
     if base is None:
@@ -368,6 +389,8 @@ def build_problem(
     if elsewhere is not None:
         rows = elsewhere.rows(robot, model, base)
     found = Factor.of(rows, weighting)
+    if found.force_scale != 1.0:
+        rows = rows.with_force_scale(found.force_scale)
     A, rhs = found.A, found.rhs
     known = weighting in ("gls", "gls_per_sample") and here.covariance is not None
     likelihood = (A, rhs) if weighting == "residual" or known else None
@@ -405,11 +428,18 @@ def _check_samples(robot: RobotModel, samples: Samples) -> None:
             f"samples have {n} joints, the robot '{robot.name}' has {robot.n}: "
             f"{', '.join(robot.joint_names)}."
         )
+    _check_contacts(robot, samples)
     if samples.joint_names is not None and tuple(samples.joint_names) != robot.joint_names:
         raise DataError(
             f"samples name the joints {', '.join(samples.joint_names)}, the robot has "
             f"{', '.join(robot.joint_names)}; rename or reorder the columns."
         )
+
+
+def _check_contacts(robot: RobotModel, samples: Samples) -> None:
+    """Refuse contacts of other robots, before anything is computed."""
+    if samples.contacts is not None:
+        contact_jacobians(robot, samples.position[:1], samples.contacts.frames)
 
 
 def describe(problem: Problem) -> dict[str, Any]:

@@ -19,7 +19,7 @@ from sdpid._common.threads import one_thread
 from sdpid.errors import SdpidError
 from sdpid.estimation.compression.rows import RowSource
 from sdpid.estimation.compression.triangle import Triangle
-from sdpid.estimation.compression.whitening import whiten
+from sdpid.estimation.compression.whitening import whiten_rows
 from sdpid.estimation.estimate import Estimate
 from sdpid.estimation.information import require_excitation
 from sdpid.estimation.problem import Problem
@@ -194,7 +194,6 @@ def _folded(rows: RowSource, sigma: Array, stretch: slice) -> Triangle:
     triangle = Triangle(columns)
     for start in range(stretch.start, stretch.stop, rows.chunk_size):
         part = slice(start, min(start + rows.chunk_size, stretch.stop))
-        own = sigma if sigma.ndim == 2 else sigma[part]
-        whitened = whiten(rows.rows(part), own, rows.mask(part))
+        whitened = whiten_rows(rows, part, rows.rows(part), sigma)
         triangle.add(whitened.reshape(-1, columns))
     return triangle

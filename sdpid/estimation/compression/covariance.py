@@ -89,21 +89,21 @@ def whitener(covariance: Array, mask: Mask, exponent: float) -> Array:
 # dominate; but no more than the joint's own effort varies, or any prediction of it would do. Of
 # 0.01 and 0.03 held-out errors on eight pairs of real recordings are alike (0.998 in the geometric
 # mean), and the friction of wrists, which 0.03 leaves to the prior, is six times as near the truth.
-_EFFORT_SHARE = 0.01
+EFFORT_SHARE = 0.01
 
 # Residuals' variance is taken to be at least this share of the one with that share of the effort
 # added: a standard deviation of 0.03 % of the effort, less than any sensor's.
-_LEAST_NOISE = 1e-3
+LEAST_NOISE = 1e-3
 
 # An effort whose variance is below this share of the mean squared effort of all joints is constant.
-_SILENT = 1e-12
+SILENT = 1e-12
 
 # Residuals that are alike over more samples than this are a drift: how much longer it lasts says
 # nothing of their number, and of long recordings only this much has to be kept, and sent.
 _MOST_LAGS = 1 << 14
 
 # The variances settle within a few rounds; this is where it stops at the latest.
-_ROUNDS = 10
+ROUNDS = 10
 
 
 @dataclass(frozen=True, eq=False)
@@ -211,16 +211,16 @@ class JointRows:
 
     def share_of_noise(self, noise: Array, variance: Array) -> float:
         """Return how large variances of noise (n,) are beside given ones, on average over rows."""
-        return max(float((noise / variance) @ self.used / self.used.sum()), _LEAST_NOISE)
+        return max(float((noise / variance) @ self.used / self.used.sum()), LEAST_NOISE)
 
     @property
     def least_variance(self) -> Array:
         """Added to the variance of each joint's residuals, (n,)."""
         used = np.maximum(self.used, 1.0)
         own = self.squares / used - (self.sums[:, -1] / used) ** 2
-        overall = _EFFORT_SHARE**2 * self.effort
+        overall = EFFORT_SHARE**2 * self.effort
         # An effort that does not vary at all, but for rounding, was not measured.
-        silent = own <= _SILENT * self.effort
+        silent = own <= SILENT * self.effort
         return np.where(silent, overall, np.minimum(overall, own))
 
 
@@ -266,7 +266,7 @@ def residual_noise(rows: Rows, joints: JointRows) -> tuple[Array, float]:
         )
     variance = np.full(rows.robot.n, joints.effort)
     base = np.zeros(rows.base.count)
-    for _ in range(_ROUNDS):
+    for _ in range(ROUNDS):
         base, rank = joints.fit(variance)
         updated = joints.variance(base, rank)
         settled = np.allclose(updated, variance, rtol=1e-6)

@@ -153,6 +153,16 @@ class DistributedRows:
         """Number of samples that the rows are made of."""
         return sum(self.source.counts)
 
+    def with_force_scale(self, scale: float) -> DistributedRows:
+        """Return the same rows; measured contact forces are used here only."""
+        contacts = self.samples.contacts
+        if contacts is not None and contacts.measured:
+            raise DataError(
+                "samples: measured contact forces cannot be weighted by residuals on a cluster; "
+                "give the flags alone, or use the samples here."
+            )
+        return self
+
     def map(
         self, function: Callable[..., T], *arguments: object, sigma: Array | None = None
     ) -> list[T]:

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from sdpid._common.arrays import Array
+from sdpid.estimation.compression.contact_noise import contact_noise
 from sdpid.estimation.compression.covariance import (
     JointRows,
     Weighting,
@@ -30,7 +31,10 @@ class Factor:
     rhs : ndarray, shape (b,)
     floor : float
     used : int
-        Rows that are not masked.
+        Independent rows that are not masked.
+    force_scale : float
+        What covariances of measured contact forces were multiplied by, as `sigma` was: samples that
+        make one independent one.
     """
 
     sigma: Array
@@ -38,11 +42,14 @@ class Factor:
     rhs: Array
     floor: float
     used: int
+    force_scale: float = 1.0
 
     @classmethod
     def of(cls, rows: Rows, weighting: Weighting) -> Factor:
         """Weight and compress rows, piece by piece; the order of the pieces decides rounding."""
         if weighting == "residual":
+            if rows.samples.contacts is not None:
+                return cls.of_contacts(rows)
             return cls.of_joints(rows, JointRows.merged(rows.map(JointRows.of)))
         sigma = covariance(rows, weighting)
         if weighting in ("eq9", "eq18"):
@@ -50,11 +57,16 @@ class Factor:
             pairs = rows.map(_normal_equations, -0.25 if weighting == "eq9" else -0.5, sigma=sigma)
             H = np.sum([found for found, _ in pairs], axis=0)
             return cls(sigma, H[:, :-1], H[:, -1], 0.0, sum(used for _, used in pairs))
-        triangle, used = Triangle(rows.base.count + 1), 0
-        for piece, count in rows.map(compress, sigma=sigma):
-            triangle.merge(piece)
-            used += count
+        triangle, used = compressed(rows, sigma)
         return cls(sigma, *triangle.split(), used)
+
+    @classmethod
+    def of_contacts(cls, rows: Rows) -> Factor:
+        """Weight rows with contacts by one variance a joint and two of the base, from residuals."""
+        variance, time = contact_noise(rows)
+        sigma = np.diag(variance * time)
+        triangle, used = compressed(rows.with_force_scale(time), sigma)
+        return cls(sigma, *triangle.split(), used, force_scale=time)
 
     @classmethod
     def of_joints(cls, rows: Rows, joints: JointRows) -> Factor:
@@ -65,9 +77,21 @@ class Factor:
         return cls(sigma, *triangle.split(), int(joints.used.sum()))
 
 
+def compressed(rows: Rows, sigma: Array) -> tuple[Triangle, int]:
+    """Return the triangle of all whitened rows, and how many independent ones there are."""
+    triangle, used = Triangle(rows.base.count + 1), 0
+    for piece, count in rows.map(compress, sigma=sigma):
+        triangle.merge(piece)
+        used += count
+    return triangle, used
+
+
 def covariance(rows: Rows, weighting: Weighting) -> Array:
     """Return the covariance that a weighting uses, (n, n) or (K, n, n)."""
     if weighting == "residual":
+        if rows.samples.contacts is not None:
+            variance, time = contact_noise(rows)
+            return np.diag(variance * time)
         return residual_covariance(rows)
     given = rows.samples.covariance
     if given is None:

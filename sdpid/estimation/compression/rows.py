@@ -7,13 +7,14 @@ folded into a small triangular factor (`sdpid.estimation.compression.triangle`).
 from __future__ import annotations
 
 from collections.abc import Callable, Hashable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Protocol, TypeVar, runtime_checkable
 
 import numpy as np
 
 from sdpid._common.arrays import Array, Indices, Mask
+from sdpid.estimation.compression.contact_rows import ContactRows
 from sdpid.experiment.processing.samples import Samples
 from sdpid.robot.friction.model import FrictionModel
 from sdpid.robot.friction.motion import Motion, OfMotion
@@ -59,6 +60,9 @@ class Rows(Protocol):
     def n_samples(self) -> int:
         """Number of samples that the rows are made of."""
 
+    def with_force_scale(self, scale: float) -> Rows:
+        """Return the same rows with other covariances of measured contact forces."""
+
     def map(
         self, function: Callable[..., T], *arguments: object, sigma: Array | None = None
     ) -> list[T]:
@@ -98,12 +102,15 @@ class RowSource:
     ----------
     robot, friction, base, samples
         What the rows are made of.
+    force_scale : float
+        What covariances of measured contact forces are multiplied by.
     """
 
     robot: RobotModel
     friction: FrictionModel
     base: BaseParameters
     samples: Samples
+    force_scale: float = field(default=1.0, kw_only=True)
 
     @property
     def n_samples(self) -> int:
@@ -133,7 +140,13 @@ class RowSource:
 
     def on(self, samples: Samples) -> RowSource:
         """Return the rows of other samples."""
-        return RowSource(self.robot, self.friction, self.base, samples)
+        return RowSource(
+            self.robot, self.friction, self.base, samples, force_scale=self.force_scale
+        )
+
+    def with_force_scale(self, scale: float) -> RowSource:
+        """Return the same rows with other covariances of measured contact forces."""
+        return replace(self, force_scale=scale)
 
     @property
     def hashed(self) -> tuple[Array, ...]:
@@ -175,12 +188,26 @@ class RowSource:
         -------
         ndarray, shape (k, n, b + 1)
         """
-        effort = self.samples.effort[part]
+        effort = self.effort(part)
         if out is None:
             out = np.empty((len(effort), self.robot.n, self.base.count + 1))
         rows = self._fill(part, out[: len(effort)])
         rows[:, :, -1] = effort
         return rows
+
+    def contacts(self, part: slice) -> ContactRows | None:
+        """Return what contacts do to the rows of some samples, None where there are none."""
+        return ContactRows.of(self.robot, self.samples, part, self.force_scale)
+
+    def effort(self, part: slice) -> Array:
+        """Return the efforts of some samples (k, n), those of measured contact forces added."""
+        effort = self.samples.effort[part]
+        if self.samples.contacts is None or not self.samples.contacts.measured:
+            return effort
+        touching = self.contacts(part)
+        assert touching is not None
+        assert touching.effort is not None
+        return effort + touching.effort
 
     def mask(self, part: slice) -> Mask:
         """Return which rows of some samples are used, shape (k, n)."""
@@ -191,7 +218,7 @@ class RowSource:
     def chunks(self, size: int = 0) -> Iterator[tuple[slice, Array, Array, Mask]]:
         """Yield (slice, base regressor, effort, mask) by `size` samples, else `chunk_size`."""
         for part in self.parts(size):
-            yield part, self.regressor(part), self.samples.effort[part], self.mask(part)
+            yield part, self.regressor(part), self.effort(part), self.mask(part)
 
     def parts(self, size: int = 0) -> Iterator[slice]:
         """Yield the slices of chunks of `size` samples, else of `chunk_size`."""

@@ -1,7 +1,8 @@
 """Whitened rows of a problem, and their compression, in one pass over the samples.
 
 A covariance that is the same for all samples has one square root for each pattern of masked
-joints, not one for each sample.
+joints, not one for each sample. Samples in contact have a weight each (`contact_rows`). Whoever
+whitens rows calls `weights_of` or `whiten_rows`, so that all mean the same.
 """
 
 from __future__ import annotations
@@ -11,6 +12,8 @@ from collections.abc import Iterator
 import numpy as np
 
 from sdpid._common.arrays import Array, Indices, Mask
+from sdpid.errors import DataError
+from sdpid.estimation.compression.contact_rows import ContactRows
 from sdpid.estimation.compression.covariance import masked_covariance, power, whitener
 from sdpid.estimation.compression.rows import RowSource
 from sdpid.estimation.compression.triangle import Triangle
@@ -43,14 +46,102 @@ def weights(sigma: Array, mask: Mask, exponent: float = -0.5) -> tuple[Array, In
     return np.asarray(powers), index.reshape(-1).astype(np.intp)
 
 
-def whiten(
-    rows: Array, sigma: Array, mask: Mask, exponent: float = -0.5, out: Array | None = None
-) -> Array:
-    """Return every sample's rows (k, n, c) times its power of Sigma, in `out` if it is given.
+def whiten(rows: Array, sigma: Array, mask: Mask, exponent: float = -0.5) -> Array:
+    """Return every sample's rows (k, n, c) times its power of Sigma, contacts aside.
 
     With a diagonal Sigma and nothing masked they are multiplied in place.
     """
-    return apply(*weights(sigma, mask, exponent), rows, out)
+    return apply(*weights(sigma, mask, exponent), rows)
+
+
+def weights_of(
+    rows: RowSource, part: slice, sigma: Array, exponent: float = -0.5
+) -> tuple[Array, Indices]:
+    """Return the different weights T (m, n, n) of some samples and which each one has, (k,).
+
+    Parameters
+    ----------
+    rows : RowSource
+        Whose samples.
+    part : slice
+        Which of them.
+    sigma : ndarray, shape (n, n) or (K, n, n)
+        Effort covariance, of all samples.
+    exponent : float, optional
+        -1/2 to whiten: then ``T^T·T`` is the information of the rows, contacts included.
+
+    Raises
+    ------
+    DataError
+        For another exponent where samples have contacts.
+    """
+    touching = _touching(rows, part, exponent)
+    powers, index = _roots(rows, part, sigma, exponent, touching)
+    if touching is None:
+        return powers, index
+    return touching.eliminated(powers, index)[0], np.arange(len(index))
+
+
+def whiten_rows(
+    rows: RowSource,
+    part: slice,
+    values: Array,
+    sigma: Array,
+    exponent: float = -0.5,
+    out: Array | None = None,
+) -> Array:
+    """Return values (k, n, c) of some samples times their weights, in `out` if it is given.
+
+    As for `weights_of`; with a diagonal Sigma, nothing masked and no contacts they are multiplied
+    in place.
+    """
+    return apply(*weights_of(rows, part, sigma, exponent), values, out)
+
+
+def shares_of(rows: RowSource, part: slice, sigma: Array) -> Array:
+    """Return how much of each row of some samples is independent, (k, n).
+
+    Without contacts it is one for each row that is used; forces that nobody measured take as many
+    as they have components.
+    """
+    touching = _touching(rows, part, -0.5)
+    mask = rows.mask(part)
+    if touching is None:
+        return mask.astype(np.float64)
+    return touching.shares(*_roots(rows, part, sigma, -0.5, touching), mask)
+
+
+def effort_errors(rows: RowSource, part: slice, sigma: Array, residual: Array) -> Array:
+    """Return the errors of efforts (k, n) in residuals ``effort − W @ base`` of some samples.
+
+    Without contacts they are the residuals; else forces that were not measured explain what they
+    can (see `ContactRows.errors`).
+    """
+    touching = _touching(rows, part, -0.5)
+    if touching is None:
+        return residual
+    return touching.errors(*_roots(rows, part, sigma, -0.5, touching), residual)
+
+
+def _touching(rows: RowSource, part: slice, exponent: float) -> ContactRows | None:
+    """Return the contacts of some samples."""
+    touching = rows.contacts(part)
+    if touching is not None and exponent != -0.5:
+        raise DataError(
+            "weighting: samples with contacts have no covariance of their own to take other powers "
+            "of; use 'residual', 'gls' or 'gls_per_sample'."
+        )
+    return touching
+
+
+def _roots(
+    rows: RowSource, part: slice, sigma: Array, exponent: float, touching: ContactRows | None
+) -> tuple[Array, Indices]:
+    """Return the powers of the covariance of effort and measured forces, as `weights`."""
+    own = sigma if sigma.ndim == 2 else sigma[part]
+    if touching is not None and touching.covariance is not None:
+        own = own + touching.covariance
+    return weights(own, rows.mask(part), exponent)
 
 
 def apply(powers: Array, index: Indices, rows: Array, out: Array | None = None) -> Array:
@@ -88,7 +179,7 @@ def whitened_chunks(
 
 
 def compress(rows: RowSource, sigma: Array) -> tuple[Triangle, int]:
-    """Return the triangle of all whitened rows, the efforts last, and how many rows are used.
+    """Return the triangle of all whitened rows, the efforts last, and how many are independent.
 
     Parameters
     ----------
@@ -108,13 +199,32 @@ def compress(rows: RowSource, sigma: Array) -> tuple[Triangle, int]:
     for start in range(0, len(first), size):
         some = first[start : start + size]
         part = slice(some.start, some.stop, step)
-        triangle.add(_whitened(rows, part, sigma, -0.5, memory)[0].reshape(-1, columns))
-    for part, whitened, mask in whitened_chunks(rows, sigma):
-        if first:
-            whitened[-part.start % step :: step] = 0.0
-        triangle.add(whitened.reshape(-1, columns))
-        used += int(np.count_nonzero(mask))
+        triangle.add(_independent(rows, part, sigma, memory)[0])
+    for part in rows.parts():
+        done = slice(-part.start % step, None, step) if first else slice(0)
+        whitened, own = _independent(rows, part, sigma, memory, done)
+        triangle.add(whitened)
+        used += own
     return triangle, used
+
+
+def _independent(
+    rows: RowSource, part: slice, sigma: Array, memory: tuple[Array, Array], done: slice = slice(0)
+) -> tuple[Array, int]:
+    """Return independent whitened rows (r, b + 1) of some samples, and how many there are.
+
+    The rows of samples that were done before are zero, but counted.
+    """
+    touching = _touching(rows, part, -0.5)
+    if touching is None:
+        whitened, mask = _whitened(rows, part, sigma, -0.5, memory)
+        whitened[done] = 0.0
+        return whitened.reshape(-1, whitened.shape[2]), int(np.count_nonzero(mask))
+    block = rows.rows(part, memory[0])
+    block[done] = 0.0
+    powers, index = _roots(rows, part, sigma, -0.5, touching)
+    found, lost = touching.independent(powers, index, block)
+    return found, int(np.count_nonzero(rows.mask(part))) - lost
 
 
 def _memory(rows: RowSource, size: int = 0) -> tuple[Array, Array]:
@@ -127,7 +237,6 @@ def _memory(rows: RowSource, size: int = 0) -> tuple[Array, Array]:
 def _whitened(
     rows: RowSource, part: slice, sigma: Array, exponent: float, memory: tuple[Array, Array] | None
 ) -> tuple[Array, Mask]:
-    mask = rows.mask(part)
     block = rows.rows(part, None if memory is None else memory[0])
     out = None if memory is None else memory[1][: len(block)]
-    return whiten(block, sigma if sigma.ndim == 2 else sigma[part], mask, exponent, out), mask
+    return whiten_rows(rows, part, block, sigma, exponent, out), rows.mask(part)

@@ -13,7 +13,7 @@ import numpy as np
 
 from sdpid._common.arrays import Array, Indices
 from sdpid.estimation.compression.rows import RowSource
-from sdpid.estimation.compression.whitening import weights
+from sdpid.estimation.compression.whitening import weights_of
 from sdpid.robot.friction.term import FrictionTerm, JointwiseTerm, OpenParameter
 from sdpid.robot.friction.terms import Coulomb, SigmoidFriction, Stribeck
 
@@ -121,10 +121,10 @@ class VariableProjection:
     """
 
     def __init__(self, rows: RowSource, sigma: Array, opened: list[OpenTerm]) -> None:
-        self._opened, self._friction, s = opened, rows.friction, rows.samples
+        self._opened, self._friction = opened, rows.friction
         first = rows.friction.first
         self._motion = rows.motion(slice(None))
-        powers, which = weights(sigma, rows.mask(slice(None)))
+        powers, which = weights_of(rows, slice(None), sigma)
         self._power, self._first = powers[which], first
         self._independent = np.count_nonzero(powers) == np.count_nonzero(
             np.diagonal(powers, axis1=1, axis2=2)
@@ -139,7 +139,9 @@ class VariableProjection:
         regressor = rows.regressor(slice(None))[:, :, inertial]
         fixed = np.concatenate([regressor, np.delete(columns, loose, axis=2)], axis=2)
         self._basis = _orthonormal(self._whiten(fixed))
-        open_columns = np.concatenate([columns[:, :, loose], s.effort[:, :, None]], axis=2)
+        open_columns = np.concatenate(
+            [columns[:, :, loose], rows.effort(slice(None))[:, :, None]], axis=2
+        )
         # The c open columns, and the effort as the last one.
         self._loose = self._whiten(open_columns)
         self._inside = np.einsum("nkr,nkc->rc", self._basis, self._loose, optimize=True)

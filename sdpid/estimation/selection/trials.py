@@ -8,7 +8,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from sdpid._common.arrays import Array, Indices, frozen
+from sdpid.estimation.compression.contact_noise import contact_noise
 from sdpid.estimation.compression.covariance import JointRows, residual_noise
+from sdpid.estimation.compression.factor import compressed
 from sdpid.estimation.compression.rows import RowSource
 from sdpid.estimation.compression.triangle import Triangle
 from sdpid.estimation.constraints.condition import Layout
@@ -59,11 +61,18 @@ class Trials:
         base = _with_every_column(problem.base, problem.robot.n_links, friction)
         samples = problem.require_rows_here("choice of effects").samples.thinned(_MOST_SAMPLES)
         rows = RowSource(problem.robot, friction, base, samples)
-        joints = JointRows.merged(rows.map(JointRows.of))
-        variance, time = residual_noise(rows, joints)
-        triangle = Triangle(base.count + 1)
-        triangle.add(joints.joined(variance * time))
-        _, rank = joints.fit(variance)
+        if samples.contacts is None:
+            joints = JointRows.merged(rows.map(JointRows.of))
+            variance, time = residual_noise(rows, joints)
+            triangle = Triangle(base.count + 1)
+            triangle.add(joints.joined(variance * time))
+            _, rank = joints.fit(variance)
+            used = int(joints.used.sum())
+        else:
+            variance, time = contact_noise(rows)
+            rows = rows.with_force_scale(time)
+            triangle, used = compressed(rows, np.diag(variance * time))
+            rank = int(np.linalg.lstsq(triangle.R[:, :-1], triangle.R[:, -1], rcond=None)[2])
         belief = None
         if prior is not None:
             assert problem.prior is not None
@@ -71,7 +80,7 @@ class Trials:
             (found,) = prior_terms(prior, rows).terms
             assert isinstance(found, SquaredTerm)
             belief = found
-        independent = float(joints.used.sum()) / time - rank
+        independent = used / time - rank
         return cls(problem, rows, triangle.R, independent, belief)
 
     def with_terms(self, terms: Sequence[FrictionTerm]) -> Problem:

@@ -1,0 +1,171 @@
+"""Variances of efforts, from the residuals of rows that contacts mix.
+
+Forces that nobody measured tie the rows of a sample together, so that joints cannot be compressed
+one by one. The variances are those of which the residuals r are most likely, found by iteration:
+``s_j ← s_j·Σ_k (Omega·r)_j² / Σ_k Omega_jj``. The base has no motor; what its six rows are off by
+are errors of motion and model: one variance for its three forces in N², one for its three torques
+in (N·m)². They are never pooled with each other or with joints.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from sdpid._common.arrays import Array, Indices
+from sdpid.errors import DataError
+from sdpid.estimation.compression.covariance import (
+    EFFORT_SHARE,
+    LEAST_NOISE,
+    ROUNDS,
+    SILENT,
+    LaggedSums,
+    integrated_time,
+)
+from sdpid.estimation.compression.rows import Rows, RowSource
+from sdpid.estimation.compression.whitening import compress, shares_of, weights_of
+
+# Samples that the variances come from, evenly spread: of 4096 with six independent rows each a
+# joint's variance is known to some 2 %, and another pass over all samples costs as much as a fit.
+_MOST_SAMPLES = 4096
+
+# Least standard deviation of the base's rows: this share of the weight that they carry, and of it
+# times the reach of the legs. What true parameters leave of them is 0.3 % of the weight with an
+# IMU, and more without.
+_WEIGHT_SHARE = 1e-3
+
+# Variances that change by less than this are settled: far less than they are known to.
+_SETTLED = 1e-2
+
+# Rounds in which the residuals stay as they are: they cost a tenth of a fit.
+_INNER = 4
+
+
+def contact_noise(rows: Rows) -> tuple[Array, float]:
+    """Return the variance of every effort's errors (n,), and their correlation time in samples.
+
+    Variances are of the size of the residuals; see
+    `sdpid.estimation.compression.covariance.residual_noise`.
+
+    Raises
+    ------
+    DataError
+        When every effort is zero, or contacts leave no row.
+    """
+    samples = rows.samples
+    thin = RowSource(rows.robot, rows.friction, rows.base, samples.thinned(_MOST_SAMPLES))
+    groups = _groups(rows)
+    mask = thin.samples.used
+    joints = slice(rows.robot.n_base, None)
+    square = np.where(mask, thin.samples.effort, 0.0)[:, joints] ** 2
+    used = np.count_nonzero(mask[:, joints])
+    if not (used and square.sum() > 0.0):
+        raise DataError(
+            f"samples: all {used} efforts of joints that count are zero, so residuals have no "
+            "variance for weighting='residual' to estimate; check that effort was recorded and "
+            "read (columns, units, mask)."
+        )
+    effort = float(square.sum()) / used
+    least = _least(thin, effort, square)
+    reach = max(rows.robot.reach, np.finfo(float).tiny)
+    variance = np.full(rows.robot.n, EFFORT_SHARE**2 * effort)
+    variance[: min(3, rows.robot.n_base)] /= reach**2
+    for _ in range(ROUNDS):
+        base, rank, count = _fitted(thin, variance)
+        residual = np.concatenate([e - W @ base for _, W, e, _ in thin.chunks()])
+        if rows.robot.n_base:
+            weight = np.concatenate([W[:, :3] @ base for _, W, _, _ in thin.chunks()])
+            force = _WEIGHT_SHARE**2 * float(np.mean(weight**2)) * 3.0
+            least[:3], least[3:6] = force, force * reach**2
+        freedom = count / max(count - rank, 1.0)
+        before = variance
+        for _ in range(_INNER):
+            variance = np.maximum(_updated(thin, variance, residual, groups, freedom), least)
+        if np.allclose(variance, before, rtol=_SETTLED):
+            break
+    base, rank, count = _fitted(thin, variance)
+    power = sum(thin.map(_power, base, sigma=np.diag(variance)))
+    variance *= max(power / max(count - rank, 1.0), LEAST_NOISE)
+    sums = LaggedSums.merged(rows.map(_lagged, base, sigma=np.diag(variance)))
+    said = sums.products[:, 0]
+    if not said.any():
+        return variance, 1.0
+    times = np.array([integrated_time(each) for each in sums.correlation])
+    return variance, float(np.average(times, weights=said))
+
+
+def _groups(rows: Rows) -> Indices:
+    """Return which rows share a variance, (n,)."""
+    n_base = rows.robot.n_base
+    own = np.arange(rows.robot.n)
+    return np.asarray(np.where(own < n_base, own // 3, own), dtype=np.intp)
+
+
+def _least(rows: RowSource, effort: float, square: Array) -> Array:
+    """Return the least variances (n,): those of joints as in `JointRows.least_variance`."""
+    n_base, mask = rows.robot.n_base, rows.samples.used
+    found = np.zeros(rows.robot.n)
+    used = np.maximum(np.count_nonzero(mask[:, n_base:], axis=0), 1)
+    signed = np.where(mask, rows.samples.effort, 0.0)[:, n_base:]
+    own = square.sum(axis=0) / used - (signed.sum(axis=0) / used) ** 2
+    overall = EFFORT_SHARE**2 * effort
+    found[n_base:] = np.where(own <= SILENT * effort, overall, np.minimum(overall, own))
+    return found
+
+
+def _fitted(rows: RowSource, variance: Array) -> tuple[Array, int, int]:
+    """Return the base parameters that fit best under variances, their rank, and the rows."""
+    pieces = rows.map(compress, sigma=np.diag(variance))
+    triangle, count = pieces[0]
+    for other, own in pieces[1:]:
+        triangle.merge(other)
+        count += own
+    if count < 1:
+        raise DataError(
+            "samples: the forces of the contacts explain every row, nothing is left to fit; check "
+            "the mask and the contacts (flags, kinds), or give measured forces."
+        )
+    R = triangle.R
+    base, _, rank, _ = np.linalg.lstsq(R[:, :-1], R[:, -1], rcond=None)
+    return np.asarray(base), int(rank), count
+
+
+def _updated(
+    rows: RowSource, variance: Array, residual: Array, groups: Indices, freedom: float
+) -> Array:
+    """Return more likely variances."""
+    sigma = np.diag(variance)
+    scores, information = np.zeros(len(variance)), np.zeros(len(variance))
+    for part in rows.parts():
+        T, index = weights_of(rows, part, sigma)
+        T = T[index]
+        weighted = np.swapaxes(T, 1, 2) @ (T @ residual[part][:, :, None])
+        scores += np.sum(weighted[:, :, 0] ** 2, axis=0)
+        information += np.einsum("kij,kij->j", T, T)
+    said: Array = np.asarray(np.bincount(groups, scores)[groups])
+    known: Array = np.asarray(np.bincount(groups, information)[groups])
+    # What contacts hide altogether keeps its variance.
+    ratio = np.where(known > 0.0, said / np.where(known > 0.0, known, 1.0), 1.0)
+    return np.asarray(variance * ratio * freedom)
+
+
+def _power(rows: RowSource, sigma: Array, base: Array) -> float:
+    """Return the sum of squared whitened residuals."""
+    return float(sum(np.sum(each**2) for each in _whitened_residuals(rows, sigma, base)))
+
+
+def _lagged(rows: RowSource, sigma: Array, base: Array) -> LaggedSums:
+    """Return the lagged sums of whitened residuals about their means."""
+    found = np.concatenate(_whitened_residuals(rows, sigma, base))
+    shares = np.concatenate([shares_of(rows, part, sigma) for part in rows.parts()])
+    mean = found.sum(axis=0) / np.maximum(shares.sum(axis=0), 1.0)
+    counts = shares > 0.0
+    return LaggedSums.of(np.where(counts, found - mean, 0.0), counts, rows.samples.parts)
+
+
+def _whitened_residuals(rows: RowSource, sigma: Array, base: Array) -> list[Array]:
+    """Return the whitened residuals of the rows, chunk by chunk, (k, n)."""
+    found = []
+    for part, W, effort, _ in rows.chunks():
+        T, index = weights_of(rows, part, sigma)
+        found.append((T[index] @ (effort - W @ base)[:, :, None])[:, :, 0])
+    return found

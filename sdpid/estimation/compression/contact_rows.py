@@ -1,0 +1,228 @@
+"""Rows of samples in contact: forces that nobody measured are eliminated, measured ones added.
+
+The equations of a sample are ``Y @ theta = effort + J^T·f`` with errors of the covariance S in the
+efforts and R in the forces, so that the covariance of ``effort + J^T·f`` is ``C = S + J^T·R·J``. A
+force that was not measured has an infinite R: its directions carry no information, and what is left
+is ``Omega = C^-1 − C^-1·A·(A^T·C^-1·A)^-1·A^T·C^-1``, the columns of A being those of J^T. With a
+root P of C^-1 and an orthonormal basis Q of the columns of P·A it is ``T^T·T`` with
+``T = (E − Q·Q^T)·P``, of which n − rank(A) rows are independent: N^T·P, N being a basis of what Q
+leaves. A row that is masked is a direction of infinite variance, too: zero in P.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from sdpid._common.arrays import Array, Indices, Mask
+from sdpid.experiment.processing.samples import Samples
+from sdpid.robot.model.contacts.jacobians import contact_jacobians, frame_axes
+from sdpid.robot.model.model import RobotModel
+
+# A direction of the forces below this share of the strongest one, all columns scaled to unit
+# length, is another one's repetition: rounding leaves 1e-16, and two points of a foot that are a
+# millimeter apart some 1e-3.
+RANK = 1e-8
+
+# The last of a triangle's diagonal is no bound of the least singular value, but not far off either:
+# below this one looks closer.
+_SUSPICIOUS = 1e-4
+
+
+@dataclass(frozen=True, eq=False)
+class ContactRows:
+    """What contacts do to the rows of some samples.
+
+    Attributes
+    ----------
+    directions : ndarray, shape (k, n, m)
+        Efforts of every force or moment that nobody measured, A.
+    active : ndarray of bool, shape (k, m)
+        Whether there may be one.
+    effort : ndarray, shape (k, n), or None
+        Efforts of measured forces.
+    covariance : ndarray, shape (k, n, n), or None
+        Their covariance.
+    """
+
+    directions: Array
+    active: Mask
+    effort: Array | None
+    covariance: Array | None
+
+    @classmethod
+    def of(
+        cls, robot: RobotModel, samples: Samples, part: slice, scale: float = 1.0
+    ) -> ContactRows | None:
+        """Return the contacts of some samples, None where samples have none.
+
+        The covariance of measured forces is multiplied by `scale`.
+        """
+        contacts = samples.contacts
+        if contacts is None:
+            return None
+        q = samples.position[part]
+        J = contact_jacobians(robot, q, contacts.frames, contacts.offset)
+        down = contacts.down[part]
+        known = contacts.force_covariance
+        infinite = np.ones((contacts.n, 6), dtype=bool)
+        if known is not None:
+            infinite = np.isinf(np.diagonal(known, axis1=1, axis2=2))
+        found: list[Array] = []
+        active: list[Array] = []
+        axes = None
+        for i, kind in enumerate(contacts.kind):
+            own = J[:, i, :3][:, infinite[i, :3]]
+            moments = infinite[i, 3:]
+            if kind == "line" and moments.all():
+                # An edge transmits no moment about itself, the frame's y axis.
+                if axes is None:
+                    axes = frame_axes(robot, q, contacts.frames)
+                across = np.swapaxes(axes[:, i][:, :, [0, 2]], 1, 2)
+                own = np.concatenate([own, across @ J[:, i, 3:]], axis=1)
+            elif kind != "point":
+                own = np.concatenate([own, J[:, i, 3:][:, moments]], axis=1)
+            found.append(own)
+            active.append(np.repeat(down[:, i, None], own.shape[1], axis=1))
+        directions = np.swapaxes(np.concatenate(found, axis=1), 1, 2)
+        if known is None or contacts.forces is None:
+            return cls(directions, np.concatenate(active, axis=1), None, None)
+        R = scale * np.where(np.isinf(known), 0.0, known)
+        f = np.where(infinite, 0.0, contacts.forces[part])
+        return cls(
+            directions,
+            np.concatenate(active, axis=1),
+            np.einsum("kcin,kci->kn", J, f),
+            np.einsum("kcin,cij,kcjm->knm", J, R, J, optimize=True),
+        )
+
+    @property
+    def pattern(self) -> Iterator[tuple[Indices, Indices]]:
+        """The samples of each pattern of active directions, and these directions."""
+        patterns, index = np.unique(self.active, axis=0, return_inverse=True)
+        order = np.argsort(index.reshape(-1), kind="stable")
+        ends = np.cumsum(np.bincount(index.reshape(-1), minlength=len(patterns)))[:-1]
+        for own, some in zip(patterns, np.split(order, ends), strict=True):
+            yield some, np.flatnonzero(own)
+
+    def bases(self, powers: Array, index: Indices) -> Iterator[tuple[Indices, Array, Array]]:
+        """Yield samples, their P (s, n, n), and bases Q (s, n, r) of P·A, orthonormal or zero."""
+        for some, own in self.pattern:
+            P = powers[index[some]]
+            A = P @ self.directions[some][:, :, own]
+            yield some, P, orthonormal(A)
+
+    def eliminated(self, powers: Array, index: Indices) -> tuple[Array, Indices]:
+        """Return weights T (k, n, n) from roots P, and how many directions each sample lost."""
+        found = np.empty((len(index), *powers.shape[1:]))
+        ranks = np.zeros(len(index), dtype=np.intp)
+        for some, P, Q in self.bases(powers, index):
+            found[some] = P - Q @ (np.swapaxes(Q, 1, 2) @ P)
+            ranks[some] = _rank(Q)
+        return found, ranks
+
+    def independent(self, powers: Array, index: Indices, rows: Array) -> tuple[Array, int]:
+        """Return the independent whitened rows (r, c) of rows (k, n, c), and their lost directions.
+
+        They have the same products as T·rows, sample by sample.
+        """
+        found, lost = [], 0
+        for some, own in self.pattern:
+            P = powers[index[some]]
+            A = P @ self.directions[some][:, :, own]
+            for few, N, rank in complements(A):
+                chosen = some[few]
+                weighted = (np.swapaxes(N, 1, 2) @ P[few]) @ rows[chosen]
+                found.append(weighted.reshape(-1, rows.shape[2]))
+                lost += rank * len(chosen)
+        return np.concatenate(found), lost
+
+    def shares(self, powers: Array, index: Indices, mask: Mask) -> Array:
+        """Return how much of each row is left, (k, n): they add up to the independent ones."""
+        found = mask.astype(np.float64)
+        for some, _, Q in self.bases(powers, index):
+            found[some] -= np.einsum("knr,knr->kn", Q, Q)
+        return np.maximum(found, 0.0)
+
+    def errors(self, powers: Array, index: Indices, residual: Array) -> Array:
+        """Return errors of the efforts (k, n) from residuals: less what forces explain best.
+
+        The forces, within their covariance where they were measured, are those that leave the
+        least weighted residual of the rows in use. Masked rows get what these forces leave of them.
+        """
+        out: Array = residual.copy()
+        weighted = np.zeros_like(residual)
+        for some, own in self.pattern:
+            P, r = powers[index[some]], residual[some][:, :, None]
+            A = self.directions[some][:, :, own]
+            # Least squares by the pseudo-inverse: a repeated direction has no force of its own.
+            force = np.linalg.pinv(P @ A, rcond=RANK) @ (P @ r)
+            left = r - A @ force
+            out[some] = left[:, :, 0]
+            weighted[some] = (np.swapaxes(P, 1, 2) @ (P @ left))[:, :, 0]
+        if self.covariance is not None:
+            out -= np.einsum("knm,km->kn", self.covariance, weighted)
+        return out
+
+
+def orthonormal(A: Array) -> Array:
+    """Return orthonormal bases (s, n, r) of the columns of matrices (s, n, m).
+
+    Where columns repeat each other, the columns of a basis that are too many are zero.
+    """
+    if not A.shape[2]:
+        return A
+    A, close = _scaled(A)
+    if close is None:
+        U, s, _ = np.linalg.svd(A, full_matrices=False)
+        return np.asarray(U * (s > RANK * s[:, :1])[:, None, :])
+    Q, R = close
+    doubtful = _doubtful(R)
+    if len(doubtful):
+        U, s, _ = np.linalg.svd(A[doubtful], full_matrices=False)
+        Q[doubtful] = U * (s > RANK * s[:, :1])[:, None, :]
+    return Q
+
+
+def complements(A: Array) -> Iterator[tuple[Indices, Array, int]]:
+    """Yield samples, bases N (s, n, n − r) of what columns (s, n, m) leave, and the rank r."""
+    n, m = A.shape[1:]
+    if not m:
+        yield np.arange(len(A)), np.broadcast_to(np.eye(n), (len(A), n, n)), 0
+        return
+    A, close = _scaled(A, complete=True)
+    doubtful = np.arange(len(A))
+    if close is not None:
+        Q, R = close
+        doubtful = _doubtful(R)
+        sure = np.delete(np.arange(len(A)), doubtful)
+        if len(sure):
+            yield sure, Q[sure][:, :, m:], m
+    if not len(doubtful):
+        return
+    U, s, _ = np.linalg.svd(A[doubtful], full_matrices=True)
+    ranks = np.count_nonzero(s > RANK * s[:, :1], axis=1)
+    for rank in np.unique(ranks).tolist():
+        some = np.flatnonzero(ranks == rank)
+        yield doubtful[some], U[some][:, :, rank:n], rank
+
+
+def _scaled(A: Array, *, complete: bool = False) -> tuple[Array, tuple[Array, Array] | None]:
+    """Return A with columns of unit length, and its QR; None where it is wider than high."""
+    length = np.sqrt(np.einsum("snm,snm->sm", A, A))
+    A = A / np.where(length > 0.0, length, 1.0)[:, None, :]
+    if A.shape[2] > A.shape[1]:
+        return A, None
+    return A, np.linalg.qr(A, mode="complete" if complete else "reduced")
+
+
+def _doubtful(R: Array) -> Indices:
+    """Return whose triangle may be singular."""
+    least = np.abs(np.diagonal(R, axis1=1, axis2=2)).min(axis=1, initial=1.0)
+    return np.flatnonzero(least < _SUSPICIOUS)
+
+
+def _rank(Q: Array) -> Indices:
+    return np.asarray(np.round(np.einsum("snr,snr->s", Q, Q)).astype(np.intp))

@@ -1,0 +1,202 @@
+"""Rows of samples in contact: projection and fusion are one formula, and obey its laws."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy.linalg import null_space
+
+import sdpid
+from sdpid import Samples
+from sdpid._common.arrays import Array
+from sdpid.errors import DataError
+from sdpid.estimation.compression.rows import RowSource
+from sdpid.estimation.compression.whitening import compress, shares_of, weights_of
+from sdpid.estimation.problem import Problem
+from sdpid.experiment.processing.contacts.contact_samples import ContactSamples
+from sdpid.robot.model.contacts.jacobians import contact_jacobians, frame_axes
+from tests.helpers.legged import FEET, NOISE, RADIUS, gait, quadruped
+
+SIGMA = np.diag(NOISE**2)
+
+
+def problem(samples: Samples, **given: Any) -> Problem:
+    settings: dict[str, Any] = {"friction": (), "weighting": "gls", "check_excitation": False}
+    return sdpid.build_problem(quadruped(), samples, **{**settings, **given})
+
+
+def gram(found: Problem) -> Array:
+    """Return the products of the whitened rows, scaled to be compared."""
+    rows = np.column_stack([found.A, found.rhs])
+    product = rows.T @ rows
+    product[-1, -1] += found.floor
+    return product
+
+
+def assert_alike(one: Problem, other: Problem, share: float = 1e-9) -> None:
+    a, b = gram(one), gram(other)
+    size = np.sqrt(np.diagonal(a))
+    np.testing.assert_allclose(a, b, atol=share * np.outer(size, size).max())
+
+
+def changed(samples: Samples, **given: Any) -> Samples:
+    assert samples.contacts is not None
+    return replace(samples, contacts=replace(samples.contacts, **given))
+
+
+def test_truth_leaves_nothing_without_noise() -> None:
+    made = gait()
+    contacts = made.samples.contacts
+    assert contacts is not None
+    found = problem(replace(made.samples, covariance=SIGMA))
+    base = found.base_of(made.theta)
+    assert np.sqrt(found.cost(base) / found.n_rows) < 1e-8
+    assert found.n_rows == 18 * 240 - 3 * np.count_nonzero(contacts.down)
+    np.testing.assert_allclose(found.predict(base), made.samples.effort, atol=1e-9)
+
+
+def test_the_information_is_that_of_a_dense_projection() -> None:
+    made = gait(12)
+    rng = np.random.default_rng(1)
+    root = rng.normal(size=(18, 18))
+    sigma, mask = root @ root.T + np.eye(18), rng.random((12, 18)) < 0.9
+    samples = changed(made.samples, kind=("point", "line", "plane", "point"))
+    samples = replace(samples, mask=mask)
+    robot, contacts = made.robot, samples.contacts
+    assert contacts is not None
+    rows = problem(samples, weighting="gls").rows
+    assert isinstance(rows, RowSource)
+    T, index = weights_of(rows, slice(None), sigma)
+    shares = shares_of(rows, slice(None), sigma)
+    J = contact_jacobians(robot, samples.position, FEET, RADIUS)
+    axes = frame_axes(robot, samples.position, FEET)
+    for k in range(12):
+        lost = [np.zeros((0, 18))]
+        for i in np.flatnonzero(contacts.down[k]):
+            lost.append(J[k, i, :3])
+            across = {"point": [], "line": [0, 2], "plane": [0, 1, 2]}[contacts.kind[i]]
+            lost.append(axes[k, i].T[across] @ J[k, i, 3:])
+        lost.append(np.eye(18)[~mask[k]])
+        N = null_space(np.vstack(lost)) if np.vstack(lost).size else np.eye(18)
+        expected = N @ np.linalg.solve(N.T @ sigma @ N, N.T)
+        np.testing.assert_allclose(T[index[k]].T @ T[index[k]], expected, atol=1e-10)
+        assert shares[k].sum() == pytest.approx(N.shape[1])
+
+
+def test_independent_rows_have_the_products_of_all() -> None:
+    samples = replace(gait(60).samples, covariance=SIGMA)
+    rows = problem(samples).rows
+    assert isinstance(rows, RowSource)
+    T, index = weights_of(rows, slice(None), SIGMA)
+    X = (T[index] @ rows.rows(slice(None))).reshape(-1, rows.base.count + 1)
+    triangle, count = compress(rows, SIGMA)
+    size = np.linalg.norm(X, axis=0)
+    np.testing.assert_allclose(
+        triangle.R.T @ triangle.R, X.T @ X, atol=1e-12 * np.outer(size, size).max()
+    )
+    assert count == np.linalg.matrix_rank(T).sum()
+
+
+def test_forces_that_are_hardly_known_are_eliminated() -> None:
+    made = gait()
+    plain = problem(replace(made.noisy(), covariance=SIGMA))
+    # Of feet that are in the air, flags know that there is no force.
+    known = made.measured(np.diag([1e6] * 3 + [0.0] * 3))
+    always = changed(known, down=np.ones((240, 4), dtype=bool))
+    vague = problem(replace(always, effort=made.noisy().effort, covariance=SIGMA))
+    nothing = {"forces": None, "force_covariance": None}
+    closed = problem(
+        changed(replace(always, effort=made.noisy().effort, covariance=SIGMA), **nothing)
+    )
+    assert_alike(vague, closed, 1e-6)
+    assert vague.n_rows == 240 * 18 > plain.n_rows > closed.n_rows
+
+
+def test_forces_that_are_not_measured_along_an_axis_are_eliminated_there() -> None:
+    made = gait(60)
+    wrong = made.forces.copy()
+    wrong[:, :, 2] = 1e3
+    partly = problem(made.measured(np.diag([0.0, 0.0, np.inf, 0.0, 0.0, 0.0]), wrong))
+    contacts = made.samples.contacts
+    assert contacts is not None
+    assert partly.cost(partly.base_of(made.theta)) < 1e-15
+    assert partly.n_rows == 60 * 18 - np.count_nonzero(contacts.down)
+
+
+def test_known_forces_are_efforts() -> None:
+    made = gait(60)
+    J = contact_jacobians(made.robot, made.samples.position, FEET, RADIUS)
+    effort = made.samples.effort + np.einsum("kcin,kci->kn", J[:, :, :3], made.forces)
+    without = replace(made.samples, effort=effort, contacts=None)
+    found = problem(made.measured(np.zeros((6, 6))))
+    assert_alike(found, problem(without))
+    assert found.n_rows == problem(without).n_rows
+    base = found.base_of(made.theta)
+    np.testing.assert_allclose(found.predict(base), made.samples.effort, atol=1e-9)
+
+
+def test_flight_is_a_robot_without_contacts() -> None:
+    samples = gait(60).noisy()
+    flying = changed(samples, down=np.zeros((60, 4), dtype=bool))
+    assert_alike(problem(flying), problem(replace(samples, contacts=None)))
+
+
+def test_the_order_of_feet_and_repeated_feet_change_nothing() -> None:
+    samples = replace(gait(60).noisy(), covariance=SIGMA)
+    found, contacts = problem(samples), samples.contacts
+    assert contacts is not None
+    order = [2, 0, 3, 1, 2]
+    again = ContactSamples(
+        frames=[FEET[i] for i in order],
+        offset=RADIUS,
+        down=contacts.down[:, order],
+    )
+    other = problem(replace(samples, contacts=again))
+    assert_alike(found, other)
+    assert found.n_rows == other.n_rows
+    base = found.base_of(gait(60).theta)
+    np.testing.assert_allclose(found.predict(base), other.predict(base), atol=1e-8)
+
+
+def test_a_masked_row_has_an_infinite_variance() -> None:
+    samples = gait(60).noisy()
+    mask = np.ones((60, 18), dtype=bool)
+    mask[:, [4, 9]] = False
+    vague = NOISE**2
+    vague[[4, 9]] *= 1e10
+    masked = problem(replace(samples, mask=mask, covariance=SIGMA))
+    assert_alike(masked, problem(replace(samples, covariance=np.diag(vague))), 1e-6)
+
+
+def test_variances_of_joints_base_forces_and_torques_are_found() -> None:
+    made = gait(900, seed=3)
+    found = problem(made.noisy(4), weighting="residual", prior=sdpid.Prior())
+    ratio = np.sqrt(np.diagonal(found.sigma)) / NOISE
+    assert 0.9 < ratio.min() < ratio.max() < 1.2
+    assert len(np.unique(found.sigma[np.arange(6), np.arange(6)])) == 2
+    estimate = sdpid.solve_sdp(found)
+    assert sdpid.certify(estimate).passed
+    mass = [estimate.theta[0:130:10].sum(), made.theta[0::10].sum()]  # type: ignore[index]
+    assert mass[0] == pytest.approx(mass[1], rel=0.01)
+    felt = made.forces + 0.1 * np.random.default_rng(5).normal(size=made.forces.shape)
+    fused = problem(
+        replace(made.measured(0.01 * np.eye(6), felt), effort=made.noisy(4).effort),
+        weighting="residual",
+        prior=sdpid.Prior(),
+    )
+    ratio = np.sqrt(np.diagonal(fused.sigma)) / NOISE
+    assert 0.9 < ratio.min() < ratio.max() < 1.2
+
+
+def test_refuses_what_has_no_meaning() -> None:
+    samples = gait(12).samples
+    with pytest.raises(DataError, match="'eq18' takes powers of covariances"):
+        problem(samples, weighting="eq18")
+    with pytest.raises(DataError, match="'HEEL' is no frame"):
+        problem(changed(samples, frames=(*FEET[:3], "HEEL")))
+    standing = changed(samples, kind="plane", down=np.ones((12, 4), dtype=bool))
+    with pytest.raises(DataError, match="forces of the contacts explain every row"):
+        problem(standing, weighting="residual")
