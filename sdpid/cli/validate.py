@@ -4,13 +4,16 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 import sdpid.cli.options as opt
 from sdpid._common.extras import require
 from sdpid.cli.printing import Printing, errors_table, findings_listed, listed
+
+if TYPE_CHECKING:
+    from sdpid.assurance.rollouts.result import Rollout
 
 
 def validate(
@@ -74,18 +77,17 @@ def validate(
         listed("notes", notes),
         errors_table({"prediction": fit}),
     ]
-    moved = []
+    moved: tuple[Rollout, ...] = ()
     if rollout:
         from sdpid.assurance.diagnostics.described import described_dynamics
-        from sdpid.assurance.rollouts.rollout import rollout as simulated
+        from sdpid.assurance.rollouts.rollout import rollouts
+        from sdpid.output.report.sections.rollouts import fresh_notes
 
         described = described_dynamics(model, samples)
-        moved = [
-            simulated(described, record, free=free, processing=chosen, without_effort=absent)
-            for free in ("all", "each")
-        ]
+        moved = rollouts(described, record, processing=chosen, without_effort=absent)
         verdict += [each.verdict for each in moved]
-        parts += [f"{each.table()}\n{listed('notes', list(each.notes))}" for each in moved]
+        for each, told in zip(moved, fresh_notes(moved), strict=True):
+            parts += [each.table(), *([listed("notes", told)] if told else [])]
     if findings:
         parts.insert(1, findings_listed(findings))
     if files:

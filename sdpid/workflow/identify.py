@@ -224,6 +224,11 @@ def identify(
             **formulation,
         )
     predicted = None if fresh is None else validate(estimate, fresh.samples)
+    moved: tuple[Rollout, ...] = ()
+    if rollout and fresh is not None:
+        from sdpid.assurance.rollouts.rollout import rollouts
+
+        moved = rollouts(estimate, fresh.logs[0], processing=prepared.processing)
     recipe, no_recipe = recipe_or_reason(problem, prepared)
     return Identification(
         problem=problem,
@@ -237,7 +242,7 @@ def identify(
         held_out=hold_out(estimate, wls, None if fresh is None else fresh.samples, predicted),
         intervals=confidence,
         cross_validation=cross_validation,
-        rollouts=_rollouts(estimate, prepared, fresh) if rollout and fresh is not None else (),
+        rollouts=moved,
         intervals_note=intervals_note,
         bias=bias,
         bias_note=bias_note,
@@ -247,14 +252,6 @@ def identify(
         recipe=recipe,
         recipe_note=no_recipe,
     )
-
-
-def _rollouts(estimate: Estimate, prepared: Prepared, fresh: Prepared) -> tuple[Rollout, ...]:
-    """Return the first validation recording simulated, all joints free and one at a time."""
-    from sdpid.assurance.rollouts.rollout import rollout
-
-    log, how = fresh.logs[0], prepared.processing
-    return tuple(rollout(estimate, log, free=free, processing=how) for free in ("all", "each"))
 
 
 def _intervals(estimate: Estimate, wanted: bool | Method) -> tuple[Intervals | None, str | None]:

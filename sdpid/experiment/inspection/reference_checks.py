@@ -57,19 +57,30 @@ def references(subject: Subject) -> Iterator[Finding]:
     if means is None:
         return
     position, reference, effort, step = means
+    wrong: dict[str, tuple[str, _Fit]] = {}
     for j in np.flatnonzero(moving(*subject.position_range)).tolist():
         fit = _fit(position[:, j], reference[:, j], effort[:, j], step)
         what = _wrong(fit, longest.names, j, means)
         if what is not None:
-            yield Finding(
-                severity="note",
-                kind="reference_unlike",
-                joint=longest.names[j],
-                message=f"reference of {longest.names[j]} {what}",
-                remedy="name its column, unit or joints, or leave it out (reference=none); fits "
-                "that simulate the controller would be wrong",
-                numbers=vars(fit),
-            )
+            wrong[longest.names[j]] = what, fit
+    if not wrong:
+        return
+    told = [f"{name} {what}" for name, (what, _) in wrong.items()]
+    # Joints mostly share the defect: columns that are swapped, a unit, another signal.
+    alone = len(wrong) == 1
+    yield Finding(
+        severity="note",
+        kind="reference_unlike",
+        joint=next(iter(wrong)) if alone else None,
+        message=f"reference of {'; of '.join(told)}",
+        remedy="name its column, unit or joints, or leave it out (reference=none); fits "
+        "that simulate the controller would be wrong",
+        numbers={
+            key if alone else f"{name}: {key}": value
+            for name, (_, fit) in wrong.items()
+            for key, value in vars(fit).items()
+        },
+    )
 
 
 def _wrong(fit: _Fit, names: tuple[str, ...], j: int, means: _Means) -> str | None:

@@ -229,6 +229,8 @@ def test_identify_shows_it(tmp_path: Any) -> None:
     page = sdpid.write_report(result, tmp_path / "report.html", figures=False).read_text("utf-8")
     assert "Motion in open loop" in page
     assert result.to_dict()["rollouts"][0]["verdict"] in page
+    # What both have in common is said once.
+    assert page.count("under the filtered efforts, which raw ones hardly change") == 1
 
 
 def test_closed_loop_follows_the_reference() -> None:

@@ -126,9 +126,22 @@ def test_references_that_are_not_followed_are_named(
     assert inspection.ok
     assert {each.kind for each in inspection.findings} == ({"reference_unlike"} if words else set())
     if words:
-        assert len(inspection.findings) == robot.n
-        (finding,) = (each for each in inspection.findings if each.joint == log.names[1])
-        assert words in finding.message
+        # One finding, which names every joint.
+        (finding,) = inspection.findings
+        assert all(f"of {name} " in finding.message for name in log.names)
+        assert finding.joint is None
+        assert f"{log.names[1]} {words}" in finding.message
+        assert f"{log.names[1]}: scale" in finding.numbers
+
+
+def test_a_reference_of_one_joint_that_is_not_followed_is_named(
+    log: Recording, robot: sdpid.RobotModel
+):
+    reference = log.position.copy()
+    reference[:, 1] += 0.2
+    (finding,) = inspect_recording(replace(log, reference=reference), robot).findings
+    assert finding.joint == log.names[1]
+    assert finding.numbers["offset"] == pytest.approx(0.2, abs=1e-3)
 
 
 def test_one_sample_that_jumps_is_named_with_its_row(log: Recording):
