@@ -3,14 +3,15 @@
 Simulated arms under a PD controller with known parameters. Two tables:
 
 * ``bias_size.csv``: nothing biases least squares (the motion is measured exactly, efforts have
-  white noise of 5 % of their rms), logs are filtered. How often `sdpid.check_bias` rejects at 5 %,
-  and the textbook test, which takes all columns and independent samples. Instruments
-  are the commanded motion, and in fewer runs the model's own in closed loop.
+  white or colored noise of 5 % of their rms), logs are filtered; arms of two to seven joints, logs
+  of 12 to 90 s. How often `sdpid.check_bias` rejects at 5 %, and the textbook test, which takes all
+  columns and independent samples. Instruments are the commanded motion, and in fewer runs the
+  model's own in closed loop.
 * ``bias_power.csv``: encoders have white noise, which the controller feeds back. How often the test
   rejects, by how much predictions shift, and the true errors of the efforts that least squares and
   `sdpid.solve_instrumental` predict.
 
-    python examples/studies/bias_test.py --runs 40 --power-runs 4 --out results
+    python examples/studies/bias_test.py --runs 50 --power-runs 4 --out results
 """
 
 from __future__ import annotations
@@ -22,6 +23,7 @@ from functools import cached_property
 from pathlib import Path
 
 import numpy as np
+from scipy.signal import lfilter
 
 import sdpid
 from sdpid._common.arrays import Array
@@ -49,7 +51,7 @@ BANDWIDTH, DAMPING = 25.0, 0.9
 # Controllers run at this rate where encoders are noisy, and difference what they measure.
 CONTROL_HZ = 5000.0
 
-SECONDS, HARMONICS = 20.0, 5
+HARMONICS = 5
 
 # Of one run in so many the model's own motion is the instrument, which has to be simulated.
 SIMULATED = 5
@@ -58,14 +60,25 @@ SIMULATED = 5
 FILTERED = {"reversal_time": None, "kept_share": 0.1, "order": 4}
 MASKED = {**FILTERED, "reversal_speed": 0.05, "reversal_time": 0.02}
 
-# Robot, sample rate (Hz), cut-off (Hz), friction, mask.
+# Robot (a number: an arm of so many joints), seconds of motion, sample rate (Hz), cut-off (Hz),
+# friction, mask, and the correlation of the efforts' noise from sample to sample.
 SIZE = (
-    ("denso_vp6242", 1000.0, 50.0, ("viscous",), FILTERED),
-    ("denso_vp6242", 250.0, 20.0, ("coulomb", "viscous"), MASKED),
-    ("ur10_robot", 1000.0, 50.0, ("viscous",), FILTERED),
-    ("ur10_robot", 250.0, 20.0, ("coulomb", "viscous"), MASKED),
-    ("talos_left_arm", 500.0, 30.0, ("viscous",), FILTERED),
+    ("2", 12.0, 200.0, 10.0, ("viscous",), FILTERED, 0.9),
+    ("2", 30.0, 200.0, 20.0, ("viscous",), FILTERED, 0.0),
+    ("3", 30.0, 250.0, 15.0, ("coulomb", "viscous"), MASKED, 0.9),
+    ("4", 30.0, 250.0, 15.0, ("viscous",), FILTERED, 0.95),
+    ("4", 90.0, 250.0, 15.0, ("viscous",), FILTERED, 0.0),
+    ("5", 40.0, 250.0, 10.0, ("viscous",), FILTERED, 0.9),
+    ("denso_vp6242", 20.0, 1000.0, 50.0, ("viscous",), FILTERED, 0.0),
+    ("denso_vp6242", 20.0, 250.0, 20.0, ("coulomb", "viscous"), MASKED, 0.0),
+    ("ur10_robot", 20.0, 1000.0, 50.0, ("viscous",), FILTERED, 0.0),
+    ("ur10_robot", 20.0, 250.0, 20.0, ("coulomb", "viscous"), MASKED, 0.95),
+    ("talos_left_arm", 20.0, 500.0, 30.0, ("viscous",), FILTERED, 0.0),
+    ("talos_left_arm", 60.0, 250.0, 15.0, ("viscous",), FILTERED, 0.9),
 )
+
+# Seconds of the logs of which powers are measured.
+SECONDS = 20.0
 
 # Noise of the encoders in rad, cut-offs in Hz, and masks.
 POWER = tuple(
@@ -82,11 +95,13 @@ class Arm:
     name: str
     rate_hz: float
     friction: tuple[str, ...]
+    seconds: float = SECONDS
+    correlation: float = 0.0
 
     @cached_property
     def model(self) -> RobotDynamics:
         """The true arm."""
-        robot = sdpid.load_robot(self.name)
+        robot = arm_of(int(self.name)) if self.name.isdigit() else sdpid.load_robot(self.name)
         theta = default_parameters(robot)
         bodies, coulomb, viscous = np.split(theta, [10 * robot.n_links, theta.size - robot.n])
         friction = {"coulomb": coulomb, "viscous": viscous}
@@ -98,7 +113,9 @@ class Arm:
     def motion(self) -> sdpid.Trajectory:
         """The commanded motion."""
         robot, rng = self.model.robot, np.random.default_rng(1)
-        limits = np.clip(np.asarray(robot.position_limits).reshape(-1, 2), -2.0, 2.0)
+        limits = np.tile([-2.0, 2.0], (robot.n, 1))
+        if robot.position_limits is not None:
+            limits = np.clip(np.asarray(robot.position_limits).reshape(-1, 2), -2.0, 2.0)
         shape = (robot.n, HARMONICS)
         harmonics = np.tile(np.arange(1, HARMONICS + 1), (robot.n, 1))
         sizes, phases = (
@@ -112,7 +129,7 @@ class Arm:
         return sdpid.Trajectory(
             joint_names=robot.joint_names,
             series=FourierSeries(
-                period=SECONDS,
+                period=self.seconds,
                 center=limits.mean(axis=1),
                 harmonics=harmonics,
                 amplitudes=sizes * (room / reach)[:, None],
@@ -164,7 +181,11 @@ class Arm:
         clean = self._recording(position_noise, seed) if position_noise else self.exact
         rng = np.random.default_rng((seed, 1))
         size = EFFORT_NOISE * np.sqrt(np.mean(self.exact.effort**2, axis=0))
-        return replace(clean, effort=clean.effort + size * rng.standard_normal(clean.effort.shape))
+        noise = rng.standard_normal(clean.effort.shape)
+        if self.correlation:
+            noise *= np.sqrt(1.0 - self.correlation**2)
+            noise = lfilter([1.0], [1.0, -self.correlation], noise, axis=0)
+        return replace(clean, effort=clean.effort + size * noise)
 
     def problem(self, log: sdpid.Recording, processing: sdpid.Processing) -> Problem:
         """Return the least-squares problem of a log."""
@@ -174,6 +195,18 @@ class Arm:
         return sdpid.build_problem(
             robot, samples, friction=self.friction, weighting="residual", constraints=bounds
         )
+
+
+def arm_of(joints: int) -> sdpid.RobotModel:
+    """Return an arm of some joints, with axes that cross in turn, of rods of 2 kg."""
+    right = np.pi / 2.0
+    rows = [{"r": 0.2}]
+    rows += [
+        {"alpha": right if j % 2 else 0.0, "d": 0.0 if j % 2 else 0.3} for j in range(1, joints)
+    ]
+    mass, half = 2.0, 0.15
+    own = [mass, mass * half, 0.0, 0.05 * mass, 0.02, 0.08, 0.08, 0.0, 0.0, 0.0]
+    return sdpid.RobotModel.from_mdh(rows, inertias=np.tile(own, (joints, 1)), name=f"arm{joints}")
 
 
 def solved(problem: Problem) -> Estimate:
@@ -213,8 +246,9 @@ def textbook(problem: Problem, instruments: sdpid.Samples) -> float:
 def size_rows(runs: int, cases: int = len(SIZE)) -> Iterator[list[object]]:
     """Yield the rows of the table of sizes."""
     every = {}
-    for name, rate, cutoff, friction, settings in SIZE[:cases]:
-        arm, processing = Arm(name, rate, friction), processing_of(rate, cutoff, settings)
+    for name, seconds, rate, cutoff, friction, settings, correlation in SIZE[:cases]:
+        arm = Arm(name, rate, friction, seconds, correlation)
+        processing = processing_of(rate, cutoff, settings)
         commanded = None
         found: dict[str, list[float]] = {"commanded": [], "simulated": [], "textbook": []}
         blocks = 0
@@ -235,12 +269,12 @@ def size_rows(runs: int, cases: int = len(SIZE)) -> Iterator[list[object]]:
                 found["simulated"].append(own.p)
         told = "masked" if settings is MASKED else "filtered"
         yield [
-            name, rate, told, cutoff, " and ".join(friction), blocks,
-            *_shares(found),
+            arm.model.robot.name, arm.model.robot.n, seconds, rate, told, cutoff,
+            " and ".join(friction), correlation, blocks, *_shares(found),
         ]  # fmt: skip
         for key, values in found.items():
             every.setdefault(key, []).extend(values)
-    yield ["all", *[None] * 5, *_shares(every)]
+    yield ["all", *[None] * 8, *_shares(every)]
 
 
 def _shares(found: dict[str, list[float]]) -> list[object]:
@@ -292,8 +326,8 @@ def _error(arm: Arm, problem: Problem, base: Array, processing: sdpid.Processing
 
 
 SIZES = (
-    "robot", "rate_hz", "processing", "cutoff_hz", "friction", "blocks",
-    "runs", "rejected_percent", "runs_simulated", "rejected_simulated_percent",
+    "robot", "joints", "seconds", "rate_hz", "processing", "cutoff_hz", "friction", "correlation",
+    "blocks", "runs", "rejected_percent", "runs_simulated", "rejected_simulated_percent",
     "textbook_percent",
 )  # fmt: skip
 POWERS = (
@@ -305,7 +339,7 @@ POWERS = (
 def main() -> None:
     """Write both tables."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--runs", type=int, default=40)
+    parser.add_argument("--runs", type=int, default=50)
     parser.add_argument("--power-runs", type=int, default=4)
     parser.add_argument("--only", choices=("size", "power"), help="one of the tables")
     parser.add_argument("--quick", action="store_true", help="one case of each table, two logs")
