@@ -11,7 +11,7 @@ Simulated arms under a PD controller with known parameters. Two tables:
   rejects, by how much predictions shift, and the true errors of the efforts that least squares and
   `sdpid.solve_instrumental` predict.
 
-    python examples/studies/bias_test.py --runs 50 --power-runs 4 --out results
+    python examples/studies/bias_test.py --runs 36 --power-runs 4 --out results
 """
 
 from __future__ import annotations
@@ -339,7 +339,7 @@ POWERS = (
 def main() -> None:
     """Write both tables."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--runs", type=int, default=50)
+    parser.add_argument("--runs", type=int, default=36)
     parser.add_argument("--power-runs", type=int, default=4)
     parser.add_argument("--only", choices=("size", "power"), help="one of the tables")
     parser.add_argument("--quick", action="store_true", help="one case of each table, two logs")

@@ -272,16 +272,13 @@ def _bias(estimate: Estimate, prepared: Prepared) -> tuple[BiasTest | None, str 
         return None, f"{untested}: the log is long (sdpid.check_bias tests it all the same)"
     try:
         test = check_bias(estimate, prepared.logs, processing=prepared.processing)
-        if test.weak and all(log.reference is not None for log in prepared.logs):
-            # A robot that lags far behind what is commanded moves as its model does in its loop.
-            test = check_bias(
-                estimate, prepared.logs, processing=prepared.processing, controller="fit"
-            )
     except SdpidError as reason:
         return None, f"{untested}: {reason}"
     if test.weak:
+        more = "" if test.note is None else f" ({test.note})"
         return None, (
             f"{untested}: {test.instruments} is a weak instrument for {len(test.weak)} of "
-            f"{estimate.problem.base.count} base parameters; sdpid.check_bias takes a controller"
+            f"{estimate.problem.base.count} base parameters{more}; give sdpid.check_bias the "
+            "robot's controller (controller=, one of sdpid.controllers)"
         )
     return test, None

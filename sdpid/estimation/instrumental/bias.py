@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
+from collections.abc import Callable
+from dataclasses import asdict, dataclass, replace
 from typing import Any, Literal
 
 import numpy as np
@@ -10,11 +11,12 @@ import numpy as np
 from sdpid._common.arrays import require_probability
 from sdpid._common.tables import Table, facts_html, plain
 from sdpid._common.threads import one_thread
+from sdpid.errors import IdentifiabilityError, SdpidError
 from sdpid.estimation.estimate import Estimate
 from sdpid.estimation.instrumental.hausman import Contrast, Hotelling
 from sdpid.estimation.instrumental.moments import Columns
 from sdpid.estimation.instrumental.second_stage import FirstStage, require_instrumentable
-from sdpid.estimation.instrumental.sources import Instruments, source_of, start_model
+from sdpid.estimation.instrumental.sources import Instruments, source_of, start_model, with_lag
 from sdpid.estimation.problem import Problem
 from sdpid.experiment.preparation.several import ProcessingOf
 from sdpid.experiment.processing.samples import Samples
@@ -160,7 +162,8 @@ def check_bias(
     recording : Recording or path, or a sequence of these
         What the problem was built of. Not needed with Samples as `instruments`.
     processing, reference, controller, instruments : optional
-        As for `solve_instrumental`.
+        As for `solve_instrumental`. With neither of the last two, where what the log holds is a
+        weak instrument, a controller is fitted to it and the model simulated.
     level : float, optional
         Probability with which the test may reject where nothing biases.
 
@@ -187,26 +190,59 @@ def check_bias(
     require_probability(level, "check_bias: level")
     given = problem.problem if isinstance(problem, Estimate) else problem
     require_instrumentable(given, "check_bias")
-    source = source_of(
-        given,
-        recording,
-        purpose="check_bias",
-        processing=processing,
-        reference=reference,
-        controller=controller,
-        instruments=instruments,
-    )
-    model = None
-    if source.follows_model:
-        known = isinstance(problem, Estimate) and problem.theta is not None
-        model = start_model(given, problem if known else None)
-    first = source.first_stage(Columns.of(given), model)
-    return bias_of(first, source.words, source.note, level)
+
+    def tested(controller: Controller | Literal["fit"] | None) -> BiasTest:
+        source = source_of(
+            given,
+            recording,
+            purpose="check_bias",
+            processing=processing,
+            reference=reference,
+            controller=controller,
+            instruments=instruments,
+        )
+        model = None
+        if source.follows_model:
+            known = isinstance(problem, Estimate) and problem.theta is not None
+            model = start_model(given, problem if known else None)
+        first = source.first_stage(Columns.of(given), model)
+        return bias_of(first, source.words, with_lag(source.note, first, source), level)
+
+    if controller is not None or instruments is not None:
+        return tested(controller)
+    return _best_of(tested)
+
+
+def _best_of(tested: Callable[[Controller | Literal["fit"] | None], BiasTest]) -> BiasTest:
+    """Return the test against what the log holds, else against the model under a fitted controller.
+
+    A robot that lags far behind what is commanded still moves as its model does in its loop.
+
+    Raises
+    ------
+    IdentifiabilityError
+        When all is weak, or no controller can be fitted: with what to give.
+    """
+    found, weak = None, None
+    try:
+        found = tested(None)
+        if not found.weak:
+            return found
+    except IdentifiabilityError as error:
+        weak = error
+    try:
+        other = tested("fit")
+    except SdpidError as reason:
+        missing = f"the model under a fitted controller is no better instrument: {reason}"
+        if found is None:
+            raise IdentifiabilityError(f"{weak} For now, {missing}") from weak
+        return replace(found, note="; ".join(filter(None, (found.note, missing))))
+    return other if found is None or len(other.weak) < len(found.weak) else found
 
 
 def bias_of(first: FirstStage, words: str, note: str | None, level: float) -> BiasTest:
     """Return the test of an instrumental estimate."""
-    first.require_strong()
+    first.require_strong(words)
     samples = first.columns.rows.samples
     contrast = Contrast.of(first, samples.block)
     test = Hotelling.of(contrast.sums)

@@ -12,6 +12,7 @@ from sdpid.errors import DataError, IdentifiabilityError
 from sdpid.estimation.compression.triangle import Triangle
 from sdpid.estimation.compression.whitening import compress
 from sdpid.estimation.information import require_excitation
+from sdpid.estimation.instrumental.lag import lag_of, lag_words
 from sdpid.estimation.instrumental.moments import Columns, Moments, Pair
 from sdpid.estimation.instrumental.rows import InstrumentalRows
 from sdpid.estimation.problem import Problem
@@ -178,10 +179,15 @@ class FirstStage:
             least_squares=_solved(moments.measured, moments.plain),
         )
 
-    def require_strong(self) -> None:
+    def require_strong(self, words: str = "the motion given") -> None:
         """Raise where the instruments are weak for most base parameters that the data show.
 
         Any motion is a strong instrument for an offset, and so may another robot's be for gravity.
+
+        Parameters
+        ----------
+        words : str, optional
+            What the instruments are.
 
         Raises
         ------
@@ -191,16 +197,17 @@ class FirstStage:
         seen = int(np.count_nonzero(self.relevance > 0.0))
         if len(self.weak) <= _MOST_WEAK * seen:
             return
+        known = "" if self.lag is None else f"; {lag_words(self.lag)}"
         raise IdentifiabilityError(
-            f"instruments: they do not move with the measured motion: weak for {len(self.weak)} of "
-            f"{seen} base parameters (F statistic of the first stage below {WEAK:g}); check that "
-            "the reference is that of this recording and the joints are in its order, that the "
-            "processing is that of the problem, or use solve_sdp."
+            f"instruments: {words} does not move with the measured motion: weak for "
+            f"{len(self.weak)} of {seen} base parameters (F statistic of the first stage below "
+            f"{WEAK:g}){known}. Check that the commanded positions are those of this recording, "
+            "not late, and in its order of joints; a robot that lags behind its commands needs its "
+            "own controller (controller=, one of sdpid.controllers or 'fit')."
         )
 
     def second(self, words: str) -> SecondStage:
         """Return the problem of the second stage; `words` say what its cost is."""
-        self.require_strong()
         columns = self.columns
         problem, root, inverse = columns.problem, columns.root, columns.inverse
         rows = InstrumentalRows(
@@ -248,6 +255,11 @@ class FirstStage:
         missed = np.where(lost, 1.0 - self.relevance, 1.0)
         return np.where(lost, freedom * self.relevance / missed, np.inf)
 
+    @cached_property
+    def lag(self) -> float | None:
+        """By how many seconds the measured motion comes later than the instruments'; see `lag`."""
+        return lag_of(self.columns.rows.samples, self.instruments)
+
     @property
     def weak(self) -> tuple[str, ...]:
         """Base parameters whose instruments are weak."""
@@ -266,7 +278,7 @@ def _require_seen(columns: Columns, squares: Array) -> None:
         f"instruments: {unseen} of {len(squares)} directions of the base parameters do not move "
         f"with the measured motion (correlation {max(least, 0.0) ** 0.5:.1e}, limit "
         f"{_UNSEEN:.0e}); check that the reference is that of this recording and the joints are in "
-        "its order, record a larger motion, or use solve_sdp."
+        "its order, or record a larger motion."
     )
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field, fields, replace
 from typing import Any, Literal
 
 import numpy as np
@@ -15,16 +15,24 @@ from sdpid.errors import DataError, SolverError
 from sdpid.estimation.estimate import Estimate
 from sdpid.estimation.instrumental.moments import Columns
 from sdpid.estimation.instrumental.second_stage import SecondStage, require_instrumentable
-from sdpid.estimation.instrumental.sources import Instruments, source_of, start_model
+from sdpid.estimation.instrumental.sources import Instruments, source_of, start_model, with_lag
 from sdpid.estimation.problem import Problem
 from sdpid.estimation.sdp.solve import solve_sdp
 from sdpid.experiment.preparation.several import ProcessingOf
 from sdpid.experiment.processing.samples import Samples
 from sdpid.experiment.simulation.controllers import Controller
+from sdpid.robot.model.dynamics import RobotDynamics
 
 # Instruments have settled when the efforts of the estimate change by less than this share of the
 # residuals, as in [janot2014]_.
 TOLERANCE = 0.025
+
+# Rounds that settle change a third as much each time, and less; where the change does not fall to
+# this part of the last, the next model is half-way.
+_FALLING = 0.7
+
+# After so many rounds without a smaller change there is no use in going on.
+_PATIENCE = 3
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
@@ -129,7 +137,8 @@ def solve_instrumental(
     IdentifiabilityError
         When the instruments do not move with the measured motion.
     SolverError
-        When the rounds do not end; the last estimate is attached. And whatever the solver raises.
+        When the rounds do not settle; the last estimate is attached. And whatever the solver
+        raises.
 
     Examples
     --------
@@ -162,25 +171,47 @@ def solve_instrumental(
     if model is not None and model.theta.size == problem.n_theta:
         base = problem.base_of(model.theta)
     columns = Columns.of(problem)
-    iterations, found = 0, None
+    iterations, found, changes = 0, None, []
     for rounds in range(1, max_iterations + 1):
-        stage = source.first_stage(columns, model).second(_meaning(source.words))
+        first = source.first_stage(columns, model)
+        first.require_strong(source.words)
+        stage = first.second(_meaning(source.words))
         solved = solver(stage.problem)
         iterations += solved.iterations
-        change = _change(stage.problem, base, solved.base)
-        settled = not source.follows_model or change <= tolerance
+        changes.append(_change(stage.problem, base, solved.base))
         seconds = time.perf_counter() - began
-        found = _estimate(solved, stage, source.words, source.note, rounds, iterations, seconds)
-        if settled:
+        note = with_lag(source.note, first, source)
+        found = _estimate(solved, stage, source.words, note, rounds, iterations, seconds)
+        if not source.follows_model or changes[-1] <= tolerance:
             return found
-        base, model = solved.base, solved.model()
+        if len(changes) > _PATIENCE and min(changes[-_PATIENCE:]) > changes[-_PATIENCE - 1]:
+            break
+        base, model = solved.base, _next(model, solved.model(), changes)
+    assert found is not None
+    told = ", ".join(f"{100.0 * each:.2g}" for each in changes[-3:])
+    weak = f" Instruments are weak for {', '.join(found.weak)}." if found.weak else ""
+    lag = "" if note is None else f" {note[0].upper()}{note[1:]}."
     raise SolverError(
-        f"solve_instrumental: not settled after {max_iterations} rounds: predicted efforts still "
-        f"change by {100.0 * change:.2g} % of the residuals (limit {100.0 * tolerance:g} %); allow "
-        "more rounds (max_iterations), or check the controller and the reference.",
+        f"solve_instrumental: not settled after {rounds} rounds: predicted efforts changed by "
+        f"{told} % of the residuals in the last ones (limit {100.0 * tolerance:g} %).{weak}{lag} "
+        "Check the controller and the reference, take instruments='reference' or 'periods', allow "
+        "more (tolerance=), or more rounds (max_iterations=); the last estimate is attached.",
         problem=problem,
         found=found,
     )
+
+
+def _next(
+    before: RobotDynamics | None, after: RobotDynamics, changes: list[float]
+) -> RobotDynamics:
+    """Return the model to simulate next: half-way, where the rounds do not come closer.
+
+    Consistent parameters are convex: between two models there are only models.
+    """
+    slow = len(changes) > 1 and changes[-1] > _FALLING * changes[-2]
+    if not slow or before is None or before.theta.shape != after.theta.shape:
+        return after
+    return replace(after, theta=0.5 * (before.theta + after.theta))
 
 
 def _meaning(words: str) -> str:

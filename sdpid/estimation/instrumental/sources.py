@@ -11,6 +11,7 @@ import numpy as np
 from sdpid._common.arrays import Array, real_array
 from sdpid.errors import DataError, ModelError, SolverError
 from sdpid.estimation.estimate import Estimate
+from sdpid.estimation.instrumental.lag import lag_words
 from sdpid.estimation.instrumental.moments import Columns
 from sdpid.estimation.instrumental.second_stage import FirstStage
 from sdpid.estimation.problem import Problem
@@ -130,6 +131,22 @@ class OtherPeriods:
     def first_stage(self, columns: Columns, model: RobotDynamics | None) -> FirstStage:
         """Return the estimate with the halves as each other's instruments."""
         return FirstStage.of_halves(columns, self.first, self.second)
+
+
+def with_lag(note: str | None, first: FirstStage, source: Source) -> str | None:
+    """Return the note on a choice, with a lag that should not be.
+
+    A robot comes later than what is commanded, but never earlier; and its model in the same loop
+    moves when it does.
+    """
+    lag = first.lag
+    if lag is None or (lag > 0.0 and not source.follows_model):
+        return note
+    cause = "the commanded positions are not those of these times"
+    if source.follows_model:
+        cause += ", or the controller is not that of this log"
+    told = f"{source.words}: {lag_words(lag)}, so {cause}"
+    return told if note is None else f"{note}; {told}"
 
 
 def source_of(

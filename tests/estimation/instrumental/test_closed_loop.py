@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 from typing import Any
 
@@ -9,7 +10,8 @@ import numpy as np
 import pytest
 
 import sdpid
-from sdpid.errors import DataError
+from sdpid.errors import DataError, SolverError
+from sdpid.estimation.estimate import Estimate
 from sdpid.estimation.instrumental.hausman import Hotelling
 from sdpid.estimation.problem import Problem
 from sdpid.experiment.trajectory.trajectory import Trajectory
@@ -130,6 +132,49 @@ def test_identify_tells(noisy: sdpid.Recording) -> None:
     silent = sdpid.identify(ARM, replace(noisy, reference=None), processing=settings, **options)
     assert silent.bias is None
     assert "neither commanded positions nor two periods" in str(silent.bias_note)
+
+
+def test_a_robot_far_behind_its_commands_is_tested_by_its_model() -> None:
+    way = sdpid.paper_excitation("denso_vp6242", seed=0, periods=1, period=10.0)
+    log = sdpid.simulate(sdpid.load_robot("denso_vp6242"), way, seed=1)
+    processing = sdpid.Processing(cutoff_hz=15.0, decimation=60, covariance=None)
+    problem = sdpid.build_problem(
+        sdpid.load_robot("denso_vp6242"), log, weighting="residual", processing=processing
+    )
+    plain = sdpid.check_bias(problem, log, processing=processing, instruments="reference")
+    assert len(plain.weak) > 10
+    test = sdpid.check_bias(problem, log, processing=processing)
+    assert test.instruments == "the motion of the model in closed loop, its controller fitted"
+    assert not test.weak
+    assert not test.biased
+    # Where no controller can be fitted, it says why and what to give.
+    other = replace(log, effort=np.roll(log.effort, 3000, axis=0))
+    again = sdpid.check_bias(problem, other, processing=processing)
+    assert again.weak == plain.weak
+    assert "a fitted controller is no better instrument: " in str(again.note)
+    assert "Give it, as one of sdpid.controllers" in str(again.note)
+
+
+@pytest.mark.parametrize("late", [-8, 6])
+def test_commands_of_other_times_are_told(noisy: sdpid.Recording, late: int) -> None:
+    shifted = np.roll(noisy.reference, late, axis=0)
+    shifted[:late] = noisy.reference[0] if late > 0 else shifted[:late]
+    problem = problem_of(noisy)
+    options: dict[str, Any] = {"processing": PROCESSING, "controller": LAW}
+    found = sdpid.solve_instrumental(problem, noisy, reference=shifted, **options)
+    told = re.search(r"(lags|runs) ([\d.]+) ms", found.message)
+    assert told is not None
+    assert told[1] == ("runs" if late > 0 else "lags")
+    assert float(told[2]) == pytest.approx(1e3 * abs(late) / RATE, rel=0.4)
+    plain = sdpid.solve_instrumental(problem, noisy, **options)
+    assert " ms " not in plain.message
+
+
+def test_rounds_that_do_not_settle_say_how_far_they_are(noisy: sdpid.Recording) -> None:
+    options: dict[str, Any] = {"processing": PROCESSING, "controller": LAW, "max_iterations": 2}
+    with pytest.raises(SolverError, match=r"not settled after 2 rounds: .* changed by") as caught:
+        sdpid.solve_instrumental(problem_of(noisy), noisy, tolerance=1e-9, **options)
+    assert isinstance(caught.value.found, Estimate)
 
 
 @pytest.mark.parametrize(("count", "blocks"), [(3, 20), (6, 11)])

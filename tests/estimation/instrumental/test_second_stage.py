@@ -197,7 +197,7 @@ def test_instruments_that_do_not_move_with_the_robot_are_refused(
         velocity=rng.standard_normal(clean.effort.shape),
         acceleration=rng.standard_normal(clean.effort.shape),
     )
-    with pytest.raises(IdentifiabilityError, match="do not move with the measured motion"):
+    with pytest.raises(IdentifiabilityError, match="does not move with the measured motion"):
         sdpid.solve_instrumental(problem, instruments=other)
 
 
