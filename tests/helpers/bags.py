@@ -21,8 +21,13 @@ def write_bag(
     *,
     gripper: bool = False,
     ragged: int | None = None,
+    base: np.ndarray | None = None,
 ) -> Path:
-    """Write a bag of kind db3, mcap, folder or ros1; it was recorded at half the speed."""
+    """Write a bag of kind db3, mcap, folder or ros1; it was recorded at half the speed.
+
+    With `base`, rows of position, quaternion x y z w, linear and angular velocity, every second
+    state has an odometry and an IMU that measures the angular velocity.
+    """
     from rosbags.rosbag1 import Writer as Writer1
     from rosbags.rosbag2 import StoragePlugin
     from rosbags.rosbag2 import Writer as Writer2
@@ -35,6 +40,7 @@ def write_bag(
     stamp: Any = store.types["builtin_interfaces/msg/Time"]
     pack = store.serialize_ros1 if one else store.serialize_cdr
     plugin = StoragePlugin.MCAP if kind == "mcap" else StoragePlugin.SQLITE3
+    others: dict[str, Any] = {}
     file = folder.with_suffix(".bag") if one else folder
     writer: Any = Writer1(file) if one else Writer2(file, version=9, storage_plugin=plugin)
     with writer as out:
@@ -55,8 +61,47 @@ def write_bag(
             if k == ragged:
                 rows[2] = np.empty(0)
             write(k, JOINTS[turn], *rows)
+            if base is not None and k % 2 == 0:
+                when = _START + round(time[k] * 1e9)
+                for topic, message in _of_base(store, stamp, header, when, base[k], one):
+                    if topic not in others:
+                        kind_of = message.__msgtype__
+                        others[topic] = out.add_connection(topic, kind_of, typestore=store)
+                    recorded = _START + round(2.0 * time[k] * 1e9)
+                    out.write(others[topic], recorded, pack(message, message.__msgtype__))
             if gripper:
                 write(k, ("finger",), *(np.zeros(1),) * 3)
     if kind in ("folder", "ros1"):
         return file
     return next(folder.glob(f"*.{kind}"))
+
+
+def _of_base(store: Any, stamp: Any, header: Any, when: int, row: np.ndarray, one: bool) -> Any:
+    """Yield topics and messages of the base."""
+    types, extra = store.types, {"seq": 0} if one else {}
+    head = header(stamp=stamp(when // 10**9, when % 10**9), frame_id="", **extra)
+    vector, turn = types["geometry_msgs/msg/Vector3"], types["geometry_msgs/msg/Quaternion"]
+    point, nothing = types["geometry_msgs/msg/Point"], np.zeros(36)
+    pose = types["geometry_msgs/msg/Pose"](point(*row[:3]), turn(*row[3:7]))
+    twist = types["geometry_msgs/msg/Twist"](vector(*row[7:10]), vector(*row[10:13]))
+    yield (
+        "/odom",
+        types["nav_msgs/msg/Odometry"](
+            header=head,
+            child_frame_id="base",
+            pose=types["geometry_msgs/msg/PoseWithCovariance"](pose, nothing),
+            twist=types["geometry_msgs/msg/TwistWithCovariance"](twist, nothing),
+        ),
+    )
+    yield (
+        "/imu",
+        types["sensor_msgs/msg/Imu"](
+            header=head,
+            orientation=turn(*row[3:7]),
+            orientation_covariance=nothing[:9],
+            angular_velocity=vector(*row[10:13]),
+            angular_velocity_covariance=nothing[:9],
+            linear_acceleration=vector(0.0, 0.0, 9.81),
+            linear_acceleration_covariance=nothing[:9],
+        ),
+    )

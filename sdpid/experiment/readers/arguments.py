@@ -14,6 +14,7 @@ from sdpid._common.tables import plain
 from sdpid.errors import DataError
 from sdpid.experiment.drive_gains.gains import DriveGains
 from sdpid.experiment.readers.column_names import CONVENTIONS
+from sdpid.experiment.readers.floating.quantities import SETTINGS, checked_settings
 from sdpid.experiment.readers.mapping import find_mapping, read_mapping
 from sdpid.experiment.readers.missing import MISSING
 from sdpid.experiment.readers.unit_names import UNITS
@@ -40,6 +41,10 @@ class Arguments:
     gains: Any = None
     currents: bool = False
     without_effort: tuple[str, ...] = ()
+    base: dict[str, Any] = field(default_factory=dict)
+    imu: dict[str, Any] = field(default_factory=dict)
+    contacts: dict[str, Any] = field(default_factory=dict)
+    rows: tuple[int, int] | None = None
 
     @property
     def scaled(self) -> bool:
@@ -61,7 +66,13 @@ class Arguments:
             "wanted": self.joint_names,
             "scaled": self.scaled,
             "timeless": self.rate_hz is not None,
+            "floating": self.floating,
         }
+
+    @property
+    def floating(self) -> dict[str, Any]:
+        """What is said of base, IMU and contacts."""
+        return {name: plain(getattr(self, name)) for name in SETTINGS}
 
     def to_dict(self) -> dict[str, Any]:
         """Return the arguments that differ from their defaults, as plain values.
@@ -124,6 +135,11 @@ def complete_arguments(
     if merged.get("gains") is not None:
         merged["gains"] = as_gains(merged["gains"])
     merged["joint_names"] = _tuple(merged.get("joint_names"))
+    for name in SETTINGS:
+        said = (stated.get(name), how.get(name))
+        tables = [checked_settings(name, each) for each in said if each is not None]
+        merged[name] = {key: value for table in tables for key, value in table.items()}
+    merged["rows"] = _range(merged.get("rows"))
     merged["without_effort"] = _tuple(merged.get("without_effort"), "without_effort") or ()
     arguments = Arguments(**merged)
     if arguments.missing not in MISSING:
@@ -152,6 +168,19 @@ def only_signs(scale: Any) -> bool:
         return scale is not None and bool(np.all(np.abs(np.asarray(scale, dtype=float)) == 1.0))
     except (TypeError, ValueError):
         return False
+
+
+def _range(rows: Any) -> tuple[int, int] | None:
+    """Return the first and the last row to read, counted from 1."""
+    if rows is None:
+        return None
+    whole = isinstance(rows, (list, tuple)) and all(type(row) is int for row in rows)
+    if not whole or len(rows) != 2 or not 1 <= rows[0] < rows[1]:
+        raise DataError(
+            f"rows: is {rows!r:.80}, expected the first and the last row to read, counted from 1, "
+            "as in [1, 2000]."
+        )
+    return int(rows[0]), int(rows[1])
 
 
 def _as_names(value: Any) -> Any:

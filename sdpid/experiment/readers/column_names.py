@@ -12,12 +12,13 @@ from numpy.typing import NDArray
 
 from sdpid._common.text import printable
 from sdpid.errors import DataError
+from sdpid.experiment.readers.floating.quantities import NAMES
 from sdpid.experiment.readers.table import NoNumbersError, Table
 from sdpid.experiment.readers.unit_names import UNITS, split_unit
 from sdpid.experiment.recording.memory_budget import check_memory
 from sdpid.experiment.recording.stored import StoredArray
 
-__all__ = ["CONVENTIONS", "Columns"]
+__all__ = ["CONVENTIONS", "Columns", "spelled"]
 
 # Words of positions that are commanded, and not what the robot did.
 _COMMAND_WORDS = (
@@ -55,6 +56,7 @@ CONVENTIONS: dict[str, tuple[str, ...]] = {
     "start": ("start",),
     "periods": ("periods",),
     "effort_scale": ("effort_scale",),
+    **NAMES,
 }
 # Names that any quantity may have; the unit beside them tells which: Joint 1 [deg].
 _BARE = ("joint", "axis", "j", "a")
@@ -261,6 +263,32 @@ class Columns:
         self.used.pop(quantity, None)
         self.implied.pop(quantity, None)
 
+    def given(self, quantity: str) -> tuple[bool, Any]:
+        """Return whether it is said where a quantity is, and where."""
+        return quantity in self._given, self._given.get(quantity)
+
+    def places(self, key: str, quantity: str) -> list[str]:
+        """Return the names that are `key`, however it is spelled."""
+        return self._exact(key, quantity)
+
+    def like(self, quantity: str, pattern: str) -> _Group:
+        """Return by what a group of the pattern stands for, and of nothing that was read."""
+        taken = {name for names in self.used.values() for name in names}
+        found: _Group = {}
+        for name, plain in self._candidates(quantity).items():
+            match = re.fullmatch(pattern, plain.rpartition("/")[2] or plain, re.IGNORECASE)
+            match = match or re.fullmatch(pattern, plain, re.IGNORECASE)
+            if match is not None and name not in taken:
+                found.setdefault(match[1], name)
+        return found
+
+    def absent(self, quantity: str, given: str) -> DataError:
+        """Return the error that what was asked for is not there."""
+        return DataError(
+            f"{self._file}: columns: '{given}' for {quantity} is not there; found: "
+            f"{self._listing()}."
+        )
+
     def missing(self, quantity: str) -> DataError:
         """Return the error that a quantity was not found, and what was."""
         if self._table.unnamed:
@@ -384,7 +412,7 @@ class Columns:
         if key in self._arrays:
             return [key]
         plain = self._candidates(quantity)
-        pattern = re.compile(_spelled(key), re.IGNORECASE)
+        pattern = re.compile(spelled(key), re.IGNORECASE)
         top = [name for name in plain if pattern.fullmatch(plain[name])]
         if top:
             return top[:1]
@@ -473,14 +501,14 @@ def _list(names: Iterable[str]) -> str:
     return (", ".join(every[:_LISTED]) or "nothing") + more
 
 
-def _spelled(key: str) -> str:
+def spelled(key: str) -> str:
     """Return a pattern of a name whose words are joined by underscores, blanks or hyphens."""
     return r"[_\s-]".join(re.escape(word) for word in key.split("_"))
 
 
 def _numbered(plain: dict[str, str], key: str, names: Sequence[str] | None, _: bool) -> _Group:
     """Return the columns that are named `key` and a number, in numeric order."""
-    pattern = re.compile(_spelled(key) + r"[_./\s-]?\[?(\d+)\]?", re.IGNORECASE)
+    pattern = re.compile(spelled(key) + r"[_./\s-]?\[?(\d+)\]?", re.IGNORECASE)
     numbered: dict[int, str] = {}
     for name, text in plain.items():
         match = pattern.fullmatch(text) or pattern.fullmatch(text.rpartition("/")[2])
@@ -496,7 +524,7 @@ def _labeled(
     plain: dict[str, str], key: str, names: Sequence[str] | None, explicit: bool
 ) -> _Group:
     """Return the columns that are named `key` and a joint."""
-    pattern = re.compile(_spelled(key) + r"[_./\s-](.+)", re.IGNORECASE)
+    pattern = re.compile(spelled(key) + r"[_./\s-](.+)", re.IGNORECASE)
     labeled: _Group = {}
     for name, text in plain.items():
         match = pattern.fullmatch(text) or pattern.fullmatch(text.rpartition("/")[2])
@@ -511,7 +539,7 @@ def _suffixed(
     plain: dict[str, str], key: str, names: Sequence[str] | None, explicit: bool
 ) -> _Group:
     """Return the columns that are named a joint and `key`."""
-    pattern = re.compile(r"(.+?)[_./\s-]" + _spelled(key), re.IGNORECASE)
+    pattern = re.compile(r"(.+?)[_./\s-]" + spelled(key), re.IGNORECASE)
     labeled: _Group = {}
     for name, text in plain.items():
         match = pattern.fullmatch(text)

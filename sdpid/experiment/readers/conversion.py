@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -13,6 +14,7 @@ from numpy.typing import NDArray
 from sdpid._common.arrays import real_array
 from sdpid.errors import DataError
 from sdpid.experiment.readers.arguments import Arguments, only_signs
+from sdpid.experiment.readers.floating.build import base_of, contacts_of
 from sdpid.experiment.readers.missing import mend_missing
 from sdpid.experiment.readers.scaled import IN_AMPERES, scaled
 from sdpid.experiment.readers.selection import Selection
@@ -55,6 +57,7 @@ def convert(
         When a unit is not known, currents have no factor, a value is missing or absurd, or the
         arrays do not make a recording.
     """
+    found = _some_rows(file, found, arguments.rows)
     motors, units = arguments.motors, {**found.units, **arguments.units}
     if arguments.amperes:
         _require_amperes(file, arguments, units)
@@ -74,8 +77,14 @@ def convert(
     if arguments.without_effort and "effort" in tables:
         shown = labels if first is None else names
         tables["effort"] = _zero_where_absent(tables["effort"], shown, arguments.without_effort)
-    time, tables, mended = mend_missing(file, time, tables, columns, place, arguments.missing)
-    tables = {name: _in_si(name, table, units, first) for name, table in tables.items()}
+    floating = found.floating.tables
+    columns |= {name: _of_floating(found, name) for name in floating}
+    begin = 0 if arguments.rows is None else arguments.rows[0] - 1
+    time, mended_tables, mended = mend_missing(
+        file, time, {**tables, **floating}, columns, lambda k: place(k + begin), arguments.missing
+    )
+    tables = {name: _in_si(name, mended_tables[name], units, first) for name in tables}
+    floating = {name: _in_si(name, mended_tables[name], units, None) for name in floating}
     if motors is not None:
         joints = {n: transformed(t, partial(motors.to_joints, n)) for n, t in tables.items()}
         tables = _picked(file, joints, order)
@@ -95,16 +104,41 @@ def convert(
             joint_names=names,
             notes=notes,
             currents=arguments.amperes,
+            base=base_of(file, found.floating, floating, arguments.floating),
+            contacts=contacts_of(file, found.floating, floating, arguments.floating),
             **{**tables, **stated},
         )
         if arguments.gains is not None:
             recording = scaled(recording, arguments.gains)
     except DataError as cause:
-        raise DataError(f"{file}: {cause}") from None
+        text = str(cause).removeprefix(f"{file}: ")
+        raise DataError(f"{file}: {text}") from None
     sources = {**_sources(found, units, arguments), **sources}
     if recording.gains is not None:
         sources["gains"] = recording.gains.in_words
     return recording, {**sources, "missing values": mended} if mended else sources
+
+
+def _some_rows(file: Path, found: Selection, rows: tuple[int, int] | None) -> Selection:
+    """Return the wanted rows of all that was found."""
+    if rows is None:
+        return found
+    count, part = len(found.tables["position"]), slice(rows[0] - 1, rows[1])
+    if rows[1] > count:
+        raise DataError(f"{file}: rows: asks for row {rows[1]}, the log has {count}.")
+    tables = {name: table[part] for name, table in found.floating.tables.items()}
+    return replace(
+        found,
+        tables={name: table[part] for name, table in found.tables.items()},
+        time=None if found.time is None else found.time.reshape(-1)[part],
+        floating=replace(found.floating, tables=tables),
+    )
+
+
+def _of_floating(found: Selection, quantity: str) -> list[str]:
+    """Return a name for each column of a table of the base, for messages."""
+    used, count = list(found.used[quantity]), found.floating.tables[quantity].shape[1]
+    return used if len(used) == count else [f"{used[0]}[{j + 1}]" for j in range(count)]
 
 
 def _effort_scale(

@@ -9,6 +9,7 @@ from typing import Any
 
 from sdpid._common.toml import load_toml
 from sdpid.errors import DataError
+from sdpid.experiment.readers.floating.quantities import SETTINGS, checked_settings
 from sdpid.experiment.recording.motor_side import MotorSide
 
 __all__ = ["find_mapping", "read_mapping"]
@@ -16,7 +17,10 @@ __all__ = ["find_mapping", "read_mapping"]
 _NUMBERS = ("period", "start", "periods", "rate_hz")
 _TEXTS = ("topic", "missing")
 _SCALES = ("effort_scale", "gains")
-_KNOWN = ("columns", "units", "motors", "joint_names", *_TEXTS, *_SCALES, *_NUMBERS)
+_KNOWN = (
+    *("columns", "units", "motors", "joint_names", *_TEXTS, *_SCALES, *_NUMBERS),
+    *(*SETTINGS, "rows"),
+)
 # How TOML, which has no null, says that a quantity is not to be read.
 _NOTHING = (False, "none")
 
@@ -35,7 +39,8 @@ def read_mapping(source: str | os.PathLike[str] | Mapping[str, Any]) -> dict[str
     source : path-like or mapping
         A TOML file, or its content. Keys are ``columns``, ``units`` and ``motors`` (tables),
         ``joint_names``, ``topic``, ``missing``, ``effort_scale``, ``gains`` (a file beside the
-        mapping), ``rate_hz``, ``period``, ``start`` and ``periods``.
+        mapping), ``rate_hz``, ``rows``, ``period``, ``start`` and ``periods``; of a floating
+        base the tables ``base``, ``imu`` and ``contacts``.
 
     Returns
     -------
@@ -72,6 +77,9 @@ def read_mapping(source: str | os.PathLike[str] | Mapping[str, Any]) -> dict[str
         value = content.get(key, 0)
         if isinstance(value, bool) or not isinstance(value, (int, float)):
             raise DataError(f"{where}: {key} is {value!r}, expected a number.")
+    for key in SETTINGS:
+        if key in content:
+            content[key] = checked_settings(f"{key}", content[key])
     if "motors" in content:
         try:
             content["motors"] = MotorSide.from_mapping(_table(where, content, "motors"))

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sdpid.errors import DataError
+from sdpid.experiment.readers.floating.quantities import NAMES
 from sdpid.experiment.recording.recording import LARGEST
 
 __all__ = ["MISSING", "mend_missing", "sound"]
@@ -77,6 +78,11 @@ def mend_missing(
         return time[kept], mended, f"{np.count_nonzero(rows)} of {rows.size} samples dropped"
     filled: _Tables = {}
     for quantity, table in tables.items():
+        if quantity in NAMES and lacking[quantity].any():
+            raise DataError(
+                f"{file}: {quantity} lacks values, and missing='interpolate' fills only what "
+                "belongs to joints; read it with missing='drop'."
+            )
         table = np.array(table, dtype=np.float64)
         for j in map(int, np.flatnonzero(lacking[quantity].any(axis=0))):
             lacks = lacking[quantity][:, j]

@@ -13,7 +13,8 @@ from sdpid._common.files import Source, unchanged
 from sdpid.errors import DataError
 from sdpid.experiment.readers.arguments import Arguments, complete_arguments
 from sdpid.experiment.readers.conversion import convert
-from sdpid.experiment.readers.formats.loaders import LOADERS, load_frame
+from sdpid.experiment.readers.formats.loaders import LOADERS, MATRICES, load_frame
+from sdpid.experiment.readers.formats.matrices import is_folder_of_matrices
 from sdpid.experiment.readers.selection import read_selection, select
 from sdpid.experiment.readers.table import row_number
 from sdpid.experiment.recording.recording import Recording, with_source
@@ -57,8 +58,8 @@ def read_recording(path: Any, **how: Any) -> Any:
     """Read a log, or several that were logged in the same way.
 
     Formats: CSV (also ``.csv.gz``), Parquet, NPZ, MATLAB (``.mat``), HDF5, ROS bags with
-    ``sensor_msgs/JointState`` (``.db3``, ``.mcap``, ``.bag``, or the folder of a ROS 2 bag), and
-    data frames of pandas or polars. Nothing is ever unpickled or run.
+    ``sensor_msgs/JointState`` (``.db3``, ``.mcap``, ``.bag``, or the folder of a ROS 2 bag),
+    folders of text matrices, and data frames of pandas or polars. Nothing is ever unpickled or run.
 
     Quantities are found by their usual names (``t``, ``q``, ``dq``, ``tau``, ``position_1``,
     ``actual_q``, ``time_ms``, ...). Other names come from the arguments or from a mapping, a TOML
@@ -113,6 +114,18 @@ def read_recording(path: Any, **how: Any) -> Any:
         Joints whose effort may lack every value; it is then read as zero. Leave them out of the
         fit too (``identify(..., without_effort=...)``). Where the file has no names, numbers
         from 1.
+    base : mapping, optional
+        Of a floating base: ``quaternion``, ``"xyzw"`` or ``"wxyz"``, where the names of the
+        columns do not say it; ``velocity_frame``, ``"world"`` or ``"base"``; in a ROS bag
+        ``topic``, with its odometry.
+    imu : mapping, optional
+        ``translation`` and ``rotation`` of the sensor in the base link, as in `Imu`; in a ROS bag
+        its ``topic``.
+    contacts : mapping, optional
+        ``frames``, ``kind`` and ``offset`` as in `Contacts`; ``threshold`` above which numbers
+        in the columns of contacts mean a closed one.
+    rows : (int, int), optional
+        First and last sample to read, counted from 1: one of several recordings in a file.
 
     Returns
     -------
@@ -204,7 +217,9 @@ def _choices(file: Path, suffix: str, arguments: Arguments, stored: bool | None)
             f"{suffix}. Write it as Parquet (Recording.to_parquet), or leave stored out."
         )
     if suffix in _BAGS:
-        return {"topic": arguments.topic, "joint_names": arguments.joint_names}
+        said = {"base": arguments.base.get("topic"), "imu": arguments.imu.get("topic")}
+        topics = {name: topic for name, topic in said.items() if topic is not None}
+        return {"topic": arguments.topic, "joint_names": arguments.joint_names, "topics": topics}
     return {"stored": stored} if suffix == ".parquet" else {}
 
 
@@ -224,7 +239,12 @@ def _suffix(file: Path) -> str:
     if file.is_dir():
         if (file / "metadata.yaml").is_file():
             return ".db3"
-        raise DataError(f"{file}: is a folder without metadata.yaml, so it is no ROS 2 bag.")
+        if is_folder_of_matrices(file):
+            return MATRICES
+        raise DataError(
+            f"{file}: is a folder without metadata.yaml, so it is no ROS 2 bag, and without text "
+            "files (.dat, .txt, .csv, .tsv) that could be matrices."
+        )
     suffix = file.suffix.lower()
     if suffix == ".gz":
         suffix = "".join(file.suffixes[-2:]).lower()

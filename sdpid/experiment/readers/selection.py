@@ -13,8 +13,10 @@ from numpy.typing import NDArray
 from sdpid._common.sandbox import run_in_sandbox
 from sdpid.errors import DataError
 from sdpid.experiment.readers.column_names import Columns
+from sdpid.experiment.readers.floating.find import Floating, find_floating
 from sdpid.experiment.readers.formats.loaders import LOADERS, SANDBOXED
 from sdpid.experiment.readers.references import find_reference
+from sdpid.experiment.readers.slices import with_slices
 from sdpid.experiment.readers.table import Table, row_number
 from sdpid.experiment.recording.recording import CHANNELS
 
@@ -45,6 +47,8 @@ class Selection:
         The units that these names imply.
     left_out : dict
         Why a quantity is left out that seems to be there.
+    floating : Floating
+        Of a base and its contacts.
     """
 
     tables: dict[str, NDArray[Any]]
@@ -55,6 +59,7 @@ class Selection:
     used: dict[str, Sequence[str]] = field(default_factory=dict)
     units: dict[str, Any] = field(default_factory=dict)
     left_out: dict[str, str] = field(default_factory=dict)
+    floating: Floating = field(default_factory=Floating)
 
 
 def select(
@@ -65,6 +70,7 @@ def select(
     *,
     scaled: bool,
     timeless: bool = False,
+    floating: Mapping[str, Any] | None = None,
 ) -> Selection:
     """Find the quantities of a log.
 
@@ -82,12 +88,15 @@ def select(
         Whether currents will be turned into torques.
     timeless : bool, optional
         Whether a sample rate is given, so that no stamps are needed.
+    floating : mapping, optional
+        What was said of ``base``, ``imu`` and ``contacts``.
 
     Raises
     ------
     DataError
         When a quantity is not found, is ambiguous, or holds no numbers.
     """
+    table = with_slices(file, table, columns)
     log = Columns(file, table, columns, scaled=scaled)
     stored = log.names()
     tables: dict[str, NDArray[Any]] = {}
@@ -126,6 +135,7 @@ def select(
     rate = None if time is not None else _rate(file, log.number("rate", 1))
     if time is None and rate is None and not timeless:
         raise log.missing("time")
+    base = find_floating(file, log, table.stated, floating or {})
     return Selection(
         tables=tables,
         labels=names,
@@ -134,7 +144,8 @@ def select(
         numbers={**numbers, "effort_scale": scale},
         used=dict(log.used),
         units=dict(log.implied),
-        left_out=left_out,
+        left_out=left_out | base.left_out,
+        floating=base,
     )
 
 
@@ -162,7 +173,7 @@ def read_selection(
     if suffix in SANDBOXED:
         arguments = (str(file), suffix, dict(choices), dict(how))
         found = run_in_sandbox(_plain_selection, *arguments, subject=str(file))
-        return Selection(**found), row_number
+        return Selection(**{**found, "floating": Floating(**found["floating"])}), row_number
     table = LOADERS[suffix](file, **choices)
     return select(file, table, **how), table.place
 
@@ -172,7 +183,8 @@ def _plain_selection(
 ) -> dict[str, Any]:
     """Load a log and return its `Selection` as plain values."""
     file = Path(path)
-    return vars(select(file, LOADERS[suffix](file, **choices), **how))
+    found = vars(select(file, LOADERS[suffix](file, **choices), **how))
+    return {**found, "floating": vars(found["floating"])}
 
 
 def _item(value: NDArray[Any] | None) -> Any:

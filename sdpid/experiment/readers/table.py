@@ -45,6 +45,8 @@ class Table:
         Names that are known to be columns of numbers.
     units : mapping
         Units that are known for some names.
+    stated : mapping
+        What the file says of ``base``, ``imu`` and ``contacts``.
     """
 
     arrays: Arrays
@@ -53,3 +55,4 @@ class Table:
     columns: Callable[[Sequence[str]], NDArray[Any]] | None = None
     plain: frozenset[str] = frozenset()
     units: Mapping[str, str] = field(default_factory=dict)
+    stated: Mapping[str, Any] = field(default_factory=dict)

@@ -31,6 +31,19 @@ _SPELLINGS |= {"sec": "s", "seconds": "s", "µs": "us", "μs": "us", "msec": "ms
 _SPELLINGS |= {"°": "deg", "degree": "deg", "degrees": "deg", "radians": "rad", "rev": "turn"}
 _SPELLINGS |= {"°/s": "deg/s", "deg/sec": "deg/s", "rad/sec": "rad/s", "1/min": "rpm"}
 _SPELLINGS |= {"n*m": "N.m", "n m": "N.m", "mn*m": "mN.m", "amp": "A", "ampere": "A"}
+_GRAVITY = 9.80665
+UNITS |= {
+    "base_orientation": {"1": 1.0},
+    "base_position": {"m": 1.0, "mm": 1e-3},
+    "base_linear_velocity": {"m/s": 1.0, "mm/s": 1e-3},
+    "base_angular_velocity": {"rad/s": 1.0, "deg/s": _DEGREE},
+    "gyroscope": {"rad/s": 1.0, "deg/s": _DEGREE},
+    "accelerometer": {"m/s²": 1.0, "m/s^2": 1.0, "m/s2": 1.0, "g": _GRAVITY, "mg": 1e-3 * _GRAVITY},
+    "contact": {"1": 1.0},
+    "contact_force": {"N": 1.0, "kN": 1e3},
+    "contact_wrench": {"N": 1.0},
+}
+_SPELLINGS |= {unit: unit for unit in ("m/s²", "m/s^2", "m/s2", "g", "mg")} | {"kn": "kN"}
 _BRACKETED = re.compile(r"(.*?)\s*[\[({]\s*([^\[\](){}]+?)\s*[\])}]\s*")
 
 

@@ -84,7 +84,8 @@ def test_a_mapping_beside_the_log(tmp_path: Path):
 
 def test_the_mapping_of_the_documentation(tmp_path: Path):
     page = Path(__file__).resolve().parents[3] / "docs/guides/logs.md"
-    (text,) = re.findall(r"^```toml\n(.*?)^```", page.read_text(encoding="utf-8"), re.M | re.S)
+    blocks = re.findall(r"^```toml\n(.*?)^```", page.read_text(encoding="utf-8"), re.M | re.S)
+    text, floating = blocks
     (tmp_path / "run.toml").write_text(text, encoding="utf-8")
     header = [*(f"enc{j}" for j in range(1, 7)), *(f"i{j}" for j in range(1, 7))]
     rows = RNG.standard_normal((N, 12))
@@ -98,6 +99,8 @@ def test_the_mapping_of_the_documentation(tmp_path: Path):
     # The keys that are commented out are right as well.
     open_text = re.sub(r"^# (?!applies_to)(?=\w+ = )", "", text, flags=re.M)
     assert {"topic", "period"} <= set(read_mapping(load_toml(_written(tmp_path, open_text))))
+    tables = {"rate_hz", "base", "imu", "contacts"}
+    assert set(read_mapping(_written(tmp_path, floating))) == tables
 
 
 def _written(folder: Path, text: str) -> Path:

@@ -16,13 +16,14 @@ from numpy.typing import NDArray
 from sdpid.errors import DataError
 from sdpid.experiment.readers.formats.hdf5 import load_hdf5
 from sdpid.experiment.readers.formats.matlab import load_mat
+from sdpid.experiment.readers.formats.matrices import load_matrices
 from sdpid.experiment.readers.formats.parquet_file import load_parquet
 from sdpid.experiment.readers.formats.ros_bag import load_rosbag
 from sdpid.experiment.readers.formats.text_file import load_text
 from sdpid.experiment.readers.table import NoNumbersError, Table
 from sdpid.experiment.recording.memory_budget import check_claim
 
-__all__ = ["LOADERS", "SANDBOXED"]
+__all__ = ["LOADERS", "MATRICES", "SANDBOXED"]
 
 # What reading a damaged archive can raise; a broken header may also ask for too much memory.
 _DAMAGE = (
@@ -100,8 +101,11 @@ def _frame_column(frame: Any, name: Any) -> NDArray[Any]:
         raise NoNumbersError(f"data frame: '{name}' holds objects, expected numbers.") from None
 
 
+# The format of a folder of text matrices, which has no suffix.
+MATRICES = "folder"
 # A new format is one function and one line here.
 LOADERS: dict[str, Callable[..., Table]] = {
+    MATRICES: load_matrices,
     ".bag": load_rosbag,
     ".csv": load_text,
     ".csv.gz": load_text,

@@ -66,6 +66,7 @@ def load_parquet(path: Path, *, stored: bool | None = None) -> Table:
         columns=several,
         plain=frozenset(plain),
         units={"time": "s"} if recorded else {},
+        stated=_of_base(file.metadata) if recorded else {},
     )
 
 
@@ -170,6 +171,12 @@ def _values(column: Any) -> NDArray[Any]:
     # As to_numpy does, but that loads pandas, which takes a quarter of a second.
     begin, kind = column.offset, _KINDS[str(column.type)]
     return np.frombuffer(column.buffers()[1], dtype=kind)[begin : begin + len(column)]
+
+
+def _of_base(raw: Mapping[bytes, bytes]) -> dict[str, Any]:
+    """Return what `Recording.to_parquet` kept of an IMU and of contacts."""
+    stated = json.loads(raw[KEY])
+    return {key: stated[key] for key in ("imu", "contacts") if isinstance(stated.get(key), dict)}
 
 
 def _recorded_arrays(

@@ -6,7 +6,7 @@ Read in the sandbox only: compressed pieces may unpack to more than memory holds
 from __future__ import annotations
 
 from array import array
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from sdpid._common.extras import require
 from sdpid.errors import DataError
+from sdpid.experiment.readers.formats.ros_base import MESSAGES, BaseStream, topic_of
 from sdpid.experiment.readers.table import Table
 
 __all__ = ["load_rosbag"]
@@ -28,9 +29,13 @@ _SECOND = 1_000_000_000
 
 
 def load_rosbag(
-    path: Path, *, topic: str | None = None, joint_names: Sequence[str] | None = None
+    path: Path,
+    *,
+    topic: str | None = None,
+    joint_names: Sequence[str] | None = None,
+    topics: Mapping[str, str] | None = None,
 ) -> Table:
-    """Read the joint states of a bag.
+    """Read the joint states of a bag, and the odometry and the IMU of a base.
 
     Parameters
     ----------
@@ -40,13 +45,18 @@ def load_rosbag(
         By default the only topic with joint states, or ``/joint_states``.
     joint_names : sequence of str, optional
         Joints to take where several sources publish to one topic.
+    topics : mapping, optional
+        Topics of ``base`` (``nav_msgs/Odometry``) and ``imu`` (``sensor_msgs/Imu``); by default
+        the only one, and none of an IMU without odometry.
 
     Returns
     -------
     Table
         ``time`` (from the messages' own stamps where they have any, else when they were
         recorded), ``bag_time`` (when they were recorded), both in s from the first message,
-        ``joint_names``, ``position``, and ``velocity`` and ``effort`` where they are filled.
+        ``joint_names``, ``position``, and ``velocity`` and ``effort`` where they are filled;
+        ``base_position`` and so on, ``gyroscope`` and ``accelerometer`` at the same stamps, NaN
+        where nothing is known.
 
     Raises
     ------
@@ -62,9 +72,29 @@ def load_rosbag(
     with highlevel.AnyReader([path], default_typestore=store) as reader:
         states = _States(path, None if joint_names is None else tuple(joint_names))
         wanted = _connections(path, reader, topic)
+        streams = _streams(path, reader, topics or {})
+        wanted += [c for c in reader.connections if c.topic in streams]
         for connection, stamp, raw in reader.messages(connections=wanted):
-            states.add(stamp, reader.deserialize(raw, connection.msgtype))
-    return Table(states.columns())
+            taker = streams.get(connection.topic, states)
+            taker.add(stamp, reader.deserialize(raw, connection.msgtype))
+    columns = states.columns()
+    for stream in streams.values():
+        stamps, stamped, origin = states.clock
+        found = stream.at(stamps, stamped=stamped, origin=origin)
+        columns |= {name: partial(np.asarray, values) for name, values in found.items()}
+    said = {"base": {"quaternion": "xyzw", "velocity_frame": "base"}} if streams else {}
+    return Table(columns, stated=said)
+
+
+def _streams(path: Path, reader: Any, topics: Mapping[str, str]) -> dict[str, BaseStream]:
+    """Return what takes the messages of the base, by topic; nothing without odometry."""
+    found: dict[str, BaseStream] = {}
+    for message, name in MESSAGES.items():
+        topic = topic_of(path, reader, message, topics.get(name))
+        if topic is None:
+            break
+        found[topic] = BaseStream(message)
+    return found
 
 
 def _connections(path: Path, reader: Any, topic: str | None) -> list[Any]:
@@ -140,6 +170,14 @@ class _States:
             )
         return [names.index(name) for name in self._names]
 
+    @property
+    def clock(self) -> tuple[NDArray[np.float64], bool, int]:
+        """The stamps in s, whether they are the messages' own, and where they count from, ns."""
+        stamped = np.array(self._stamps, dtype=np.int64)
+        own = bool(stamped.any())
+        best = stamped if own else np.array(self._times, dtype=np.int64)
+        return (best - best[0]) / _SECOND, own, int(best[0])
+
     def columns(self) -> dict[str, Callable[[], NDArray[Any]]]:
         """Return what was collected as named arrays."""
         others = sorted(", ".join(names) for names, order in self._order.items() if order is None)
@@ -155,10 +193,8 @@ class _States:
             )
         found: dict[str, Callable[[], NDArray[Any]]] = {}
         recorded = np.array(self._times, dtype=np.int64)
-        stamped = np.array(self._stamps, dtype=np.int64)
-        best = stamped if stamped.any() else recorded
-        for name, times in (("time", best), ("bag_time", recorded)):
-            found[name] = partial(np.asarray, (times - times[0]) / _SECOND)
+        found["time"] = partial(np.asarray, self.clock[0])
+        found["bag_time"] = partial(np.asarray, (recorded - recorded[0]) / _SECOND)
         found["joint_names"] = partial(np.asarray, np.asarray(self._names))
         for quantity, values in self._values.items():
             if values:

@@ -29,8 +29,8 @@ class Contacts:
     frames : sequence of str
         Names of frames of the robot, c in all: one a foot.
     kind : {"point", "line", "plane"} or sequence of them
-        What a contact transmits: a force; a force and two moments (an edge); a force and three
-        moments (a flat foot). One for all, or one each; kept as one each.
+        What a contact transmits: a force; a force and two moments (an edge along the frame's y
+        axis); a force and three moments (a flat foot). One for all, or one each; kept as one each.
     down : (N, c) array_like of bool, optional
         Whether the contact is closed.
     forces : (N, c, 3) array_like, optional

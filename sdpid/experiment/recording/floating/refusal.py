@@ -26,6 +26,7 @@ def require_fixed_base(log: Recording, what: str) -> None:
     if log.base is not None:
         raise DataError(
             f"{what}: this recording has a floating base (log.base), and only robots that are "
-            "fixed to the ground are known here. Without the motion of the base no joint's effort "
-            "means anything, so it is not left out."
+            "fixed to the ground are known here. Where the base stood still, read the log with "
+            "columns={'base_orientation': None}, or drop it with dataclasses.replace(log, "
+            "base=None, contacts=None)."
         )

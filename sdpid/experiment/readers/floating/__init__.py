@@ -1,0 +1,1 @@
+"""What logs hold of a floating base and its contacts: found, checked and put together."""

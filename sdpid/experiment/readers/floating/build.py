@@ -1,0 +1,151 @@
+"""Put what was found of a base and its contacts together."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sdpid._common.arrays import Array
+from sdpid.errors import DataError
+from sdpid.experiment.readers.floating.find import Floating
+from sdpid.experiment.readers.floating.quantities import PARTS
+from sdpid.experiment.recording.floating.base import BaseMotion, Imu
+from sdpid.experiment.recording.floating.contacts import Contacts
+
+__all__ = ["base_of", "contacts_of"]
+
+_FIELDS = {"contact": "down", "contact_force": "forces", "contact_wrench": "wrenches"}
+
+
+def base_of(
+    file: Path, found: Floating, tables: Mapping[str, Array], settings: Mapping[str, Any]
+) -> BaseMotion | None:
+    """Return the motion of the base, None without one.
+
+    Parameters
+    ----------
+    file : Path
+        For messages.
+    found : Floating
+        What was found, and what the names say.
+    tables : mapping of (N, m) ndarray
+        The values in SI units.
+    settings : mapping
+        What was said of ``base`` and ``imu``.
+
+    Raises
+    ------
+    DataError
+        When nothing says the order of quaternions, two velocities have different axes, or a
+        table has another number of columns.
+    """
+    if "base_orientation" not in tables:
+        return None
+    for quantity, table in tables.items():
+        parts = PARTS[quantity]
+        if not quantity.startswith("contact") and table.shape[1] != len(parts):
+            raise DataError(
+                f"{file}: {quantity}: has {table.shape[1]} columns, expected {len(parts)}: "
+                f"{', '.join(parts)}."
+            )
+    base = {**found.stated.get("base", {}), **settings.get("base", {})}
+    imu = {**found.stated.get("imu", {}), **settings.get("imu", {})}
+    order = settings.get("base", {}).get("quaternion") or found.order or base.get("quaternion")
+    if order is None:
+        raise DataError(
+            f"{file}: base_orientation: the order of its quaternions is not known; say "
+            "base={'quaternion': 'xyzw'} or 'wxyz' (quaternion in the table [base] of a mapping), "
+            "or leave the base out with columns={'base_orientation': None}."
+        )
+    placed = {key: imu[key] for key in ("translation", "rotation") if key in imu}
+    sensors = {name: tables[name] for name in ("gyroscope", "accelerometer") if name in tables}
+    return BaseMotion(
+        orientation=tables["base_orientation"][:, [order.index(part) for part in "xyzw"]],
+        position=tables.get("base_position"),
+        linear_velocity=tables.get("base_linear_velocity"),
+        angular_velocity=tables.get("base_angular_velocity"),
+        velocity_frame=_frame(file, found, tables, base),
+        imu=Imu(**sensors, **placed) if sensors else None,
+    )
+
+
+def _frame(
+    file: Path, found: Floating, tables: Mapping[str, Array], base: Mapping[str, Any]
+) -> Any:
+    """Return the axes of the velocities."""
+    there = [name for name in tables if name.endswith("_velocity")]
+    if not there:
+        return None
+    frames = {found.velocity_frames.get(name, base.get("velocity_frame")) for name in there}
+    if len(frames) > 1:
+        raise DataError(
+            f"{file}: {' and '.join(there)} have different axes; leave one out, as with "
+            f"columns={{'{there[0]}': None}}."
+        )
+    return frames.pop()
+
+
+def contacts_of(
+    file: Path, found: Floating, tables: Mapping[str, Array], settings: Mapping[str, Any]
+) -> Contacts | None:
+    """Return the contacts, None without any.
+
+    Raises
+    ------
+    DataError
+        When the frames are not known, or are another number than there are columns.
+    """
+    there = {name: table for name, table in tables.items() if name in _FIELDS}
+    said = {**found.stated.get("contacts", {}), **settings.get("contacts", {})}
+    if not there:
+        if settings.get("contacts"):
+            raise DataError(
+                f"{file}: contacts is given, but there are no columns of contacts; name them with "
+                "columns={'contact': ...}, or 'contact_force' or 'contact_wrench'."
+            )
+        return None
+    frames, order = _frames(file, found.frames, said.get("frames"), list(there))
+    shaped: dict[str, Any] = {}
+    for quantity, table in there.items():
+        size = len(PARTS[quantity]) or 1
+        if table.shape[1] != size * len(frames):
+            raise DataError(
+                f"{file}: {quantity}: has {table.shape[1]} columns, expected {size} for each of "
+                f"the {len(frames)} frames {', '.join(map(str, frames))}."
+            )
+        values: NDArray[Any] = table.reshape(len(table), len(frames), size)
+        values = values if order is None else values[:, order]
+        shaped[_FIELDS[quantity]] = values if quantity != "contact" else _flags(values, said)
+    placed = {key: said[key] for key in ("kind", "offset") if key in said}
+    return Contacts(frames=frames, **shaped, **placed)
+
+
+def _frames(
+    file: Path, columns: tuple[str, ...] | None, said: Any, there: list[str]
+) -> tuple[tuple[str, ...], list[int] | None]:
+    """Return the contacts' frames, and which columns are theirs where they are in another order."""
+    if columns is not None and all(label.isdigit() for label in columns):
+        columns = None  # Numbers are no names.
+    if isinstance(said, str):
+        raise DataError(f"{file}: contacts.frames: is {said!r}, expected a list of names.")
+    if said is None and columns is None:
+        raise DataError(
+            f"{file}: {', '.join(there)}: say which frame of the robot each column is of, "
+            "contacts={'frames': [...]}."
+        )
+    if said is None or columns is None:
+        return tuple(columns or said), None
+    frames = tuple(said)
+    same = set(frames) == set(columns)
+    return frames, [columns.index(frame) for frame in frames] if same else None
+
+
+def _flags(values: NDArray[Any], said: Mapping[str, Any]) -> NDArray[Any]:
+    """Return which contacts are closed: flags, or what is above the threshold."""
+    threshold = said.get("threshold")
+    flags = values[:, :, 0]
+    return flags if threshold is None else np.asarray(flags > float(threshold))

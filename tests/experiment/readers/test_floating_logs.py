@@ -1,0 +1,208 @@
+"""Logs of robots with a floating base: poses, IMUs and feet, found by name or as told."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from sdpid.errors import DataError
+from sdpid.experiment.readers.read import read_described, read_recording
+from sdpid.experiment.recording.recording import Recording
+from tests.experiment.recording.test_floating import log
+from tests.helpers.bags import JOINTS, write_bag
+
+N = 40
+T = 0.01 * np.arange(N)
+
+
+def require_same(found: Recording, wanted: Recording) -> None:
+    """Check every array of base and contacts."""
+    a, b = found.base, wanted.base
+    assert a is not None
+    assert b is not None
+    np.testing.assert_allclose(a.orientation, b.orientation, atol=1e-15)
+    np.testing.assert_array_equal(a.position, b.position)
+    np.testing.assert_array_equal(a.angular_velocity, b.angular_velocity)
+    assert (a.velocity_frame, a.linear_velocity) == (b.velocity_frame, None)
+    assert a.imu is not None
+    assert b.imu is not None
+    np.testing.assert_array_equal(a.imu.accelerometer, b.imu.accelerometer)
+    np.testing.assert_array_equal(a.imu.translation, b.imu.translation)
+    feet, wished = found.contacts, wanted.contacts
+    assert feet is not None
+    assert wished is not None
+    assert (feet.frames, feet.kind) == (wished.frames, wished.kind)
+    for name in ("down", "forces", "offset"):
+        np.testing.assert_array_equal(getattr(feet, name), getattr(wished, name))
+
+
+def test_parquet_files_keep_everything(tmp_path: Path) -> None:
+    log().to_parquet(tmp_path / "run.parquet")
+    require_same(read_recording(tmp_path / "run.parquet"), log())
+
+
+def test_csv_files_keep_what_is_no_setting(tmp_path: Path) -> None:
+    file = tmp_path / "run.csv"
+    log().to_csv(file)
+    (tmp_path / "run.toml").write_text(
+        "[imu]\ntranslation = [0.1, 0, 0]\n[contacts]\noffset = [0, 0, -0.02]\n", encoding="utf-8"
+    )
+    require_same(read_recording(file), log())
+    turned = read_recording(file, contacts={"frames": ["right", "left"], "kind": "plane"})
+    assert turned.contacts is not None
+    assert turned.contacts.frames == ("right", "left")
+    assert turned.contacts.kind == ("plane", "plane")
+    np.testing.assert_array_equal(turned.contacts.down, log().contacts.down[:, ::-1])
+    np.testing.assert_array_equal(turned.contacts.forces, log().contacts.forces[:, ::-1])
+    assert read_recording(file, columns={"base_orientation": None}, mapping=False).base is None
+
+
+def arrays(**changes: Any) -> dict[str, Any]:
+    """Return the arrays of a file, quaternions w first."""
+    base = log().base
+    assert base is not None
+    return {
+        "t": T,
+        "q": log().position,
+        "tau": log().effort,
+        "base_quat": np.roll(base.orientation, 1, axis=1),
+        "base_ang_vel": np.degrees(base.angular_velocity),
+        "feet": 30.0 * log().contacts.down,
+        **changes,
+    }
+
+
+TOLD = {
+    "columns": {"contact": "feet"},
+    "base": {"quaternion": "wxyz", "velocity_frame": "base"},
+    "contacts": {"frames": ["left", "right"], "threshold": 20.0},
+    "units": {"base_angular_velocity": "deg/s"},
+}
+
+
+def test_arrays_are_read_as_told(tmp_path: Path) -> None:
+    np.savez(tmp_path / "run.npz", **arrays())
+    found = read_recording(tmp_path / "run.npz", **TOLD)
+    assert found.base is not None
+    assert found.contacts is not None
+    np.testing.assert_allclose(found.base.orientation, log().base.orientation, atol=1e-15)
+    np.testing.assert_allclose(found.base.angular_velocity, log().base.angular_velocity)
+    assert found.base.velocity_frame == "base"
+    np.testing.assert_array_equal(found.contacts.down, log().contacts.down)
+    part = read_recording(tmp_path / "run.npz", **TOLD, rows=(11, 30))
+    assert part.n_samples == part.base.n_samples == part.contacts.n_samples == 20
+    assert part.time[0] == T[10]
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"base": {}}, "the order of its quaternions is not known; say base="),
+        ({"base": {"quaternion": "zyxw"}}, "expected one of xyzw, wxyz"),
+        ({"base": {"quat": "xyzw"}}, "base: quat is not known; known are quaternion"),
+        ({"contacts": {}}, "say which frame of the robot each column is of"),
+        ({"contacts": {"frames": ["left"]}}, "has 2 columns, expected 1 for each of the 1 frames"),
+        ({"columns": {"base_orientation": "pose"}}, "'pose' for base_orientation is not there"),
+        ({"columns": {"gyroscope": "tau"}}, "gyroscope: has 2 columns, expected 3"),
+        ({"columns": {"position": "q[2:3]"}}, "asks for columns 2 to 3 of an array"),
+        ({"rows": (5, 100)}, "rows: asks for row 100, the log has 40"),
+        ({"rows": (0, 10)}, "rows: is .*, expected the first and the last row"),
+    ],
+)
+def test_what_is_not_told_or_not_there_is_refused(
+    tmp_path: Path, changes: dict[str, Any], message: str
+) -> None:
+    np.savez(tmp_path / "run.npz", **arrays())
+    with pytest.raises(DataError, match=message):
+        read_recording(tmp_path / "run.npz", **{**TOLD, **changes})
+
+
+def test_velocities_of_unknown_axes_are_left_out_with_a_word(tmp_path: Path) -> None:
+    np.savez(tmp_path / "run.npz", **arrays())
+    told = {**TOLD, "base": {"quaternion": "wxyz"}}
+    found = read_described(tmp_path / "run.npz", **told)
+    assert found.recording.base is not None
+    assert found.recording.base.angular_velocity is None
+    assert "its axes are not known" in found.sources["base_angular_velocity"]
+    told["columns"] = {"contact": "feet", "base_angular_velocity": "base_ang_vel"}
+    with pytest.raises(DataError, match="velocity_frame: is None, expected 'world' or 'base'"):
+        read_recording(tmp_path / "run.npz", **told)
+
+
+def test_missing_values_of_the_base_are_dropped_or_refused(tmp_path: Path) -> None:
+    given = arrays()
+    given["base_quat"][7] = np.nan
+    np.savez(tmp_path / "run.npz", **given)
+    with pytest.raises(DataError, match=r"row 8: base_orientation: 'base_quat\[1\]' has no value"):
+        read_recording(tmp_path / "run.npz", **TOLD)
+    with pytest.raises(DataError, match="fills only what belongs to joints"):
+        read_recording(tmp_path / "run.npz", **TOLD, missing="interpolate")
+    found = read_recording(tmp_path / "run.npz", **TOLD, missing="drop")
+    assert found.base.n_samples == found.contacts.n_samples == N - 1
+
+
+def test_folders_of_matrices_have_channels_in_rows_or_columns(tmp_path: Path) -> None:
+    given = arrays(base_quat=arrays()["base_quat"].T, q=np.hstack([log().position] * 2))
+    for name, values in given.items():
+        np.savetxt(tmp_path / f"{name}.dat", values, delimiter="\t", fmt="%.17g")
+    columns = {**TOLD["columns"], "position": "q[3:4]"}
+    found = read_recording(tmp_path, **{**TOLD, "columns": columns})
+    np.testing.assert_array_equal(found.position, log().position)
+    np.testing.assert_allclose(found.base.orientation, log().base.orientation, atol=1e-15)
+    np.savetxt(tmp_path / "tau.dat", np.eye(3))
+    with pytest.raises(DataError, match="3 × 3 numbers, so that it is not known which side"):
+        read_recording(tmp_path, **TOLD)
+
+
+@pytest.mark.parametrize("kind", ["mcap", "ros1"])
+def test_odometry_and_imu_of_bags_come_to_the_stamps_of_the_joints(
+    tmp_path: Path, kind: str
+) -> None:
+    turns = Rotation.from_rotvec(np.linspace(0.0, 1.0, N)[:, None] * [0.2, 0.5, -0.8])
+    slope = np.linspace(0.0, 1.0, N)[:, None]
+    rows = np.hstack([slope + np.arange(3.0), turns.as_quat(), slope * np.arange(1.0, 7.0)])
+    q, v, tau = log().position, log().effort, log().effort
+    file = write_bag(tmp_path / "bag", kind, T, q, v, tau, base=rows)
+    with pytest.raises(DataError, match=r"base_orientation: .*has no value"):
+        read_recording(file)  # The last joint state is later than the last odometry.
+    found = read_recording(file, missing="drop", imu={"translation": [0.1, 0.0, 0.0]})
+    assert (found.n_samples, found.joint_names) == (N - 1, JOINTS)
+    base = found.base
+    assert base is not None
+    assert base.imu is not None
+    np.testing.assert_allclose(base.orientation, turns.as_quat()[:-1], atol=1e-12)
+    np.testing.assert_allclose(base.position, rows[:-1, :3], atol=1e-12)
+    np.testing.assert_allclose(base.imu.gyroscope, rows[:-1, 10:], atol=1e-12)
+    assert base.velocity_frame == "base"
+    with pytest.raises(DataError, match=r"no topic /pose with .*Odometry; there is /odom"):
+        read_recording(file, base={"topic": "/pose"})
+
+
+def test_solo12_simulated_elsewhere(data_folder: Path) -> None:
+    folder = data_folder / "solo12_simulated"
+    legs = [f"{leg}_{part}" for leg in ("FL", "FR", "HL", "HR") for part in ("HAA", "HFE", "KFE")]
+    told = {
+        "mapping": False,
+        "columns": {
+            "position": "q[8:19]",
+            "velocity": "dq[7:18]",
+            "base_position": "q[1:3]",
+            "base_orientation": "q[4:7]",
+            "base_linear_velocity": "dq[1:3]",
+            "base_angular_velocity": "dq[4:6]",
+        },
+        "base": {"quaternion": "xyzw", "velocity_frame": "world"},
+        "contacts": {"frames": ["FL_FOOT", "FR_FOOT", "HL_FOOT", "HR_FOOT"]},
+        "joint_names": legs,
+    }
+    stand = read_recording(folder, rows=(1, 2000), rate_hz=200.0, **told)
+    jump = read_recording(folder, rows=(3201, 4400), rate_hz=100.0, **told)
+    assert repr(stand) == "Recording(2000 samples, 12 joints, 200 Hz, floating base, 4 contacts)"
+    assert stand.contacts.down.all()
+    assert 0.4 < jump.contacts.down.mean() < 0.6
+    speed = np.diff(jump.base.position, axis=0) * 100.0
+    assert np.corrcoef(speed[:, 2], jump.base.linear_velocity[1:, 2])[0, 1] > 0.9
