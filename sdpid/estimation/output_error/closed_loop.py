@@ -8,7 +8,6 @@ from dataclasses import replace
 import numpy as np
 
 from sdpid._common.arrays import Array, frozen
-from sdpid.errors import SolverError
 from sdpid.estimation.compression.rows import RowSource
 from sdpid.estimation.estimate import Estimate, Status
 from sdpid.estimation.information import require_excitation
@@ -60,15 +59,7 @@ def iterate(
     sigma: Array | None = None
     status: Status = "iteration limit"
     for _ in range(max_iterations):
-        slopes = loop.slopes(at.model(), problem.base)
-        simulations += 1
-        if slopes is None:
-            raise SolverError(
-                "output error: the simulated motion diverges between the stamps of the log; give "
-                "control_hz, the rate that the controller ran at.",
-                problem=problem,
-                found=at,
-            )
+        slopes = loop.slopes(at.model(), problem.base, followed)
         linear, fresh = _linear(problem, rows, slopes, missed, at, sigma)
         if sigma is None:
             sigma = fresh

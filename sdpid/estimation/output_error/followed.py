@@ -14,7 +14,7 @@ from sdpid.experiment.preparation.twin import Twin
 from sdpid.experiment.processing.samples import Samples
 from sdpid.experiment.recording.recording import Recording
 from sdpid.experiment.simulation.arm import SimulatedArm
-from sdpid.experiment.simulation.closed_loop import simulate_closed_loop
+from sdpid.experiment.simulation.closed_loop import Motion, simulate_closed_loop
 from sdpid.experiment.simulation.controllers import Controller
 from sdpid.experiment.simulation.reference import DesiredMotion
 from sdpid.experiment.simulation.sensitivities import Loop, sensitivities
@@ -50,11 +50,18 @@ class Path:
         Commanded positions, velocities and accelerations.
     start : tuple of 2 ndarrays, shape (n,)
         Measured position and velocity at the first stamp.
+    fine : DesiredMotion
+        The commanded motion at stamps that are close enough for the linearized loop.
+    every, stride : int
+        Of these, how many lie between stamps of the recording, and between instants of the loop.
     """
 
     log: Recording
     told: Array
     start: tuple[Array, Array]
+    fine: DesiredMotion
+    every: int
+    stride: int
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -65,11 +72,14 @@ class Followed:
     ----------
     positions, velocities, efforts : tuple of ndarray, shape (N, n)
         One a recording, at its stamps.
+    motions : tuple of Motion
+        The same at the stamps of the linearized loop, which may lie closer.
     """
 
     positions: tuple[Array, ...]
     velocities: tuple[Array, ...]
     efforts: tuple[Array, ...]
+    motions: tuple[Motion, ...]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -120,15 +130,17 @@ class ClosedLoop:
         motions = []
         for path in self.paths:
             found = simulate_closed_loop(
-                arm, path.log, self.controller, control_hz=self.control_hz, start=path.start
+                arm, path.fine, self.controller, control_hz=self.control_hz, start=path.start
             )
             if found.diverged is not None:
                 return None
             motions.append(found)
+        every = [path.every for path in self.paths]
         return Followed(
-            positions=tuple(each.position for each in motions),
-            velocities=tuple(each.velocity for each in motions),
-            efforts=tuple(each.effort for each in motions),
+            positions=tuple(m.position[::k] for m, k in zip(motions, every, strict=True)),
+            velocities=tuple(m.velocity[::k] for m, k in zip(motions, every, strict=True)),
+            efforts=tuple(m.effort[::k] for m, k in zip(motions, every, strict=True)),
+            motions=tuple(motions),
         )
 
     def require(self, model: RobotDynamics, what: str) -> Followed:
@@ -166,46 +178,70 @@ class ClosedLoop:
         )
         return found.effort
 
-    def slopes(self, model: RobotDynamics, base: BaseParameters) -> Array | None:
+    def slopes(self, model: RobotDynamics, base: BaseParameters, followed: Followed) -> Array:
         """Return the derivative of the filtered positions by base parameters, (K, n, b).
 
-        None where the motion diverges.
+        `followed` are the motions of the model.
         """
-        arm, found = SimulatedArm.of(model), []
-        for path in self.paths:
-            fine, every = _refined(path.log)
-            moved = simulate_closed_loop(
-                arm, fine, self.controller, control_hz=self.control_hz, start=path.start
-            )
-            if moved.diverged is not None:
-                return None
-            told = DesiredMotion.of(fine, arm.n, None).at(moved.time)
+        found = []
+        for path, moved in zip(self.paths, followed.motions, strict=True):
+            told = path.fine.at(moved.time)
             error = told[:, 0] - moved.position
-            steps = np.diff(moved.time, prepend=moved.time[0])[:, None]
-            integral = np.cumsum(steps * error, axis=0)
-            stiffness, damping = self.controller.slopes(
-                moved.position, moved.velocity, told[:, 0], told[:, 1], told[:, 2], integral
-            )
+            means = 0.5 * np.diff(moved.time)[:, None] * (error[1:] + error[:-1])
+            integral = np.concatenate([np.zeros((1, self.twin.robot.n)), np.cumsum(means, axis=0)])
+            # Instants of the linearized loop: every so many, and what is left at the end.
+            last = (len(error) - 1) // path.stride * path.stride
+            few = np.append(np.arange(0, last, path.stride), np.arange(last, len(error)))
+            states = (moved.position, moved.velocity, *told.swapaxes(0, 1), integral)
+            given = [each[few] for each in states]
+            stiffness, damping = self.controller.slopes(*given)
             gains = getattr(self.controller, "gains", None)
             ki = None if gains is None or not np.any(gains.integral) else gains.integral
             loop = Loop(
-                time=moved.time,
-                position=moved.position,
-                velocity=moved.velocity,
+                time=moved.time[few],
+                position=given[0],
+                velocity=given[1],
                 # The effort of these states: a held one is that of the last period.
-                effort=self.controller.effort(
-                    moved.position, moved.velocity, told[:, 0], told[:, 1], told[:, 2], integral
-                ),
+                effort=self.controller.effort(*given),
                 stiffness=stiffness,
                 damping=damping,
                 integral=ki,
             )
-            rows = np.arange(0, len(moved.time), every)
-            found.append(sensitivities(model, base, loop, at=rows))
-        columns = [
-            self.twin.positions([each[:, :, k] for each in found]) for k in range(base.count)
-        ]
-        return np.stack(columns, axis=2)
+            rows = np.arange(0, len(moved.time), path.every)
+            at = rows if path.stride == 1 else None
+            values = _between(sensitivities(model, base, loop, at=at), path.stride, len(error))
+            # Columns in a piece: filtering goes through each on its own.
+            found.append(np.ascontiguousarray(np.moveaxis(values, 2, 0)))
+        columns = [self.twin.positions([each[k] for each in found]) for k in range(base.count)]
+        return np.ascontiguousarray(np.moveaxis(np.array(columns), 0, 2))
+
+
+def _between(values: Array, stride: int, count: int) -> Array:
+    """Return values at all of some instants, given every so many of them and the last ones.
+
+    In between they lie on the cubic through the nearest four.
+    """
+    if stride == 1:
+        return values
+    even = (count - 1) // stride + 1
+    out = np.empty((count, *values.shape[1:]))
+    out[: even * stride : stride] = values[:even]
+    out[(even - 1) * stride :] = values[even - 1 :]
+    before, after = 2.0 * values[0] - values[1], 2.0 * values[even - 1] - values[even - 2]
+    near = np.concatenate([before[None], values[:even], after[None]])
+    for step in range(1, stride):
+        x = step / stride
+        weights = (
+            -x * (x - 1.0) * (x - 2.0) / 6.0,
+            (x + 1.0) * (x - 1.0) * (x - 2.0) / 2.0,
+            -(x + 1.0) * x * (x - 2.0) / 2.0,
+            (x + 1.0) * x * (x - 1.0) / 6.0,
+        )
+        total = weights[0] * near[:-3]
+        for k in range(1, 4):
+            total += weights[k] * near[k : even - 1 + k]
+        out[step : (even - 1) * stride : stride] = total
+    return out
 
 
 def _given(reference: Any, count: int) -> list[Any]:
@@ -245,8 +281,18 @@ def _path(log: Recording, given: Any, n: int) -> Path:
             "stamp, one column a joint."
         )
     told = replace(log, reference=position)
-    motion = DesiredMotion.of(told, n, None).at(time)
-    return Path(log=told, told=motion, start=_start(log, time, motion))
+    desired = DesiredMotion.of(told, n, None)
+    motion = desired.at(time)
+    every = max(1, int(np.ceil(log.step / _LINEARIZED - 1e-6)))
+    rows = np.arange((len(time) - 1) * every + 1) / every
+    return Path(
+        log=told,
+        told=motion,
+        start=_start(log, time, motion),
+        fine=replace(desired, time=np.interp(rows, np.arange(len(time)), time)),
+        every=every,
+        stride=max(1, int(_LINEARIZED / log.step + 1e-6)),
+    )
 
 
 def _start(log: Recording, time: Array, told: Array) -> tuple[Array, Array]:
@@ -274,16 +320,3 @@ def _parabola(time: Array, values: Array) -> tuple[float, float, float]:
     fitted = np.linalg.lstsq(powers, values, rcond=None)[0]
     left = float(np.sum((values - powers @ fitted) ** 2))
     return float(fitted[0]), float(fitted[1]), left / max(len(time) - 3, 1)
-
-
-def _refined(log: Recording) -> tuple[Recording, int]:
-    """Return a recording with stamps close enough for the linearized loop, every how many."""
-    every = max(1, int(np.ceil(log.step / _LINEARIZED - 1e-6)))
-    if every == 1:
-        return log, 1
-    rows = np.arange(log.n_samples)
-    fine = np.arange((log.n_samples - 1) * every + 1) / every
-    time = np.interp(fine, rows, np.asarray(log.time))
-    told = DesiredMotion.of(log, log.n, None).at(time - time[0])[:, 0]
-    still = np.zeros_like(told)
-    return Recording(time=time, position=told, effort=still, reference=told), every

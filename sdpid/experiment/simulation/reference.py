@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections import deque
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -14,6 +15,10 @@ from sdpid.errors import DataError
 from sdpid.experiment.recording.recording import Recording
 from sdpid.experiment.trajectory.sampled import SampledCurve
 from sdpid.experiment.trajectory.trajectory import Trajectory
+
+# Answers that a motion keeps: those of a simulation are at the start, the instants of the
+# controller, and the samples.
+_KEPT = 3
 
 # What `simulate_closed_loop` takes.
 Reference = Any
@@ -38,12 +43,16 @@ class DesiredMotion:
     def of(cls, reference: Reference, n: int, rate_hz: float | None) -> DesiredMotion:
         """Take a trajectory, a recording with a reference, positions, or all three derivatives.
 
+        A desired motion stays what it is.
+
         Raises
         ------
         DataError
             When shapes or joints do not fit, or the rate is missing.
         """
-        if isinstance(reference, Trajectory):
+        if isinstance(reference, DesiredMotion):
+            found = reference
+        elif isinstance(reference, Trajectory):
             rate = _rate(rate_hz or reference.rate_hz)
             q, v, a = reference.sample()
             own = np.arange(len(q)) / reference.rate_hz
@@ -86,7 +95,24 @@ class DesiredMotion:
         return cls(time=time, curve=SampledCurve(time=time, **arrays))
 
     def at(self, time: Array) -> Array:
-        """Return positions, velocities and accelerations (T, 3, n); held at the end."""
+        """Return positions, velocities and accelerations (T, 3, n); held at the end.
+
+        The last answers are kept, since many models are simulated along one motion.
+        """
+        for times, found in self._kept:
+            if np.array_equal(times, time):
+                return found
+        found = self._evaluated(time)
+        self._kept.append((np.array(time), found))
+        return found
+
+    @cached_property
+    def _kept(self) -> deque[tuple[Array, Array]]:
+        """Times of the last calls of `at`, and the answers."""
+        return deque(maxlen=_KEPT)
+
+    def _evaluated(self, time: Array) -> Array:
+        """Return positions, velocities and accelerations (T, 3, n)."""
         breaks, inside = self.curve.breaks, np.clip(time, 0.0, self.curve.duration)
         piece = np.clip(np.searchsorted(breaks, inside, side="right") - 1, 0, len(breaks) - 2)
         x = (inside - breaks[piece])[:, None]

@@ -251,12 +251,14 @@ def _inverse_dynamics_slopes(
     robot, pinned = model.robot, model.to_pinocchio()
     data, E = pinned.createData(), robot.expansion
     configurations = robot.configuration(q)
-    by_position = np.empty((len(q), robot.n, robot.n))
+    by_position = np.empty((len(q), pinned.nv, pinned.nv))
     by_velocity = np.empty_like(by_position)
     for k, (each, rate, change) in enumerate(zip(configurations, v @ E.T, a @ E.T, strict=True)):
         pin.computeRNEADerivatives(pinned, data, each, rate, change)
-        by_position[k], by_velocity[k] = E.T @ data.dtau_dq @ E, E.T @ data.dtau_dv @ E
-    return by_position, by_velocity
+        by_position[k], by_velocity[k] = data.dtau_dq, data.dtau_dv
+    if np.array_equal(E, np.eye(robot.n)):
+        return by_position, by_velocity
+    return np.asarray(E.T @ by_position @ E), np.asarray(E.T @ by_velocity @ E)
 
 
 def _friction_slopes(model: RobotDynamics, v: Array) -> Array:

@@ -106,6 +106,18 @@ class Own(Controller):
         return self.law.slopes(*states)  # type: ignore[arg-type]
 
 
+def test_the_integral_of_a_sample_ends_at_the_sample() -> None:
+    law = PID(KP, KI, KD)
+    moved = simulate_closed_loop(model(), reference(TIMES), law, rate_hz=RATE)
+    told = reference(moved.time)
+    error = told[0] - moved.position
+    sums = np.cumsum(0.5 / RATE * (error[1:] + error[:-1]), axis=0)
+    integral = np.concatenate([np.zeros((1, 2)), sums])
+    expected = law.effort(moved.position, moved.velocity, *told, integral)
+    ahead = (KI * error).max() * 1e-3
+    np.testing.assert_allclose(moved.effort, expected, atol=0.1 * ahead)
+
+
 def test_a_controller_in_python_moves_the_arm_as_a_compiled_one() -> None:
     law, told = PD(KP, KD), reference(TIMES[:60])
     options = {"rate_hz": RATE, "control_hz": 1000.0, "position_noise": 1e-5, "seed": 3}
