@@ -1,6 +1,6 @@
 """Size and power of the test whether noise in the motion biases least squares.
 
-Simulated arms under a PD controller with known parameters. Two tables:
+Simulated arms under a PD controller with known parameters. Three tables:
 
 * ``bias_size.csv``: nothing biases least squares (the motion is measured exactly, efforts have
   white or colored noise of 5 % of their rms), logs are filtered; arms of two to seven joints, logs
@@ -24,6 +24,7 @@ from pathlib import Path
 
 import numpy as np
 from scipy.signal import lfilter
+from scipy.special import stdtrit
 
 import sdpid
 from sdpid._common.arrays import Array
@@ -33,6 +34,7 @@ from sdpid.errors import SolverError
 from sdpid.estimation.compression.rows import RowSource
 from sdpid.estimation.estimate import Estimate
 from sdpid.estimation.instrumental.moments import Columns, Moments, Pair
+from sdpid.estimation.posterior import fit_errors
 from sdpid.estimation.problem import Problem
 from sdpid.experiment.plant.default_plant import default_parameters
 from sdpid.experiment.preparation.twin import Twin
@@ -85,6 +87,14 @@ POWER = tuple(
     ("ur10_robot", noise, cutoff, mask)
     for noise in (1e-6, 1e-5, 5e-5)
     for cutoff, mask in ((130.0, FILTERED), (30.0, FILTERED), (30.0, MASKED))
+)
+
+
+# Robot, seconds, sample rate and cut-off in Hz, and noise of the encoders in rad.
+COVERED = (
+    ("2", 20.0, 200.0, 20.0, 5e-5),
+    ("3", 15.0, 500.0, 20.0, 3e-5),
+    ("4", 30.0, 250.0, 15.0, 2e-5),
 )
 
 
@@ -316,6 +326,42 @@ def power_rows(runs: int, cases: int = len(POWER)) -> Iterator[list[object]]:
         ]  # fmt: skip
 
 
+def coverage_rows(runs: int, cases: int = len(COVERED)) -> Iterator[list[object]]:
+    """Yield the rows of the table of coverages: encoders have noise that the loop does not see."""
+    for name, seconds, rate, cutoff, noise in COVERED[:cases]:
+        arm, processing = (
+            Arm(name, rate, ("viscous",), seconds),
+            processing_of(rate, cutoff, FILTERED),
+        )
+        held: dict[str, list[Array]] = {key: [] for key in COVERAGES[-3:]}
+        blocks = 0
+        for seed in range(runs):
+            log, rng = arm.log(seed), np.random.default_rng((seed, 2))
+            log = replace(
+                log, position=log.position + noise * rng.standard_normal(log.effort.shape)
+            )
+            problem = arm.problem(log, processing)
+            truth, every = problem.base_of(arm.model.theta), np.eye(problem.base.count)
+            second = sdpid.solve_instrumental(
+                problem, log, processing=processing, instruments="reference", solver=sdpid.solve_wls
+            )
+            for key, estimate, groups in zip(
+                COVERAGES[-3:],
+                (sdpid.solve_wls(problem), second, second),
+                ("frequencies", "frequencies", "blocks"),
+                strict=True,
+            ):
+                errors = fit_errors(estimate, groups)
+                deviation = np.sqrt(np.diag(errors.covariance))
+                half = stdtrit(errors.freedom(every), 0.975) * deviation
+                held[key].append(np.abs(estimate.base - truth) <= half)
+            blocks = -(-problem.samples.n_samples // problem.samples.block)
+        yield [
+            arm.model.robot.name, seconds, cutoff, noise, blocks, runs,
+            *(100.0 * float(np.mean(each)) for each in held.values()),
+        ]  # fmt: skip
+
+
 def _error(arm: Arm, problem: Problem, base: Array, processing: sdpid.Processing) -> float:
     """Return the error of predicted efforts on the exact motion, as a share of the efforts."""
     samples = sdpid.process(arm.exact, processing, progress=False)
@@ -335,23 +381,36 @@ POWERS = (
     "shift_percent", "error_least_squares_percent", "error_instruments_percent",
 )  # fmt: skip
 
+COVERAGES = (
+    "robot", "seconds", "cutoff_hz", "noise_rad", "blocks", "runs",
+    "least_squares_percent", "instruments_percent", "instruments_blocks_percent",
+)  # fmt: skip
+
 
 def main() -> None:
-    """Write both tables."""
+    """Write the tables."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--runs", type=int, default=36)
     parser.add_argument("--power-runs", type=int, default=4)
-    parser.add_argument("--only", choices=("size", "power"), help="one of the tables")
+    parser.add_argument("--coverage-runs", type=int, default=60)
+    parser.add_argument("--only", choices=("size", "power", "coverage"), help="one of the tables")
     parser.add_argument("--quick", action="store_true", help="one case of each table, two logs")
     parser.add_argument("--out", type=Path, default=Path("results"))
     chosen = parser.parse_args()
-    sizes, powers = len(SIZE), len(POWER)
+    sizes, powers, covered = len(SIZE), len(POWER), len(COVERED)
     if chosen.quick:
-        chosen.runs, chosen.power_runs, sizes, powers = 2, 1, 1, 1
+        chosen.runs, chosen.power_runs, chosen.coverage_runs = 2, 1, 1
+        sizes, powers, covered = 1, 1, 1
     chosen.out.mkdir(parents=True, exist_ok=True)
     for file, header, rows, count in (
         ("bias_size.csv", SIZES, size_rows(chosen.runs, sizes), sizes + 1),
         ("bias_power.csv", POWERS, power_rows(chosen.power_runs, powers), powers),
+        (
+            "bias_coverage.csv",
+            COVERAGES,
+            coverage_rows(chosen.coverage_runs, covered),
+            covered,
+        ),
     ):
         if chosen.only is not None and chosen.only not in file:
             continue
