@@ -13,6 +13,7 @@ __all__ = ["REFUSED", "kinds_accepted", "require_accepted"]
 # Kinds of findings that may be of severity 'refuse', and that one may overrule.
 REFUSED = (
     "axis_sign",
+    "base_orientation",
     "effort_order",
     "effort_scale",
     "effort_sign",

@@ -97,11 +97,14 @@ class Subject:
         None too where its joints could not be matched.
     without : frozenset of str
         Joints whose effort is not used.
+    floating : RobotModel or None
+        The robot in place of `robot`, where the recording has a floating base.
     """
 
     log: Recording
     robot: RobotModel | None
     without: frozenset[str] = frozenset()
+    floating: RobotModel | None = None
 
     @cached_property
     def continued(self) -> tuple[tuple[Recording, ...], list[str]] | DataError:

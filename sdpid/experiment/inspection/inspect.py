@@ -19,6 +19,7 @@ from sdpid.experiment.inspection import (
     time_checks,
 )
 from sdpid.experiment.inspection.finding import CHECKS, Finding, Subject
+from sdpid.experiment.inspection.floating import base_checks, feet_checks
 from sdpid.experiment.inspection.joined import other_loads
 from sdpid.experiment.readers.read import is_frame, read_recording
 from sdpid.experiment.recording.floating.robots import robot_of
@@ -31,7 +32,7 @@ __all__ = ["Inspection", "inspect_recording", "inspect_recordings"]
 # Importing a file of checks adds them to the list. A new check is a function in one of these.
 _FILES = (
     *(time_checks, motion_checks, reference_checks, effort_checks, dynamics_checks),
-    delay_checks,
+    *(delay_checks, base_checks, feet_checks),
 )
 
 # Wrong units of position or time make the dynamics meaningless: they are told alone.
@@ -39,6 +40,11 @@ _DROWNS = ("position_in_degrees", "position_jumps", "time_unit")
 _OF_SPEED = (
     *("position_jumps", "velocity_scale", "velocity_late", "one_direction", "long_rest"),
     "reference_unlike",
+)
+# A wrong orientation makes all of these.
+_OF_BASE = (
+    *("base_velocity", "imu_gyroscope", "imu_accelerometer"),
+    *("foot_moves", "foot_high", "feet_exchanged"),
 )
 _DROWNED = (
     dynamics_checks.wrong_channels,
@@ -186,8 +192,8 @@ def _looked_at(
     if robot is not None:
         log, robot, findings = _matched(log, robot)
     # The dynamics of a robot that is fixed say nothing about one that is not.
-    fixed = None if log.base is not None else robot
-    subject = Subject(log=log, robot=fixed, without=without)
+    fixed, floating = (robot, None) if log.base is None else (None, robot)
+    subject = Subject(log=log, robot=fixed, without=without, floating=floating)
     for each in CHECKS:
         if each not in _DROWNED:
             findings += each(subject)
@@ -201,6 +207,8 @@ def _looked_at(
         findings = [finding for finding in findings if finding.kind in alone]
     elif "time_unit" in refused:
         findings = [finding for finding in findings if finding.kind not in _OF_SPEED]
+    if "base_orientation" in refused:
+        findings = [finding for finding in findings if finding.kind not in _OF_BASE]
     kept = (f for f in findings if not (f.kind.startswith("effort") and f.joint in without))
     ranks = ("refuse", "warning", "note")
     return subject, tuple(sorted(kept, key=lambda finding: ranks.index(finding.severity)))

@@ -1,0 +1,1 @@
+"""Checks of recordings with a floating base: orientation, velocities, IMU, feet, delays."""

@@ -1,0 +1,241 @@
+"""Check that orientation, velocities and IMU of a base are of one motion, in the axes said."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+
+import numpy as np
+
+from sdpid._common.arrays import Array
+from sdpid.experiment.inspection.finding import Finding, Subject, check
+from sdpid.experiment.inspection.floating.evidence import LEAST_RATE, Evidence, feet_in_base
+from sdpid.experiment.inspection.floating.turning import (
+    GRAVITY,
+    axes_in_words,
+    readings,
+    signed_axes,
+    turn_rates,
+    unexplained,
+    window_means,
+)
+from sdpid.experiment.recording.recording import Recording
+
+# An orientation that leaves more than half of a measured rate unexplained, or that is further off
+# the vertical than any gait leans on average, is wrong ...
+_WRONG_SHARE, _WRONG_TILT = 0.5, math.radians(30.0)
+# ... and another reading is right where it leaves little of both. Noise of simulated legged robots
+# leaves a few per cent.
+_RIGHT_SHARE, _RIGHT_TILT = 0.2, math.radians(15.0)
+# Of other axes, units and signs the best must be better by this factor.
+_BETTER = 3.0
+# Mean specific forces differ from gravity by noise, and by no more than this share.
+_GRAVITY_SHARE = 0.05
+_DEGREES = 180.0 / math.pi
+# The base must move to show the axes of its velocity (m/s, rms).
+_LEAST_SPEED = 0.02
+
+
+def _longest(subject: Subject) -> Recording | None:
+    """Return the longest piece of a recording with a base."""
+    if subject.log.base is None or not subject.pieces:
+        return None
+    return max((piece for _, piece in subject.pieces), key=lambda piece: piece.n_samples)
+
+
+@check
+def orientation(subject: Subject) -> Iterator[Finding]:
+    """Find quaternions in another order, or turned around."""
+    log = _longest(subject)
+    if log is None or log.base is None:
+        return
+    ways = feet_in_base(log, subject.floating)
+    own, *others = (
+        (name, Evidence.of(log, quaternions, ways))
+        for name, quaternions in readings(log.base).items()
+    )
+    if not _contradicted(own[1]):
+        return
+    right = [name for name, evidence in others if _supported(evidence, own[1])]
+    if not right:
+        return
+    rates, tilt = own[1].rates, own[1].tilt
+    seen = []
+    if rates is not None:
+        seen.append(
+            f"{100 * rates:.3g} % of the measured turning is not that of the orientation (limit "
+            f"{100 * _WRONG_SHARE:g} %)"
+        )
+    if tilt is not None:
+        seen.append(
+            f"the mean specific force points {math.degrees(tilt):.3g}° off the vertical (limit "
+            f"{math.degrees(_WRONG_TILT):.3g}°)"
+        )
+    if own[1].above is not None and own[1].above > _WRONG_SHARE:
+        seen.append(f"feet that are down are above the base in {100 * own[1].above:.3g} % of all")
+    yield Finding(
+        severity="refuse",
+        kind="base_orientation",
+        message=(
+            f"orientation of the base is no quaternion x y z w from base to world: "
+            f"{' and '.join(seen)}; both agree where it is read as {' or '.join(right)}"
+        ),
+        remedy="read it in its order (base={'quaternion': 'wxyz'}), or give the inverse",
+        numbers={"rates": rates or 0.0, "tilt": tilt or 0.0},
+    )
+
+
+def _contradicted(evidence: Evidence) -> bool:
+    limits = {"rates": _WRONG_SHARE, "tilt": _WRONG_TILT, "above": _WRONG_SHARE}
+    return any((value := getattr(evidence, k)) is not None and value > x for k, x in limits.items())
+
+
+def _supported(evidence: Evidence, own: Evidence) -> bool:
+    """Tell whether a reading agrees with all that there is, and better than the orientation."""
+    limits = {"rates": _RIGHT_SHARE, "tilt": _RIGHT_TILT, "above": _RIGHT_SHARE}
+    pairs = [(getattr(evidence, k), getattr(own, k), x) for k, x in limits.items()]
+    known = [(value, other, x) for value, other, x in pairs if value is not None]
+    if any(value > x for value, _, x in known):
+        return False
+    return any(value * _BETTER < other for value, other, _ in known)
+
+
+@check
+def gyroscope(subject: Subject) -> Iterator[Finding]:
+    """Find a gyroscope with other axes, another unit, or that measures something else."""
+    log = _longest(subject)
+    if log is None or log.base is None or log.base.imu is None:
+        return
+    imu = log.base.imu
+    if imu.gyroscope is None:
+        return
+    wanted = turn_rates(log.base.orientation, log.step)
+    sensed = window_means(imu.gyroscope, log.step)
+    measured = sensed @ imu.rotation.T
+    if np.sqrt(np.mean(wanted**2)) < LEAST_RATE or np.sqrt(np.mean(measured**2)) < LEAST_RATE:
+        return
+    own = unexplained(wanted, measured)
+    if own <= _WRONG_SHARE:
+        return
+    fits = [
+        (unexplained(wanted, sensed @ axes.T @ imu.rotation.T / scale), axes, scale)
+        for axes in signed_axes()
+        for scale in (1.0, _DEGREES, -1.0 / _DEGREES)
+    ]
+    left, axes, scale = min(fits, key=lambda fit: fit[0])
+    known = left < _RIGHT_SHARE and left * _BETTER < own
+    words = ""
+    if known:
+        found = [] if np.array_equal(axes, np.eye(3)) else [axes_in_words(axes) + " measured"]
+        found += ["it is in deg/s"] if scale == _DEGREES else []
+        words = f"; {100 * left:.2g} % where {' and '.join(found)}"
+    yield Finding(
+        severity="warning",
+        kind="imu_gyroscope",
+        message=(
+            f"gyroscope of the base leaves {100 * own:.3g} % of the orientation's turning "
+            f"unexplained, limit {100 * _WRONG_SHARE:g} %{words}"
+        ),
+        remedy="give the sensor's axes (imu rotation) or its unit, or leave it out",
+        numbers={"unexplained": own, "best": left, "limit": _WRONG_SHARE},
+    )
+
+
+@check
+def accelerometer(subject: Subject) -> Iterator[Finding]:
+    """Find an accelerometer in g, with other axes, or without gravity."""
+    log = _longest(subject)
+    if log is None or log.base is None or log.base.imu is None:
+        return
+    imu = log.base.imu
+    if imu.accelerometer is None:
+        return
+    sensed = window_means(imu.accelerometer, log.step)
+    force = sensed @ imu.rotation.T
+    turns = window_means(log.base.rotations.reshape(-1, 9), log.step).reshape(-1, 3, 3)
+    mean = np.einsum("kij,kj->i", turns, force) / len(force)
+    size = float(np.linalg.norm(mean))
+    along = float(mean[2]) / max(size, 1e-12)
+    if abs(size / GRAVITY - 1.0) <= _GRAVITY_SHARE and along > math.cos(_WRONG_TILT):
+        return
+    what = f"mean specific force is {size:.4g} m/s²"
+    remedy = "correct it, or leave the accelerometer out"
+    if abs(size - 1.0) <= _GRAVITY_SHARE:
+        what, remedy = f"{what}: it is in g", "give its unit (units={'accelerometer': 'g'})"
+    elif size < _GRAVITY_SHARE * GRAVITY:
+        what = f"{what}: gravity is taken off"
+        remedy = "log the specific force, +9.81 m/s² upward at rest, or leave it out"
+    elif abs(size / GRAVITY - 1.0) > _GRAVITY_SHARE:
+        what = f"{what}, {size / GRAVITY:.3g} times gravity (limit {1 - _GRAVITY_SHARE:g} to "
+        what += f"{1 + _GRAVITY_SHARE:g})"
+    if along <= math.cos(_WRONG_TILT):
+        turned = imu.rotation.T
+        ups = {axes_in_words(a): _upward(turns, sensed @ a.T @ turned) for a in signed_axes()}
+        best = max(ups.values())
+        named = next(name for name, up in ups.items() if up > best - 1e-3)
+        angle = math.degrees(math.acos(max(-1.0, along)))
+        what += f", and points {angle:.3g}° off the vertical (limit {math.degrees(_WRONG_TILT):.3g}"
+        what += "°)"
+        if along < -math.cos(_RIGHT_TILT):
+            what += ": it has the opposite sign"
+        elif best > math.cos(_RIGHT_TILT):
+            what += f"; upright where {named} measured, among others"
+    yield Finding(
+        severity="warning",
+        kind="imu_accelerometer",
+        message=f"accelerometer of the base: {what}",
+        remedy=remedy,
+        numbers={"size": size, "upward": along, "limit": _GRAVITY_SHARE},
+    )
+
+
+def _upward(turns: Array, force: Array) -> float:
+    """Return the upward part of the mean direction of specific forces, at most 1."""
+    mean = np.einsum("kij,kj->i", turns, force)
+    return float(mean[2] / max(float(np.linalg.norm(mean)), 1e-12))
+
+
+@check
+def base_velocities(subject: Subject) -> Iterator[Finding]:
+    """Find velocities of the base in other axes than said, or in other units."""
+    log = _longest(subject)
+    if log is None or log.base is None:
+        return
+    base = log.base
+    turns = base.rotations
+    wanted: dict[str, Array] = {}
+    if base.linear_velocity is not None and base.position is not None:
+        means = window_means(np.gradient(base.position, log.step, axis=0), log.step)
+        wanted["linear_velocity"] = means
+    if base.angular_velocity is not None:
+        in_base = turn_rates(base.orientation, log.step)
+        middle = window_means(turns.reshape(-1, 9), log.step).reshape(-1, 3, 3)
+        wanted["angular_velocity"] = np.einsum("kij,kj->ki", middle, in_base)
+    for name, rates in wanted.items():
+        least = _LEAST_SPEED if name == "linear_velocity" else LEAST_RATE
+        if np.sqrt(np.mean(rates**2)) < least:
+            continue
+        given = np.asarray(getattr(base, name))
+        other = "base" if base.velocity_frame == "world" else "world"
+        frames = {
+            "world": window_means(given, log.step),
+            "base": window_means(np.einsum("kij,kj->ki", turns, given), log.step),
+        }
+        own = unexplained(rates, frames[str(base.velocity_frame)])
+        left = unexplained(rates, frames[other])
+        if own <= _WRONG_SHARE:
+            continue
+        pose = "position" if name == "linear_velocity" else "orientation"
+        fits = left < _RIGHT_SHARE and left * _BETTER < own
+        better = f"; {100 * left:.2g} % where they are the {other}'s" if fits else ""
+        yield Finding(
+            severity="warning",
+            kind="base_velocity",
+            message=(
+                f"{name.replace('_', ' ')} of the base, said to be in {base.velocity_frame} axes, "
+                f"leaves {100 * own:.3g} % of the rate of its {pose} unexplained, limit "
+                f"{100 * _WRONG_SHARE:g} %{better}"
+            ),
+            remedy="say its axes (velocity_frame) or its unit, or leave it out",
+            numbers={"unexplained": own, "other": left, "limit": _WRONG_SHARE},
+        )

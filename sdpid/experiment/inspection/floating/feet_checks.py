@@ -1,0 +1,184 @@
+"""Check that feet that are said to be down stand still, and not above the others."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from itertools import permutations
+
+import numpy as np
+
+from sdpid._common.arrays import Array, Mask
+from sdpid.experiment.inspection.finding import Finding, Subject, check
+from sdpid.experiment.inspection.floating.turning import window_means
+from sdpid.robot.model.contacts.jacobians import contact_jacobians
+
+# A foot that is down and moves faster than this on average (m/s) is not down, or slips. Feet of
+# simulated robots roll and slip by less than a tenth of it.
+_SLIPS = 0.1
+# The ground is not known to be level; a foot this far above the others' median (m) is in the air.
+_HIGH = 0.05
+# Exchanged flags make down feet faster by this factor.
+_BETTER = 3.0
+# Feet that are always down, or so often in the same state, cannot be told from each other.
+_LEAST_SHARE = 0.02
+# Permutations of more feet than this are too many.
+_MOST_FEET = 4
+# Samples in which a foot has just landed or is about to lift do not count.
+_SURE_WINDOWS = 1
+
+
+@dataclass(frozen=True, kw_only=True)
+class Feet:
+    """Feet over windows of a recording.
+
+    Attributes
+    ----------
+    names : tuple of str
+    speed : (K, c) ndarray
+        Of the contact points, m/s.
+    height : (K, c) ndarray
+        m, above the base's origin where the base's position is not known.
+    down : (K, c) ndarray of bool
+        Whether each foot is down throughout a window and its neighbors.
+    """
+
+    names: tuple[str, ...]
+    speed: Array
+    height: Array
+    down: Mask
+
+
+def feet_of(subject: Subject) -> Feet | None:
+    """Return the feet of the longest piece; None without a robot, position or flags."""
+    robot, log = subject.floating, subject.log
+    if robot is None or log.base is None or log.contacts is None or not subject.pieces:
+        return None
+    log = max((piece for _, piece in subject.pieces), key=lambda piece: piece.n_samples)
+    base, contacts = log.base, log.contacts
+    if base is None or contacts is None or contacts.down is None or base.position is None:
+        return None
+    parts = [base.position, base.orientation, log.position]
+    q = window_means(np.hstack([np.asarray(part) for part in parts]), log.step)
+    q[:, 3:7] /= np.linalg.norm(q[:, 3:7], axis=1, keepdims=True)
+    if len(q) < 3:
+        return None
+    J = contact_jacobians(robot, q, contacts.frames, contacts.offset)
+    # The base's turning moves a point by the cross product with the way to it, which is thus read.
+    x, y, z, w = q[:, 3:7].T
+    turn = np.stack(
+        [
+            np.stack([1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)], -1),
+            np.stack([2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)], -1),
+            np.stack([2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)], -1),
+        ],
+        axis=1,
+    )
+    cross = -np.einsum("kcij,klj->kcil", J[:, :, :3, 3:6], turn)
+    way = np.stack([cross[:, :, 2, 1], cross[:, :, 0, 2], cross[:, :, 1, 0]], axis=-1)
+    place = q[:, None, :3] + way
+    step = log.step * max(1, (log.n_samples - 1) // len(q))
+    speed = np.linalg.norm(np.gradient(place, step, axis=0), axis=-1)
+    always = window_means(contacts.down.astype(np.float64), log.step) > 1.0 - 1e-9
+    return Feet(names=contacts.frames, speed=speed, height=place[:, :, 2], down=_surely(always))
+
+
+def _surely(down: Mask) -> Mask:
+    """Return where feet are down before and after as well."""
+    sure = down.copy()
+    for shift in range(1, _SURE_WINDOWS + 1):
+        sure[shift:] &= down[:-shift]
+        sure[:-shift] &= down[shift:]
+    return sure
+
+
+def _speed_down(speed: Array, down: Mask) -> Array:
+    """Return the rms speed of each foot while it is down; 0 where it never is."""
+    counts = np.maximum(down.sum(axis=0), 1)
+    return np.asarray(np.sqrt((speed**2 * down).sum(axis=0) / counts))
+
+
+@check
+def feet(subject: Subject) -> Iterator[Finding]:
+    """Find feet that are said to be down and move, and flags of one foot given to another."""
+    found = feet_of(subject)
+    if found is None:
+        return
+    own = _speed_down(found.speed, found.down)
+    share = found.down.mean(axis=0)
+    seen = share > _LEAST_SHARE
+    order = _exchanged(found)
+    if order is not None:
+        better = float(np.sqrt(np.mean(_speed_down(found.speed, found.down[:, order]) ** 2)))
+        worse = float(np.sqrt(np.mean(own**2)))
+        pairs = [
+            f"those of {found.names[j]} are of {found.names[i]}"
+            for i, j in enumerate(order)
+            if i != j
+        ]
+        yield Finding(
+            severity="warning",
+            kind="feet_exchanged",
+            message=(
+                f"flags of contacts are of other feet: {', '.join(pairs)}; feet that are down "
+                f"then move by {better:.3g} m/s (rms) in place of {worse:.3g}, limit a factor of "
+                f"{_BETTER:g}"
+            ),
+            remedy="give the contacts' frames in the order of their columns",
+            numbers={"speed": worse, "exchanged": better, "limit": _BETTER},
+        )
+        return
+    for i in np.flatnonzero(seen & (own > _SLIPS)).tolist():
+        yield Finding(
+            severity="warning",
+            kind="foot_moves",
+            message=(
+                f"{found.names[i]} moves by {own[i]:.3g} m/s (rms) while it is said to be down, "
+                f"limit {_SLIPS:g}: it slips, its flags are wrong, or the pose of the base is"
+            ),
+            remedy="mark it as not down where it slips; check frames, offset and base",
+            numbers={"speed": own[i], "limit": _SLIPS},
+        )
+    yield from _high(found, seen)
+
+
+def _high(found: Feet, seen: Mask) -> Iterator[Finding]:
+    """Find feet that are said to be down, far above those that are."""
+    several = found.down.sum(axis=1) >= 2
+    if np.count_nonzero(seen) < 2 or not several.any():
+        return
+    heights = np.where(found.down, found.height, np.nan)[several]
+    level = np.nanmedian(heights, axis=1)
+    for i in np.flatnonzero(seen).tolist():
+        above = heights[:, i] - level
+        above = above[~np.isnan(above)]
+        if not above.size or float(np.median(above)) <= _HIGH:
+            continue
+        height = float(np.median(above))
+        yield Finding(
+            severity="warning",
+            kind="foot_high",
+            message=(
+                f"{found.names[i]} is {height:.3g} m above the other feet while it is said to be "
+                f"down, limit {_HIGH:g} m"
+            ),
+            remedy="check its flags and the order of the joints, unless the ground is not level",
+            numbers={"height": height, "limit": _HIGH},
+        )
+
+
+def _exchanged(found: Feet) -> tuple[int, ...] | None:
+    """Return which foot's flags each foot should have, None where they are right, or unknown."""
+    c = len(found.names)
+    if not 2 <= c <= _MOST_FEET or (found.down == found.down[:, :1]).all():
+        return None
+    own = _speed_down(found.speed, found.down)
+    costs = {
+        order: float(np.mean(_speed_down(found.speed, found.down[:, list(order)]) ** 2))
+        for order in permutations(range(c))
+    }
+    best = min(costs, key=lambda order: costs[order])
+    worse = float(np.mean(own**2))
+    if best == tuple(range(c)) or costs[best] * _BETTER**2 > worse or worse < (_SLIPS / 2.0) ** 2:
+        return None
+    return best

@@ -1,0 +1,152 @@
+"""Wrong recordings of legged robots are found and named, and good ones are left alone."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from functools import cache
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+import sdpid
+from sdpid import Recording
+
+pytest.importorskip("mujoco")
+
+
+@cache
+def robot() -> sdpid.RobotModel:
+    return sdpid.load_robot("solo12", root="free_flyer")
+
+
+@cache
+def walk() -> Recording:
+    """Return a walk, turned by 90° about the vertical: the world's axes are not the base's."""
+    log = sdpid.simulate_legged(robot(), "walk", seed=1, duration=3.0).recording
+    turn = Rotation.from_euler("z", 90.0, degrees=True)
+    assert log.base is not None
+    turned = (turn * Rotation.from_quat(log.base.orientation)).as_quat()
+    position = turn.apply(np.array(log.base.position))
+    return replace(log, base=replace(log.base, orientation=turned, position=position))
+
+
+def with_base(**changes: Any) -> Recording:
+    return replace(walk(), base=replace(walk().base, **changes))
+
+
+def with_imu(**changes: Any) -> Recording:
+    return with_base(imu=replace(walk().base.imu, **changes))
+
+
+def with_feet(**changes: Any) -> Recording:
+    return replace(walk(), contacts=replace(walk().contacts, **changes))
+
+
+def gyro() -> np.ndarray:
+    return np.array(walk().base.imu.gyroscope)
+
+
+def force() -> np.ndarray:
+    return np.array(walk().base.imu.accelerometer)
+
+
+def speeds(frame: str) -> Recording:
+    """Return a recording with velocities in the world's axes, that are said to be in others."""
+    base = walk().base
+    # As from a filter: differences over single steps are mostly noise of the pose.
+    smooth = np.ones(25) / 25.0
+    padded = np.pad(np.array(base.position), ((12, 12), (0, 0)), mode="edge")
+    rows = [np.convolve(column, smooth, "valid") for column in padded.T]
+    rate = np.gradient(np.array(rows).T, walk().time, axis=0)
+    return with_base(linear_velocity=rate, velocity_frame=frame)
+
+
+ORDER = (1, 0, 2, 3)
+WRONG: dict[str, tuple[Callable[[], Recording], str, str]] = {
+    "w first": (
+        lambda: with_base(orientation=np.roll(walk().base.orientation, 1, axis=1)),
+        "base_orientation",
+        "in the order w x y z",
+    ),
+    "world to base": (
+        lambda: with_base(orientation=np.array(walk().base.orientation) * [-1, -1, -1, 1]),
+        "base_orientation",
+        "read as the inverse",
+    ),
+    "gyroscope in degrees": (
+        lambda: with_imu(gyroscope=np.degrees(gyro())),
+        "imu_gyroscope",
+        "it is in deg/s",
+    ),
+    "axes of the gyroscope": (
+        lambda: with_imu(gyroscope=gyro()[:, ORDER[:3]] * [1.0, -1.0, 1.0]),
+        "imu_gyroscope",
+        "x, y, z are -y, x, z measured",
+    ),
+    "accelerometer in g": (
+        lambda: with_imu(accelerometer=force() / 9.80665),
+        "imu_accelerometer",
+        "it is in g",
+    ),
+    "sign of the accelerometer": (
+        lambda: with_imu(accelerometer=-force()),
+        "imu_accelerometer",
+        "the opposite sign",
+    ),
+    "axes of the accelerometer": (
+        lambda: with_imu(accelerometer=force()[:, [2, 0, 1]]),
+        "imu_accelerometer",
+        "upright where x, y, z are",
+    ),
+    "no gravity": (
+        lambda: with_imu(accelerometer=force() - force().mean(axis=0)),
+        "imu_accelerometer",
+        "gravity is taken off",
+    ),
+    "axes of velocities": (lambda: speeds("base"), "base_velocity", "where they are the world's"),
+    "flags of other feet": (
+        lambda: with_feet(down=np.array(walk().contacts.down)[:, ORDER]),
+        "feet_exchanged",
+        "those of FR_FOOT are of FL_FOOT",
+    ),
+    "feet always down": (
+        lambda: with_feet(down=np.ones_like(walk().contacts.down)),
+        "foot_moves",
+        "FL_FOOT moves by",
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", WRONG)
+def test_what_is_wrong_is_named(name: str) -> None:
+    make, kind, words = WRONG[name]
+    found = sdpid.inspect_recording(make(), robot()).findings
+    told = {finding.kind: finding.message for finding in reversed(found)}
+    assert words in told.get(kind, "nothing"), told
+    others = {"base_orientation", "base_velocity", "imu_gyroscope", "imu_accelerometer"}
+    assert not set(told) & (others | {"foot_moves", "foot_high", "feet_exchanged"}) - {kind}
+
+
+@pytest.mark.parametrize("make", [walk, lambda: speeds("world")])
+def test_good_recordings_are_left_alone(make: Callable[[], Recording]) -> None:
+    found = sdpid.inspect_recording(make(), robot()).findings
+    assert not {each.kind for each in found} & {kind for _, kind, _ in WRONG.values()}
+
+
+def test_a_foot_that_is_down_in_the_air_is_named() -> None:
+    position = np.array(walk().position)
+    # The left fore leg is stretched backward and up at the hip, as where its zero is another.
+    position[:, 1] += 1.2
+    found = sdpid.inspect_recording(replace(walk(), position=position), robot()).findings
+    told = {finding.kind: finding.message for finding in found}
+    assert "FL_FOOT is" in told.get("foot_high", ""), told
+
+
+def test_without_sensors_feet_tell_what_is_below() -> None:
+    base = replace(walk().base, imu=None, orientation=np.roll(walk().base.orientation, 1, axis=1))
+    (first, *_) = sdpid.inspect_recording(replace(walk(), base=base), robot()).findings
+    assert (first.severity, first.kind) == ("refuse", "base_orientation")
+    assert "feet that are down are above the base" in first.message
