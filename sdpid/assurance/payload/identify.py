@@ -181,7 +181,8 @@ def identify_payload(
     columns_absent = columns_without(model, absent)
     known = as_gains(gains)
     with_load, without_load = (
-        _read(log, columns_absent, known) for log in (with_load, without_load)
+        _read(log, columns_absent, known, name)
+        for log, name in ((with_load, "log"), (without_load, "without_load"))
     )
     for log, name in ((with_load, "log"), (without_load, "without_load")):
         if isinstance(log, Recording):
@@ -273,14 +274,14 @@ def _solved(
     )
 
 
-def _read(log: Any, absent: Sequence[str], gains: Any) -> Any:
+def _read(log: Any, absent: Sequence[str], gains: Any, name: str) -> Any:
     """Return the recording of a path, some efforts of which may lack, and others as they are."""
     if isinstance(log, (str, os.PathLike)):
         log = read_recording(log, without_effort=absent, gains=gains)
     elif isinstance(log, Recording) and gains is not None:
         log = scaled(log, gains)
     if isinstance(log, Recording):
-        require_torques(log)
+        require_torques(log, f"payload, {name}")
     return log
 
 

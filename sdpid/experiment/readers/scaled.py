@@ -23,8 +23,15 @@ IN_AMPERES = (
 )
 
 
-def require_torques(log: Recording) -> None:
+def require_torques(log: Recording, name: str | None = None) -> None:
     """Refuse a recording of currents where torques are needed.
+
+    Parameters
+    ----------
+    log : Recording
+        The recording.
+    name : str, optional
+        What it is called, such as ``"payload, log"``.
 
     Raises
     ------
@@ -32,7 +39,7 @@ def require_torques(log: Recording) -> None:
         Saying how to get gains.
     """
     if log.currents:
-        raise DataError(IN_AMPERES)
+        raise DataError(IN_AMPERES if name is None else f"{name}: {IN_AMPERES}")
 
 
 def scaled(log: Recording, gains: Any) -> Recording:

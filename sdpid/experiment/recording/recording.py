@@ -159,6 +159,8 @@ class Recording:
         layout = self.period_layout
         if layout is not None:
             parts.append(f"{layout[2]} periods of {self.period:.6g} s")
+        if self.currents:
+            parts.append("efforts in A")
         if self.reference is not None:
             parts.append("with reference")
         if self.base is not None:
@@ -169,12 +171,13 @@ class Recording:
 
     def _repr_html_(self) -> str:
         names = self.joint_names or tuple(f"joint {j + 1}" for j in range(self.n))
+        unit = ", A" if self.currents else ""
         table = Table.of_columns(
             {
                 "joint": list(names),
                 "least position": self.position[:, : self.n].min(axis=0).tolist(),
                 "greatest position": self.position[:, : self.n].max(axis=0).tolist(),
-                "rms effort": np.sqrt(np.mean(np.square(self.effort), axis=0)).tolist(),
+                f"rms effort{unit}": np.sqrt(np.mean(np.square(self.effort), axis=0)).tolist(),
             }
         )
         layout = self.period_layout

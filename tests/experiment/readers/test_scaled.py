@@ -26,13 +26,22 @@ def currents(names: tuple[str, ...] | None = ("joint1", "joint2", "joint3")) -> 
 
 def test_gains_are_found_by_name() -> None:
     log = currents()
+    assert "efforts in A" in repr(log)
+    assert "rms effort, A" in log._repr_html_()
     torques = scaled(log, GAINS)
     assert not torques.currents
+    assert "in A" not in repr(torques)
     assert torques.gains is not None
     assert torques.gains.joint_names == log.joint_names
     np.testing.assert_array_equal(torques.effort, log.effort * [1.0, 2.0, 3.0])
     with pytest.raises(DataError, match="turned into torques by gains already"):
         scaled(torques, GAINS)
+
+
+def test_a_payload_names_the_recording_without_gains() -> None:
+    robot = sdpid.load_robot("denso_vp6242")
+    with pytest.raises(DataError, match="payload, without_load: efforts are currents in A"):
+        sdpid.identify_payload(robot, scaled(currents(), GAINS), currents())
 
 
 def test_names_of_joints_may_have_another_prefix() -> None:
