@@ -19,6 +19,7 @@ import numpy as np
 from sdpid._common.arrays import Array, Indices, Mask
 from sdpid.experiment.processing.samples import Samples
 from sdpid.robot.model.contacts.jacobians import contact_jacobians, frame_axes
+from sdpid.robot.model.contacts.kernel import independent_rows
 from sdpid.robot.model.model import RobotModel
 
 # A direction of the forces below this share of the strongest one, all columns scaled to unit
@@ -45,26 +46,35 @@ class ContactRows:
         Efforts of measured forces.
     covariance : ndarray, shape (k, n, n), or None
         Their covariance.
+    compiled : bool
+        Whether to use compiled loops.
     """
 
     directions: Array
     active: Mask
     effort: Array | None
     covariance: Array | None
+    compiled: bool = False
 
     @classmethod
     def of(
-        cls, robot: RobotModel, samples: Samples, part: slice, scale: float = 1.0
+        cls,
+        robot: RobotModel,
+        samples: Samples,
+        part: slice,
+        *,
+        scale: float = 1.0,
+        compiled: bool = False,
     ) -> ContactRows | None:
         """Return the contacts of some samples, None where samples have none.
 
-        The covariance of measured forces is multiplied by `scale`.
+        The covariance of measured forces is multiplied by `scale`; compiled loops are used or not.
         """
         contacts = samples.contacts
         if contacts is None:
             return None
         q = samples.position[part]
-        J = contact_jacobians(robot, q, contacts.frames, contacts.offset)
+        J = contact_jacobians(robot, q, contacts.frames, contacts.offset, compiled=compiled)
         down = contacts.down[part]
         known = contacts.force_covariance
         infinite = np.ones((contacts.n, 6), dtype=bool)
@@ -88,7 +98,7 @@ class ContactRows:
             active.append(np.repeat(down[:, i, None], own.shape[1], axis=1))
         directions = np.swapaxes(np.concatenate(found, axis=1), 1, 2)
         if known is None or contacts.forces is None:
-            return cls(directions, np.concatenate(active, axis=1), None, None)
+            return cls(directions, np.concatenate(active, axis=1), None, None, compiled)
         R = scale * np.where(np.isinf(known), 0.0, known)
         f = np.where(infinite, 0.0, contacts.forces[part])
         return cls(
@@ -96,20 +106,22 @@ class ContactRows:
             np.concatenate(active, axis=1),
             np.einsum("kcin,kci->kn", J, f),
             np.einsum("kcin,cij,kcjm->knm", J, R, J, optimize=True),
+            compiled,
         )
 
-    @property
-    def pattern(self) -> Iterator[tuple[Indices, Indices]]:
-        """The samples of each pattern of active directions, and these directions."""
-        patterns, index = np.unique(self.active, axis=0, return_inverse=True)
+    def pattern_of(self, some: Indices) -> Iterator[tuple[Indices, Indices]]:
+        """Yield those of some samples with the same active directions, and these directions."""
+        if not len(some):
+            return
+        patterns, index = np.unique(self.active[some], axis=0, return_inverse=True)
         order = np.argsort(index.reshape(-1), kind="stable")
         ends = np.cumsum(np.bincount(index.reshape(-1), minlength=len(patterns)))[:-1]
-        for own, some in zip(patterns, np.split(order, ends), strict=True):
-            yield some, np.flatnonzero(own)
+        for own, few in zip(patterns, np.split(order, ends), strict=True):
+            yield some[few], np.flatnonzero(own)
 
     def bases(self, powers: Array, index: Indices) -> Iterator[tuple[Indices, Array, Array]]:
         """Yield samples, their P (s, n, n), and bases Q (s, n, r) of P·A, orthonormal or zero."""
-        for some, own in self.pattern:
+        for some, own in self.pattern_of(np.arange(len(self.active))):
             P = powers[index[some]]
             A = P @ self.directions[some][:, :, own]
             yield some, P, orthonormal(A)
@@ -129,7 +141,17 @@ class ContactRows:
         They have the same products as T·rows, sample by sample.
         """
         found, lost = [], 0
-        for some, own in self.pattern:
+        every = np.arange(len(index))
+        scale = np.diagonal(powers, axis1=1, axis2=2)
+        if self.compiled and np.count_nonzero(powers) == np.count_nonzero(scale):
+            quick = independent_rows(
+                np.swapaxes(self.directions, 1, 2), self.active, scale, index, rows, _SUSPICIOUS
+            )
+            if quick is not None:
+                found.append(quick[0])
+                lost += int(np.count_nonzero(self.active[quick[1]]))
+                every = np.flatnonzero(~quick[1])
+        for some, own in self.pattern_of(every):
             P = powers[index[some]]
             A = P @ self.directions[some][:, :, own]
             for few, N, rank in complements(A):
@@ -154,7 +176,7 @@ class ContactRows:
         """
         out: Array = residual.copy()
         weighted = np.zeros_like(residual)
-        for some, own in self.pattern:
+        for some, own in self.pattern_of(np.arange(len(self.active))):
             P, r = powers[index[some]], residual[some][:, :, None]
             A = self.directions[some][:, :, own]
             # Least squares by the pseudo-inverse: a repeated direction has no force of its own.

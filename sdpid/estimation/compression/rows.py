@@ -159,6 +159,11 @@ class RowSource:
         return max(1, CHUNK_BYTES // self._sample_bytes)
 
     @property
+    def _many(self) -> bool:
+        # As the whole log would be, so that its last few samples are computed like the others.
+        return self._sample_bytes * self.samples.n_samples >= kernels.WORTH
+
+    @property
     def _sample_bytes(self) -> int:
         return 8 * self.robot.n * (self.base.count + 1)
 
@@ -197,7 +202,9 @@ class RowSource:
 
     def contacts(self, part: slice) -> ContactRows | None:
         """Return what contacts do to the rows of some samples, None where there are none."""
-        return ContactRows.of(self.robot, self.samples, part, self.force_scale)
+        return ContactRows.of(
+            self.robot, self.samples, part, scale=self.force_scale, compiled=self._many
+        )
 
     def effort(self, part: slice) -> Array:
         """Return the efforts of some samples (k, n), those of measured contact forces added."""
@@ -230,10 +237,8 @@ class RowSource:
         s = self.samples
         v, a = s.velocity[part], s.acceleration[part]
         links = 10 * self.robot.n_links
-        # As the whole log would be, so that its last few samples are computed like the others.
-        many = self._sample_bytes * len(s.effort) >= kernels.WORTH
         self.robot.regressor_columns(
-            s.position[part], v, a, places=self._places[:links], out=out, compiled=many
+            s.position[part], v, a, places=self._places[:links], out=out, compiled=self._many
         )
         self._add_friction(self.motion(part), self._places[links:], out)
         return out

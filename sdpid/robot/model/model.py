@@ -381,8 +381,8 @@ class RobotModel:
         q, v, a = self._states(q, v, a)
         if out is not None:
             _check_out(out, (len(q), self.n, 10 * self.n_links))
-        if self._tree is not None:
-            found = kernels.regressor(self._tree, q, v, a, out=out)
+        if self.tree is not None:
+            found = kernels.regressor(self.tree, q, v, a, out=out)
             if found is not None:
                 return found
         return self._pinocchio_regressor(q, v, a, out)
@@ -428,8 +428,8 @@ class RobotModel:
                 f"places: {len(places)} entries up to {np.max(places, initial=-1)}; expected one "
                 f"for each of {10 * self.n_links} parameters, below {out.shape[2]} columns."
             )
-        if self._tree is not None:
-            found = kernels.regressor(self._tree, q, v, a, out=out, places=places, worth=compiled)
+        if self.tree is not None:
+            found = kernels.regressor(self.tree, q, v, a, out=out, places=places, worth=compiled)
             if found is not None:
                 return found
         wanted = np.flatnonzero(places >= 0)
@@ -438,7 +438,8 @@ class RobotModel:
         return out
 
     @functools.cached_property
-    def _tree(self) -> kernels.Tree | None:
+    def tree(self) -> kernels.Tree | None:
+        """The kinematics as plain arrays; None where a joint is of a kind they do not cover."""
         return kernels.flatten(self.pin_model, self.expansion)
 
     def _pinocchio_regressor(self, q: Array, v: Array, a: Array, out: Array | None = None) -> Array:

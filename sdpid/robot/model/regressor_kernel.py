@@ -243,12 +243,20 @@ def _threads() -> int:
 @functools.cache
 def compiled() -> Callable[..., None] | None:
     """Return the compiled loop, None where Numba is missing or cannot be imported."""
+    return compiled_loop(_fill, _first_call)
+
+
+def compiled_loop(function: Any, first: Callable[[Any], None]) -> Callable[..., None] | None:
+    """Return a compiled function, None where Numba is missing or cannot be imported.
+
+    `first` calls it for the only types there are.
+    """
     try:
         import numba
     except ImportError:  # missing, or it refuses this NumPy
         return None
     options = {"fastmath": {"contract", "nsz", "reassoc"}}
-    return _compile(numba.njit, _fill, _first_call, **options)
+    return _compile(numba.njit, function, first, **options)
 
 
 def _compile(

@@ -13,8 +13,9 @@ import sdpid
 from sdpid import Samples
 from sdpid._common.arrays import Array
 from sdpid.errors import DataError
+from sdpid.estimation.compression.contact_rows import ContactRows
 from sdpid.estimation.compression.rows import RowSource
-from sdpid.estimation.compression.whitening import compress, shares_of, weights_of
+from sdpid.estimation.compression.whitening import compress, shares_of, weights, weights_of
 from sdpid.estimation.problem import Problem
 from sdpid.experiment.processing.contacts.contact_samples import ContactSamples
 from sdpid.robot.model.contacts.jacobians import contact_jacobians, frame_axes
@@ -98,6 +99,30 @@ def test_independent_rows_have_the_products_of_all() -> None:
         triangle.R.T @ triangle.R, X.T @ X, atol=1e-12 * np.outer(size, size).max()
     )
     assert count == np.linalg.matrix_rank(T).sum()
+
+
+def test_compiled_rows_have_the_same_products() -> None:
+    pytest.importorskip("numba")
+    contacts = gait(40).samples.contacts
+    assert contacts is not None
+    again = ContactSamples(
+        frames=(*FEET, FEET[1]), offset=RADIUS, down=contacts.down[:, [0, 1, 2, 3, 1]]
+    )
+    samples = replace(gait(40).noisy(), contacts=again)
+    mask = np.ones((40, 18), dtype=bool)
+    mask[::3, 7] = False
+    rows = problem(replace(samples, mask=mask)).rows
+    assert isinstance(rows, RowSource)
+    powers, index = weights(SIGMA, mask)
+    found = []
+    for compiled in (False, True):
+        touching = ContactRows.of(quadruped(), samples, slice(None), compiled=compiled)
+        assert touching is not None
+        W, lost = touching.independent(powers, index, rows.rows(slice(None)))
+        found.append((W.T @ W, lost))
+    assert found[0][1] == found[1][1]
+    size = np.sqrt(np.diagonal(found[0][0]))
+    np.testing.assert_allclose(found[0][0], found[1][0], atol=1e-12 * np.outer(size, size).max())
 
 
 def test_forces_that_are_hardly_known_are_eliminated() -> None:

@@ -47,7 +47,7 @@ def states(robot: RobotModel, rng: np.random.Generator, count: int) -> tuple[Arr
 
 
 def check(robot: RobotModel, seed: int, count: int = 3) -> None:
-    tree = robot._tree
+    tree = robot.tree
     assert tree is not None
     q, v, a = states(robot, np.random.default_rng(seed), count)
     found, expected = kernels.regressor(tree, q, v, a), robot._pinocchio_regressor(q, v, a)
@@ -103,7 +103,7 @@ def test_small_new_and_used_memory_are_filled_the_same(
     """As zeros from the system, and cleared sample by sample, in several threads."""
     robot = load_robot(text)
     arrays = states(robot, np.random.default_rng(3), 50)
-    tree = robot._tree
+    tree = robot.tree
     assert tree is not None
     cleared = kernels.regressor(tree, *arrays)
     assert cleared is not None

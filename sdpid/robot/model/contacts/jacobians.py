@@ -15,12 +15,18 @@ from numpy.typing import ArrayLike
 
 from sdpid._common.arrays import Array, real_array
 from sdpid.errors import DataError
+from sdpid.robot.model.contacts import kernel
 from sdpid.robot.model.model import RobotModel
-from sdpid.robot.model.regressor_kernel import FLOATING, PRISMATIC, REVOLUTE, Tree, flatten
+from sdpid.robot.model.regressor_kernel import FLOATING, PRISMATIC, REVOLUTE, Tree
 
 
 def contact_jacobians(
-    robot: RobotModel, position: ArrayLike, frames: Sequence[str], offset: ArrayLike = (0, 0, 0)
+    robot: RobotModel,
+    position: ArrayLike,
+    frames: Sequence[str],
+    offset: ArrayLike = (0, 0, 0),
+    *,
+    compiled: bool | None = None,
 ) -> Array:
     """Return the velocities of contact points per unit of each coordinate's velocity.
 
@@ -37,6 +43,9 @@ def contact_jacobians(
         Names of frames of the robot, c in all.
     offset : (3,) or (c, 3) array_like, optional
         Contact points relative to the frames' origins in the world's axes, m.
+    compiled : bool, optional
+        Whether to use the compiled loop: of a log's blocks all or none. By default the size
+        decides.
 
     Returns
     -------
@@ -62,9 +71,15 @@ def contact_jacobians(
             f"offset: has shape {points.shape}, expected (3,) or {(len(numbers), 3)}: x, y, z in m."
         )
     points = np.broadcast_to(points, (len(numbers), 3))
-    tree = flatten(robot.pin_model, robot.expansion)
+    tree = robot.tree
     if tree is None:
         return _by_pinocchio(robot, q, numbers, points)
+    found = [robot.pin_model.frames[number] for number in numbers]
+    at = np.array([frame.parentJoint - 1 for frame in found], dtype=np.intp)
+    places = np.array([frame.placement.translation for frame in found])
+    quick = kernel.jacobians(tree, at, places, np.ascontiguousarray(points), q, compiled)
+    if quick is not None:
+        return quick
     out = np.zeros((len(q), len(numbers), 6, robot.n))
     links = _Links(tree, q)
     for i, (number, point) in enumerate(zip(numbers, points, strict=True)):
@@ -77,7 +92,7 @@ def frame_axes(robot: RobotModel, position: ArrayLike, frames: Sequence[str]) ->
     q = robot.configuration(position)
     numbers = _frame_numbers(robot, frames)
     out = np.empty((len(q), len(numbers), 3, 3))
-    tree = flatten(robot.pin_model, robot.expansion)
+    tree = robot.tree
     if tree is None:
         import pinocchio as pin
 

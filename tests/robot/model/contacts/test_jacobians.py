@@ -40,6 +40,8 @@ def test_equals_pinocchio(source: str, root: Any, frames: tuple[str, ...]) -> No
     numbers = _frame_numbers(robot, frames)
     expected = _by_pinocchio(robot, robot.configuration(q), numbers, offset)
     np.testing.assert_allclose(found, expected, atol=1e-13)
+    compiled = contact_jacobians(robot, q, frames, offset, compiled=True)
+    np.testing.assert_allclose(compiled, expected, atol=1e-13)
     data = robot.pin_model.createData()
     axes = frame_axes(robot, q, frames)
     for k, configuration in enumerate(robot.configuration(q)):
