@@ -17,7 +17,7 @@ DIGITS = 50
 
 def exact_regressor(robot: RobotModel, q: Array, v: Array, a: Array) -> Any:
     """Return the regressor (n, 10·links) of one sample as an array of 50-digit numbers."""
-    tree = robot._tree
+    tree = robot.tree
     assert tree is not None
     with mp.workdps(DIGITS):
         motion = _Motion(tree, robot.offset, q, v, a)

@@ -29,7 +29,7 @@ SHARP = 20_000 * U
 
 def enclosed(robot: RobotModel, q: Array, v: Array, a: Array) -> tuple[Array, Array]:
     """Return midpoints (links, n, 10, K) and radii (links, n, 3)."""
-    tree = robot._tree
+    tree = robot.tree
     assert tree is not None
     joints = [Joint.of(tree, i) for i in range(robot.n_links)]
     mid = np.zeros((robot.n, 10 * robot.n_links, len(q)))
