@@ -17,7 +17,7 @@ from sdpid.errors import DataError
 from sdpid.estimation.compression.covariance import WEIGHTINGS, Weighting, pooled
 from sdpid.estimation.compression.factor import Factor, covariance
 from sdpid.estimation.compression.rows import Rows, RowSource, SamplesElsewhere
-from sdpid.estimation.compression.whitening import effort_errors
+from sdpid.estimation.compression.whitening import with_contact_forces
 from sdpid.estimation.constraints.condition import Layout
 from sdpid.estimation.constraints.constraints import Constraints
 from sdpid.estimation.constraints.feasible_set import FeasibleSet
@@ -255,17 +255,17 @@ class Problem:
         """
         values = np.asarray(base, dtype=np.float64)
         chosen = self.samples if samples is None else samples
-        rows = RowSource(self.robot, self.friction, self.base, chosen)
-        if chosen.contacts is None:
-            return np.concatenate([W @ values for _, W, _, _ in rows.chunks()])
-        if isinstance(self.rows, RowSource):
-            rows = self.rows.on(chosen)
-        sigma = pooled(self.sigma)
-        found = []
-        for part, W, effort, _ in rows.chunks():
-            errors = effort_errors(rows, part, sigma, effort - W @ values)
-            found.append(chosen.effort[part] - errors)
+        rows, sigma = self.rows_of(chosen), pooled(self.sigma)
+        found = [
+            with_contact_forces(rows, part, sigma, W @ values) for part, W, _, _ in rows.chunks()
+        ]
         return np.concatenate(found)
+
+    def rows_of(self, samples: Samples) -> RowSource:
+        """Return the rows of other samples, with the covariances of this problem's forces."""
+        scale = self.rows.force_scale if isinstance(self.rows, RowSource) else 1.0
+        rows = RowSource(self.robot, self.friction, self.base, samples)
+        return rows.with_force_scale(scale)
 
     @property
     def score_exponent(self) -> float:

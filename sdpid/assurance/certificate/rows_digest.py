@@ -10,6 +10,7 @@ import numpy as np
 
 from sdpid.estimation.compression.rows import RowSource
 from sdpid.estimation.problem import Problem
+from sdpid.experiment.processing.contacts.contact_samples import ContactSamples
 from sdpid.experiment.processing.samples import Samples
 
 # What the rows are made of, in the order in which it is hashed.
@@ -55,4 +56,19 @@ def _of_piece(samples: Samples) -> str:
         array = np.ascontiguousarray(values, dtype="<f8")
         found.update(f"{name}: {array.shape}\n".encode())
         found.update(array.data)
+    if samples.contacts is not None:
+        _add_contacts(found, samples.contacts)
     return found.hexdigest()
+
+
+def _add_contacts(found: Any, contacts: ContactSamples) -> None:
+    """Hash which contacts there are, when they are closed, and what is known of their forces."""
+    found.update(f"contacts: {contacts.frames} {contacts.kind}\n".encode())
+    for name in ("offset", "down", "forces", "force_covariance"):
+        values: Any = getattr(contacts, name)
+        if values is None:
+            found.update(f"{name}: none\n".encode())
+            continue
+        array = np.ascontiguousarray(values, dtype="<f8")
+        found.update(f"{name}: {array.shape}\n".encode())
+        found.update(array.data)

@@ -19,7 +19,7 @@ from sdpid._common.threads import one_thread
 from sdpid.errors import SdpidError
 from sdpid.estimation.compression.rows import RowSource
 from sdpid.estimation.compression.triangle import Triangle
-from sdpid.estimation.compression.whitening import whiten_rows
+from sdpid.estimation.compression.whitening import whiten_rows, with_contact_forces
 from sdpid.estimation.estimate import Estimate
 from sdpid.estimation.information import require_excitation
 from sdpid.estimation.problem import Problem
@@ -134,7 +134,7 @@ def predicted_by(
     for part, W, _, _ in rows.chunks():
         for name, each in values.items():
             effort = np.take_along_axis(W @ each, owner[part][:, None, None], axis=2)
-            found[name][part] = effort[:, :, 0]
+            found[name][part] = with_contact_forces(rows, part, problem.sigma, effort[:, :, 0])
     return found
 
 

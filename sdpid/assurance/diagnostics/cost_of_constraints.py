@@ -172,7 +172,13 @@ def cost_of_constraints(estimate: Estimate) -> CostOfConstraints:
             f"cost of constraints: method '{estimate.method}' has none; give an estimate of a "
             "constrained solver."
         )
-    rows = JointRows.merged(problem.require_rows("cost of constraints").map(JointRows.of))
+    source = problem.require_rows("cost of constraints")
+    if source.samples.contacts is not None:
+        raise DataError(
+            "cost of constraints: contacts tie the rows of a sample together, so that no joint has "
+            "an error of its own; compare sdpid.validate with and without a constraint."
+        )
+    rows = JointRows.merged(source.map(JointRows.of))
     used = np.maximum(rows.used, 1.0)
 
     def rmse(base: Array) -> Array:

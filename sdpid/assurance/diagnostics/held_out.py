@@ -29,7 +29,8 @@ from sdpid.assurance.diagnostics.validation import (
     Validation,
     validate,
 )
-from sdpid.estimation.compression.rows import RowSource
+from sdpid.estimation.compression.covariance import pooled
+from sdpid.estimation.compression.whitening import with_contact_forces
 from sdpid.estimation.estimate import Estimate
 from sdpid.estimation.problem import Problem
 from sdpid.estimation.wls import solve_wls
@@ -183,9 +184,13 @@ def _least_squares(estimate: Estimate) -> Array:
 def _predicted(problem: Problem, samples: Samples, bases: dict[str, Array]) -> dict[str, Array]:
     """Return the efforts (K, n) that several base parameters predict, in one pass."""
     every = np.stack(list(bases.values()), axis=1)
-    rows = RowSource(problem.robot, problem.friction, problem.base, samples)
-    found = np.concatenate([W @ every for _, W, _, _ in rows.chunks()])
-    return {name: found[:, :, k] for k, name in enumerate(bases)}
+    rows = problem.rows_of(samples)
+    sigma = pooled(problem.sigma)
+    found: dict[str, list[Array]] = {name: [] for name in bases}
+    for part, W, _, _ in rows.chunks():
+        for name, effort in zip(bases, np.moveaxis(W @ every, 2, 0), strict=True):
+            found[name].append(with_contact_forces(rows, part, sigma, effort))
+    return {name: np.concatenate(each) for name, each in found.items()}
 
 
 def _judged(

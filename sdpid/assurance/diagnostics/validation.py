@@ -100,6 +100,40 @@ class Errors:
         return found
 
 
+@dataclass(frozen=True, kw_only=True, eq=False)
+class BaseErrors:
+    """What the equations of a floating base, which nothing drives, are off by.
+
+    Attributes
+    ----------
+    force : float
+        Root mean square of the length of the force that is missing, N.
+    torque : float
+        The same of the torque, N·m.
+    samples : int
+        Samples that count.
+    """
+
+    force: float
+    torque: float
+    samples: int
+
+    @classmethod
+    def of(cls, effort: Array, predicted: Array, mask: Mask) -> BaseErrors | None:
+        """Return the errors of the first six columns where all six count; None without any."""
+        whole = mask[:, :6].all(axis=1)
+        if not whole.any():
+            return None
+        square = np.mean((effort - predicted)[whole, :6] ** 2, axis=0)
+        force, torque = np.sqrt(square[:3].sum()), np.sqrt(square[3:].sum())
+        count = int(np.count_nonzero(whole))
+        return cls(force=float(force), torque=float(torque), samples=count)
+
+    def to_dict(self) -> dict[str, object]:
+        """Return plain values."""
+        return {"force": self.force, "torque": self.torque, "samples": self.samples}
+
+
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class Validation(Errors):
     """Predicted efforts, and their errors on the rows that are not masked.
@@ -127,6 +161,10 @@ class Validation(Errors):
     resting : Errors or None
         The same on the rows in which the joint rests, masked for slowness or not: stiction, which
         no function of the velocity explains. None where no joint rests.
+    floating : BaseErrors or None
+        Of a floating base in contact: forces and torques that the base's equations miss. Its six
+        rows do not count among the joints'. Contact forces that were not measured are those that
+        leave the least error, so that errors are smaller than with forces that one knew.
 
     Examples
     --------
@@ -140,6 +178,7 @@ class Validation(Errors):
     effort_predicted: Array
     moving: Errors
     resting: Errors | None = None
+    floating: BaseErrors | None = None
     _band: Callable[[], Array] | None = field(default=None, repr=False)
     _samples: Samples | None = field(default=None, repr=False)
 
@@ -153,12 +192,18 @@ class Validation(Errors):
     ) -> Validation:
         """Return the errors of predicted efforts (K, n) of samples."""
         mask, moving, still = samples.used, moving_rows(samples), resting_rows(samples)
-        effort = samples.effort
+        effort, floating = samples.effort, None
+        if samples.contacts is not None:
+            # Newtons and newton meters that no motor makes are no joint's errors.
+            floating = BaseErrors.of(effort, predicted, mask)
+            joints = np.arange(samples.n) >= 6
+            mask, moving, still = mask & joints, moving & joints, still & joints
         return cls(
             joint_names=names,
             effort_predicted=frozen(predicted),
             moving=Errors.of(names, effort, predicted, moving),
             resting=Errors.of(names, effort, predicted, still) if still.any() else None,
+            floating=floating,
             _band=band,
             _samples=samples,
             **_figures(effort, predicted, mask),
@@ -211,6 +256,7 @@ class Validation(Errors):
             **super().to_dict(),
             "moving": self.moving.to_dict(),
             "resting": None if self.resting is None else self.resting.to_dict(),
+            **({} if self.floating is None else {"floating": self.floating.to_dict()}),
         }
 
 

@@ -149,8 +149,13 @@ class Recipe:
         Raises
         ------
         ModelError
-            When a friction term is of a class that no file can hold.
+            When a friction term is of a class that no file can hold, or there are contacts.
         """
+        if problem.rows is not None and problem.rows.samples.contacts is not None:
+            raise ModelError(
+                "rows of samples in contact are not proven from logs yet; the certificate holds "
+                "for the rows, whose digest it states"
+            )
         each = problem.weighting in PER_SAMPLE and problem.sigma.ndim == 3
         recipe = cls(
             robot=RobotRecipe.of(problem.robot),

@@ -150,8 +150,8 @@ class RowSource:
 
     @property
     def hashed(self) -> tuple[Array, ...]:
-        """What the rows are made of beside the samples, for their digest: nothing."""
-        return ()
+        """What the rows are made of beside the samples, for their digest."""
+        return () if self.force_scale == 1.0 else (np.array([self.force_scale]),)
 
     @cached_property
     def chunk_size(self) -> int:

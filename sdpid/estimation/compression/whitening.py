@@ -123,6 +123,19 @@ def effort_errors(rows: RowSource, part: slice, sigma: Array, residual: Array) -
     return touching.errors(*_roots(rows, part, sigma, -0.5, touching), residual)
 
 
+def with_contact_forces(rows: RowSource, part: slice, sigma: Array, predicted: Array) -> Array:
+    """Return predicted efforts (k, n) of some samples, contact forces taken into account.
+
+    They are what the robot's motion needs, `predicted`, less what forces bring: those that were
+    measured, and those that leave the least error (see `effort_errors`).
+    """
+    if rows.samples.contacts is None:
+        return predicted
+    return rows.samples.effort[part] - effort_errors(
+        rows, part, sigma, rows.effort(part) - predicted
+    )
+
+
 def _touching(rows: RowSource, part: slice, exponent: float) -> ContactRows | None:
     """Return the contacts of some samples."""
     touching = rows.contacts(part)

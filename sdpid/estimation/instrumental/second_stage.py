@@ -77,6 +77,11 @@ def require_instrumentable(problem: Problem, purpose: str) -> None:
             "the robust estimate was made of."
         )
     rows = problem.require_rows_here(purpose)
+    if rows.samples.contacts is not None:
+        raise DataError(
+            f"{purpose}: contacts tie the rows of a sample together, and instruments are made for "
+            "single rows; use solve_sdp."
+        )
     if isinstance(rows, InstrumentalRows):
         raise DataError(
             f"{purpose}: the problem has instruments already; give the problem of the measured "

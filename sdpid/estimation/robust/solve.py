@@ -127,6 +127,11 @@ def solve_robust(
     """
     if max_rounds < 1:
         raise DataError(f"solve_robust: max_rounds is {max_rounds}, at least 1 is needed.")
+    if problem.rows is not None and problem.rows.samples.contacts is not None:
+        raise DataError(
+            "solve_robust: contacts tie the rows of a sample together, and its loss is one of "
+            "single rows; use solve_sdp, and mask wrong samples (Samples.mask)."
+        )
     loss = HuberLoss.of(problem, threshold=threshold)
     base = solve_wls(problem).base
     for _ in range(_FREE_ROUNDS):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -12,6 +13,7 @@ from scipy.linalg import null_space
 import sdpid
 from sdpid import Samples
 from sdpid._common.arrays import Array
+from sdpid.assurance.certificate.rows_digest import samples_digest
 from sdpid.errors import DataError
 from sdpid.estimation.compression.contact_rows import ContactRows
 from sdpid.estimation.compression.rows import RowSource
@@ -225,3 +227,29 @@ def test_refuses_what_has_no_meaning() -> None:
     standing = changed(samples, kind="plane", down=np.ones((12, 4), dtype=bool))
     with pytest.raises(DataError, match="forces of the contacts explain every row"):
         problem(standing, weighting="residual")
+
+
+def test_what_follows_a_solve_knows_of_contacts(tmp_path: Path) -> None:
+    made = gait(400, seed=6)
+    noisy = made.noisy(7)
+    found = problem(noisy, weighting="residual", prior=sdpid.Prior())
+    estimate = sdpid.solve_sdp(found)
+    certificate = sdpid.certify(estimate)
+    certificate.to_json(tmp_path / "certificate.json")
+    assert sdpid.verify(tmp_path / "certificate.json").passed
+    assert certificate.passed
+    other = changed(noisy, down=~noisy.contacts.down)  # type: ignore[union-attr]
+    assert samples_digest(other) != samples_digest(noisy)
+    errors = sdpid.validate(estimate, gait(200, seed=8).noisy(9))
+    assert errors.floating is not None
+    # Forces explain a part of the noise of every row.
+    assert 0.4 < errors.floating.force / (np.sqrt(3.0) * 0.4) < 1.0
+    assert 0.4 < errors.floating.torque / (np.sqrt(3.0) * 0.05) < 1.0
+    assert np.all(errors.rows[:6] == 0)
+    assert np.all((errors.rmse[6:] / 0.02 > 0.4) & (errors.rmse[6:] / 0.02 < 1.1))
+    deviations = sdpid.solve_wls(found).standard_errors
+    z = (sdpid.solve_wls(found).base - found.base_of(made.theta)) / deviations
+    assert 0.7 < np.sqrt(np.mean(z**2)) < 1.3
+    for solve in (sdpid.solve_robust, sdpid.cost_of_constraints):
+        with pytest.raises(DataError, match="contacts tie the rows of a sample together"):
+            solve(found if solve is sdpid.solve_robust else estimate)  # type: ignore[operator]
