@@ -35,7 +35,7 @@ _TOLERANCE = 0.025
 
 # Gains that are off by this share show in the efforts of a few seconds, and every parameter of the
 # output error is off by as much.
-_CONTROLLER = 0.03
+CONTROLLER = 0.03
 
 
 @one_thread
@@ -52,7 +52,7 @@ def solve_output_error(
     control_hz: float | None = None,
     max_iterations: int = 10,
     tolerance: float = _TOLERANCE,
-    controller_tolerance: float = _CONTROLLER,
+    controller_tolerance: float = CONTROLLER,
 ) -> OutputErrorEstimate:
     """Fit the motion of a simulated robot, in closed loop with its controller, to a recording.
 
