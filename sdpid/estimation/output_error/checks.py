@@ -31,9 +31,8 @@ START, FOLLOWS = 0.5, 0.2
 # Least motion of a joint that counts, as a share of the largest one.
 _LEAST_MOTION = 0.1
 
-# A tracking error that is this many times another is of another controller, whose efforts are off
-# by more than this factor.
-_OTHER, _OFF = 3.0, 1.5
+# A tracking error, or an effort, that is this many times another is of another controller.
+_OTHER = 1.5
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -153,7 +152,7 @@ class ControllerCheck:
         """Return what to mend, by the tracking errors as measured and simulated."""
         off = np.where(np.isfinite(self.error), self.ratio, 1.0)
         j = int(np.argmax(off))
-        if simulated > _OTHER * own and off[j] > _OFF:
+        if simulated > _OTHER * own and off[j] > _OTHER:
             return (
                 "the controller's gains are too low, or of another unit (N.m/rad, N.m.s/rad): "
                 f"measured efforts of {self.names[j]} are {off[j]:.3g} times those that it gives "
