@@ -24,7 +24,7 @@ import pytest
 from scipy.io import savemat
 
 from sdpid.errors import DataError, SdpidError
-from sdpid.experiment.readers.formats.loaders import LOADERS, SANDBOXED
+from sdpid.experiment.readers.formats.loaders import LOADERS, MATRICES, SANDBOXED
 from sdpid.experiment.readers.read import read_recording
 from sdpid.experiment.recording.recording import Recording
 from tests.helpers.bags import write_bag
@@ -143,7 +143,7 @@ def test_damaged_logs_are_read_or_refused(tmp_path: Path, kind: str):
     print(f"{kind}: {refused} of {count} damaged files refused, the others read")
 
 
-@pytest.mark.parametrize("suffix", sorted(set(LOADERS) - {".gz"}))
+@pytest.mark.parametrize("suffix", sorted(set(LOADERS) - {".gz", MATRICES}))
 def test_garbage_is_a_data_error(tmp_path: Path, suffix: str):
     file = tmp_path / f"log{suffix}"
     contents = [np.random.default_rng(0).bytes(500), b"", b"\x00" * 64, b"a,b\n1\n", b"1,2\n3,4\n"]
@@ -152,6 +152,14 @@ def test_garbage_is_a_data_error(tmp_path: Path, suffix: str):
         file.write_bytes(content)
         with pytest.raises(DataError, match=r"log\."):
             read_recording(file)
+
+
+@pytest.mark.parametrize("content", [np.random.default_rng(0).bytes(500), b"", b"1,2\n3\n"])
+def test_garbage_in_a_folder_of_matrices_is_a_data_error(tmp_path: Path, content: bytes):
+    for name in ("t", "q", "tau"):
+        (tmp_path / f"{name}.dat").write_bytes(content)
+    with pytest.raises(DataError, match=r"\.dat: is"):
+        read_recording(tmp_path)
 
 
 MAGIC = b"\x89MCAP0\r\n"

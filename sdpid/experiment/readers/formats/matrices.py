@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -56,7 +57,9 @@ def _matrix(path: Path) -> NDArray[Any]:
         with path.open(encoding="utf-8") as stream:
             begin = stream.read(_SNIFFED)
         delimiter = next((mark for mark in "\t;," if mark in begin), None)
-        matrix = np.loadtxt(path, delimiter=delimiter, ndmin=2, encoding="utf-8")
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", UserWarning)  # An empty file is refused below.
+            matrix = np.loadtxt(path, delimiter=delimiter, ndmin=2, encoding="utf-8")
     except (OSError, ValueError) as cause:
         line = (str(cause).splitlines() or [type(cause).__name__])[0]
         raise DataError(f"{path}: is no matrix of numbers ({printable(line)}).") from None
