@@ -268,6 +268,8 @@ def _intervals(estimate: Estimate, wanted: bool | Method) -> tuple[Intervals | N
 def _bias(estimate: Estimate, prepared: Prepared) -> tuple[BiasTest | None, str | None]:
     """Return the test whether noise in the motion biases least squares, or why there is none."""
     untested = "bias by noise in the motion is not tested"
+    if estimate.problem.robot.free_flyer:
+        return None, f"{untested}: it is known for robots that are fixed to the ground only"
     if estimate.problem.n_rows > _MOST_ROWS or any(log.stored for log in prepared.logs):
         return None, f"{untested}: the log is long (sdpid.check_bias tests it all the same)"
     try:

@@ -31,9 +31,12 @@ def resting_rows(samples: Samples) -> Mask:
 def _judged(samples: Samples) -> Mask:
     """Return the rows in use (K, n), and stretches left out of them that slow motion is in.
 
-    Of a joint without any row in use, whose effort was not measured, there are none.
+    Of a joint without any row in use, whose effort was not measured, there are none. Nor are rows
+    of samples with contacts that are left out: forces that nobody measured may push there at will.
     """
     used = samples.used
+    if samples.contacts is not None:
+        return used
     found = used.copy()
     for j in np.flatnonzero(used.any(axis=0) & ~used.all(axis=0)):
         for part in samples.parts:

@@ -168,7 +168,8 @@ class CoupledWrist(Effect):
         """Return the coupling of the last two joints."""
         names = robot.joint_names[robot.n_base :]
         rotors = any(isinstance(term, RotorInertia) for term in terms)
-        if len(names) < 2 or self.held(terms) or not rotors:
+        # The last two joints of a robot on legs are no wrist.
+        if len(names) < 2 or robot.free_flyer or self.held(terms) or not rotors:
             return None
         width = _width_of_sign(terms)
         # A motor that turns two joints has one width, not one a joint.

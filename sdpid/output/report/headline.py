@@ -90,7 +90,10 @@ def _error(result: Judged) -> str:
     rest = f"at rest ({percent(resting_share(fit))} of the rows)"
     shares = {"in motion": fit.moving if fit.moving.rows.any() else None, rest: fit.resting}
     told = [f"{percent(e.relative)} {where}" for where, e in shares.items() if e is not None]
-    numbers = f"{', '.join(told)} (share of the effort)"
+    base = ""
+    if (errors := fit.floating) is not None:
+        base = f"; {errors.force:.3g} N and {errors.torque:.3g} N.m at the base"
+    numbers = f"{', '.join(told)} (share of the effort{base})"
     held_out = result.held_out
     if held_out is None:
         return f"{numbers}, on the data that were fitted: nothing could be held out"

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from sdpid._common.arrays import Mask
 from sdpid.assurance.diagnostics.residuals import period
 from sdpid.estimation.information import WEAK
 from sdpid.experiment.processing.samples import Samples
@@ -104,6 +105,28 @@ def _data(result: Judged) -> Iterator[tuple[str, list[str]]]:
         yield "pieces, recorded apart", [str(len(s.starts)) for s in parts]
     if any(s.periods is not None for s in parts):
         yield "periods averaged", ["–" if s.periods is None else str(s.periods) for s in parts]
+    yield from _contacts(parts)
+
+
+def _contacts(parts: list[Samples]) -> Iterator[tuple[str, list[str]]]:
+    """Yield how long each contact is closed, and how many are at once, in each recording."""
+    given = [samples.contacts for samples in parts]
+    for frame in dict.fromkeys(name for c in given if c is not None for name in c.frames):
+        shares = [
+            "–"
+            if c is None or frame not in c.frames
+            else f"{100.0 * float(c.down[:, c.frames.index(frame)].mean()):.3g} %"
+            for c in given
+        ]
+        yield f"{frame} closed, with the filter's memory", shares
+    if any(c is not None for c in given):
+        yield "contacts closed at once", ["–" if c is None else _at_once(c.down) for c in given]
+
+
+def _at_once(down: Mask) -> str:
+    """Return the share of time in which each number of contacts is closed, in words."""
+    shares = np.bincount(down.sum(axis=1)) / len(down)
+    return ", ".join(f"{k}: {100.0 * share:.3g} %" for k, share in enumerate(shares) if share > 0.0)
 
 
 def _rate(samples: Samples, count: int) -> str:

@@ -1,0 +1,84 @@
+"""`identify` of a robot with a floating base, end to end, from motion with chosen forces."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import lru_cache
+
+import numpy as np
+import pytest
+
+import sdpid
+from sdpid.errors import DataError
+from sdpid.experiment.recording.recording import rows_of
+from sdpid.workflow.result import Identification
+from tests.experiment.processing.floating.crawl import crawl
+
+TERMS = ("viscous",)
+
+
+def noisy(log: sdpid.Recording) -> sdpid.Recording:
+    rng = np.random.default_rng(0)
+    return replace(log, effort=log.effort + 0.005 * rng.normal(size=log.effort.shape))
+
+
+@lru_cache(maxsize=1)
+def identified() -> Identification:
+    walk = crawl()
+    log = noisy(walk.log())
+    return sdpid.identify(
+        "solo12",
+        rows_of(log, slice(0, 1500)),
+        validation=rows_of(log, slice(1500, 2000)),
+        processing={"cutoff_hz": 20.0},
+        friction=TERMS,
+        effects="none",
+    )
+
+
+def test_a_log_with_a_base_gives_a_floating_robot_with_its_mass() -> None:
+    result = identified()
+    robot = result.problem.robot
+    assert robot.free_flyer
+    assert result.certificate.passed
+    assert result.intervals is not None
+    theta = result.estimate.theta
+    assert theta is not None
+    mass = theta[: 10 * robot.n_links : 10].sum()
+    assert mass == pytest.approx(robot.prior[:, 0].sum(), rel=2e-3)
+
+
+def test_errors_of_joints_and_of_the_base_stand_apart() -> None:
+    fit = identified().validation
+    assert fit is not None
+    assert fit.floating is not None
+    # Of 25 N of weight, and efforts with 1 % of noise before the filter.
+    assert fit.floating.force < 0.1
+    assert fit.floating.torque < 0.02
+    assert not fit.rows[:6].any()
+    assert fit.moving.relative < 0.02
+    held_out = identified().held_out
+    assert held_out is not None
+    described = held_out.baselines["description as it is"]
+    assert described.floating is not None
+    assert described.moving.relative < 0.05
+
+
+def test_report_and_words_know_the_base_and_its_contacts(tmp_path) -> None:  # type: ignore[no-untyped-def]
+    result = identified()
+    assert "N.m at the base" in result.headline.error
+    assert not [line for line in result.verdict if "root_joint" in line]
+    result.save(tmp_path, figures=False)
+    report = (tmp_path / "report.html").read_text(encoding="utf-8")
+    assert "FL_FOOT closed, with the filter" in report
+    assert "contacts closed at once" in report
+    back = sdpid.load_robot(tmp_path / "identified.urdf", root="free_flyer")
+    assert result.estimate.theta is not None
+    np.testing.assert_allclose(
+        back.prior[:, 0], result.estimate.theta[: 10 * back.n_links : 10], rtol=1e-6
+    )
+
+
+def test_a_robot_that_is_fixed_is_refused() -> None:
+    with pytest.raises(DataError, match="fixed to the ground, and the recording has a floating"):
+        sdpid.identify(sdpid.load_robot("solo12"), crawl().log())
