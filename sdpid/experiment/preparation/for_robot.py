@@ -29,10 +29,14 @@ def default_friction(log: Recording) -> tuple[str | FrictionTerm, ...]:
     sensors' zero errors. The same terms serve torque sensors and motor currents: on five
     real robots none predicted worse for the sigmoid, and the others choose it whichever is left
     out (docs/evidence/real_robots.md). Rotor inertia and couplings are effects, which `identify`
-    adds where the training data show them (docs/guides/effects.md).
+    adds where the training data show them (docs/guides/effects.md). Legs are driven through small
+    gears whose rotors weigh as much as their links: recordings with a base get rotor inertia, and
+    one smooth sign whose width is fitted.
     """
     if log.period is not None:
         return ("coulomb", "viscous")
+    if log.base is not None:
+        return (SigmoidFriction(), "viscous", "rotor_inertia")
     return (Coulomb(width=SMOOTH), SigmoidFriction(), "viscous", "offset")
 
 

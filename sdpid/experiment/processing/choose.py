@@ -25,9 +25,9 @@ _CUTOFF_OVER_MOTION = 25.0
 _MASKED_PERIODS = 0.1
 _KEPT_SHARE = 0.1
 # Recordings with a base: a filter that forgets, since a foot counts as down for as long as it is
-# remembered. Its half length is one period of the cut-off. At 9, 15 and 24 times the motion the errors
+# remembered. Its half length is one period of the cut-off. At 9, 15 and 24 times the motion errors
 # on a walk of a simulated Solo12 were 0.24, 0.08 and 0.06 % (stand, trot, hang; friction known),
-# and rows grow with the cut-off.
+# and the number of samples grows with it.
 _FINITE_ORDER = 2
 _FINITE_CUTOFF_OVER_MOTION = 15.0
 # Below this rate differences of the position lose too much, and a recorded velocity is used.
