@@ -1,0 +1,330 @@
+"""Quadrupeds with known inertias: what stand, trot and hang identify, judged on a walk.
+
+Go1, A1 and Solo12 in MuJoCo, their links 15 % off the description, with friction, rotor inertia
+and noise. Errors are those of the efforts that the estimate predicts for the walk as it was, with
+the forces of the ground known: of the joints in per cent of their rms effort, of the force on the
+base in N.
+
+* ``legged.csv``: which motions and sensors show how much; a median and a worst of all seeds.
+* ``legged_defects.csv``: what wrong logs of one robot do, and what the inspection says of them.
+
+    python examples/studies/legged.py --seeds 5 --out results
+"""
+
+from __future__ import annotations
+
+import argparse
+import time
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+import sdpid
+from sdpid._common.arrays import Array
+from sdpid._common.progress import progress
+from sdpid._common.tables import Table
+from sdpid.estimation.compression.rows import RowSource
+from sdpid.estimation.problem import Problem
+from sdpid.experiment.plant.legged.run import FRICTION_SPEED
+from sdpid.experiment.plant.legged.sensors import Sensors
+from sdpid.experiment.plant.legged.simulate import LeggedRun, simulate_legged
+from sdpid.experiment.plant.legged.truth import Motion, changed_parameters
+
+ROBOTS = ("go1", "a1", "solo12")
+THREE = ("stand", "trot", "hang")
+# The friction of the plant: its terms are known, its size is not.
+FRICTION = (sdpid.friction.Coulomb(width=FRICTION_SPEED), "viscous", "rotor_inertia")
+# Every so many samples of the walk are predicted.
+STRIDE = 10
+
+
+@dataclass(frozen=True)
+class Quadruped:
+    """A robot that differs from its description, and its runs."""
+
+    name: str
+    seed: int
+    seconds: float
+
+    @cached_property
+    def robot(self) -> sdpid.RobotModel:
+        """The description."""
+        return sdpid.load_robot(self.name, root="free_flyer")
+
+    @cached_property
+    def theta(self) -> Array:
+        """True parameters."""
+        return changed_parameters(self.robot, seed=self.seed)
+
+    def run(self, motion: str, sensors: Sensors | None = None) -> LeggedRun:
+        """Let it move."""
+        order = (*THREE, "walk").index(motion)
+        return simulate_legged(
+            self.robot,
+            motion,
+            theta=self.theta,
+            duration=self.seconds,
+            seed=10 * self.seed + order,
+            sensors=sensors,
+        )
+
+    @cached_property
+    def runs(self) -> dict[str, LeggedRun]:
+        """All motions, with an IMU."""
+        return {motion: self.run(motion) for motion in (*THREE, "walk")}
+
+    @cached_property
+    def walk(self) -> tuple[Motion, Array]:
+        """The walk as it was, some of its samples, and their true efforts without the ground's."""
+        whole = self.runs["walk"].motion
+        motion = Motion(**{key: value[::STRIDE] for key, value in vars(whole).items()})
+        needed = self.robot.inverse_dynamics(
+            self.theta[: 10 * self.robot.n_links].reshape(-1, 10),
+            motion.position,
+            motion.velocity,
+            motion.acceleration,
+        )
+        rotor = self.theta[10 * self.robot.n_links :].reshape(3, -1)[2]
+        needed[:, 6:] += motion.friction + rotor * motion.acceleration[:, 6:]
+        return motion, needed
+
+    def errors(self, predicted: Array) -> tuple[float, float, float]:
+        """Return errors of joints in % of rms effort, of the base in N and N·m."""
+        motion, needed = self.walk
+        off = predicted - needed
+        effort = np.sqrt(np.mean(motion.effort[:, 6:] ** 2))
+        return (
+            100.0 * float(np.sqrt(np.mean(off[:, 6:] ** 2)) / effort),
+            float(np.sqrt(np.mean(np.sum(off[:, :3] ** 2, axis=1)))),
+            float(np.sqrt(np.mean(np.sum(off[:, 3:6] ** 2, axis=1)))),
+        )
+
+    def predicted(self, problem: Problem, base: Array) -> Array:
+        """Return the efforts that base parameters predict for the walk."""
+        motion, needed = self.walk
+        exact = sdpid.Samples(
+            position=motion.position,
+            velocity=motion.velocity,
+            acceleration=motion.acceleration,
+            effort=needed,
+            joint_names=problem.robot.joint_names,
+        )
+        rows = RowSource(problem.robot, problem.friction, problem.base, exact)
+        return np.asarray(rows.regressor(slice(None)) @ base)
+
+    @cached_property
+    def described(self) -> tuple[float, float, float]:
+        """Errors of the description, with the true friction."""
+        motion, _ = self.walk
+        predicted = self.robot.inverse_dynamics(
+            self.robot.prior, motion.position, motion.velocity, motion.acceleration
+        )
+        rotor = self.theta[10 * self.robot.n_links :].reshape(3, -1)[2]
+        predicted[:, 6:] += motion.friction + rotor * motion.acceleration[:, 6:]
+        return self.errors(predicted)
+
+    def mass_error(self, theta: Array) -> float:
+        """Return the error of the total mass in %."""
+        links = 10 * self.robot.n_links
+        return 100.0 * float(theta[:links:10].sum() / self.theta[:links:10].sum() - 1.0)
+
+
+def without_imu(log: sdpid.Recording) -> sdpid.Recording:
+    """Return a log of the pose alone."""
+    assert log.base is not None
+    return replace(log, base=replace(log.base, imu=None))
+
+
+# What is measured, how it is called, the motions, and whether friction is chosen by the data.
+CASES: tuple[tuple[str, tuple[str, ...], bool, bool], ...] = (
+    ("stand, trot, hang", THREE, True, False),
+    ("trot", ("trot",), True, False),
+    ("stand, trot, hang", THREE, False, False),
+    ("stand, trot, hang", THREE, True, True),
+)
+
+
+def identified(
+    quadruped: Quadruped, logs: Sequence[sdpid.Recording], *, chosen: bool = False, **options: Any
+) -> list[object]:
+    """Identify a robot and return what is said of the result in a row."""
+    known = {} if chosen else {"friction": FRICTION, "effects": "none"}
+    start = time.process_time()
+    result = sdpid.identify(quadruped.robot, list(logs), **known, **options)
+    seconds = time.process_time() - start
+    estimate, problem = result.estimate, result.problem
+    certificate = result.certificate
+    within = None
+    if not chosen and result.intervals is not None:
+        truth = dict(zip(problem.base.names, problem.base_of(quadruped.theta), strict=True))
+        held = [
+            lower <= truth[name] <= upper
+            for name, lower, upper in zip(
+                result.intervals.names, result.intervals.lower, result.intervals.upper, strict=True
+            )
+            if name in truth
+        ]
+        within = 100.0 * float(np.mean(held)) if held else None
+    least = quadruped.errors(quadruped.predicted(problem, result.wls.base))
+    return [
+        *quadruped.errors(quadruped.predicted(problem, estimate.base)),
+        abs(quadruped.mass_error(estimate.theta)),
+        *least[:2],
+        within,
+        certificate is not None and bool(certificate.passed),
+        None if certificate is None else certificate.gap,
+        seconds,
+    ]
+
+
+def main_rows(
+    seeds: int, seconds: float, robots: Sequence[str], cases: int
+) -> Iterator[tuple[object, ...]]:
+    """Yield the rows of the table of motions and sensors: median and worst of all seeds."""
+    for name in robots:
+        found: dict[int, list[list[object]]] = {}
+        described = []
+        for seed in range(seeds):
+            quadruped = Quadruped(name, seed, seconds)
+            described.append(quadruped.described)
+            for number, (_, motions, imu, chosen) in enumerate(CASES[:cases]):
+                # Friction that the data choose takes minutes, so one seed must do.
+                if chosen and seed:
+                    continue
+                logs = [quadruped.runs[motion].recording for motion in motions]
+                logs = logs if imu else [without_imu(log) for log in logs]
+                row = identified(quadruped, logs, chosen=chosen)
+                print(name, seed, motions, imu, chosen, *row, flush=True)
+                found.setdefault(number, []).append(row)
+        for number, rows in found.items():
+            what, _, imu, chosen = CASES[number]
+            columns = [np.array([row[i] for row in rows], dtype=float) for i in range(len(rows[0]))]
+            within = columns[6]
+            yield (
+                name, what, "IMU" if imu else "pose", "chosen" if chosen else "known", len(rows),
+                *(value for i in (0, 1, 3) for value in (np.median(columns[i]), columns[i].max())),
+                np.median(columns[4]), np.median(columns[5]),
+                *np.median(np.array(described), axis=0)[:2],
+                None if np.isnan(within).any() else within.mean(),
+                int(columns[7].sum()), columns[8].max(), np.median(columns[9]),
+            )  # fmt: skip
+
+
+COLUMNS = (
+    "robot", "motions", "base_motion", "friction", "seeds",
+    "joints_percent", "joints_worst_percent", "base_force_n", "base_force_worst_n",
+    "mass_percent", "mass_worst_percent",
+    "least_squares_joints_percent", "least_squares_base_force_n",
+    "description_joints_percent", "description_base_force_n",
+    "truth_within_intervals_percent", "certified", "worst_gap", "cpu_s",
+)  # fmt: skip
+
+
+def _swapped(log: sdpid.Recording) -> sdpid.Recording:
+    assert log.base is not None
+    turned = replace(log.base, orientation=np.roll(log.base.orientation, 1, axis=1))
+    return replace(log, base=turned)
+
+
+def _at_the_ankle(log: sdpid.Recording) -> sdpid.Recording:
+    assert log.contacts is not None
+    return replace(log, contacts=replace(log.contacts, offset=np.zeros(3)))
+
+
+def _imu_at_the_origin(log: sdpid.Recording) -> sdpid.Recording:
+    assert log.base is not None
+    assert log.base.imu is not None
+    return replace(log, base=replace(log.base, imu=replace(log.base.imu, translation=np.zeros(3))))
+
+
+def _feet_swapped(log: sdpid.Recording) -> sdpid.Recording:
+    assert log.contacts is not None
+    if log.contacts.n == 1 or log.contacts.down is None:
+        return log
+    return replace(log, contacts=replace(log.contacts, down=log.contacts.down[:, [1, 0, 3, 2]]))
+
+
+Change = Callable[[sdpid.Recording], sdpid.Recording]
+# What is wrong, the sensors that make it so, and the change of the log that does.
+DEFECTS: tuple[tuple[str, Sensors, Change | None], ...] = (
+    ("nothing", Sensors(), None),
+    ("torques 2 ms late", Sensors(delays={"effort": 0.002}), None),
+    ("IMU 2 ms late", Sensors(delays={"imu": 0.002}), None),
+    ("flags 10 ms late", Sensors(delays={"contacts": 0.01}), None),
+    ("torques 5 % high", Sensors(effort_gain=1.05), None),
+    ("flags above 20 N", Sensors(flag_threshold=20.0), None),
+    ("flags above 20 N, forces fused", Sensors(flag_threshold=20.0, forces=True), None),
+    ("forces fused", Sensors(forces=True), None),
+    ("forces fused, 10 % low", Sensors(forces=True, force_gain=0.9), None),
+    ("left and right feet swapped", Sensors(), _feet_swapped),
+    ("contact at the ball's center", Sensors(), _at_the_ankle),
+    ("IMU's place ignored", Sensors(), _imu_at_the_origin),
+    ("quaternion w x y z", Sensors(), _swapped),
+)
+DEFECT_COLUMNS = ("defect", "joints_percent", "base_force_n", "mass_percent", "findings")
+
+
+def defect_rows(seconds: float, count: int) -> Iterator[tuple[object, ...]]:
+    """Yield the rows of the table of wrong logs."""
+    quadruped = Quadruped("go1", 0, seconds)
+    for words, sensors, change in DEFECTS[:count]:
+        logs = [quadruped.run(motion, sensors).recording for motion in THREE]
+        logs = logs if change is None else [change(log) for log in logs]
+        kinds = sorted(
+            {
+                each.kind
+                for log in logs
+                for each in sdpid.inspect_recording(log, quadruped.robot).findings
+                if each.severity != "info"
+            }
+        )
+        try:
+            row = identified(quadruped, logs, intervals=False)
+            errors = (row[0], row[1], row[3])
+        except sdpid.errors.SdpidError as error:
+            print(words, error, flush=True)
+            errors = (None, None, None)
+        yield (words, *errors, " ".join(kinds) or "none")
+
+
+def main() -> None:
+    """Write the tables."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--seeds", type=int, default=5)
+    parser.add_argument("--seconds", type=float, default=10.0)
+    parser.add_argument("--only", choices=("legged", "defects"), help="one table")
+    parser.add_argument("--quick", action="store_true", help="one robot, one seed, two defects")
+    parser.add_argument("--out", type=Path, default=Path("results"))
+    chosen = parser.parse_args()
+    robots, cases, defects = ROBOTS, len(CASES), len(DEFECTS)
+    if chosen.quick:
+        chosen.seeds, chosen.seconds, robots, cases, defects = 1, 3.0, ("solo12",), 1, 2
+    chosen.out.mkdir(parents=True, exist_ok=True)
+    motions = main_rows(chosen.seeds, chosen.seconds, robots, cases)
+    for name, file, header, rows, count in (
+        ("legged", "legged.csv", COLUMNS, motions, len(robots) * cases),
+        (
+            "defects",
+            "legged_defects.csv",
+            DEFECT_COLUMNS,
+            defect_rows(chosen.seconds, defects),
+            defects,
+        ),
+    ):
+        if chosen.only not in (None, name):
+            continue
+        kept = []
+        with progress(count, file) as advance:
+            for row in rows:
+                kept.append(tuple(row))
+                print(*row, flush=True)
+                advance(1)
+        Table(header, tuple(kept)).write(chosen.out / file)
+
+
+if __name__ == "__main__":
+    main()
