@@ -115,14 +115,16 @@ class ControllerCheck:
         if not wrong.any():
             return
         j = int(np.argmax(np.where(wrong, beyond, -np.inf)))
+        off_by = f"by surely more than {100 * tolerance:g} %: {int(wrong.sum())} of {len(wrong)}"
         raise DataError(
-            f"output error: the controller is not that of this log: measured efforts of joint "
-            f"{self.names[j]} are {self.ratio[j]:.3g} times those that it gives on the measured "
-            f"motion (standard error {self.error[j]:.1g}; {int(wrong.sum())} joints are off by "
-            f"surely more than {100 * tolerance:g} %), and every parameter would be off as much. "
+            f"output error: the controller, or what was commanded, is not that of this log: "
+            f"measured efforts of joint {self.names[j]} are {self.ratio[j]:.3g} times those that "
+            f"the controller gives on the measured motion (standard error {self.error[j]:.1g}; "
+            f"joints that are off {off_by}), and every parameter would be off as much. "
             "Give the gains that ran (N.m/rad, N.m.s/rad), controller='fit', method='didim' or "
             "sdpid.solve_instrumental, which hardly depend on them, or allow it "
-            "(controller_tolerance)."
+            "(controller_tolerance). Where factors are negative or near 0, look whether the "
+            "commanded positions are those of this log, in rad, and at its time."
         )
 
     def fault(self, loop: ClosedLoop, followed: Followed, share: float) -> str | None:
