@@ -208,7 +208,8 @@ class FirstStage:
             f"{len(self.weak)} of {seen} base parameters (F statistic of the first stage below "
             f"{WEAK:g}){known}. Check that the commanded positions are those of this recording, "
             "not late, and in its order of joints; a robot that lags behind its commands needs its "
-            "own controller (controller=, one of sdpid.controllers or 'fit')."
+            "own controller (controller=, one of sdpid.controllers or 'fit'). Where noise of the "
+            "encoders drowns the motion, lower the cut-off."
         )
 
     def second(self, words: str) -> SecondStage:
