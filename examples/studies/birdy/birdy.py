@@ -38,8 +38,8 @@ from sdpid.robot.model import regressor_kernel
 # Motions, which runs take in turn; starts are taken in turn too.
 MOTIONS = 10
 
-# One run of so many has what takes long: simulated positions, IV and DIDIM without masks, output
-# error, robust costs and `sdpid.identify`.
+# One run of so many has what takes long, unless `--every` says otherwise: simulated positions, IV
+# and DIDIM without masks, output error, robust costs and `sdpid.identify`.
 SELDOM = 4
 
 MAIN = ("lowPosition", "standard", "highPosition")
@@ -234,6 +234,7 @@ def main() -> int:
     parser.add_argument("--only", action="append", help="a method, such as PC-DIDIM; default all")
     parser.add_argument("--noise", action="append", choices=NOISES, help="default both")
     parser.add_argument("--level", action="append", choices=tuple(NOISE), help="default all")
+    parser.add_argument("--every", type=int, default=SELDOM, help="runs to one of what takes long")
     parser.add_argument("--quick", action="store_true", help="one run of one cell")
     options = parser.parse_args()
     # Thousands of small logs are worth compiling for, one is not.
@@ -259,12 +260,12 @@ def main() -> int:
         for cell in chosen:
             wanted = [
                 key
-                for key in plan(cell, number, groups, SELDOM)
+                for key in plan(cell, number, groups, options.every)
                 if (cell, number, *key) not in done
                 if not options.only or key[1] in options.only
             ]
             if wanted:
-                rows = run(cell, number, wanted, options.out / "motions", SELDOM)
+                rows = run(cell, number, wanted, options.out / "motions", options.every)
                 append(folder / cell.file, rows)
     table = summary(folder)
     table.write(options.out / "figures.csv")
