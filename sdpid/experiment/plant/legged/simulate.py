@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from dataclasses import dataclass
 
 import numpy as np
@@ -17,6 +18,7 @@ from sdpid.experiment.plant.legged.run import run_plan
 from sdpid.experiment.plant.legged.sensors import Sensors, record
 from sdpid.experiment.plant.legged.truth import Motion, changed_parameters
 from sdpid.experiment.recording.recording import Recording
+from sdpid.robot.model.load import load_robot
 from sdpid.robot.model.model import RobotModel
 
 __all__ = ["LeggedRun", "simulate_legged"]
@@ -58,7 +60,7 @@ class LeggedRun:
 
 
 def simulate_legged(
-    robot: RobotModel,
+    robot: RobotModel | str | os.PathLike[str],
     motion: str = "stand",
     *,
     theta: ArrayLike | None = None,
@@ -77,8 +79,8 @@ def simulate_legged(
 
     Parameters
     ----------
-    robot : RobotModel
-        A quadruped on a floating base: ``load_robot("go1", root="free_flyer")``.
+    robot : RobotModel, name or path
+        A quadruped on a floating base: ``"go1"``, or ``load_robot("go1", root="free_flyer")``.
     motion : {"stand", "trot", "walk", "hang"}, optional
         Stand with a swaying base, trot in place, walk forward, or move all joints with the base
         held in the air.
@@ -111,13 +113,14 @@ def simulate_legged(
 
     Examples
     --------
-    >>> quadruped = sdpid.load_robot("solo12", root="free_flyer")
-    >>> run = sdpid.simulate_legged(quadruped, "trot", duration=0.5)
+    >>> run = sdpid.simulate_legged("solo12", "trot", duration=0.5)
     >>> run.recording.contacts
     Contacts(500 samples, 4 points, flags)
     >>> run.theta.shape, run.motion.acceleration.shape
     ((166,), (500, 18))
     """
+    if not isinstance(robot, RobotModel):
+        robot = load_robot(robot, root="free_flyer")
     rng = generator(seed)
     sensors = Sensors() if sensors is None else sensors
     legs = find_legs(robot) if legs is None else legs
