@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 
 import sdpid
 from sdpid.assurance.log_proof.inputs import recording_digest
-from sdpid.assurance.rollouts import rollout
+from sdpid.assurance.rollouts import setting
 from sdpid.errors import DataError
 from sdpid.experiment.preparation.twin import Twin
 from sdpid.experiment.recording.floating.base import BaseMotion, Imu
@@ -158,7 +158,7 @@ ARM = sdpid.load_robot(ARM_URDF)
         (lambda: sdpid.identify_payload(ARM, commanded()), "payload"),
         (lambda: sdpid.identify_drive_gains(ARM, log(currents=True)), "gains"),
         (lambda: Twin.of(ARM, commanded()), "simulated motion"),
-        (lambda: rollout._prepared(ARM, commanded(), None), "rollout"),
+        (lambda: setting._prepared(ARM, commanded(), None), "rollout"),
     ],
 )
 def test_what_knows_fixed_robots_only_refuses_a_floating_base(call: Any, what: str) -> None:
