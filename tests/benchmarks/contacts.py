@@ -8,7 +8,6 @@ and as those of the legs alone on a base that is fixed.
 
 from __future__ import annotations
 
-import argparse
 import sys
 from collections.abc import Iterator
 from dataclasses import replace
@@ -23,7 +22,7 @@ from sdpid.robot.model.base_parameters import structural_base
 from sdpid.robot.model.contacts.jacobians import contact_jacobians
 from sdpid.robot.model.load import load_robot
 from sdpid.robot.model.model import RobotModel
-from tests.benchmarks.timing import Row, side_by_side, table
+from tests.benchmarks.timing import Row, print_table, side_by_side
 from tests.helpers.legged import FEET, NOISE, RADIUS, gait, quadruped
 
 # Samples that are compressed: so many different ones, again and again.
@@ -69,16 +68,5 @@ def measure(repeats: int) -> Iterator[Row]:
     yield Row.of("contact_jacobians, 4 feet, per sample", jacobians, "compress, 4 feet", contacts)
 
 
-def main() -> int:
-    """Print the table."""
-    parser = argparse.ArgumentParser(prog="python -m tests.benchmarks.contacts")
-    parser.add_argument("--repeat", type=int, default=5, help="at least 5 (default)")
-    options = parser.parse_args()
-    if options.repeat < 5:
-        parser.error(f"--repeat: is {options.repeat}; at least 5 give a spread.")
-    print(table(list(measure(options.repeat))).text(digits=3))
-    return 0
-
-
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(print_table("tests.benchmarks.contacts", measure))

@@ -9,7 +9,6 @@ the log and building the problem.
 
 from __future__ import annotations
 
-import argparse
 import sys
 
 import numpy as np
@@ -23,7 +22,7 @@ from sdpid.experiment.processing.process import process
 from sdpid.experiment.simulation.controllers import P
 from sdpid.experiment.trajectory.paper import paper_excitation
 from sdpid.robot.model.load import load_robot
-from tests.benchmarks.timing import Row, side_by_side, table
+from tests.benchmarks.timing import Row, print_table, side_by_side
 
 ROBOT, SECONDS = "denso_vp6242", 10.0
 
@@ -62,16 +61,5 @@ def measure(repeats: int) -> list[Row]:
     return rows
 
 
-def main() -> int:
-    """Print the table."""
-    parser = argparse.ArgumentParser(prog="python -m tests.benchmarks.didim")
-    parser.add_argument("--repeat", type=int, default=5, help="at least 5 (default)")
-    options = parser.parse_args()
-    if options.repeat < 5:
-        parser.error(f"--repeat: is {options.repeat}; at least 5 give a spread.")
-    print(table(measure(options.repeat)).text(digits=3))
-    return 0
-
-
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(print_table("tests.benchmarks.didim", measure))

@@ -8,7 +8,6 @@ memory used before. The bandwidth is that of filling memory used before with a n
 
 from __future__ import annotations
 
-import argparse
 import sys
 from collections.abc import Iterator
 from typing import Any
@@ -26,7 +25,7 @@ from sdpid.robot.model import regressor_kernel as kernels
 from sdpid.robot.model.base_parameters import structural_base
 from sdpid.robot.model.load import load_robot
 from sdpid.robot.model.model import RobotModel
-from tests.benchmarks.timing import Row, side_by_side, table
+from tests.benchmarks.timing import Row, print_table, side_by_side
 
 ARM, HUMANOID = "denso_vp6242", "talos_reduced"
 
@@ -160,16 +159,5 @@ def measure(repeats: int) -> Iterator[Row]:
     yield from compression(repeats)
 
 
-def main() -> int:
-    """Print the table."""
-    parser = argparse.ArgumentParser(prog="python -m tests.benchmarks.kernels")
-    parser.add_argument("--repeat", type=int, default=5, help="at least 5 (default)")
-    options = parser.parse_args()
-    if options.repeat < 5:
-        parser.error(f"--repeat: is {options.repeat}; at least 5 give a spread.")
-    print(table(list(measure(options.repeat))).text(digits=3))
-    return 0
-
-
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(print_table("tests.benchmarks.kernels", measure))

@@ -9,7 +9,6 @@ friction. MuJoCo has the controller as its actuators, and friction as its constr
 
 from __future__ import annotations
 
-import argparse
 import sys
 from typing import Any
 
@@ -26,7 +25,7 @@ from sdpid.experiment.trajectory.paper import paper_excitation
 from sdpid.robot.friction.model import FrictionModel
 from sdpid.robot.model.dynamics import RobotDynamics
 from sdpid.robot.model.load import load_robot
-from tests.benchmarks.timing import Row, side_by_side, table
+from tests.benchmarks.timing import Row, print_table, side_by_side
 
 ROBOT, SECONDS, RATE = "denso_vp6242", 10.0, 5000.0
 
@@ -90,16 +89,5 @@ def measure(repeats: int) -> list[Row]:
     return rows
 
 
-def main() -> int:
-    """Print the table."""
-    parser = argparse.ArgumentParser(prog="python -m tests.benchmarks.simulation")
-    parser.add_argument("--repeat", type=int, default=5, help="at least 5 (default)")
-    options = parser.parse_args()
-    if options.repeat < 5:
-        parser.error(f"--repeat: is {options.repeat}; at least 5 give a spread.")
-    print(table(measure(options.repeat)).text(digits=3))
-    return 0
-
-
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(print_table("tests.benchmarks.simulation", measure))

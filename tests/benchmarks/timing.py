@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import argparse
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, fields
 from pathlib import Path
 
@@ -66,6 +67,17 @@ def table(rows: Sequence[Row]) -> Table:
     """Return the rows as a table."""
     names = tuple(field.name for field in fields(Row))
     return Table(names, tuple(tuple(getattr(row, name) for name in names) for row in rows))
+
+
+def print_table(program: str, measure: Callable[[int], Iterable[Row]]) -> int:
+    """Print the rows of a benchmark, measured as often as its command line says."""
+    parser = argparse.ArgumentParser(prog=f"python -m {program}")
+    parser.add_argument("--repeat", type=int, default=5, help="at least 5 (default)")
+    options = parser.parse_args()
+    if options.repeat < 5:
+        parser.error(f"--repeat: is {options.repeat}; at least 5 give a spread.")
+    print(table(list(measure(options.repeat))).text(digits=3))
+    return 0
 
 
 def peak() -> int:
