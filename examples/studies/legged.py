@@ -1,23 +1,27 @@
 """Quadrupeds with known inertias: what stand, trot and hang identify, judged on a walk.
 
 Go1, A1 and Solo12 in MuJoCo, their links 15 % off the description, with friction, rotor inertia
-and noise. Errors are those of the efforts that the estimate predicts for the walk as it was, with
-the forces of the ground known: of the joints in per cent of their rms effort, of the force on the
-base in N.
+and noise. Dry friction has a Stribeck peak and a smooth sign that differ from seed to seed; the
+estimate knows this law, or takes what `identify` chooses by the data. Errors are those of the
+efforts that the estimate predicts for the walk as it was, with the forces of the ground known: of
+the joints in per cent of their rms effort, of the force on the base in N.
 
 * ``legged.csv``: which motions and sensors show how much; a median and a worst of all seeds.
 * ``legged_defects.csv``: what wrong logs of one robot do, and what the inspection says of them.
 
     python examples/studies/legged.py --seeds 5 --out results
+
+``--keep folder`` keeps what each seed gave, and goes on from there.
 """
 
 from __future__ import annotations
 
 import argparse
+import json
 import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 from pathlib import Path
 from typing import Any
 
@@ -29,15 +33,16 @@ from sdpid._common.progress import progress
 from sdpid._common.tables import Table
 from sdpid.estimation.compression.rows import RowSource
 from sdpid.estimation.problem import Problem
-from sdpid.experiment.plant.legged.run import FRICTION_SPEED
+from sdpid.experiment.plant.legged.friction import DryFriction
 from sdpid.experiment.plant.legged.sensors import Sensors
 from sdpid.experiment.plant.legged.simulate import LeggedRun, simulate_legged
 from sdpid.experiment.plant.legged.truth import Motion, changed_parameters
 
 ROBOTS = ("go1", "a1", "solo12")
 THREE = ("stand", "trot", "hang")
-# The friction of the plant: its terms are known, its size is not.
-FRICTION = (sdpid.friction.Coulomb(width=FRICTION_SPEED), "viscous", "rotor_inertia")
+# Ranges from which each seed draws its law of dry friction: width of the sign and speed of the peak
+# in rad/s, and height of the peak over Coulomb friction.
+WIDTHS, PEAK_SPEEDS, PEAKS = (0.03, 0.1), (0.1, 0.4), (0.0, 0.5)
 # Every so many samples of the walk are predicted.
 STRIDE = 10
 
@@ -60,6 +65,31 @@ class Quadruped:
         """True parameters."""
         return changed_parameters(self.robot, seed=self.seed)
 
+    @cached_property
+    def law(self) -> DryFriction:
+        """Its law of dry friction."""
+        rng = np.random.default_rng([2026, self.seed])
+        width, speed = (float(np.exp(rng.uniform(*np.log(each)))) for each in (WIDTHS, PEAK_SPEEDS))
+        return DryFriction(width=width, peak=float(rng.uniform(*PEAKS)), peak_speed=speed)
+
+    @property
+    def friction(self) -> tuple[sdpid.friction.FrictionTerm | str, ...]:
+        """The terms of its friction; their sizes are not told."""
+        return (*self.law.terms, "viscous", "rotor_inertia")
+
+    def truth(self, problem: Problem) -> Array:
+        """Return the true base parameters; friction terms that the plant does not have are zero."""
+        links, n = 10 * self.robot.n_links, self.robot.n - 6
+        coulomb, viscous, rotor = self.theta[links:].reshape(3, n)
+        sizes = {
+            "Fs": coulomb,
+            "Fst": self.law.peak * coulomb,
+            "Fv": viscous,
+            "Ia": rotor,
+        }
+        terms = [sizes.get(term.symbol, np.zeros(n)) for term in problem.friction.terms]
+        return np.asarray(problem.base_of(np.concatenate([self.theta[:links], *terms])))
+
     def run(self, motion: str, sensors: Sensors | None = None) -> LeggedRun:
         """Let it move."""
         order = (*THREE, "walk").index(motion)
@@ -70,6 +100,7 @@ class Quadruped:
             duration=self.seconds,
             seed=10 * self.seed + order,
             sensors=sensors,
+            friction=self.law,
         )
 
     @cached_property
@@ -145,6 +176,8 @@ CASES: tuple[tuple[str, tuple[str, ...], bool, bool], ...] = (
     ("trot", ("trot",), True, False),
     ("stand, trot, hang", THREE, False, False),
     ("stand, trot, hang", THREE, True, True),
+    ("trot", ("trot",), True, True),
+    ("stand, trot, hang", THREE, False, True),
 )
 
 
@@ -152,7 +185,7 @@ def identified(
     quadruped: Quadruped, logs: Sequence[sdpid.Recording], *, chosen: bool = False, **options: Any
 ) -> list[object]:
     """Identify a robot and return what is said of the result in a row."""
-    known = {} if chosen else {"friction": FRICTION, "effects": "none"}
+    known = {} if chosen else {"friction": quadruped.friction, "effects": "none"}
     start = time.process_time()
     result = sdpid.identify(quadruped.robot, list(logs), **known, **options)
     seconds = time.process_time() - start
@@ -160,7 +193,7 @@ def identified(
     certificate = result.certificate
     within = None
     if not chosen and result.intervals is not None:
-        truth = dict(zip(problem.base.names, problem.base_of(quadruped.theta), strict=True))
+        truth = dict(zip(problem.base.names, quadruped.truth(problem), strict=True))
         held = [
             lower <= truth[name] <= upper
             for name, lower, upper in zip(
@@ -181,26 +214,43 @@ def identified(
     ]
 
 
+def cell(quadruped: Quadruped, number: int) -> list[object]:
+    """Return what a robot gives in a case, with the errors of its description."""
+    _, motions, imu, chosen = CASES[number]
+    logs = [quadruped.runs[motion].recording for motion in motions]
+    logs = logs if imu else [without_imu(log) for log in logs]
+    # Intervals around friction that the data chose have no true friction to be judged by.
+    row = identified(quadruped, logs, chosen=chosen, intervals=not chosen)
+    return [*row, *quadruped.described[:2]]
+
+
+def kept(folder: Path | None, name: str, made: Callable[[], list[object]]) -> list[object]:
+    """Return what an earlier run of this study kept, or make and keep it."""
+    if folder is None:
+        return made()
+    file = folder / f"{name}.json"
+    if not file.is_file():
+        file.write_text(json.dumps(made()))
+    values: list[object] = json.loads(file.read_text())
+    return values
+
+
 def main_rows(
-    seeds: int, seconds: float, robots: Sequence[str], cases: int
+    seeds: int, seconds: float, robots: Sequence[str], cases: Sequence[int], folder: Path | None
 ) -> Iterator[tuple[object, ...]]:
     """Yield the rows of the table of motions and sensors: median and worst of all seeds."""
-    for name in robots:
-        found: dict[int, list[list[object]]] = {}
-        described = []
-        for seed in range(seeds):
+    found: dict[tuple[str, int], list[list[object]]] = {}
+    # Seed by seed, so that what is there after an interruption is about all robots.
+    for seed in range(seeds):
+        for name in robots:
             quadruped = Quadruped(name, seed, seconds)
-            described.append(quadruped.described)
-            for number, (_, motions, imu, chosen) in enumerate(CASES[:cases]):
-                # Friction that the data choose takes minutes, so one seed must do.
-                if chosen and seed:
-                    continue
-                logs = [quadruped.runs[motion].recording for motion in motions]
-                logs = logs if imu else [without_imu(log) for log in logs]
-                row = identified(quadruped, logs, chosen=chosen)
-                print(name, seed, motions, imu, chosen, *row, flush=True)
-                found.setdefault(number, []).append(row)
-        for number, rows in found.items():
+            for number in cases:
+                row = kept(folder, f"{name}_{seed}_{number}", partial(cell, quadruped, number))
+                print(name, seed, CASES[number], quadruped.law, *row, flush=True)
+                found.setdefault((name, number), []).append(row)
+    for name in robots:
+        for number in cases:
+            rows = found[name, number]
             what, _, imu, chosen = CASES[number]
             columns = [np.array([row[i] for row in rows], dtype=float) for i in range(len(rows[0]))]
             within = columns[6]
@@ -208,7 +258,7 @@ def main_rows(
                 name, what, "IMU" if imu else "pose", "chosen" if chosen else "known", len(rows),
                 *(value for i in (0, 1, 3) for value in (np.median(columns[i]), columns[i].max())),
                 np.median(columns[4]), np.median(columns[5]),
-                *np.median(np.array(described), axis=0)[:2],
+                np.median(columns[10]), np.median(columns[11]),
                 None if np.isnan(within).any() else within.mean(),
                 int(columns[7].sum()), columns[8].max(), np.median(columns[9]),
             )  # fmt: skip
@@ -297,16 +347,19 @@ def main() -> None:
     parser.add_argument("--seeds", type=int, default=5)
     parser.add_argument("--seconds", type=float, default=10.0)
     parser.add_argument("--only", choices=("legged", "defects"), help="one table")
+    parser.add_argument("--keep", type=Path, help="folder for what each seed gave, to go on from")
     parser.add_argument("--quick", action="store_true", help="one robot, one seed, two defects")
     parser.add_argument("--out", type=Path, default=Path("results"))
     chosen = parser.parse_args()
-    robots, cases, defects = ROBOTS, len(CASES), len(DEFECTS)
+    robots, cases, defects = ROBOTS, tuple(range(len(CASES))), len(DEFECTS)
     if chosen.quick:
-        chosen.seeds, chosen.seconds, robots, cases, defects = 1, 3.0, ("solo12",), 1, 2
+        chosen.seeds, chosen.seconds, robots, cases, defects = 1, 3.0, ("solo12",), (0,), 2
     chosen.out.mkdir(parents=True, exist_ok=True)
-    motions = main_rows(chosen.seeds, chosen.seconds, robots, cases)
+    if chosen.keep is not None:
+        chosen.keep.mkdir(parents=True, exist_ok=True)
+    motions = main_rows(chosen.seeds, chosen.seconds, robots, cases, chosen.keep)
     for name, file, header, rows, count in (
-        ("legged", "legged.csv", COLUMNS, motions, len(robots) * cases),
+        ("legged", "legged.csv", COLUMNS, motions, len(robots) * len(cases)),
         (
             "defects",
             "legged_defects.csv",
@@ -317,13 +370,13 @@ def main() -> None:
     ):
         if chosen.only not in (None, name):
             continue
-        kept = []
+        lines = []
         with progress(count, file) as advance:
             for row in rows:
-                kept.append(tuple(row))
+                lines.append(tuple(row))
                 print(*row, flush=True)
                 advance(1)
-        Table(header, tuple(kept)).write(chosen.out / file)
+        Table(header, tuple(lines)).write(chosen.out / file)
 
 
 if __name__ == "__main__":

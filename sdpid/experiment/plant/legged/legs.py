@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike
 
 from sdpid._common.arrays import Array, Indices, frozen
 from sdpid.errors import DataError, ModelError
+from sdpid.experiment.plant.legged.feet import foot_radius
 from sdpid.robot.model.model import RobotModel
 
 __all__ = ["Legs", "find_legs"]
@@ -59,6 +60,16 @@ class Legs:
     def height(self) -> float:
         """Height of the base above the feet's centers when the robot stands, m."""
         return float(-self.feet(self.standing[None])[0, :, 2].mean())
+
+    @functools.cached_property
+    def center_of_mass(self) -> Array:
+        """The description's center of mass in the base frame when the robot stands, m, (3,)."""
+        import pinocchio as pin
+
+        model = self.robot.pin_model
+        q = pin.neutral(model)
+        q[7:] = self.standing
+        return frozen(pin.centerOfMass(model, model.createData(), q))
 
     @property
     def frame_ids(self) -> list[int]:
@@ -132,7 +143,7 @@ def find_legs(
     robot: RobotModel,
     *,
     feet: Sequence[str] | None = None,
-    radius: float = 0.02,
+    radius: float | None = None,
     standing: ArrayLike | None = None,
 ) -> Legs:
     """Find the legs of a robot.
@@ -144,7 +155,7 @@ def find_legs(
     feet : sequence of str, optional
         Frames at the centers of the feet; by default the links with 'foot' in their names.
     radius : float, optional
-        Radius of the feet, m.
+        Radius of the feet, m; by default that of their collision geometry.
     standing : array_like, shape (joints,), optional
         Joint positions in which the robot stands, rad; by default every leg's knee bent backward.
 
@@ -161,8 +172,8 @@ def find_legs(
     --------
     >>> from sdpid.experiment.plant.legged.legs import find_legs
     >>> legs = find_legs(sdpid.load_robot("solo12", root="free_flyer"))
-    >>> legs.frames, round(legs.height, 3)
-    (('FL_FOOT', 'FR_FOOT', 'HL_FOOT', 'HR_FOOT'), 0.223)
+    >>> legs.frames, round(legs.height, 3), round(legs.radius, 3)
+    (('FL_FOOT', 'FR_FOOT', 'HL_FOOT', 'HR_FOOT'), 0.223, 0.016)
     """
     model = robot.pin_model
     if not robot.free_flyer:
@@ -204,4 +215,5 @@ def find_legs(
             raise DataError(
                 f"standing: shape {angles.shape}, expected {(robot.n - 6,)}: one angle a joint."
             )
+    radius = foot_radius(robot, tuple(feet), angles) if radius is None else radius
     return Legs(robot, tuple(feet), np.array(chains), radius, frozen(angles))

@@ -156,6 +156,8 @@ def _gait(
     length = legs.height
     sway = _base_sines(legs, rng, 0.25)
     stride = speed * length * cycle
+    # The weight above the middle of the feet: a pair of them on a diagonal bears it alone.
+    middle = places[:, :2].mean(axis=0) - legs.center_of_mass[:2]
 
     def phase(t: Array) -> Array:
         return np.asarray(np.mod(t[:, None] / cycle + phases, 1.0))
@@ -182,7 +184,7 @@ def _gait(
         angle = 2.0 * np.pi * (t[:, None] / cycle + phases - (1.0 + duty) / 2.0)
         lean = -shift * 0.5 * np.mean(np.cos(angle)[:, :, None] * places[:, :2], axis=1)
         position = position.copy()
-        position[:, :2] += _ramp(t)[0][:, None] * lean
+        position[:, :2] += _ramp(t)[0][:, None] * (lean + middle)
         return position, turn
 
     return _planned(legs, duration, base, feet, down)

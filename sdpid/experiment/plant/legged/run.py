@@ -18,22 +18,20 @@ from sdpid._common.arrays import Array, frozen, frozen_view
 from sdpid._common.extras import require
 from sdpid.errors import DataError
 from sdpid.experiment.plant.legged.feedforward import weight_torques
+from sdpid.experiment.plant.legged.friction import DryFriction
 from sdpid.experiment.plant.legged.legs import Legs
 from sdpid.experiment.plant.legged.model import LeggedModel, build_legged
 from sdpid.experiment.plant.legged.motions import LEAD, Plan
 from sdpid.experiment.plant.legged.truth import Motion
 
-__all__ = ["FRICTION_SPEED", "run_plan"]
+__all__ = ["run_plan"]
 
 # Stiffness of the motors' feedback over the torque that a leg of four bears at its length, 1/rad,
 # and damping over stiffness, s: the joints follow within hundredths of a radian.
-_STIFFNESS, _DAMPING = 12.0, 0.03
+_STIFFNESS, _DAMPING = 12.0, 0.06
 _GRAVITY = 9.81
 # A base that turns over this far has fallen: cosine of the angle to the vertical.
 _FALLEN = 0.5
-# Dry friction is Coulomb friction times tanh of the speed over this, rad/s: the least that a step
-# of 1 ms integrates without chatter.
-FRICTION_SPEED = 0.02
 # The classical Runge-Kutta method: where its stages are in a step, and what they weigh.
 _STAGES, _WEIGHTS = (0.0, 0.5, 0.5, 1.0), (1.0 / 6.0, 1.0 / 3.0, 1.0 / 3.0, 1.0 / 6.0)
 # The command is solved for at every so many samples, and interpolated.
@@ -41,7 +39,13 @@ _COMMAND_STRIDE = 5
 
 
 def run_plan(
-    legs: Legs, plan: Plan, theta: Array, *, rate_hz: float, before: int = 0
+    legs: Legs,
+    plan: Plan,
+    theta: Array,
+    *,
+    friction: DryFriction,
+    rate_hz: float,
+    before: int = 0,
 ) -> tuple[Array, Motion]:
     """Simulate a plan.
 
@@ -53,6 +57,8 @@ def run_plan(
         What it shall do.
     theta : ndarray, shape (10·links + 3·joints,)
         True parameters.
+    friction : DryFriction
+        The law of dry friction.
     rate_hz : float
         Samples a second; the integrator's steps are as long.
     before : int, optional
@@ -84,7 +90,8 @@ def run_plan(
     built = build_legged(
         legs, theta, held=plan.held, timestep=step, start=np.hstack([position[0], turn[0]])
     )
-    stepper = _Stepper(mujoco, built, theta[10 * legs.robot.n_links :], gains, desired[0])
+    rubbing = friction, theta[10 * legs.robot.n_links :].reshape(3, -1)
+    stepper = _Stepper(mujoco, built, rubbing, gains, desired[0])
     data = stepper.data
     notes = _Notes(mujoco, legs, built, total - first)
     for k in range(total):
@@ -114,12 +121,12 @@ class _Stepper:
         self,
         mujoco: Any,
         built: LeggedModel,
-        friction: Array,
+        friction: tuple[DryFriction, Array],
         gains: tuple[Array, Array],
         joints: Array,
     ) -> None:
         self._mujoco, self._built, self._gains = mujoco, built, gains
-        self._coulomb, self._viscous = friction.reshape(3, -1)[:2]
+        self._law, (self._coulomb, self._viscous, _) = friction
         self.data = mujoco.MjData(built.model)
         self.data.qpos[built.qpos] = joints
 
@@ -128,7 +135,7 @@ class _Stepper:
         data, built = self.data, self._built
         speed = data.qvel[built.dof]
         torque = command - self._gains[0] * data.qpos[built.qpos] - self._gains[1] * speed
-        friction = self._coulomb * np.tanh(speed / FRICTION_SPEED) + self._viscous * speed
+        friction = self._coulomb * self._law(speed) + self._viscous * speed
         data.qfrc_applied[built.dof] = torque - friction
         self._mujoco.mj_forward(built.model, data)
         data.qacc_warmstart[:] = data.qacc

@@ -12,6 +12,7 @@ from sdpid._common.arrays import Array, frozen, real_array
 from sdpid._common.seeds import generator
 from sdpid._common.tables import facts_html
 from sdpid.errors import DataError
+from sdpid.experiment.plant.legged.friction import DryFriction
 from sdpid.experiment.plant.legged.legs import Legs, find_legs
 from sdpid.experiment.plant.legged.motions import LEAD, plan_motion
 from sdpid.experiment.plant.legged.run import run_plan
@@ -40,6 +41,8 @@ class LeggedRun:
     motion : Motion
         The motion without sensors: positions, velocities, accelerations, torques, friction and
         contact wrenches at the recorded instants.
+    friction : DryFriction
+        The law that dry friction follows; its size is Coulomb friction in theta.
 
     Examples
     --------
@@ -51,6 +54,7 @@ class LeggedRun:
     recording: Recording
     theta: Array
     motion: Motion
+    friction: DryFriction
 
     def __repr__(self) -> str:
         return f"LeggedRun({self.recording!r})"
@@ -68,6 +72,7 @@ def simulate_legged(
     seed: int | np.random.Generator = 0,
     sensors: Sensors | None = None,
     legs: Legs | None = None,
+    friction: DryFriction | None = None,
     rate_hz: float = 1000.0,
 ) -> LeggedRun:
     """Let a simulated quadruped stand, trot, walk or hang, and record it.
@@ -95,6 +100,8 @@ def simulate_legged(
         Noise, resolution, delays and which sensors there are.
     legs : Legs, optional
         By default `find_legs`.
+    friction : DryFriction, optional
+        The law of dry friction; by default Coulomb friction with a sign 0.02 rad/s wide.
     rate_hz : float, optional
         Samples a second, and steps of the integrator.
 
@@ -124,6 +131,7 @@ def simulate_legged(
     rng = generator(seed)
     sensors = Sensors() if sensors is None else sensors
     legs = find_legs(robot) if legs is None else legs
+    friction = DryFriction() if friction is None else friction
     if theta is None:
         theta = changed_parameters(robot, legs=legs)
     values = frozen(real_array(theta, "theta", ndim=1))
@@ -144,6 +152,6 @@ def simulate_legged(
     if before > LEAD * rate_hz:
         raise DataError(f"delays: {sensors.longest_delay:g} s, the limit is {LEAD:g} s.")
     plan = plan_motion(legs, motion, duration=duration, rng=rng)
-    time, truth = run_plan(legs, plan, values, rate_hz=rate_hz, before=before)
+    time, truth = run_plan(legs, plan, values, friction=friction, rate_hz=rate_hz, before=before)
     log = record(legs, time, truth, sensors, gravity=robot.gravity, held=plan.held, rng=rng)
-    return LeggedRun(recording=log, theta=values, motion=truth.after(before))
+    return LeggedRun(recording=log, theta=values, motion=truth.after(before), friction=friction)

@@ -13,8 +13,8 @@ from scipy.spatial.transform import Rotation
 import sdpid
 from sdpid._common.arrays import Array
 from sdpid.errors import DataError, ModelError
+from sdpid.experiment.plant.legged.friction import DryFriction
 from sdpid.experiment.plant.legged.legs import find_legs
-from sdpid.experiment.plant.legged.run import FRICTION_SPEED
 from sdpid.experiment.plant.legged.sensors import Sensors
 from sdpid.experiment.plant.legged.simulate import LeggedRun, simulate_legged
 from sdpid.experiment.plant.legged.truth import changed_parameters
@@ -62,7 +62,7 @@ def test_the_equation_of_motion_holds_with_the_simulators_forces(motion: str) ->
     residual = needed - moved.effort - contact_torques(run)
     assert np.abs(residual).max() < EQUATION
     speed = moved.velocity[:, 6:]
-    law = coulomb * np.tanh(speed / FRICTION_SPEED) + viscous * speed
+    law = coulomb * np.tanh(speed / 0.02) + viscous * speed
     np.testing.assert_allclose(moved.friction, law)
 
 
@@ -111,6 +111,28 @@ def test_channels_come_late_and_gains_are_off() -> None:
     np.testing.assert_allclose(run.recording.effort[2:], 1.05 * run.motion.effort[:-2, 6:])
     np.testing.assert_allclose(run.recording.position, run.motion.position[:, 7:])
     assert run.recording.time[0] == pytest.approx(0.0, abs=1e-9)
+
+
+def test_dry_friction_follows_a_law_that_friction_terms_know() -> None:
+    law = DryFriction(width=0.06, peak=0.4, peak_speed=0.2)
+    run = simulate_legged(robot(), "hang", duration=0.2, seed=1, friction=law)
+    assert run.friction is law
+    coulomb, viscous = run.theta[130:].reshape(3, 12)[:2]
+    speed = run.motion.velocity[:, 6:]
+    smooth, falling = law.terms
+    shape = smooth.shape(speed, speed) + 0.4 * falling.shape(speed, speed)
+    np.testing.assert_allclose(run.motion.friction, coulomb * shape + viscous * speed, atol=1e-12)
+    with pytest.raises(DataError, match=r"too steep.*limit is 0.03"):
+        DryFriction(peak=1.0)
+
+
+def test_a_light_quadruped_trots_without_chatter() -> None:
+    run = simulate_legged("solo12", "trot", duration=2.0, seed=1)
+    # Two steps a second of every foot, and few bounces.
+    assert np.abs(np.diff(run.motion.down.astype(int), axis=0)).sum() < 2.0 * (2 * 2 * 4 * 2.0)
+    assert find_legs(sdpid.load_robot("solo12", root="free_flyer")).radius == pytest.approx(
+        0.016, abs=1e-4
+    )
 
 
 def test_changed_links_are_bodies_and_seeds_repeat() -> None:

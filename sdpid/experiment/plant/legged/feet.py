@@ -1,0 +1,48 @@
+"""The feet of a robot on legs as its description shows them."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from sdpid._common.arrays import Array
+from sdpid.errors import ModelError
+from sdpid.robot.description.xml import parse_xml
+from sdpid.robot.model.model import RobotModel
+from sdpid.robot.model.shapes import link_shapes
+
+__all__ = ["foot_radius"]
+
+# Of feet that the description shows no shape of, m: those of most quadrupeds of a metre or less.
+_RADIUS = 0.02
+
+
+def foot_radius(robot: RobotModel, frames: tuple[str, ...], standing: Array) -> float:
+    """Return how far the feet reach below their frames when the robot stands, m.
+
+    That of balls is their radius. The largest of all feet; 0.02 m where the description has no
+    collision geometry of them.
+    """
+    import pinocchio as pin
+
+    model = robot.pin_model
+    data = model.createData()
+    q = pin.neutral(model)
+    q[7:] = standing
+    pin.framesForwardKinematics(model, data, q)
+    depths = []
+    for element in [] if robot.urdf is None else parse_xml(robot.urdf, robot.name).findall("link"):
+        name = element.get("name")
+        if name not in frames:
+            continue
+        down = -data.oMf[model.getFrameId(name)].rotation[2]
+        try:
+            shapes = link_shapes(element, "collision", robot.name, [])
+        except ModelError:
+            # A mesh that is not at hand.
+            continue
+        for shape in shapes:
+            if shape.kind == "sphere":
+                depths.append(float(shape.placement[:3, 3] @ down + shape.sizes[0]))
+            else:
+                depths.append(float(np.max(shape.points() @ down)))
+    return max(depths, default=_RADIUS)
