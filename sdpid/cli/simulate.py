@@ -2,15 +2,23 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 import sdpid.cli.options as opt
 from sdpid._common.extras import require
+from sdpid._common.files import atomic_write_text
 from sdpid.cli.printing import Printing, listed
 from sdpid.errors import DataError, ExportError
+
+if TYPE_CHECKING:
+    from sdpid.experiment.recording.recording import Recording
+
+# Of motions of robots on legs: seconds, and how far links are off their description.
+_DURATION, _CHANGE = 10.0, 0.15
 
 
 def simulate(
@@ -42,6 +50,23 @@ def simulate(
     exact: Annotated[
         bool, typer.Option("--exact", help="Follow the motion exactly, without a controller.")
     ] = False,
+    motion: Annotated[
+        str | None,
+        typer.Option(
+            help="Motion of a robot on legs: stand, trot, walk or hang. Its base floats; contacts "
+            "and an IMU are recorded."
+        ),
+    ] = None,
+    duration: Annotated[
+        float | None, typer.Option(help="Length of --motion, s; 10 by default.")
+    ] = None,
+    change: Annotated[
+        float | None,
+        typer.Option(
+            help="With --motion: share by which the simulated links differ from the description; "
+            "0.15 by default."
+        ),
+    ] = None,
 ) -> None:
     """Record a motion of a simulated robot."""
     suffix = out.suffix.lower()
@@ -57,6 +82,24 @@ def simulate(
         raise DataError("--period: the trajectory's file has its own; leave one of them out.")
     if suffix == ".parquet":
         require("pyarrow", extra="io")
+    if motion is not None:
+        fixed = {
+            "--trajectory": trajectory,
+            "--write-trajectory": write_trajectory,
+            "--periods": periods,
+            "--period": period,
+            "--unmodeled": unmodeled or None,
+            "--exact": exact or None,
+        }
+        if given := [name for name, value in fixed.items() if value is not None]:
+            raise DataError(
+                f"{given[0]}: is for robots on a fixed base, and --motion for robots on legs; "
+                "leave one of them out."
+            )
+        _legged(robot, motion, out, printing, seed, duration, change, noise)
+        return
+    if given := [n for n, v in (("--duration", duration), ("--change", change)) if v is not None]:
+        raise DataError(f"{given[0]}: goes with --motion, which is for robots on legs.")
     from sdpid.experiment.plant.default_motion import default_motion
     from sdpid.experiment.plant.drives import load_drives, plant_folder
     from sdpid.experiment.plant.simulate import simulate as run
@@ -71,18 +114,18 @@ def simulate(
     bundled = table.is_file()
     model = RobotModel.from_mdh(table) if bundled else load_robot(robot)
     if trajectory is not None:
-        motion = read_trajectory(trajectory, model.joint_names)
-        motion = between_rests(motion) if isinstance(motion.series, SampledCurve) else motion
-        motion = motion if periods is None else motion.with_periods(periods)
+        plan = read_trajectory(trajectory, model.joint_names)
+        plan = between_rests(plan) if isinstance(plan.series, SampledCurve) else plan
+        plan = plan if periods is None else plan.with_periods(periods)
     elif bundled:
-        motion = paper_excitation(robot, seed, periods=periods, period=period)
+        plan = paper_excitation(robot, seed, periods=periods, period=period)
     else:
-        motion = default_motion(model, seed, periods=periods, period=period)
+        plan = default_motion(model, seed, periods=periods, period=period)
     if write_trajectory is not None:
-        motion.to_toml(write_trajectory)
+        plan.to_toml(write_trajectory)
     recording = run(
         model,
-        motion,
+        plan,
         theta=true_parameters(robot) if bundled else None,
         seed=seed,
         drives=load_drives(robot) if bundled else None,
@@ -90,19 +133,75 @@ def simulate(
         noise=noise,
         exact=exact,
     )
-    (recording.to_csv if suffix == ".csv" else recording.to_parquet)(out)
+    _write(recording, out)
     files = [str(file) for file in (out, write_trajectory) if file is not None]
     kinds = {
         name: model.pin_model.joints[model.pin_model.getJointId(name)].shortname()
         for name in model.joint_names[model.n_base :]
     }
     sliding = [name for name, kind in kinds.items() if kind.startswith("JointModelP")]
-    notes = [*motion.velocity_report(sliding), *motion.notes, *recording.notes]
+    notes = [*plan.velocity_report(sliding), *plan.notes, *recording.notes]
     if suffix == ".csv" and recording.period is not None and recording.periods != 1:
         notes.append(
             f"{out} has no place for the period; to average its periods: sdpid identify --period "
             f"{recording.period:.10g} --start {recording.start:.10g} --periods {recording.periods}"
         )
+    _show(printing, recording, notes, files)
+
+
+def _legged(
+    name: str,
+    motion: str,
+    out: Path,
+    printing: Printing,
+    seed: int,
+    duration: float | None,
+    change: float | None,
+    noise: bool,
+) -> None:
+    """Record a motion of a simulated robot on legs."""
+    from sdpid.experiment.plant.legged.sensors import Sensors
+    from sdpid.experiment.plant.legged.simulate import simulate_legged
+    from sdpid.experiment.plant.legged.truth import changed_parameters
+    from sdpid.experiment.recording.floating.columns import base_mapping
+    from sdpid.robot.model.load import load_robot
+
+    beside = out.with_suffix(".toml")
+    opt.require_folder("--out", beside, [name, printing.config])
+    if change is not None and not 0.0 <= change < 1.0:
+        raise DataError(f"--change: is {change:g}, expected a share from 0 to less than 1.")
+    robot = load_robot(name, root="free_flyer")
+    # The same robot whatever the seed, so that several motions are of one.
+    theta = changed_parameters(robot, change=_CHANGE if change is None else change)
+    sensors = Sensors() if noise else replace(Sensors.exact(), forces=False)
+    run = simulate_legged(
+        robot,
+        motion,
+        theta=theta,
+        duration=_DURATION if duration is None else duration,
+        seed=seed,
+        sensors=sensors,
+    )
+    log, files = run.recording, [str(out)]
+    _write(log, out)
+    if out.suffix.lower() == ".csv":
+        atomic_write_text(beside, base_mapping(log.base, log.contacts))
+        files.append(str(beside))
+    true, described = (
+        float(bodies.reshape(-1, 10)[:, 0].sum())
+        for bodies in (theta[: 10 * robot.n_links], robot.prior)
+    )
+    mass = f"true total mass {true:.4g} kg, of the description {described:.4g} kg"
+    _show(printing, log, [mass, *log.notes], files)
+
+
+def _write(recording: Recording, out: Path) -> None:
+    """Write a recording in the format that its file's suffix names."""
+    (recording.to_csv if out.suffix.lower() == ".csv" else recording.to_parquet)(out)
+
+
+def _show(printing: Printing, recording: Recording, notes: list[str], files: list[str]) -> None:
+    """Print what was recorded."""
     content = {
         "samples": recording.n_samples,
         "duration_s": recording.duration,

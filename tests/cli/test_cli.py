@@ -254,6 +254,28 @@ def test_simulate_along_samples(tmp_path: Path) -> None:
     np.testing.assert_array_equal(sdpid.read_recording(again).position, record.position)
 
 
+def test_simulate_a_robot_on_legs(tmp_path: Path) -> None:
+    """A CSV file with the mapping beside it, and a Parquet file, are read as the same log."""
+    first, second = tmp_path / "trot.csv", tmp_path / "trot.parquet"
+    options = ("--motion", "trot", "--duration", 0.1, "--seed", 3)
+    made = run("simulate", "solo12", "--out", first, *options)
+    assert made.exit_code == 0, made.output
+    assert "true total mass 2.48" in made.stdout
+    assert run("simulate", "solo12", "--out", second, *options).exit_code == 0
+    one, other = sdpid.read_recording(first), sdpid.read_recording(second)
+    for log in (one, other):
+        assert log.base is not None
+        assert log.base.imu is not None
+        assert log.contacts is not None
+        np.testing.assert_array_equal(log.effort, one.effort)
+        np.testing.assert_array_equal(log.base.imu.rotation, one.base.imu.rotation)
+        np.testing.assert_array_equal(log.contacts.offset, one.contacts.offset)
+        assert log.contacts.kind == ("point",) * 4
+    refused(run("simulate", "solo12", "--out", first, "--change", 0.1), 2, "--motion")
+    refused(run("simulate", "solo12", "--out", first, *options, "--exact"), 2, "--exact")
+    refused(run("simulate", "solo12", "--out", first, *options, "--change", 2), 2, "--change")
+
+
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [

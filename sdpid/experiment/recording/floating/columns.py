@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Mapping
 from typing import Any
 
@@ -11,7 +12,7 @@ from sdpid._common.arrays import Array
 from sdpid.experiment.recording.floating.base import BaseMotion
 from sdpid.experiment.recording.floating.contacts import Contacts
 
-__all__ = ["base_columns", "base_metadata"]
+__all__ = ["base_columns", "base_mapping", "base_metadata"]
 
 _XYZ, _WRENCH = ("x", "y", "z"), ("fx", "fy", "fz", "mx", "my", "mz")
 
@@ -63,6 +64,14 @@ def base_metadata(base: BaseMotion | None, contacts: Contacts | None) -> Mapping
             "offset": contacts.offset.tolist(),
         }
     return found
+
+
+def base_mapping(base: BaseMotion | None, contacts: Contacts | None) -> str:
+    """Return the text of a mapping, which tells beside a CSV file what its columns cannot."""
+    lines = []
+    for table, content in base_metadata(base, contacts).items():
+        lines += [f"[{table}]", *(f"{key} = {json.dumps(value)}" for key, value in content.items())]
+    return "".join(f"{line}\n" for line in lines)
 
 
 def _columns(name: str, table: Array | None, parts: tuple[str, ...]) -> dict[str, Array]:
