@@ -64,11 +64,9 @@ def prove_compression(problem: Problem) -> Compression | None:
     """Enclose the cost of a problem's rows by its compressed cost, for every theta of its box.
 
     Of a robust problem the rows are the weighted ones, and its `constant` is added to their cost.
-    None where the rows were not kept, where samples have contacts, and where nothing is proven
-    (see `Compression.proven`).
+    None where the rows were not kept, and where nothing is proven (see `Compression.proven`).
     """
-    if problem.rows is None or problem.rows.samples.contacts is not None:
-        # What contacts leave of a weight is not bounded yet.
+    if problem.rows is None:
         return None
     limit = base_limit(problem.base.matrix, problem.feasible.lower, problem.feasible.upper)
     floor = max(problem.floor - problem.constant, 0.0)
@@ -256,8 +254,8 @@ def _of_squares(sums: RowSums, compressed: _Compressed) -> float:
     R, M = compressed.R, compressed.M
     gram, error = _gram(R, M)
     # ‖fl(X·M) − X·M‖, from the rounding of the rows and from that of the product.
-    moved = sums.whitening + gamma(len(R))
-    shift = SLACK * moved * norm(sums.lengths @ np.abs(M))
+    moved = sums.moved + gamma(len(R)) * sums.lengths
+    shift = SLACK * norm(moved @ np.abs(M))
     summed = sums.rounding * sums.squares
     total = norm(sums.gram - gram) + error + summed
     total += (2.0 * _root(sums.gram, summed) + shift) * shift

@@ -1,17 +1,19 @@
 """Sums of products over all weighted rows of a problem, with bounds of every rounding in them.
 
 The rows of a sample, the efforts last, are multiplied by V_k with ``V_k^T·V_k ≈ Sigma_k^(2e)``, its
-weight; see `whitener_errors` for how near that is. X are the whitened rows of all samples.
+weight; see `whitener_errors` for how near that is, and `contact_whiteners` for samples in contact.
+X are the whitened rows of all samples.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from sdpid._common.arrays import Array
+from sdpid.assurance.certificate.contact_whiteners import contact_whiteners
 from sdpid.assurance.certificate.outward import (
     LARGEST,
     SLACK,
@@ -52,8 +54,8 @@ class RowSums:
         Every product in `gram` goes through at most so many additions.
     weight : float
         Largest ‖J‖.
-    whitening : float
-        The columns of X, as computed, are off by at most this share of their computed norms.
+    moved : ndarray, shape (c,)
+        Norms of what the columns of X, as computed, are off by at most.
     """
 
     gram: Array
@@ -62,7 +64,7 @@ class RowSums:
     squares: float
     operations: int
     weight: float
-    whitening: float
+    moved: Array
 
     @property
     def rounding(self) -> float:
@@ -72,8 +74,8 @@ class RowSums:
     @property
     def usable(self) -> bool:
         """Whether every number is finite, and so far from overflow that bounds hold."""
-        bounds = np.array([self.weight, self.whitening, self.squares])
-        return usable(self.gram, self.lengths, bounds)
+        bounds = np.array([self.weight, self.squares])
+        return usable(self.gram, self.lengths, self.moved, bounds)
 
     @classmethod
     def of(cls, rows: Rows, sigma: Array, exponent: float, M: Array | None = None) -> RowSums:
@@ -89,10 +91,10 @@ class RowSums:
             gram=total.value,
             lengths=lengths(np.array([piece.lengths for piece in pieces])),
             off_lengths=lengths(np.array([piece.off_lengths for piece in pieces])),
+            moved=lengths(np.array([piece.moved for piece in pieces])),
             squares=SLACK * sum(piece.squares for piece in pieces),
             operations=max(piece.operations for piece in pieces),
             weight=max(piece.weight for piece in pieces),
-            whitening=max(piece.whitening for piece in pieces),
         )
 
 
@@ -115,38 +117,51 @@ class _CarriedSum:
         return np.asarray(self._sum + self._lost)
 
 
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _Whitened:
+    """Whitened rows of some samples, and what is known of them.
+
+    Attributes
+    ----------
+    X : ndarray, shape (r, c)
+        The rows as computed.
+    nearly : ndarray, shape (r, c), or None
+        What J nearly is, times X; None for samples in contact, of which no product needs it.
+    moved, off : ndarray, shape (c,)
+        Squares of `RowSums.moved` and `RowSums.off_lengths`.
+    weight : float
+        Largest ‖J‖.
+    """
+
+    X: Array
+    nearly: Array | None
+    moved: Array
+    off: Array
+    weight: float
+
+
 def _sums(rows: RowSource, sigma: Array, exponent: float, M: Array | None) -> RowSums:
     """Return the sums over the rows of one piece."""
     n, columns = rows.robot.n, rows.base.count + 1
     size = min(rows.chunk_size, len(rows.samples.effort))
     memory = np.empty((2, size, n, columns))
-    total, squared, squares = _CarriedSum((columns, columns)), np.zeros((2, columns)), 0.0
-    operations, weight, whitening = 0, 0.0, 0.0
+    total, squared, squares = _CarriedSum((columns, columns)), np.zeros((3, columns)), 0.0
+    operations, weight = 0, 0.0
     for part in rows.parts(size):
-        mask, own = rows.mask(part), sigma if sigma.ndim == 2 else sigma[part]
-        powers, index = weights(own, mask, exponent)
-        used = np.zeros((len(powers), n), dtype=bool)
-        used[index] = mask
-        errors = WhitenerErrors.of(powers, own, used, exponent)
-        weight = max(weight, float(errors.weight.max()))
-        whitening = max(whitening, float(errors.rounding.max()))
-        block = rows.rows(part, memory[0])
-        X = apply(powers, index, block, memory[1][: len(block)])
-        each = np.einsum("kij,kij->kj", X, X)
-        off = np.minimum(_shares(errors, n), LARGEST)
-        squared += each.sum(axis=0), off[index] @ each
-        X = X.reshape(-1, columns)
-        if M is None:
-            nearly = errors.nearly[index] @ X.reshape(block.shape)
-            gram, depth = _gram(X, X + nearly.reshape(X.shape))
-        else:
-            Y = X @ M
-            gram, depth = _gram(Y, Y)
-        total.add(gram)
-        squares += float(np.trace(gram))
-        operations = max(operations, depth)
+        for found in _whitened(rows, part, sigma, exponent, memory):
+            weight = max(weight, found.weight)
+            squared += np.einsum("ij,ij->j", found.X, found.X), found.off, found.moved
+            if M is None:
+                assert found.nearly is not None  # contacts have no other power than -1/2
+                gram, depth = _gram(found.X, found.X + found.nearly)
+            else:
+                Y = found.X @ M
+                gram, depth = _gram(Y, Y)
+            total.add(gram)
+            squares += float(np.trace(gram))
+            operations = max(operations, depth)
     # Of positive numbers: rounding is a small share of each.
-    sizes, off_sizes = SLACK * np.sqrt(squared)
+    sizes, off_sizes, moved = SLACK * np.sqrt(squared)
     return RowSums(
         gram=total.value,
         lengths=sizes,
@@ -154,7 +169,51 @@ def _sums(rows: RowSource, sigma: Array, exponent: float, M: Array | None) -> Ro
         squares=SLACK * squares,
         operations=operations + _CARRIED,
         weight=SLACK * weight,
-        whitening=SLACK * whitening,
+        moved=moved,
+    )
+
+
+def _whitened(
+    rows: RowSource, part: slice, sigma: Array, exponent: float, memory: Array
+) -> Iterator[_Whitened]:
+    """Yield the whitened rows of some samples, those in contact by how many directions they lose.
+
+    Parameters
+    ----------
+    memory : ndarray, shape (2, k, n, c)
+        To be used.
+    """
+    mask, own = rows.mask(part), sigma if sigma.ndim == 2 else sigma[part]
+    touching = rows.contacts(part) if exponent == -0.5 else None
+    if touching is not None:
+        block = rows.rows(part, memory[0])
+        for each in contact_whiteners(touching, own, mask):
+            W = block[each.some]
+            off = np.minimum(each.away @ np.abs(W), LARGEST)
+            yield _Whitened(
+                X=(each.V @ W).reshape(-1, block.shape[2]),
+                nearly=None,
+                moved=np.einsum("kij,kij->j", off, off),
+                off=np.zeros(block.shape[2]),
+                weight=float(each.weight.max(initial=0.0)),
+            )
+        return
+    powers, index = weights(own, mask, exponent)
+    used = np.zeros((len(powers), mask.shape[1]), dtype=bool)
+    used[index] = mask
+    errors = WhitenerErrors.of(powers, own, used, exponent)
+    block = rows.rows(part, memory[0])
+    X = apply(powers, index, block, memory[1][: len(block)])
+    each = np.einsum("kij,kij->kj", X, X)
+    off = np.minimum(_shares(errors, mask.shape[1]), LARGEST)
+    share = np.minimum(errors.rounding, LARGEST) ** 2
+    X = X.reshape(-1, block.shape[2])
+    yield _Whitened(
+        X=X,
+        nearly=(errors.nearly[index] @ X.reshape(block.shape)).reshape(X.shape),
+        moved=share[index] @ each,
+        off=off[index] @ each,
+        weight=float(errors.weight.max()),
     )
 
 

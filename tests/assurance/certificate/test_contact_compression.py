@@ -1,0 +1,157 @@
+"""The compressed cost of samples in contact against that of their rows, without rounding."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from fractions import Fraction
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given
+
+import sdpid
+from sdpid._common.arrays import Array, Mask
+from sdpid.assurance.certificate.compression import enclose_compression, prove_compression
+from sdpid.estimation.compression.contact_rows import ContactRows
+from sdpid.estimation.compression.covariance import Weighting
+from sdpid.estimation.compression.triangle import Triangle
+from sdpid.estimation.compression.whitening import weights
+from sdpid.estimation.problem import Problem
+from sdpid.experiment.processing.contacts.contact_samples import ContactSamples
+from tests.assurance.certificate.test_compression import (
+    SEEDS,
+    GivenRows,
+    compressed_cost,
+    fractions,
+    holds,
+    mirrored,
+    solve,
+)
+from tests.helpers.data import random_covariance
+from tests.helpers.legged import FEET, NOISE, RADIUS, gait, quadruped
+
+
+@dataclass(frozen=True)
+class TouchingRows(GivenRows):
+    """Rows of samples in contact, with the efforts (K, n, m) of forces that nobody measured."""
+
+    directions: Array = None  # type: ignore[assignment]
+    active: Mask = None  # type: ignore[assignment]
+
+    def contacts(self, part: slice) -> ContactRows | None:
+        return ContactRows(self.directions[part], self.active[part], None, None)
+
+    def map(self, function: Any, *arguments: object, sigma: Array) -> list[Any]:
+        return [function(self, sigma, *arguments)]
+
+    def cost(self, sigma: Array, weighting: Weighting, base: Array) -> Fraction:
+        """Return the least cost over all forces: ``[C A; A^T 0]·(x, f) = (r, 0)`` and r·x."""
+        z = [*fractions(base), Fraction(-1)]
+        total = Fraction(0)
+        for k, (block, used) in enumerate(zip(self.block, self.used, strict=True)):
+            own = fractions(block[used])
+            r = [sum((a * b for a, b in zip(row, z, strict=True)), Fraction(0)) for row in own]
+            A = fractions(self.directions[k][used][:, self.active[k]])
+            C = fractions((sigma if sigma.ndim == 2 else sigma[k])[np.ix_(used, used)])
+            m = int(np.count_nonzero(self.active[k]))
+            if not r or m >= len(r):
+                continue
+            upper = [[*c, *a] for c, a in zip(C, A, strict=True)]
+            lower = [[*[a[j] for a in A], *[Fraction(0)] * m] for j in range(m)]
+            x = solve(upper + lower, r + [Fraction(0)] * m)
+            total += sum((a * b for a, b in zip(r, x, strict=False)), Fraction(0))
+        return total
+
+    def compressed(self, sigma: Array, weighting: Weighting) -> tuple[Array, Array, float]:
+        touching = self.contacts(slice(None))
+        assert touching is not None
+        X, _ = touching.independent(*weights(sigma, self.used), self.block)
+        triangle = Triangle(self.block.shape[2])
+        triangle.add(X)
+        return triangle.split()
+
+
+@given(seed=SEEDS)
+def test_no_point_of_the_box_leaves_the_enclosure(seed: int) -> None:
+    """Whatever A, rhs and floor are: those of the rows, or spoiled in any digit."""
+    rng = np.random.default_rng(seed)
+    n, columns, count = (int(rng.integers(*ends)) for ends in ((2, 5), (2, 5), (1, 7)))
+    m = int(rng.integers(0, n + 1))
+    block = 10.0 ** rng.uniform(-3, 3, columns) * rng.standard_normal((count, n, columns))
+    rows = TouchingRows(
+        block=block,
+        used=rng.random((count, n)) < rng.choice([0.7, 1.0]),
+        chunk_size=int(rng.integers(1, count + 1)),
+        directions=10.0 ** rng.uniform(-2, 2, m) * rng.standard_normal((count, n, m)),
+        active=rng.random((count, m)) < 0.6,
+    )
+    scale = 10.0 ** rng.uniform(-2, 2, n)
+    each = count if rng.random() < 0.5 else None
+    sigma = mirrored(scale[:, None] * random_covariance(rng, n, each) * scale)
+    A, rhs, floor = rows.compressed(sigma, "gls")
+    spoil = rng.choice([0.0, 1e-14, 1e-8, 1e-2])
+    A = A * (1.0 + spoil * rng.standard_normal(A.shape))
+    limit = 10.0 ** rng.uniform(-2, 4, len(rhs))
+    found = enclose_compression(rows, sigma, "gls", A=A, rhs=rhs, floor=floor, base_limit=limit)
+    if not found.proven:
+        return
+    best = np.clip(np.linalg.lstsq(A, rhs)[0], -limit, limit)
+    for base in (np.zeros(len(limit)), limit, rng.uniform(-limit, limit), best):
+        of_rows = rows.cost(sigma, "gls", base)
+        assert holds(found, of_rows, compressed_cost(A, rhs, floor, base))
+
+
+def problem_of(samples: sdpid.Samples, **given: Any) -> Problem:
+    settings: dict[str, Any] = {"friction": (), "weighting": "residual", "prior": sdpid.Prior()}
+    return sdpid.build_problem(quadruped(), samples, **{**settings, **given})
+
+
+def with_contacts(samples: sdpid.Samples, **given: Any) -> sdpid.Samples:
+    assert samples.contacts is not None
+    return replace(samples, contacts=replace(samples.contacts, **given))
+
+
+def samples_of(kind: str) -> sdpid.Samples:
+    """Return samples of a quadruped with forces that are known in several ways."""
+    made, rng = gait(240), np.random.default_rng(1)
+    noisy = replace(made.noisy(), mask=rng.random((240, 18)) < 0.9)
+    if kind == "measured":
+        return replace(made.measured(0.01 * np.eye(6)), effort=noisy.effort)
+    if kind == "kinds":
+        return with_contacts(noisy, kind=("point", "line", "plane", "point"))
+    if kind == "repeated":
+        order = [2, 0, 3, 1, 2]
+        assert noisy.contacts is not None
+        down = noisy.contacts.down[:, order]
+        again = ContactSamples(frames=[FEET[i] for i in order], offset=RADIUS, down=down)
+        return replace(noisy, contacts=again)
+    return noisy
+
+
+@pytest.mark.parametrize("kind", ["eliminated", "measured", "kinds", "repeated"])
+def test_what_a_quadruped_was_compressed_to_is_near_its_rows(kind: str) -> None:
+    problem = problem_of(samples_of(kind))
+    found = prove_compression(problem)
+    assert found is not None
+    assert 0.0 < found.relative < 1e-8
+    assert 0.0 < found.absolute < 1e-8 * problem.floor
+    certificate = sdpid.certify(sdpid.solve_sdp(problem))
+    assert certificate.passed, certificate.summary()
+
+
+@pytest.mark.parametrize("change", ["flags", "offset", "sigma"])
+def test_rows_with_other_contacts_have_another_compression(change: str) -> None:
+    """A compression of the same log with feet, flags or weights that are not those of the rows."""
+    samples = samples_of("eliminated")
+    given = replace(samples, covariance=np.diag(NOISE**2))
+    assert samples.contacts is not None
+    changed = {
+        "flags": with_contacts(given, down=~samples.contacts.down),
+        "offset": with_contacts(given, offset=(0.0, 0.0, -0.0181)),
+        "sigma": replace(given, covariance=np.diag(NOISE**2 * 1.001)),
+    }[change]
+    problem = problem_of(given, weighting="gls", prior=None, check_excitation=False)
+    other = problem_of(changed, weighting="gls", prior=None, check_excitation=False)
+    forged = prove_compression(replace(problem, rows=other.rows, sigma=other.sigma))
+    assert forged is None or forged.relative > 1e-6
