@@ -17,9 +17,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from sdpid._common.arrays import Array, Indices, Mask
+from sdpid.estimation.compression.branches import NO_BRANCHES, Branches
+from sdpid.estimation.compression.contact_kernel import independent_rows
 from sdpid.experiment.processing.samples import Samples
 from sdpid.robot.model.contacts.jacobians import contact_jacobians, frame_axes
-from sdpid.robot.model.contacts.kernel import independent_rows
 from sdpid.robot.model.model import RobotModel
 
 # A direction of the forces below this share of the strongest one, all columns scaled to unit
@@ -135,22 +136,29 @@ class ContactRows:
             ranks[some] = _rank(Q)
         return found, ranks
 
-    def independent(self, powers: Array, index: Indices, rows: Array) -> tuple[Array, int]:
+    def independent(
+        self, powers: Array, index: Indices, rows: Array, branches: Branches = NO_BRANCHES
+    ) -> tuple[Array, list[Array], int]:
         """Return the independent whitened rows (r, c) of rows (k, n, c), and their lost directions.
 
-        They have the same products as T·rows, sample by sample.
+        They have the same products as T·rows, sample by sample. With compiled loops, rows of
+        branches that no unknown force moves stand apart, with the columns of the branch alone.
         """
         found, lost = [], 0
+        apart = [np.zeros((0, len(own))) for own in branches.columns]
         every = np.arange(len(index))
         scale = np.diagonal(powers, axis1=1, axis2=2)
         if self.compiled and np.count_nonzero(powers) == np.count_nonzero(scale):
+            of_row = branches.of_row if branches.columns else np.full(rows.shape[1], -1)
             quick = independent_rows(
-                np.swapaxes(self.directions, 1, 2), self.active, scale, index, rows, _SUSPICIOUS
-            )
+                np.swapaxes(self.directions, 1, 2), self.active, scale, index, rows, _SUSPICIOUS,
+                of_row, branches.columns,
+            )  # fmt: skip
             if quick is not None:
-                found.append(quick[0])
-                lost += int(np.count_nonzero(self.active[quick[1]]))
-                every = np.flatnonzero(~quick[1])
+                dense, apart, good = quick
+                found.append(dense)
+                lost += int(np.count_nonzero(self.active[good]))
+                every = np.flatnonzero(~good)
         for some, own in self.pattern_of(every):
             P = powers[index[some]]
             A = P @ self.directions[some][:, :, own]
@@ -159,7 +167,7 @@ class ContactRows:
                 weighted = (np.swapaxes(N, 1, 2) @ P[few]) @ rows[chosen]
                 found.append(weighted.reshape(-1, rows.shape[2]))
                 lost += rank * len(chosen)
-        return np.concatenate(found), lost
+        return found[0] if len(found) == 1 else np.concatenate(found), apart, lost
 
     def shares(self, powers: Array, index: Indices, mask: Mask) -> Array:
         """Return how much of each row is left, (k, n): they add up to the independent ones."""

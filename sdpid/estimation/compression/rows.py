@@ -14,11 +14,12 @@ from typing import Protocol, TypeVar, runtime_checkable
 import numpy as np
 
 from sdpid._common.arrays import Array, Indices, Mask
+from sdpid.estimation.compression.branches import NO_BRANCHES, Branches, moved
 from sdpid.estimation.compression.contact_rows import ContactRows
 from sdpid.experiment.processing.samples import Samples
 from sdpid.robot.friction.model import FrictionModel
 from sdpid.robot.friction.motion import Motion, OfMotion
-from sdpid.robot.friction.term import JointwiseTerm
+from sdpid.robot.friction.term import FrictionTerm, JointwiseTerm
 from sdpid.robot.model import regressor_kernel as kernels
 from sdpid.robot.model.base_parameters import BaseParameters
 from sdpid.robot.model.model import RobotModel
@@ -174,6 +175,24 @@ class RowSource:
         places[self.base.kept] = np.arange(self.base.count)
         return places
 
+    @cached_property
+    def branches(self) -> Branches:
+        """Which columns of `rows` the rows of branches have: none where nothing is touched."""
+        tree, friction = self.robot.tree, self.friction
+        if tree is None or self.samples.contacts is None:
+            return NO_BRANCHES
+        standard = np.repeat(moved(tree), 10, axis=1)
+        for term in friction.terms:
+            names = friction.joint_names
+            own = np.ones((self.robot.n, len(term.parameters(names))), dtype=bool)
+            own[: friction.first] = False
+            if _is_diagonal(term):
+                own[friction.first :] = np.eye(len(names), dtype=bool)
+            standard = np.concatenate([standard, own], axis=1)
+        reached = np.ones((self.robot.n, self.base.count + 1), dtype=bool)
+        reached[:, :-1] = standard[:, self.base.kept]
+        return Branches.of(reached)
+
     def regressor(self, part: slice) -> Array:
         """Return the base regressor of some samples, shape (k, n, b)."""
         q = self.samples.position[part]
@@ -254,8 +273,7 @@ class RowSource:
             count = len(term.parameters(names))
             to = places[start : start + count]
             start += count
-            own = type(term).columns, type(term).columns_in
-            if isinstance(term, JointwiseTerm) and own == _DIAGONAL:
+            if isinstance(term, JointwiseTerm) and _is_diagonal(term):
                 # One entry a row.
                 shape = term.shape_in(motion)
                 for j in np.flatnonzero(to >= 0):
@@ -263,6 +281,12 @@ class RowSource:
             else:
                 kept = np.flatnonzero(to >= 0)
                 out[:, first:, to[kept]] = term.columns_in(motion, names)[:, :, kept]
+
+
+def _is_diagonal(term: FrictionTerm) -> bool:
+    """Return whether each joint has one column of its own."""
+    own = type(term).columns, type(term).columns_in
+    return isinstance(term, JointwiseTerm) and own == _DIAGONAL
 
 
 def motion_of(robot: RobotModel, samples: Samples, part: slice, *, first: int = 0) -> Motion:

@@ -72,6 +72,11 @@ class Triangle:
         self._restart(state[1])
 
     @property
+    def columns(self) -> int:
+        """Columns of the rows."""
+        return self._columns
+
+    @property
     def R(self) -> Array:  # noqa: N802
         """The triangle, (at most columns, columns), read-only. To look changes nothing."""
         if self._R is None:

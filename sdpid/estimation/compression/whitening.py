@@ -13,6 +13,7 @@ import numpy as np
 
 from sdpid._common.arrays import Array, Indices, Mask
 from sdpid.errors import DataError
+from sdpid.estimation.compression.branches import fold
 from sdpid.estimation.compression.contact_rows import ContactRows
 from sdpid.estimation.compression.covariance import masked_covariance, power, whitener
 from sdpid.estimation.compression.rows import RowSource
@@ -203,6 +204,8 @@ def compress(rows: RowSource, sigma: Array) -> tuple[Triangle, int]:
     """
     columns, n = rows.base.count + 1, rows.robot.n
     triangle, used = Triangle(columns), 0
+    branches = rows.branches
+    apart = branches.triangles()
     count = len(rows.samples.effort)
     step = max(1, count * n // (_FIRST * columns))
     memory = _memory(rows)
@@ -212,32 +215,37 @@ def compress(rows: RowSource, sigma: Array) -> tuple[Triangle, int]:
     for start in range(0, len(first), size):
         some = first[start : start + size]
         part = slice(some.start, some.stop, step)
-        triangle.add(_independent(rows, part, sigma, memory)[0])
+        found, few, _ = _independent(rows, part, sigma, memory)
+        triangle.add(found)
+        fold(apart, few)
     for part in rows.parts():
         done = slice(-part.start % step, None, step) if first else slice(0)
-        whitened, own = _independent(rows, part, sigma, memory, done)
-        triangle.add(whitened)
+        found, few, own = _independent(rows, part, sigma, memory, done)
+        triangle.add(found)
+        fold(apart, few)
         used += own
+    branches.join(triangle, apart)
     return triangle, used
 
 
 def _independent(
     rows: RowSource, part: slice, sigma: Array, memory: tuple[Array, Array], done: slice = slice(0)
-) -> tuple[Array, int]:
+) -> tuple[Array, list[Array], int]:
     """Return independent whitened rows (r, b + 1) of some samples, and how many there are.
 
-    The rows of samples that were done before are zero, but counted.
+    Those of branches may stand apart. The rows of samples that were done before are zero, but
+    counted.
     """
     touching = _touching(rows, part, -0.5)
     if touching is None:
         whitened, mask = _whitened(rows, part, sigma, -0.5, memory)
         whitened[done] = 0.0
-        return whitened.reshape(-1, whitened.shape[2]), int(np.count_nonzero(mask))
+        return whitened.reshape(-1, whitened.shape[2]), [], int(np.count_nonzero(mask))
     block = rows.rows(part, memory[0])
     block[done] = 0.0
     powers, index = _roots(rows, part, sigma, -0.5, touching)
-    found, lost = touching.independent(powers, index, block)
-    return found, int(np.count_nonzero(rows.mask(part))) - lost
+    found, apart, lost = touching.independent(powers, index, block, rows.branches)
+    return found, apart, int(np.count_nonzero(rows.mask(part))) - lost
 
 
 def _memory(rows: RowSource, size: int = 0) -> tuple[Array, Array]:

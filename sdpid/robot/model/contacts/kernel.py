@@ -1,7 +1,6 @@
-"""Jacobians of contact points, and what contacts leave of rows, compiled where Numba is installed.
+"""Jacobians of contact points, compiled where Numba is installed.
 
-Both do sample by sample what `jacobians` and `sdpid.estimation.compression.contact_rows` do for all
-samples at once, and differ from these by rounding.
+Sample by sample, they are what `jacobians` finds for all samples at once, but for rounding.
 """
 
 from __future__ import annotations
@@ -52,46 +51,6 @@ def jacobians(
     return out
 
 
-def independent_rows(
-    directions: Array, active: Any, scale: Array, which: Indices, rows: Array, doubtful: float
-) -> tuple[Array, Any] | None:
-    """Return what rows say beside unknown forces, None without Numba.
-
-    Parameters
-    ----------
-    directions : ndarray, shape (k, m, n)
-        Efforts of each force.
-    active : ndarray of bool, shape (k, m)
-        Whether there may be one.
-    scale : ndarray, shape (p, n)
-        Roots of the rows' weights, of each pattern.
-    which : ndarray of int, shape (k,)
-        The pattern of each sample.
-    rows : ndarray, shape (k, n, c)
-        The rows.
-    doubtful : float
-        A triangle's diagonal entry below this, columns of unit length, makes a sample doubtful.
-
-    Returns
-    -------
-    rows : ndarray, shape (r, c)
-        Those of doubtful samples are zero.
-    good : ndarray of bool, shape (k,)
-        Which samples are not doubtful.
-    """
-    reduce = _row_loop()
-    if reduce is None:
-        return None
-    n = rows.shape[1]
-    counts = np.maximum(n - np.count_nonzero(active, axis=1), 0)
-    starts = np.concatenate([[0], np.cumsum(counts)])
-    out = np.zeros((int(starts[-1]), rows.shape[2]))
-    good = np.ones(len(rows), dtype=np.bool_)
-    arrays = [np.ascontiguousarray(each) for each in (directions, active, scale)]
-    reduce(*arrays, which, np.ascontiguousarray(rows), starts, doubtful, out, good)
-    return out, good
-
-
 @functools.cache
 def _jacobian_loop() -> Callable[..., None] | None:
     """Return the compiled loop over Jacobians."""
@@ -105,20 +64,6 @@ def _jacobian_loop() -> Callable[..., None] | None:
         )  # fmt: skip
 
     return compiled_loop(_fill, first)
-
-
-@functools.cache
-def _row_loop() -> Callable[..., None] | None:
-    """Return the compiled loop over rows."""
-
-    def first(reduce: Callable[..., None]) -> None:
-        block, flags = np.zeros((0, 0, 0)), np.zeros(0, dtype=np.bool_)
-        reduce(
-            block, np.zeros((0, 0), dtype=np.bool_), np.zeros((0, 0)), np.zeros(0, dtype=np.intp),
-            block, np.zeros(1, dtype=np.intp), 0.0, np.zeros((0, 0)), flags,
-        )  # fmt: skip
-
-    return compiled_loop(_reduce, first)
 
 
 def _fill(
@@ -221,91 +166,3 @@ def _fill(
                         out[k, f, 4, h] += ay
                         out[k, f, 5, h] += az
                 i = parent[i]
-
-
-def _reduce(
-    directions: Array,
-    active: Any,
-    scale: Array,
-    which: Indices,
-    rows: Array,
-    starts: Indices,
-    doubtful: float,
-    out: Array,
-    good: Any,
-) -> None:
-    """Write the rows that Householder's reflections leave; `out` holds zeros."""
-    m, n, columns = directions.shape[1], rows.shape[1], rows.shape[2]
-    V, x = np.zeros((m, n)), np.zeros(n)
-    for k in range(len(rows)):
-        s = scale[which[k]]
-        r, fine = 0, True
-        for j in range(m):
-            if not active[k, j]:
-                continue
-            square = 0.0
-            for t in range(n):
-                V[r, t] = s[t] * directions[k, j, t]
-                square += V[r, t] * V[r, t]
-            if square == 0.0 or r >= n:
-                fine = False
-                break
-            length = 1.0 / math.sqrt(square)
-            for t in range(n):
-                V[r, t] *= length
-            r += 1
-        for j in range(r):
-            if not fine:
-                break
-            square = 0.0
-            for t in range(j, n):
-                square += V[j, t] * V[j, t]
-            size = math.sqrt(square)
-            if size < doubtful:
-                fine = False
-                break
-            V[j, j] += math.copysign(size, V[j, j])
-            # Of the square length 2, so that the reflection is E − v·v^T.
-            half = 1.0 / math.sqrt(size * abs(V[j, j]))
-            for t in range(j, n):
-                V[j, t] *= half
-            for i in range(j + 1, r):
-                dot = 0.0
-                for t in range(j, n):
-                    dot += V[j, t] * V[i, t]
-                for t in range(j, n):
-                    V[i, t] -= dot * V[j, t]
-        if not fine:
-            good[k] = False
-            continue
-        for i in range(r, n):
-            for t in range(n):
-                x[t] = 0.0
-            x[i] = 1.0
-            for back in range(r):
-                j = r - 1 - back
-                dot = 0.0
-                for t in range(j, n):
-                    dot += V[j, t] * x[t]
-                for t in range(j, n):
-                    x[t] -= dot * V[j, t]
-            to = starts[k] + i - r
-            for t in range(n):
-                x[t] *= s[t]
-            # Four rows at a time: half of the work is to load and store.
-            t = 0
-            while t + 4 <= n:
-                x0, x1, x2, x3 = x[t], x[t + 1], x[t + 2], x[t + 3]
-                for c in range(columns):
-                    out[to, c] += (
-                        x0 * rows[k, t, c]
-                        + x1 * rows[k, t + 1, c]
-                        + x2 * rows[k, t + 2, c]
-                        + x3 * rows[k, t + 3, c]
-                    )
-                t += 4
-            while t < n:
-                x0 = x[t]
-                for c in range(columns):
-                    out[to, c] += x0 * rows[k, t, c]
-                t += 1
