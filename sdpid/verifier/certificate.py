@@ -21,6 +21,7 @@ from typing import Any
 
 from .bodies import has_margin
 from .bound import Recomputed
+from .contacts import contacts
 from .exact import above
 from .reading import (
     REFUSED,
@@ -37,7 +38,8 @@ from .reading import (
 )
 from .result import Result
 
-SCHEMA, VERSION = "sdpid-certificate", 4
+# Certificates of version 4 say nothing of contacts.
+SCHEMA, VERSION, WITHOUT_CONTACTS = "sdpid-certificate", 5, 4
 KEYS = (
     *("schema", "version", "metadata", "origin", "problem", "compression"),
     *("theta", "multipliers", "claims", "sha256"),
@@ -60,13 +62,15 @@ _MOST_NAMES = 60
 # More rows than any log has.
 _MOST = 10**15
 
+_CONTACTS = "that contacts, their flags and the units of errors are those of the rows"
+
 _MATRICES = {"pseudo_inertia": "4x4 pseudo-inertia", "spatial_inertia": "6x6 spatial inertia"}
 
 
 def load(content: bytes) -> dict[str, Any]:
     """Parse a certificate; MalformedError where it is none of this version."""
     data = parse(content)
-    require_schema(data, SCHEMA, VERSION)
+    require_schema(data, SCHEMA, VERSION, WITHOUT_CONTACTS)
     require_keys(data, KEYS, "the certificate")
     return data
 
@@ -86,7 +90,8 @@ class Proof(Recomputed):
 
     def __init__(self, data: dict[str, Any]) -> None:
         super().__init__(data)
-        origin = require_keys(data["origin"], _ORIGIN, "origin")
+        known = (*_ORIGIN, "contacts") if data["version"] == VERSION else _ORIGIN
+        origin = require_keys(data["origin"], known, "origin")
         self.names = list(map(shown, names(origin["theta_names"], len(self.c), "theta_names")))
         self.link_names = list(map(shown, names(origin["links"], self.links, "links")))
         box = zip(self.lower, self.theta or [], self.upper, strict=False)
@@ -256,7 +261,8 @@ def _described(data: dict[str, Any], proof: Proof) -> tuple[str, ...]:
         f"{len(joints)} joints, {p} parameters, {p - 10 * links} of them friction and drives, "
         f"{b} base parameters; weighting {shown(text(origin['weighting'], 'weighting'))}{loss}."
     )
-    return first, f"Feasible are parameters with {_constraints(proof)}."
+    touching = contacts(origin, _MOST)
+    return first, *touching, f"Feasible are parameters with {_constraints(proof)}."
 
 
 def _constraints(proof: Proof) -> str:
@@ -316,8 +322,10 @@ def unchecked(data: dict[str, Any], proof: Proof) -> tuple[str, ...]:
             f"that A, rhs and floor stand for {of}, to within {float(proof.relative)!r} of the "
             f"cost plus {float(proof.absolute)!r}, for every theta; that needs the log"
         )
+    of_contacts = () if origin.get("contacts") is None else (_CONTACTS,)
     return (
         first,
+        *of_contacts,
         "that rows and base matrix are those of this robot and of its log",
         "that bounds, margin, rows, cones and prior are what you would ask for",
     )

@@ -87,13 +87,14 @@ def parse(content: bytes) -> dict[str, Any]:
     return data
 
 
-def require_schema(data: dict[str, Any], schema: str, version: int) -> None:
+def require_schema(data: dict[str, Any], schema: str, *versions: int) -> None:
     """Refuse another schema or version."""
     given = data.get("version")
     # True and 3.0 equal integers.
-    if data.get("schema") != schema or type(given) is not int or given != version:
+    if data.get("schema") != schema or type(given) is not int or given not in versions:
         found = f"{shown(str(data.get('schema')))}, version {shown(str(given))}"
-        raise MalformedError(f"not schema {schema}, version {version}, but {found}")
+        known = " or ".join(map(str, versions))
+        raise MalformedError(f"not schema {schema}, version {known}, but {found}")
 
 
 def require_keys(data: Any, expected: Iterable[str], where: str) -> dict[str, Any]:

@@ -22,6 +22,7 @@ from sdpid._common.files import atomic_write_text
 from sdpid._common.tables import facts_html
 from sdpid._common.threads import one_thread
 from sdpid.assurance.certificate.compression import Compression, prove_compression
+from sdpid.assurance.certificate.contact_record import contact_record
 from sdpid.assurance.certificate.rounding import (
     downward,
     feasible_theta,
@@ -127,6 +128,7 @@ class Certificate:
                 "samples": problem.n_samples,
                 "rows": problem.n_rows,
                 "rows_sha256": rows_digest(problem),
+                "contacts": contact_record(problem.rows, problem.sigma),
             },
             "problem": _problem(problem),
             "compression": _compression(problem),

@@ -96,4 +96,5 @@ def _widened(
         down=down,
         forces=None if covariance is None else forces,
         force_covariance=covariance,
+        widened_s=None if own is None else own.widened_s,
     )

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import dataclass, replace
 from fractions import Fraction
+from functools import cache
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -13,12 +16,15 @@ from hypothesis import given
 import sdpid
 from sdpid._common.arrays import Array, Mask
 from sdpid.assurance.certificate.compression import enclose_compression, prove_compression
+from sdpid.assurance.certificate.contact_record import contact_record
+from sdpid.errors import CertificateError
 from sdpid.estimation.compression.contact_rows import ContactRows
 from sdpid.estimation.compression.covariance import Weighting
 from sdpid.estimation.compression.triangle import Triangle
 from sdpid.estimation.compression.whitening import weights
 from sdpid.estimation.problem import Problem
 from sdpid.experiment.processing.contacts.contact_samples import ContactSamples
+from sdpid.verifier.reading import digest
 from tests.assurance.certificate.test_compression import (
     SEEDS,
     GivenRows,
@@ -138,6 +144,76 @@ def test_what_a_quadruped_was_compressed_to_is_near_its_rows(kind: str) -> None:
     assert 0.0 < found.absolute < 1e-8 * problem.floor
     certificate = sdpid.certify(sdpid.solve_sdp(problem))
     assert certificate.passed, certificate.summary()
+
+
+@cache
+def certified() -> dict[str, Any]:
+    """Return a certificate of a quadruped's samples."""
+    return sdpid.certify(sdpid.solve_sdp(problem_of(samples_of("measured")))).to_dict()
+
+
+def checked(data: dict[str, Any], tmp_path: Path, *, sealed: bool = True) -> Any:
+    again = {**data, "sha256": digest(data)} if sealed else data
+    path = tmp_path / "certificate.json"
+    path.write_text(json.dumps(again), encoding="utf-8")
+    return sdpid.verify(path)
+
+
+def with_record(data: dict[str, Any], **given: Any) -> dict[str, Any]:
+    record = {**data["origin"]["contacts"], **given}
+    return {**data, "origin": {**data["origin"], "contacts": record}}
+
+
+def test_a_certificate_names_its_contacts(tmp_path: Path) -> None:
+    data, samples = certified(), samples_of("measured")
+    found, contacts = data["origin"]["contacts"], samples.contacts
+    assert contacts is not None
+    assert found["frames"] == list(FEET)
+    assert found["kinds"] == ["point"] * 4
+    assert found["closed"] == contacts.down.sum(axis=0).tolist()
+    assert found["ranks"] == [[0, 240]]
+    assert found["base_rows"] == 6
+    eliminated = contact_record(problem_of(samples_of("kinds")).rows, np.eye(18))
+    assert eliminated is not None
+    assert eliminated["force_deviations"] is None
+    assert sum(count for _, count in eliminated["ranks"]) == 240
+    assert max(rank for rank, _ in eliminated["ranks"]) == 3 + 5 + 6 + 3
+    result = checked(data, tmp_path)
+    assert result.passed
+    said = next(line for line in result.statements if "Contacts" in line)
+    assert "point 'FL_FOOT' 55.8 %" in said
+    assert "0 in 240 samples" in said
+    # What versions before said nothing of.
+    origin = {key: value for key, value in data["origin"].items() if key != "contacts"}
+    assert checked({**data, "version": 4, "origin": origin}, tmp_path).passed
+
+
+@pytest.mark.parametrize(
+    "given",
+    [
+        {"frames": ["FL_FOOT"]},
+        {"kinds": ["ball"] * 4},
+        {"closed": [241, 0, 0, 0]},
+        {"ranks": [[0, 239]]},
+        {"ranks": [[0, 120], [0, 120]]},
+        {"widened_s": "long"},
+        {"force_deviations": [[0.1] * 6]},
+        {"effort_deviations": [1.0] * 17},
+        {"more": 1},
+    ],
+)
+def test_a_changed_record_of_contacts_is_refused(given: dict[str, Any], tmp_path: Path) -> None:
+    with pytest.raises(CertificateError):
+        checked(with_record(certified(), **given), tmp_path)
+
+
+def test_a_record_of_contacts_is_under_the_digest(tmp_path: Path) -> None:
+    forged = with_record(certified(), widened_s=0.25)
+    result = checked(forged, tmp_path, sealed=False)
+    assert not result.passed
+    assert "digest" in result.problems[0]
+    nothing = {**certified()["origin"], "contacts": None}
+    assert not checked({**certified(), "origin": nothing}, tmp_path, sealed=False).passed
 
 
 @pytest.mark.parametrize("change", ["flags", "offset", "sigma"])

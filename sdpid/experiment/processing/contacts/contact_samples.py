@@ -47,6 +47,9 @@ class ContactSamples:
         Of `forces`, for all contacts or each; needed with them. Zeros trust the forces as they
         are, an infinite variance says that this component is not measured. Moments of points have
         none.
+    widened_s : float, optional
+        By how much flags were widened on either side, for the filter's memory and for flags that
+        are late or early, s; None where that is not known.
 
     Raises
     ------
@@ -69,6 +72,7 @@ class ContactSamples:
     down: Mask
     forces: Array | None = None
     force_covariance: Array | None = None
+    widened_s: float | None = None
 
     def __post_init__(self) -> None:
         given: Any = self.frames
@@ -191,6 +195,7 @@ class ContactSamples:
         forces = [piece.forces for piece in given if piece.forces is not None]
         return replace(
             given[0],
+            widened_s=most_widened(given),
             down=np.concatenate([piece.down for piece in given]),
             forces=np.concatenate(forces) if forces else None,
         )
@@ -213,6 +218,12 @@ class ContactSamples:
             "forces": "measured" if self.measured else "eliminated",
         }
         return facts_html("Contacts", facts, Table.of_columns(columns))
+
+
+def most_widened(pieces: Sequence[ContactSamples]) -> float | None:
+    """Return by how much flags of several pieces were widened at most, None where not known."""
+    known = [piece.widened_s for piece in pieces]
+    return max((each for each in known if each is not None), default=None)
 
 
 def _check_covariance(covariance: Array, frames: Sequence[str]) -> None:

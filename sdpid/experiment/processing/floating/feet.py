@@ -101,6 +101,7 @@ def feet_of(contacts: Contacts, on_grid: OnGrid, processing: Processing) -> Feet
             down=kept_down,
             forces=filtered,
             force_covariance=covariance,
+            widened_s=reach * step + margin_s,
         ),
         clear=clear,
         notes=tuple(notes),
