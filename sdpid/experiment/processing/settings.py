@@ -128,8 +128,8 @@ class Processing(Settings):
         Type of the low-pass filter. Recordings with a floating base need ``"finite"``, which sees
         order / (2 cutoff_hz) to either side and nothing beyond.
     base_motion : {"auto", "imu", "twist", "pose"}
-        What accelerations of a floating base are from; ``"auto"`` takes the first of these that
-        was recorded.
+        What accelerations of a floating base are from; ``"auto"`` takes the IMU, else what has
+        the less noise of recorded velocities and pose.
     contact_force_std, contact_moment_std : float, optional
         Standard deviations of recorded contact forces, N, and moments, N·m. By default forces of
         contacts are unknowns, which are eliminated, recorded or not; with the first they are

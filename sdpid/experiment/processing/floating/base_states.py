@@ -16,6 +16,12 @@ from sdpid._common.arrays import Array
 from sdpid.errors import DataError
 from sdpid.experiment.processing.derivatives import Weights
 from sdpid.experiment.processing.floating.on_grid import OnGrid
+from sdpid.experiment.processing.floating.quieter import (
+    Quieter,
+    angle_noise,
+    quieter,
+    white_noise,
+)
 from sdpid.experiment.processing.floating.rotations import body_rate, into_body, unit
 from sdpid.experiment.processing.settings import BaseSource
 from sdpid.experiment.recording.floating.base import BaseMotion
@@ -59,8 +65,8 @@ def base_states(
     gravity : (3,) ndarray
         In world axes, m/s².
     wanted : {"auto", "imu", "twist", "pose"}
-        What accelerations are from. ``"auto"`` takes the first of these that was recorded, the
-        angular and the linear part each by itself.
+        What accelerations are from. ``"auto"`` takes the IMU where there is one, else what has the
+        less noise of velocities and pose; the angular and the linear part each by itself.
 
     Raises
     ------
@@ -93,11 +99,16 @@ def _angular(
     imu = base.imu
     if wanted in ("auto", "imu") and imu is not None and imu.gyroscope is not None:
         return "the gyroscope", on_grid.read(imu.gyroscope) @ np.asarray(imu.rotation).T
+    told = ""
     if wanted in ("auto", "imu", "twist") and base.angular_velocity is not None:
         rate = on_grid.read(base.angular_velocity)
-        if base.velocity_frame == "world":
-            rate = into_body(raw, rate)
-        return "the recorded angular velocity", rate
+        chosen = Quieter.VELOCITY
+        if wanted != "twist":
+            chosen, told = quieter(on_grid, rate, angle_noise(raw), "rad/s²")
+        if chosen is Quieter.VELOCITY:
+            if base.velocity_frame == "world":
+                rate = into_body(raw, rate)
+            return f"the recorded angular velocity{told}", rate
     if wanted == "twist":
         raise DataError(
             "base_motion: is 'twist', and the recording has no angular velocity of the base; use "
@@ -105,7 +116,7 @@ def _angular(
         )
     stencil = on_grid.chain.stencil
     assert isinstance(stencil, Weights)  # a record with a base has no periods
-    return "the orientation", body_rate(raw, stencil.first, on_grid.grid.step)
+    return f"the orientation{told}", body_rate(raw, stencil.first, on_grid.grid.step)
 
 
 def _specific_force(
@@ -128,13 +139,19 @@ def _specific_force(
             "base_motion: is 'imu', and the recording has no accelerometer; give base.imu, or use "
             "'twist', 'pose' or 'auto'."
         )
+    told = ""
     if wanted in ("auto", "twist") and base.linear_velocity is not None:
         velocity = on_grid.read(base.linear_velocity)
-        source = "the recorded linear velocity"
-        if base.velocity_frame == "base":
-            own = on_grid.rate(velocity) + np.cross(rate, velocity)
-            return source, own - into_body(orientation, gravity)
-        return source, into_body(orientation, on_grid.rate(velocity) - gravity)
+        chosen = Quieter.VELOCITY
+        if wanted == "auto" and base.position is not None:
+            place = white_noise(on_grid.read(base.position))
+            chosen, told = quieter(on_grid, velocity, place, "m/s²")
+        if chosen is Quieter.VELOCITY:
+            source = f"the recorded linear velocity{told}"
+            if base.velocity_frame == "base":
+                own = on_grid.rate(velocity) + np.cross(rate, velocity)
+                return source, own - into_body(orientation, gravity)
+            return source, into_body(orientation, on_grid.rate(velocity) - gravity)
     if wanted == "twist" or base.position is None:
         lacks = "linear velocity" if wanted == "twist" else "accelerometer, velocity or position"
         raise DataError(
@@ -142,4 +159,4 @@ def _specific_force(
             "acceleration is not known. Record one of them."
         )
     position = on_grid.read(base.position)
-    return "the position", into_body(orientation, on_grid.second(position) - gravity)
+    return f"the position{told}", into_body(orientation, on_grid.second(position) - gravity)

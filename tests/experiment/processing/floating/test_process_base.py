@@ -181,3 +181,42 @@ def test_angular_velocities_are_those_of_pinocchio() -> None:
         expected[2:-2],
         rtol=1e-9,
     )
+
+
+@pytest.mark.parametrize("frame", ["twist", "own_twist"])
+@pytest.mark.parametrize(
+    ("pose", "velocity"), [(3e-5, 3e-2), (3e-4, 1e-3), (1e-6, 1e-2), (1e-3, 1e-2)]
+)
+def test_accelerations_come_from_what_has_the_less_noise(
+    frame: str, pose: float, velocity: float
+) -> None:
+    walk, random = crawl(), np.random.default_rng(1)
+    log = walk.log(frame)
+    assert log.base is not None
+
+    def noise(table: Array | None, size: float) -> Array:
+        return np.asarray(table) + size * random.normal(size=np.shape(table))
+
+    base = replace(
+        log.base,
+        position=noise(log.base.position, pose),
+        orientation=unit(noise(log.base.orientation, 0.5 * pose)),
+        linear_velocity=noise(log.base.linear_velocity, velocity),
+        angular_velocity=noise(log.base.angular_velocity, velocity),
+    )
+    log = replace(log, base=base)
+    found = {
+        source: sdpid.process(log, {**SETTINGS, "base_motion": source})
+        for source in ("auto", "twist", "pose")
+    }
+    at = rows(found["auto"], walk)
+    classical = walk.a[at, :3] + np.cross(walk.v[at, 3:6], walk.v[at, :3])
+    truth = np.hstack([classical, walk.a[at, 3:6]])
+    for part in (slice(0, 3), slice(3, 6)):
+        error = {
+            source: rms(samples.acceleration[:, part] - truth[:, part])
+            for source, samples in found.items()
+        }
+        assert error["auto"] <= 1.01 * min(error["twist"], error["pose"]), error
+    said = next(note for note in found["auto"].notes if "accelerations of the base" in note)
+    assert "noise of" in said
