@@ -53,8 +53,8 @@ def simulate(
     motion: Annotated[
         str | None,
         typer.Option(
-            help="Motion of a robot on legs: stand, trot, walk or hang. Its base floats; contacts "
-            "and an IMU are recorded."
+            help="Motion of a robot on legs: stand, trot, step, walk or hang. Its base floats; "
+            "contacts and an IMU are recorded."
         ),
     ] = None,
     duration: Annotated[

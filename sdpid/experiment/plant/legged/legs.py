@@ -1,26 +1,18 @@
-"""The legs of a floating robot: its feet, the joints that carry them, and joints that reach."""
+"""The legs of a robot: its feet, the joints that carry them, and joints that reach."""
 
 from __future__ import annotations
 
 import functools
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from sdpid._common.arrays import Array, Indices, frozen
-from sdpid.errors import DataError, ModelError
-from sdpid.experiment.plant.legged.feet import foot_radius
+from sdpid.errors import DataError
 from sdpid.robot.model.model import RobotModel
 
-__all__ = ["Legs", "find_legs"]
+__all__ = ["Legs"]
 
-# Names of frames at which legs end, in any spelling.
-_FOOT = "foot"
-# What every leg of three joints is bent to (abduction, hip, knee), in rad: knees backward, as
-# quadrupeds stand.
-_BENT = (0.0, 0.8, -1.6)
 # Inverse kinematics ends at this distance in m; Newton's method is there after a few steps.
 _REACHED, _STEPS = 1e-9, 50
 # Damping of the inverse kinematics in m: a stretched leg is not thrown about.
@@ -29,20 +21,22 @@ _DAMPING = 1e-4
 
 @dataclass(frozen=True, eq=False)
 class Legs:
-    """The legs of a robot, each of three joints and a ball for a foot.
+    """The legs of a robot: of three joints and a ball for a foot, or of six and a flat sole.
 
     Attributes
     ----------
     robot : RobotModel
         The robot, on a floating base.
     frames : tuple of str
-        The frame at the center of each foot's ball.
-    joints : ndarray of int, shape (c, 3)
+        The frame at the center of each foot's ball, or in the plane of each sole.
+    joints : ndarray of int, shape (c, 3) or (c, 6)
         The joints of each leg, counted from 0 after the base.
     radius : float
-        Radius of the balls, m.
+        Radius of the balls, m; 0 of soles.
     standing : ndarray, shape (joints,)
         Joint positions in which the robot stands, rad.
+    sole : ndarray, shape (2, 2), or None
+        The lower and the upper corner of all soles in their frames' x and y, m; None for balls.
     """
 
     robot: RobotModel
@@ -50,6 +44,41 @@ class Legs:
     joints: Indices
     radius: float
     standing: Array
+    sole: Array | None = None
+
+    @property
+    def flat(self) -> bool:
+        """Whether the feet are soles."""
+        return self.sole is not None
+
+    @functools.cached_property
+    def free(self) -> Indices:
+        """The joints beside the legs, counted from 0 after the base."""
+        return np.setdiff1d(np.arange(self.n_joints), self.joints)
+
+    @functools.cached_property
+    def loads(self) -> tuple[Array, Array]:
+        """What each joint bears: a mass, kg, and its lever, m, two arrays (joints,).
+
+        A leg bears its share of the robot at its length; other joints what they move, at the
+        distance of the farthest center of mass.
+        """
+        import pinocchio as pin
+
+        model, mass = self.robot.pin_model, self.robot.prior[:, 0]
+        masses = np.full(self.n_joints, mass.sum() / len(self.frames))
+        levers = np.full(self.n_joints, self.height)
+        data = model.createData()
+        pin.forwardKinematics(model, data, np.concatenate([pin.neutral(model)[:7], self.standing]))
+        for joint in self.free:
+            own = next(i for i in range(2, model.njoints) if model.joints[i].idx_v == joint + 6)
+            moved = list(model.subtrees[own])
+            masses[joint] = mass[np.array(moved) - 1].sum()
+            axis = data.oMi[own].translation
+            levers[joint] = max(
+                np.linalg.norm(data.oMi[i].act(model.inertias[i].lever) - axis) for i in moved
+            )
+        return frozen(masses), frozen(levers)
 
     @property
     def n_joints(self) -> int:
@@ -61,15 +90,22 @@ class Legs:
         """Height of the base above the feet's centers when the robot stands, m."""
         return float(-self.feet(self.standing[None])[0, :, 2].mean())
 
-    @functools.cached_property
-    def center_of_mass(self) -> Array:
-        """The description's center of mass in the base frame when the robot stands, m, (3,)."""
+    def centers_of_mass(self, joints: Array) -> Array:
+        """Return the description's center of mass in the base frame, (K, 3), for (K, joints)."""
         import pinocchio as pin
 
         model = self.robot.pin_model
-        q = pin.neutral(model)
-        q[7:] = self.standing
-        return frozen(pin.centerOfMass(model, model.createData(), q))
+        data, q = model.createData(), pin.neutral(model)
+        out = np.empty((len(joints), 3))
+        for k, row in enumerate(joints):
+            q[7:] = row
+            out[k] = pin.centerOfMass(model, data, q)
+        return out
+
+    @functools.cached_property
+    def center_of_mass(self) -> Array:
+        """The center of mass when the robot stands, m, (3,)."""
+        return frozen(self.centers_of_mass(self.standing[None])[0])
 
     @property
     def frame_ids(self) -> list[int]:
@@ -91,13 +127,15 @@ class Legs:
                 out[k, i] = pin.updateFramePlacement(model, data, frame).translation
         return out
 
-    def reach(self, targets: Array) -> Array:
+    def reach(self, targets: Array, turned: Array | None = None) -> Array:
         """Return the joints that put the feet where they are wanted.
 
         Parameters
         ----------
         targets : ndarray, shape (K, c, 3)
             Centers of the feet in the base frame, m; a motion, so that each is near the last.
+        turned : ndarray, shape (K, 3, 3), optional
+            The world's axes in the base frame, in which soles are level.
 
         Returns
         -------
@@ -120,12 +158,15 @@ class Legs:
                 pin.computeJointJacobians(model, data, q)
                 worst = 0.0
                 for i, frame in enumerate(self.frame_ids):
-                    error = wanted[i] - pin.updateFramePlacement(model, data, frame).translation
+                    foot = pin.updateFramePlacement(model, data, frame)
+                    error = wanted[i] - foot.translation
+                    if self.flat and turned is not None:
+                        error = np.concatenate([error, pin.log3(turned[k] @ foot.rotation.T)])
                     worst = max(worst, float(np.abs(error).max()))
                     J = pin.getFrameJacobian(model, data, frame, pin.LOCAL_WORLD_ALIGNED)
-                    J = J[:3, 6 + self.joints[i]]
+                    J = J[: len(error), 6 + self.joints[i]]
                     q[7 + self.joints[i]] += J.T @ np.linalg.solve(
-                        J @ J.T + _DAMPING**2 * np.eye(3), error
+                        J @ J.T + _DAMPING**2 * np.eye(len(error)), error
                     )
                 if worst < _REACHED:
                     break
@@ -137,83 +178,3 @@ class Legs:
                 )
             out[k] = q[7:]
         return out
-
-
-def find_legs(
-    robot: RobotModel,
-    *,
-    feet: Sequence[str] | None = None,
-    radius: float | None = None,
-    standing: ArrayLike | None = None,
-) -> Legs:
-    """Find the legs of a robot.
-
-    Parameters
-    ----------
-    robot : RobotModel
-        A robot on a floating base, ``load_robot(..., root="free_flyer")``.
-    feet : sequence of str, optional
-        Frames at the centers of the feet; by default the links with 'foot' in their names.
-    radius : float, optional
-        Radius of the feet, m; by default that of their collision geometry.
-    standing : array_like, shape (joints,), optional
-        Joint positions in which the robot stands, rad; by default every leg's knee bent backward.
-
-    Returns
-    -------
-    Legs
-
-    Raises
-    ------
-    ModelError
-        When the base is fixed, there are no such frames, or a leg has not three joints.
-
-    Examples
-    --------
-    >>> from sdpid.experiment.plant.legged.legs import find_legs
-    >>> legs = find_legs(sdpid.load_robot("solo12", root="free_flyer"))
-    >>> legs.frames, round(legs.height, 3), round(legs.radius, 3)
-    (('FL_FOOT', 'FR_FOOT', 'HL_FOOT', 'HR_FOOT'), 0.223, 0.016)
-    """
-    model = robot.pin_model
-    if not robot.free_flyer:
-        raise ModelError(
-            f"legged plant: '{robot.name}' is on a fixed base; load it with "
-            'load_robot(..., root="free_flyer").'
-        )
-    if feet is None:
-        # Bodies, not the joints before them: those have frames of the same place.
-        kinds = [str(frame.type) for frame in model.frames]
-        feet = [
-            frame.name
-            for frame, kind in zip(model.frames, kinds, strict=True)
-            if _FOOT in frame.name.lower() and kind == "BODY"
-        ]
-    if not feet:
-        raise ModelError(
-            f"legged plant: '{robot.name}' has no link with '{_FOOT}' in its name; give feet=."
-        )
-    chains = []
-    for name in feet:
-        if not model.existFrame(name):
-            raise ModelError(f"legged plant: '{robot.name}' has no frame '{name}'; see feet=.")
-        chain, joint = [], model.frames[model.getFrameId(name)].parentJoint
-        while joint > 1:
-            chain.append(model.joints[joint].idx_v - 6)
-            joint = model.parents[joint]
-        if len(chain) != len(_BENT):
-            raise ModelError(
-                f"legged plant of '{robot.name}': {len(chain)} joints lead to '{name}'; legs of "
-                f"{len(_BENT)} joints are supported."
-            )
-        chains.append(chain[::-1])
-    angles = np.zeros(robot.n - 6)
-    angles[np.array(chains)] = _BENT
-    if standing is not None:
-        angles = np.asarray(standing, dtype=np.float64)
-        if angles.shape != (robot.n - 6,):
-            raise DataError(
-                f"standing: shape {angles.shape}, expected {(robot.n - 6,)}: one angle a joint."
-            )
-    radius = foot_radius(robot, tuple(feet), angles) if radius is None else radius
-    return Legs(robot, tuple(feet), np.array(chains), radius, frozen(angles))

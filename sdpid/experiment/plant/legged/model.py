@@ -1,4 +1,4 @@
-"""A MuJoCo model of a robot on legs: its bodies, the ground and balls for feet."""
+"""A MuJoCo model of a robot on legs: its bodies, the ground, and balls or soles for feet."""
 
 from __future__ import annotations
 
@@ -21,9 +21,14 @@ __all__ = ["LeggedModel", "build_legged"]
 
 # Time constant of the ground in s: stiff against the gait, and soft against the step.
 _GROUND = 0.01
+# Impedance of what holds a base in the air: a humanoid that swings its legs moves it by 2 mm, and
+# by 50 mm with MuJoCo's default of 0.9.
+_HOLD = (0.999, 0.999)
 # Coefficient of friction of the ground, and how much stiffer it is along the ground than MuJoCo's
 # default, so that feet do not creep.
 _GRIP, _IMPEDANCE_RATIO = 1.0, 10.0
+# Half the thickness of soles, m.
+_SOLE = 0.01
 # Newton's method ends below this: the equation of motion then holds to 1e-8 N, to 1e-5 with the
 # tolerance of the other plants.
 _TOLERANCE = 1e-20
@@ -43,12 +48,15 @@ class LeggedModel:
         Addresses of the joints in MuJoCo's velocities and positions; the base is first in both.
     feet : tuple of int
         Numbers of the feet's geometries.
+    sites : tuple of int
+        Numbers of the sites at the feet's frames.
     """
 
     model: Any
     dof: Any
     qpos: Any
     feet: tuple[int, ...]
+    sites: tuple[int, ...]
 
 
 def build_legged(
@@ -108,6 +116,7 @@ def build_legged(
             objtype=mujoco.mjtObj.mjOBJ_BODY,
             name1=nodes[1].name,
             solref=[_GROUND, 1.0],
+            solimp=[*_HOLD, 1e-3, 0.5, 2.0],
         )
     else:
         _add_ground(mujoco, spec, legs, nodes)
@@ -118,12 +127,15 @@ def build_legged(
     dof = np.array([model.joint(name).dofadr[0] for name in names])
     qpos = np.array([model.joint(name).qposadr[0] for name in names])
     model.dof_armature[dof] = theta[links + 2 * n :]
-    feet = () if held else tuple(model.geom(f"foot:{name}").id for name in legs.frames)
-    return LeggedModel(model, dof, qpos, feet)
+    names = () if held else tuple(f"foot:{name}" for name in legs.frames)
+    feet, sites = ([named(name).id for name in names] for named in (model.geom, model.site))
+    return LeggedModel(model, dof, qpos, tuple(feet), tuple(sites))
 
 
 def _add_ground(mujoco: Any, spec: Any, legs: Legs, nodes: dict[int, Any]) -> None:
-    """Add a plane, and a ball at every foot; nothing else touches."""
+    """Add a plane, and a ball or a sole at every foot; nothing else touches."""
+    from scipy.spatial.transform import Rotation
+
     shared = {
         "condim": 3,
         "friction": [_GRIP, 0.0, 0.0],
@@ -141,12 +153,21 @@ def _add_ground(mujoco: Any, spec: Any, legs: Legs, nodes: dict[int, Any]) -> No
     model = legs.robot.pin_model
     for name, number in zip(legs.frames, legs.frame_ids, strict=True):
         frame = model.frames[number]
-        nodes[frame.parentJoint].add_geom(
+        node = nodes[frame.parentJoint]
+        place = frame.placement
+        node.add_site(name=f"foot:{name}", pos=place.translation)
+        shape = {"type": mujoco.mjtGeom.mjGEOM_SPHERE, "size": [legs.radius, 0.0, 0.0]}
+        center = np.zeros(3)
+        if legs.sole is not None:
+            half = 0.5 * (legs.sole[1] - legs.sole[0])
+            shape = {"type": mujoco.mjtGeom.mjGEOM_BOX, "size": [*half, _SOLE]}
+            center = np.array([*legs.sole.mean(axis=0), _SOLE])
+        node.add_geom(
             name=f"foot:{name}",
-            type=mujoco.mjtGeom.mjGEOM_SPHERE,
-            size=[legs.radius, 0.0, 0.0],
-            pos=frame.placement.translation,
+            pos=place.translation + place.rotation @ center,
+            quat=np.roll(Rotation.from_matrix(place.rotation).as_quat(), 1),
             contype=0,
             conaffinity=1,
+            **shape,
             **shared,
         )

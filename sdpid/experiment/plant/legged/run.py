@@ -21,13 +21,13 @@ from sdpid.experiment.plant.legged.feedforward import weight_torques
 from sdpid.experiment.plant.legged.friction import DryFriction
 from sdpid.experiment.plant.legged.legs import Legs
 from sdpid.experiment.plant.legged.model import LeggedModel, build_legged
-from sdpid.experiment.plant.legged.motions import LEAD, Plan
+from sdpid.experiment.plant.legged.paths import LEAD, Plan
 from sdpid.experiment.plant.legged.truth import Motion
 
 __all__ = ["run_plan"]
 
-# Stiffness of the motors' feedback over the torque that a leg of four bears at its length, 1/rad,
-# and damping over stiffness, s: the joints follow within hundredths of a radian.
+# Stiffness of the motors' feedback over the torque that a joint bears at its lever, 1/rad, and
+# damping over stiffness, s: the joints follow within hundredths of a radian.
 _STIFFNESS, _DAMPING = 12.0, 0.06
 _GRAVITY = 9.81
 # A base that turns over this far has fallen: cosine of the angle to the vertical.
@@ -109,9 +109,9 @@ def run_plan(
 
 def _gains(legs: Legs) -> tuple[Array, Array]:
     """Return stiffness and damping of the motors' feedback."""
-    mass = float(legs.robot.prior[:, 0].sum())
-    stiffness = _STIFFNESS * mass * _GRAVITY * legs.height / len(legs.frames)
-    return np.full(legs.n_joints, stiffness), np.full(legs.n_joints, _DAMPING * stiffness)
+    mass, lever = legs.loads
+    stiffness = _STIFFNESS * _GRAVITY * mass * lever
+    return stiffness, _DAMPING * stiffness
 
 
 class _Stepper:
@@ -192,7 +192,7 @@ class _Notes:
             foot = self._foot[int(contact.geom[1])]
             self._mujoco.mj_contactForce(built.model, data, number, self._force)
             force = contact.frame.reshape(3, 3).T @ self._force[:3]
-            arm = contact.pos - data.geom_xpos[built.feet[foot]]
+            arm = contact.pos - data.site_xpos[built.sites[foot]]
             # MuJoCo's force acts on the second geometry, here the foot.
             self.wrenches[k, foot, :3] += force
             self.wrenches[k, foot, 3:] += np.cross(arm, force)

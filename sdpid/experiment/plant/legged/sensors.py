@@ -160,10 +160,10 @@ def record(
     touched = noisy(wrenches, scale) if sensors.forces else None
     contacts = Contacts(
         frames=(legs.robot.link_names[0],) if held else legs.frames,
-        kind=("plane",) if held else ("point",),
+        kind=("plane",) if held or legs.flat else ("point",),
         down=down,
-        forces=None if held or touched is None else touched[:, :, :3],
-        wrenches=touched if held else None,
+        forces=None if held or legs.flat or touched is None else touched[:, :, :3],
+        wrenches=touched if held or legs.flat else None,
         offset=np.array([0.0, 0.0, 0.0 if held else -legs.radius]),
     )
     return Recording(

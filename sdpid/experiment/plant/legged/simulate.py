@@ -1,4 +1,4 @@
-"""`simulate_legged`: what a quadruped with known parameters records of itself."""
+"""`simulate_legged`: what a robot on legs with known parameters records of itself."""
 
 from __future__ import annotations
 
@@ -12,9 +12,11 @@ from sdpid._common.arrays import Array, frozen, real_array
 from sdpid._common.seeds import generator
 from sdpid._common.tables import facts_html
 from sdpid.errors import DataError
+from sdpid.experiment.plant.legged.find import find_legs
 from sdpid.experiment.plant.legged.friction import DryFriction
-from sdpid.experiment.plant.legged.legs import Legs, find_legs
-from sdpid.experiment.plant.legged.motions import LEAD, plan_motion
+from sdpid.experiment.plant.legged.legs import Legs
+from sdpid.experiment.plant.legged.motions import plan_motion
+from sdpid.experiment.plant.legged.paths import LEAD
 from sdpid.experiment.plant.legged.run import run_plan
 from sdpid.experiment.plant.legged.sensors import Sensors, record
 from sdpid.experiment.plant.legged.truth import Motion, changed_parameters
@@ -75,20 +77,23 @@ def simulate_legged(
     friction: DryFriction | None = None,
     rate_hz: float = 1000.0,
 ) -> LeggedRun:
-    """Let a simulated quadruped stand, trot, walk or hang, and record it.
+    """Let a simulated quadruped or humanoid stand, trot, step, walk or hang, and record it.
 
-    The robot stands on balls at the ends of legs of three joints, on level ground. Its motors
-    follow planned joint positions with proportional and derivative feedback, and carry the weight
-    that the description gives; its joints have dry and viscous friction and rotor inertia. MuJoCo
-    integrates it by a Runge-Kutta method of fourth order.
+    A quadruped stands on balls at the ends of legs of three joints, a humanoid on soles of legs of
+    six, both on level ground. Its motors follow planned joint positions with proportional and
+    derivative feedback, and carry the weight that the description gives; its joints have dry and
+    viscous friction and rotor inertia. MuJoCo integrates it by a Runge-Kutta method of fourth
+    order. Of contacts sensors record flags, and forces of balls or wrenches of soles.
 
     Parameters
     ----------
     robot : RobotModel, name or path
-        A quadruped on a floating base: ``"go1"``, or ``load_robot("go1", root="free_flyer")``.
-    motion : {"stand", "trot", "walk", "hang"}, optional
-        Stand with a swaying base, trot in place, walk forward, or move all joints with the base
-        held in the air.
+        A robot on a floating base: ``"go1"``, ``"talos_reduced"``, or
+        ``load_robot("go1", root="free_flyer")``.
+    motion : {"stand", "trot", "step", "walk", "hang"}, optional
+        Stand with a swaying base, trot in place (quadrupeds), lift one foot after the other in
+        place, walk forward, or move all joints with the base held in the air. Joints beside the
+        legs swing in all of them.
     theta : array_like, shape (10·links + 3·joints,), optional
         True parameters, as `changed_parameters` returns them; by default those of seed 0, which
         are 15 % off the description.

@@ -8,16 +8,17 @@ import numpy as np
 
 from sdpid._common.arrays import Array, Mask, frozen, frozen_view
 from sdpid._common.seeds import generator
-from sdpid.experiment.plant.legged.legs import Legs, find_legs
+from sdpid.experiment.plant.legged.find import find_legs
+from sdpid.experiment.plant.legged.legs import Legs
 from sdpid.robot.inertia import from_pseudo_inertia, pseudo_inertia
 from sdpid.robot.model.model import RobotModel
 
 __all__ = ["Motion", "changed_parameters"]
 
-# Friction and rotor inertia of a leg's joint, where nobody gives them. Coulomb friction is this
-# share of what one leg of four bears at its length, viscous friction this share of that at 1
-# rad/s, and the rotor inertia this share of the mass at the leg's length: 0.2 N·m, 0.06 N·m·s and
-# 0.01 kg·m² on a quadruped of 13 kg, 0.03, 0.009 and 0.001 on one of 2.5 kg.
+# Friction and rotor inertia of a joint, where nobody gives them. Coulomb friction is this share of
+# what the joint bears at its lever, viscous friction this share of that at 1 rad/s, and the rotor
+# inertia this share of the robot's mass at a leg's length, less where a joint bears less: 0.2 N·m,
+# 0.06 N·m·s and 0.01 kg·m² on a quadruped of 13 kg, 0.03, 0.009 and 0.001 on one of 2.5 kg.
 _COULOMB, _VISCOUS, _ROTOR = 0.03, 0.3, 0.02
 _GRAVITY = 9.81
 
@@ -107,7 +108,7 @@ def changed_parameters(
 
 def default_friction(legs: Legs) -> tuple[Array, Array, Array]:
     """Return Coulomb and viscous friction and rotor inertia of all joints."""
-    mass = float(legs.robot.prior[:, 0].sum())
-    length, ones = legs.height, np.ones(legs.n_joints)
-    coulomb = _COULOMB * mass * _GRAVITY * length / len(legs.frames) * ones
-    return coulomb, _VISCOUS * coulomb, _ROTOR * mass * length**2 * ones
+    mass, lever = legs.loads
+    coulomb = _COULOMB * _GRAVITY * mass * lever
+    rotor = _ROTOR * len(legs.frames) * mass * lever**2
+    return coulomb, _VISCOUS * coulomb, rotor

@@ -13,8 +13,8 @@ from scipy.spatial.transform import Rotation
 import sdpid
 from sdpid._common.arrays import Array
 from sdpid.errors import DataError, ModelError
+from sdpid.experiment.plant.legged.find import find_legs
 from sdpid.experiment.plant.legged.friction import DryFriction
-from sdpid.experiment.plant.legged.legs import find_legs
 from sdpid.experiment.plant.legged.sensors import Sensors
 from sdpid.experiment.plant.legged.simulate import LeggedRun, simulate_legged
 from sdpid.experiment.plant.legged.truth import changed_parameters
@@ -36,9 +36,9 @@ def exact(motion: str) -> LeggedRun:
     return simulate_legged(robot(), motion, duration=0.8, seed=1, sensors=Sensors.exact())
 
 
-def contact_torques(run: LeggedRun) -> Array:
-    """Return J^T·f of the true wrenches by Pinocchio, sample by sample, shape (N, 18)."""
-    model, contacts = robot().pin_model, run.recording.contacts
+def contact_torques(run: LeggedRun, moved: RobotModel) -> Array:
+    """Return J^T·f of the true wrenches by Pinocchio, sample by sample, shape (N, nv)."""
+    model, contacts = moved.pin_model, run.recording.contacts
     assert contacts is not None
     data, out = model.createData(), np.zeros((len(run.motion.position), model.nv))
     for k, q in enumerate(run.motion.position):
@@ -59,7 +59,7 @@ def test_the_equation_of_motion_holds_with_the_simulators_forces(motion: str) ->
         links.reshape(-1, 10), moved.position, moved.velocity, moved.acceleration
     )
     needed[:, 6:] += rotor * moved.acceleration[:, 6:] + moved.friction
-    residual = needed - moved.effort - contact_torques(run)
+    residual = needed - moved.effort - contact_torques(run, robot())
     assert np.abs(residual).max() < EQUATION
     speed = moved.velocity[:, 6:]
     law = coulomb * np.tanh(speed / 0.02) + viscous * speed
@@ -111,6 +111,28 @@ def test_channels_come_late_and_gains_are_off() -> None:
     np.testing.assert_allclose(run.recording.effort[2:], 1.05 * run.motion.effort[:-2, 6:])
     np.testing.assert_allclose(run.recording.position, run.motion.position[:, 7:])
     assert run.recording.time[0] == pytest.approx(0.0, abs=1e-9)
+
+
+def test_a_humanoid_walks_on_soles() -> None:
+    """A foot is lifted, wrenches of soles obey the equation of motion, and all joints move."""
+    talos = sdpid.load_robot("talos_reduced", root="free_flyer")
+    run = simulate_legged(talos, "walk", duration=1.0, seed=1, sensors=Sensors.exact())
+    moved, log, links = run.motion, run.recording, 10 * talos.n_links
+    needed = talos.inverse_dynamics(
+        run.theta[:links].reshape(-1, 10), moved.position, moved.velocity, moved.acceleration
+    )
+    rotor = run.theta[links:].reshape(3, -1)[2]
+    needed[:, 6:] += rotor * moved.acceleration[:, 6:] + moved.friction
+    residual = needed - moved.effort - contact_torques(run, talos)
+    # Of torques of 100 N·m and forces of 900 N.
+    assert np.abs(residual).max() < 100.0 * EQUATION
+    assert log.contacts is not None
+    assert log.contacts.kind == ("plane", "plane")
+    assert log.contacts.wrenches is not None
+    assert 0 < np.count_nonzero(~moved.down) < len(moved.down)
+    assert np.ptp(log.position, axis=0).min() > 1e-3
+    with pytest.raises(DataError, match=r"'trot'.*2 soles"):
+        simulate_legged(talos, "trot")
 
 
 def test_dry_friction_follows_a_law_that_friction_terms_know() -> None:

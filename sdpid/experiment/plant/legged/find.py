@@ -1,0 +1,142 @@
+"""Find the legs of a robot by the names of its links."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from sdpid._common.arrays import Array, frozen
+from sdpid.errors import DataError, ModelError
+from sdpid.experiment.plant.legged.feet import foot_radius, sole_corners
+from sdpid.experiment.plant.legged.legs import Legs
+from sdpid.robot.model.model import RobotModel
+
+__all__ = ["find_legs"]
+
+# Names of frames at which legs end, in any spelling: of balls, and of flat soles.
+_FOOT, _SOLE = "foot", "sole"
+# What every leg is bent to, in rad, by the number of its joints. Three: abduction, hip, knee
+# backward, as quadrupeds stand. Six: hip yaw, roll, pitch, knee forward, ankle pitch, roll.
+_BENT = {3: (0.0, 0.8, -1.6), 6: (0.0, 0.0, -0.4, 0.8, -0.4, 0.0)}
+# Soles of a standing robot are level within this, rad.
+_LEVEL = 1e-6
+# Joints beside the legs rest this far inside their limits, rad, or a quarter of their range.
+_INSIDE = 0.25
+
+
+def find_legs(
+    robot: RobotModel,
+    *,
+    feet: Sequence[str] | None = None,
+    radius: float | None = None,
+    standing: ArrayLike | None = None,
+) -> Legs:
+    """Find the legs of a robot.
+
+    Parameters
+    ----------
+    robot : RobotModel
+        A robot on a floating base, ``load_robot(..., root="free_flyer")``.
+    feet : sequence of str, optional
+        Frames at the centers of the feet; by default the links with 'foot' in their names.
+    radius : float, optional
+        Radius of the feet, m; by default that of their collision geometry.
+    standing : array_like, shape (joints,), optional
+        Joint positions in which the robot stands, rad; by default every leg's knee bent backward.
+
+    Returns
+    -------
+    Legs
+
+    Raises
+    ------
+    ModelError
+        When the base is fixed, there are no such frames, or a leg has not three joints.
+
+    Examples
+    --------
+    >>> from sdpid.experiment.plant.legged.find import find_legs
+    >>> legs = find_legs(sdpid.load_robot("solo12", root="free_flyer"))
+    >>> legs.frames, round(legs.height, 3), round(legs.radius, 3)
+    (('FL_FOOT', 'FR_FOOT', 'HL_FOOT', 'HR_FOOT'), 0.223, 0.016)
+    """
+    model = robot.pin_model
+    if not robot.free_flyer:
+        raise ModelError(
+            f"legged plant: '{robot.name}' is on a fixed base; load it with "
+            'load_robot(..., root="free_flyer").'
+        )
+    if feet is None:
+        feet = _named(robot, _FOOT) or _named(robot, _SOLE)
+    if not feet:
+        raise ModelError(
+            f"legged plant: '{robot.name}' has no link with '{_FOOT}' or '{_SOLE}' in its name; "
+            "give feet=."
+        )
+    chains: list[list[int]] = []
+    for name in feet:
+        if not model.existFrame(name):
+            raise ModelError(f"legged plant: '{robot.name}' has no frame '{name}'; see feet=.")
+        chain, joint = [], model.frames[model.getFrameId(name)].parentJoint
+        while joint > 1:
+            chain.append(model.joints[joint].idx_v - 6)
+            joint = model.parents[joint]
+        if len(chain) not in _BENT or len(chain) != len(chains[0] if chains else chain):
+            raise ModelError(
+                f"legged plant of '{robot.name}': {len(chain)} joints lead to '{name}'; legs of "
+                "3 joints with balls for feet, or of 6 with soles, are supported."
+            )
+        chains.append(chain[::-1])
+    angles = _resting(robot)
+    angles[np.array(chains)] = _BENT[len(chains[0])]
+    if standing is not None:
+        angles = np.asarray(standing, dtype=np.float64)
+        if angles.shape != (robot.n - 6,):
+            raise DataError(
+                f"standing: shape {angles.shape}, expected {(robot.n - 6,)}: one angle a joint."
+            )
+    names = tuple(feet)
+    if len(chains[0]) == 3:
+        radius = foot_radius(robot, names, angles) if radius is None else radius
+        return Legs(robot, names, np.array(chains), radius, frozen(angles))
+    corners = sole_corners(robot, names)
+    legs = Legs(robot, names, np.array(chains), 0.0, frozen(angles), frozen(corners))
+    _require_level(legs)
+    return legs
+
+
+def _named(robot: RobotModel, word: str) -> list[str]:
+    """Return links with a word in their names: bodies, not the joints before them."""
+    frames = robot.pin_model.frames
+    return [f.name for f in frames if word in f.name.lower() and str(f.type) == "BODY"]
+
+
+def _resting(robot: RobotModel) -> Array:
+    """Return joint positions of zero, or the next to it well inside the limits, (joints,)."""
+    model = robot.pin_model
+    lower, upper = (
+        np.clip(limit[7:], -np.pi, np.pi)
+        for limit in (model.lowerPositionLimit, model.upperPositionLimit)
+    )
+    inside = np.minimum(_INSIDE, (upper - lower) / 4.0)
+    return np.clip(np.zeros(robot.n - 6), lower + inside, upper - inside)
+
+
+def _require_level(legs: Legs) -> None:
+    """Refuse soles that are not level when the robot stands."""
+    import pinocchio as pin
+
+    model = legs.robot.pin_model
+    data = model.createData()
+    pin.framesForwardKinematics(
+        model, data, np.concatenate([pin.neutral(model)[:7], legs.standing])
+    )
+    tilts = [float(np.abs(pin.log3(data.oMf[i].rotation)).max()) for i in legs.frame_ids]
+    if not max(tilts) < _LEVEL:
+        raise ModelError(
+            f"legged plant of '{legs.robot.name}': sole '{legs.frames[int(np.argmax(tilts))]}' is "
+            f"turned by {max(tilts):.3g} rad when the robot stands (limit {_LEVEL:g}); give "
+            "standing=."
+        )
