@@ -73,10 +73,14 @@ def print_table(program: str, measure: Callable[[int], Iterable[Row]]) -> int:
     """Print the rows of a benchmark, measured as often as its command line says."""
     parser = argparse.ArgumentParser(prog=f"python -m {program}")
     parser.add_argument("--repeat", type=int, default=5, help="at least 5 (default)")
+    parser.add_argument("--csv", type=Path, help="write the table here as well")
     options = parser.parse_args()
     if options.repeat < 5:
         parser.error(f"--repeat: is {options.repeat}; at least 5 give a spread.")
-    print(table(list(measure(options.repeat))).text(digits=3))
+    found = table(list(measure(options.repeat)))
+    print(found.text(digits=3))
+    if options.csv is not None:
+        found.write(options.csv)
     return 0
 
 

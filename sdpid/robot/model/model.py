@@ -442,6 +442,13 @@ class RobotModel:
         """The kinematics as plain arrays; None where a joint is of a kind they do not cover."""
         return kernels.flatten(self.pin_model, self.expansion)
 
+    @functools.cached_property
+    def frame_numbers(self) -> dict[str, int]:
+        """Pinocchio's number of every frame; of frames with the same name the first."""
+        model: Any = self.pin_model
+        names = [frame.name for frame in model.frames]
+        return {name: i for i, name in reversed(list(enumerate(names)))}
+
     def _pinocchio_regressor(self, q: Array, v: Array, a: Array, out: Array | None = None) -> Array:
         """Return the same from Pinocchio, sample by sample."""
         import pinocchio as pin

@@ -205,8 +205,7 @@ def _frame_numbers(robot: RobotModel, frames: Sequence[str]) -> list[int]:
     DataError
         When one is not the robot's.
     """
-    model: Any = robot.pin_model
-    known = [frame.name for frame in model.frames]
+    known = robot.frame_numbers
     for name in frames:
         if name not in known:
             near = get_close_matches(name, known)
@@ -214,7 +213,7 @@ def _frame_numbers(robot: RobotModel, frames: Sequence[str]) -> list[int]:
                 f"contacts: '{name}' is no frame of the robot '{robot.name}'; "
                 + (f"near to it are {', '.join(near)}." if near else f"it has {', '.join(known)}.")
             )
-    return [known.index(name) for name in frames]
+    return [known[name] for name in frames]
 
 
 def _by_pinocchio(robot: RobotModel, q: Array, numbers: Sequence[int], points: Array) -> Array:
