@@ -21,6 +21,7 @@ from sdpid._common.arrays import Array
 from sdpid._common.threads import one_thread
 from sdpid.errors import DataError
 from sdpid.experiment.processing.choose import default_processing, with_changes
+from sdpid.experiment.processing.delays.on_time import delay_notes, on_time
 from sdpid.experiment.processing.efforts import Efforts
 from sdpid.experiment.processing.floating.with_base import GRAVITY, require_finite, with_base
 from sdpid.experiment.processing.period_mean import Chain
@@ -122,6 +123,8 @@ def process(
         require_finite(log, processing)
     _check_period_count(log, processing)
     pieces, notes = continuous(log)
+    pieces = tuple(on_time(piece, processing) for piece in pieces)
+    notes = [*notes, *delay_notes(log, processing)]
     with _progress.progress(log.n * len(pieces), "processing", enabled=progress) as advance:
         samples = _joined(pieces, processing, advance, GRAVITY if gravity is None else gravity)
     if samples.mask is not None:

@@ -34,6 +34,8 @@ _RANGES: dict[str, tuple[float, float]] = {
     "trim_s": (0.0, 1e9),
     "contact_margin_s": (0.0, 1e6),
     "impact_s": (0.0, 1e6),
+    **dict.fromkeys(("effort_delay_s", "imu_delay_s"), (-1.0, 1.0)),
+    **dict.fromkeys(("base_delay_s", "contacts_delay_s"), (-1.0, 1.0)),
     "contact_force_std": (0.0, 1e9),
     "contact_moment_std": (0.0, 1e9),
 }
@@ -139,6 +141,10 @@ class Processing(Settings):
         this time, and the filter's memory, of a closed one.
     impact_s : float, optional
         Samples whose filter sees this time around a landing are left out; by default none is.
+    effort_delay_s, imu_delay_s, base_delay_s, contacts_delay_s : float
+        By how much efforts, an IMU, pose and velocities of a base, and contacts were recorded later
+        than the joints' positions, s; negative where they are early. They are taken on time.
+        `identify` finds them in recordings with a base.
     reasons : tuple of Reason
         Why settings were chosen, where a rule chose them; samples carry them in their notes. They
         do not count when two settings are compared.
@@ -177,6 +183,10 @@ class Processing(Settings):
     contact_moment_std: float | None = None
     contact_margin_s: float = 0.0
     impact_s: float | None = None
+    effort_delay_s: float = 0.0
+    imu_delay_s: float = 0.0
+    base_delay_s: float = 0.0
+    contacts_delay_s: float = 0.0
     reasons: tuple[Reason, ...] = field(default=(), compare=False, repr=False)
 
     def __post_init__(self) -> None:

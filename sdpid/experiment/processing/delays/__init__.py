@@ -1,0 +1,1 @@
+"""Channels that were recorded late, taken at the time at which they were measured."""
