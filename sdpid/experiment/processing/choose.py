@@ -6,9 +6,11 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from typing import Any, Literal
 
+import numpy as np
+
 from sdpid.errors import DataError
 from sdpid.experiment.processing.derivatives import BAND_OVER_RATE
-from sdpid.experiment.processing.motion import MOTION_SHARE, motion_frequency
+from sdpid.experiment.processing.motion import MOTION_SHARE, motion_frequency, noise_limit
 from sdpid.experiment.processing.settings import Processing, Reason
 from sdpid.experiment.recording.gaps import continuous
 from sdpid.experiment.recording.recording import Recording
@@ -30,6 +32,12 @@ _KEPT_SHARE = 0.1
 # and the number of samples grows with it.
 _FINITE_ORDER = 2
 _FINITE_CUTOFF_OVER_MOTION = 15.0
+# Noise in accelerations makes inertias too small by its share of the accelerations' power. At 15
+# times a trot, 90 Hz, that is 0.5 %, several standard errors; below this share it is a fraction of
+# one, and trots of a simulated Go1 and Solo12 were two to five times nearer to the truth. Not less
+# than this many times the motion.
+_NOISE_SHARE = 2e-4
+_LEAST_CUTOFF_OVER_MOTION = 5.0
 # Below this rate differences of the position lose too much, and a recorded velocity is used.
 RATE_OF_DIFFERENCES = 100.0
 
@@ -72,7 +80,7 @@ def choose_processing(log: Recording, **given: Any) -> Choice:
     (docs/evidence/real_robots.md). Rows
     near reversals and at rest are masked, unless less than a tenth of a joint's rows would stay. A
     recorded velocity is used below 100 Hz, where differences of the position lose too much, as
-    long as it is the rate of the position.
+    long as it is the rate of the position. Recordings with a base: docs/guides/processing.md.
 
     Parameters
     ----------
@@ -148,8 +156,11 @@ def _without_periods(log: Recording, motion: float) -> tuple[Processing, Sequenc
     slowest = rate / log.n_samples
     highest = BAND_OVER_RATE * rate
     times = _CUTOFF_OVER_MOTION if log.base is None else _FINITE_CUTOFF_OVER_MOTION
+    quiet = np.inf
+    if log.base is not None:
+        quiet = max(noise_limit(log, _NOISE_SHARE), _LEAST_CUTOFF_OVER_MOTION * motion)
     processing = Processing(
-        cutoff_hz=min(times * max(motion, slowest), highest),
+        cutoff_hz=min(times * max(motion, slowest), quiet, highest),
         order=4 if log.base is None else _FINITE_ORDER,
         decimation=None,
         kept_share=_KEPT_SHARE,
@@ -159,7 +170,12 @@ def _without_periods(log: Recording, motion: float) -> tuple[Processing, Sequenc
     processing = replace(processing, reversal_time=_MASKED_PERIODS / processing.cutoff_hz)
     lies = f"{100 * MOTION_SHARE:g} % of the motion lies below {motion:.4g} Hz"
     cap = f"2/15 of the rate of {rate:.6g} Hz"
-    if processing.cutoff_hz == highest:
+    if quiet < times * motion and processing.cutoff_hz < highest:
+        why = (
+            f"noise is {100 * _NOISE_SHARE:g} % of the power of joint accelerations below; "
+            f"at most {times:g} × motion, at least {_LEAST_CUTOFF_OVER_MOTION:g} ×; {lies}"
+        )
+    elif processing.cutoff_hz == highest:
         why = f"{cap}, below {times:g} × motion; {lies}"
     elif motion < slowest:
         why = f"{times:g} × {slowest:.4g} Hz, the slowest that the record shows"

@@ -12,7 +12,14 @@ from sdpid.experiment.recording.recording import Recording
 from sdpid.experiment.recording.rest import AT_REST, moving
 from sdpid.experiment.recording.stored import extremes
 
-__all__ = ["MOTION_SHARE", "band", "joint_frequencies", "motion_frequency", "spectrum"]
+__all__ = [
+    "MOTION_SHARE",
+    "band",
+    "joint_frequencies",
+    "motion_frequency",
+    "noise_limit",
+    "spectrum",
+]
 
 # This share of a motion's power lies below its highest frequency.
 MOTION_SHARE = 0.95
@@ -20,6 +27,8 @@ MOTION_SHARE = 0.95
 # a rate of at least this many Hz before their spectrum is taken: arms do not move at half of that.
 _LONG = 1 << 18
 _RATE_OF_MOTION = 100.0
+# Above this share of half the sample rate joints do not move: what is there is noise.
+_NOISE_ONLY = 2.0 / 3.0
 # Samples averaged at a time: the rows of all joints stay in a core's cache.
 _BLOCK = 1 << 14
 
@@ -64,6 +73,41 @@ def band(frequency: Array, power: Array) -> tuple[float, float] | None:
     below = int(np.count_nonzero(np.cumsum(power / total) < MOTION_SHARE))
     dominant = 1 + int(np.argmax(power[1:])) if power.size > 1 else 0
     return float(frequency[dominant]), float(frequency[below])
+
+
+def noise_limit(log: Recording, share: float) -> float:
+    """Return the frequency in Hz up to which noise is at most a share of joint accelerations.
+
+    Noise of positions is white; the median of the power above two thirds of half the sample rate
+    tells how strong, whatever single lines stand out. In accelerations it grows with the fourth
+    power of the frequency. Of the joints that move, the one in the middle counts. Infinite where
+    there is no such frequency.
+
+    Parameters
+    ----------
+    log : Recording
+        Without gaps; of longer ones the first 2^18 samples count.
+    share : float
+        Of noise in the power of accelerations below the frequency.
+    """
+    count = min(log.n_samples, _LONG)
+    shares = []
+    for j in np.flatnonzero(moving(*extremes(log.position))).tolist():
+        position = np.asarray(log.position[:count, j])
+        frequency, power = spectrum(position, log.rate_hz, count)
+        top = power[frequency > _NOISE_ONLY * frequency[-1]]
+        if not top.size:
+            return np.inf
+        # Powers of noise have an exponential distribution, whose median is ln 2 of its mean.
+        noise = float(np.median(top)) / np.log(2.0)
+        weight = frequency**4
+        whole = np.cumsum(weight * power)
+        shares.append(noise * np.cumsum(weight) / np.where(whole > 0.0, whole, np.inf))
+    if not shares:
+        return np.inf
+    # At 0 Hz there is none. Noise alone lies below the motion, too: the last such frequency counts.
+    last = int(np.flatnonzero(np.median(shares, axis=0) <= share)[-1])
+    return float(frequency[last]) if last + 1 < len(frequency) else np.inf
 
 
 def _spectra(log: Recording) -> Iterator[tuple[Array, Array]]:

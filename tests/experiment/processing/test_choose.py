@@ -17,7 +17,7 @@ from sdpid.experiment.processing.choose import (
     choose_processing,
     default_processing,
 )
-from sdpid.experiment.processing.motion import motion_frequency
+from sdpid.experiment.processing.motion import motion_frequency, noise_limit
 from sdpid.experiment.processing.process import Processing, process
 
 # The default for five real robots, on which docs/evidence/real_robots.md rests: cut-off in Hz and
@@ -196,3 +196,21 @@ def test_the_overview_shows_the_choice() -> None:
     assert facts["processing_chosen_for"] == "; ".join(choose_processing(log).reasons)
     assert "reasons" not in facts["processing"]
     assert facts["processing"]["filter"] == "butterworth"
+
+
+def test_noise_of_accelerations_lowers_the_cutoff_of_a_floating_robot() -> None:
+    noise, share, rate = 1e-4, 2e-4, 200.0
+    log, acceleration = sweep(noise, rate=rate)
+    limit = noise_limit(log, share)
+    # Noise of positions below a frequency f has (2 pi f)^4/5 of its power in accelerations.
+    power = noise**2 * (2.0 * np.pi * limit) ** 4 / 5.0 * limit / (rate / 2.0)
+    assert power / np.median(acceleration.var(axis=0)) == pytest.approx(share, rel=0.1)
+    assert noise_limit(sweep(0.0)[0], share) > 4.0 * limit
+    turn = np.tile([0.0, 0.0, 0.0, 1.0], (log.n_samples, 1))
+    base = sdpid.BaseMotion(orientation=turn, position=np.zeros((log.n_samples, 3)))
+    motion = motion_frequency(log)
+    assert 5.0 * motion < limit < 15.0 * motion
+    assert choose_processing(replace(log, base=base)).processing.cutoff_hz == limit
+    much = replace(sweep(3e-3)[0], base=base)
+    assert choose_processing(much).processing.cutoff_hz == pytest.approx(5.0 * motion)
+    assert choose_processing(log).processing.cutoff_hz > limit
