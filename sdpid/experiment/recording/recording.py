@@ -166,7 +166,7 @@ class Recording:
         if self.base is not None:
             parts.append("floating base" + (" with IMU" if self.base.imu is not None else ""))
         if self.contacts is not None:
-            parts.append(f"{self.contacts.n} contacts")
+            parts.append(f"{self.contacts.n} contact{'s' * (self.contacts.n > 1)}")
         return f"Recording({', '.join(parts)})"
 
     def _repr_html_(self) -> str:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -36,7 +36,7 @@ class LeggedRun:
     Attributes
     ----------
     recording : Recording
-        What the sensors measured.
+        What the sensors measured, and the planned joint positions as its reference.
     theta : ndarray, shape (10·links + 3·joints,)
         True parameters: of the links, then Coulomb friction, viscous friction and rotor inertia
         of all joints.
@@ -89,7 +89,8 @@ def simulate_legged(
     ----------
     robot : RobotModel, name or path
         A robot on a floating base: ``"go1"``, ``"talos_reduced"``, or
-        ``load_robot("go1", root="free_flyer")``.
+        ``load_robot("go1", root="free_flyer")``. Its kinematics are the true ones; its inertias
+        are what the controller believes.
     motion : {"stand", "trot", "step", "walk", "hang"}, optional
         Stand with a swaying base, trot in place (quadrupeds), lift one foot after the other in
         place, walk forward, or move all joints with the base held in the air. Joints beside the
@@ -140,10 +141,10 @@ def simulate_legged(
     if theta is None:
         theta = changed_parameters(robot, legs=legs)
     values = frozen(real_array(theta, "theta", ndim=1))
-    wanted = 10 * robot.n_links + 3 * legs.n_joints
-    if len(values) != wanted:
+    size = 10 * robot.n_links + 3 * legs.n_joints
+    if len(values) != size:
         raise DataError(
-            f"theta: {len(values)} numbers, expected {wanted}: 10 a link, then Coulomb friction, "
+            f"theta: {len(values)} numbers, expected {size}: 10 a link, then Coulomb friction, "
             "viscous friction and rotor inertia of every joint; see changed_parameters."
         )
     if not _RATES[0] <= rate_hz <= _RATES[1]:
@@ -159,4 +160,6 @@ def simulate_legged(
     plan = plan_motion(legs, motion, duration=duration, rng=rng)
     time, truth = run_plan(legs, plan, values, friction=friction, rate_hz=rate_hz, before=before)
     log = record(legs, time, truth, sensors, gravity=robot.gravity, held=plan.held, rng=rng)
+    wanted, _ = plan.joints(np.asarray(log.time) + LEAD)
+    log = replace(log, reference=wanted)
     return LeggedRun(recording=log, theta=values, motion=truth.after(before), friction=friction)

@@ -75,6 +75,8 @@ def test_the_sensors_measure_the_motion(motion: str) -> None:
     assert log.contacts is not None
     np.testing.assert_allclose(log.position, moved.position[:, 7:])
     np.testing.assert_allclose(log.effort, moved.effort[:, 6:])
+    # Joints follow the plan within hundredths of a radian.
+    assert 1e-4 < np.sqrt(np.mean((log.position - np.asarray(log.reference)) ** 2)) < 0.03
     assert np.array_equal(log.contacts.down, moved.down)
     imu, step = log.base.imu, log.step
     # The sensor's place and axes in the world, differentiated.
