@@ -57,16 +57,21 @@ def contact_noise(rows: Rows) -> tuple[Array, float]:
     mask = thin.samples.used
     joints = slice(rows.robot.n_base, None)
     square = np.where(mask, thin.samples.effort, 0.0)[:, joints] ** 2
-    used = np.count_nonzero(mask[:, joints])
-    if not (used and square.sum() > 0.0):
+    used = int(np.count_nonzero(mask[:, joints]))
+    reach = max(rows.robot.reach, float(np.finfo(float).tiny))
+    if used:
+        effort = float(square.sum()) / used
+    else:
+        # The base's rows alone: forces that are known take the place of efforts.
+        known = [np.where(own, e, 0.0)[:, :3] for _, _, e, own in thin.chunks()]
+        effort = reach**2 * float(np.mean(np.concatenate(known) ** 2))
+    if not effort > 0.0:
         raise DataError(
-            f"samples: all {used} efforts of joints that count are zero, so residuals have no "
+            f"samples: all {used or mask.sum()} efforts that count are zero, so residuals have no "
             "variance for weighting='residual' to estimate; check that effort was recorded and "
             "read (columns, units, mask)."
         )
-    effort = float(square.sum()) / used
     least = _least(thin, effort, square)
-    reach = max(rows.robot.reach, np.finfo(float).tiny)
     variance = np.full(rows.robot.n, EFFORT_SHARE**2 * effort)
     variance[: min(3, rows.robot.n_base)] /= reach**2
     for _ in range(ROUNDS):

@@ -343,8 +343,17 @@ def without_efforts(samples: Samples, robot: RobotModel, joints: Sequence[str]) 
             f"without_effort: the robot '{robot.name}' has no joint {', '.join(unknown)}; it has "
             f"{', '.join(own)}."
         )
-    if set(joints) == set(own) and not robot.n_base:
-        raise DataError("without_effort: names every joint; no effort is left to identify from.")
+    if set(joints) == set(own):
+        if not robot.n_base:
+            raise DataError(
+                "without_effort: names every joint; no effort is left to identify from."
+            )
+        if samples.contacts is None or not samples.contacts.measured:
+            raise DataError(
+                "without_effort: names every joint, which leaves the six rows of the base; they "
+                "need measured forces of contacts. Give contacts with forces or wrenches and "
+                "processing contact_force_std (N), or use the efforts of some joints."
+            )
     mask = samples.used.copy()
     mask[:, [robot.joint_names.index(name) for name in joints]] = False
     note = f"efforts of joint {', '.join(joints)} are not used"

@@ -19,6 +19,7 @@ from sdpid.estimation.compression.contact_rows import ContactRows
 from sdpid.estimation.compression.rows import RowSource
 from sdpid.estimation.compression.whitening import compress, shares_of, weights, weights_of
 from sdpid.estimation.problem import Problem
+from sdpid.experiment.preparation.several import without_efforts
 from sdpid.experiment.processing.contacts.contact_samples import ContactSamples
 from sdpid.robot.model.contacts.jacobians import contact_jacobians, frame_axes
 from tests.helpers.legged import FEET, NOISE, RADIUS, gait, quadruped
@@ -222,6 +223,22 @@ def test_variances_of_joints_base_forces_and_torques_are_found() -> None:
     )
     ratio = np.sqrt(np.diagonal(fused.sigma)) / NOISE
     assert 0.9 < ratio.min() < ratio.max() < 1.2
+
+
+def test_the_six_rows_of_the_base_alone_need_no_efforts() -> None:
+    made = gait(600, seed=2)
+    felt = made.forces + 0.1 * np.random.default_rng(3).normal(size=made.forces.shape)
+    known = replace(made.measured(0.01 * np.eye(6), felt), effort=np.zeros((600, 18)))
+    joints = made.robot.joint_names[6:]
+    alone = without_efforts(known, made.robot, joints)
+    found = problem(alone, weighting="residual", prior=sdpid.Prior())
+    assert found.n_rows == 600 * 6
+    estimate = sdpid.solve_sdp(found)
+    assert sdpid.certify(estimate).passed
+    assert estimate.theta is not None
+    assert estimate.theta[:130:10].sum() == pytest.approx(made.theta[::10].sum(), rel=2e-3)
+    with pytest.raises(DataError, match="need measured forces of contacts"):
+        without_efforts(made.samples, made.robot, joints)
 
 
 def test_refuses_what_has_no_meaning() -> None:
