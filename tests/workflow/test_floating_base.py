@@ -2,15 +2,21 @@
 
 from __future__ import annotations
 
+import json
+from collections.abc import Callable
 from dataclasses import replace
 from functools import lru_cache
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
 import sdpid
-from sdpid.errors import DataError
+from sdpid.assurance.log_proof.chain.check import check_log
+from sdpid.errors import CertificateError, DataError
 from sdpid.experiment.recording.recording import rows_of
+from sdpid.verifier.reading import digest
 from sdpid.workflow.result import Identification
 from tests.experiment.processing.floating.crawl import crawl
 
@@ -82,3 +88,62 @@ def test_report_and_words_know_the_base_and_its_contacts(tmp_path) -> None:  # t
 def test_a_robot_that_is_fixed_is_refused() -> None:
     with pytest.raises(DataError, match="fixed to the ground, and the recording has a floating"):
         sdpid.identify(sdpid.load_robot("solo12"), crawl().log())
+
+
+def data() -> sdpid.Recording:
+    return rows_of(noisy(crawl().log()), slice(0, 1500))
+
+
+def sealed_again(folder: Path, edit: Callable[[dict[str, Any], dict[str, Any]], None]) -> None:
+    """Change certificate and manifest, and make their digests anew."""
+    files = [folder / name for name in ("certificate.json", "manifest.json")]
+    certificate, manifest = (json.loads(file.read_text(encoding="utf-8")) for file in files)
+    edit(certificate, manifest)
+    certificate["sha256"] = digest(certificate)
+    for file, content in zip(files, (certificate, manifest), strict=True):
+        file.write_text(json.dumps(content), encoding="utf-8")
+
+
+def test_the_chain_from_the_log_holds_with_contacts(tmp_path: Path) -> None:
+    result, certificate = identified(), identified().certificate
+    record = certificate.to_dict()["origin"]["contacts"]
+    assert record["widened_s"] > 0.0
+    assert certificate.to_dict()["compression"] is not None
+    result.save(tmp_path, figures=False)
+    found = sdpid.verify(tmp_path, data=data())
+    assert found.passed, found.problems
+    assert found.log is not None
+    assert {"contacts", "compression", "rows", "total"} <= found.log.proven
+    assert found.log.equations is not None
+    assert found.log.equations.gap < 1e-5  # type: ignore[operator]
+
+
+def _flags(certificate: dict[str, Any], manifest: dict[str, Any]) -> None:
+    manifest["recipe"]["processing"]["contact_margin_s"] = 0.01
+
+
+def _closed(certificate: dict[str, Any], manifest: dict[str, Any]) -> None:
+    certificate["origin"]["contacts"]["closed"][0] -= 1
+
+
+def _none(certificate: dict[str, Any], manifest: dict[str, Any]) -> None:
+    certificate["origin"]["contacts"] = None
+
+
+def _scale(certificate: dict[str, Any], manifest: dict[str, Any]) -> None:
+    manifest["recipe"]["force_scale"] = -1.0
+
+
+@pytest.mark.parametrize(
+    ("edit", "link"),
+    [(_flags, "compression"), (_closed, "contacts"), (_none, "contacts")],
+)
+def test_other_contacts_break_the_chain(edit: Any, link: str, tmp_path: Path) -> None:
+    identified().save(tmp_path, figures=False)
+    sealed_again(tmp_path, edit)
+    found = check_log(tmp_path, data())
+    wrong = {each.name for each in found.links if each.state == "not proven"}
+    assert link in wrong, found.links
+    sealed_again(tmp_path, _scale)
+    with pytest.raises(CertificateError, match="force_scale"):
+        check_log(tmp_path, data())

@@ -45,12 +45,15 @@ class ContactWhiteners:
         Bounds of ‖J‖; infinite where none is found.
     away : ndarray, shape (g, s + r, n)
         ``V·w`` as computed is off from ``T·w`` by at most ``‖away·|w|‖``, for any column w.
+    force : ndarray, shape (g,)
+        The forces that explain r best are at most this times r's norm, ``√(r^T·C^-1·r)``.
     """
 
     some: Indices
     V: Array
     weight: Array
     away: Array
+    force: Array
 
     @property
     def rank(self) -> int:
@@ -144,7 +147,9 @@ def _of(some: Indices, A: Array, P: Array, used: Mask, C: Array) -> ContactWhite
     if not usable(V, G, C, A):
         nothing = np.zeros((len(some), V.shape[1] + G.shape[1], V.shape[2]))
         weight = np.full(len(some), np.inf)
-        return ContactWhiteners(some=some, V=np.zeros_like(V), weight=weight, away=nothing)
+        return ContactWhiteners(
+            some=some, V=np.zeros_like(V), weight=weight, away=nothing, force=weight
+        )
     n, one = A.shape[1], np.eye(A.shape[2])
     absV, absA, absG, absC = (np.abs(each) for each in (V, A, G, C))
     D = _norms(np.abs(V @ A) + gamma(n) * (absV @ absA))
@@ -154,14 +159,19 @@ def _of(some: Indices, A: Array, P: Array, used: Mask, C: Array) -> ContactWhite
     sizes = absV @ absC
     left = V @ C @ _turned(V) - np.eye(V.shape[1])
     chi = _norms(np.abs(left) + gamma(2 * n + 1) * (sizes @ _turned(absV) + np.eye(V.shape[1])))
-    moved = 2.0 * d * _norms(sizes @ _turned(absG)) + d**2 * _norms(absG @ absC @ _turned(absG))
+    spread = _norms(absG @ absC @ _turned(absG))
+    moved = 2.0 * d * _norms(sizes @ _turned(absG)) + d**2 * spread
     off = np.where(np.isfinite(d), chi + np.where(np.isfinite(moved), moved, np.inf), np.inf)
     off = SLACK * off + UNDERFLOW
     # Of two parts that are added, the sum is at most √2 times the norm of both behind each other.
     share = SLACK * np.sqrt(2.0)
     d = np.where(np.isfinite(d), d, 0.0)
     away = np.concatenate([share * gamma(n) * absV, share * d[:, None, None] * absG], axis=1)
-    return ContactWhiteners(some=some, V=V, weight=quotient(off, below_one(off)), away=away)
+    # Of all left inverses the one that finds the best forces has the least G·C·G^T.
+    force = quotient(SLACK * np.sqrt(spread), below_one(F + UNDERFLOW))
+    return ContactWhiteners(
+        some=some, V=V, weight=quotient(off, below_one(off)), away=away, force=force
+    )
 
 
 def _made(A: Array, P: Array, used: Mask) -> tuple[Array, Array]:

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from sdpid._common.arrays import Array
 from sdpid.estimation.compression.rows import RowSource
 from sdpid.estimation.problem import Problem
 from sdpid.experiment.processing.contacts.contact_samples import ContactSamples
@@ -22,12 +23,13 @@ def rows_digest(problem: Problem) -> str | None:
     return None if problem.rows is None else _joined(problem.rows.map(_of_rows))
 
 
-def samples_digest(samples: Samples) -> str:
+def samples_digest(samples: Samples, hashed: Sequence[Array] = ()) -> str:
     """Return the SHA-256 of samples: shape and little-endian doubles of each array.
 
-    Of several pieces it is that of their digests, one behind the other.
+    Of several pieces it is that of their digests, one behind the other; `hashed` are numbers that
+    rows are made of beside the samples.
     """
-    return _joined([_of_piece(piece) for piece in samples.pieces])
+    return _joined([_with(_of_piece(piece), hashed) for piece in samples.pieces])
 
 
 def _joined(digests: Sequence[str]) -> str:
@@ -37,11 +39,15 @@ def _joined(digests: Sequence[str]) -> str:
 
 
 def _of_rows(rows: RowSource) -> str:
-    digest = _of_piece(rows.samples)
-    if not rows.hashed:
+    return _with(_of_piece(rows.samples), rows.hashed)
+
+
+def _with(digest: str, hashed: Sequence[Array]) -> str:
+    """Return the digest of samples and of further numbers."""
+    if not hashed:
         return digest
     found = hashlib.sha256(digest.encode())
-    for array in rows.hashed:
+    for array in hashed:
         found.update(np.ascontiguousarray(array, dtype="<f8").data)
     return found.hexdigest()
 

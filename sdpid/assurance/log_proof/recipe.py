@@ -13,6 +13,7 @@ from sdpid._common.tables import plain
 from sdpid.assurance.log_proof.stated_problem import StatedProblem
 from sdpid.errors import CertificateError, ModelError, SdpidError
 from sdpid.estimation.compression.covariance import WEIGHTINGS, Weighting
+from sdpid.estimation.compression.rows import RowSource
 from sdpid.estimation.problem import Problem
 from sdpid.experiment.preparation.several import Prepared
 from sdpid.experiment.processing.settings import Processing
@@ -131,6 +132,8 @@ class Recipe:
         Their covariance; None where it is that of each sample, from the spread of the periods.
     problem : StatedProblem or None
         What was asked of the parameters; None where that is no plain value.
+    force_scale : float
+        What covariances of measured contact forces are multiplied by.
     """
 
     robot: RobotRecipe
@@ -141,6 +144,7 @@ class Recipe:
     weighting: Weighting
     sigma: Array | None
     problem: StatedProblem | None = None
+    force_scale: float = 1.0
 
     @classmethod
     def of(cls, problem: Problem, prepared: Prepared) -> Recipe:
@@ -149,13 +153,8 @@ class Recipe:
         Raises
         ------
         ModelError
-            When a friction term is of a class that no file can hold, or there are contacts.
+            When a friction term is of a class that no file can hold.
         """
-        if problem.rows is not None and problem.rows.samples.contacts is not None:
-            raise ModelError(
-                "rows of samples in contact are not proven from logs yet; the certificate holds "
-                "for the rows, whose digest it states"
-            )
         each = problem.weighting in PER_SAMPLE and problem.sigma.ndim == 3
         recipe = cls(
             robot=RobotRecipe.of(problem.robot),
@@ -168,6 +167,7 @@ class Recipe:
             weighting=problem.weighting,
             sigma=None if each else _symmetric(problem.sigma),
             problem=StatedProblem.of(problem),
+            force_scale=problem.rows.force_scale if isinstance(problem.rows, RowSource) else 1.0,
         )
         recipe.to_dict()
         return recipe
@@ -183,6 +183,7 @@ class Recipe:
             "weighting": self.weighting,
             "sigma": None if self.sigma is None else self.sigma.tolist(),
             "problem": None if self.problem is None else self.problem.to_dict(),
+            "force_scale": self.force_scale,
         }
 
     @classmethod
@@ -203,6 +204,9 @@ class Recipe:
 
     @classmethod
     def _from(cls, given: Any) -> Recipe:
+        if isinstance(given, Mapping):
+            # Recipes of runs before there were contacts.
+            given = {"force_scale": 1.0, **given}
         _require_keys(given, [each.name for each in fields(cls) if each.name != "reading"], "logs")
         robot, processing = given["robot"], given["processing"]
         _require_keys(processing, _SETTINGS)
@@ -223,6 +227,7 @@ class Recipe:
             weighting=given["weighting"],
             sigma=None if given["sigma"] is None else _covariance(given["sigma"]),
             problem=None if stated is None else StatedProblem.from_dict(stated),
+            force_scale=_positive(given["force_scale"], "force_scale"),
         )
 
 
@@ -249,6 +254,13 @@ def _covariance(given: Any) -> Array:
     if not np.array_equal(values, values.T):
         raise ValueError("sigma is not symmetric")
     return frozen(values)
+
+
+def _positive(given: Any, name: str) -> float:
+    """Return a positive number."""
+    if type(given) not in (int, float) or not 0.0 < given < np.inf:
+        raise ValueError(f"{name} is {given!r:.80}, expected a positive number")
+    return float(given)
 
 
 def _symmetric(covariance: Array) -> Array:

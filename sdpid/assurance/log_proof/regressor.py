@@ -112,11 +112,7 @@ def regressor(joints: Sequence[Joint], states: Motion, mid: Array, rad: Array) -
     rad : ndarray, shape (n, links, 3)
         Where to write, for all samples, the error's bound over a link's m, |h| and ‖I‖.
     """
-    links: list[_Link] = []
-    for i, joint in enumerate(joints):
-        parent = links[joint.parent] if joint.parent >= 0 else _base(states.gravity)
-        link = _next(joint, states, states.q[i], parent)
-        links.append(link)
+    for i, link in enumerate(moving_links(joints, states)):
         entries, bounds = _rows(link)
         for k, entry in enumerate(entries):
             mid[link.coordinates, 10 * i + k] = entry
@@ -124,8 +120,18 @@ def regressor(joints: Sequence[Joint], states: Motion, mid: Array, rad: Array) -
 
 
 @dataclass(frozen=True, eq=False)
-class _Link:
-    """Motion of a link in its own frame, and what the coordinates that move it give it."""
+class Link:
+    """Motion of a link in its own frame, and what the coordinates that move it give it.
+
+    Attributes
+    ----------
+    omega, alpha, b : Enclosed
+        Angular velocity and acceleration (3, K), and acceleration of its origin less gravity.
+    coordinates : list of int
+        Of the robot, m in all.
+    u, l : Enclosed
+        Angular velocity and that of the origin (m, 3, K) for unit speed of each.
+    """
 
     omega: Enclosed
     alpha: Enclosed
@@ -138,12 +144,21 @@ class _Link:
 _ZERO = constant_vector(np.zeros(3))
 
 
-def _base(gravity: Array) -> _Link:
+def moving_links(joints: Sequence[Joint], states: Motion) -> list[Link]:
+    """Return the links of a robot, each with the joint that moves it."""
+    links: list[Link] = []
+    for i, joint in enumerate(joints):
+        parent = links[joint.parent] if joint.parent >= 0 else _base(states.gravity)
+        links.append(_next(joint, states, states.q[i], parent))
+    return links
+
+
+def _base(gravity: Array) -> Link:
     """Return the base, which stands still and feels gravity as if it were pushed up."""
-    return _Link(_ZERO, _ZERO, constant_vector(-gravity), [], _ZERO, _ZERO)
+    return Link(_ZERO, _ZERO, constant_vector(-gravity), [], _ZERO, _ZERO)
 
 
-def _next(joint: Joint, states: Motion, q: Enclosed, parent: _Link) -> _Link:
+def _next(joint: Joint, states: Motion, q: Enclosed, parent: Link) -> Link:
     """Return the motion of a link from that of its parent."""
     R, r = joint.rotation(q), joint.origin(q)
     omega, alpha = R.back(parent.omega), R.back(parent.alpha)
@@ -162,11 +177,11 @@ def _next(joint: Joint, states: Motion, q: Enclosed, parent: _Link) -> _Link:
         else:
             b = b + gain + carried + carried
     velocities = _velocities(joint, parent, R, r)
-    return _Link(omega.measured(), alpha.measured(), b.measured(), *velocities)
+    return Link(omega.measured(), alpha.measured(), b.measured(), *velocities)
 
 
 def _velocities(
-    joint: Joint, parent: _Link, R: Enclosed, r: Enclosed
+    joint: Joint, parent: Link, R: Enclosed, r: Enclosed
 ) -> tuple[list[int], Enclosed, Enclosed]:
     """Return the coordinates that move a link, and the velocities that each gives it."""
     moves = {}
@@ -182,7 +197,7 @@ def _velocities(
     return list(moves), sides[0], sides[1].measured()
 
 
-def _rows(link: _Link) -> tuple[list[Array], tuple[Array, Array, Array]]:
+def _rows(link: Link) -> tuple[list[Array], tuple[Array, Array, Array]]:
     """Return what multiplies the ten parameters, for all coordinates, and bounds of the errors.
 
     Of h it is ``l × alpha + omega × (omega × l) + b × u``, since a cross product is skew; of I the

@@ -16,6 +16,7 @@ from sdpid.assurance.log_proof.box import Box
 from sdpid.assurance.log_proof.comparison import Piece, piece_of_many, piece_of_one
 from sdpid.assurance.log_proof.enclosure import TINY, root
 from sdpid.assurance.log_proof.friction_columns import has_formula
+from sdpid.assurance.log_proof.touching.error import contact_error
 from sdpid.assurance.log_proof.weights import diagonal_weights, lesser_weights
 from sdpid.estimation.compression.covariance import Weighting
 from sdpid.estimation.compression.rows import Rows
@@ -59,7 +60,8 @@ class RowError:
     links : ndarray, shape (links, 3)
         The same of what the enclosure leaves open of each link, over its m, |h| and ‖I‖.
     constant, share : float
-        What does not depend on theta, and what grows with the cost: zero but for eq9 and eq18.
+        What does not depend on theta, and what grows with the cost: zero but for eq9 and eq18,
+        the constant also for samples in contact.
     box : Box
         Bounds of everything feasible.
     taken_as_computed : tuple of str
@@ -99,8 +101,8 @@ def row_error(
     The regressor is enclosed at the samples' own positions, velocities and accelerations, from the
     placements, axes and gravity as stored (`sdpid.robot.model.regressor_kernel.Tree`), and compared
     with the base regressor as it is computed, times B: what is found covers rounding and mistakes
-    of the regressor, the sine and cosine, and B. See docs/theory, "Rows hold for the robot's
-    equations".
+    of the regressor, the sine and cosine, and B, and of the Jacobians of contacts. See docs/theory,
+    "Rows hold for the robot's equations".
 
     Parameters
     ----------
@@ -137,6 +139,14 @@ def row_error(
         columns, links, constant, share = whole.printed(rows.base.kept, columns, links)
         if not np.array_equal(rows.base.matrix[:, rows.base.kept], np.eye(rows.base.count)):
             share = np.inf  # the columns of W are not what B says
+    if rows.samples.contacts is not None:
+        touching = contact_error(rows, sigma)
+        # What is not bounded is infinite, and so are all parameters.
+        moved = np.full(len(columns), np.inf)
+        if np.isfinite(touching.columns).all():
+            moved = touching.columns @ np.abs(rows.base.matrix)
+        columns = (columns * touching.larger + moved) * UP
+        links, constant = links * touching.larger * UP, touching.constant
     first, best = 0, pieces[0]
     start = 0
     for piece in pieces:

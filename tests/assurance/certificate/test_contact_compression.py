@@ -72,7 +72,7 @@ class TouchingRows(GivenRows):
     def compressed(self, sigma: Array, weighting: Weighting) -> tuple[Array, Array, float]:
         touching = self.contacts(slice(None))
         assert touching is not None
-        X, _ = touching.independent(*weights(sigma, self.used), self.block)
+        X = touching.independent(*weights(sigma, self.used), self.block)[0]
         triangle = Triangle(self.block.shape[2])
         triangle.add(X)
         return triangle.split()

@@ -25,6 +25,29 @@ def exact_regressor(robot: RobotModel, q: Array, v: Array, a: Array) -> Any:
         return np.array(columns, dtype=object).T
 
 
+def exact_jacobian(
+    robot: RobotModel, q: Array, link: int, place: Array, offset: Array
+) -> tuple[Any, Any]:
+    """Return the efforts (n, 3) of unit forces along the world's axes at a point, and of moments.
+
+    The point is at `place` in a link, and at `offset` from there in the world's axes.
+    """
+    tree = robot.tree
+    assert tree is not None
+    with mp.workdps(DIGITS):
+        motion = _Motion(tree, robot.offset, q, np.zeros(robot.n), np.zeros(robot.n))
+        R, i = numbers(np.eye(3)), link
+        while i >= 0:
+            R, i = motion.R[i].dot(R), int(tree.parent[i])
+        forces, moments = [], []
+        for axis in numbers(np.eye(3)):
+            own = R.T.dot(axis)
+            moment = _cross(numbers(place), own) + R.T.dot(_cross(numbers(offset), axis))
+            forces.append(motion.felt(link, own, moment))
+            moments.append(motion.felt(link, numbers(np.zeros(3)), own))
+        return np.array(forces, dtype=object).T, np.array(moments, dtype=object).T
+
+
 def numbers(values: Any) -> Any:
     """Return doubles as 50-digit numbers."""
     return np.vectorize(mp.mpf, otypes=[object])(np.asarray(values, dtype=float))
@@ -95,6 +118,10 @@ class _Motion:
         inertia = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
         force = m * b + _cross(al, h) + _cross(w, _cross(w, h))
         moment = _cross(h, b) + inertia.dot(al) + _cross(w, inertia.dot(w))
+        return self.felt(i, force, moment)
+
+    def felt(self, i: int, force: Any, moment: Any) -> Any:
+        """Return the efforts of a force at the origin of link i and a moment, in its own axes."""
         found = numbers(np.zeros(self.tree.n))
         while i >= 0:
             to, column = int(self.tree.first_v[i]), self.tree.column

@@ -10,13 +10,14 @@ from typing import Any
 
 import numpy as np
 
-from sdpid._common.arrays import frozen
+from sdpid._common.arrays import Array, frozen
 from sdpid._common.progress import progress
 from sdpid._common.text import printable
 from sdpid._common.threads import one_thread
 from sdpid.assurance.certificate.certificate import GAP
 from sdpid.assurance.certificate.compression import Compression, base_limit, enclose_compression
 from sdpid.assurance.certificate.rows_digest import samples_digest
+from sdpid.assurance.log_proof.chain.contacts import CONTACTS, touched
 from sdpid.assurance.log_proof.chain.links import Bounds, Link, LogProof, State
 from sdpid.assurance.log_proof.chain.robots import URDF, find_robot, robot_file
 from sdpid.assurance.log_proof.chain.sealed import Sealed
@@ -42,7 +43,10 @@ from sdpid.verifier.reading import REFUSED, shown
 _POSED = {each.__name__ for each in BY_NAME.values() if each.posed}
 
 # The links, in the order in which they are checked.
-_LINKS = ("log", "robot", "samples", "base parameters", "problem", "compression", "rows", "total")
+_LINKS = (
+    *("log", "robot", "samples", "base parameters", CONTACTS),
+    *("problem", "compression", "rows", "total"),
+)
 
 # Links of what the caller gives: what cannot be read there is bad input, and no finding.
 _GIVEN = ("log", "robot")
@@ -90,6 +94,7 @@ def check_log(
         lambda: check.find(robot),
         check.process,
         check.regroup,
+        check.touch,
         check.ask,
         check.compress,
         check.rows,
@@ -112,7 +117,7 @@ def check_log(
                     # Numbers of a manifest may be any: infinite, of other shapes, singular.
                     text = f"cannot be made again: {type(cause).__name__}, {str(cause)[:200]}"
                     check.say(name, "not proven", shown(text)[1:-1], stop=True)
-            else:
+            elif name != CONTACTS or check.sealed.data["origin"].get(CONTACTS) is not None:
                 check.say(name, "not checked", f"needs the link '{check.broken}'")
             advance(1)
     return check.proof()
@@ -212,11 +217,15 @@ class _Check:
         text = f"{samples.n_samples} samples, {rows} rows, by {recipe.processing!r}"
         if recipe.without_effort:
             text += f", without the efforts of {', '.join(map(shown, recipe.without_effort))}"
+        # Contacts take rows away: how many there are is told with them.
+        rows = rows if samples.contacts is None else origin["rows"]
         if (samples.n_samples, rows) != (origin["samples"], origin["rows"]):
             text += f"; the certificate is of {origin['samples']} samples and {origin['rows']} rows"
             self.say("samples", "not proven", text)
         else:
-            same = samples_digest(samples) == origin["rows_sha256"]
+            scale = recipe.force_scale
+            hashed = () if scale == 1.0 else (np.array([scale]),)
+            same = samples_digest(samples, hashed) == origin["rows_sha256"]
             # Another processor may round the last digits of a filter otherwise.
             digits = "number for number those" if same else "not in every digit those"
             text += f"; {digits} of the run"
@@ -243,7 +252,13 @@ class _Check:
                 self.say("base parameters", "not proven", text, stop=True)
                 return
         B = np.array(given, dtype=np.float64)
-        self.source = RowSource(robot, friction, replace(base, matrix=frozen(B)), self.samples)
+        self.source = RowSource(
+            robot,
+            friction,
+            replace(base, matrix=frozen(B)),
+            self.samples,
+            force_scale=recipe.force_scale,
+        )
         off = float(np.abs(B - base.matrix).max(initial=0.0))
         terms = ", ".join(type(term).__name__ for term in recipe.friction) or "none"
         text = (
@@ -258,6 +273,21 @@ class _Check:
             text += f"not the certificate's: entries differ by up to {off:.3g}"
             self.say("base parameters", "not proven", text)
 
+    def touch(self) -> None:
+        """Compare contacts with those that the certificate names; nothing where there are none."""
+        self.sigma = self._sigma()
+        for link in touched(self.sealed, self.source, self.sigma):
+            self.say(link.name, link.state, link.text)
+
+    def _sigma(self) -> Array:
+        """Return the covariance of efforts."""
+        stated = self.sealed.recipe.sigma
+        sigma: Array | None = self.samples.covariance if stated is None else stated
+        n = self.robot.n
+        if sigma is None or sigma.shape[-2:] != (n, n):
+            raise DataError("the recipe has no covariance of these joints' efforts")
+        return sigma
+
     def ask(self) -> None:
         """Compare bounds and prior with those that the recipe states."""
         link = stated_problem(self.sealed, self.source)
@@ -265,11 +295,7 @@ class _Check:
 
     def compress(self) -> None:
         """Enclose the cost of the rows by the certificate's compressed cost."""
-        sealed, problem = self.sealed, self.sealed.data["problem"]
-        sigma = self.samples.covariance if sealed.recipe.sigma is None else sealed.recipe.sigma
-        n = self.robot.n
-        if sigma is None or sigma.shape[-2:] != (n, n):
-            raise DataError("the recipe has no covariance of these joints' efforts")
+        sealed, problem, sigma = self.sealed, self.sealed.data["problem"], self.sigma
         bounds = (np.array(problem[end]) for end in ("lower", "upper"))
         found = enclose_compression(
             self.source,
@@ -284,7 +310,7 @@ class _Check:
             text = "A, rhs and floor of the certificate are not of the rows of this log"
             self.say("compression", "not proven", text, stop=True)
             return
-        self.compression, self.sigma = found, sigma
+        self.compression = found
         self.totals = of_rows(sealed.found, found.relative, found.absolute)
         text = (
             f"for every theta within the bounds the cost of the rows is within {found.relative!r} "
@@ -305,7 +331,10 @@ class _Check:
             replace(feasible, lower=lower, upper=upper),
         )
         if found is None or not np.isfinite([found.total, found.share]).all():
-            text = "how far they are from the equations of motion is not bounded for these joints"
+            text = (
+                "how far they are from the equations of motion is not bounded for these joints, or "
+                "for contacts along a line"
+            )
             self.say("rows", "not checked", text)
             return
         worst, theta = found.worst, sealed.found.theta

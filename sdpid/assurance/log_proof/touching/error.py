@@ -1,0 +1,157 @@
+"""What errors of contacts' Jacobians do to the cost of rows.
+
+Of a sample with the residual r, the efforts A of forces that nobody measured and the covariance C,
+the cost is the least ``‖r + A·f‖²`` over all forces f, in the norm of C^-1. With another A + D its
+root differs by at most ``‖D‖·‖f‖``, f being the best forces for one or the other; and with
+``‖f‖ ≤ g·‖r‖`` for A, g of `ContactWhiteners.force`, it is at most ``g/(1 − ‖D‖·g)·‖r‖`` for A + D.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from sdpid._common.arrays import Array
+from sdpid.assurance.certificate.contact_whiteners import contact_whiteners
+from sdpid.assurance.certificate.outward import SLACK as UP
+from sdpid.assurance.certificate.outward import UNIT as U
+from sdpid.assurance.certificate.outward import below_one, gamma, quotient
+from sdpid.assurance.log_proof.enclosure import root
+from sdpid.assurance.log_proof.joints import Joint
+from sdpid.assurance.log_proof.regressor import motion
+from sdpid.assurance.log_proof.touching.jacobians import jacobian_errors
+from sdpid.assurance.log_proof.weights import diagonal_weights
+from sdpid.estimation.compression.rows import Rows, RowSource
+from sdpid.robot.model.contacts.jacobians import contact_jacobians
+from sdpid.robot.model.regressor_kernel import flatten
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class ContactError:
+    """How far Jacobians of contacts move the root of the cost of rows.
+
+    Attributes
+    ----------
+    columns : ndarray, shape (b,)
+        By at most this for each base parameter of size one.
+    constant : float
+        And by this for any.
+    larger : float
+        Rows count at most this times what the covariance of efforts alone gives them: rounding of
+        that of measured forces may take something from it.
+    """
+
+    columns: Array
+    constant: float
+    larger: float
+
+
+def contact_error(rows: Rows, sigma: Array) -> ContactError:
+    """Return what errors of Jacobians do to the cost of rows with contacts.
+
+    Infinite where contacts are lines, whose axes are not enclosed, and where components of a
+    contact's force have errors that depend on each other.
+
+    Parameters
+    ----------
+    rows : Rows
+        The rows.
+    sigma : ndarray, shape (n, n) or (K, n, n)
+        Covariance of efforts.
+    """
+    pieces = rows.map(_piece, sigma=sigma)
+    return ContactError(
+        columns=root(np.sum([piece.columns**2 for piece in pieces], axis=0)),
+        constant=float(root(sum(piece.constant**2 for piece in pieces))),
+        larger=max(piece.larger for piece in pieces),
+    )
+
+
+def _piece(source: RowSource, sigma: Array) -> ContactError:
+    """Return what errors do to the rows of a piece."""
+    contacts, tree = (
+        source.samples.contacts,
+        flatten(source.robot.pin_model, source.robot.expansion),
+    )
+    assert contacts is not None
+    assert tree is not None  # the caller has looked
+    R = contacts.force_covariance
+    if "line" in contacts.kind or (R is not None and np.any(R - _diagonal(R))):
+        return ContactError(columns=np.full(source.base.count, np.inf), constant=np.inf, larger=1.0)
+    joints = [Joint.of(tree, i) for i in range(len(tree.kind))]
+    columns, constant, larger = np.zeros(source.base.count + 1), 0.0, 1.0
+    for part in source.parts():
+        own = sigma if sigma.ndim == 2 else sigma[part]
+        mask, touching = source.mask(part), source.contacts(part)
+        assert touching is not None
+        samples = source.samples
+        J = contact_jacobians(
+            source.robot,
+            samples.position[part],
+            contacts.frames,
+            contacts.offset,
+            compiled=touching.compiled,
+        )
+        states = motion(
+            tree,
+            source.robot.offset,
+            samples.position[part],
+            samples.velocity[part],
+            samples.acceleration[part],
+        )
+        # An overflow leaves a bound that is infinite or no number.
+        with np.errstate(over="ignore", invalid="ignore"):
+            off = jacobian_errors(source.robot, joints, states, contacts, J)
+            w = diagonal_weights(own, -1.0)
+            grown = _grown(J, R, source.force_scale, own, w)
+            larger = max(larger, grown)
+            factor = np.where(mask, w, 0.0) * grown * UP
+            moved = root(np.einsum("kcdn,kn->k", off**2, factor**2))
+            force = np.zeros(len(moved))
+            for each in contact_whiteners(touching, own, mask):
+                force[each.some] = each.force if each.rank else 0.0
+            product = np.where(force > 0.0, moved * force, 0.0) * UP
+            share = quotient(product, below_one(product)) * UP
+            block = source.rows(part)
+            columns += np.einsum("knb,kn->b", block**2, (share[:, None] * factor) ** 2) * UP
+            if contacts.forces is not None and R is not None:
+                wrong = _effort_errors(J, off, contacts.forces[part], R, samples.effort[part])
+                constant += float(np.sum((factor * wrong) ** 2)) * UP
+    *found, efforts = root(columns)
+    return ContactError(
+        columns=np.array(found), constant=float(efforts + root(constant)) * UP, larger=larger
+    )
+
+
+def _diagonal(matrices: Array) -> Array:
+    """Return matrices without what stands beside their diagonals."""
+    return np.asarray(np.eye(matrices.shape[-1]) * np.diagonal(matrices, axis1=1, axis2=2)[:, None])
+
+
+def _grown(J: Array, R: Array | None, scale: float, sigma: Array, w: Array) -> float:
+    """Return a factor of weights of Sigma's inverse that makes them weights of C's.
+
+    C as computed is ``Sigma + J^T·R·J`` but for its rounding. The norm of that is a share η of the
+    least eigenvalue of Sigma, one over the largest square of a weight, so ``C ⪰ (1 − η)·Sigma``.
+    """
+    if R is None:
+        return 1.0
+    variance = np.diagonal(R, axis1=1, axis2=2) * scale
+    deviation = np.sqrt(np.where(np.isinf(variance), 0.0, variance)) * UP
+    B = (np.abs(J) * deviation[:, :, None]).reshape(len(J), -1, J.shape[3])
+    product = np.swapaxes(B, 1, 2) @ B
+    size = np.sqrt(np.einsum("knm,knm->k", product, product)).max(initial=0.0)
+    rounding = gamma(36 * J.shape[1] + 4) * size
+    rounding += 2.0 * U * np.sqrt(np.max(np.sum(sigma**2, axis=(-2, -1)), initial=0.0))
+    left = below_one(float(rounding * np.max(w, initial=0.0) ** 2 * UP))
+    return float(UP / np.sqrt(left)) if left > 0.0 else np.inf
+
+
+def _effort_errors(J: Array, off: Array, forces: Array, R: Array, effort: Array) -> Array:
+    """Return bounds (k, n) of what the efforts of measured forces are off by, added to efforts."""
+    f = np.where(np.isinf(np.diagonal(R, axis1=1, axis2=2)), 0.0, forces)
+    norms = np.sqrt(np.sum(f.reshape(*f.shape[:2], 2, 3) ** 2, axis=3)) * UP
+    moved = np.einsum("kcdn,kcd->kn", off, norms)
+    sizes = np.abs(effort) + np.einsum("kcin,kci->kn", np.abs(J), np.abs(f))
+    return np.asarray((moved + gamma(6 * f.shape[1] + 3) * sizes) * UP)
