@@ -40,11 +40,13 @@ def find_legs(
     robot : RobotModel
         A robot on a floating base, ``load_robot(..., root="free_flyer")``.
     feet : sequence of str, optional
-        Frames at the centers of the feet; by default the links with 'foot' in their names.
+        Frames at the centers of the feet; by default the links with 'sole' in their names,
+        else with 'foot'.
     radius : float, optional
         Radius of the feet, m; by default that of their collision geometry.
     standing : array_like, shape (joints,), optional
-        Joint positions in which the robot stands, rad; by default every leg's knee bent backward.
+        Joint positions in which the robot stands, rad; by default knees are
+        bent, of legs of three joints backward, of six forward.
 
     Returns
     -------
@@ -53,7 +55,8 @@ def find_legs(
     Raises
     ------
     ModelError
-        When the base is fixed, there are no such frames, or a leg has not three joints.
+        When the base is fixed, joints mimic others, there are no such frames, a leg has neither
+        three nor six joints, or a sole is not level.
 
     Examples
     --------
@@ -68,8 +71,13 @@ def find_legs(
             f"legged plant: '{robot.name}' is on a fixed base; load it with "
             'load_robot(..., root="free_flyer").'
         )
+    if robot.expansion.shape != (robot.n, robot.n):
+        raise ModelError(
+            f"legged plant of '{robot.name}': joints that mimic others are not supported; make "
+            "them fixed or free in the description."
+        )
     if feet is None:
-        feet = _named(robot, _FOOT) or _named(robot, _SOLE)
+        feet = _named(robot, _SOLE) or _named(robot, _FOOT)
     if not feet:
         raise ModelError(
             f"legged plant: '{robot.name}' has no link with '{_FOOT}' or '{_SOLE}' in its name; "

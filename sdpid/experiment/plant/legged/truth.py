@@ -10,6 +10,7 @@ from sdpid._common.arrays import Array, Mask, frozen, frozen_view
 from sdpid._common.seeds import generator
 from sdpid.experiment.plant.legged.find import find_legs
 from sdpid.experiment.plant.legged.legs import Legs
+from sdpid.experiment.plant.mujoco_model import check_bodies
 from sdpid.robot.inertia import from_pseudo_inertia, pseudo_inertia
 from sdpid.robot.model.model import RobotModel
 
@@ -86,6 +87,11 @@ def changed_parameters(
         The links' standard parameters, then Coulomb and viscous friction and rotor inertia of all
         joints.
 
+    Raises
+    ------
+    ModelError
+        When a link of the description is no body.
+
     Examples
     --------
     >>> from sdpid.experiment.plant.legged.truth import changed_parameters
@@ -96,6 +102,8 @@ def changed_parameters(
     """
     rng = generator(seed)
     legs = find_legs(robot) if legs is None else legs
+    # Nothing can be near a body that cannot exist.
+    check_bodies(robot, robot.prior)
     bodies = np.empty_like(robot.prior)
     for i, body in enumerate(robot.prior):
         step = change * rng.normal(size=(4, 4))

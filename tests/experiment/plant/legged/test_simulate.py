@@ -182,6 +182,10 @@ def test_what_cannot_be_simulated_is_refused() -> None:
         Sensors(delays={"torque": 0.1})
     with pytest.raises(ModelError, match="no frame 'paw'"):
         find_legs(robot(), feet=["paw"])
+    with pytest.raises(ModelError, match="mimic"):
+        simulate_legged("talos_full_v2")
+    with pytest.raises(ModelError, match=r"romeo.*no body has the parameters"):
+        simulate_legged("romeo_small")
     heavy = np.array(changed_parameters(robot()))
     heavy[:10] *= 30.0
     with pytest.raises(DataError, match="falls"):
