@@ -28,13 +28,13 @@ from sdpid.estimation.prior.cost_terms import SquaredTerm
 from sdpid.estimation.prior.log_det import LogDetTerm
 from sdpid.estimation.prior.prior import Prior, PriorTerms, prior_terms
 from sdpid.experiment.preparation.several import Piece, all_samples
+from sdpid.experiment.processing.contacts.places import require_places
 from sdpid.experiment.processing.process import Processing
 from sdpid.experiment.processing.samples import Samples
 from sdpid.robot.friction.model import FrictionModel
 from sdpid.robot.friction.term import FrictionTerm
 from sdpid.robot.inertia import CONSISTENCIES, Consistency
 from sdpid.robot.model.base_parameters import BaseParameters, structural_base
-from sdpid.robot.model.contacts.jacobians import contact_jacobians
 from sdpid.robot.model.model import RobotModel
 
 
@@ -428,18 +428,13 @@ def _check_samples(robot: RobotModel, samples: Samples) -> None:
             f"samples have {n} joints, the robot '{robot.name}' has {robot.n}: "
             f"{', '.join(robot.joint_names)}."
         )
-    _check_contacts(robot, samples)
+    if samples.contacts is not None:
+        require_places(robot, samples.position, samples.contacts)
     if samples.joint_names is not None and tuple(samples.joint_names) != robot.joint_names:
         raise DataError(
             f"samples name the joints {', '.join(samples.joint_names)}, the robot has "
             f"{', '.join(robot.joint_names)}; rename or reorder the columns."
         )
-
-
-def _check_contacts(robot: RobotModel, samples: Samples) -> None:
-    """Refuse contacts of other robots, before anything is computed."""
-    if samples.contacts is not None:
-        contact_jacobians(robot, samples.position[:1], samples.contacts.frames)
 
 
 def describe(problem: Problem) -> dict[str, Any]:

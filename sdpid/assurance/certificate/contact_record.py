@@ -39,7 +39,7 @@ def contact_record(rows: Rows | None, sigma: Array) -> dict[str, Any] | None:
         forces = [[_finite(each) for each in own] for own in np.sqrt(variances)]
     own = None if sigma.ndim == 3 else np.sqrt(np.diagonal(sigma)).tolist()
     return {
-        "frames": list(contacts.frames),
+        "frames": list(contacts.names),
         "kinds": list(contacts.kind),
         "offsets": contacts.offset.tolist(),
         "widened_s": contacts.widened_s,

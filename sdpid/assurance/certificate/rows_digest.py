@@ -70,6 +70,8 @@ def _of_piece(samples: Samples) -> str:
 def _add_contacts(found: Any, contacts: ContactSamples) -> None:
     """Hash which contacts there are, when they are closed, and what is known of their forces."""
     found.update(f"contacts: {contacts.frames} {contacts.kind}\n".encode())
+    if any(contacts.against):
+        found.update(f"against: {contacts.against}\n".encode())
     for name in ("offset", "down", "forces", "force_covariance"):
         values: Any = getattr(contacts, name)
         if values is None:

@@ -193,7 +193,7 @@ class Validation(Errors):
         """Return the errors of predicted efforts (K, n) of samples."""
         mask, moving, still = samples.used, moving_rows(samples), resting_rows(samples)
         effort, floating = samples.effort, None
-        if samples.contacts is not None:
+        if samples.contacts is not None and samples.position.shape[1] > samples.n:
             # Newtons and newton meters that no motor makes are no joint's errors.
             floating = BaseErrors.of(effort, predicted, mask)
             joints = np.arange(samples.n) >= 6

@@ -20,7 +20,7 @@ from sdpid._common.arrays import Array, Indices, Mask
 from sdpid.estimation.compression.branches import NO_BRANCHES, Branches
 from sdpid.estimation.compression.contact_kernel import independent_rows
 from sdpid.experiment.processing.samples import Samples
-from sdpid.robot.model.contacts.jacobians import contact_jacobians, frame_axes
+from sdpid.robot.model.contacts.jacobians import frame_axes, relative_jacobians
 from sdpid.robot.model.model import RobotModel
 
 # A direction of the forces below this share of the strongest one, all columns scaled to unit
@@ -75,7 +75,9 @@ class ContactRows:
         if contacts is None:
             return None
         q = samples.position[part]
-        J = contact_jacobians(robot, q, contacts.frames, contacts.offset, compiled=compiled)
+        J = relative_jacobians(
+            robot, q, contacts.frames, contacts.against, contacts.offset, compiled=compiled
+        )
         down = contacts.down[part]
         known = contacts.force_covariance
         infinite = np.ones((contacts.n, 6), dtype=bool)

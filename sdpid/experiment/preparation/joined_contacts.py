@@ -41,6 +41,11 @@ def _alike(pieces: tuple[Samples, ...]) -> tuple[Samples, ...]:
     for number, contacts in enumerate(given, 1):
         if contacts is None:
             continue
+        if any(contacts.against):
+            raise DataError(
+                f"contacts: recording {number} has {', '.join(contacts.names)}, and others have "
+                "not; a loop is closed in all recordings."
+            )
         for i, name in enumerate(contacts.frames):
             what = contacts.kind[i], contacts.offset[i]
             known = frames.setdefault(name, what)

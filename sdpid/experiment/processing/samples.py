@@ -365,7 +365,7 @@ class Samples:
             "pieces": len(self.starts),
         }
         if self.contacts is not None:
-            facts["contacts"] = ", ".join(self.contacts.frames)
+            facts["contacts"] = ", ".join(self.contacts.names)
         return facts_html("Samples", facts, table)
 
     @property

@@ -77,7 +77,8 @@ def _piece(source: RowSource, sigma: Array) -> ContactError:
     assert contacts is not None
     assert tree is not None  # the caller has looked
     R = contacts.force_covariance
-    if "line" in contacts.kind or (R is not None and np.any(R - _diagonal(R))):
+    correlated = R is not None and np.any(R - _diagonal(R))
+    if "line" in contacts.kind or any(contacts.against) or correlated:
         return ContactError(columns=np.full(source.base.count, np.inf), constant=np.inf, larger=1.0)
     joints = [Joint.of(tree, i) for i in range(len(tree.kind))]
     columns, constant, larger = np.zeros(source.base.count + 1), 0.0, 1.0

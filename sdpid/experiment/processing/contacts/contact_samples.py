@@ -33,6 +33,9 @@ class ContactSamples:
     ----------
     frames : sequence of str
         Names of frames of the robot, c in all.
+    against : sequence of (str or None), optional
+        The robot's other frame at each contact, which takes the opposite force, as where a loop
+        closes; None, as by default, for the surroundings. Both frames have their origins there.
     kind : {"point", "line", "plane"} or sequence of them
         What a contact transmits: a force; a force and the two moments across an edge, which lies
         along the frame's y axis; a force and three moments.
@@ -67,6 +70,7 @@ class ContactSamples:
     """
 
     frames: tuple[str, ...]
+    against: tuple[str | None, ...] = ()
     kind: tuple[Kind, ...] = ("point",)
     offset: Array = field(default_factory=lambda: np.zeros(3))
     down: Mask
@@ -81,6 +85,17 @@ class ContactSamples:
             raise DataError(f"contacts: frames are {frames!r:.80}, expected names, at least one.")
         object.__setattr__(self, "frames", frames)
         c = len(frames)
+        given = self.against
+        others = (given,) if isinstance(given, str) else tuple(given or (None,) * c)
+        if len(others) != c or any(
+            other is not None and (not isinstance(other, str) or other in ("", own))
+            for own, other in zip(frames, others, strict=False)
+        ):
+            raise DataError(
+                f"contacts: against is {self.against!r:.80}, expected a frame other than its own, "
+                f"or None, for each of {c} frames."
+            )
+        object.__setattr__(self, "against", others)
         given = self.kind
         kinds = (given,) if isinstance(given, str) else tuple(given)
         kinds = kinds * c if len(kinds) == 1 else kinds
@@ -148,6 +163,12 @@ class ContactSamples:
         return len(self.frames)
 
     @property
+    def names(self) -> tuple[str, ...]:
+        """What contacts are called: their frames, both of them where a loop closes."""
+        pairs = zip(self.frames, self.against, strict=True)
+        return tuple(own if other is None else f"{own} at {other}" for own, other in pairs)
+
+    @property
     def n_samples(self) -> int:
         """Number of samples, K."""
         return len(self.down)
@@ -159,7 +180,11 @@ class ContactSamples:
 
     def same_contacts(self, other: ContactSamples | None) -> bool:
         """Return whether other samples are of the same contacts, known equally well."""
-        if other is None or (self.frames, self.kind) != (other.frames, other.kind):
+        if other is None or (self.frames, self.against, self.kind) != (
+            other.frames,
+            other.against,
+            other.kind,
+        ):
             return False
         if not np.array_equal(self.offset, other.offset) or self.measured != other.measured:
             return False
@@ -202,14 +227,14 @@ class ContactSamples:
 
     def __repr__(self) -> str:
         shares = [f"{100.0 * share:.0f} %" for share in self.down.mean(axis=0)]
-        closed = [f"{name:.40} {share}" for name, share in zip(self.frames, shares, strict=True)]
+        closed = [f"{name:.40} {share}" for name, share in zip(self.names, shares, strict=True)]
         said = closed[-1] if len(closed) == 1 else f"{', '.join(closed[:-1])} and {closed[-1]}"
         forces = "measured" if self.measured else "eliminated"
         return f"ContactSamples({self.n_samples} samples, {said} closed, forces {forces})"
 
     def _repr_html_(self) -> str:
         columns: dict[str, Sequence[object]] = {
-            "frame": self.frames,
+            "frame": self.names,
             "kind": self.kind,
             "share closed": self.down.mean(axis=0).tolist(),
         }

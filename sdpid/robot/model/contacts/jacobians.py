@@ -87,6 +87,57 @@ def contact_jacobians(
     return out
 
 
+def relative_jacobians(
+    robot: RobotModel,
+    position: ArrayLike,
+    frames: Sequence[str],
+    against: Sequence[str | None],
+    offset: ArrayLike = (0, 0, 0),
+    *,
+    compiled: bool | None = None,
+) -> Array:
+    """Return `contact_jacobians` of frames less those of the frames that they touch.
+
+    Parameters
+    ----------
+    against : sequence of (str or None)
+        The robot's other frame at each contact; None for the surroundings.
+    """
+    J = contact_jacobians(robot, position, frames, offset, compiled=compiled)
+    pairs = [(i, other) for i, other in enumerate(against) if other is not None]
+    if pairs:
+        which, others = zip(*pairs, strict=True)
+        at = np.broadcast_to(np.asarray(offset, dtype=np.float64), (len(frames), 3))[list(which)]
+        J[:, which] -= contact_jacobians(robot, position, others, at, compiled=compiled)
+    return J
+
+
+def frame_gaps(
+    robot: RobotModel, position: ArrayLike, frames: Sequence[str], others: Sequence[str]
+) -> Array:
+    """Return how far the origins of frames are from those of other ones, shape (K, c), in m."""
+    q = robot.configuration(position)
+    numbers = [_frame_numbers(robot, names) for names in (frames, others)]
+    tree = robot.tree
+    if tree is None:
+        import pinocchio as pin
+
+        model: Any = robot.pin_model
+        data = model.createData()
+        out = np.empty((len(q), len(frames)))
+        for k, configuration in enumerate(q):
+            pin.framesForwardKinematics(model, data, configuration)
+            places = [np.array([data.oMf[i].translation for i in own]) for own in numbers]
+            out[k] = np.linalg.norm(places[0] - places[1], axis=1)
+        return out
+    links = _Links(tree, q)
+    own, other = (
+        np.stack([_place(links, robot.pin_model.frames[i]) for i in each], axis=1)
+        for each in numbers
+    )
+    return np.asarray(np.linalg.norm(own - other, axis=2))
+
+
 def frame_axes(robot: RobotModel, position: ArrayLike, frames: Sequence[str]) -> Array:
     """Return the axes of frames in the world's, as columns, shape (K, c, 3, 3)."""
     q = robot.configuration(position)
@@ -166,7 +217,7 @@ def _rotations(quaternions: Array) -> Array:
 def _fill(out: Array, tree: Tree, links: _Links, frame: Any, offset: Array) -> None:
     """Write the Jacobian (K, 6, n) of a point; the columns that do not move it stay as they are."""
     link = frame.parentJoint - 1
-    point = links.turned(link) @ np.array(frame.placement.translation) + links.place(link) + offset
+    point = _place(links, frame) + offset
     while link >= 0:
         R, arm = links.turned(link), point - links.place(link)
         first = int(tree.first_v[link])
@@ -185,6 +236,13 @@ def _fill(out: Array, tree: Tree, links: _Links, frame: Any, offset: Array) -> N
             else:
                 out[:, :3, column] += factor * axis
         link = int(tree.parent[link])
+
+
+def _place(links: _Links, frame: Any) -> Array:
+    """Return the origin of a frame, (K, 3)."""
+    link = frame.parentJoint - 1
+    turned = links.turned(link) @ np.array(frame.placement.translation)
+    return np.asarray(turned + links.place(link))
 
 
 def _cross(a: Array, b: Array) -> Array:
