@@ -63,13 +63,15 @@ def errors_table(fits: dict[str, Validation]) -> str:
     """Return the errors of every joint, a pair of columns for each fit."""
     from sdpid._common.tables import Table
 
-    names = next(iter(fits.values())).joint_names
+    first = next(iter(fits.values()))
     header = ["joint"]
-    columns: list[list[Any]] = [list(names)]
+    base = () if first.floating is None else tuple(name for name, _ in first.floating.rows)
+    columns: list[list[Any]] = [[*first.joint_names[first.n_base :], *base]]
     for label, fit in fits.items():
         header += [f"{label} RMSE [N.m]", "NRMSE [%]"]
-        for values in (fit.rmse, 100.0 * fit.nrmse):
-            rows = fit.rows.tolist()
-            columns.append([x if k else None for x, k in zip(values.tolist(), rows, strict=True)])
+        missed = [] if fit.floating is None else [size for _, size in fit.floating.rows]
+        for values, more in ((fit.rmse, missed), (100.0 * fit.nrmse, [None] * len(base))):
+            rows = zip(values.tolist(), fit.rows.tolist(), strict=True)
+            columns.append([*[x if k else None for x, k in rows][fit.n_base :], *more])
     table = Table(tuple(header), tuple(zip(*columns, strict=True))).text(4)
     return f"on the rows in use, without those masked near reversals and at rest:\n{table}"

@@ -154,7 +154,7 @@ class CrossValidation:
                 100.0 * fold.training,
                 100.0 * fold.held_out.relative,
                 100.0 * fold.unconstrained.relative,
-                *fold.held_out.rmse.tolist(),
+                *fold.held_out.rmse[fold.held_out.n_base :].tolist(),
             )
             for fold in self.folds
         ]
@@ -296,9 +296,9 @@ def cross_validate(
     return CrossValidation(
         by=by,
         folds=tuple(fits),
-        joint_names=model.joint_names,
-        rmse=frozen(np.sqrt(constrained / rows)),
-        rmse_unconstrained=frozen(np.sqrt(unconstrained / rows)),
+        joint_names=model.joint_names[model.n_base :],
+        rmse=frozen(np.sqrt(constrained / rows)[model.n_base :]),
+        rmse_unconstrained=frozen(np.sqrt(unconstrained / rows)[model.n_base :]),
         relative=float(np.sqrt(constrained.sum() / power)),
         relative_unconstrained=float(np.sqrt(unconstrained.sum() / power)),
     )

@@ -143,11 +143,12 @@ class Identification:
         if self.held_out is not None:
             what = "validation" if self.held_out.by == "recording" else "blocks held out"
             facts[f"relative residual in motion, {what}"] = self.held_out.fit.moving.relative
+        joints = slice(self.training.n_base, None)
         errors = Table.of_columns(
             {
-                "joint": list(self.training.joint_names),
-                "RMSE [N·m]": self.training.rmse.tolist(),
-                "NRMSE": self.training.nrmse.tolist(),
+                "joint": list(self.training.joint_names[joints]),
+                "RMSE [N·m]": self.training.rmse[joints].tolist(),
+                "NRMSE": self.training.nrmse[joints].tolist(),
             }
         )
         words = Table(("verdict",), tuple((text,) for text in self.verdict))

@@ -24,11 +24,7 @@ from sdpid.assurance.diagnostics.blocks import (
     predicted_by,
 )
 from sdpid.assurance.diagnostics.described import described_friction
-from sdpid.assurance.diagnostics.validation import (
-    Errors,
-    Validation,
-    validate,
-)
+from sdpid.assurance.diagnostics.validation import Validation, validate
 from sdpid.estimation.compression.covariance import pooled
 from sdpid.estimation.compression.whitening import with_contact_forces
 from sdpid.estimation.estimate import Estimate
@@ -75,11 +71,18 @@ class HeldOut:
 
     def as_table(self) -> Table:
         """Return a row a model: relative residual in motion in %, RMSE in motion of each joint."""
-        moving: dict[str, Errors] = {name: fit.moving for name, fit in self.every.items()}
+        first, base = self.fit.n_base, self.fit.floating
+        of_base = () if base is None else tuple(name for name, _ in base.rows)
         return Table(
-            ("model", "relative residual, %", *self.fit.joint_names),
+            ("model", "relative residual, %", *self.fit.joint_names[first:], *of_base),
             tuple(
-                (name, 100.0 * each.relative, *each.rmse.tolist()) for name, each in moving.items()
+                (
+                    name,
+                    100.0 * each.moving.relative,
+                    *each.moving.rmse[first:].tolist(),
+                    *(() if each.floating is None else (size for _, size in each.floating.rows)),
+                )
+                for name, each in self.every.items()
             ),
         )
 
@@ -201,7 +204,7 @@ def _judged(
         friction = described_friction(robot, samples)
         predicted = {**predicted, DESCRIPTION: predicted[DESCRIPTION] + friction}
     return {
-        name: Validation.of_prediction(robot.joint_names, samples, effort)
+        name: Validation.of_prediction(robot.joint_names, samples, effort, n_base=robot.n_base)
         for name, effort in predicted.items()
     }
 

@@ -90,7 +90,7 @@ def joint_errors(samples: Samples, fit: Validation) -> tuple[JointErrors, ...]:
     found = []
     for j, name in enumerate(fit.joint_names):
         kept = samples.used[:, j]
-        if np.count_nonzero(kept) < 2:
+        if np.count_nonzero(kept) < 2 or j < fit.n_base:
             continue
         found.append(_of_joint(name, error[:, j], samples, j, kept, rate))
     return tuple(found)

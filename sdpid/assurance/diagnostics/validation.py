@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import functools
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
@@ -16,9 +16,15 @@ from sdpid.assurance.diagnostics.bands import effort_band
 from sdpid.assurance.diagnostics.described import described_dynamics, predicted_efforts
 from sdpid.assurance.diagnostics.rest import moving_rows, resting_rows
 from sdpid.errors import DataError
+from sdpid.estimation.compression.contact_noise import prediction_noise
+from sdpid.estimation.compression.covariance import pooled
+from sdpid.estimation.compression.rows import RowSource
+from sdpid.estimation.compression.whitening import with_contact_forces
 from sdpid.estimation.estimate import Estimate
+from sdpid.estimation.problem import Problem
 from sdpid.experiment.preparation.several import joints_without, without_efforts
 from sdpid.experiment.processing.samples import Samples
+from sdpid.robot.model.base_parameters import structural_base
 from sdpid.robot.model.dynamics import RobotDynamics
 from sdpid.robot.model.model import RobotModel
 
@@ -42,6 +48,9 @@ class Errors:
     rows : ndarray of int, shape (n,)
         Rows that count. Where there are none, of a joint whose effort was not measured,
         the joint's figures say nothing: `rmse` and `nrmse` are 0, `r2` is 1.
+    n_base : int
+        The first of these are coordinates of a floating base, which are no joints: they have no
+        rows here, and stand in no table.
     """
 
     joint_names: tuple[str, ...]
@@ -50,14 +59,23 @@ class Errors:
     r2: Array
     relative: float
     rows: Indices
+    n_base: int = 0
 
     @classmethod
-    def of(cls, names: tuple[str, ...], effort: Array, predicted: Array, mask: Mask) -> Errors:
+    def of(
+        cls,
+        names: tuple[str, ...],
+        effort: Array,
+        predicted: Array,
+        mask: Mask,
+        n_base: int = 0,
+    ) -> Errors:
         """Return how far predicted efforts (K, n) are off on the rows in a mask (K, n)."""
-        return cls(joint_names=names, **_figures(effort, predicted, mask))
+        mask = mask & (np.arange(len(names)) >= n_base)
+        return cls(joint_names=names, n_base=n_base, **_figures(effort, predicted, mask))
 
     def __repr__(self) -> str:
-        joints = len(self.joint_names)
+        joints = len(self.joint_names) - self.n_base
         residual = f"relative residual {100 * self.relative:.3g} %"
         return f"{type(self).__name__}({joints} joints, {residual})"
 
@@ -67,15 +85,14 @@ class Errors:
 
     def _table(self) -> Table:
         """Return one row a joint."""
-        return Table.of_columns(
-            {
-                "joint": self.joint_names,
-                "rmse, N.m": self._counted(self.rmse),
-                "nrmse": self._counted(self.nrmse),
-                "R2": self._counted(self.r2),
-                "rows": self.rows.tolist(),
-            }
-        )
+        columns: dict[str, Sequence[object]] = {
+            "joint": self.joint_names,
+            "rmse, N.m": self._counted(self.rmse),
+            "nrmse": self._counted(self.nrmse),
+            "R2": self._counted(self.r2),
+            "rows": self.rows.tolist(),
+        }
+        return Table.of_columns({name: each[self.n_base :] for name, each in columns.items()})
 
     def _counted(self, values: Array) -> list[float | None]:
         """Return one value a joint, None where it has no rows."""
@@ -95,6 +112,7 @@ class Errors:
         joints = {
             joint: {name: values[j] for name, values in figures.items()}
             for j, joint in enumerate(self.joint_names)
+            if j >= self.n_base
         }
         found: dict[str, object] = plain({"relative_residual": self.relative, "joints": joints})
         return found
@@ -133,6 +151,11 @@ class BaseErrors:
         """Return plain values."""
         return {"force": self.force, "torque": self.torque, "samples": self.samples}
 
+    @property
+    def rows(self) -> tuple[tuple[str, float], ...]:
+        """What is told of the base beside the joints, units included, and its size."""
+        return ("base, force in N", self.force), ("base, torque", self.torque)
+
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class Validation(Errors):
@@ -162,9 +185,9 @@ class Validation(Errors):
         The same on the rows in which the joint rests, masked for slowness or not: stiction, which
         no function of the velocity explains. None where no joint rests.
     floating : BaseErrors or None
-        Of a floating base in contact: forces and torques that the base's equations miss. Its six
-        rows do not count among the joints'. Contact forces that were not measured are those that
-        leave the least error, so that errors are smaller than with forces that one knew.
+        Of a floating base: forces and torques that the base's equations miss. Its six rows do not
+        count among the joints'. Contact forces that were not measured are those that leave the
+        least error, so that errors are smaller than with forces that one knew.
 
     Examples
     --------
@@ -189,25 +212,33 @@ class Validation(Errors):
         samples: Samples,
         predicted: Array,
         band: Callable[[], Array] | None = None,
+        *,
+        n_base: int = 0,
     ) -> Validation:
-        """Return the errors of predicted efforts (K, n) of samples."""
-        mask, moving, still = samples.used, moving_rows(samples), resting_rows(samples)
-        effort, floating = samples.effort, None
-        if samples.contacts is not None and samples.position.shape[1] > samples.n:
-            # Newtons and newton meters that no motor makes are no joint's errors.
-            floating = BaseErrors.of(effort, predicted, mask)
-            joints = np.arange(samples.n) >= 6
-            mask, moving, still = mask & joints, moving & joints, still & joints
+        """Return the errors of predicted efforts (K, n) of samples, `n_base` of them the base's."""
+        moving, still = moving_rows(samples), resting_rows(samples)
+        effort, of = samples.effort, functools.partial(Errors.of, names, n_base=n_base)
+        # Newtons and newton meters that no motor makes are no joint's errors.
+        joints = np.arange(samples.n) >= n_base
         return cls(
             joint_names=names,
             effort_predicted=frozen(predicted),
-            moving=Errors.of(names, effort, predicted, moving),
-            resting=Errors.of(names, effort, predicted, still) if still.any() else None,
-            floating=floating,
+            moving=of(effort, predicted, moving),
+            resting=of(effort, predicted, still) if (still & joints).any() else None,
+            floating=BaseErrors.of(effort, predicted, samples.used) if n_base else None,
+            n_base=n_base,
             _band=band,
             _samples=samples,
-            **_figures(effort, predicted, mask),
+            **_figures(effort, predicted, samples.used & joints),
         )
+
+    def _table(self) -> Table:
+        """Return one row a joint, and two for a floating base."""
+        joints, base = super()._table(), self.floating
+        if base is None:
+            return joints
+        more = ((name, size, None, None, base.samples) for name, size in base.rows)
+        return Table(joints.header, (*joints.rows, *more))
 
     @cached_property
     def effort_band(self) -> Array | None:
@@ -307,6 +338,7 @@ def validate(
         samples,
         problem.predict(estimate.base, samples),
         band=functools.partial(effort_band, estimate, samples),
+        n_base=problem.robot.n_base,
     )
 
 
@@ -319,10 +351,10 @@ def validate_robot(robot: RobotModel, samples: Samples) -> Validation:
     Parameters
     ----------
     robot : RobotModel
-        On a fixed base.
+        On a fixed base or a floating one.
     samples : Samples
         Measurements. Where they are no average of periods, a narrow tanh takes the place of the
-        sign.
+        sign. Forces of contacts that were not measured are those that leave the least error.
 
     Returns
     -------
@@ -333,18 +365,32 @@ def validate_robot(robot: RobotModel, samples: Samples) -> Validation:
     DataError
         When the samples' joints are not the robot's.
     """
-    if samples.effort.shape[1] != robot.n or robot.free_flyer:
+    if samples.effort.shape[1] != robot.n:
         raise DataError(
             f"validate: samples have {samples.effort.shape[1]} joints, the robot '{robot.name}' "
-            f"has {robot.n}{' with its floating base' if robot.free_flyer else ''}."
+            f"has {robot.n}."
         )
     return validate_dynamics(described_dynamics(robot, samples), samples)
 
 
-def validate_dynamics(model: RobotDynamics, samples: Samples) -> Validation:
-    """Predict efforts with the parameters of a model and compare them with measured ones."""
-    predicted = predicted_efforts(model, samples)
-    return Validation.of_prediction(model.robot.joint_names, samples, predicted)
+def validate_dynamics(
+    model: RobotDynamics, samples: Samples, problem: Problem | None = None
+) -> Validation:
+    """Predict efforts with the parameters of a model and compare them with measured ones.
+
+    What forces of contacts explain is weighed as in `problem`, or else as its own errors ask for.
+    """
+    robot, predicted = model.robot, predicted_efforts(model, samples)
+    if samples.contacts is not None:
+        if problem is None:
+            rows = RowSource(robot, model.terms, structural_base(robot, model.terms), samples)
+            sigma = np.diag(prediction_noise(rows, predicted))
+        else:
+            rows, sigma = problem.rows_of(samples), pooled(problem.sigma)
+        predicted = np.concatenate(
+            [with_contact_forces(rows, part, sigma, predicted[part]) for part in rows.parts()]
+        )
+    return Validation.of_prediction(robot.joint_names, samples, predicted, n_base=robot.n_base)
 
 
 def _figures(effort: Array, predicted: Array, mask: Mask) -> dict[str, Any]:

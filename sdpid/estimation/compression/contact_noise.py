@@ -9,6 +9,8 @@ in (N·m)². They are never pooled with each other or with joints.
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from sdpid._common.arrays import Array, Indices
@@ -54,33 +56,13 @@ def contact_noise(rows: Rows) -> tuple[Array, float]:
     samples = rows.samples
     thin = RowSource(rows.robot, rows.friction, rows.base, samples.thinned(_MOST_SAMPLES))
     groups = _groups(rows)
-    mask = thin.samples.used
-    joints = slice(rows.robot.n_base, None)
-    square = np.where(mask, thin.samples.effort, 0.0)[:, joints] ** 2
-    used = int(np.count_nonzero(mask[:, joints]))
-    reach = max(rows.robot.reach, float(np.finfo(float).tiny))
-    if used:
-        effort = float(square.sum()) / used
-    else:
-        # The base's rows alone: forces that are known take the place of efforts.
-        known = [np.where(own, e, 0.0)[:, :3] for _, _, e, own in thin.chunks()]
-        effort = reach**2 * float(np.mean(np.concatenate(known) ** 2))
-    if not effort > 0.0:
-        raise DataError(
-            f"samples: all {used or mask.sum()} efforts that count are zero, so residuals have no "
-            "variance for weighting='residual' to estimate; check that effort was recorded and "
-            "read (columns, units, mask)."
-        )
-    least = _least(thin, effort, square)
-    variance = np.full(rows.robot.n, EFFORT_SHARE**2 * effort)
-    variance[: min(3, rows.robot.n_base)] /= reach**2
+    variance, least = _beginning(thin)
     for _ in range(ROUNDS):
         base, rank, count = _fitted(thin, variance)
         residual = np.concatenate([e - W @ base for _, W, e, _ in thin.chunks()])
         if rows.robot.n_base:
             weight = np.concatenate([W[:, :3] @ base for _, W, _, _ in thin.chunks()])
-            force = _WEIGHT_SHARE**2 * float(np.mean(weight**2)) * 3.0
-            least[:3], least[3:6] = force, force * reach**2
+            _bound_base(least, weight, thin)
         freedom = count / max(count - rank, 1.0)
         before = variance
         for _ in range(_INNER):
@@ -96,6 +78,66 @@ def contact_noise(rows: Rows) -> tuple[Array, float]:
         return variance, 1.0
     times = np.array([integrated_time(each) for each in sums.correlation])
     return variance, float(np.average(times, weights=said))
+
+
+def prediction_noise(rows: RowSource, predicted: Array) -> Array:
+    """Return the variance of every effort's errors (n,) under a prediction that is given.
+
+    As `contact_noise`, but nothing is fitted, and joints share one variance: a variance each would
+    be most likely where a joint or two take all errors of a poor prediction.
+
+    Parameters
+    ----------
+    rows : RowSource
+        Samples with contacts; their regressor is not asked for.
+    predicted : ndarray, shape (K, n)
+        Efforts without those of forces.
+    """
+    samples, groups = rows.samples, np.minimum(_groups(rows), rows.robot.n_base)
+    missed = replace(samples, effort=samples.effort - predicted)
+    thin = rows.on(missed.thinned(_MOST_SAMPLES))
+    residual = np.concatenate([thin.effort(part) for part in thin.parts()])
+    variance, least = _beginning(rows)
+    if rows.robot.n_base:
+        _bound_base(least, predicted[:, :3], rows)
+    for _ in range(ROUNDS * _INNER):
+        before = variance
+        variance = np.maximum(_updated(thin, variance, residual, groups, 1.0), least)
+        if np.allclose(variance, before, rtol=_SETTLED):
+            break
+    return variance
+
+
+def _beginning(rows: RowSource) -> tuple[Array, Array]:
+    """Return variances to begin with, (n,), and the least that joints may have."""
+    mask, n_base = rows.samples.used, rows.robot.n_base
+    square = np.where(mask, rows.samples.effort, 0.0)[:, n_base:] ** 2
+    used = int(np.count_nonzero(mask[:, n_base:]))
+    if used:
+        effort = float(square.sum()) / used
+    else:
+        # The base's rows alone: forces that are known take the place of efforts.
+        known = [np.where(rows.mask(p), rows.effort(p), 0.0)[:, :3] for p in rows.parts()]
+        effort = _reach(rows) ** 2 * float(np.mean(np.concatenate(known) ** 2))
+    if not effort > 0.0:
+        raise DataError(
+            f"samples: all {used or mask.sum()} efforts that count are zero, so residuals have no "
+            "variance for weighting='residual' to estimate; check that effort was recorded and "
+            "read (columns, units, mask)."
+        )
+    variance = np.full(rows.robot.n, EFFORT_SHARE**2 * effort)
+    variance[: min(3, n_base)] /= _reach(rows) ** 2
+    return variance, _least(rows, effort, square)
+
+
+def _bound_base(least: Array, weight: Array, rows: RowSource) -> None:
+    """Write the least variances of the base, of which forces (K, 3) are the weight."""
+    force = _WEIGHT_SHARE**2 * float(np.mean(weight**2)) * 3.0
+    least[:3], least[3:6] = force, force * _reach(rows) ** 2
+
+
+def _reach(rows: RowSource) -> float:
+    return float(max(rows.robot.reach, np.finfo(float).tiny))
 
 
 def _groups(rows: Rows) -> Indices:

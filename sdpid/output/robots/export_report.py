@@ -207,5 +207,6 @@ class Written:
             couplings=self.couplings,
         )
         return Errors(
-            validate_dynamics(model, samples).relative, validate(self.estimate, samples).relative
+            validate_dynamics(model, samples, problem).relative,
+            validate(self.estimate, samples).relative,
         )

@@ -197,8 +197,7 @@ class Rows:
         speed = np.where(self.used, np.abs(motion.velocity), 0.0)
         self.shown = speed.max(axis=0) > _SLOW
         self.effort = samples.effort[:, first:]
-        rigid = rigid_efforts(problem.robot, theta, samples)[:, first:]
-        self.friction = self.effort - rigid
+        self.friction = self._measured_friction(theta)
         self.lost = [self.of_part(part) for part in places.lost]
         # Of tendons: what they add at the joints themselves, and all.
         more = zip(places.kinds, self.shapes, strict=True)
@@ -207,6 +206,17 @@ class Rows:
             np.zeros_like(self.effort),
         )
         self.held = sum((self.of_part(part) for part in places.coupled), self.added)
+
+    def _measured_friction(self, theta: Array) -> Array:
+        """Return what the efforts have beside those of the links, and of contacts."""
+        problem, samples, first = self.problem, self.problem.samples, self.problem.friction.first
+        if samples.contacts is None:
+            return self.effort - rigid_efforts(problem.robot, theta, samples)[:, first:]
+        # Forces are those that suit the estimate best: its own friction, and what is left of errors.
+        error = samples.effort - problem.predict(problem.base_of(theta))
+        values = theta[10 * problem.robot.n_links :]
+        own = efforts_of_terms(problem.robot, problem.friction, values, samples, first=first)
+        return error[:, first:] + own
 
     def of_part(self, part: Part) -> Array:
         """Return the efforts of an identified term."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -19,11 +20,12 @@ from sdpid.estimation.problem import Problem, build_problem
 from sdpid.experiment.preparation.for_robot import SMOOTH
 from sdpid.experiment.processing.samples import Samples
 from sdpid.friction import AsymmetricCoulomb, Coulomb, RotorInertia, SigmoidFriction, Viscous
-from sdpid.output.robots.export_report import Errors
+from sdpid.output.robots.export_report import Errors, Written
 from sdpid.output.robots.joint_friction import joint_attributes
 from sdpid.output.robots.places import Kind
 from sdpid.output.robots.urdf_errors import urdf_errors
 from sdpid.robot.friction.term import FrictionTerm
+from tests.helpers import legged
 from tests.helpers.data import full_regressor, random_theta
 from tests.helpers.robots import small_arm
 from tests.helpers.strategies import SEEDS
@@ -206,3 +208,34 @@ def test_the_told_errors_are_those_of_the_file(tmp_path: Path) -> None:
     assert [lost.term for lost in mjcf.left_out] == ["Offset"]
     assert mjcf.training.file < urdf.training.file  # type: ignore[union-attr]
     assert "dry friction and damping fitted to the recordings" in urdf.describe()
+
+
+def test_forces_of_contacts_are_no_friction() -> None:
+    """What feet push against must not be taken for friction of the joints."""
+    rng = np.random.default_rng(7)
+    made = legged.gait(400)
+    v = made.samples.velocity[:, 6:]
+    effort = np.array(made.samples.effort)
+    # Wider than what a file means by dry friction, so that it is fitted anew.
+    effort[:, 6:] += 0.3 * np.tanh(v / (3.0 * SMOOTH)) + 0.2 * v
+    effort[:, 6:] += 1e-3 * rng.standard_normal(v.shape)
+    problem = build_problem(
+        made.robot,
+        replace(made.samples, effort=effort),
+        friction=(Coulomb(width=3.0 * SMOOTH), Viscous()),
+        weighting="residual",
+        check_excitation=False,
+    )
+    theta = np.concatenate([made.theta, np.full(12, 0.3), np.full(12, 0.2)])
+    found = joint_attributes(problem, theta, URDF, "file")
+    assert found.fitted
+    for joint in made.robot.joint_names[6:]:
+        assert found.values[joint]["friction"] == pytest.approx(0.3, abs=0.03)
+        assert found.values[joint]["damping"] == pytest.approx(0.2, abs=0.03)
+    estimate = Estimate.of_theta(problem, theta, method="sdp", status="optimal")
+    numbers = [found.values[joint] for joint in made.robot.joint_names[6:]]
+    written = [np.r_[np.zeros(6), [each[key] for each in numbers]] for key in URDF.values()]
+    errors = Written(estimate, (written[0], written[1], np.zeros(18))).errors()
+    assert errors is not None
+    assert errors.estimate < 0.01
+    assert errors.file < 0.05

@@ -42,6 +42,7 @@ def values(result: Judged, errors: tuple[JointErrors, ...], draw: bool) -> dict[
     samples, _ = judged(result)
     return {
         "fits": list(_fits(result)),
+        "floating": list(_floating(result)),
         "held_title": _held_title(result),
         "has_mask": samples.mask is not None,
         "plots": list(_plots(result, errors)) if draw else [],
@@ -63,6 +64,22 @@ def _fits(result: Judged) -> Iterator[dict[str, Any]]:
             "training": _errors(training, j),
             "free": _errors(free, j),
             "held": None if held is None else _errors(held, j),
+        }
+
+
+def _floating(result: Judged) -> Iterator[dict[str, Any]]:
+    """Yield what the equations of a floating base miss, on training and validation data."""
+    held = None if result.held_out is None else result.held_out.fit.floating
+    both = result.training.floating, result.training_wls.floating
+    if both[0] is None or both[1] is None:
+        return
+    names = [name for name, _ in both[0].rows]
+    for i, name in enumerate(names):
+        yield {
+            "name": name,
+            "training": both[0].rows[i][1],
+            "free": both[1].rows[i][1],
+            "held": None if held is None else held.rows[i][1],
         }
 
 

@@ -165,7 +165,8 @@ def _term(described: dict[str, Any]) -> str:
 
 def units(robot: RobotModel) -> dict[str, str]:
     """Return the units of the joints' motion and efforts, several where some joints slide."""
-    kinds = dict.fromkeys(sliding(robot.pin_model, robot.joint_names).tolist())
+    joints = robot.joint_names[robot.n_base :]
+    kinds = dict.fromkeys(sliding(robot.pin_model, joints).tolist())
 
     def joined(turning: str, length: str) -> str:
         return ", ".join(length if slides else turning for slides in kinds)

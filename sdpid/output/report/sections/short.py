@@ -48,5 +48,5 @@ def _beside(result: Judged) -> Iterator[dict[str, Any]]:
             "moving": fit.moving.relative,
             "length": fit.moving.relative / largest,
             "resting": None if fit.resting is None else fit.resting.relative,
-            "rmse": [value if rows else None for value, rows in joints],
+            "rmse": [value if rows else None for value, rows in joints][fit.n_base :],
         }
