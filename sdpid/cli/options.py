@@ -7,7 +7,7 @@ group's options in the parameter's place.
 from __future__ import annotations
 
 import functools
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from enum import Enum
 from pathlib import Path
@@ -20,6 +20,7 @@ from sdpid.cli.values import friction_terms, numbers, pairs, split_list
 from sdpid.errors import DataError, ExportError
 
 if TYPE_CHECKING:
+    from sdpid.estimation.constraints.condition import Condition
     from sdpid.estimation.constraints.constraints import Constraints
     from sdpid.experiment.recording.recording import Recording
     from sdpid.robot.model.model import RobotModel
@@ -359,6 +360,21 @@ class Estimation:
             metavar="X", help="Largest mass of a link, kg. Default: 3 times the described robot's."
         ),
     ] = None
+    total_mass: Annotated[
+        str | None,
+        _estimation(
+            metavar="KG[,TOL]",
+            help="Mass of all moving links together, from a scale, and by how much it may differ.",
+        ),
+    ] = None
+    mirror: Annotated[
+        bool,
+        _estimation(
+            "--mirror",
+            help="Right links are mirror images of the left ones, as their names tell: legs that "
+            "were built alike.",
+        ),
+    ] = False
     prior: Annotated[
         bool | None,
         _estimation(
@@ -409,7 +425,25 @@ class Estimation:
         from sdpid.estimation.constraints.constraints import Constraints
 
         bounds = {} if self.mass_max is None else {"mass_max": self.mass_max}
-        return Constraints.of_size(robot, margin=self.margin, **bounds)
+        others = tuple(self._conditions(robot))
+        return Constraints.of_size(robot, margin=self.margin, others=others, **bounds)
+
+    def _conditions(self, robot: RobotModel) -> Iterator[Condition]:
+        """Yield what is known beside bounds: the mass of all links, and that sides are alike."""
+        if self.total_mass is not None:
+            from sdpid.estimation.constraints.mass import TotalMass
+
+            mass, *tolerance = numbers(self.total_mass, "--total-mass")
+            if len(tolerance) > 1:
+                raise DataError(
+                    f"--total-mass {self.total_mass}: expected a mass in kg, or a mass and by how "
+                    "much it may differ."
+                )
+            yield TotalMass(mass, tolerance=tolerance[0] if tolerance else 0.0)
+        if self.mirror:
+            from sdpid.estimation.constraints.mirrored_links import mirror_pairs
+
+            yield from mirror_pairs(robot)
 
 
 def require_folder(option: str, file: Path, inputs: Iterable[PathLike | None] = ()) -> None:

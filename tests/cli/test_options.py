@@ -7,8 +7,10 @@ from typing import Any
 import pytest
 
 from sdpid.cli.endings import message
-from sdpid.cli.options import ProcessingOptions
+from sdpid.cli.options import Estimation, ProcessingOptions
+from sdpid.constraints import MirrorPair, TotalMass
 from sdpid.errors import DataError
+from tests.helpers.legged import quadruped
 
 
 @pytest.mark.parametrize(
@@ -37,3 +39,15 @@ def test_a_message_that_gives_the_option_needs_no_hint() -> None:
     assert message(DataError("accept=['a'] (--accept a) overrules it.")).endswith("overrules it.")
     assert message(DataError("give units={}.")).endswith("--unit QUANTITY=UNIT.")
     assert message(DataError("give units={} (--unit time=ms).")).endswith("time=ms).")
+
+
+def test_a_weighed_robot_with_legs_that_are_alike() -> None:
+    arguments = Estimation(total_mass="2.5, 0.01", mirror=True).arguments(quadruped())
+    mass, *pairs = arguments["constraints"].others
+    assert isinstance(mass, TotalMass)
+    assert (mass.mass, mass.tolerance) == (2.5, 0.01)
+    assert len(pairs) == 6
+    assert all(isinstance(pair, MirrorPair) for pair in pairs)
+    assert Estimation().arguments(quadruped())["constraints"].others == ()
+    with pytest.raises(DataError, match="expected a mass in kg, or a mass and by how much"):
+        Estimation(total_mass="2.5,0.1,0.2").arguments(quadruped())
