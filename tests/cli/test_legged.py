@@ -19,4 +19,4 @@ def test_validate_says_what_joints_and_base_miss(tmp_path: Path) -> None:
     found = json.loads(run("validate", log, "--robot", "solo12", "--json").stdout)
     assert found["relative_residual"] < 0.02
     assert found["floating"]["force"] < 0.1
-    assert list(found["joints"])[0] == "FL_HAA"
+    assert next(iter(found["joints"])) == "FL_HAA"

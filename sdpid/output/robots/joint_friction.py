@@ -212,7 +212,7 @@ class Rows:
         problem, samples, first = self.problem, self.problem.samples, self.problem.friction.first
         if samples.contacts is None:
             return self.effort - rigid_efforts(problem.robot, theta, samples)[:, first:]
-        # Forces are those that suit the estimate best: its own friction, and what is left of errors.
+        # Forces are those that suit the estimate best: what is left is its friction and errors.
         error = samples.effort - problem.predict(problem.base_of(theta))
         values = theta[10 * problem.robot.n_links :]
         own = efforts_of_terms(problem.robot, problem.friction, values, samples, first=first)
