@@ -35,10 +35,12 @@ def main() -> None:
             log = sdpid.simulate_legged(model, motion, theta=truth, seed=1, duration=3.0).recording
             off = 1e3 * np.sqrt(np.mean((log.position - log.reference) ** 2))
             print(f"  {motion}: joints off by {off:.1f} mrad")
-    # The identified robot in MuJoCo, beside the true one.
-    for name, theta in {"true": truth, "identified": result.estimate.theta}.items():
+    # The links of the URDF in MuJoCo, beside the true ones.
+    friction_found = result.estimate.theta[found.prior.size :]
+    as_found = np.concatenate([found.prior.ravel(), friction_found])
+    for name, theta in {"true": truth, "identified": as_found}.items():
         walk = sdpid.simulate_legged(found, "walk", theta=theta, seed=1, duration=5.0).motion
-        print(f"{name} robot walks to {walk.position[-1, :3].round(3)} m")
+        print(f"{name} robot walks to {walk.position[-1, :3].round(4)} m")
 
 
 if __name__ == "__main__":
