@@ -7,8 +7,17 @@ from collections.abc import Iterator
 import numpy as np
 
 from sdpid._common.arrays import Array
+from sdpid.experiment.inspection.delays.find import (
+    DEVIATIONS,
+    LEAST,
+    channel_delays,
+    gyroscope_delay,
+    is_told,
+)
+from sdpid.experiment.inspection.delays.lag import pooled
 from sdpid.experiment.inspection.finding import Finding, Subject, check
 from sdpid.experiment.inspection.rows import Rows
+from sdpid.experiment.processing.delays.on_time import CHANNELS
 from sdpid.experiment.recording.rest import moving
 from sdpid.robot.model.model import RobotModel
 
@@ -96,6 +105,43 @@ def late_efforts(subject: Subject) -> Iterator[Finding]:
     )
 
 
+@check
+def late_channels(subject: Subject) -> Iterator[Finding]:
+    """Find channels of a recording with a base that are late, or early, against the joints."""
+    robot, log = subject.floating, subject.log
+    if log.base is None or not subject.pieces:
+        return
+    against = "the joints' positions"
+    if robot is not None and robot.free_flyer:
+        found = {} if subject.without else channel_delays(robot, log)
+    else:
+        found, against = gyroscope_delay(log), "the orientation of the base"
+    for channel, delay in found.items():
+        if not is_told(channel, delay):
+            continue
+        limit = max(LEAST[channel], DEVIATIONS * delay.error)
+        yield Finding(
+            severity="warning",
+            kind=dict(
+                zip(
+                    CHANNELS,
+                    ("effort_late", "imu_late", "base_late", "contacts_late"),
+                    strict=True,
+                )
+            )[channel],
+            message=(
+                f"{CHANNELS[channel]} {'is' if channel == 'imu' else 'are'} "
+                f"{_late(delay.value)} by {1e3 * abs(delay.value):.3g} ms (error "
+                f"{1e3 * delay.error:.2g} ms) against {against}, limit {1e3 * limit:.2g} ms"
+            ),
+            remedy=(
+                "identify takes this off by itself; elsewhere give processing="
+                f"{{'{channel}_delay_s': {delay.value:.5f}}}, or record with one clock"
+            ),
+            numbers={"delay": delay.value, "error": delay.error, "limit": limit},
+        )
+
+
 def effort_delay(robot: RobotModel, rows: Rows) -> tuple[float, float] | None:
     """Return by how much the efforts are late against the motion, and its standard error, s.
 
@@ -136,22 +182,7 @@ def effort_delay(robot: RobotModel, rows: Rows) -> tuple[float, float] | None:
         taken += 1.0 - float(rest @ rest) / size
     if len(delays) < _LEAST_JOINTS or taken < _TAKES * left:
         return None
-    return _pooled(np.array(delays), np.array(errors))
-
-
-def _pooled(values: Array, errors: Array) -> tuple[float, float]:
-    """Return the mean of values with errors, and its error, in which their spread counts."""
-    errors = np.maximum(errors, 1e-3 * np.abs(values).max(initial=1e-9))
-    spread = 0.0
-    for _ in range(20):
-        weights = 1.0 / (errors**2 + spread)
-        mean = float(weights @ values / weights.sum())
-        # The spread between joints that makes the deviations as large as their errors say.
-        excess = float(weights @ (values - mean) ** 2) - (len(values) - 1)
-        if excess <= 0.0 and spread == 0.0:
-            break
-        spread = max(0.0, spread + excess / float(weights.sum()))
-    return mean, float(1.0 / np.sqrt(weights.sum()))
+    return pooled(np.array(delays), np.array(errors))
 
 
 def _basis(columns: Array) -> Array:

@@ -18,6 +18,7 @@ from sdpid.experiment.inspection import (
     reference_checks,
     time_checks,
 )
+from sdpid.experiment.inspection.delays.find import LEAST
 from sdpid.experiment.inspection.finding import CHECKS, Finding, Subject
 from sdpid.experiment.inspection.floating import base_checks, feet_checks
 from sdpid.experiment.inspection.joined import other_loads
@@ -45,12 +46,14 @@ _OF_SPEED = (
 _OF_BASE = (
     *("base_velocity", "imu_gyroscope", "imu_accelerometer"),
     *("foot_moves", "foot_high", "feet_exchanged"),
+    *(f"{channel}_late" for channel in LEAST),
 )
 _DROWNED = (
     dynamics_checks.wrong_channels,
     dynamics_checks.scales,
     dynamics_checks.unlike_the_description,
     delay_checks.late_efforts,
+    delay_checks.late_channels,
 )
 
 

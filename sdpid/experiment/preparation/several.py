@@ -11,6 +11,7 @@ from sdpid.errors import DataError
 from sdpid.experiment.inspection.accept import kinds_accepted, require_accepted
 from sdpid.experiment.inspection.finding import Finding
 from sdpid.experiment.inspection.inspect import inspect_recordings
+from sdpid.experiment.preparation.delays import with_delays
 from sdpid.experiment.preparation.for_robot import default_processing, prepare
 from sdpid.experiment.preparation.joined_contacts import join_samples
 from sdpid.experiment.processing.choose import with_changes
@@ -223,7 +224,8 @@ def prepare_recordings(
     logs : Recording or path, or a sequence of these
         What was measured.
     processing : Processing or mapping, optional
-        By default `common_processing`, with the changes in a mapping.
+        By default `common_processing`, with the changes in a mapping, and with the delays that
+        recordings with a base show.
     without_effort : iterable of str, optional
         Joints of the robot whose efforts were not measured, or are wrong: their rows are masked,
         their motion is used.
@@ -250,6 +252,8 @@ def prepare_recordings(
         require_its_base(robot, log)
     findings = () if accept is None else inspected(robot, read, accept, without, name)
     chosen, why = chosen_processing(read, processing)
+    if not isinstance(processing, Processing) and not without:
+        chosen = with_delays(robot, read, chosen, processing)
     samples = join_samples([prepare(robot, log, chosen) for log in read])
     if without:
         samples = without_efforts(samples, robot, without)

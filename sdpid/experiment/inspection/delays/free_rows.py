@@ -1,0 +1,102 @@
+"""Rows of the equation of motion in which no unknown contact force stands."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from sdpid._common.arrays import Array, Indices
+from sdpid.experiment.processing.samples import Samples
+from sdpid.robot.model.contacts.jacobians import contact_jacobians
+from sdpid.robot.model.model import RobotModel
+
+__all__ = ["FreeRows", "first_scale"]
+
+# What a contact of each kind transmits: the first so many rows of its Jacobian.
+_TRANSMITS = {"point": 3, "line": 5, "plane": 6}
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class FreeRows:
+    """Orthonormal combinations of scaled efforts that contacts leave free, sample by sample.
+
+    Attributes
+    ----------
+    scale : (n,) ndarray
+        Size of the error of each effort.
+    groups : tuple of (indices, (k, r, n) ndarray)
+        Samples with the same contacts closed, and the combinations of their efforts.
+    """
+
+    scale: Array
+    groups: tuple[tuple[Indices, Array], ...]
+
+    @classmethod
+    def of(cls, robot: RobotModel, samples: Samples, rows: Indices, scale: Array) -> FreeRows:
+        """Return the free rows of some samples."""
+        contacts = samples.contacts
+        if contacts is None:
+            every = np.broadcast_to(np.diag(1.0 / scale), (len(rows), len(scale), len(scale)))
+            return cls(scale=scale, groups=((np.arange(len(rows)), every),))
+        J = contact_jacobians(robot, samples.position[rows], contacts.frames, contacts.offset)
+        patterns, which = np.unique(contacts.down[rows], axis=0, return_inverse=True)
+        groups = []
+        for number, down in enumerate(patterns):
+            chosen = np.flatnonzero(which.reshape(-1) == number)
+            parts = [
+                J[chosen, i, : _TRANSMITS[kind]] for i, kind in enumerate(contacts.kind) if down[i]
+            ]
+            left = np.broadcast_to(np.eye(robot.n), (len(chosen), robot.n, robot.n))
+            if parts:
+                closed = np.concatenate(parts, axis=1) / scale
+                if closed.shape[1] >= robot.n:
+                    continue
+                # A contact too many costs a row, and lets no force through.
+                whole = np.linalg.qr(closed.transpose(0, 2, 1), mode="complete")[0]
+                left = whole[:, :, closed.shape[1] :].transpose(0, 2, 1)
+            groups.append((chosen, left / scale))
+        return cls(scale=scale, groups=tuple(groups))
+
+    def apply(self, values: Array) -> Array:
+        """Return values (K, n, ...) of efforts in the free rows, (R, ...)."""
+        width = values.shape[2:]
+        if not self.groups:
+            return np.zeros((0, *width))
+        parts = []
+        for rows, left in self.groups:
+            own = left @ values[rows].reshape(len(rows), left.shape[2], -1)
+            parts.append(own.reshape(-1, *width))
+        return np.concatenate(parts)
+
+    @property
+    def sample(self) -> Indices:
+        """The sample of each row, (R,)."""
+        parts = [np.repeat(rows, left.shape[1]) for rows, left in self.groups]
+        return np.concatenate(parts) if parts else np.zeros(0, dtype=np.intp)
+
+    def rescaled(self, left: Array) -> Array:
+        """Return the scale of which residuals (R,) are most likely, a step from the present one.
+
+        The base's three forces share one, and so do its three torques.
+        """
+        top, bottom, first = np.zeros(len(self.scale)), np.zeros(len(self.scale)), 0
+        for _, combined in self.groups:
+            k, r, _ = combined.shape
+            own = left[first : first + k * r].reshape(k, r)
+            first += k * r
+            top += np.sum(np.einsum("krn,kr->kn", combined, own) ** 2, axis=0)
+            bottom += np.sum(combined**2, axis=(0, 1))
+        for part in (slice(0, 3), slice(3, 6)):
+            top[part], bottom[part] = top[part].sum(), bottom[part].sum()
+        seen = (top > 0.0) & (bottom > 0.0)
+        share = np.where(seen, top / np.where(seen, bottom, 1.0), 1.0)
+        return np.asarray(self.scale * np.sqrt(share))
+
+
+def first_scale(robot: RobotModel, effort: Array) -> Array:
+    """Return a scale of the efforts to begin with, of a robot with a floating base."""
+    joints = np.maximum(effort[:, robot.n_base :].std(axis=0), 1e-9)
+    base = np.full(robot.n_base, joints.mean())
+    base[:3] /= max(robot.reach, 1e-3)
+    return np.concatenate([base, joints])
