@@ -68,7 +68,8 @@ class RobustEstimate(Estimate):
         """Covariance of the base parameters, (b, b), as if no constraint were active.
 
         The sandwich estimate of the weighted problem, with the curvature of the Huber cost
-        in place of the weighted least squares': rows beyond their threshold have none.
+        in place of the weighted least squares': rows beyond their threshold have none, samples
+        with contacts none along their residual.
         """
         plain = covariance(self.problem)
         A = self.problem.A
@@ -95,7 +96,8 @@ def solve_robust(
         The problem, whose weighting whitens the residuals.
     threshold : float, optional
         Of the Huber loss, in standard deviations of a single residual, which are estimated
-        robustly, joint by joint.
+        robustly, joint by joint. With contacts the loss is one of a sample's residuals together,
+        beyond a norm that as many normal errors exceed.
     max_rounds : int, optional
         Largest number of solves.
     solver : callable, optional
@@ -127,11 +129,6 @@ def solve_robust(
     """
     if max_rounds < 1:
         raise DataError(f"solve_robust: max_rounds is {max_rounds}, at least 1 is needed.")
-    if problem.rows is not None and problem.rows.samples.contacts is not None:
-        raise DataError(
-            "solve_robust: contacts tie the rows of a sample together, and its loss is one of "
-            "single rows; use solve_sdp, and mask wrong samples (Samples.mask)."
-        )
     loss = HuberLoss.of(problem, threshold=threshold)
     base = solve_wls(problem).base
     for _ in range(_FREE_ROUNDS):

@@ -186,7 +186,7 @@ def test_the_same_problem_gives_the_same_numbers() -> None:
 def test_rows_too_large_to_keep_are_made_again(monkeypatch: pytest.MonkeyPatch) -> None:
     problem, theta = spoiled(ROBOTS["planar"], 6, masked=True)
     kept = HuberLoss.of(problem, threshold=1.0)
-    monkeypatch.setattr("sdpid.estimation.robust.huber._KEPT", 0.0)
+    monkeypatch.setattr("sdpid.estimation.robust.whitened_rows._KEPT", 0.0)
     fresh = HuberLoss.of(problem, threshold=1.0)
     np.testing.assert_array_equal(kept.thresholds, fresh.thresholds)
     base = problem.base_of(theta)
