@@ -47,6 +47,7 @@ ROOMS = {
         "effects",
         "information",
         "problem",
+        "motion_noise",
         "scaling",
         "coordinates",
         "cluster_robust",

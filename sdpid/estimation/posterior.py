@@ -5,8 +5,10 @@ Where no inequality is active, an estimate is the least-squares solution of the 
 with L the pseudoinverse of both. The errors of h are those that the residuals show, whatever the
 weights say (see `sdpid.estimation.noise_spectrum`); those of the prior's rows have a variance of
 one, as stated. Where efforts were made of currents, the errors of the gains come on top (see
-`sdpid.estimation.gain_errors`). An active inequality can only bring an estimate nearer to the
-truth, all in all: it is not counted, which errs on the wide side.
+`sdpid.estimation.gain_errors`), and so does the bias by noise in the measured motion, where it is
+known (see `sdpid.estimation.motion_noise`): as one more error of that size in its direction, so
+that intervals hold the truth however large it is. An active inequality can only bring an estimate
+nearer to the truth, all in all: it is not counted, which errs on the wide side.
 """
 
 from __future__ import annotations
@@ -30,6 +32,9 @@ Groups = Literal["frequencies", "blocks", "periods"]
 
 # Directions of theta that data and prior together see this little are open, but for rounding.
 _OPEN = 1e-12
+
+# Share of errors beside a bias below which they no longer count.
+_LEAST_SHARE = 1e-3
 
 # A function of which more than this share lies in open directions is open: the rest is rounding.
 _LOST = 1e-7
@@ -74,9 +79,33 @@ def fit_errors(estimate: Estimated, groups: Groups) -> FitErrors:
     DataError
         When the problem has no rows, or too few groups.
     """
-    if groups == "frequencies":
-        return NoiseSpectrum.of(estimate.problem, estimate.theta)
-    return ScoreBlocks.of(estimate.problem, groups)
+    errors: FitErrors = (
+        NoiseSpectrum.of(estimate.problem, estimate.theta)
+        if groups == "frequencies"
+        else ScoreBlocks.of(estimate.problem, groups)
+    )
+    bias = estimate.problem.motion_bias
+    return errors if bias is None else _Biased(errors, bias)
+
+
+@dataclass(frozen=True, eq=False)
+class _Biased:
+    """Errors of a fit, with a bias beside them."""
+
+    errors: FitErrors
+    bias: Array
+
+    @property
+    def covariance(self) -> Array:
+        """Mean squared errors of the unconstrained fit, (b, b)."""
+        return self.errors.covariance + np.outer(self.bias, self.bias)
+
+    def freedom(self, functionals: Array) -> Array:
+        """Return the degrees of freedom of what each functional (k, b) is off by."""
+        own = np.einsum("ki,ij,kj->k", functionals, self.errors.covariance, functionals)
+        share = _share(own, own + (functionals @ self.bias) ** 2, 1.0)
+        freedom = self.errors.freedom(functionals)
+        return np.asarray(freedom / np.maximum(share, _LEAST_SHARE) ** 2)
 
 
 @dataclass(frozen=True, eq=False)
@@ -178,6 +207,14 @@ class Posterior:
         """Return of which functions (k, p) of theta neither data nor prior say anything."""
         seen, unseen = (np.linalg.norm(functions @ d, axis=1) for d in (self.seen, self.unseen))
         return np.asarray(unseen > _LOST * np.hypot(seen, unseen))
+
+    def motion_share(self, functions: Array) -> Array:
+        """Return the share (k,) of noise in the motion in the variances of functions (k, p)."""
+        variance, _, _ = self.spread(functions)
+        own = np.zeros(len(functions))
+        if isinstance(self.errors, _Biased):
+            own = ((functions @ self.from_fit) @ self.errors.bias) ** 2
+        return np.asarray(np.where(np.isfinite(variance), _share(own, variance, 0.0), 0.0))
 
     def gains_share(self, functions: Array) -> Array:
         """Return the share (k,) of the gains' errors in the variances of functions (k, p)."""

@@ -82,6 +82,9 @@ class Problem:
         Solvers do not need them, standard errors and residuals do.
     constant : float
         Part of `floor` that is of no row: what a robust loss adds to the weighted rows.
+    motion_bias : ndarray, shape (b,), or None
+        By how much noise in the measured motion is thought to move the unconstrained fit; it counts
+        as an error of the estimate. None where nobody looked.
     meaning : str or None
         What the cost is where it is not that of the measured motion's own rows, such as the last
         one that an iteration solved; None where it is.
@@ -115,6 +118,7 @@ class Problem:
     effects: tuple[Tried, ...] = ()
     rows: Rows | None = None
     constant: float = 0.0
+    motion_bias: Array | None = None
     meaning: str | None = None
 
     def __repr__(self) -> str:

@@ -16,6 +16,7 @@ from sdpid.assurance.diagnostics.collinear_friction import collinear_friction, i
 from sdpid.assurance.diagnostics.held_out import hold_out
 from sdpid.assurance.diagnostics.validation import validate
 from sdpid.assurance.intervals.intervals import Intervals, Method, confidence_intervals
+from sdpid.assurance.intervals.noise_in_motion import noise_in_words
 from sdpid.assurance.log_proof.inputs import input_files
 from sdpid.assurance.log_proof.recipe import recipe_or_reason
 from sdpid.errors import DataError, IdentifiabilityError, SdpidError, SolverError
@@ -23,7 +24,9 @@ from sdpid.estimation.compression.covariance import Weighting
 from sdpid.estimation.constraints.constraints import Constraints
 from sdpid.estimation.estimate import Estimate
 from sdpid.estimation.instrumental.bias import BiasTest, check_bias
+from sdpid.estimation.motion_noise.bias import with_motion_bias
 from sdpid.estimation.prior.prior import Prior
+from sdpid.estimation.problem import Problem
 from sdpid.estimation.sdp.solve import solve_sdp
 from sdpid.estimation.wls import solve_wls
 from sdpid.experiment.drive_gains.gains import DriveGains
@@ -198,6 +201,9 @@ def identify(
         "effects": "auto" if asked is None else asked,
     }
     problem = formulate(model, prepared, **formulation)
+    if intervals is not False:
+        problem, unknown = _with_motion_bias(problem, prepared)
+        notes += unknown
     notes += [each.words for each in problem.effects]
     if (alike := in_words(collinear_friction(problem))) is not None:
         notes.append(alike)
@@ -260,9 +266,23 @@ def _intervals(estimate: Estimate, wanted: bool | Method) -> tuple[Intervals | N
         return None, None
     method: Method = DEFAULT_INTERVALS if wanted is True else wanted
     try:
-        return confidence_intervals(estimate, method=method), None
+        found = confidence_intervals(estimate, method=method)
+        return found, noise_in_words(found)
     except (DataError, IdentifiabilityError, SolverError) as reason:
         return None, f"no intervals of the parameters ({method}): {reason}"
+
+
+def _with_motion_bias(problem: Problem, prepared: Prepared) -> tuple[Problem, list[str]]:
+    """Return a problem that knows its bias by noise in the motion, or why it does not.
+
+    Robots that are fixed to the ground have a test in place of it (`check_bias`).
+    """
+    if not problem.robot.free_flyer or any(log.stored for log in prepared.logs):
+        return problem, []
+    try:
+        return with_motion_bias(problem, prepared.logs, prepared.processing), []
+    except SdpidError as reason:
+        return problem, [f"intervals do not count what noise in the motion does: {reason}"]
 
 
 def _bias(estimate: Estimate, prepared: Prepared) -> tuple[BiasTest | None, str | None]:

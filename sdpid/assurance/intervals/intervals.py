@@ -73,6 +73,9 @@ class Intervals:
     gains_share : ndarray, shape (k,), or None
         Share of the errors of drive gains in the variance of each parameter, all inequalities
         aside; None where efforts were not made of currents by gains with errors.
+    motion_share : ndarray, shape (k,), or None
+        Share of the bias by noise in the measured motion, likewise; None where it was not looked
+        for.
     seconds : float
         In the solver.
     solves : int
@@ -102,6 +105,7 @@ class Intervals:
     groups: str
     slack: Array | None = None
     gains_share: Array | None = None
+    motion_share: Array | None = None
     seconds: float = 0.0
     solves: int = field(default=0)
 
@@ -137,6 +141,9 @@ class Intervals:
         }
         if self.gains_share is not None:
             columns["from gains, %"] = [round(100.0 * each) for each in self.gains_share.tolist()]
+        if self.motion_share is not None:
+            shares = self.motion_share.tolist()
+            columns["from noise in motion, %"] = [round(100.0 * each) for each in shares]
         if self.by_mass.any():
             columns["at mass_max"] = [
                 " and ".join(compress(("lower", "upper"), pair)) for pair in self.by_mass.tolist()
@@ -161,6 +168,8 @@ class Intervals:
         }
         if self.gains_share is not None:
             columns["gains_share"] = self.gains_share.tolist()
+        if self.motion_share is not None:
+            columns["motion_share"] = self.motion_share.tolist()
         rows = zip(*columns.values(), strict=True)
         found: dict[str, Any] = plain(
             {
@@ -306,6 +315,7 @@ def _gauss_markov(
         groups,
         label=labels,
         gains_share=_gains_share(estimate, wanted, posterior),
+        motion_share=_motion_share(estimate, wanted, posterior),
     )
 
 
@@ -404,6 +414,7 @@ def _profile(
         by_mass=np.array([(low.rests[1], high.rests[1]) for low, high in ends]).reshape(-1, 2),
         slack=frozen(slack),
         gains_share=_gains_share(estimate, wanted),
+        motion_share=_motion_share(estimate, wanted),
         seconds=sum(end.seconds for end in found),
         solves=sum(end.solves for end in found),
     )
@@ -447,6 +458,7 @@ def _made(
     by_mass: Mask | None = None,
     slack: Array | None = None,
     gains_share: Array | None = None,
+    motion_share: Array | None = None,
     seconds: float = 0.0,
     solves: int = 0,
 ) -> Intervals:
@@ -467,6 +479,7 @@ def _made(
         groups=groups,
         slack=slack,
         gains_share=gains_share,
+        motion_share=motion_share,
         seconds=seconds,
         solves=solves,
     )
@@ -479,3 +492,12 @@ def _gains_share(
     if not GainErrors.of(estimate.problem).any:
         return None
     return frozen((posterior or Posterior.of(estimate)).gains_share(wanted.functions))
+
+
+def _motion_share(
+    estimate: Estimate, wanted: ParameterFunctions, posterior: Posterior | None = None
+) -> Array | None:
+    """Return the share of noise in the motion in the variances (k,); None where it is not known."""
+    if estimate.problem.motion_bias is None:
+        return None
+    return frozen((posterior or Posterior.of(estimate)).motion_share(wanted.functions))

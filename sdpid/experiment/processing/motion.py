@@ -18,6 +18,7 @@ __all__ = [
     "joint_frequencies",
     "motion_frequency",
     "noise_limit",
+    "noise_of",
     "spectrum",
 ]
 
@@ -78,10 +79,9 @@ def band(frequency: Array, power: Array) -> tuple[float, float] | None:
 def noise_limit(log: Recording, share: float) -> float:
     """Return the frequency in Hz up to which noise is at most a share of joint accelerations.
 
-    Noise of positions is white; the median of the power above two thirds of half the sample rate
-    tells how strong, whatever single lines stand out. In accelerations it grows with the fourth
-    power of the frequency. Of the joints that move, the one in the middle counts. Infinite where
-    there is no such frequency.
+    Noise of positions is white, as strong as they are on top (see `noise_of`). In accelerations it
+    grows with the fourth power of the frequency. Of the joints that move, the one in the middle
+    counts. Infinite where there is no such frequency.
 
     Parameters
     ----------
@@ -95,11 +95,7 @@ def noise_limit(log: Recording, share: float) -> float:
     for j in np.flatnonzero(moving(*extremes(log.position))).tolist():
         position = np.asarray(log.position[:count, j])
         frequency, power = spectrum(position, log.rate_hz, count)
-        top = power[frequency > _NOISE_ONLY * frequency[-1]]
-        if not top.size:
-            return np.inf
-        # Powers of noise have an exponential distribution, whose median is ln 2 of its mean.
-        noise = float(np.median(top)) / np.log(2.0)
+        noise = _on_top(frequency, power)
         weight = frequency**4
         whole = np.cumsum(weight * power)
         shares.append(noise * np.cumsum(weight) / np.where(whole > 0.0, whole, np.inf))
@@ -108,6 +104,25 @@ def noise_limit(log: Recording, share: float) -> float:
     # At 0 Hz there is none. Noise alone lies below the motion, too: the last such frequency counts.
     last = int(np.flatnonzero(np.median(shares, axis=0) <= share)[-1])
     return float(frequency[last]) if last + 1 < len(frequency) else np.inf
+
+
+def noise_of(signals: Array, rate_hz: float) -> Array:
+    """Return the standard deviation (n,) of white noise as strong as signals (N, n) are on top.
+
+    The median of the power above two thirds of half the sample rate is that of noise, whatever
+    single lines stand out; of noise that is white, it is ln 2 of the mean.
+    """
+    n_samples = len(signals)
+    window = float(np.square(np.hanning(n_samples)).sum())
+    columns = np.asarray(signals).T
+    powers = [_on_top(*spectrum(np.asarray(each), rate_hz, n_samples)) for each in columns]
+    return np.sqrt(np.array(powers) / window)
+
+
+def _on_top(frequency: Array, power: Array) -> float:
+    """Return the mean power of noise as strong as the highest frequencies."""
+    top = power[frequency > _NOISE_ONLY * frequency[-1]]
+    return float(np.median(top) / np.log(2.0)) if top.size else 0.0
 
 
 def _spectra(log: Recording) -> Iterator[tuple[Array, Array]]:

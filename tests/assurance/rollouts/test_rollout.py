@@ -18,9 +18,9 @@ from sdpid.assurance.diagnostics.held_out import FRICTION_FITTED, LEAST_SQUARES
 from sdpid.assurance.diagnostics.motion.light_joints import LightJoint, light_joints
 from sdpid.assurance.diagnostics.validation import validate
 from sdpid.assurance.rollouts.models import CONSTANT_VELOCITY, FLOOR, STAND_STILL
-from sdpid.assurance.rollouts.noise import noise_of
 from sdpid.errors import DataError, ModelError
 from sdpid.estimation.estimate import Estimate
+from sdpid.experiment.processing.motion import noise_of
 from sdpid.robot.friction.model import FrictionModel
 from sdpid.robot.model.dynamics import RobotDynamics
 from tests.helpers.data import random_theta
