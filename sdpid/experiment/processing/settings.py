@@ -140,7 +140,8 @@ class Processing(Settings):
         By how much flags of contacts may be late or early, s: a contact counts as closed within
         this time, and the filter's memory, of a closed one.
     impact_s : float, optional
-        Samples whose filter sees this time around a landing are left out; by default none is.
+        Samples whose filter sees this time around a landing are left out, unless less than
+        `kept_share` would stay; None keeps all. `identify` chooses 0 where at most a tenth go.
     effort_delay_s, imu_delay_s, base_delay_s, contacts_delay_s : float
         By how much efforts, an IMU, pose and velocities of a base, and contacts were recorded later
         than the joints' positions, s; negative where they are early. They are taken on time.

@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.stats import norm
 
 import sdpid
 from sdpid.assurance.intervals.noise_in_motion import noise_in_words
@@ -73,6 +74,13 @@ def test_the_bias_is_what_noise_does_and_intervals_count_it() -> None:
     assert noise_in_words(short) is None
     with pytest.raises(DataError, match="not those of the"):
         with_motion_bias(problem, [recorded(NOISE, 1)], PROCESSING)
+
+
+def test_a_bias_as_one_more_error_is_held_at_least_as_often_as_stated() -> None:
+    bias = np.linspace(0.0, 30.0, 3001)
+    for level in (0.9, 0.95, 0.99):
+        half = norm.ppf(0.5 * (1.0 + level)) * np.sqrt(1.0 + bias**2)
+        assert np.all(norm.cdf(half - bias) - norm.cdf(-half - bias) >= level - 1e-4)
 
 
 def test_twins_have_the_noise_of_the_recording_once_more() -> None:

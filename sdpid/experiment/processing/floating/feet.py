@@ -13,7 +13,7 @@ from sdpid.experiment.processing.floating.on_grid import OnGrid
 from sdpid.experiment.processing.settings import Processing
 from sdpid.experiment.recording.floating.contacts import Contacts
 
-__all__ = ["Feet", "feet_of", "near"]
+__all__ = ["Feet", "feet_of", "landing_share", "near"]
 
 # Without flags a contact counts as down where its force is at least this share of the largest that
 # any contact of the recording carries: well above what a sensor shows in the air, and widened by
@@ -80,14 +80,19 @@ def feet_of(contacts: Contacts, on_grid: OnGrid, processing: Processing) -> Feet
     clear: Mask = np.ones(len(kept_down), dtype=np.bool_)
     notes = [_share_note(contacts, on_grid.kept(down), kept_down, reach * step + margin_s)]
     if impact_s is not None:
-        landing = np.zeros((len(down), 1), dtype=np.bool_)
-        landing[1:, 0] = (down[1:] & ~down[:-1]).any(axis=1)
+        landing = _landings(down)
         beside: Mask = on_grid.kept(near(landing, reach + round(impact_s / step)))
-        clear = ~beside[:, 0]
-        notes.append(
-            f"{100.0 * (1.0 - clear.mean()):.3g} % of the samples left out, within "
-            f"{1e3 * impact_s:.3g} ms and the filter's memory of {int(landing.sum())} landings"
-        )
+        share, count = 100.0 * float(beside.mean()), int(landing.sum())
+        of_them = f"within {1e3 * impact_s:.3g} ms and the filter's memory of {count} landings"
+        if beside.mean() > 1.0 - processing.kept_share:
+            notes.append(
+                f"samples {of_them} are not left out: they are {share:.3g} % of all, and less than "
+                f"{100.0 * processing.kept_share:.3g} % would stay"
+            )
+        else:
+            clear = ~beside[:, 0]
+            if count:
+                notes.append(f"{share:.3g} % of the samples left out, {of_them}")
     if wrench is not None:
         said = "used as measurements"
         if filtered is None:
@@ -106,6 +111,18 @@ def feet_of(contacts: Contacts, on_grid: OnGrid, processing: Processing) -> Feet
         clear=clear,
         notes=tuple(notes),
     )
+
+
+def landing_share(contacts: Contacts, reach: int) -> float:
+    """Return the share of a recording's samples that are at most `reach` ones from a landing."""
+    return float(near(_landings(_down(contacts, _wrenches(contacts))), reach).mean())
+
+
+def _landings(down: Mask) -> Mask:
+    """Return at which samples a contact closes, (N, 1)."""
+    found = np.zeros((len(down), 1), dtype=np.bool_)
+    found[1:, 0] = (down[1:] & ~down[:-1]).any(axis=1)
+    return found
 
 
 def near(flags: Mask, reach: int) -> Mask:

@@ -13,6 +13,7 @@ from sdpid._common.arrays import Array
 from sdpid.errors import DataError
 from sdpid.experiment.preparation.for_robot import prepare
 from sdpid.experiment.preparation.joined_contacts import join_samples
+from sdpid.experiment.processing.choose import choose_processing
 from sdpid.experiment.processing.filters import low_pass
 from sdpid.experiment.processing.floating.rotations import body_rate, unit
 from tests.experiment.processing.floating.crawl import FEET, RADIUS, Crawl, crawl
@@ -110,6 +111,16 @@ def test_a_time_around_landings_is_left_out() -> None:
     distance = np.abs(np.asarray(samples.time)[:, None] - landing).min(axis=1)
     assert samples.used[distance > 0.051].all()
     assert not samples.used[distance < 0.049].any()
+    near = float(np.mean(distance < 0.05))
+    all_of_them = {**SETTINGS, "impact_s": 0.01, "kept_share": 1.0 - 0.9 * near}
+    assert sdpid.process(walk.log(), all_of_them).used.all()
+    # Chosen by how many samples would go: of one landing few, of one every 50 ms most.
+    once = np.tile(walk.time[:, None] > 0.5 * walk.time[-1], len(FEET))
+    often = np.tile(np.sin(2.0 * np.pi * walk.time[:, None] / 0.05) > 0.0, len(FEET))
+    for down, chosen in ((once, 0.0), (often, None)):
+        found = choose_processing(walk.log(down=down))
+        assert found.processing.impact_s == chosen
+        assert any("sees a landing" in reason for reason in found.reasons)
 
 
 def test_recordings_with_other_contacts_are_put_together() -> None:
