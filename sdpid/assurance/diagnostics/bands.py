@@ -13,6 +13,9 @@ Efforts that were made of currents by the gains of the training are off by what 
 off by: of the gains' errors there counts only what the parameters do not follow,
 ``Y_j(x)·S_i − δ_ij·tau_j`` for the gain of joint i, with S_i the parameters' slope by its
 logarithm. About other efforts, the true torques, all of ``Y_j(x)·S_i`` counts.
+
+Where samples have contacts, predicted efforts go with the forces that explain best what is left
+(see `Problem.predict`): of what the parameters leave open, these forces take their part.
 """
 
 from __future__ import annotations
@@ -25,7 +28,8 @@ from sdpid._common.arrays import Array, frozen
 from sdpid._common.threads import one_thread
 from sdpid.assurance.diagnostics.blocks import held_out_blocks, in_blocks, own, predicted_by
 from sdpid.assurance.diagnostics.rest import moving_rows
-from sdpid.estimation.compression.rows import RowSource
+from sdpid.estimation.compression.covariance import pooled
+from sdpid.estimation.compression.whitening import effort_errors
 from sdpid.estimation.estimate import Estimate
 from sdpid.estimation.gain_errors import GainErrors
 from sdpid.estimation.posterior import Posterior
@@ -152,10 +156,13 @@ def _left_open(estimate: Estimate, samples: Samples) -> Array:
     if problem not in _ROOTS:
         _ROOTS[problem] = parameter_root(estimate)
     root, slopes = _ROOTS[problem]
-    rows = RowSource(problem.robot, problem.friction, problem.base, samples)
-    gains = GainErrors.of(problem)
+    rows, gains = problem.rows_of(samples), GainErrors.of(problem)
     if not gains.any:
-        pieces = [np.sqrt(np.sum((W @ root) ** 2, axis=2)) for _, W, _, _ in rows.chunks()]
+        sigma = pooled(problem.sigma)
+        pieces = [
+            np.linalg.norm(effort_errors(rows, part, sigma, W @ root), axis=2)
+            for part, W, _, _ in rows.chunks()
+        ]
         return np.concatenate(pieces)
     own, theirs = gains.gains, samples.gains
     alike = own is not None and theirs is not None and own.same_errors(theirs)

@@ -179,7 +179,7 @@ class ContactRows:
         return np.maximum(found, 0.0)
 
     def errors(self, powers: Array, index: Indices, residual: Array) -> Array:
-        """Return errors of the efforts (k, n) from residuals: less what forces explain best.
+        """Return errors of the efforts (k, n, c) from residuals: less what forces explain best.
 
         The forces, within their covariance where they were measured, are those that leave the
         least weighted residual of the rows in use. Masked rows get what these forces leave of them.
@@ -187,16 +187,13 @@ class ContactRows:
         out: Array = residual.copy()
         weighted = np.zeros_like(residual)
         for some, own in self.pattern_of(np.arange(len(self.active))):
-            P, r = powers[index[some]], residual[some][:, :, None]
+            P, r = powers[index[some]], residual[some]
             A = self.directions[some][:, :, own]
             # Least squares by the pseudo-inverse: a repeated direction has no force of its own.
-            force = np.linalg.pinv(P @ A, rcond=RANK) @ (P @ r)
-            left = r - A @ force
-            out[some] = left[:, :, 0]
-            weighted[some] = (np.swapaxes(P, 1, 2) @ (P @ left))[:, :, 0]
-        if self.covariance is not None:
-            out -= np.einsum("knm,km->kn", self.covariance, weighted)
-        return out
+            left = r - A @ (np.linalg.pinv(P @ A, rcond=RANK) @ (P @ r))
+            out[some] = left
+            weighted[some] = np.swapaxes(P, 1, 2) @ (P @ left)
+        return out if self.covariance is None else out - self.covariance @ weighted
 
 
 def orthonormal(A: Array) -> Array:

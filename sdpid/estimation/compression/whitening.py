@@ -113,7 +113,7 @@ def shares_of(rows: RowSource, part: slice, sigma: Array) -> Array:
 
 
 def effort_errors(rows: RowSource, part: slice, sigma: Array, residual: Array) -> Array:
-    """Return the errors of efforts (k, n) in residuals ``effort − W @ base`` of some samples.
+    """Return the errors of efforts in residuals (k, n, c) ``effort − W @ base`` of some samples.
 
     Without contacts they are the residuals; else forces that were not measured explain what they
     can (see `ContactRows.errors`).
@@ -132,9 +132,8 @@ def with_contact_forces(rows: RowSource, part: slice, sigma: Array, predicted: A
     """
     if rows.samples.contacts is None:
         return predicted
-    return rows.samples.effort[part] - effort_errors(
-        rows, part, sigma, rows.effort(part) - predicted
-    )
+    residual = (rows.effort(part) - predicted)[:, :, None]
+    return rows.samples.effort[part] - effort_errors(rows, part, sigma, residual)[:, :, 0]
 
 
 def _touching(rows: RowSource, part: slice, exponent: float) -> ContactRows | None:

@@ -14,6 +14,7 @@ import sdpid
 from sdpid import Samples
 from sdpid._common.arrays import Array
 from sdpid.assurance.certificate.rows_digest import samples_digest
+from sdpid.assurance.diagnostics.bands import _left_open, parameter_root
 from sdpid.errors import DataError
 from sdpid.estimation.compression.contact_rows import ContactRows
 from sdpid.estimation.compression.rows import RowSource
@@ -270,6 +271,12 @@ def test_what_follows_a_solve_knows_of_contacts(tmp_path: Path) -> None:
     assert 0.4 < errors.floating.torque / (np.sqrt(3.0) * 0.05) < 1.0
     assert np.all(errors.rows[:6] == 0)
     assert np.all((errors.rmse[6:] / 0.02 > 0.4) & (errors.rmse[6:] / 0.02 < 1.1))
+    # What the parameters leave open of predicted efforts is what they move them by.
+    root, _ = parameter_root(estimate)
+    fresh = gait(20, seed=8).samples
+    moved = [found.predict(estimate.base + step, fresh) for step in root.T]
+    open_part = np.linalg.norm(moved - found.predict(estimate.base, fresh), axis=0)
+    np.testing.assert_allclose(_left_open(estimate, fresh), open_part, rtol=1e-6, atol=1e-9)
     deviations = sdpid.solve_wls(found).standard_errors
     z = (sdpid.solve_wls(found).base - found.base_of(made.theta)) / deviations
     assert 0.7 < np.sqrt(np.mean(z**2)) < 1.3
