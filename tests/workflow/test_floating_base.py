@@ -16,6 +16,7 @@ import sdpid
 from sdpid.assurance.log_proof.chain.check import check_log
 from sdpid.errors import CertificateError, DataError
 from sdpid.experiment.recording.recording import rows_of
+from sdpid.output.report.sections.gait import values
 from sdpid.verifier.reading import digest
 from sdpid.workflow.result import Identification
 from tests.experiment.processing.floating.crawl import crawl
@@ -78,11 +79,35 @@ def test_report_and_words_know_the_base_and_its_contacts(tmp_path) -> None:  # t
     report = (tmp_path / "report.html").read_text(encoding="utf-8")
     assert "FL_FOOT closed, with the filter" in report
     assert "contacts closed at once" in report
+    assert report.count("contacts over time") == 2
+    assert "base, force in N" in report
     back = sdpid.load_robot(tmp_path / "identified.urdf", root="free_flyer")
     assert result.estimate.theta is not None
     np.testing.assert_allclose(
         back.prior[:, 0], result.estimate.theta[: 10 * back.n_links : 10], rtol=1e-6
     )
+
+
+def test_the_verdict_says_what_the_base_misses_and_what_a_gait_shows() -> None:
+    result = identified()
+    (force,) = (line for line in result.verdict if "the force on the base" in line)
+    assert force.startswith("Trust it for the force on the base")
+    (shown,) = (line for line in result.verdict if "than was believed before them" in line)
+    told = int(shown.split(" directions")[0].split()[-3])
+    assert 0 < told < result.problem.base.count
+    assert "hang it by its base" in shown
+    assert result.verdict[0].count("every joint") == 1
+
+
+def test_the_report_draws_which_feet_were_down() -> None:
+    result = identified()
+    shown = values(result)["gait"]
+    assert [each["title"] for each in shown] == ["training", "validation"]
+    samples = result.problem.samples
+    assert samples.contacts is not None
+    for row, down in zip(shown[0]["rows"], samples.contacts.down.T, strict=True):
+        drawn = sum(bar["width"] for bar in row["bars"]) / (shown[0]["width"] - shown[0]["left"])
+        assert drawn == pytest.approx(down.mean())
 
 
 def test_a_robot_that_is_fixed_is_refused() -> None:

@@ -63,7 +63,7 @@ def effort_findings(
         else:
             named[each.level].append(f"{name} ({words})")
     if named["good"]:
-        every = len(named["good"]) == len(fit.joint_names)
+        every = len(named["good"]) == len(fit.joint_names) - fit.n_base
         which = "every joint" if every else "the joints"
         yield Finding(
             "good",

@@ -18,6 +18,7 @@ from sdpid.assurance.diagnostics.active_constraints import constraint_states
 from sdpid.output.report.judged import Judged, errors_of
 from sdpid.output.report.page import page
 from sdpid.output.report.sections import (
+    gait,
     joints,
     links,
     mass_matrix,
@@ -152,4 +153,5 @@ def _context(result: Judged, draw: bool, intervals: GivenIntervals | None) -> di
         **mass_matrix.values(result, draw),
         **rollouts.values(result, draw),
         **recording.values(result),
+        **gait.values(result),
     }

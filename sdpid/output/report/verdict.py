@@ -19,6 +19,7 @@ from sdpid.estimation.compression.rows import RowSource
 from sdpid.estimation.problem import Problem
 from sdpid.output.report.cause_words import cause_findings
 from sdpid.output.report.finding import Finding, listed, percent
+from sdpid.output.report.floating_verdict import floating_findings
 from sdpid.output.report.gains_verdict import gains_findings
 from sdpid.output.report.grades import MOVES
 from sdpid.output.report.held_back import held_back_findings
@@ -47,6 +48,9 @@ BEYOND = 0.1
 # A description's speed limit is hardly reached in a recording; below half of it friction and
 # inertia at full speed are guesses.
 SLOW = 0.5
+
+# No joint turns as fast as this, rad/s: descriptions have 1000 where nobody knew a limit (Solo12).
+NO_LIMIT = 200.0
 
 
 def verdict(identification: Judged) -> tuple[str, ...]:
@@ -88,6 +92,7 @@ def findings(
         *effort_findings(
             *judged(identification), seen_on(identification), grades_of(identification)
         ),
+        *floating_findings(identification),
         *held_out_findings(identification),
         *cause_findings(
             judged(identification)[1],
@@ -153,7 +158,7 @@ def _reach(result: Judged) -> Iterator[Finding]:
     slow = [
         f"{robot.joint_names[j]} ({peaks[j]:.2g} of {robot.velocity_limits[j]:.2g} rad/s)"
         for j in joints
-        if np.isfinite(robot.velocity_limits[j]) and peaks[j] < SLOW * robot.velocity_limits[j]
+        if robot.velocity_limits[j] < NO_LIMIT and peaks[j] < SLOW * robot.velocity_limits[j]
     ]
     if slow:
         yield Finding(
