@@ -133,6 +133,24 @@ def test_velocities_of_unknown_axes_are_left_out_with_a_word(tmp_path: Path) -> 
         read_recording(tmp_path / "run.npz", **told)
 
 
+@pytest.mark.parametrize(("prefix", "told"), [("imu_quat", True), ("tcp_orientation", False)])
+def test_quaternions_by_another_name_are_pointed_out(
+    tmp_path: Path, prefix: str, told: bool
+) -> None:
+    joints = {"time": np.arange(N) / 200.0, "q1": log().position[:, 0], "tau1": log().effort[:, 0]}
+    quaternions = {f"{prefix}_{part}": np.full(N, 0.5) for part in "wxyz"}
+    table = np.column_stack([*joints.values(), *quaternions.values()])
+    file = tmp_path / "run.csv"
+    header = ",".join([*joints, *quaternions])
+    np.savetxt(file, table, header=header, delimiter=",", comments="")
+    found = read_described(file)
+    assert found.recording.base is None
+    assert (f"--column base_orientation={prefix}" in str(found.sources)) == told
+    if told:
+        columns = {"base_orientation": prefix}
+        assert read_recording(file, columns=columns).base is not None
+
+
 def test_missing_values_of_the_base_are_dropped_or_refused(tmp_path: Path) -> None:
     given = arrays()
     given["base_quat"][7] = np.nan

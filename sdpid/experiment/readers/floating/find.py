@@ -21,6 +21,10 @@ _BETWEEN = r"[_./\s\[-]*"
 _FRAMES = ("world", "base")
 # Words that tell another quantity from a foot that is named behind ``contact_``.
 _OTHERS = re.compile(r"(?:forces?|wrench(?:es)?|states?|torques?|moments?)(?:[_./\s-].*)?", re.I)
+# Words in the names of what turns and is no base.
+_NO_BASE = re.compile(
+    r"tcp|tool|eef?\b|ee_|tip|flange|hand|grip|object|target|desired|cmd|camera", re.I
+)
 
 
 @dataclass(kw_only=True)
@@ -87,9 +91,27 @@ def find_floating(
                     f"of {', '.join(NAMES[quantity])} is there. Name it with "
                     "columns={'base_orientation': ...}."
                 )
+            unnamed = None if log.given(quantity)[0] else _unnamed(log)
+            if unnamed is not None:
+                found.left_out[quantity] = unnamed
             return found
     _leave_unknown_axes(log, found, settings)
     return found
+
+
+def _unnamed(log: Columns) -> str | None:
+    """Return which columns may be quaternions of a base, by another name; not those of tools."""
+    groups = [
+        log.like("base_orientation", rf"(.*(?:quat|orient).*?){_BETWEEN}q?{part}\]?")
+        for part in PARTS["base_orientation"]
+    ]
+    for label, first in groups[0].items():
+        if all(label in group for group in groups) and not _NO_BASE.search(label):
+            return (
+                f"{first} ... {groups[-1][label]} may be those of a floating base; then say "
+                f"columns={{'base_orientation': {label!r}}} (--column base_orientation={label})"
+            )
+    return None
 
 
 def _leave_unknown_axes(log: Columns, found: Floating, settings: Mapping[str, Any]) -> None:
