@@ -16,6 +16,7 @@ import numpy as np
 
 from sdpid._common.arrays import Array, Indices
 from sdpid.experiment.inspection.delays.free_rows import FreeRows, first_scale
+from sdpid.experiment.inspection.delays.kinematic import on_legs
 from sdpid.experiment.inspection.delays.lag import Delay, block_error
 from sdpid.experiment.processing.choose import default_processing
 from sdpid.experiment.processing.delays.on_time import on_time
@@ -48,13 +49,14 @@ _STEPS, _NEAR, _WEIGHTINGS = 4, 1e-4, 3
 _UNLIKE = 0.05
 
 
-def is_held(log: Recording) -> bool:
+def is_held(robot: RobotModel, log: Recording) -> bool:
     """Tell whether a base is held throughout, so that it does not matter how it moves."""
     contacts = log.contacts
     if contacts is None or contacts.down is None:
         return False
-    planes = [i for i, kind in enumerate(contacts.kind) if kind == "plane"]
-    return bool(planes) and bool(contacts.down[:, planes].any(axis=1).all())
+    planes = np.array([kind == "plane" for kind in contacts.kind])
+    holding = planes & ~on_legs(robot, log)
+    return bool(holding.any()) and bool(contacts.down[:, holding].any(axis=1).all())
 
 
 def dynamic_delays(robot: RobotModel, log: Recording) -> dict[str, Delay]:
@@ -72,7 +74,7 @@ def dynamic_delays(robot: RobotModel, log: Recording) -> dict[str, Delay]:
     dict
         That of the IMU only where there is one on a base that moves.
     """
-    base, held = log.base, is_held(log)
+    base, held = log.base, is_held(robot, log)
     sensed = base is not None and base.imu is not None and base.imu.accelerometer is not None
     names = ("effort", "imu") if sensed and not held else ("effort",)
     processing = _processing(log, quiet=sensed or held)
@@ -110,6 +112,7 @@ def _processing(log: Recording, *, quiet: bool) -> Processing:
         decimation=None,
         reversal_time=None,
         contact_margin_s=_MARGIN,
+        impact_s=None,
         contact_force_std=None,
         contact_moment_std=None,
         reasons=(),

@@ -121,7 +121,7 @@ def _found(robot: RobotModel, log: Recording) -> dict[str, Delay]:
         has_imu = piece.base is not None and piece.base.imu is not None
         if not has_imu:
             piece = _corrected(piece, found)
-        own = "effort" if has_imu or is_held(piece) else "pose"
+        own = "effort" if has_imu or is_held(robot, piece) else "pose"
         for name, delay in dynamic_delays(robot, piece).items():
             found[name] = delay.wider(beyond[own if name == "effort" else name])
         turned = imu_against_pose(piece)

@@ -11,10 +11,10 @@ from sdpid.experiment.processing.samples import Samples
 from sdpid.robot.model.contacts.jacobians import contact_jacobians
 from sdpid.robot.model.model import RobotModel
 
-__all__ = ["FreeRows", "first_scale"]
+__all__ = ["TRANSMITS", "FreeRows", "first_scale"]
 
 # What a contact of each kind transmits: the first so many rows of its Jacobian.
-_TRANSMITS = {"point": 3, "line": 5, "plane": 6}
+TRANSMITS = {"point": 3, "line": 5, "plane": 6}
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -45,7 +45,7 @@ class FreeRows:
         for number, down in enumerate(patterns):
             chosen = np.flatnonzero(which.reshape(-1) == number)
             parts = [
-                J[chosen, i, : _TRANSMITS[kind]] for i, kind in enumerate(contacts.kind) if down[i]
+                J[chosen, i, : TRANSMITS[kind]] for i, kind in enumerate(contacts.kind) if down[i]
             ]
             left = np.broadcast_to(np.eye(robot.n), (len(chosen), robot.n, robot.n))
             if parts:

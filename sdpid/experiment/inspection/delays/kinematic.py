@@ -14,7 +14,7 @@ from sdpid.experiment.recording.recording import Recording
 from sdpid.robot.model.contacts.jacobians import contact_jacobians
 from sdpid.robot.model.model import RobotModel
 
-__all__ = ["imu_against_pose", "pose_against_joints"]
+__all__ = ["imu_against_pose", "on_legs", "pose_against_joints"]
 
 # Cut-offs (Hz): of poses, whose differences are noisy, and of feet that stand for some 0.2 s.
 _POSE_HZ, _STANCE_HZ = 15.0, 20.0
@@ -75,9 +75,8 @@ def pose_against_joints(robot: RobotModel, log: Recording) -> Delay | None:
     speeds = filtered(np.gradient(joints, step, axis=0), smooth)
     rows = np.unique(np.linspace(edge, log.n_samples - 1 - edge, _ROWS).astype(np.intp))
     stands = ~near(~np.asarray(contacts.down), smooth.reach + round(_SETTLED / step))[rows]
-    points = np.array([kind == "point" for kind in contacts.kind])
-    stands &= points
-    # A base that is held stands on its own contact, and moves nowhere.
+    # What holds a base stands still, whatever joints do.
+    stands &= on_legs(robot, log)
     if np.count_nonzero(stands) < _LEAST or np.sqrt(np.mean(turning**2)) < _LEAST_RATE:
         return None
     q = np.hstack(
@@ -95,6 +94,16 @@ def pose_against_joints(robot: RobotModel, log: Recording) -> Delay | None:
         change, error = _step(left, rate, stands)
         delay += change
     return Delay(value=delay, error=error)
+
+
+def on_legs(robot: RobotModel, log: Recording) -> Mask:
+    """Return which contacts joints move, (c,)."""
+    contacts = log.contacts
+    assert contacts is not None
+    middle = np.zeros((1, robot.pin_model.nq))
+    middle[0, 6], middle[0, 7:] = 1.0, log.position[log.n_samples // 2]
+    J = contact_jacobians(robot, middle, contacts.frames, contacts.offset)
+    return np.asarray(np.abs(J[0, :, :, robot.n_base :]).max(axis=(1, 2)) > 0.0)
 
 
 def _step(left: Array, rate: Array, stands: Mask) -> tuple[float, float]:

@@ -7,7 +7,8 @@ from dataclasses import replace
 import numpy as np
 
 from sdpid._common.arrays import Array, Mask
-from sdpid.experiment.inspection.delays.free_rows import first_scale
+from sdpid.experiment.inspection.delays.free_rows import TRANSMITS, first_scale
+from sdpid.experiment.inspection.delays.kinematic import on_legs
 from sdpid.experiment.inspection.delays.lag import Delay, lag
 from sdpid.experiment.processing.choose import default_processing
 from sdpid.experiment.processing.derivatives import BAND_OVER_RATE
@@ -42,9 +43,10 @@ def contacts_delay(robot: RobotModel, log: Recording) -> Delay | None:
         None where no foot lands often enough, or forces do not follow from efforts.
     """
     contacts, step = log.contacts, log.step
-    if contacts is None or any(kind != "point" for kind in contacts.kind):
+    if contacts is None or not on_legs(robot, log).all():
         return None
-    if 3 * contacts.n >= robot.n or not robot.prior[:, 0].sum() > 0.0:
+    wide = [TRANSMITS[kind] for kind in contacts.kind]
+    if sum(wide) >= robot.n or not robot.prior[:, 0].sum() > 0.0:
         return None
     down = contacts.down
     steps = round(_WINDOW / step)
@@ -55,6 +57,7 @@ def contacts_delay(robot: RobotModel, log: Recording) -> Delay | None:
         cutoff_hz=min(_CUTOFF_HZ, BAND_OVER_RATE * log.rate_hz),
         decimation=1,
         reversal_time=None,
+        impact_s=None,
         contact_force_std=None if contacts.forces is None else 1.0,
         contact_moment_std=None,
         reasons=(),
@@ -63,13 +66,14 @@ def contacts_delay(robot: RobotModel, log: Recording) -> Delay | None:
     q, v, a = samples.position, samples.velocity, samples.acceleration
     need = robot.inverse_dynamics(robot.prior, q, v, a) - samples.effort
     scale = first_scale(robot, samples.effort)
-    J = contact_jacobians(robot, q, contacts.frames, contacts.offset)[:, :, :3]
-    closed = J.reshape(len(q), -1, robot.n) / scale
+    J = contact_jacobians(robot, q, contacts.frames, contacts.offset)
+    closed = np.concatenate([J[:, i, :rows] for i, rows in enumerate(wide)], axis=1) / scale
     normal = closed @ closed.transpose(0, 2, 1)
     # Legs that are stretched have forces that no effort shows.
     normal += 1e-9 * np.trace(normal, axis1=1, axis2=2)[:, None, None] * np.eye(normal.shape[1])
     solved = np.linalg.solve(normal, closed @ (need / scale)[:, :, None])
-    force: Array = np.asarray(solved.reshape(len(q), contacts.n, 3), dtype=np.float64)
+    first_rows = np.cumsum([0, *wide[:-1]])
+    force: Array = np.stack([solved[:, row : row + 3, 0] for row in first_rows], axis=1)
     assert samples.time is not None
     first = round(float(samples.time[0] - log.time[0]) / step)
     if samples.contacts is not None and samples.contacts.forces is not None:
@@ -103,7 +107,8 @@ def _of_flags(down: Mask, upward: Array, step: float) -> Delay | None:
         before, top, after = rise[peak - 1 : peak + 2]
         curved = before - 2.0 * top + after
         shift = 0.5 * (before - after) / curved if curved < 0.0 else 0.0
-        found.append((steps - peak - shift) * step)
+        # A foot lands between the last sample without its flag and the first with it.
+        found.append((steps - 0.5 - peak - shift) * step)
     if len(found) < _LEAST_LANDINGS:
         return None
     value = float(np.median(found))
