@@ -45,14 +45,21 @@ class ContactWhiteners:
         Bounds of ‖J‖; infinite where none is found.
     away : ndarray, shape (g, s + r, n)
         ``V·w`` as computed is off from ``T·w`` by at most ``‖away·|w|‖``, for any column w.
+    G : ndarray, shape (g, r, n)
+        Nearly what the forces that explain a residual w best are of it, but for their sign.
+    grown, lean : ndarray, shape (g,)
+        They are at most ``grown·‖G·w‖ + lean·‖w‖`` in size, ‖w‖² being ``w^T·C^-1·w``.
     force : ndarray, shape (g,)
-        The forces that explain r best are at most this times r's norm, ``√(r^T·C^-1·r)``.
+        And at most ``force·‖w‖``.
     """
 
     some: Indices
     V: Array
     weight: Array
     away: Array
+    G: Array
+    grown: Array
+    lean: Array
     force: Array
 
     @property
@@ -148,7 +155,14 @@ def _of(some: Indices, A: Array, P: Array, used: Mask, C: Array) -> ContactWhite
         nothing = np.zeros((len(some), V.shape[1] + G.shape[1], V.shape[2]))
         weight = np.full(len(some), np.inf)
         return ContactWhiteners(
-            some=some, V=np.zeros_like(V), weight=weight, away=nothing, force=weight
+            some=some,
+            V=np.zeros_like(V),
+            weight=weight,
+            away=nothing,
+            G=np.zeros_like(G),
+            grown=weight,
+            lean=weight,
+            force=weight,
         )
     n, one = A.shape[1], np.eye(A.shape[2])
     absV, absA, absG, absC = (np.abs(each) for each in (V, A, G, C))
@@ -167,10 +181,20 @@ def _of(some: Indices, A: Array, P: Array, used: Mask, C: Array) -> ContactWhite
     share = SLACK * np.sqrt(2.0)
     d = np.where(np.isfinite(d), d, 0.0)
     away = np.concatenate([share * gamma(n) * absV, share * d[:, None, None] * absG], axis=1)
-    # Of all left inverses the one that finds the best forces has the least G·C·G^T.
-    force = quotient(SLACK * np.sqrt(spread), below_one(F + UNDERFLOW))
+    grown = quotient(1.0, below_one(F + UNDERFLOW))
+    # Of all left inverses the one that finds the best forces has the least G·C·G^T, and no part in
+    # T: with G' as above it is ``G' − G'·C·T^T·(E + H)^-1·T``.
+    apart = np.abs(G @ C @ _turned(V)) + gamma(2 * n) * _turned(sizes @ _turned(absG))
+    lean = SLACK * (_norms(apart) + d * spread) * np.where(np.isfinite(grown), grown, 0.0)
     return ContactWhiteners(
-        some=some, V=V, weight=quotient(off, below_one(off)), away=away, force=force
+        some=some,
+        V=V,
+        weight=quotient(off, below_one(off)),
+        away=away,
+        G=G,
+        grown=grown,
+        lean=np.where(np.isfinite(grown), quotient(lean, below_one(off)), np.inf),
+        force=quotient(SLACK * np.sqrt(spread), below_one(F + UNDERFLOW)),
     )
 
 

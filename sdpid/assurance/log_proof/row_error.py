@@ -60,8 +60,8 @@ class RowError:
     links : ndarray, shape (links, 3)
         The same of what the enclosure leaves open of each link, over its m, |h| and ‖I‖.
     constant, share : float
-        What does not depend on theta, and what grows with the cost: zero but for eq9 and eq18,
-        the constant also for samples in contact.
+        What does not depend on theta, and what grows with the cost: zero but for eq9, eq18
+        and samples in contact.
     box : Box
         Bounds of everything feasible.
     taken_as_computed : tuple of str
@@ -146,7 +146,8 @@ def row_error(
         if np.isfinite(touching.columns).all():
             moved = touching.columns @ np.abs(rows.base.matrix)
         columns = (columns * touching.larger + moved) * UP
-        links, constant = links * touching.larger * UP, touching.constant
+        links = links * touching.larger * UP
+        constant, share = touching.constant, touching.share
     first, best = 0, pieces[0]
     start = 0
     for piece in pieces:

@@ -51,9 +51,11 @@ def touched(sealed: Sealed, source: RowSource, sigma: Array) -> Iterator[Link]:
 def _places(source: RowSource, found: dict[str, Any]) -> Iterator[str]:
     """Yield where contacts are on their links, in words."""
     model: Any = source.robot.pin_model
-    contacts = zip(found["frames"], found["kinds"], found["offsets"], found["closed"], strict=True)
-    for name, kind, offset, closed in contacts:
-        frame = model.frames[model.getFrameId(name)]
+    contacts = source.samples.contacts
+    assert contacts is not None
+    listed = zip(contacts.names, contacts.frames, contacts.kind, contacts.offset, strict=True)
+    for (name, own, kind, offset), closed in zip(listed, found["closed"], strict=True):
+        frame = model.frames[model.getFrameId(own)]
         place = ", ".join(f"{each:.6g}" for each in frame.placement.translation)
         beside = ", ".join(f"{each:.6g}" for each in offset)
         yield (

@@ -1,9 +1,11 @@
 """What errors of contacts' Jacobians do to the cost of rows.
 
 Of a sample with the residual r, the efforts A of forces that nobody measured and the covariance C,
-the cost is the least ``‖r + A·f‖²`` over all forces f, in the norm of C^-1. With another A + D its
-root differs by at most ``‖D‖·‖f‖``, f being the best forces for one or the other; and with
-``‖f‖ ≤ g·‖r‖`` for A, g of `ContactWhiteners.force`, it is at most ``g/(1 − ‖D‖·g)·‖r‖`` for A + D.
+the cost is the least ``‖r + A·f‖²`` over all forces f, in the norm of C^-1. With another A + D,
+``‖D‖ ≤ p``, its root is at most p·‖f‖ larger, f being the best forces for A, and at most
+``p/(1 − p·g)·‖f‖ + s·b`` smaller, ``s = (p·g)²/(1 − p·g)``, b being the root for A + D; g is
+`ContactWhiteners.force`. Of parameters f is linear, and so are its bounds. docs/theory ("Rows hold
+for the robot's equations") has the proof.
 """
 
 from __future__ import annotations
@@ -13,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from sdpid._common.arrays import Array
-from sdpid.assurance.certificate.contact_whiteners import contact_whiteners
+from sdpid.assurance.certificate.contact_whiteners import ContactWhiteners, contact_whiteners
 from sdpid.assurance.certificate.outward import SLACK as UP
 from sdpid.assurance.certificate.outward import UNIT as U
 from sdpid.assurance.certificate.outward import below_one, gamma, quotient
@@ -37,6 +39,8 @@ class ContactError:
         By at most this for each base parameter of size one.
     constant : float
         And by this for any.
+    share : float
+        And by this share of the root itself.
     larger : float
         Rows count at most this times what the covariance of efforts alone gives them: rounding of
         that of measured forces may take something from it.
@@ -44,6 +48,7 @@ class ContactError:
 
     columns: Array
     constant: float
+    share: float
     larger: float
 
 
@@ -64,6 +69,7 @@ def contact_error(rows: Rows, sigma: Array) -> ContactError:
     return ContactError(
         columns=root(np.sum([piece.columns**2 for piece in pieces], axis=0)),
         constant=float(root(sum(piece.constant**2 for piece in pieces))),
+        share=max(piece.share for piece in pieces),
         larger=max(piece.larger for piece in pieces),
     )
 
@@ -79,9 +85,11 @@ def _piece(source: RowSource, sigma: Array) -> ContactError:
     R = contacts.force_covariance
     correlated = R is not None and np.any(R - _diagonal(R))
     if "line" in contacts.kind or any(contacts.against) or correlated:
-        return ContactError(columns=np.full(source.base.count, np.inf), constant=np.inf, larger=1.0)
+        nothing = np.full(source.base.count, np.inf)
+        return ContactError(columns=nothing, constant=np.inf, share=np.inf, larger=1.0)
     joints = [Joint.of(tree, i) for i in range(len(tree.kind))]
     columns, constant, larger = np.zeros(source.base.count + 1), 0.0, 1.0
+    most = 0.0
     for part in source.parts():
         own = sigma if sigma.ndim == 2 else sigma[part]
         mask, touching = source.mask(part), source.contacts(part)
@@ -109,20 +117,34 @@ def _piece(source: RowSource, sigma: Array) -> ContactError:
             larger = max(larger, grown)
             factor = np.where(mask, w, 0.0) * grown * UP
             moved = root(np.einsum("kcdn,kn->k", off**2, factor**2))
-            force = np.zeros(len(moved))
-            for each in contact_whiteners(touching, own, mask):
-                force[each.some] = each.force if each.rank else 0.0
-            product = np.where(force > 0.0, moved * force, 0.0) * UP
-            share = quotient(product, below_one(product)) * UP
             block = source.rows(part)
-            columns += np.einsum("knb,kn->b", block**2, (share[:, None] * factor) ** 2) * UP
+            for each in contact_whiteners(touching, own, mask):
+                if not each.rank:
+                    continue
+                p = moved[each.some]
+                product = p * each.force * UP
+                p = quotient(p, below_one(product))
+                found = p[:, None] * _forces(each, block[each.some], factor[each.some])
+                columns += np.sum(found**2, axis=0) * UP
+                most = max(most, float((p * product * each.force).max()) * UP)
             if contacts.forces is not None and R is not None:
                 wrong = _effort_errors(J, off, contacts.forces[part], R, samples.effort[part])
                 constant += float(np.sum((factor * wrong) ** 2)) * UP
-    *found, efforts = root(columns)
+    *norms, efforts = root(columns) * (1.0 + most) * UP
     return ContactError(
-        columns=np.array(found), constant=float(efforts + root(constant)) * UP, larger=larger
+        columns=np.array(norms),
+        constant=float(efforts + root(constant)) * UP,
+        share=most,
+        larger=larger,
     )
+
+
+def _forces(each: ContactWhiteners, W: Array, factor: Array) -> Array:
+    """Return bounds (g, c) of the forces that explain the columns of rows (g, n, c) best."""
+    size = np.abs(each.G @ W) + gamma(W.shape[1]) * (np.abs(each.G) @ np.abs(W))
+    norms = root(np.einsum("gnc,gn->gc", W**2, factor**2))
+    found = each.grown[:, None] * root(np.sum(size**2, axis=1)) + each.lean[:, None] * norms
+    return np.asarray(found * UP)
 
 
 def _diagonal(matrices: Array) -> Array:
