@@ -17,11 +17,13 @@ from sdpid._common.arrays import Array, Indices, Mask
 from sdpid.assurance.certificate.outward import (
     SLACK,
     UNDERFLOW,
+    UNIT,
     below_one,
     gamma,
     quotient,
     usable,
 )
+from sdpid.assurance.certificate.whitener_errors import paired
 from sdpid.estimation.compression.contact_rows import RANK, ContactRows
 from sdpid.estimation.compression.whitening import weights
 
@@ -39,12 +41,13 @@ class ContactWhiteners:
     ----------
     some : ndarray of int, shape (g,)
         Which samples.
-    V : ndarray, shape (g, s, n)
-        Whiteners, zero in columns of rows that are not used.
+    V, rest : ndarray, shape (g, s, n)
+        Whiteners, zero in columns of rows that are not used, are the sums of these. Of directions
+        that are all but dependent, doubles alone would leave too much.
     weight : ndarray, shape (g,)
         Bounds of ‖J‖; infinite where none is found.
-    away : ndarray, shape (g, s + r, n)
-        ``V·w`` as computed is off from ``T·w`` by at most ``‖away·|w|‖``, for any column w.
+    shift : ndarray, shape (g,)
+        ``V·w`` is off from ``T·w`` by at most this times ‖G·w‖, for any column w.
     G : ndarray, shape (g, r, n)
         Nearly what the forces that explain a residual w best are of it, but for their sign.
     grown, lean : ndarray, shape (g,)
@@ -55,8 +58,9 @@ class ContactWhiteners:
 
     some: Indices
     V: Array
+    rest: Array
     weight: Array
-    away: Array
+    shift: Array
     G: Array
     grown: Array
     lean: Array
@@ -65,7 +69,18 @@ class ContactWhiteners:
     @property
     def rank(self) -> int:
         """How many directions of forces each sample loses."""
-        return int(self.away.shape[1] - self.V.shape[1])
+        return int(self.G.shape[1])
+
+    def times(self, W: Array) -> Array:
+        """Return whitened columns (g, s, c) of columns (g, n, c)."""
+        return np.asarray(self.V @ W + self.rest @ W)
+
+    def moved(self, W: Array) -> Array:
+        """Return what `times` is off from T times columns (g, n, c) at most, (g, c)."""
+        sizes, rounding = np.abs(W), gamma(W.shape[1] + 1)
+        of_product = rounding * _lengths((np.abs(self.V) + np.abs(self.rest)) @ sizes)
+        forces = np.abs(self.G @ W) + rounding * (np.abs(self.G) @ sizes)
+        return np.asarray(SLACK * (of_product + self.shift[:, None] * _lengths(forces)))
 
 
 def contact_whiteners(
@@ -152,50 +167,64 @@ def _of(some: Indices, A: Array, P: Array, used: Mask, C: Array) -> ContactWhite
     """Return weights of samples with independent directions A (g, n, r)."""
     V, G = _made(A, P, used)
     if not usable(V, G, C, A):
-        nothing = np.zeros((len(some), V.shape[1] + G.shape[1], V.shape[2]))
         weight = np.full(len(some), np.inf)
         return ContactWhiteners(
             some=some,
             V=np.zeros_like(V),
+            rest=np.zeros_like(V),
             weight=weight,
-            away=nothing,
+            shift=np.zeros(len(some)),
             G=np.zeros_like(G),
             grown=weight,
             lean=weight,
             force=weight,
         )
     n, one = A.shape[1], np.eye(A.shape[2])
-    absV, absA, absG, absC = (np.abs(each) for each in (V, A, G, C))
-    D = _norms(np.abs(V @ A) + gamma(n) * (absV @ absA))
+    absA, absG, absC = (np.abs(each) for each in (A, G, C))
     F = _norms(np.abs(G @ A - one) + gamma(n + 1) * (absG @ absA + one))
+    rest, left_over = _refined(V, A, G)
+    D = _norms(left_over)
     # Bounds ‖D·(E + F)^-1‖.
     d = quotient(D + UNDERFLOW, below_one(F + UNDERFLOW))
+    # The sum is rounded once.
+    both = V + rest
+    absV = np.abs(both)
     sizes = absV @ absC
-    left = V @ C @ _turned(V) - np.eye(V.shape[1])
-    chi = _norms(np.abs(left) + gamma(2 * n + 1) * (sizes @ _turned(absV) + np.eye(V.shape[1])))
+    left = both @ C @ _turned(both) - np.eye(V.shape[1])
+    chi = _norms(np.abs(left) + gamma(2 * n + 4) * (sizes @ _turned(absV) + np.eye(V.shape[1])))
     spread = _norms(absG @ absC @ _turned(absG))
-    moved = 2.0 * d * _norms(sizes @ _turned(absG)) + d**2 * spread
+    # As G finds the forces that leave least, G·C·V^T is next to nothing.
+    apart = np.abs(G @ C @ _turned(both)) + gamma(2 * n + 2) * _turned(sizes @ _turned(absG))
+    moved = 2.0 * d * _norms(apart) + d**2 * spread
     off = np.where(np.isfinite(d), chi + np.where(np.isfinite(moved), moved, np.inf), np.inf)
     off = SLACK * off + UNDERFLOW
-    # Of two parts that are added, the sum is at most √2 times the norm of both behind each other.
-    share = SLACK * np.sqrt(2.0)
     d = np.where(np.isfinite(d), d, 0.0)
-    away = np.concatenate([share * gamma(n) * absV, share * d[:, None, None] * absG], axis=1)
     grown = quotient(1.0, below_one(F + UNDERFLOW))
     # Of all left inverses the one that finds the best forces has the least G·C·G^T, and no part in
     # T: with G' as above it is ``G' − G'·C·T^T·(E + H)^-1·T``.
-    apart = np.abs(G @ C @ _turned(V)) + gamma(2 * n) * _turned(sizes @ _turned(absG))
     lean = SLACK * (_norms(apart) + d * spread) * np.where(np.isfinite(grown), grown, 0.0)
     return ContactWhiteners(
         some=some,
         V=V,
+        rest=rest,
         weight=quotient(off, below_one(off)),
-        away=away,
+        shift=SLACK * d,
         G=G,
         grown=grown,
         lean=np.where(np.isfinite(grown), quotient(lean, below_one(off)), np.inf),
         force=quotient(SLACK * np.sqrt(spread), below_one(F + UNDERFLOW)),
     )
+
+
+def _refined(V: Array, A: Array, G: Array) -> tuple[Array, Array]:
+    """Return what to add to V, for V·A to vanish, and bounds of what is then left of it."""
+    (high, low), error = paired(V, A)
+    rest = -(high + low) @ G
+    taken = rest @ A
+    size = np.abs(rest) @ np.abs(A)
+    left = np.abs(high + taken + low)
+    rounding = gamma(A.shape[1] + 3) * (size + np.abs(low)) + 4.0 * UNIT * np.abs(high)
+    return rest, SLACK * (left + rounding + error)
 
 
 def _made(A: Array, P: Array, used: Mask) -> tuple[Array, Array]:
@@ -220,6 +249,11 @@ def _made(A: Array, P: Array, used: Mask) -> tuple[Array, Array]:
     G = (inverse @ P) / length[:, :, None]
     V = np.swapaxes(Q[:, :, count + r :], 1, 2) @ P
     return V * used[:, None, :], G * used[:, None, :]
+
+
+def _lengths(columns: Array) -> Array:
+    """Return the norms of some columns (g, s, c), rounded up."""
+    return np.asarray(SLACK * np.sqrt(np.einsum("gsc,gsc->gc", columns, columns)))
 
 
 def _turned(matrices: Array) -> Array:

@@ -189,11 +189,11 @@ def _whitened(
         block = rows.rows(part, memory[0])
         for each in contact_whiteners(touching, own, mask):
             W = block[each.some]
-            off = np.minimum(each.away @ np.abs(W), LARGEST)
+            off = np.minimum(each.moved(W), LARGEST)
             yield _Whitened(
-                X=(each.V @ W).reshape(-1, block.shape[2]),
+                X=each.times(W).reshape(-1, block.shape[2]),
                 nearly=None,
-                moved=np.einsum("kij,kij->j", off, off),
+                moved=np.einsum("kj,kj->j", off, off),
                 off=np.zeros(block.shape[2]),
                 weight=float(each.weight.max(initial=0.0)),
             )

@@ -146,10 +146,18 @@ def _defect(V: Array, S: Array, used: Mask, exponent: float, K: Array) -> Pair:
     return above + low, SLACK * error + UNDERFLOW
 
 
+def paired(V: Array, A: Array) -> tuple[Pair, Array]:
+    """Return the products of matrices (m, s, n) and (m, n, r) in pairs, and bounds of errors."""
+    found = _product((V, np.zeros_like(V)), (A, np.zeros_like(A)))
+    share = _PAIRED * gamma(4 * V.shape[2] + 4) ** 2
+    return found, SLACK * share * (np.abs(V) @ np.abs(A)) + UNDERFLOW
+
+
 def _product(A: Pair, B: Pair) -> Pair:
-    """Return the product of matrices (m, n, n) in pairs: sums with their errors [ogita2005]_."""
-    high, low = np.zeros_like(A[0]), A[0] @ B[1] + A[1] @ B[0]
-    for k in range(high.shape[-1]):
+    """Return the product of matrices in pairs: sums with their errors [ogita2005]_."""
+    low = A[0] @ B[1] + A[1] @ B[0]
+    high = np.zeros_like(low)
+    for k in range(A[0].shape[-1]):
         term, missing = _times(A[0][:, :, k, None], B[0][:, k, None, :])
         new = high + term
         seen = new - high

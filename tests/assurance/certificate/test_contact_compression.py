@@ -85,11 +85,15 @@ def test_no_point_of_the_box_leaves_the_enclosure(seed: int) -> None:
     n, columns, count = (int(rng.integers(*ends)) for ends in ((2, 5), (2, 5), (1, 7)))
     m = int(rng.integers(0, n + 1))
     block = 10.0 ** rng.uniform(-3, 3, columns) * rng.standard_normal((count, n, columns))
+    directions = 10.0 ** rng.uniform(-2, 2, m) * rng.standard_normal((count, n, m))
+    if m > 1 and rng.random() < 0.4:
+        # A leg that is all but straight.
+        directions[..., 1] = directions[..., 0] + 10.0 ** rng.uniform(-6, -2) * directions[..., 1]
     rows = TouchingRows(
         block=block,
         used=rng.random((count, n)) < rng.choice([0.7, 1.0]),
         chunk_size=int(rng.integers(1, count + 1)),
-        directions=10.0 ** rng.uniform(-2, 2, m) * rng.standard_normal((count, n, m)),
+        directions=directions,
         active=rng.random((count, m)) < 0.6,
     )
     scale = 10.0 ** rng.uniform(-2, 2, n)
