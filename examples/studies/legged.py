@@ -84,19 +84,6 @@ class Quadruped:
         """The terms of its friction; their sizes are not told."""
         return (*self.law.terms, "viscous", "rotor_inertia")
 
-    def truth(self, problem: Problem) -> Array:
-        """Return the true base parameters; friction terms that the plant does not have are zero."""
-        links, n = 10 * self.robot.n_links, self.robot.n - 6
-        coulomb, viscous, rotor = self.theta[links:].reshape(3, n)
-        sizes = {
-            "Fs": coulomb,
-            "Fst": self.law.peak * coulomb,
-            "Fv": viscous,
-            "Ia": rotor,
-        }
-        terms = [sizes.get(term.symbol, np.zeros(n)) for term in problem.friction.terms]
-        return np.asarray(problem.base_of(np.concatenate([self.theta[:links], *terms])))
-
     def run(self, motion: str, sensors: Sensors | None = None) -> LeggedRun:
         """Let it move."""
         order = (*ROBOTS[self.name], "walk").index(motion)
@@ -198,23 +185,11 @@ def identified(
     seconds = time.process_time() - start
     estimate, problem = result.estimate, result.problem
     certificate = result.certificate
-    within = None
-    if not chosen and result.intervals is not None:
-        truth = dict(zip(problem.base.names, quadruped.truth(problem), strict=True))
-        held = [
-            lower <= truth[name] <= upper
-            for name, lower, upper in zip(
-                result.intervals.names, result.intervals.lower, result.intervals.upper, strict=True
-            )
-            if name in truth
-        ]
-        within = 100.0 * float(np.mean(held)) if held else None
     least = quadruped.errors(quadruped.predicted(problem, result.wls.base))
     return [
         *quadruped.errors(quadruped.predicted(problem, estimate.base)),
         abs(quadruped.mass_error(estimate.theta)),
         *least[:2],
-        within,
         certificate is not None and bool(certificate.passed),
         None if certificate is None else certificate.gap,
         seconds,
@@ -226,8 +201,7 @@ def cell(quadruped: Quadruped, number: int) -> list[object]:
     which, imu, chosen = CASES[number]
     logs = [quadruped.runs[motion].recording for motion in ROBOTS[quadruped.name][which]]
     logs = logs if imu else [without_imu(log) for log in logs]
-    # Intervals around friction that the data chose have no true friction to be judged by.
-    row = identified(quadruped, logs, chosen=chosen, intervals=not chosen)
+    row = identified(quadruped, logs, chosen=chosen, intervals=False)
     return [*row, *quadruped.described[:2]]
 
 
@@ -265,15 +239,13 @@ def summary(name: str, number: int, rows: Sequence[Sequence[object]]) -> tuple[o
     """Return a row of the table from those of all seeds."""
     which, imu, chosen = CASES[number]
     columns = [np.array([row[i] for row in rows], dtype=float) for i in range(len(rows[0]))]
-    within = columns[6]
     return (
         name, ", ".join(ROBOTS[name][which]), "IMU" if imu else "pose",
         "chosen" if chosen else "known", len(rows),
         *(value for i in (0, 1, 3) for value in (np.median(columns[i]), columns[i].max())),
         np.median(columns[4]), np.median(columns[5]),
-        np.median(columns[10]), np.median(columns[11]),
-        None if np.isnan(within).any() else within.mean(),
-        int(columns[7].sum()), columns[8].max(), np.median(columns[9]),
+        np.median(columns[9]), np.median(columns[10]),
+        int(columns[6].sum()), columns[7].max(), np.median(columns[8]),
     )  # fmt: skip
 
 
@@ -283,7 +255,7 @@ COLUMNS = (
     "mass_percent", "mass_worst_percent",
     "least_squares_joints_percent", "least_squares_base_force_n",
     "description_joints_percent", "description_base_force_n",
-    "truth_within_intervals_percent", "certified", "worst_gap", "cpu_s",
+    "certified", "worst_gap", "cpu_s",
 )  # fmt: skip
 
 
