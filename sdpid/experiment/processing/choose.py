@@ -11,6 +11,7 @@ import numpy as np
 from sdpid.errors import DataError
 from sdpid.experiment.processing.derivatives import BAND_OVER_RATE
 from sdpid.experiment.processing.floating.feet import landing_share
+from sdpid.experiment.processing.floating.quieter import pose_limit
 from sdpid.experiment.processing.motion import MOTION_SHARE, motion_frequency, noise_limit
 from sdpid.experiment.processing.settings import Processing, Reason
 from sdpid.experiment.recording.floating.contacts import Contacts
@@ -40,6 +41,10 @@ _FINITE_CUTOFF_OVER_MOTION = 15.0
 # than this many times the motion.
 _NOISE_SHARE = 2e-4
 _LEAST_CUTOFF_OVER_MOTION = 5.0
+# Noise of a pose that the base's accelerations are differences of makes masses too small by its
+# share of the power of gravity and acceleration: 1.1 % at 23.5 Hz and 0.03 % at 10 Hz of a
+# simulated Go1 (3e-4 m at 1 kHz), as computed. The same share as of joints, with more room.
+_LEAST_CUTOFF_OF_POSE_OVER_MOTION = 2.0
 # A landing jolts joints and base within a sample or two, so that differences of positions are not
 # the accelerations that the efforts of these samples belong to. Without the samples whose filter
 # sees one, stand, trot and hang together had half the errors on a walk. A trot alone had twice the
@@ -163,11 +168,14 @@ def _without_periods(log: Recording, motion: float) -> tuple[Processing, Sequenc
     slowest = rate / log.n_samples
     highest = BAND_OVER_RATE * rate
     times = _CUTOFF_OVER_MOTION if log.base is None else _FINITE_CUTOFF_OVER_MOTION
-    quiet = np.inf
+    quiet, still = np.inf, np.inf
     if log.base is not None:
         quiet = max(noise_limit(log, _NOISE_SHARE), _LEAST_CUTOFF_OVER_MOTION * motion)
+        still = max(
+            pose_limit(log.base, rate, _NOISE_SHARE), _LEAST_CUTOFF_OF_POSE_OVER_MOTION * motion
+        )
     processing = Processing(
-        cutoff_hz=min(times * max(motion, slowest), quiet, highest),
+        cutoff_hz=min(times * max(motion, slowest), quiet, still, highest),
         order=4 if log.base is None else _FINITE_ORDER,
         decimation=None,
         kept_share=_KEPT_SHARE,
@@ -177,7 +185,13 @@ def _without_periods(log: Recording, motion: float) -> tuple[Processing, Sequenc
     processing = replace(processing, reversal_time=_MASKED_PERIODS / processing.cutoff_hz)
     lies = f"{100 * MOTION_SHARE:g} % of the motion lies below {motion:.4g} Hz"
     cap = f"2/15 of the rate of {rate:.6g} Hz"
-    if quiet < times * motion and processing.cutoff_hz < highest:
+    if still < min(times * max(motion, slowest), quiet, highest):
+        why = (
+            f"noise of the base's position is {100 * _NOISE_SHARE:g} % of the power of gravity and "
+            f"its acceleration below, at least {_LEAST_CUTOFF_OF_POSE_OVER_MOTION:g} × motion; "
+            f"{lies}"
+        )
+    elif quiet < times * motion and processing.cutoff_hz < highest:
         why = (
             f"noise is {100 * _NOISE_SHARE:g} % of the power of joint accelerations below; "
             f"at most {times:g} × motion, at least {_LEAST_CUTOFF_OVER_MOTION:g} ×; {lies}"

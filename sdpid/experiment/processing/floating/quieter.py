@@ -13,8 +13,11 @@ import numpy as np
 
 from sdpid._common.arrays import Array
 from sdpid.experiment.processing.floating.on_grid import OnGrid
+from sdpid.experiment.recording.floating.base import BaseMotion
 
-__all__ = ["Quieter", "angle_noise", "quieter", "white_noise"]
+__all__ = ["Quieter", "angle_noise", "pose_limit", "quieter", "white_noise"]
+
+_GRAVITY = 9.81
 
 # Fourth differences of motion are less than this of its amplitude at a tenth of the sampling rate;
 # white noise of variance one has a variance of this in them: 1 + 16 + 36 + 16 + 1.
@@ -69,3 +72,18 @@ def angle_noise(quaternions: Array) -> float:
     """Return the white noise of unit quaternions (M, 4) as an angle about each axis, rad."""
     # A turn by a small angle moves a quaternion by half of it: four channels share three angles.
     return 2.0 * float(np.sqrt(4.0 / 3.0)) * white_noise(quaternions)
+
+
+def pose_limit(base: BaseMotion, rate_hz: float, share: float) -> float:
+    """Return the frequency in Hz up to which noise of a base's position is at most a share.
+
+    White noise of s m in a sample, differentiated twice, has the power 3·(2π)⁴·s²·2·f⁵/(5·rate)
+    below f, in m²/s⁴ of three axes; the share is that of gravity's power. Infinite where
+    accelerations are not differences of the position, or it has no noise.
+    """
+    if base.position is None or base.linear_velocity is not None:
+        return np.inf
+    if base.imu is not None and base.imu.accelerometer is not None:
+        return np.inf
+    power = 3.0 * (2.0 * np.pi) ** 4 * white_noise(base.position) ** 2 * 2.0 / (5.0 * rate_hz)
+    return float((share * _GRAVITY**2 / power) ** 0.2) if power > 0.0 else np.inf
