@@ -66,8 +66,8 @@ _WORDS: dict[str, _Words] = {
         "try friction of another shape (--friction), and keep it where the held-out error falls",
     ),
     "acceleration": _Words(
-        "with acceleration: the inertia of rotors is not in the model, which efforts from motor "
-        "currents need, or efforts come late against the motion",
+        "with acceleration: the inertia of rotors, which efforts from motor currents need, is not "
+        "in the model or is off, or efforts come late against the motion",
         "let rotor inertia in (--effects rotor_inertia) if efforts come from motor currents, else "
         "check the delay between effort and position",
         "check the delay between effort and position, and record faster accelerations",
