@@ -9,7 +9,7 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from sdpid._common.arrays import Array, frozen_view, real_array
 from sdpid._common.files import Source
@@ -320,6 +320,54 @@ class Recording:
                 f"whole number: after {count} periods the samples are "
                 f"{abs(exact - per_period) * count:.3g} steps out of place; resample the record."
             )
+
+    def with_held_base(
+        self, link: str, *, orientation: ArrayLike = (0.0, 0.0, 0.0, 1.0)
+    ) -> Recording:
+        """Return the recording of a robot on legs whose base was held: hung up, or on a stand.
+
+        An arm's recording says the same of the legs, and cannot stand beside those of a base that
+        moves. What holds the base is a contact at its link that transmits any force and moment.
+
+        Parameters
+        ----------
+        link : str
+            The base link, or a frame of it.
+        orientation : (4,) array_like, optional
+            Unit quaternion x, y, z, w that turns vectors of the base link's frame into the
+            world's; by default upright.
+
+        Returns
+        -------
+        Recording
+
+        Raises
+        ------
+        DataError
+            When the recording has a base already, or the quaternion is none.
+
+        Examples
+        --------
+        >>> hanging = log.with_held_base("base_link")
+        >>> hanging.contacts.frames, hanging.contacts.kind
+        (('base_link',), ('plane',))
+        """
+        if self.base is not None:
+            raise DataError("with_held_base: the recording has the motion of a base already.")
+        count = self.n_samples
+        quaternion = real_array(orientation, "with_held_base: orientation", ndim=1)
+        if quaternion.shape != (4,):
+            raise DataError(
+                f"with_held_base: orientation has shape {quaternion.shape}, expected (4,): x, y, "
+                "z, w."
+            )
+        base = BaseMotion(
+            orientation=np.tile(quaternion, (count, 1)), position=np.zeros((count, 3))
+        )
+        down = np.ones((count, 1), dtype=bool)
+        return replace(
+            self, base=base, contacts=Contacts(frames=(link,), kind=("plane",), down=down)
+        )
 
     def to_parquet(self, path: str | os.PathLike[str]) -> None:
         """Write the recording to a Parquet file, without loss, whole or not at all.

@@ -10,6 +10,8 @@ import pytest
 import sdpid
 from sdpid.assurance.diagnostics.described import described_dynamics
 from sdpid.assurance.diagnostics.validation import validate_dynamics, validate_robot
+from sdpid.errors import DataError
+from sdpid.experiment.preparation.for_robot import prepare
 from tests.helpers import legged
 from tests.helpers.identified import arm_theta, identified, moved
 
@@ -54,3 +56,25 @@ def test_coordinates_of_a_base_are_no_joints_in_tables() -> None:
     assert fit.floating is not None
     # Without the forces of the feet the base misses its weight.
     assert fit.floating.force > 10.0
+
+
+def test_a_held_base_leaves_an_arm_of_legs() -> None:
+    """An arm's recording predicts the same with its base said to be held as with a fixed one."""
+    arm = sdpid.load_robot("solo12")
+    t = 0.002 * np.arange(1000)
+    rates = np.linspace(0.6, 1.7, arm.n)
+    q, v = np.sin(np.outer(t, 2 * np.pi * rates)), np.cos(np.outer(t, 2 * np.pi * rates))
+    q, a = 0.4 * q, -0.4 * (2 * np.pi * rates) ** 2 * q
+    v = 0.4 * 2 * np.pi * rates * v
+    effort = 1.1 * arm.inverse_dynamics(arm.prior, q, v, a)
+    log = sdpid.Recording(time=t, position=q, effort=effort, joint_names=arm.joint_names)
+    held = log.with_held_base("base_link")
+    with pytest.raises(DataError, match="has the motion of a base already"):
+        held.with_held_base("base_link")
+    processing = sdpid.Processing(cutoff_hz=20.0, filter="finite", filter_friction=False)
+    both = [
+        validate_robot(robot, prepare(robot, recording, processing))
+        for robot, recording in ((arm, log), (legged.quadruped(), held))
+    ]
+    np.testing.assert_allclose(both[0].rmse, both[1].rmse[6:], rtol=1e-6)
+    assert both[1].relative == pytest.approx(0.1 / 1.1, rel=0.02)

@@ -50,6 +50,7 @@ def require_its_base(robot: RobotModel, log: Recording) -> None:
     if log.base is None and robot.free_flyer:
         raise DataError(
             f"base: the recording has no motion of the base, and '{robot.name}' has a floating "
-            "one; give sdpid.Recording(base=sdpid.BaseMotion(orientation=...)), or a robot with a "
-            "fixed base (load_robot without root)."
+            "one; give sdpid.Recording(base=sdpid.BaseMotion(orientation=...)), "
+            "log.with_held_base(link) where it was held, or a robot with a fixed base (load_robot "
+            "without root)."
         )
