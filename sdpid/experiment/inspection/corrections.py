@@ -6,16 +6,25 @@ import math
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import ClassVar
 
 import numpy as np
 
 from sdpid._common.arrays import Array
-from sdpid.experiment.inspection.dynamics import GAINS, described, gains, misfit, unexplained
+from sdpid.experiment.inspection.dynamics import (
+    GAINS,
+    LEAST_MISFIT,
+    Gains,
+    described,
+    gains,
+    misfit,
+    unexplained,
+)
 from sdpid.experiment.inspection.rows import Rows
 from sdpid.robot.model.described_efforts import described_efforts
 from sdpid.robot.model.model import RobotModel
 
-__all__ = ["CorrectedLog", "Correction", "Step", "corrected"]
+__all__ = ["CorrectedLog", "Correction", "Step", "corrected", "searched"]
 
 # A change counts where it lowers the misfit by this much: the unexplained share of a joint falls to
 # a seventh. Of 22 good recordings of six arms no change lowers it by more than 0.9; the changes
@@ -43,8 +52,8 @@ class Correction:
     ----------
     kind : str
         ``"effort_sign"``, ``"position_sign"`` (which turns velocities too), ``"axis_sign"`` (both),
-        ``"position_zero"``, ``"position_in_degrees"``, ``"joint_order"``, ``"effort_order"`` or
-        ``"gravity_direction"``.
+        ``"position_zero"``, ``"position_in_degrees"``, ``"joint_order"``, ``"effort_order"``,
+        ``"gravity_direction"`` or ``"feet_exchanged"`` (of which foot each has the flags).
     joint : int or None
         Of one joint, or of all.
     value : tuple of float
@@ -125,6 +134,18 @@ class CorrectedLog:
     gravity: Array
     scale: float = 1.0
     steps: tuple[Step, ...] = ()
+    # What changes of the efforts alone do not touch.
+    _of_motion: ClassVar[tuple[str, ...]] = ("rigid",)
+
+    @property
+    def joint_names(self) -> tuple[str, ...]:
+        """Names of the n joints."""
+        return self.robot.joint_names[self.robot.n_base :]
+
+    @property
+    def feet(self) -> tuple[str, ...]:
+        """Names of the contacts' frames."""
+        return ()
 
     @cached_property
     def rigid(self) -> Array:
@@ -139,17 +160,66 @@ class CorrectedLog:
         """Shares of the efforts' variance that are unexplained, (n,)."""
         return unexplained(self.rows, self.rigid, self.scale)
 
+    @cached_property
+    def gains(self) -> Gains:
+        """How many times the description's efforts the measured ones are."""
+        return gains(self.rows, self.rigid)
+
+    @property
+    def borne(self) -> Array:
+        """What each joint bears of the bodies, (n,), for comparison with each other."""
+        return np.where(self.rows.usable, self.rigid.std(axis=0), 0.0)
+
+    @property
+    def left(self) -> Array:
+        """Shares of the efforts' variance that are unexplained at any scale, (n,)."""
+        return self.shares
+
     @property
     def misfit(self) -> float:
         """How badly the efforts are explained."""
         return misfit(self.shares)
+
+    @property
+    def most_steps(self) -> int:
+        """How many changes are tried one after another."""
+        return 2 * len(self.joint_names)
+
+    @property
+    def explained(self) -> bool:
+        """Whether no change has enough to gain."""
+        return self.misfit - len(self.joint_names) * LEAST_MISFIT < NEEDED
+
+    def orders(self) -> list[tuple[int, ...]]:
+        """Return orders of all columns that are tried."""
+        return _orders(self.joint_names)
+
+    def effort_orders(self) -> Iterator[tuple[int, ...]]:
+        """Yield orders of the efforts' columns that are tried."""
+        order = _efforts_assigned(self)
+        if order != tuple(range(len(order))):
+            yield order
+
+    def feet_orders(self) -> Iterator[tuple[int, ...]]:
+        """Yield orders of contacts' flags that are tried."""
+        yield from ()
+
+    def gravities(self) -> Iterator[tuple[float, ...]]:
+        """Yield directions of gravity that are tried."""
+        size = float(np.linalg.norm(self.gravity))
+        for axis in range(3):
+            for sign in (1.0, -1.0):
+                gravity = tuple(sign * size if k == axis else 0.0 for k in range(3))
+                if not np.allclose(gravity, self.gravity, atol=1e-3):
+                    yield gravity
 
     def changed(self, change: Correction) -> CorrectedLog:
         """Return the log with one more change."""
         gravity = np.array(change.value) if change.kind == "gravity_direction" else self.gravity
         log = replace(self, rows=change.apply(self.rows), gravity=gravity)
         if change.kind in ("effort_sign", "effort_order"):
-            log.__dict__["rigid"] = self.rigid  # the motion is the same
+            for name in self._of_motion:
+                log.__dict__[name] = getattr(self, name)
         return log
 
 
@@ -166,20 +236,32 @@ def corrected(robot: RobotModel, rows: Rows) -> CorrectedLog | None:
     if not described(robot) or not rows.usable.any():
         return None
     thinned = {name: getattr(rows, name)[::_THINNED] for name in _ALL}
-    log = CorrectedLog(robot=robot, rows=replace(rows, **thinned), gravity=robot.gravity)
-    common = gains(log.rows, log.rigid).common or 1.0
-    scales = [1.0] if GAINS[0] < common < GAINS[1] else [1.0, common]
-    return min((_searched(replace(log, scale=scale)) for scale in scales), key=_price)
+    return searched(CorrectedLog(robot=robot, rows=replace(rows, **thinned), gravity=robot.gravity))
+
+
+def searched(log: CorrectedLog) -> CorrectedLog:
+    """Return a log with the changes that make its efforts follow from its motion."""
+    if log.explained:
+        return log
+    common = log.gains.common or 1.0
+    if GAINS[0] < common < GAINS[1]:
+        return _searched(log)
+    rescaled = replace(log, scale=common)
+    if rescaled.explained:
+        return rescaled  # one change of the unit of all
+    return min((_searched(each) for each in (log, rescaled)), key=_price)
 
 
 def _searched(best: CorrectedLog) -> CorrectedLog:
     """Return the log with the changes that lower its price."""
     kept = [best]
-    for _ in range(2 * best.robot.n):
+    for _ in range(best.most_steps):
         kept = sorted((child for log in kept for child in _children(log)), key=_price)[:_KEPT]
         if not _price(kept[0]) < _price(best):
             break
         best = kept[0]
+        if best.explained:
+            break
     return best
 
 
@@ -207,26 +289,23 @@ def _children(log: CorrectedLog) -> list[CorrectedLog]:
 
 def _changes(log: CorrectedLog) -> Iterator[Correction]:
     """Yield every change that is tried, the likeliest of those that do the same first."""
-    n, usable = log.robot.n, np.flatnonzero(log.rows.usable).tolist()
+    n, usable = len(log.joint_names), np.flatnonzero(log.rows.usable).tolist()
     for kind in ("effort_sign", "position_sign", "axis_sign"):
         if n > 1:
             yield Correction(kind=kind)
         yield from (Correction(kind=kind, joint=j) for j in usable)
     if np.abs(log.rows.position).max() > _LEAST_DEGREES:
         yield Correction(kind="position_in_degrees")
-    for order in _orders(log.robot.joint_names):
+    for order in log.feet_orders():
+        yield Correction(kind="feet_exchanged", value=order)
+    for order in log.orders():
         yield Correction(kind="joint_order", value=order)
-    order = _efforts_assigned(log)
-    if order != tuple(range(n)):
+    for order in log.effort_orders():
         yield Correction(kind="effort_order", value=order)
     for angle in _QUARTERS:
         yield from (Correction(kind="position_zero", joint=j, value=(angle,)) for j in range(n))
-    size = float(np.linalg.norm(log.gravity))
-    for axis in range(3):
-        for sign in (1.0, -1.0):
-            gravity = tuple(sign * size if k == axis else 0.0 for k in range(3))
-            if not np.allclose(gravity, log.gravity, atol=1e-3):
-                yield Correction(kind="gravity_direction", value=gravity)
+    for gravity in log.gravities():
+        yield Correction(kind="gravity_direction", value=gravity)
 
 
 def _orders(names: tuple[str, ...]) -> list[tuple[int, ...]]:

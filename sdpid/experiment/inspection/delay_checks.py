@@ -111,6 +111,8 @@ def late_channels(subject: Subject) -> Iterator[Finding]:
     robot, log = subject.floating, subject.log
     if log.base is None or not subject.pieces:
         return
+    if subject.corrected is not None and subject.corrected.steps:
+        return  # With a wrong sign or order nothing can be said of delays.
     against = "the joints' positions"
     if robot is not None and robot.free_flyer:
         found = {} if subject.without else channel_delays(robot, log)

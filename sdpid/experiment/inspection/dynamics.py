@@ -11,7 +11,10 @@ from sdpid._common.arrays import Array
 from sdpid.experiment.inspection.rows import Rows
 from sdpid.robot.model.model import RobotModel
 
-__all__ = ["GAINS", "Gains", "described", "gains", "misfit", "placeholders", "unexplained"]
+__all__ = [
+    *("GAINS", "LEAST_MISFIT", "Gains"),
+    *("described", "gains", "misfit", "placeholders", "unexplained"),
+]
 
 # Efforts of real arms are this many times those of the description's bodies, friction taken away:
 # 0.7 to 2.3 for the joints that carry something, of 17 recordings of six arms with and without
@@ -25,6 +28,8 @@ _FOLLOWS = 0.7
 # This share of an effort stays unexplained by the description where all is well: with 0.01 the
 # slightly eccentric last link of one simulated good log of 48 seemed turned by half a turn.
 _FLOOR = 0.03
+# The misfit of a joint that the description explains fully.
+LEAST_MISFIT = float(np.log(_FLOOR))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

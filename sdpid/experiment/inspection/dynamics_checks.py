@@ -8,7 +8,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from sdpid.experiment.inspection.corrections import CorrectedLog, Correction, Step
-from sdpid.experiment.inspection.dynamics import described, gains, misfit, placeholders
+from sdpid.experiment.inspection.dynamics import described, misfit, placeholders
 from sdpid.experiment.inspection.finding import Finding, Severity, Subject, check
 
 # Efforts beyond this many times the description's, either way, are in another unit: of six real
@@ -31,9 +31,14 @@ _CARRIES = 0.05
 def not_compared(subject: Subject) -> Iterator[Finding]:
     """Say where efforts cannot be compared: of a free base, and of a description without masses."""
     robot = subject.robot
-    if robot is None or described(robot):
+    if subject.floating is not None:
+        if subject.corrected is not None:
+            return
+        lacks, give = "has a free base, and the log no contacts or too few samples", "contacts"
+    elif robot is None or described(robot):
         return
-    lacks = "has no masses" if robot.n_base == 0 else "has a free base"
+    else:
+        lacks, give = "has no masses", "a description with rough masses"
     yield Finding(
         severity="note",
         kind="effort_not_compared",
@@ -41,8 +46,7 @@ def not_compared(subject: Subject) -> Iterator[Finding]:
             f"efforts are not compared with the motion, for the robot's description {lacks}: wrong "
             "signs, units and orders of columns are not found"
         ),
-        remedy="check them by hand"
-        + (", or give a description with rough masses" if robot.n_base == 0 else ""),
+        remedy=f"check them by hand, or give {give}",
     )
 
 
@@ -52,7 +56,7 @@ def wrong_channels(subject: Subject) -> Iterator[Finding]:
     log = subject.corrected
     if log is None:
         return
-    order = np.arange(log.robot.n)
+    order = np.arange(len(log.joint_names))
     for step in log.steps:
         change = step.change
         if change.kind == "joint_order":
@@ -74,8 +78,8 @@ def scales(subject: Subject) -> Iterator[Finding]:
     log = subject.corrected
     if log is None:
         return
-    found = gains(log.rows, log.rigid)
-    names = log.robot.joint_names
+    found = log.gains
+    names = log.joint_names
     common = found.common
     if common is None:
         return
@@ -117,13 +121,13 @@ def unlike_the_description(subject: Subject) -> Iterator[Finding]:
     log = subject.corrected
     if log is None:
         return
-    size = np.where(log.rows.usable, log.rigid.std(axis=0), 0.0)
+    size = log.borne
     mended = {finding.joint for finding in scales(subject)}
-    for j in np.flatnonzero((size > _CARRIES * size.max(initial=0.0)) & (log.shares > _UNLIKE)):
-        name = log.robot.joint_names[j]
+    for j in np.flatnonzero((size > _CARRIES * size.max(initial=0.0)) & (log.left > _UNLIKE)):
+        name = log.joint_names[j]
         if name in mended:
             continue
-        share = min(float(log.shares[j]), 1.0)
+        share = min(float(log.left[j]), 1.0)
         yield Finding(
             severity="warning",
             kind="effort_unlike_description",
@@ -139,7 +143,7 @@ def unlike_the_description(subject: Subject) -> Iterator[Finding]:
 
 def _finding(log: CorrectedLog, step: Step, change: Correction) -> Finding:
     """Return the finding of one change that makes the efforts follow from the motion."""
-    names = log.robot.joint_names
+    names = log.joint_names
     gained = misfit(step.before) - misfit(step.after)
     numbers = {"gained": gained}
     if change.joint is None:
@@ -154,13 +158,14 @@ def _finding(log: CorrectedLog, step: Step, change: Correction) -> Finding:
         own = worst == change.joint and change.kind == "effort_sign"
         of = "its variance" if own else f"the variance of the effort of {names[worst]}"
     numbers |= {"unexplained": before, "unexplained_mended": after}
-    what, remedy = _words(change, names)
-    same = dict.fromkeys(_words(each, names)[0] for each in step.alike)
+    feet = log.feet
+    what, remedy = _words(change, names, feet)
+    same = dict.fromkeys(_words(each, names, feet)[0] for each in step.alike)
     others = [each for each in same if each != what][:3]
     also = f"; as good: {', or '.join(others)}" if others else ""
     # Signs of efforts are told by friction too, which takes power whatever the masses are.
     sure = change.kind in ("effort_sign", "position_sign") or not placeholders(log.robot)
-    severity: Severity = "refuse" if sure else "warning"
+    severity: Severity = "refuse" if sure and change.kind != "feet_exchanged" else "warning"
     return Finding(
         severity=severity,
         kind=change.kind,
@@ -174,8 +179,15 @@ def _finding(log: CorrectedLog, step: Step, change: Correction) -> Finding:
     )
 
 
-def _words(change: Correction, names: tuple[str, ...]) -> tuple[str, str]:
+def _words(change: Correction, names: tuple[str, ...], feet: tuple[str, ...]) -> tuple[str, str]:
     """Return what is wrong, and the remedy."""
+    if change.kind == "feet_exchanged":
+        order = [int(i) for i in change.value]
+        pairs = [f"those of {feet[j]} are of {feet[i]}" for i, j in enumerate(order) if i != j]
+        return (
+            f"flags of contacts are of other feet: {', '.join(pairs)}",
+            "give the contacts' frames in the order of their columns",
+        )
     of = "all joints" if change.joint is None else names[change.joint]
     if change.kind == "effort_sign":
         which = "the signs of all efforts" if change.joint is None else "its sign"

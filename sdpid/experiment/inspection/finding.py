@@ -12,9 +12,11 @@ import numpy as np
 
 from sdpid._common.arrays import Array
 from sdpid.errors import DataError
-from sdpid.experiment.inspection.corrections import CorrectedLog, corrected
+from sdpid.experiment.inspection.corrections import CorrectedLog, corrected, searched
+from sdpid.experiment.inspection.floating.compare import floating_log, floating_samples
 from sdpid.experiment.inspection.rows import Rows, low_passed
 from sdpid.experiment.processing.choose import RATE_OF_DIFFERENCES
+from sdpid.experiment.processing.samples import Samples
 from sdpid.experiment.recording.gaps import continuous
 from sdpid.experiment.recording.recording import Recording
 from sdpid.experiment.recording.stored import extremes
@@ -148,8 +150,18 @@ class Subject:
         return low_passed(pieces, self.without) if pieces else None
 
     @cached_property
+    def samples(self) -> Samples | None:
+        """Samples of the longest piece of a recording with a base; None where it has none."""
+        if self.floating is None:
+            return None
+        return floating_samples(self.floating, [piece for _, piece in self.pieces])
+
+    @cached_property
     def corrected(self) -> CorrectedLog | None:
         """The changes that make efforts follow from motion; None without masses to compare with."""
+        if self.floating is not None and self.samples is not None:
+            log = floating_log(self.floating, self.samples, self.without)
+            return None if log is None else searched(log)
         if self.robot is None or self.low_passed is None:
             return None
         return corrected(self.robot, self.low_passed)

@@ -20,7 +20,7 @@ from sdpid.experiment.inspection import (
 )
 from sdpid.experiment.inspection.delays.find import LEAST
 from sdpid.experiment.inspection.finding import CHECKS, Finding, Subject
-from sdpid.experiment.inspection.floating import base_checks, feet_checks
+from sdpid.experiment.inspection.floating import base_checks, feet_checks, force_checks
 from sdpid.experiment.inspection.joined import other_loads
 from sdpid.experiment.readers.read import is_frame, read_recording
 from sdpid.experiment.recording.floating.robots import robot_of
@@ -33,7 +33,7 @@ __all__ = ["Inspection", "inspect_recording", "inspect_recordings"]
 # Importing a file of checks adds them to the list. A new check is a function in one of these.
 _FILES = (
     *(time_checks, motion_checks, reference_checks, effort_checks, dynamics_checks),
-    *(delay_checks, base_checks, feet_checks),
+    *(delay_checks, base_checks, feet_checks, force_checks),
 )
 
 # Wrong units of position or time make the dynamics meaningless: they are told alone.
@@ -48,12 +48,18 @@ _OF_BASE = (
     *("foot_moves", "foot_high", "feet_exchanged"),
     *(f"{channel}_late" for channel in LEAST),
 )
+# What efforts are compared with, where the base is free, and what a wrong joint makes of feet.
+_MOTION_OF_BASE = ("base_orientation", "base_velocity", "imu_gyroscope", "imu_accelerometer")
+_OF_JOINTS = ("joint_order", "position_sign", "axis_sign", "position_zero")
+_OF_FEET = ("foot_moves", "foot_high", "feet_exchanged")
 _DROWNED = (
     dynamics_checks.wrong_channels,
     dynamics_checks.scales,
     dynamics_checks.unlike_the_description,
     delay_checks.late_efforts,
     delay_checks.late_channels,
+    force_checks.total_mass,
+    force_checks.forces,
 )
 
 
@@ -201,7 +207,8 @@ def _looked_at(
         if each not in _DROWNED:
             findings += each(subject)
     refused = {finding.kind for finding in findings if finding.severity == "refuse"}
-    if not refused & set(_DROWNS):
+    kinds = {finding.kind for finding in findings}
+    if not (refused & set(_DROWNS) or kinds & set(_MOTION_OF_BASE)):
         for each in _DROWNED:
             findings += each(subject)
     if "position_in_degrees" in {finding.kind for finding in findings}:
@@ -212,6 +219,11 @@ def _looked_at(
         findings = [finding for finding in findings if finding.kind not in _OF_SPEED]
     if "base_orientation" in refused:
         findings = [finding for finding in findings if finding.kind not in _OF_BASE]
+    if {finding.kind for finding in findings} & set(_OF_JOINTS):
+        findings = [finding for finding in findings if finding.kind not in _OF_FEET]
+    exchanged = [finding for finding in findings if finding.kind == "feet_exchanged"]
+    # Told by what stands still already, it is told once.
+    findings = [finding for finding in findings if finding not in exchanged[1:]]
     kept = (f for f in findings if not (f.kind.startswith("effort") and f.joint in without))
     ranks = ("refuse", "warning", "note")
     return subject, tuple(sorted(kept, key=lambda finding: ranks.index(finding.severity)))

@@ -32,6 +32,9 @@ _BETTER = 3.0
 # Mean specific forces differ from gravity by noise, and by no more than this share.
 _GRAVITY_SHARE = 0.05
 _DEGREES = 180.0 / math.pi
+# Where velocities in the other axes leave so much less, this share is told already: in a public log
+# of a jump the right axes leave 0.04 %, the wrong ones 1.6 %.
+_TOLD_SHARE = 0.003
 # The base must move to show the axes of its velocity (m/s, rms).
 _LEAST_SPEED = 0.02
 
@@ -223,10 +226,11 @@ def base_velocities(subject: Subject) -> Iterator[Finding]:
         }
         own = unexplained(rates, frames[str(base.velocity_frame)])
         left = unexplained(rates, frames[other])
-        if own <= _WRONG_SHARE:
+        fits = left < _RIGHT_SHARE and left * _BETTER < own
+        limit = _TOLD_SHARE if fits else _WRONG_SHARE
+        if own <= limit:
             continue
         pose = "position" if name == "linear_velocity" else "orientation"
-        fits = left < _RIGHT_SHARE and left * _BETTER < own
         better = f"; {100 * left:.2g} % where they are the {other}'s" if fits else ""
         yield Finding(
             severity="warning",
@@ -234,8 +238,8 @@ def base_velocities(subject: Subject) -> Iterator[Finding]:
             message=(
                 f"{name.replace('_', ' ')} of the base, said to be in {base.velocity_frame} axes, "
                 f"leaves {100 * own:.3g} % of the rate of its {pose} unexplained, limit "
-                f"{100 * _WRONG_SHARE:g} %{better}"
+                f"{100 * limit:g} %{better}"
             ),
             remedy="say its axes (velocity_frame) or its unit, or leave it out",
-            numbers={"unexplained": own, "other": left, "limit": _WRONG_SHARE},
+            numbers={"unexplained": own, "other": left, "limit": limit},
         )
