@@ -158,9 +158,12 @@ def _independent(B: Array) -> Indices:
     from scipy.linalg import qr
 
     length = np.sqrt(np.einsum("nm,nm->m", B, B))
-    R, order = qr(B / np.where(length > 0.0, length, 1.0), mode="r", pivoting=True)
-    size = np.abs(np.diagonal(R))
-    return np.asarray(np.sort(order[: np.count_nonzero(size > RANK * size[:1])]), dtype=np.intp)
+    scaled = B / np.where(length > 0.0, length, 1.0)
+    # As many as the rows themselves lose: the cost of another rank is another one.
+    size = np.linalg.svd(scaled, compute_uv=False)
+    rank = int(np.count_nonzero(size > RANK * size[:1]))
+    _, order = qr(scaled, mode="r", pivoting=True)
+    return np.asarray(np.sort(order[:rank]), dtype=np.intp)
 
 
 def _of(some: Indices, A: Array, P: Array, used: Mask, C: Array) -> ContactWhiteners:
