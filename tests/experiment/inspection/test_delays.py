@@ -15,8 +15,10 @@ from sdpid.experiment.inspection.delays.free_rows import FreeRows, first_scale
 from sdpid.experiment.inspection.delays.lag import lag
 from sdpid.experiment.plant.legged.sensors import Sensors
 from sdpid.experiment.preparation.several import prepare_recordings
+from sdpid.experiment.processing.contacts.contact_samples import ContactSamples
+from sdpid.experiment.processing.samples import Samples
 from sdpid.experiment.recording.recording import rows_of
-from sdpid.robot.model.contacts.jacobians import contact_jacobians
+from sdpid.robot.model.contacts.jacobians import contact_jacobians, frame_axes
 
 pytest.importorskip("mujoco")
 
@@ -100,6 +102,23 @@ def test_free_rows_hold_no_contact_force() -> None:
     assert np.abs(free.apply(pushed)).max() < 1e-9 * np.abs(pushed).max()
     independent = robot().n - 3 * contacts.down[rows].sum(axis=1)
     np.testing.assert_array_equal(np.bincount(free.sample), independent)
+
+
+def test_free_rows_hold_no_moment_across_a_line() -> None:
+    rng = np.random.default_rng(1)
+    turned = rng.normal(size=(5, 4))
+    turned /= np.linalg.norm(turned, axis=1, keepdims=True)
+    position = np.hstack([np.zeros((5, 3)), turned, rng.normal(size=(5, 12))])
+    still = np.zeros((5, 18))
+    edge = ContactSamples(frames=["FL_FOOT"], kind="line", down=np.ones((5, 1), dtype=bool))
+    samples = Samples(
+        position=position, velocity=still, acceleration=still, effort=still, contacts=edge
+    )
+    free = FreeRows.of(robot(), samples, np.arange(5), np.ones(18))
+    moments = contact_jacobians(robot(), position, edge.frames)[:, 0, 3:]
+    across = frame_axes(robot(), position, edge.frames)[:, 0][:, :, [0, 2]]
+    twisted = np.einsum("kin,kij->kn", moments, across)
+    assert np.abs(free.apply(twisted)).max() < 1e-9 * np.abs(twisted).max()
 
 
 @pytest.mark.parametrize("delay", [-0.013, 0.0004, 0.02])

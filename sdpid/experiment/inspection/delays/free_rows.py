@@ -13,8 +13,9 @@ from sdpid.robot.model.model import RobotModel
 
 __all__ = ["TRANSMITS", "FreeRows", "first_scale"]
 
-# What a contact of each kind transmits: the first so many rows of its Jacobian.
-TRANSMITS = {"point": 3, "line": 5, "plane": 6}
+# What a contact of each kind may transmit: the first so many rows of its Jacobian, in the world's
+# axes. The moment that a line leaves free is about an axis that turns: all three are taken.
+TRANSMITS = {"point": 3, "line": 6, "plane": 6}
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
