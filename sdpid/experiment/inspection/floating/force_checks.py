@@ -24,6 +24,8 @@ _APART, _SURE = 0.05, 5.0
 _ONE_APART = 0.1
 # A mass that is this far off the description's is a scale of the torques, or a load.
 _MASS_APART = 0.2
+# Beyond this factor efforts are in another unit, which is told as such.
+_OTHER_UNIT = 5.0
 # With measured forces the description leaves 0.001 to 0.003 of all rows' demand, with forces of
 # other feet 0.4.
 _UNLIKE = 0.1
@@ -91,9 +93,14 @@ def carried(log: FloatingLog) -> Carried | None:
 
 
 def _log(subject: Subject) -> FloatingLog | None:
-    """Return the rows of a recording whose efforts are explained as they are."""
+    """Return the rows of a recording whose efforts are N·m, and explained as they are."""
     log = subject.corrected
-    return log if isinstance(log, FloatingLog) and not log.steps else None
+    if not isinstance(log, FloatingLog) or log.steps:
+        return None
+    common = log.gains.common
+    if common is not None and not 1.0 / _OTHER_UNIT < common < _OTHER_UNIT:
+        return None
+    return log
 
 
 @check
@@ -103,7 +110,7 @@ def total_mass(subject: Subject) -> Iterator[Finding]:
     if log is None or not log.explained or log.scale != 1.0:
         return
     share, error = log.carried()
-    if abs(share - 1.0) < max(_MASS_APART, _SURE * error) or not 0.2 < share < 5.0:
+    if abs(share - 1.0) < max(_MASS_APART, _SURE * error):
         return
     mass = float(log.robot.prior[:, 0].sum())
     yield Finding(
