@@ -13,6 +13,8 @@ from scipy.spatial.transform import Rotation
 
 import sdpid
 from sdpid import Recording
+from sdpid.experiment.inspection.finding import Subject
+from sdpid.experiment.inspection.floating import feet_checks
 from sdpid.experiment.plant.legged.sensors import Sensors
 
 pytest.importorskip("mujoco")
@@ -219,9 +221,14 @@ def test_a_foot_that_is_down_in_the_air_is_named() -> None:
     position = np.array(walk().position)
     # The left fore leg is stretched backward and up at the hip, as where its zero is another.
     position[:, 1] += 1.2
-    found = sdpid.inspect_recording(replace(walk(), position=position), robot()).findings
-    told = {finding.kind: finding.message for finding in found}
+    wrong = replace(walk(), position=position)
+    subject = Subject(log=wrong, robot=None, floating=robot())
+    told = {finding.kind: finding.message for finding in feet_checks.feet(subject)}
     assert "FL_FOOT is" in told.get("foot_high", ""), told
+    # Efforts tell the joint, and then its foot is no other defect.
+    found = sdpid.inspect_recording(wrong, robot()).findings
+    assert {f.joint for f in found if f.kind == "position_zero"} == {"FL_HFE"}
+    assert not [f for f in found if f.kind == "foot_high"]
 
 
 def test_without_sensors_feet_tell_what_is_below() -> None:
