@@ -316,8 +316,8 @@ def test_all_pieces_count_for_directions(good: Identification) -> None:
 
 
 def test_errors_are_looked_at_once(good: Identification, monkeypatch: pytest.MonkeyPatch) -> None:
-    fresh = replace(good)
+    fresh, wanted = replace(good), good.verdict
     first = errors_of(fresh)
     monkeypatch.setattr("sdpid.output.report.judged.joint_errors", None)
     assert errors_of(fresh) is first
-    assert fresh.verdict == good.verdict
+    assert fresh.verdict == wanted
