@@ -20,7 +20,12 @@ from sdpid.experiment.inspection import (
 )
 from sdpid.experiment.inspection.delays.find import LEAST
 from sdpid.experiment.inspection.finding import CHECKS, Finding, Subject
-from sdpid.experiment.inspection.floating import base_checks, feet_checks, force_checks
+from sdpid.experiment.inspection.floating import (
+    base_checks,
+    feet_checks,
+    flight_checks,
+    force_checks,
+)
 from sdpid.experiment.inspection.joined import other_loads
 from sdpid.experiment.readers.read import is_frame, read_recording
 from sdpid.experiment.recording.floating.robots import robot_of
@@ -33,7 +38,7 @@ __all__ = ["Inspection", "inspect_recording", "inspect_recordings"]
 # Importing a file of checks adds them to the list. A new check is a function in one of these.
 _FILES = (
     *(time_checks, motion_checks, reference_checks, effort_checks, dynamics_checks),
-    *(delay_checks, base_checks, feet_checks, force_checks),
+    *(delay_checks, base_checks, feet_checks, flight_checks, force_checks),
 )
 
 # Wrong units of position or time make the dynamics meaningless: they are told alone.
@@ -49,7 +54,10 @@ _OF_BASE = (
     *(f"{channel}_late" for channel in LEAST),
 )
 # What efforts are compared with, where the base is free, and what a wrong joint makes of feet.
-_MOTION_OF_BASE = ("base_orientation", "base_velocity", "imu_gyroscope", "imu_accelerometer")
+_BEFORE_EFFORTS = (
+    *("base_orientation", "base_velocity", "imu_gyroscope", "imu_accelerometer"),
+    "contacts_missing",
+)
 _OF_JOINTS = ("joint_order", "position_sign", "axis_sign", "position_zero")
 _OF_FEET = ("foot_moves", "foot_high", "feet_exchanged")
 _DROWNED = (
@@ -208,7 +216,7 @@ def _looked_at(
             findings += each(subject)
     refused = {finding.kind for finding in findings if finding.severity == "refuse"}
     kinds = {finding.kind for finding in findings}
-    if not (refused & set(_DROWNS) or kinds & set(_MOTION_OF_BASE)):
+    if not (refused & set(_DROWNS) or kinds & set(_BEFORE_EFFORTS)):
         for each in _DROWNED:
             findings += each(subject)
     if "position_in_degrees" in {finding.kind for finding in findings}:

@@ -236,3 +236,32 @@ def test_without_sensors_feet_tell_what_is_below() -> None:
     (first, *_) = sdpid.inspect_recording(replace(walk(), base=base), robot()).findings
     assert (first.severity, first.kind) == ("refuse", "base_orientation")
     assert "feet that are down are above the base" in first.message
+
+
+@pytest.mark.parametrize("sensors", ["imu", "velocity", "position"])
+@pytest.mark.parametrize("recorded", [True, False])
+def test_robot_that_nothing_bears_must_fall(sensors: str, recorded: bool) -> None:
+    log = walk()
+    base = log.base if sensors == "imu" else replace(log.base, imu=None)
+    if sensors == "velocity":
+        velocity = np.gradient(np.array(base.position), log.step, axis=0)
+        base = replace(base, linear_velocity=velocity, velocity_frame="world")
+    down = np.zeros(np.shape(log.contacts.down), dtype=bool)
+    contacts = replace(log.contacts, down=down, forces=None) if recorded else None
+    found = sdpid.inspect_recording(replace(log, base=base, contacts=contacts), robot())
+    assert [f.kind for f in found.findings if f.severity == "refuse"] == ["contacts_missing"]
+    # In the air there is nothing to be told.
+    time = log.time - log.time[0]
+    falling = np.array(base.position) - 0.5 * 9.81 * time[:, None] ** 2 * [0.0, 0.0, 1.0]
+    free = sdpid.BaseMotion(orientation=base.orientation, position=falling)
+    found = sdpid.inspect_recording(replace(log, base=free, contacts=contacts), robot())
+    assert "contacts_missing" not in {f.kind for f in found.findings}
+
+
+def test_wrong_force_does_not_lift_all_feet() -> None:
+    contacts = replace(walk().contacts, down=None, forces=forces())
+    spike = forces()
+    spike[100, 0] = 5000.0
+    apart = contacts.closed != replace(contacts, forces=spike).closed
+    assert contacts.closed.mean() > 0.5
+    assert apart.mean() < 1e-3

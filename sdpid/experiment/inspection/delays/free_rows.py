@@ -7,15 +7,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from sdpid._common.arrays import Array, Indices
+from sdpid.experiment.processing.contacts.contact_samples import TRANSMITS
 from sdpid.experiment.processing.samples import Samples
 from sdpid.robot.model.contacts.jacobians import contact_jacobians
 from sdpid.robot.model.model import RobotModel
 
-__all__ = ["TRANSMITS", "FreeRows", "first_scale"]
-
-# What a contact of each kind may transmit: the first so many rows of its Jacobian, in the world's
-# axes. The moment that a line leaves free is about an axis that turns: all three are taken.
-TRANSMITS = {"point": 3, "line": 6, "plane": 6}
+__all__ = ["FreeRows", "first_scale"]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -7,10 +7,11 @@ from dataclasses import replace
 import numpy as np
 
 from sdpid._common.arrays import Array, Mask
-from sdpid.experiment.inspection.delays.free_rows import TRANSMITS, first_scale
+from sdpid.experiment.inspection.delays.free_rows import first_scale
 from sdpid.experiment.inspection.delays.kinematic import on_legs
 from sdpid.experiment.inspection.delays.lag import Delay, lag
 from sdpid.experiment.processing.choose import default_processing
+from sdpid.experiment.processing.contacts.contact_samples import TRANSMITS
 from sdpid.experiment.processing.derivatives import BAND_OVER_RATE
 from sdpid.experiment.processing.process import process
 from sdpid.experiment.recording.recording import Recording

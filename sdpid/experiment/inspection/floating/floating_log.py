@@ -19,7 +19,7 @@ import numpy as np
 from sdpid._common.arrays import Array
 from sdpid.experiment.inspection.corrections import CorrectedLog, Correction
 from sdpid.experiment.inspection.dynamics import GAINS, Gains
-from sdpid.experiment.processing.contacts.contact_samples import ContactSamples
+from sdpid.experiment.processing.contacts.contact_samples import TRANSMITS, ContactSamples
 from sdpid.robot.model.contacts.jacobians import contact_jacobians
 from sdpid.robot.model.described_efforts import described_efforts
 from sdpid.robot.model.model import RobotModel
@@ -37,7 +37,6 @@ _MOST_LEGS, _MOST_STEPS = 4, 3
 _FINE = 0.1
 # A gain is known where its standard error, from so many blocks, is below this share of it.
 _KNOWN, _BLOCKS = 0.2, 20
-_FORCES = {"point": 3, "line": 5, "plane": 6}
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -97,7 +96,7 @@ class FloatingLog(CorrectedLog):
             self.robot, self.configuration, self.contacts.frames, self.contacts.offset
         )
         parts = [
-            J[:, i, : _FORCES[kind]] * self.contacts.down[:, i, None, None]
+            J[:, i, : TRANSMITS[kind]] * self.contacts.down[:, i, None, None]
             for i, kind in enumerate(self.contacts.kind)
         ]
         A = np.swapaxes(np.concatenate(parts, axis=1) / self.unit, 1, 2)

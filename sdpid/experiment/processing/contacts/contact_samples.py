@@ -12,10 +12,13 @@ from sdpid._common.arrays import Array, Mask, frozen, frozen_view, real_array
 from sdpid._common.tables import Table, facts_html
 from sdpid.errors import DataError
 
-__all__ = ["ContactSamples", "Kind"]
+__all__ = ["TRANSMITS", "ContactSamples", "Kind"]
 
 Kind = Literal["point", "line", "plane"]
 KINDS: tuple[Kind, ...] = get_args(Kind)
+# What a contact of each kind may transmit: the first so many rows of its Jacobian, in the world's
+# axes. The moment that a line leaves free is about an axis that turns: all three are taken.
+TRANSMITS: dict[Kind, int] = {"point": 3, "line": 6, "plane": 6}
 
 # A covariance may be this far from symmetric, relative to its largest entry.
 _ASYMMETRY = 1e-6

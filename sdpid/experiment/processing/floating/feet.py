@@ -15,11 +15,6 @@ from sdpid.experiment.recording.floating.contacts import Contacts
 
 __all__ = ["Feet", "feet_of", "landing_share", "near"]
 
-# Without flags a contact counts as down where its force is at least this share of the largest that
-# any contact of the recording carries: well above what a sensor shows in the air, and widened by
-# the memory of the filter afterwards.
-_DOWN_SHARE = 0.03
-
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Feet:
@@ -64,7 +59,7 @@ def feet_of(contacts: Contacts, on_grid: OnGrid, processing: Processing) -> Feet
     step, reach = on_grid.grid.step, on_grid.chain.low_pass.reach
     margin_s, impact_s = processing.contact_margin_s, processing.impact_s
     wrench = _wrenches(contacts)
-    on_ground = _down(contacts, wrench)
+    on_ground = contacts.closed
     down = on_grid.read_flags(on_ground)
     wide = near(down, reach + round(margin_s / step))
     kept_down = on_grid.kept(wide)
@@ -115,7 +110,7 @@ def feet_of(contacts: Contacts, on_grid: OnGrid, processing: Processing) -> Feet
 
 def landing_share(contacts: Contacts, reach: int) -> float:
     """Return the share of a recording's samples that are at most `reach` ones from a landing."""
-    return float(near(_landings(_down(contacts, _wrenches(contacts))), reach).mean())
+    return float(near(_landings(contacts.closed), reach).mean())
 
 
 def _landings(down: Mask) -> Mask:
@@ -153,16 +148,6 @@ def _covariance(contacts: Contacts, processing: Processing) -> Array:
     covariance = np.zeros((6, 6))
     np.fill_diagonal(covariance, variance)
     return covariance
-
-
-def _down(contacts: Contacts, wrench: Array | None) -> Mask:
-    """Return the flags, or those that forces tell."""
-    if contacts.down is not None:
-        return contacts.down
-    assert wrench is not None  # Contacts have one of the two
-    size = np.linalg.norm(wrench[..., :3], axis=-1)
-    told: Mask = size > _DOWN_SHARE * size.max()
-    return told
 
 
 def _share_note(contacts: Contacts, raw: Mask, wide: Mask, memory_s: float) -> str:

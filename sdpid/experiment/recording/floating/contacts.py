@@ -17,6 +17,11 @@ from sdpid.experiment.recording.floating.arrays import keep_flags, keep_samples
 
 __all__ = ["ContactKind", "Contacts"]
 
+# Without flags a contact counts as closed where its force is at least this share of what only one
+# in a hundred exceeds, in any contact: well above what a sensor shows in the air, and a single
+# wrong value does not lift all feet.
+_CLOSED_SHARE, _STRONG = 0.03, 0.99
+
 ContactKind = Literal["point", "line", "plane"]
 
 
@@ -103,6 +108,17 @@ class Contacts:
     def n_samples(self) -> int:
         """Number of samples, N."""
         return next(len(t) for n in _SAMPLED if (t := getattr(self, n)) is not None)
+
+    @property
+    def closed(self) -> Mask:
+        """Flags (N, c), or what forces tell where there are none."""
+        if self.down is not None:
+            return self.down
+        measured = self.forces if self.wrenches is None else self.wrenches[..., :3]
+        assert measured is not None  # one of the three is always there
+        size = np.linalg.norm(measured, axis=-1)
+        told: Mask = size > _CLOSED_SHARE * np.quantile(size, _STRONG)
+        return told
 
     def rows(self, rows: slice | NDArray[Any]) -> Contacts:
         """Return some samples."""
