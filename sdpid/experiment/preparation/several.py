@@ -89,7 +89,9 @@ def recordings(
     return read
 
 
-def common_processing(logs: Sequence[Recording]) -> tuple[Processing, str | None]:
+def common_processing(
+    logs: Sequence[Recording], given: ProcessingOf = None
+) -> tuple[Processing, str | None]:
     """Return one processing for recordings that are fitted together, and where it comes from.
 
     Each recording has its own default, chosen from its rate and its motion
@@ -104,7 +106,7 @@ def common_processing(logs: Sequence[Recording]) -> tuple[Processing, str | None
     str or None
         The choice in words, where there was one.
     """
-    return agreed([default_processing(log) for log in logs])
+    return agreed([default_processing(log, given) for log in logs])
 
 
 def agreed(choices: Sequence[Processing]) -> tuple[Processing, str | None]:
@@ -132,7 +134,7 @@ def chosen_processing(
     """
     if isinstance(given, Processing):
         return given, None
-    common, why = common_processing(logs)
+    common, why = common_processing(logs, given)
     return with_changes(common, {} if given is None else given), why
 
 

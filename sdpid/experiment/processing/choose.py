@@ -11,7 +11,7 @@ import numpy as np
 from sdpid.errors import DataError
 from sdpid.experiment.processing.derivatives import BAND_OVER_RATE
 from sdpid.experiment.processing.floating.feet import landing_share
-from sdpid.experiment.processing.floating.quieter import pose_limit
+from sdpid.experiment.processing.floating.quieter import base_limit
 from sdpid.experiment.processing.motion import MOTION_SHARE, motion_frequency, noise_limit
 from sdpid.experiment.processing.settings import Processing, Reason
 from sdpid.experiment.recording.floating.contacts import Contacts
@@ -117,14 +117,23 @@ def choose_processing(log: Recording, **given: Any) -> Choice:
     else:
         log = max(continuous(log)[0], key=lambda piece: piece.n_samples)
         motion = motion_frequency(log)
-        chosen, reasons = _without_periods(log, motion)
+        chosen, reasons = _without_periods(log, motion, given.get("base_motion", "auto"))
     processing = replace(chosen, **{**given, "reasons": tuple(reasons)})
     return Choice(processing=processing, motion_hz=motion, rate_hz=log.rate_hz)
 
 
-def default_processing(log: Recording) -> Processing:
-    """Return the processing that is chosen for a recording (see `choose_processing`)."""
-    return choose_processing(log).processing
+def default_processing(
+    log: Recording, changes: Processing | Mapping[str, Any] | None = None
+) -> Processing:
+    """Return the processing that is chosen for a recording (see `choose_processing`).
+
+    Of the `changes` that are made to it afterwards, the source of the base's accelerations decides
+    what noise they have.
+    """
+    given = {}
+    if isinstance(changes, Mapping) and "base_motion" in changes:
+        given = {"base_motion": changes["base_motion"]}
+    return choose_processing(log, **given).processing
 
 
 def with_changes(processing: Processing, changes: Mapping[str, Any]) -> Processing:
@@ -162,7 +171,9 @@ def _with_periods(periods: int, joints: int) -> tuple[Processing, Sequence[Reaso
     return Processing(covariance=covariance), [reason]
 
 
-def _without_periods(log: Recording, motion: float) -> tuple[Processing, Sequence[Reason]]:
+def _without_periods(
+    log: Recording, motion: float, base_motion: str
+) -> tuple[Processing, Sequence[Reason]]:
     """Choose filter, velocity and derivative from a record without gaps."""
     rate = log.rate_hz
     slowest = rate / log.n_samples
@@ -172,7 +183,8 @@ def _without_periods(log: Recording, motion: float) -> tuple[Processing, Sequenc
     if log.base is not None:
         quiet = max(noise_limit(log, _NOISE_SHARE), _LEAST_CUTOFF_OVER_MOTION * motion)
         still = max(
-            pose_limit(log.base, rate, _NOISE_SHARE), _LEAST_CUTOFF_OF_POSE_OVER_MOTION * motion
+            base_limit(log.base, rate, _NOISE_SHARE, base_motion),
+            _LEAST_CUTOFF_OF_POSE_OVER_MOTION * motion,
         )
     processing = Processing(
         cutoff_hz=min(times * max(motion, slowest), quiet, still, highest),
@@ -187,8 +199,8 @@ def _without_periods(log: Recording, motion: float) -> tuple[Processing, Sequenc
     cap = f"2/15 of the rate of {rate:.6g} Hz"
     if still < min(times * max(motion, slowest), quiet, highest):
         why = (
-            f"noise of the base's position is {100 * _NOISE_SHARE:g} % of the power of gravity and "
-            f"its acceleration below, at least {_LEAST_CUTOFF_OF_POSE_OVER_MOTION:g} × motion; "
+            f"noise in the base's acceleration is {100 * _NOISE_SHARE:g} % of the power of gravity "
+            f"below, at least {_LEAST_CUTOFF_OF_POSE_OVER_MOTION:g} × motion; "
             f"{lies}"
         )
     elif quiet < times * motion and processing.cutoff_hz < highest:

@@ -108,7 +108,7 @@ def process(
     require_no_outliers(log)
     require_plausible_units(log, position_limits)
     if not isinstance(processing, Processing):
-        processing = with_changes(default_processing(log), processing or {})
+        processing = with_changes(default_processing(log, processing), processing or {})
     if processing.velocity == "measured" and log.velocity is None:
         raise DataError(
             "velocity: the recording has none, but velocity is 'measured'; use "

@@ -80,13 +80,15 @@ def find_legs(
         feet = _named(robot, _SOLE) or _named(robot, _FOOT)
     if not feet:
         raise ModelError(
-            f"legged plant: '{robot.name}' has no link with '{_FOOT}' or '{_SOLE}' in its name; "
-            "give feet=."
+            f"legged plant: '{robot.name}' has no link with '{_FOOT}' or '{_SOLE}' in its name: "
+            "it is no robot on legs, or its feet are called otherwise (simulate_legged(feet=...))."
         )
     chains: list[list[int]] = []
     for name in feet:
         if not model.existFrame(name):
-            raise ModelError(f"legged plant: '{robot.name}' has no frame '{name}'; see feet=.")
+            raise ModelError(
+                f"legged plant: '{robot.name}' has no frame '{name}'; see feet of simulate_legged."
+            )
         chain, joint = [], model.frames[model.getFrameId(name)].parentJoint
         while joint > 1:
             chain.append(model.joints[joint].idx_v - 6)

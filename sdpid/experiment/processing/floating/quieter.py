@@ -15,7 +15,7 @@ from sdpid._common.arrays import Array
 from sdpid.experiment.processing.floating.on_grid import OnGrid
 from sdpid.experiment.recording.floating.base import BaseMotion
 
-__all__ = ["Quieter", "angle_noise", "pose_limit", "quieter", "white_noise"]
+__all__ = ["Quieter", "angle_noise", "base_limit", "quieter", "white_noise"]
 
 _GRAVITY = 9.81
 
@@ -74,16 +74,26 @@ def angle_noise(quaternions: Array) -> float:
     return 2.0 * float(np.sqrt(4.0 / 3.0)) * white_noise(quaternions)
 
 
-def pose_limit(base: BaseMotion, rate_hz: float, share: float) -> float:
-    """Return the frequency in Hz up to which noise of a base's position is at most a share.
+def base_limit(base: BaseMotion, rate_hz: float, share: float, wanted: str = "auto") -> float:
+    """Return the frequency in Hz up to which noise in a base's acceleration is at most a share.
 
-    White noise of s m in a sample, differentiated twice, has the power 3·(2π)⁴·s²·2·f⁵/(5·rate)
-    below f, in m²/s⁴ of three axes; the share is that of gravity's power. Infinite where
-    accelerations are not differences of the position, or it has no noise.
+    White noise of s m in a sample of the position, differentiated twice, has the power
+    3·(2π)⁴·s²·2·f⁵/(5·rate) below f, in m²/s⁴ of three axes; of s m/s of a velocity
+    3·(2π)²·s²·2·f³/(3·rate). The share is that of gravity's power. The quietest of what
+    accelerations may be from (`wanted`, see `base_states`) decides; infinite with an accelerometer,
+    or without noise.
     """
-    if base.position is None or base.linear_velocity is not None:
+    if wanted in ("auto", "imu") and base.imu is not None and base.imu.accelerometer is not None:
         return np.inf
-    if base.imu is not None and base.imu.accelerometer is not None:
-        return np.inf
-    power = 3.0 * (2.0 * np.pi) ** 4 * white_noise(base.position) ** 2 * 2.0 / (5.0 * rate_hz)
-    return float((share * _GRAVITY**2 / power) ** 0.2) if power > 0.0 else np.inf
+    limits = []
+    for source, table, order in (
+        ("twist", base.linear_velocity, 1),
+        ("pose", base.position, 2),
+    ):
+        if table is not None and wanted in ("auto", source):
+            slope = 2 * order + 1
+            power = 3.0 * (2.0 * np.pi) ** (2 * order) * white_noise(table) ** 2 * 2.0
+            power /= slope * rate_hz
+            limit = (share * _GRAVITY**2 / power) ** (1.0 / slope) if power > 0.0 else np.inf
+            limits.append(float(limit))
+    return max(limits, default=np.inf)
