@@ -8,7 +8,6 @@ walk as it was, with the forces of the ground known: of the joints in per cent o
 of the force on the base in N.
 
 * ``legged.csv``: which motions and sensors show how much; a median and a worst of all seeds.
-* ``legged_defects.csv``: what wrong logs of one robot do, and what the inspection says of them.
 
     python examples/studies/legged.py --seeds 5 --out results
 
@@ -259,110 +258,29 @@ COLUMNS = (
 )  # fmt: skip
 
 
-def _swapped(log: sdpid.Recording) -> sdpid.Recording:
-    assert log.base is not None
-    turned = replace(log.base, orientation=np.roll(log.base.orientation, 1, axis=1))
-    return replace(log, base=turned)
-
-
-def _at_the_ankle(log: sdpid.Recording) -> sdpid.Recording:
-    assert log.contacts is not None
-    return replace(log, contacts=replace(log.contacts, offset=np.zeros(3)))
-
-
-def _imu_at_the_origin(log: sdpid.Recording) -> sdpid.Recording:
-    assert log.base is not None
-    assert log.base.imu is not None
-    return replace(log, base=replace(log.base, imu=replace(log.base.imu, translation=np.zeros(3))))
-
-
-def _feet_swapped(log: sdpid.Recording) -> sdpid.Recording:
-    assert log.contacts is not None
-    if log.contacts.n == 1 or log.contacts.down is None:
-        return log
-    return replace(log, contacts=replace(log.contacts, down=log.contacts.down[:, [1, 0, 3, 2]]))
-
-
-Change = Callable[[sdpid.Recording], sdpid.Recording]
-# What is wrong, the sensors that make it so, and the change of the log that does.
-DEFECTS: tuple[tuple[str, Sensors, Change | None], ...] = (
-    ("nothing", Sensors(), None),
-    ("torques 2 ms late", Sensors(delays={"effort": 0.002}), None),
-    ("IMU 2 ms late", Sensors(delays={"imu": 0.002}), None),
-    ("flags 10 ms late", Sensors(delays={"contacts": 0.01}), None),
-    ("torques 5 % high", Sensors(effort_gain=1.05), None),
-    ("flags above 20 N", Sensors(flag_threshold=20.0), None),
-    ("flags above 20 N, forces fused", Sensors(flag_threshold=20.0, forces=True), None),
-    ("forces fused", Sensors(forces=True), None),
-    ("forces fused, 10 % low", Sensors(forces=True, force_gain=0.9), None),
-    ("left and right feet swapped", Sensors(), _feet_swapped),
-    ("contact at the ball's center", Sensors(), _at_the_ankle),
-    ("IMU's place ignored", Sensors(), _imu_at_the_origin),
-    ("quaternion w x y z", Sensors(), _swapped),
-)
-DEFECT_COLUMNS = ("defect", "joints_percent", "base_force_n", "mass_percent", "findings")
-
-
-def defect_rows(seconds: float, count: int) -> Iterator[tuple[object, ...]]:
-    """Yield the rows of the table of wrong logs."""
-    quadruped = Quadruped("go1", 0, seconds)
-    for words, sensors, change in DEFECTS[:count]:
-        logs = [quadruped.run(motion, sensors).recording for motion in THREE]
-        logs = logs if change is None else [change(log) for log in logs]
-        kinds = sorted(
-            {
-                each.kind
-                for log in logs
-                for each in sdpid.inspect_recording(log, quadruped.robot).findings
-                if each.severity != "info"
-            }
-        )
-        try:
-            row = identified(quadruped, logs, intervals=False)
-            errors = (row[0], row[1], row[3])
-        except sdpid.errors.SdpidError as error:
-            print(words, error, flush=True)
-            errors = (None, None, None)
-        yield (words, *errors, " ".join(kinds) or "none")
-
-
 def main() -> None:
-    """Write the tables."""
+    """Write the table."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--seeds", type=int, default=5)
     parser.add_argument("--seconds", type=float, default=10.0)
-    parser.add_argument("--only", choices=("legged", "defects"), help="one table")
     parser.add_argument("--robots", nargs="+", choices=tuple(ROBOTS), default=tuple(ROBOTS))
     parser.add_argument("--keep", type=Path, help="folder for what each seed gave, to go on from")
-    parser.add_argument("--quick", action="store_true", help="one robot, one seed, two defects")
+    parser.add_argument("--quick", action="store_true", help="one robot, one seed, one case")
     parser.add_argument("--out", type=Path, default=Path("results"))
     chosen = parser.parse_args()
-    robots, cases, defects = tuple(chosen.robots), tuple(range(len(CASES))), len(DEFECTS)
+    robots, cases = tuple(chosen.robots), tuple(range(len(CASES)))
     if chosen.quick:
-        chosen.seeds, chosen.seconds, robots, cases, defects = 1, 3.0, ("solo12",), (1,), 2
+        chosen.seeds, chosen.seconds, robots, cases = 1, 3.0, ("solo12",), (1,)
     chosen.out.mkdir(parents=True, exist_ok=True)
     if chosen.keep is not None:
         chosen.keep.mkdir(parents=True, exist_ok=True)
-    motions = main_rows(chosen.seeds, chosen.seconds, robots, cases, chosen.keep)
-    for name, file, header, rows, count in (
-        ("legged", "legged.csv", COLUMNS, motions, len(robots) * len(cases)),
-        (
-            "defects",
-            "legged_defects.csv",
-            DEFECT_COLUMNS,
-            defect_rows(chosen.seconds, defects),
-            defects,
-        ),
-    ):
-        if chosen.only not in (None, name):
-            continue
-        lines = []
-        with progress(count, file) as advance:
-            for row in rows:
-                lines.append(tuple(row))
-                print(*row, flush=True)
-                advance(1)
-        Table(header, tuple(lines)).write(chosen.out / file)
+    lines = []
+    with progress(len(robots) * len(cases), "legged") as advance:
+        for row in main_rows(chosen.seeds, chosen.seconds, robots, cases, chosen.keep):
+            lines.append(row)
+            print(*row, flush=True)
+            advance(1)
+    Table(COLUMNS, tuple(lines)).write(chosen.out / "legged.csv")
 
 
 if __name__ == "__main__":

@@ -1,0 +1,222 @@
+"""Wrong logs of robots on legs: what a mistake costs, and what the inspection says of it.
+
+Stand, trot and hang of a quadruped in MuJoCo as in `legged.py`, with an IMU and force sensors in
+the feet, friction terms known. One mistake at a time is made in these logs, in all three of them.
+Contact forces are then either left out, so that those of closed contacts are eliminated
+(*projection*), or measurements (*fusion*). Where the log is refused, the error is what one gets
+who overrules that (`accept`).
+
+* ``legged_defects.csv``: errors on a held-out walk, and findings that the right logs do not have.
+
+    python examples/studies/legged_defects.py --out results
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from legged import ROBOTS, THREE, Quadruped, identified
+
+import sdpid
+from sdpid._common.arrays import Array
+from sdpid._common.progress import progress
+from sdpid._common.tables import Table
+from sdpid.experiment.inspection.accept import REFUSED
+from sdpid.experiment.plant.legged.sensors import Sensors
+from sdpid.experiment.plant.legged.simulate import LeggedRun
+from sdpid.experiment.recording.floating.base import BaseMotion, Imu
+from sdpid.experiment.recording.floating.contacts import Contacts
+
+Log = sdpid.Recording
+Change = Callable[[Log], Log]
+COLUMNS = (
+    "robot", "defect", "projection_joints_percent", "projection_mass_percent", "projection_named",
+    "fusion_joints_percent", "fusion_mass_percent", "fusion_named",
+)  # fmt: skip
+# Of the weight: below it, a foot is said to be up; and what a force sensor shows without a load.
+THRESHOLD, BIAS = 0.1, 0.05
+SENSORS = Sensors(forces=True)
+
+
+class Sensed(Quadruped):
+    """A quadruped with force sensors in its feet."""
+
+    @cached_property
+    def runs(self) -> dict[str, LeggedRun]:
+        """All motions, with forces."""
+        return {motion: self.run(motion, SENSORS) for motion in (*ROBOTS[self.name], "walk")}
+
+
+def effort(change: Callable[[Array], Array]) -> Change:
+    """Change joint torques."""
+    return lambda log: replace(log, effort=change(log.effort))
+
+
+def base(change: Callable[[BaseMotion], dict[str, Any]]) -> Change:
+    """Change fields of the base's motion."""
+
+    def changed(log: Log) -> Log:
+        assert log.base is not None
+        return replace(log, base=replace(log.base, **change(log.base)))
+
+    return changed
+
+
+def imu(change: Callable[[Imu], dict[str, Any]]) -> Change:
+    """Change fields of the IMU."""
+
+    def changed(motion: BaseMotion) -> dict[str, Any]:
+        assert motion.imu is not None
+        return {"imu": replace(motion.imu, **change(motion.imu))}
+
+    return base(changed)
+
+
+def feet(change: Callable[[Contacts], dict[str, Any]]) -> Change:
+    """Change fields of the feet's contacts; not of the stand that holds a base."""
+
+    def changed(log: Log) -> Log:
+        assert log.contacts is not None
+        if log.contacts.n == 1:
+            return log
+        return replace(log, contacts=replace(log.contacts, **change(log.contacts)))
+
+    return changed
+
+
+def late(values: Array, samples: int) -> Any:
+    """Return values that many samples late."""
+    return values[np.maximum(np.arange(len(values)) - samples, 0)]
+
+
+def exchanged(order: Sequence[int]) -> Change:
+    """Give feet the flags and forces of others."""
+    columns = list(order)
+    return feet(lambda c: {"down": c.down[:, columns], "forces": c.forces[:, columns]})
+
+
+def one_foot_always_down(contacts: Contacts) -> dict[str, Any]:
+    """Return flags with one that never opens."""
+    down = np.array(contacts.down)
+    down[:, 0] = True
+    return {"down": down}
+
+
+def defects(weight: float) -> dict[str, tuple[Change, bool]]:
+    """Return what is wrong: the change that does it, and whether forces alone have it."""
+    bias = np.array([0.0, 0.0, BIAS * weight])
+    gravity = 9.81
+    # Recorded at 1 kHz.
+    return {
+        "nothing": (lambda log: log, False),
+        "torques 2 ms late": (effort(lambda e: late(e, 2)), False),
+        "IMU 2 ms late": (
+            imu(lambda i: {k: late(getattr(i, k), 2) for k in ("gyroscope", "accelerometer")}),
+            False,
+        ),
+        "flags and forces 10 ms late": (
+            feet(lambda c: {"down": late(c.down, 10), "forces": late(c.forces, 10)}),
+            False,
+        ),
+        "flags above 10 % of the weight": (
+            feet(lambda c: {"down": c.forces[..., 2] > THRESHOLD * weight}),
+            False,
+        ),
+        "one foot always down": (feet(one_foot_always_down), False),
+        "left and right feet swapped": (exchanged((1, 0, 3, 2)), False),
+        "diagonal feet swapped": (exchanged((3, 2, 1, 0)), False),
+        "contact at the ball's center": (feet(lambda c: {"offset": np.zeros(3)}), False),
+        "forces 10 % low": (feet(lambda c: {"forces": 0.9 * c.forces}), True),
+        "forces off by 5 % of the weight": (feet(lambda c: {"forces": c.forces + bias}), True),
+        "forces on the ground": (feet(lambda c: {"forces": -c.forces}), True),
+        "quaternion w x y z": (
+            base(lambda b: {"orientation": np.roll(b.orientation, 1, axis=1)}),
+            False,
+        ),
+        "IMU's place ignored": (imu(lambda i: {"translation": np.zeros(3)}), False),
+        "IMU's axes ignored": (imu(lambda i: {"rotation": np.eye(3)}), False),
+        "gyroscope in deg/s": (imu(lambda i: {"gyroscope": np.degrees(i.gyroscope)}), False),
+        "accelerometer in g": (imu(lambda i: {"accelerometer": i.accelerometer / gravity}), False),
+        "torques in N·mm": (effort(lambda e: 1e3 * e), False),
+        "torques 5 % high": (effort(lambda e: 1.05 * e), False),
+    }
+
+
+def without_forces(log: Log) -> Log:
+    """Return a log of a robot that has no force sensors."""
+    assert log.contacts is not None
+    return replace(log, contacts=replace(log.contacts, forces=None, wrenches=None))
+
+
+def named(quadruped: Quadruped, logs: Sequence[Log]) -> dict[str, bool]:
+    """Return kinds of findings, and whether the log is refused for them."""
+    found: dict[str, bool] = {}
+    for log in logs:
+        for each in sdpid.inspect_recording(log, quadruped.robot).findings:
+            if each.severity != "note":
+                found[each.kind] = found.get(each.kind, False) or each.severity == "refuse"
+    return found
+
+
+def rows(quadruped: Quadruped, count: int) -> Iterator[tuple[object, ...]]:
+    """Yield the rows of a robot."""
+    clean = [quadruped.runs[motion].recording for motion in THREE]
+    weight = float(quadruped.theta[: 10 * quadruped.robot.n_links : 10].sum()) * 9.81
+    wrenches = quadruped.runs["trot"].motion.wrenches
+    # What the noise of the force sensors is.
+    std = SENSORS.force_noise * float(np.sqrt(np.mean(wrenches**2)))
+    both: tuple[tuple[Change, dict[str, Any]], ...] = (
+        (without_forces, {}),
+        (lambda log: log, {"processing": {"contact_force_std": std}}),
+    )
+    usual = [named(quadruped, [bare(log) for log in clean]) for bare, _ in both]
+    for defect, (change, of_forces) in list(defects(weight).items())[:count]:
+        row: list[object] = [quadruped.name, defect]
+        for (bare, options), before in zip(both, usual, strict=True):
+            if of_forces and not options:
+                row += [None, None, None]
+                continue
+            logs = [bare(change(log)) for log in clean]
+            kinds = {kind: no for kind, no in named(quadruped, logs).items() if kind not in before}
+            try:
+                got = identified(quadruped, logs, intervals=False, accept=REFUSED, **options)
+                row += [got[0], got[3]]
+            except sdpid.errors.SdpidError as error:
+                print(defect, error, flush=True)
+                row += ["refused", "refused"]
+            said = [f"{kind} (refused)" if no else kind for kind, no in sorted(kinds.items())]
+            row.append(", ".join(said) or "nothing")
+        yield tuple(row)
+
+
+def main() -> None:
+    """Write the table."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--seconds", type=float, default=3.0)
+    parser.add_argument("--robots", nargs="+", choices=tuple(ROBOTS)[:3], default=("solo12", "go1"))
+    parser.add_argument("--quick", action="store_true", help="one robot, two defects")
+    parser.add_argument("--out", type=Path, default=Path("results"))
+    chosen = parser.parse_args()
+    count = len(defects(1.0))
+    if chosen.quick:
+        chosen.robots, chosen.seconds, count = ("solo12",), 2.0, 2
+    chosen.out.mkdir(parents=True, exist_ok=True)
+    lines: list[tuple[object, ...]] = []
+    with progress(count * len(chosen.robots), "legged_defects") as advance:
+        for name in chosen.robots:
+            for row in rows(Sensed(name, 0, chosen.seconds), count):
+                lines.append(row)
+                print(*row, sep=" | ", flush=True)
+                # Row by row, so that an interruption leaves those that are done.
+                Table(COLUMNS, tuple(lines)).write(chosen.out / "legged_defects.csv")
+                advance(1)
+
+
+if __name__ == "__main__":
+    main()
