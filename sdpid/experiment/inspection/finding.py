@@ -128,6 +128,11 @@ class Subject:
         return tuple((int(np.searchsorted(time, piece.time[0])), piece) for piece in pieces)
 
     @cached_property
+    def longest(self) -> Recording:
+        """The longest of the pieces, of which there must be one."""
+        return max((piece for _, piece in self.pieces), key=lambda piece: piece.n_samples)
+
+    @cached_property
     def position_range(self) -> tuple[Array, Array]:
         """Least and largest position of each joint, (n,) each."""
         return extremes(self.log.position)

@@ -43,7 +43,7 @@ def _longest(subject: Subject) -> Recording | None:
     """Return the longest piece of a recording with a base."""
     if subject.log.base is None or not subject.pieces:
         return None
-    return max((piece for _, piece in subject.pieces), key=lambda piece: piece.n_samples)
+    return subject.longest
 
 
 @check

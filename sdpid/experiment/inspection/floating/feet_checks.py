@@ -54,7 +54,7 @@ def feet_of(subject: Subject) -> Feet | None:
     robot, log = subject.floating, subject.log
     if robot is None or log.base is None or log.contacts is None or not subject.pieces:
         return None
-    log = max((piece for _, piece in subject.pieces), key=lambda piece: piece.n_samples)
+    log = subject.longest
     base, contacts = log.base, log.contacts
     if base is None or contacts is None or contacts.down is None or base.position is None:
         return None

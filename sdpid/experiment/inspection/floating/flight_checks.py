@@ -23,7 +23,7 @@ def contacts_missing(subject: Subject) -> Iterator[Finding]:
     """Find a robot that stands or walks, and of which no contact is said to be closed."""
     if subject.log.base is None or not subject.pieces:
         return
-    log = max((piece for _, piece in subject.pieces), key=lambda piece: piece.n_samples)
+    log = subject.longest
     up, gravity = np.array([0.0, 0.0, 1.0]), GRAVITY
     if subject.floating is not None:
         vector = np.asarray(subject.floating.gravity)
