@@ -27,7 +27,7 @@ ROOMS = {
     "verifier": [],
     # Draws arrays, and knows nothing of what the others make.
     "plots": [],
-    "robot": ["inertia", "consistent", "friction", "description", "model"],
+    "robot": ["inertia", "consistent", "friction", "description", "model", "legs"],
     "experiment": [
         "drive_gains",
         "recording",

@@ -25,11 +25,11 @@ import sdpid
 from sdpid._common.progress import progress
 from sdpid._common.tables import Table
 from sdpid.experiment.inspection.delays.find import channel_delays, is_told
-from sdpid.experiment.plant.legged.find import find_legs
 from sdpid.experiment.plant.legged.sensors import Sensors, record
 from sdpid.experiment.plant.legged.simulate import LeggedRun
 from sdpid.experiment.preparation.delays import with_delays
 from sdpid.experiment.processing.settings import Processing
+from sdpid.robot.legs.find import find_legs
 
 CHANNELS = ("effort", "imu", "base", "contacts")
 MOTIONS = (*THREE, "walk")

@@ -25,13 +25,13 @@ from sdpid._common.arrays import Array
 from sdpid._common.tables import Table
 from sdpid.estimation.compression.rows import RowSource
 from sdpid.estimation.compression.whitening import shares_of, weights_of
-from sdpid.experiment.plant.legged.find import find_legs
-from sdpid.experiment.plant.legged.legs import Legs
 from sdpid.experiment.plant.legged.model import LeggedModel, build_legged
 from sdpid.experiment.plant.legged.simulate import simulate_legged
 from sdpid.experiment.plant.legged.truth import Motion
 from sdpid.experiment.processing.contacts.contact_samples import ContactSamples, Kind
 from sdpid.robot.friction.model import FrictionModel
+from sdpid.robot.legs.find import find_legs
+from sdpid.robot.legs.legs import Legs
 from sdpid.robot.model.base_parameters import structural_base
 
 ROBOTS = ("solo12", "go1", "a1")

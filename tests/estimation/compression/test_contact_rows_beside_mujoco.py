@@ -13,10 +13,10 @@ from scipy.spatial.transform import Rotation
 import sdpid
 from sdpid.estimation.compression.rows import RowSource
 from sdpid.estimation.compression.whitening import weights_of
-from sdpid.experiment.plant.legged.find import find_legs
 from sdpid.experiment.plant.legged.model import build_legged
 from sdpid.experiment.processing.contacts.contact_samples import ContactSamples, Kind
 from sdpid.robot.friction.model import FrictionModel
+from sdpid.robot.legs.find import find_legs
 from sdpid.robot.model.base_parameters import structural_base
 from sdpid.robot.model.contacts.jacobians import frame_axes
 from tests.helpers.legged import FEET, RADIUS, quadruped

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from sdpid._common.arrays import Array
-from sdpid.experiment.plant.legged.legs import Legs
 from sdpid.experiment.plant.legged.paths import Plan
+from sdpid.robot.legs.legs import Legs
 
 __all__ = ["weight_torques"]
 

@@ -10,12 +10,12 @@ import numpy as np
 from sdpid._common.arrays import Array
 from sdpid._common.extras import require
 from sdpid.errors import ModelError
-from sdpid.experiment.plant.legged.legs import Legs
 from sdpid.experiment.plant.mujoco_model import (
     add_bodies,
     check_bodies,
     set_options,
 )
+from sdpid.robot.legs.legs import Legs
 
 __all__ = ["LeggedModel", "build_legged"]
 

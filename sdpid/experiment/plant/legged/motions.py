@@ -8,7 +8,6 @@ import numpy as np
 
 from sdpid._common.arrays import Array, Mask
 from sdpid.errors import DataError
-from sdpid.experiment.plant.legged.legs import Legs
 from sdpid.experiment.plant.legged.paths import (
     LEAD,
     RAMP,
@@ -18,6 +17,7 @@ from sdpid.experiment.plant.legged.paths import (
     planned,
     rise,
 )
+from sdpid.robot.legs.legs import Legs
 
 __all__ = ["MOTIONS", "plan_motion"]
 

@@ -9,7 +9,7 @@ from typing import TypeAlias
 import numpy as np
 
 from sdpid._common.arrays import Array, Mask
-from sdpid.experiment.plant.legged.legs import Legs
+from sdpid.robot.legs.legs import Legs
 
 __all__ = ["LEAD", "RAMP", "Path", "Plan", "base_sines", "joint_sines", "planned", "rise"]
 

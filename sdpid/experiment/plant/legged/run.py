@@ -19,10 +19,10 @@ from sdpid._common.extras import require
 from sdpid.errors import DataError
 from sdpid.experiment.plant.legged.feedforward import weight_torques
 from sdpid.experiment.plant.legged.friction import DryFriction
-from sdpid.experiment.plant.legged.legs import Legs
 from sdpid.experiment.plant.legged.model import LeggedModel, build_legged
 from sdpid.experiment.plant.legged.paths import LEAD, Plan
 from sdpid.experiment.plant.legged.truth import Motion
+from sdpid.robot.legs.legs import Legs
 
 __all__ = ["run_plan"]
 

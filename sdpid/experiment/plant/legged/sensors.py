@@ -9,11 +9,11 @@ import numpy as np
 
 from sdpid._common.arrays import Array, Indices
 from sdpid.errors import DataError
-from sdpid.experiment.plant.legged.legs import Legs
 from sdpid.experiment.plant.legged.truth import Motion
 from sdpid.experiment.recording.floating.base import BaseMotion, Imu
 from sdpid.experiment.recording.floating.contacts import Contacts
 from sdpid.experiment.recording.recording import Recording
+from sdpid.robot.legs.legs import Legs
 
 __all__ = ["CHANNELS", "Sensors", "record"]
 

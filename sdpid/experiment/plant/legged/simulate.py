@@ -12,15 +12,15 @@ from sdpid._common.arrays import Array, frozen, real_array
 from sdpid._common.seeds import generator
 from sdpid._common.tables import facts_html
 from sdpid.errors import DataError
-from sdpid.experiment.plant.legged.find import find_legs
 from sdpid.experiment.plant.legged.friction import DryFriction
-from sdpid.experiment.plant.legged.legs import Legs
 from sdpid.experiment.plant.legged.motions import plan_motion
 from sdpid.experiment.plant.legged.paths import LEAD
 from sdpid.experiment.plant.legged.run import run_plan
 from sdpid.experiment.plant.legged.sensors import Sensors, record
 from sdpid.experiment.plant.legged.truth import Motion, changed_parameters
 from sdpid.experiment.recording.recording import Recording
+from sdpid.robot.legs.find import find_legs
+from sdpid.robot.legs.legs import Legs
 from sdpid.robot.model.load import load_robot
 from sdpid.robot.model.model import RobotModel
 

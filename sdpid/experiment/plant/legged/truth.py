@@ -8,10 +8,10 @@ import numpy as np
 
 from sdpid._common.arrays import Array, Mask, frozen, frozen_view
 from sdpid._common.seeds import generator
-from sdpid.experiment.plant.legged.find import find_legs
-from sdpid.experiment.plant.legged.legs import Legs
 from sdpid.experiment.plant.mujoco_model import check_bodies
 from sdpid.robot.inertia import from_pseudo_inertia, pseudo_inertia
+from sdpid.robot.legs.find import find_legs
+from sdpid.robot.legs.legs import Legs
 from sdpid.robot.model.model import RobotModel
 
 __all__ = ["Motion", "changed_parameters"]

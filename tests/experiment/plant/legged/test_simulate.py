@@ -13,12 +13,12 @@ from scipy.spatial.transform import Rotation
 import sdpid
 from sdpid._common.arrays import Array
 from sdpid.errors import DataError, ModelError
-from sdpid.experiment.plant.legged.find import find_legs
 from sdpid.experiment.plant.legged.friction import DryFriction
 from sdpid.experiment.plant.legged.sensors import Sensors
 from sdpid.experiment.plant.legged.simulate import LeggedRun, simulate_legged
 from sdpid.experiment.plant.legged.truth import changed_parameters
 from sdpid.robot.inertia import margin
+from sdpid.robot.legs.find import find_legs
 from sdpid.robot.model.model import RobotModel
 
 # What forces from the simulator may leave of the equation of motion, N and N·m.

@@ -172,7 +172,7 @@ class Legs:
                     break
             else:
                 raise DataError(
-                    f"legged plant of '{self.robot.name}': a foot misses its place by "
+                    f"legs of '{self.robot.name}': a foot misses its place by "
                     f"{worst:.2g} m at instant {k} of the motion (limit {_REACHED:g}); take a "
                     "smaller motion."
                 )

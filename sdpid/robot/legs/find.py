@@ -9,8 +9,8 @@ from numpy.typing import ArrayLike
 
 from sdpid._common.arrays import Array, frozen
 from sdpid.errors import DataError, ModelError
-from sdpid.experiment.plant.legged.feet import foot_radius, sole_corners
-from sdpid.experiment.plant.legged.legs import Legs
+from sdpid.robot.legs.feet import foot_radius, sole_corners
+from sdpid.robot.legs.legs import Legs
 from sdpid.robot.model.model import RobotModel
 
 __all__ = ["find_legs"]
@@ -60,7 +60,7 @@ def find_legs(
 
     Examples
     --------
-    >>> from sdpid.experiment.plant.legged.find import find_legs
+    >>> from sdpid.robot.legs.find import find_legs
     >>> legs = find_legs(sdpid.load_robot("solo12", root="free_flyer"))
     >>> legs.frames, round(legs.height, 3), round(legs.radius, 3)
     (('FL_FOOT', 'FR_FOOT', 'HL_FOOT', 'HR_FOOT'), 0.223, 0.016)
@@ -68,26 +68,26 @@ def find_legs(
     model = robot.pin_model
     if not robot.free_flyer:
         raise ModelError(
-            f"legged plant: '{robot.name}' is on a fixed base; load it with "
+            f"legs: '{robot.name}' is on a fixed base; load it with "
             'load_robot(..., root="free_flyer").'
         )
     if robot.expansion.shape != (robot.n, robot.n):
         raise ModelError(
-            f"legged plant of '{robot.name}': joints that mimic others are not supported; make "
+            f"legs of '{robot.name}': joints that mimic others are not supported; make "
             "them fixed or free in the description."
         )
     if feet is None:
         feet = _named(robot, _SOLE) or _named(robot, _FOOT)
     if not feet:
         raise ModelError(
-            f"legged plant: '{robot.name}' has no link with '{_FOOT}' or '{_SOLE}' in its name: "
-            "it is no robot on legs, or its feet are called otherwise (simulate_legged(feet=...))."
+            f"legs: '{robot.name}' has no link with '{_FOOT}' or '{_SOLE}' in its name: "
+            "it is no robot on legs, or its feet are called otherwise (find_legs(robot, feet=...))."
         )
     chains: list[list[int]] = []
     for name in feet:
         if not model.existFrame(name):
             raise ModelError(
-                f"legged plant: '{robot.name}' has no frame '{name}'; see feet of simulate_legged."
+                f"legs: '{robot.name}' has no frame '{name}'; name frames of the robot (feet=)."
             )
         chain, joint = [], model.frames[model.getFrameId(name)].parentJoint
         while joint > 1:
@@ -95,7 +95,7 @@ def find_legs(
             joint = model.parents[joint]
         if len(chain) not in _BENT or len(chain) != len(chains[0] if chains else chain):
             raise ModelError(
-                f"legged plant of '{robot.name}': {len(chain)} joints lead to '{name}'; legs of "
+                f"legs of '{robot.name}': {len(chain)} joints lead to '{name}'; legs of "
                 "3 joints with balls for feet, or of 6 with soles, are supported."
             )
         chains.append(chain[::-1])
@@ -146,7 +146,7 @@ def _require_level(legs: Legs) -> None:
     tilts = [float(np.abs(pin.log3(data.oMf[i].rotation)).max()) for i in legs.frame_ids]
     if not max(tilts) < _LEVEL:
         raise ModelError(
-            f"legged plant of '{legs.robot.name}': sole '{legs.frames[int(np.argmax(tilts))]}' is "
+            f"legs of '{legs.robot.name}': sole '{legs.frames[int(np.argmax(tilts))]}' is "
             f"turned by {max(tilts):.3g} rad when the robot stands (limit {_LEVEL:g}); give "
             "standing=."
         )
