@@ -84,26 +84,34 @@ def fit_errors(estimate: Estimated, groups: Groups) -> FitErrors:
         if groups == "frequencies"
         else ScoreBlocks.of(estimate.problem, groups)
     )
-    bias = estimate.problem.motion_bias
-    return errors if bias is None else _Biased(errors, bias)
+    return with_biases(errors, estimate.problem.biases)
+
+
+def with_biases(errors: FitErrors, biases: Array) -> FitErrors:
+    """Return errors of a fit with biases (k, b) beside them; without any, the errors."""
+    return _Biased(errors, biases) if len(biases) else errors
 
 
 @dataclass(frozen=True, eq=False)
 class _Biased:
-    """Errors of a fit, with a bias beside them."""
+    """Errors of a fit, with biases (k, b) beside them."""
 
     errors: FitErrors
-    bias: Array
+    biases: Array
 
     @property
     def covariance(self) -> Array:
         """Mean squared errors of the unconstrained fit, (b, b)."""
-        return self.errors.covariance + np.outer(self.bias, self.bias)
+        return np.asarray(self.errors.covariance + self.biases.T @ self.biases)
+
+    def squared(self, functionals: Array) -> Array:
+        """Return the mean squares of what the biases are of functionals (m, b), (m,)."""
+        return np.asarray(np.sum((functionals @ self.biases.T) ** 2, axis=1))
 
     def freedom(self, functionals: Array) -> Array:
         """Return the degrees of freedom of what each functional (k, b) is off by."""
         own = np.einsum("ki,ij,kj->k", functionals, self.errors.covariance, functionals)
-        share = _share(own, own + (functionals @ self.bias) ** 2, 1.0)
+        share = _share(own, own + self.squared(functionals), 1.0)
         freedom = self.errors.freedom(functionals)
         return np.asarray(freedom / np.maximum(share, _LEAST_SHARE) ** 2)
 
@@ -213,7 +221,7 @@ class Posterior:
         variance, _, _ = self.spread(functions)
         own = np.zeros(len(functions))
         if isinstance(self.errors, _Biased):
-            own = ((functions @ self.from_fit) @ self.errors.bias) ** 2
+            own = self.errors.squared(functions @ self.from_fit)
         return np.asarray(np.where(np.isfinite(variance), _share(own, variance, 0.0), 0.0))
 
     def gains_share(self, functions: Array) -> Array:

@@ -207,6 +207,12 @@ class Problem:
         return self.squared.gradient(theta) + self.log_det.gradient(theta)
 
     @property
+    def biases(self) -> Array:
+        """By how much the unconstrained fit is thought to be off beside its noise, (k, b)."""
+        known = [] if self.motion_bias is None else [self.motion_bias]
+        return frozen(np.reshape(known, (-1, self.base.count)))
+
+    @property
     def samples(self) -> Samples:
         """The samples that are here: all, or of rows on a cluster a thinned selection.
 

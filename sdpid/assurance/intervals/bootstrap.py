@@ -5,7 +5,8 @@ wraps around at its end) [politis1992]_: residuals of filtered signals are corre
 from one block to the next. Every draw brings its own regressor, so nothing is assumed of the
 noise's distribution or of how it depends on the motion. Rows are compressed beforehand: a draw adds
 up small matrices. Or whole periods are drawn, of which only the efforts differ. Where efforts were
-made of currents, every draw has its own gains too.
+made of currents, every draw has its own gains too. A bias that the fit is thought to have is in
+each draw by another share, normal with a mean square of one, as the other intervals count it.
 
 The intervals are about base parameters and what they determine. At a boundary of the feasible set
 the bootstrap is known not to be consistent [andrews2000]_: an estimate that a constraint holds
@@ -36,8 +37,8 @@ KINDS: tuple[Kind, ...] = ("percentile", "basic")
 # Pieces of a block at which a drawn block may begin.
 _PIECES = 2
 
-# Tells a draw's generator of gains from that of its blocks.
-_OF_GAINS = 1
+# Tell a draw's generators of gains and of biases from that of its blocks.
+_OF_GAINS, _OF_BIASES = 1, 2
 
 # Clarabel's regularizations, in turn until one ends with an accurate point.
 _REGULARIZATIONS = (1e-10, 1e-8)
@@ -158,8 +159,9 @@ def resample(
     else:
         pieces, run = ScoreBlocks.of(problem, groups), 1
     gains = GainErrors.of(problem)
-    moves = gains.root if problem.weighting in PRINTED else problem.A.T @ gains.root
-    draws = _Draws(pieces, run, _whole(seed), Refit.of(estimate), moves)
+    turn = np.eye(problem.base.count) if problem.weighting in PRINTED else problem.A.T
+    moves, biased = turn @ gains.root, turn @ problem.A @ problem.biases.T
+    draws = _Draws(pieces, run, _whole(seed), Refit.of(estimate), moves, biased)
     starts = range(0, resamples, _TOGETHER)
     tasks = (delayed(draws.solve)(range(i, min(i + _TOGETHER, resamples))) for i in starts)
     done = list(chain.from_iterable(parallel(n_jobs, threads=True)(tasks)))
@@ -196,6 +198,8 @@ class _Draws:
         The estimate.
     gains : ndarray, shape (b, n)
         How the target moves with errors of the gains of variance one.
+    biases : ndarray, shape (b, k)
+        How it moves with the fit's biases.
     """
 
     pieces: ScoreBlocks
@@ -203,6 +207,7 @@ class _Draws:
     seed: int
     refit: Refit
     gains: Array
+    biases: Array
 
     def times(self, number: int) -> Array:
         """Return the weight of each piece in draw `number`, (G,)."""
@@ -230,6 +235,9 @@ class _Draws:
             if self.gains.any():
                 rng = np.random.default_rng([self.seed, number, _OF_GAINS])
                 target += self.gains @ rng.standard_normal(self.gains.shape[1])
+            if self.biases.any():
+                rng = np.random.default_rng([self.seed, number, _OF_BIASES])
+                target += self.biases @ rng.standard_normal(self.biases.shape[1])
             found.append(self.refit.solve(information, target))
         return found
 

@@ -17,7 +17,7 @@ from sdpid.errors import DataError
 from sdpid.estimation.effects.bending import Bending
 from sdpid.estimation.estimate import Estimate
 from sdpid.estimation.noise_spectrum import NoiseSpectrum
-from sdpid.estimation.posterior import Posterior
+from sdpid.estimation.posterior import Posterior, with_biases
 from sdpid.estimation.problem import Problem
 from sdpid.robot.friction.curve import JointCurve, joint_number
 from sdpid.robot.friction.motion import Motion
@@ -154,7 +154,8 @@ class _Bands:
             )
         self.problem, self.theta = estimate.problem, np.array(estimate.theta)
         self._errors = NoiseSpectrum.of(self.problem, self.theta)
-        self._posterior = Posterior.about(estimate, self._errors)
+        errors = with_biases(self._errors, self.problem.biases)
+        self._posterior = Posterior.about(estimate, errors)
         friction = self.problem.friction
         self._links = self.problem.n_theta - len(friction.parameters)
         self.bending = Bending.of(friction, self.problem.profiled, self.theta[self._links :])
@@ -167,8 +168,10 @@ class _Bands:
         from scipy.special import stdtrit
 
         functions = np.hstack([np.zeros((len(columns), self._links)), columns])
-        moves = np.hstack([functions @ self._posterior.from_fit, slopes])
+        by_fit = functions @ self._posterior.from_fit
+        moves = np.hstack([by_fit, slopes])
         variance = np.einsum("ji,il,jl->j", moves, self._errors.whole_covariance, moves)
+        variance += np.sum((by_fit @ self.problem.biases.T) ** 2, axis=1)
         variance += np.sum((functions @ self._posterior.from_prior) ** 2, axis=1)
         variance += self._posterior.gains.variance(functions @ self._posterior.from_gains)
         freedom = self._posterior.spread(functions)[2]

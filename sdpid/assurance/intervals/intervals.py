@@ -354,6 +354,7 @@ def _bootstrap(
         "bootstrap",
         groups,
         gains_share=_gains_share(estimate, wanted),
+        motion_share=_motion_share(estimate, wanted),
         seconds=drawn.seconds,
         solves=len(drawn.base),
     )

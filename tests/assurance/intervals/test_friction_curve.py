@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -82,3 +84,15 @@ def test_it_needs_standard_parameters() -> None:
     for level in (0.0, 1, 95, float("nan"), None):
         with pytest.raises(DataError, match="give a probability between 0 and 1"):
             joint_curve(sdpid.solve_wls(problem), 0, level=level)
+
+
+def test_a_bias_of_the_fit_is_in_the_band() -> None:
+    estimate = sdpid.solve_sdp(simulated(np.random.default_rng(3), 0.3))
+    problem = estimate.problem
+    viscous = problem.base.names.index("Fv1")
+    bias = np.zeros(problem.base.count)
+    bias[viscous] = 0.4
+    moved = replace(estimate, problem=replace(problem, motion_bias=bias))
+    speeds, quantile = np.array([0.5, 1.0]), 1.96
+    plain, wider = (friction_curve(each, speeds).half_width[:, 0] for each in (estimate, moved))
+    np.testing.assert_allclose(wider, np.hypot(plain, quantile * 0.4 * speeds), rtol=0.02)

@@ -67,6 +67,18 @@ def test_the_bias_is_what_noise_does_and_intervals_count_it() -> None:
     assert honest.contains(truth).all()
     assert honest.motion_share is not None
     assert short.motion_share is None
+    # The bootstrap draws the bias too.
+    drawn, shorter = (
+        sdpid.confidence_intervals(
+            each, method="bootstrap", parameters=problem.base.names, resamples=200, n_jobs=1
+        )
+        for each in (wls, without)
+    )
+    assert drawn.motion_share is not None
+    most_moved = honest.motion_share > 0.8
+    assert most_moved.any()
+    np.testing.assert_allclose(drawn.width[most_moved], honest.width[most_moved], rtol=0.3)
+    assert np.all(shorter.width[most_moved] < 0.7 * drawn.width[most_moved])
     most = problem.base.names[int(np.argmax(honest.motion_share))]
     words = noise_in_words(honest)
     assert words is not None
