@@ -5,10 +5,10 @@ Where no inequality is active, an estimate is the least-squares solution of the 
 with L the pseudoinverse of both. The errors of h are those that the residuals show, whatever the
 weights say (see `sdpid.estimation.noise_spectrum`); those of the prior's rows have a variance of
 one, as stated. Where efforts were made of currents, the errors of the gains come on top (see
-`sdpid.estimation.gain_errors`), and so does the bias by noise in the measured motion, where it is
-known (see `sdpid.estimation.motion_noise`): as one more error of that size in its direction, so
-that intervals hold the truth however large it is. An active inequality can only bring an estimate
-nearer to the truth, all in all: it is not counted, which errs on the wide side.
+`sdpid.estimation.gain_errors`), and so do biases by noise in the measured motion and by landings,
+where they are known (see `sdpid.estimation.motion_noise`): each as one more error of that size in
+its direction, so that intervals hold the truth however large it is. An active inequality can only
+bring an estimate nearer to the truth, all in all: it is not counted, which errs on the wide side.
 """
 
 from __future__ import annotations
@@ -104,14 +104,11 @@ class _Biased:
         """Mean squared errors of the unconstrained fit, (b, b)."""
         return np.asarray(self.errors.covariance + self.biases.T @ self.biases)
 
-    def squared(self, functionals: Array) -> Array:
-        """Return the mean squares of what the biases are of functionals (m, b), (m,)."""
-        return np.asarray(np.sum((functionals @ self.biases.T) ** 2, axis=1))
-
     def freedom(self, functionals: Array) -> Array:
         """Return the degrees of freedom of what each functional (k, b) is off by."""
         own = np.einsum("ki,ij,kj->k", functionals, self.errors.covariance, functionals)
-        share = _share(own, own + self.squared(functionals), 1.0)
+        squared = np.sum((functionals @ self.biases.T) ** 2, axis=1)
+        share = _share(own, own + squared, 1.0)
         freedom = self.errors.freedom(functionals)
         return np.asarray(freedom / np.maximum(share, _LEAST_SHARE) ** 2)
 
@@ -216,12 +213,10 @@ class Posterior:
         seen, unseen = (np.linalg.norm(functions @ d, axis=1) for d in (self.seen, self.unseen))
         return np.asarray(unseen > _LOST * np.hypot(seen, unseen))
 
-    def motion_share(self, functions: Array) -> Array:
-        """Return the share (k,) of noise in the motion in the variances of functions (k, p)."""
+    def bias_share(self, functions: Array, bias: Array) -> Array:
+        """Return the share (k,) of one of the fit's biases (b,) in the variances of functions."""
         variance, _, _ = self.spread(functions)
-        own = np.zeros(len(functions))
-        if isinstance(self.errors, _Biased):
-            own = self.errors.squared(functions @ self.from_fit)
+        own = ((functions @ self.from_fit) @ bias) ** 2
         return np.asarray(np.where(np.isfinite(variance), _share(own, variance, 0.0), 0.0))
 
     def gains_share(self, functions: Array) -> Array:

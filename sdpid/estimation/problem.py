@@ -85,6 +85,9 @@ class Problem:
     motion_bias : ndarray, shape (b,), or None
         By how much noise in the measured motion is thought to move the unconstrained fit; it counts
         as an error of the estimate. None where nobody looked.
+    landing_bias : ndarray, shape (b,), or None
+        Likewise by landings, whose samples are among its own. None where there are none, or too
+        few others.
     meaning : str or None
         What the cost is where it is not that of the measured motion's own rows, such as the last
         one that an iteration solved; None where it is.
@@ -119,6 +122,7 @@ class Problem:
     rows: Rows | None = None
     constant: float = 0.0
     motion_bias: Array | None = None
+    landing_bias: Array | None = None
     meaning: str | None = None
 
     def __repr__(self) -> str:
@@ -209,7 +213,7 @@ class Problem:
     @property
     def biases(self) -> Array:
         """By how much the unconstrained fit is thought to be off beside its noise, (k, b)."""
-        known = [] if self.motion_bias is None else [self.motion_bias]
+        known = [each for each in (self.motion_bias, self.landing_bias) if each is not None]
         return frozen(np.reshape(known, (-1, self.base.count)))
 
     @property

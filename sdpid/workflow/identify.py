@@ -37,6 +37,7 @@ from sdpid.experiment.preparation.several import (
     ProcessingOf,
     prepare_recordings,
 )
+from sdpid.experiment.processing.floating.feet import landing_share
 from sdpid.experiment.readers.arguments import as_gains
 from sdpid.robot.friction.term import FrictionTerm
 from sdpid.robot.inertia import Consistency
@@ -63,6 +64,11 @@ _STEPS = 5
 
 # Rows up to which bias is tested without being asked for: a few seconds of work.
 _MOST_ROWS = 3_000_000
+
+_NOT_APART = (
+    "intervals do not count what landings do: the samples away from all landings are too few for "
+    "a fit; record longer, or another motion beside this one"
+)
 
 
 @one_thread
@@ -273,16 +279,20 @@ def _intervals(estimate: Estimate, wanted: bool | Method) -> tuple[Intervals | N
 
 
 def _with_motion_bias(problem: Problem, prepared: Prepared) -> tuple[Problem, list[str]]:
-    """Return a problem that knows its bias by noise in the motion, or why it does not.
+    """Return a problem that knows its biases by noise in the motion and landings, or why not.
 
     Robots that are fixed to the ground have a test in place of it (`check_bias`).
     """
     if not problem.robot.free_flyer or any(log.stored for log in prepared.logs):
         return problem, []
     try:
-        return with_motion_bias(problem, prepared.logs, prepared.processing), []
+        found = with_motion_bias(problem, prepared.logs, prepared.processing)
     except SdpidError as reason:
         return problem, [f"intervals do not count what noise in the motion does: {reason}"]
+    contacts = [log.contacts for log in prepared.logs if log.contacts is not None]
+    landed = prepared.processing.impact_s is None and any(landing_share(c, 0) for c in contacts)
+    unknown = landed and found.landing_bias is None
+    return found, [_NOT_APART] if unknown else []
 
 
 def _bias(estimate: Estimate, prepared: Prepared) -> tuple[BiasTest | None, str | None]:

@@ -76,6 +76,9 @@ class Intervals:
     motion_share : ndarray, shape (k,), or None
         Share of the bias by noise in the measured motion, likewise; None where it was not looked
         for.
+    landing_share : ndarray, shape (k,), or None
+        Share of the bias by landings, likewise; None where no sample near a landing was used, or
+        too few others.
     seconds : float
         In the solver.
     solves : int
@@ -106,6 +109,7 @@ class Intervals:
     slack: Array | None = None
     gains_share: Array | None = None
     motion_share: Array | None = None
+    landing_share: Array | None = None
     seconds: float = 0.0
     solves: int = field(default=0)
 
@@ -144,6 +148,9 @@ class Intervals:
         if self.motion_share is not None:
             shares = self.motion_share.tolist()
             columns["from noise in motion, %"] = [round(100.0 * each) for each in shares]
+        if self.landing_share is not None:
+            shares = self.landing_share.tolist()
+            columns["from landings, %"] = [round(100.0 * each) for each in shares]
         if self.by_mass.any():
             columns["at mass_max"] = [
                 " and ".join(compress(("lower", "upper"), pair)) for pair in self.by_mass.tolist()
@@ -170,6 +177,8 @@ class Intervals:
             columns["gains_share"] = self.gains_share.tolist()
         if self.motion_share is not None:
             columns["motion_share"] = self.motion_share.tolist()
+        if self.landing_share is not None:
+            columns["landing_share"] = self.landing_share.tolist()
         rows = zip(*columns.values(), strict=True)
         found: dict[str, Any] = plain(
             {
@@ -313,9 +322,8 @@ def _gauss_markov(
         level,
         "gauss_markov",
         groups,
+        _shares(estimate, wanted, posterior),
         label=labels,
-        gains_share=_gains_share(estimate, wanted, posterior),
-        motion_share=_motion_share(estimate, wanted, posterior),
     )
 
 
@@ -353,8 +361,7 @@ def _bootstrap(
         level,
         "bootstrap",
         groups,
-        gains_share=_gains_share(estimate, wanted),
-        motion_share=_motion_share(estimate, wanted),
+        _shares(estimate, wanted),
         seconds=drawn.seconds,
         solves=len(drawn.base),
     )
@@ -411,11 +418,10 @@ def _profile(
         level,
         "profile",
         groups,
+        _shares(estimate, wanted),
         label=labels,
         by_mass=np.array([(low.rests[1], high.rests[1]) for low, high in ends]).reshape(-1, 2),
         slack=frozen(slack),
-        gains_share=_gains_share(estimate, wanted),
-        motion_share=_motion_share(estimate, wanted),
         seconds=sum(end.seconds for end in found),
         solves=sum(end.solves for end in found),
     )
@@ -454,12 +460,11 @@ def _made(
     level: float,
     method: str,
     groups: str,
+    shares: dict[str, Array | None],
     *,
     label: tuple[str, ...] | None = None,
     by_mass: Mask | None = None,
     slack: Array | None = None,
-    gains_share: Array | None = None,
-    motion_share: Array | None = None,
     seconds: float = 0.0,
     solves: int = 0,
 ) -> Intervals:
@@ -479,26 +484,26 @@ def _made(
         method=method,
         groups=groups,
         slack=slack,
-        gains_share=gains_share,
-        motion_share=motion_share,
         seconds=seconds,
         solves=solves,
+        **shares,
     )
 
 
-def _gains_share(
+def _shares(
     estimate: Estimate, wanted: ParameterFunctions, posterior: Posterior | None = None
-) -> Array | None:
-    """Return the gains' share in the variances (k,); None where gains have no errors."""
-    if not GainErrors.of(estimate.problem).any:
-        return None
-    return frozen((posterior or Posterior.of(estimate)).gains_share(wanted.functions))
-
-
-def _motion_share(
-    estimate: Estimate, wanted: ParameterFunctions, posterior: Posterior | None = None
-) -> Array | None:
-    """Return the share of noise in the motion in the variances (k,); None where it is not known."""
-    if estimate.problem.motion_bias is None:
-        return None
-    return frozen((posterior or Posterior.of(estimate)).motion_share(wanted.functions))
+) -> dict[str, Array | None]:
+    """Return shares (k,) of what residuals do not show in the variances, None without it."""
+    problem = estimate.problem
+    biases = {"motion_share": problem.motion_bias, "landing_share": problem.landing_bias}
+    gains = GainErrors.of(problem).any
+    if posterior is None and (gains or len(problem.biases)):
+        posterior = Posterior.of(estimate)
+    found: dict[str, Array | None] = dict.fromkeys(("gains_share", *biases))
+    if posterior is not None:
+        if gains:
+            found["gains_share"] = frozen(posterior.gains_share(wanted.functions))
+        for name, bias in biases.items():
+            if bias is not None:
+                found[name] = frozen(posterior.bias_share(wanted.functions, bias))
+    return found

@@ -1,27 +1,47 @@
-"""Tell what noise in the measured motion does to intervals, in words."""
+"""Tell what noise in the measured motion, and landings, do to intervals, in words."""
 
 from __future__ import annotations
 
 import numpy as np
 
+from sdpid._common.arrays import Array
 from sdpid.assurance.intervals.intervals import Intervals
 
-# Above this share of the variance the bias is larger than all other errors together.
+# Above this share of the variance a bias is larger than all other errors together.
 _MOST = 0.5
 
 
 def noise_in_words(intervals: Intervals) -> str | None:
-    """Return which base parameters noise in the motion moves most; None where it moves little."""
-    if intervals.motion_share is None:
+    """Return which base parameters biases move most; None where they move little."""
+    found = [
+        _moved(
+            intervals,
+            intervals.motion_share,
+            "noise in the measured motion moves",
+            "a lower cutoff_hz, or less noise in joint positions, makes them shorter",
+        ),
+        _moved(
+            intervals,
+            intervals.landing_share,
+            "landings, where joint speeds jump, move",
+            "a motion with fewer of them beside this one, or impact_s = 0, leaves them out",
+        ),
+    ]
+    return "; ".join(each for each in found if each) or None
+
+
+def _moved(intervals: Intervals, share: Array | None, what: str, remedy: str) -> str | None:
+    """Return what a bias moves by more than all other errors."""
+    if share is None:
         return None
     base = np.array([kind == "base" for kind in intervals.kind])
-    much = np.flatnonzero(base & (intervals.motion_share > _MOST))
+    much = np.flatnonzero(base & (share > _MOST))
     if not len(much):
         return None
-    most = int(much[np.argmax(intervals.motion_share[much])])
+    most = int(much[np.argmax(share[much])])
     return (
-        f"noise in the measured motion moves {len(much)} of {np.count_nonzero(base)} base "
+        f"{what} {len(much)} of {np.count_nonzero(base)} base "
         f"parameters by more than all other errors (limit {100.0 * _MOST:.0f} % of the variance), "
-        f"{intervals.names[most]} by {100.0 * intervals.motion_share[most]:.0f} %: their intervals "
-        "are wider by that; a lower cutoff_hz, or less noise in joint positions, makes them shorter"
+        f"{intervals.names[most]} by {100.0 * share[most]:.0f} %: their intervals "
+        f"are wider by that; {remedy}"
     )

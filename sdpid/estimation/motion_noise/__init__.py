@@ -1,1 +1,1 @@
-"""What noise in the measured motion does to a fit: the same noise once more."""
+"""What noise in the measured motion, and landings, do to a fit."""

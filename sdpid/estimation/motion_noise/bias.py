@@ -1,11 +1,12 @@
-"""By how much noise in the measured motion moves the unconstrained fit.
+"""By how much noise in the measured motion, and landings, move the unconstrained fit.
 
 Noise in positions enters the columns of the regression: least squares makes what multiplies
 accelerations too small, by the share of noise in their power, and friction near reversals, too.
 Noise of the same strength once more moves the fit as much again [cook1994]_. It is added to a copy
 of each recording and taken off another, and both are processed and fitted like the first: what is
 proportional to the noise cancels in their mean, and what is left beside the fit is its bias, but
-for terms of fourth order.
+for terms of fourth order. Fits with and without the samples near landings, each without its bias by
+noise, tell what landings do (see `sdpid.estimation.motion_noise.landings`).
 """
 
 from __future__ import annotations
@@ -19,10 +20,13 @@ from sdpid._common.arrays import Array, frozen
 from sdpid._common.seeds import generator
 from sdpid.errors import DataError
 from sdpid.estimation.compression.factor import compressed
+from sdpid.estimation.compression.rows import RowSource
+from sdpid.estimation.motion_noise.landings import away_from_landings, beyond_noise
 from sdpid.estimation.motion_noise.twins import twins
 from sdpid.estimation.problem import Problem
 from sdpid.experiment.preparation.for_robot import prepare
 from sdpid.experiment.preparation.joined_contacts import join_samples
+from sdpid.experiment.processing.samples import Samples
 from sdpid.experiment.processing.settings import Processing
 from sdpid.experiment.recording.recording import Recording
 
@@ -36,9 +40,9 @@ def with_motion_bias(
     *,
     seed: int | np.random.Generator = 0,
 ) -> Problem:
-    """Return a problem that knows how far noise in the motion moves its fit.
+    """Return a problem that knows how far noise in the motion, and landings, move its fit.
 
-    The estimate stays as it is; intervals and standard errors count the bias as an error.
+    The estimate stays as it is; intervals and standard errors count the biases as errors.
 
     Parameters
     ----------
@@ -47,7 +51,7 @@ def with_motion_bias(
     logs : sequence of Recording
         What its samples were made of.
     processing : Processing
-        How.
+        How. Landings are looked for where they were not left out.
     seed : int or numpy.random.Generator, optional
         Of the noise.
 
@@ -57,6 +61,9 @@ def with_motion_bias(
         When the samples are not those of these recordings, or the problem has no rows here.
     """
     rows = problem.require_rows_here("bias by noise in the motion")
+    masks = [problem.samples.mask]
+    if (clear := away_from_landings(problem, logs, processing)) is not None:
+        masks.append(clear)
     rng = generator(seed)
     moved = []
     for pair in zip(*(twins(log, rng) for log in logs), strict=True):
@@ -67,15 +74,28 @@ def with_motion_bias(
                 f"recordings ({problem.n_samples} and {samples.n_samples} samples, or other "
                 "efforts); give what it was built of, and how it was processed."
             )
-        own = replace(samples, mask=problem.samples.mask)
-        triangle, _ = compressed(rows.on(own), problem.sigma)
-        moved.append(_fit(*triangle.split()[:2]))
-    bias = 0.5 * (moved[0] + moved[1]) - _fit(problem.A, problem.rhs)
-    return replace(problem, motion_bias=frozen(bias))
+        moved.append([_fit(_of(problem, rows, replace(samples, mask=mask))) for mask in masks])
+    every = [problem]
+    every += [_of(problem, rows, replace(problem.samples, mask=mask)) for mask in masks[1:]]
+    fits = [_fit(each) for each in every]
+    biases = [0.5 * (a + b) - fit for a, b, fit in zip(*moved, fits, strict=True)]
+    found = replace(problem, motion_bias=frozen(biases[0]))
+    if clear is None:
+        return found
+    apart = fits[0] - biases[0] - (fits[1] - biases[1])
+    landings = beyond_noise(problem, every[1], apart)
+    return found if landings is None else replace(found, landing_bias=frozen(landings))
 
 
-def _fit(A: Array, rhs: Array) -> Array:
+def _of(problem: Problem, rows: RowSource, samples: Samples) -> Problem:
+    """Return a problem of other samples, with the same weights."""
+    own = rows.on(samples)
+    A, rhs, _ = compressed(own, problem.sigma)[0].split()
+    return replace(problem, A=A, rhs=rhs, rows=own)
+
+
+def _fit(problem: Problem) -> Array:
     """Return the least-squares solution (b,)."""
-    size = np.linalg.norm(A, axis=0)
+    size = np.linalg.norm(problem.A, axis=0)
     size = np.where(size > 0.0, size, 1.0)
-    return np.asarray(np.linalg.lstsq(A / size, rhs, rcond=None)[0] / size)
+    return np.asarray(np.linalg.lstsq(problem.A / size, problem.rhs, rcond=None)[0] / size)

@@ -1,0 +1,80 @@
+"""By how much landings move the unconstrained fit.
+
+At a landing joint speeds jump within a sample. A filter sees the jump over its whole memory, in
+which the robot moves on: filtered efforts are no longer those of the filtered motion. The errors
+repeat with every step, so that no residual shows them as noise, and no longer log averages them
+out. The same log without the samples near landings is fitted, too: its fit knows less and has none
+of these errors. The two differ by what landings do, and by noise, whose variance is the difference
+of theirs [hausman1978]_. What noise would make of the difference is taken off its mean square.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from sdpid._common.arrays import Array, Mask
+from sdpid.errors import DataError
+from sdpid.estimation.noise_spectrum import NoiseSpectrum
+from sdpid.estimation.problem import Problem
+from sdpid.experiment.preparation.for_robot import prepare
+from sdpid.experiment.preparation.joined_contacts import join_samples
+from sdpid.experiment.processing.settings import Processing
+from sdpid.experiment.recording.recording import Recording
+
+__all__ = ["away_from_landings", "beyond_noise"]
+
+
+def away_from_landings(
+    problem: Problem, logs: Sequence[Recording], processing: Processing
+) -> Mask | None:
+    """Return which rows (K, n) of a problem's samples see no landing, None where all are used.
+
+    Parameters
+    ----------
+    problem : Problem
+        Of these recordings.
+    logs : sequence of Recording
+        What its samples were made of.
+    processing : Processing
+        How: one that leaves landings out has none to look for.
+    """
+    if processing.impact_s is not None or all(log.contacts is None for log in logs):
+        return None
+    apart = replace(processing, impact_s=0.0)
+    try:
+        clear = join_samples([prepare(problem.robot, log, apart) for log in logs]).used
+    except DataError:
+        # No sample of a recording is away from all landings.
+        return None
+    used = problem.samples.used
+    apart_used: Mask = used & clear
+    return None if np.array_equal(apart_used, used) else apart_used
+
+
+def beyond_noise(problem: Problem, apart: Problem, moved: Array) -> Array | None:
+    """Return the difference of two fits, as large as it is beyond its noise.
+
+    Parameters
+    ----------
+    problem : Problem
+        Of all samples.
+    apart : Problem
+        Of those away from landings.
+    moved : ndarray, shape (b,)
+        By how much the first's fit is above the second's.
+
+    Returns
+    -------
+    ndarray, shape (b,), or None
+        None where samples away from landings leave directions open.
+    """
+    if len(apart.excitation.weak()) > len(problem.excitation.weak()):
+        return None
+    own, others = (np.diag(NoiseSpectrum.of(each).covariance) for each in (problem, apart))
+    seen = own > 0.0
+    noise = float(np.sum(np.maximum(others[seen] / own[seen] - 1.0, 0.0)))
+    found = float(np.sum(moved[seen] ** 2 / own[seen]))
+    return np.asarray(np.sqrt(max(1.0 - noise / found, 0.0) if found else 0.0) * moved)

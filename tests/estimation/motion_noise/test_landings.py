@@ -1,0 +1,61 @@
+"""What landings do to a fit: without any noise, it is what the fit is off by."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+import sdpid
+from sdpid.assurance.intervals.noise_in_motion import noise_in_words
+from sdpid.estimation.motion_noise.bias import with_motion_bias
+from sdpid.experiment.plant.legged.sensors import Sensors
+
+PROCESSING = sdpid.Processing(
+    cutoff_hz=46.0,
+    filter="finite",
+    order=2,
+    decimation=None,
+    derivative="central4",
+    reversal_time=None,
+)
+FRICTION = (sdpid.friction.Coulomb(width=0.02), "viscous", "rotor_inertia")
+
+
+def problem_of(
+    robot: sdpid.RobotModel, log: sdpid.Recording, processing: sdpid.Processing
+) -> sdpid.Problem:
+    problem = sdpid.build_problem(
+        robot, [log], processing=processing, friction=FRICTION, weighting="residual"
+    )
+    return with_motion_bias(problem, [log], processing)
+
+
+def test_intervals_of_a_trot_count_what_its_landings_do() -> None:
+    robot = sdpid.load_robot("solo12", root="free_flyer")
+    run = sdpid.simulate_legged(robot, "trot", duration=2.0, seed=1, sensors=Sensors.exact())
+    problem = problem_of(robot, run.recording, PROCESSING)
+    bias, truth = problem.landing_bias, problem.base_of(run.theta)
+    assert bias is not None
+    wls = sdpid.solve_wls(problem)
+    honest, short = (
+        sdpid.confidence_intervals(each, method="gauss_markov", parameters=problem.base.names)
+        for each in (wls, replace(wls, problem=replace(problem, landing_bias=None)))
+    )
+    size = short.width
+    assert np.corrcoef(bias / size, (wls.base - truth) / size)[0, 1] > 0.5
+    assert honest.contains(truth).mean() > max(0.95, short.contains(truth).mean())
+    assert np.median(honest.width / short.width) < 2.0
+    # Shares say how much of the variance it is.
+    assert honest.landing_share is not None
+    assert short.landing_share is None
+    np.testing.assert_allclose(
+        honest.width**2 * (1.0 - honest.landing_share), short.width**2, rtol=0.05
+    )
+    assert "from landings, %" in honest.table()
+    words = noise_in_words(honest)
+    assert words is not None
+    assert honest.names[int(np.argmax(honest.landing_share))] in words
+    # Where landings are left out there is nothing to count.
+    apart = problem_of(robot, run.recording, replace(PROCESSING, impact_s=0.0))
+    assert apart.landing_bias is None
