@@ -5,6 +5,7 @@ of your own is a `Condition` whose `compile` returns rows and cones.
 """
 
 from sdpid.estimation.constraints.condition import Condition, Cone, Layout, Row
+from sdpid.estimation.constraints.equal_friction import EqualFriction, equal_friction
 from sdpid.estimation.constraints.equalities import (
     EqualLinks,
     Fixed,
@@ -27,6 +28,7 @@ __all__ = [
     "CenterOfMassInHull",
     "Condition",
     "Cone",
+    "EqualFriction",
     "EqualLinks",
     "Fixed",
     "FixedLink",
@@ -36,5 +38,6 @@ __all__ = [
     "MirrorSymmetry",
     "Row",
     "TotalMass",
+    "equal_friction",
     "mirror_pairs",
 ]

@@ -16,12 +16,13 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from sdpid._common.files import PathLike, require_other_files
-from sdpid.cli.values import friction_terms, numbers, pairs, split_list
+from sdpid.cli.values import friction_terms, numbers, pairs, share, split_list
 from sdpid.errors import DataError, ExportError
 
 if TYPE_CHECKING:
     from sdpid.estimation.constraints.condition import Condition
     from sdpid.estimation.constraints.constraints import Constraints
+    from sdpid.estimation.prior.prior import Prior
     from sdpid.experiment.recording.recording import Recording
     from sdpid.robot.model.model import RobotModel
 
@@ -375,6 +376,22 @@ class Estimation:
             "were built alike.",
         ),
     ] = False
+    mirror_within: Annotated[
+        str | None,
+        _estimation(
+            metavar="SHARE",
+            help="Right links are nearly mirror images of the left ones: believed to differ by "
+            "this share (one standard deviation), such as 5%. Goes with the prior.",
+        ),
+    ] = None
+    mirror_friction: Annotated[
+        str | None,
+        _estimation(
+            metavar="SHARE",
+            help="Friction and rotor inertia of right joints differ from those of left ones by at "
+            "most this share, such as 20%; 0 for equal ones.",
+        ),
+    ] = None
     prior: Annotated[
         bool | None,
         _estimation(
@@ -416,9 +433,27 @@ class Estimation:
             "weighting": None if self.weighting is None else self.weighting.value,
             "consistency": self.consistency.value,
             "constraints": self._constraints(robot),
-            "prior": self.prior,
+            "prior": self._prior(robot),
             "effects": self.effects,
         }
+
+    def _prior(self, robot: RobotModel) -> Prior | bool | None:
+        """Return whether there is a prior, or one that believes that left and right are alike."""
+        if self.mirror_within is None:
+            return self.prior
+        if self.mirror or self.prior is False:
+            other = "--mirror" if self.mirror else "--no-prior"
+            raise DataError(
+                f"--mirror-within {self.mirror_within}: is a part of the prior, and beside {other} "
+                "it says nothing; leave one of them out."
+            )
+        from sdpid.estimation.constraints.mirrored_links import mirror_pairs
+        from sdpid.estimation.prior.prior import Prior
+
+        within = share(self.mirror_within, "--mirror-within")
+        if within == 0.0:
+            raise DataError("--mirror-within: is 0; links that are mirror images have --mirror.")
+        return Prior(alike=mirror_pairs(robot), within=within)
 
     def _constraints(self, robot: RobotModel) -> Constraints:
         """Return bounds that follow the robot's size, but for those that were given."""
@@ -444,6 +479,12 @@ class Estimation:
             from sdpid.estimation.constraints.mirrored_links import mirror_pairs
 
             yield from mirror_pairs(robot)
+        if self.mirror_friction is not None:
+            from sdpid.estimation.constraints.equal_friction import equal_friction
+
+            yield from equal_friction(
+                robot, within=share(self.mirror_friction, "--mirror-friction")
+            )
 
 
 def require_folder(option: str, file: Path, inputs: Iterable[PathLike | None] = ()) -> None:

@@ -50,6 +50,24 @@ def numbers(text: str, option: str) -> list[float]:
         raise DataError(f"{option} {text}: expected numbers with commas between them.") from None
 
 
+def share(text: str, option: str) -> float:
+    """Return a share that is written as a number or in percent: 0.05, 5%.
+
+    Raises
+    ------
+    DataError
+        When it is neither, or negative.
+    """
+    given = text.strip()
+    try:
+        value = float(given.removesuffix("%")) / (100.0 if given.endswith("%") else 1.0)
+    except ValueError:
+        value = float("nan")
+    if not 0.0 <= value < float("inf"):
+        raise DataError(f"{option} {text}: expected a share such as 5% or 0.05.")
+    return value
+
+
 def friction_terms(texts: list[str] | None) -> list[str | FrictionTerm] | None:
     """Return the terms of ``--friction``: names, or names with a speed or joints.
 

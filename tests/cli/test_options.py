@@ -51,3 +51,21 @@ def test_a_weighed_robot_with_legs_that_are_alike() -> None:
     assert Estimation().arguments(quadruped())["constraints"].others == ()
     with pytest.raises(DataError, match="expected a mass in kg, or a mass and by how much"):
         Estimation(total_mass="2.5,0.1,0.2").arguments(quadruped())
+
+
+def test_legs_that_are_nearly_alike() -> None:
+    robot = quadruped()
+    arguments = Estimation(mirror_within="5%", mirror_friction="0.2").arguments(robot)
+    assert (len(arguments["prior"].alike), arguments["prior"].within) == (6, 0.05)
+    drives = arguments["constraints"].others
+    assert [type(each).__name__ for each in drives] == 6 * ["EqualFriction"]
+    assert {each.within for each in drives} == {0.2}
+    for refused, text in (
+        ({"mirror_within": "5", "mirror": True}, "beside --mirror it says nothing"),
+        ({"mirror_within": "5%", "prior": False}, "beside --no-prior it says nothing"),
+        ({"mirror_within": "0%"}, "have --mirror"),
+        ({"mirror_within": "much"}, "expected a share such as 5% or 0.05"),
+        ({"mirror_friction": "-1%"}, "--mirror-friction -1%: expected a share"),
+    ):
+        with pytest.raises(DataError, match=text):
+            Estimation(**refused).arguments(robot)

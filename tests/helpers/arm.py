@@ -11,6 +11,7 @@ from sdpid.constraints import (
     CenterOfMassInBox,
     CenterOfMassInEllipsoid,
     CenterOfMassInHull,
+    EqualFriction,
     EqualLinks,
     Fixed,
     FixedLink,
@@ -61,6 +62,7 @@ CONDITIONS: dict[str, tuple[Condition, ...]] = {
     "equal": (LIGHT, EqualLinks(FIRST, LAST)),
     "symmetric": (LIGHT, MirrorSymmetry(LAST, (0, 1, 1), (0, 0.02, 0))),
     "pair": (LIGHT, MirrorPair(FIRST, LAST, reflection=REFLECTION)),
+    "friction": (LIGHT, EqualFriction(*ARM.joint_names, within=0.2)),
 }
 
 

@@ -17,6 +17,7 @@ from sdpid.constraints import (
     CenterOfMassInBox,
     CenterOfMassInEllipsoid,
     CenterOfMassInHull,
+    EqualFriction,
     EqualLinks,
     Fixed,
     FixedLink,
@@ -100,6 +101,18 @@ class Second:
         nats: Any = cp.sum_squares(F @ self.theta - f) / 2 if len(F) else 0.0
         given = self.problem.robot.prior if prior.bodies is None else prior.bodies
         strength = self.problem.prior.strength
+        for pair in prior.alike:
+            H = np.asarray(pair.reflection)
+            one, two = (
+                np.array(pseudo_inertia(given[self.problem.robot.link_names.index(name)]).value)
+                for name in (pair.first, pair.second)
+            )
+            inverse = np.linalg.inv(np.linalg.cholesky((H @ one @ H.T + two) / 2))
+            off = (
+                pseudo_inertia(self.body(pair.second))
+                - H @ pseudo_inertia(self.body(pair.first)) @ H.T
+            )
+            nats = nats + cp.sum_squares(inverse @ off @ inverse.T) / prior.within**2 / 2
         for link, body in enumerate(repaired(np.array(given))[0]):
             if not body[0] > 0.0:
                 continue
@@ -168,6 +181,14 @@ class Second:
                 return [theta[names.index(name)] == v for name, v in other.values.items()]
             case FixedLink():
                 return [self.body(other.link) == np.asarray(other.body)]
+            case EqualFriction():
+                joints = self.problem.robot.joint_names
+                one, two = (joints.index(name) + 1 for name in (other.first, other.second))
+                pairs = [
+                    (theta[names.index(f"{symbol}{one}")], theta[names.index(f"{symbol}{two}")])
+                    for symbol in ("Fs", "Fv")
+                ]
+                return [cp.abs(a - b) <= other.within * (a + b) / 2 for a, b in pairs]
             case EqualLinks():
                 return [self.body(other.first) == self.body(other.second)]
             case MirrorSymmetry():

@@ -23,6 +23,7 @@ from sdpid._common.tables import facts_html
 from sdpid._common.threads import one_thread
 from sdpid.assurance.certificate.compression import Compression, prove_compression
 from sdpid.assurance.certificate.contact_record import contact_record
+from sdpid.assurance.certificate.plain_conditions import plain_conditions
 from sdpid.assurance.certificate.rounding import (
     downward,
     feasible_theta,
@@ -276,16 +277,6 @@ def _problem(problem: Problem) -> dict[str, Any]:
     """Return the problem as plain values."""
     feasible, squared, log_det = problem.feasible, problem.squared, problem.log_det
     prior_rows = slice(problem.base.count, None)
-    own = feasible.n_own
-    rows = zip(
-        feasible.row_names, feasible.rows, feasible.row_lower, feasible.row_upper, strict=True
-    )
-    cones = zip(
-        feasible.block_names[own:],
-        feasible.block_links[own:].tolist(),
-        feasible.block_basis[own:],
-        strict=True,
-    )
     return {
         "consistency": problem.consistency,
         "margin": float(problem.constraints.margin),
@@ -298,24 +289,7 @@ def _problem(problem: Problem) -> dict[str, Any]:
         "prior_rhs": squared.rhs[prior_rows].tolist(),
         "lower": feasible.lower.tolist(),
         "upper": feasible.upper.tolist(),
-        "rows": [
-            {
-                "name": name,
-                "lower": _finite(low),
-                "upper": _finite(high),
-                "coefficients": row.tolist(),
-            }
-            for name, row, low, high in rows
-        ],
-        "cones": [
-            {
-                "name": name,
-                "link": link,
-                "axis": basis[:, -1, -1].tolist(),
-                "vectors": basis[:, :3, -1].T.tolist(),
-            }
-            for name, link, basis in cones
-        ],
+        **plain_conditions(feasible),
         "entropic_prior": None
         if not len(log_det.links)
         else {
@@ -324,11 +298,6 @@ def _problem(problem: Problem) -> dict[str, Any]:
             "strength": float(log_det.strength),
         },
     }
-
-
-def _finite(limit: float) -> float | None:
-    """Return a limit for JSON, None where there is none."""
-    return float(limit) if np.isfinite(limit) else None
 
 
 def _text(value: Any, indent: str = "") -> str:

@@ -7,6 +7,11 @@ from dataclasses import dataclass, fields
 from typing import Any
 
 from sdpid._common.tables import plain
+from sdpid.assurance.log_proof.stated_conditions import (
+    can_be_stated,
+    conditions_from_list,
+    conditions_to_list,
+)
 from sdpid.estimation.constraints.constraints import Constraints
 from sdpid.estimation.prior.prior import Prior
 from sdpid.estimation.problem import Problem
@@ -14,6 +19,8 @@ from sdpid.robot.inertia import CONSISTENCIES, Consistency
 
 _NUMBERS = tuple(each.name for each in fields(Constraints) if each.name != "others")
 _PRIOR = tuple(each.name for each in fields(Prior))
+# Recipes of runs before there were mirrored links in a prior lack these.
+_NEW = {"alike", "within"}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -25,7 +32,7 @@ class StatedProblem:
     consistency : str
         What every link must have.
     constraints : Constraints
-        Margin and bounds, without further conditions.
+        Margin, bounds and conditions.
     prior : Prior or None
         Its bodies and its strength as numbers.
     """
@@ -38,7 +45,9 @@ class StatedProblem:
     def of(cls, problem: Problem) -> StatedProblem | None:
         """Return what was asked; None where conditions or a prior are not plain values."""
         constraints, terms = problem.constraints, problem.prior
-        if constraints.others or (terms is not None and terms.source is None):
+        if not can_be_stated(constraints.others):
+            return None
+        if terms is not None and terms.source is None:
             return None
         prior = None
         if terms is not None and (source := terms.source) is not None:
@@ -47,16 +56,25 @@ class StatedProblem:
                 kind=source.kind,
                 friction=source.friction,
                 bodies=problem.robot.prior if source.bodies is None else source.bodies,
+                alike=source.alike,
+                within=source.within,
             )
         return cls(consistency=problem.consistency, constraints=constraints, prior=prior)
 
     def to_dict(self) -> dict[str, Any]:
         """Return plain values for JSON."""
-        prior = self.prior
+        prior, numbers = self.prior, self.constraints
+        stated = None
+        if prior is not None:
+            stated = {name: plain(getattr(prior, name)) for name in _PRIOR if name != "alike"}
+            stated["alike"] = conditions_to_list(prior.alike)
         return {
             "consistency": self.consistency,
-            "constraints": {name: plain(getattr(self.constraints, name)) for name in _NUMBERS},
-            "prior": None if prior is None else {n: plain(getattr(prior, n)) for n in _PRIOR},
+            "constraints": {
+                **{name: plain(getattr(numbers, name)) for name in _NUMBERS},
+                "others": conditions_to_list(numbers.others),
+            },
+            "prior": stated,
         }
 
     @classmethod
@@ -67,14 +85,18 @@ class StatedProblem:
         )
         if consistency not in CONSISTENCIES:
             raise ValueError(f"consistency is {consistency!r:.80}")
+        others = conditions_from_list(numbers.get("others", ()))
+        numbers = {name: value for name, value in numbers.items() if name != "others"}
         if numbers.keys() != set(_NUMBERS) or not all(
             type(value) in (int, float, bool) for value in numbers.values()
         ):
             raise ValueError(f"constraints are {numbers!r:.200}")
-        if prior is not None and prior.keys() != set(_PRIOR):
-            raise ValueError(f"prior has the keys {', '.join(map(str, prior))[:200]}")
+        if prior is not None:
+            if not set(_PRIOR) - _NEW <= prior.keys() <= set(_PRIOR):
+                raise ValueError(f"prior has the keys {', '.join(map(str, prior))[:200]}")
+            prior = {**prior, "alike": conditions_from_list(prior.get("alike", ()))}
         return cls(
             consistency=consistency,
-            constraints=Constraints(**numbers),
+            constraints=Constraints(**numbers, others=others),
             prior=None if prior is None else Prior(**prior),
         )

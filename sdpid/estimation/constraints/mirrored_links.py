@@ -66,30 +66,57 @@ def mirror_pairs(
     (6, ('FL_SHOULDER', 'FR_SHOULDER'))
     >>> limits = sdpid.Constraints.of_size(floating, others=legs)
     """
-    names = robot.link_names
-    if pairs is None:
-        found = tuple(_by_names(names))
-        if not found:
-            raise DataError(
-                f"mirror_pairs: no two links of '{robot.name}' ({', '.join(names)}) differ in a "
-                "word for a side, such as left and right or FL and FR; give pairs=[(left, right)]."
-            )
-    else:
-        found = tuple((str(first), str(second)) for first, second in pairs)
-    unknown = [name for pair in found for name in pair if name not in names]
-    if unknown:
-        raise ModelError(
-            f"mirror_pairs: '{robot.name}' has no link {', '.join(unknown)}; it has "
-            f"{', '.join(names)}."
-        )
+    found = pairs_of_names("mirror_pairs", robot.name, "link", robot.link_names, pairs)
     plane = np.asarray(normal, dtype=np.float64)
     plane = plane / np.linalg.norm(plane)
     placements = link_placements(robot, None if position is None else np.asarray(position))
     for first, second in found:
-        _check_places(robot, placements, plane, first, second)
+        check_places("mirror_pairs", robot, placements, plane, first, second)
     return tuple(
         MirrorPair(first, second, normal=normal, position=position) for first, second in found
     )
+
+
+def pairs_of_names(
+    asked: str,
+    robot: str,
+    kind: str,
+    names: Sequence[str],
+    pairs: Iterable[Sequence[str]] | None,
+) -> tuple[tuple[str, str], ...]:
+    """Return pairs of links or joints, left first: those that are given, or by their names.
+
+    Parameters
+    ----------
+    asked, robot, kind : str
+        Who asks, the robot's name, and what the names are of, for messages.
+    names : sequence of str
+        What there is.
+    pairs : iterable of (str, str), optional
+        What is given.
+
+    Raises
+    ------
+    DataError
+        When no names differ by a side.
+    ModelError
+        When a name is unknown.
+    """
+    if pairs is None:
+        found = tuple(_by_names(names))
+        if not found:
+            raise DataError(
+                f"{asked}: no two {kind}s of '{robot}' ({', '.join(names)}) differ in a word for "
+                "a side, such as left and right or FL and FR; give pairs=[(left, right)]."
+            )
+        return found
+    given = tuple((str(first), str(second)) for first, second in pairs)
+    unknown = [name for pair in given for name in pair if name not in names]
+    if unknown:
+        raise ModelError(
+            f"{asked}: '{robot}' has no {kind} {', '.join(unknown)}; it has {', '.join(names)}."
+        )
+    return given
 
 
 def _by_names(names: Sequence[str]) -> Iterator[tuple[str, str]]:
@@ -124,8 +151,8 @@ def _other_side(word: str) -> Iterator[str]:
         yield other
 
 
-def _check_places(
-    robot: RobotModel, placements: Array, plane: Array, first: str, second: str
+def check_places(
+    asked: str, robot: RobotModel, placements: Array, plane: Array, first: str, second: str
 ) -> None:
     """Raise when the joint of one link does not lie where that of the other is mirrored to."""
     one, two = (placements[robot.link_names.index(name)][:3, 3] for name in (first, second))
@@ -133,7 +160,7 @@ def _check_places(
     off = float(np.linalg.norm(image - two))
     if off > _OFF_PLACE:
         raise ModelError(
-            f"mirror_pairs: the mirror image of the joint of '{first}' is {off:.3g} m away from "
+            f"{asked}: the mirror image of the joint of '{first}' is {off:.3g} m away from "
             f"that of '{second}', limit {_OFF_PLACE:g} m; give the joint positions at which the "
             "two sides are mirror images (position=), other pairs, or another normal."
         )

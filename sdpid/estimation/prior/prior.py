@@ -13,6 +13,9 @@ from sdpid._common.tables import Settings
 from sdpid.errors import DataError
 from sdpid.estimation.compression.rows import CHUNK, Rows, RowSource
 from sdpid.estimation.conic.standard_form import symmetric_basis
+from sdpid.estimation.constraints.condition import Layout
+from sdpid.estimation.constraints.equalities import MirrorPair
+from sdpid.estimation.prior.alike import alike_rows, described_pairs, key_of_pairs, pairs_of
 from sdpid.estimation.prior.cost_terms import CostTerm, SquaredTerm
 from sdpid.estimation.prior.evidence import STRONGEST, WEAKEST, strength_by_evidence
 from sdpid.estimation.prior.log_det import LogDetTerm
@@ -73,6 +76,10 @@ class Prior(Settings):
     every row is taken to have a variance of one (N·m)², and a note of the problem's prior says so.
     ``eq9`` and ``eq18`` take no prior. See docs/guides/estimation.md.
 
+    Legs that were built alike differ by little: the difference of a link and the mirror image of
+    its partner costs ``½·‖L^(-1)·(P_2 − M·P_1·M^T)·L^(-T)‖²/within²`` nats, whatever strength and
+    kind, with L·L^T the mean of the two believed bodies.
+
     Attributes
     ----------
     strength : float or "evidence"
@@ -87,6 +94,12 @@ class Prior(Settings):
         The bodies; by default those of the robot's description. A row of zeros is next to no
         belief: an average ball, ten times less certain than others. Bodies that could not exist
         are repaired first, and a note of the problem's prior says so.
+    alike : tuple of MirrorPair
+        Links that are believed to be nearly mirror images of each other, such as
+        ``sdpid.constraints.mirror_pairs(robot)``; among constraints the same say that they are.
+    within : float
+        Standard deviation of such a difference, as a share of the body: with 0.05 a partner 5 %
+        heavier all over is two standard deviations off, one for each axis and one for the mass.
 
     Examples
     --------
@@ -95,14 +108,28 @@ class Prior(Settings):
     >>> believed = sdpid.build_problem(robot, samples, prior=prior)
     >>> sdpid.solve_sdp(believed).status
     'optimal'
+
+    Left and right legs that differ by some five per cent:
+
+    >>> floating = sdpid.load_robot("solo12", root="free_flyer")
+    >>> prior = sdpid.Prior(alike=sdpid.constraints.mirror_pairs(floating), within=0.05)
     """
 
     strength: float | Literal["evidence"] = 1.0
     kind: PriorKind = "pullback"
     friction: bool = True
     bodies: Array | None = None
+    alike: tuple[MirrorPair, ...] = ()
+    within: float = 0.05
 
     def __post_init__(self) -> None:
+        object.__setattr__(self, "alike", pairs_of(self.alike))
+        within: object = self.within
+        if not (isinstance(within, Real) and 0.0 < float(within) < np.inf):
+            raise DataError(
+                f"Prior: within is {self.within}; give a positive share. Links that are mirror "
+                "images exactly go among the constraints: Constraints(others=...)."
+            )
         if self.bodies is not None:
             bodies = frozen(real_array(self.bodies, "Prior: bodies", ndim=2))
             if bodies.shape[1] != 10:
@@ -124,7 +151,8 @@ class Prior(Settings):
 
     def _key(self) -> tuple[object, ...]:
         bodies = None if self.bodies is None else (self.bodies.shape, self.bodies.tobytes())
-        return self.strength, self.kind, self.friction, bodies
+        alike = key_of_pairs(self.alike)
+        return self.strength, self.kind, self.friction, bodies, alike, self.within
 
     def __eq__(self, other: object) -> bool:
         return self._key() == other._key() if isinstance(other, Prior) else NotImplemented
@@ -205,7 +233,11 @@ def prior_terms(prior: Prior, rows: Rows, *, data: tuple[Array, Array] | None = 
     belief = _friction_rows(rows) if prior.friction else np.zeros((0, 0))
     F = np.zeros((len(belief), theta_size))
     F[:, theta_size - len(belief) :] = belief
-    f = np.zeros(len(belief))
+    if prior.alike:
+        layout = Layout(rows.robot, rows.friction)
+        F = np.vstack([F, alike_rows(prior.alike, prior.within, bodies, layout)])
+        notes.append(f"prior: {described_pairs(prior.alike, prior.within)}")
+    f = np.zeros(len(F))
     if prior.strength == "evidence":
         if data is None:
             raise DataError(

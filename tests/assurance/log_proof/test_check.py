@@ -16,11 +16,23 @@ from sdpid.assurance.log_proof.chain import check
 from sdpid.assurance.log_proof.chain.check import check_log
 from sdpid.assurance.log_proof.chain.links import LogProof
 from sdpid.errors import CertificateError, DataError, MissingExtraError, ModelError
+from sdpid.estimation.constraints.condition import Condition, Layout, Row
+from sdpid.estimation.constraints.equal_friction import EqualFriction
+from sdpid.estimation.constraints.equalities import MirrorPair
 from sdpid.estimation.constraints.mass import TotalMass
 from tests.helpers.arm_files import ARM_URDF
 from tests.helpers.runs import arm, recorded
 
 LINKS = ("log", "robot", "samples", "base parameters", "problem", "compression", "rows", "total")
+
+
+class OfYourOwn(Condition):
+    """A condition of a class that no file can hold."""
+
+    def compile(self, layout: Layout) -> list[Row]:
+        """Return a row that says little."""
+        return [Row("light", np.eye(layout.count)[0], 0.0, 99.0)]
+
 
 Edit = Callable[[dict[str, Any], dict[str, Any]], None]
 
@@ -185,7 +197,7 @@ def edit_of(path: str, change: Callable[[Any], Any]) -> Edit:
 
     def edit(certificate: dict[str, Any], manifest: dict[str, Any]) -> None:
         place: Any = {"certificate": certificate, "manifest": manifest}[first]
-        *way, last = (int(key) if key.isdigit() else key for key in keys)
+        *way, last = (int(key) if key.lstrip("-").isdigit() else key for key in keys)
         for key in way:
             place = place[key]
         place[last] = change(place[last])
@@ -316,7 +328,8 @@ def test_several_logs_have_an_order(tmp_path: Path) -> None:
     [
         ({"prior": sdpid.Prior(kind="entropic", strength="evidence")}, "proven"),
         ({"consistency": "spatial_inertia", "prior": False}, "proven"),
-        ({"constraints": sdpid.Constraints(others=TotalMass(4.9, tolerance=0.5))}, "not checked"),
+        ({"constraints": sdpid.Constraints(others=TotalMass(4.9, tolerance=0.5))}, "proven"),
+        ({"constraints": sdpid.Constraints(others=OfYourOwn())}, "not checked"),
     ],
 )
 def test_what_was_asked_of_the_parameters(
@@ -326,6 +339,48 @@ def test_what_was_asked_of_the_parameters(
     proof = check_log(saved(result, tmp_path / "results"), recorded(1), robot=arm())
     assert proof.result.passed, proof.result.problems
     assert states(proof)["problem"] == state
+
+
+@pytest.mark.parametrize(
+    ("path", "change"),
+    [
+        ("certificate.problem.prior_matrix.-1.0", lambda x: x + 1e-3),
+        ("manifest.recipe.problem.prior.within", lambda _: 0.06),
+        ("manifest.recipe.problem.prior.alike.0.reflection.0.3", lambda x: x + 1e-3),
+        ("manifest.recipe.problem.constraints.others.0.within", lambda _: 0.4),
+        ("certificate.problem.rows.0.coefficients.0", lambda _: 1e-3),
+    ],
+)
+def test_what_is_alike_is_stated_and_compared(
+    alike: Path, tmp_path: Path, path: str, change: Callable[[Any], Any]
+) -> None:
+    forged = changed(alike, tmp_path / "forged", edit_of(path, change))
+    proof = check_log(forged, recorded(1), robot=arm())
+    assert states(proof)["problem"] == "not proven"
+
+
+@pytest.fixture(scope="module")
+def alike(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with a result that believes in a mirror image and in friction that is alike."""
+    folder = tmp_path_factory.mktemp("alike")
+    pair = MirrorPair("upper", "fore", reflection=np.diag([1.0, -1.0, 1.0, 1.0]))
+    result = sdpid.identify(
+        arm(),
+        recorded(1),
+        effects="none",
+        intervals=False,
+        prior=sdpid.Prior(alike=(pair,), within=0.5),
+        constraints=sdpid.Constraints(others=(EqualFriction("a", "b", within=0.3),)),
+    )
+    assert "mirror images of each other within 50 %: upper and fore" in result.summary()
+    saved(result, folder / "results")
+    proof = check_log(folder / "results", recorded(1), robot=arm())
+    assert proof.result.passed, proof.result.problems
+    (problem,) = (link for link in proof.links if link.name == "problem")
+    assert problem.state == "proven"
+    assert "within 50 %" in problem.text
+    assert "conditions: 1 EqualFriction" in problem.text
+    return folder
 
 
 @pytest.mark.parametrize("weighting", ["gls", "gls_per_sample", "eq18"])

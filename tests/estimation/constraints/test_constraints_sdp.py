@@ -167,6 +167,13 @@ def obeys_pair(estimate: Estimate) -> None:
     np.testing.assert_allclose(image, body_of(estimate, LAST), atol=2.0 * FEASIBLE)
 
 
+def obeys_friction(estimate: Estimate) -> None:
+    found = estimate.named_theta()
+    for symbol in ("Fs", "Fv"):
+        one, two = found[f"{symbol}1"], found[f"{symbol}2"]
+        assert abs(one - two) <= 0.1 * (one + two) + FEASIBLE
+
+
 OBEYS: dict[str, Callable[[Estimate], None]] = {
     "total": obeys_total,
     "group": obeys_group,
@@ -179,6 +186,7 @@ OBEYS: dict[str, Callable[[Estimate], None]] = {
     "equal": obeys_equal,
     "symmetric": obeys_symmetric,
     "pair": obeys_pair,
+    "friction": obeys_friction,
 }
 
 

@@ -10,7 +10,7 @@ import pytest
 import sdpid
 from sdpid._common.arrays import Array
 from sdpid.assurance.diagnostics.active_constraints import constraint_states
-from sdpid.constraints import CenterOfMassInEllipsoid, MassInEllipsoid, TotalMass
+from sdpid.constraints import CenterOfMassInEllipsoid, MassInEllipsoid, MirrorPair, TotalMass
 from sdpid.estimation.conic.solve import solve_conic
 from sdpid.estimation.constraints.constraints import Constraints
 from sdpid.estimation.coordinates import Coordinates
@@ -21,7 +21,7 @@ from sdpid.estimation.sdp.program import SdpProgram, best_fit
 from sdpid.estimation.sdp.solve import solve_sdp
 from sdpid.robot.inertia import Consistency
 from sdpid.workflow.formulate import formulate
-from tests.helpers.arm import BODIES, BOTH, CONDITIONS, arm_problem
+from tests.helpers.arm import BODIES, BOTH, CONDITIONS, FIRST, LAST, REFLECTION, arm_problem
 from tests.helpers.independent import Second
 from tests.helpers.tolerances import SAME_OPTIMUM
 
@@ -70,6 +70,23 @@ def test_priors(kind: PriorKind, name: str) -> None:
     second = Second(problem, prior)
     assert second.solve("CLARABEL") == pytest.approx(ours, rel=SAME_OPTIMUM)
     assert second.solve("SCS", **SCS) == pytest.approx(ours, rel=SAME_OPTIMUM)
+
+
+@pytest.mark.parametrize("kind", ["pullback", "entropic"])
+def test_links_that_are_nearly_mirror_images(kind: PriorKind) -> None:
+    pair = MirrorPair(FIRST, LAST, reflection=REFLECTION)
+    costs = {}
+    for within in (0.05, 1e4):
+        # Second takes bodies as they are: these need no repair.
+        prior = Prior(kind=kind, bodies=BODIES, alike=(pair,), within=within)
+        problem = arm_problem(prior=prior)
+        costs[within] = solve_sdp(problem).cost
+        second = Second(problem, prior)
+        assert second.solve("CLARABEL") == pytest.approx(costs[within], rel=SAME_OPTIMUM)
+    # What is hardly believed costs nothing; what is believed is paid for.
+    free = solve_sdp(arm_problem(prior=Prior(kind=kind, bodies=BODIES))).cost
+    assert costs[1e4] == pytest.approx(free, rel=SAME_OPTIMUM)
+    assert costs[0.05] > free * (1.0 + 10.0 * SAME_OPTIMUM)
 
 
 @pytest.mark.parametrize("kind", ["pullback", "entropic", None])

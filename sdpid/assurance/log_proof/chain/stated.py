@@ -8,13 +8,16 @@ from typing import Any
 import numpy as np
 
 from sdpid._common.arrays import Array
+from sdpid.assurance.certificate.plain_conditions import plain_conditions
 from sdpid.assurance.log_proof.chain.links import Link
 from sdpid.assurance.log_proof.chain.sealed import Sealed
+from sdpid.assurance.log_proof.stated_conditions import in_words
 from sdpid.assurance.log_proof.stated_problem import StatedProblem
 from sdpid.estimation.compression.rows import RowSource
 from sdpid.estimation.constraints.condition import Layout
 from sdpid.estimation.constraints.constraints import Constraints
 from sdpid.estimation.constraints.feasible_set import FeasibleSet
+from sdpid.estimation.prior.alike import described_pairs
 from sdpid.estimation.prior.cost_terms import SquaredTerm
 from sdpid.estimation.prior.log_det import LogDetTerm
 from sdpid.estimation.prior.prior import prior_terms
@@ -33,7 +36,7 @@ def stated_problem(sealed: Sealed, source: RowSource) -> Link:
     if stated is None:
         text = (
             "that bounds, margin, rows, cones and prior are what you would ask for: the recipe "
-            "holds no such conditions or prior"
+            "cannot state such conditions or such a prior"
         )
         return Link(NAME, "not checked", text)
     if wrong := list(_differences(stated, given, source)):
@@ -58,10 +61,32 @@ def _differences(
         for name, found, wanted in others[:1]:
             more = f" (and {len(others) - 1} more)" if len(others) > 1 else ""
             yield f"the {end} bound of {shown(name)} is {found!r}, stated is {wanted!r}{more}"
-    for kind in ("rows", "cones"):
-        if given[kind]:
-            yield f"it has {len(given[kind])} {kind}, and none are stated"
+    yield from _differences_of_conditions(feasible, given)
     yield from _differences_of_prior(stated, given, source)
+
+
+def _differences_of_conditions(feasible: FeasibleSet, given: Mapping[str, Any]) -> Iterator[str]:
+    """Yield what of the certificate's rows and cones is not as stated."""
+    for kind, wanted in plain_conditions(feasible).items():
+        found = given[kind]
+        if len(found) != len(wanted):
+            yield f"it has {len(found)} {kind}, stated are {len(wanted)}"
+            continue
+        pairs = zip(found, wanted, strict=True)
+        other = [str(one["name"]) for one, two in pairs if not _as(one, two)]
+        if other:
+            more = f" (and {len(other) - 1} more)" if len(other) > 1 else ""
+            yield f"of its {kind} {shown(other[0])} is not as stated{more}"
+
+
+def _as(found: Mapping[str, Any], wanted: Mapping[str, Any]) -> bool:
+    """Return whether a row or a cone is as stated, its coefficients but for rounding."""
+    return all(
+        _alike(np.array(found[key], dtype=np.float64), np.array(value))
+        if isinstance(value, list)
+        else found[key] == value
+        for key, value in wanted.items()
+    )
 
 
 def _differences_of_prior(
@@ -107,10 +132,15 @@ def _in_words(sealed: Sealed, stated: StatedProblem, source: RowSource) -> str:
         f"{constraints.mass_min!r} to {constraints.mass_max!r} kg, parameters to "
         f"{constraints.theta_max!r}"
     )
-    usual = described and constraints == Constraints.of_size(robot)
+    usual = described and constraints.replace(others=()) == Constraints.of_size(robot)
     said = f"the recipe ({numbers}{', the defaults for this robot' if usual else ''}"
+    if constraints.others:
+        said += f"; conditions: {in_words(constraints.others)}"
     if prior is None:
         return said + "; no prior)"
     same = described and prior.bodies is not None and np.array_equal(prior.bodies, robot.prior)
     towards = "the description's bodies" if same else "bodies that the recipe states"
-    return f"{said}; prior {prior.kind} of {prior.strength!r} nats towards {towards})"
+    said = f"{said}; prior {prior.kind} of {prior.strength!r} nats towards {towards}"
+    if prior.alike:
+        said += f"; {described_pairs(prior.alike, prior.within)}"
+    return said + ")"

@@ -1,0 +1,193 @@
+"""Friction of left and right joints that were built alike: equal, or so within a share."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import KW_ONLY, dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from sdpid._common.arrays import Array, frozen
+from sdpid.errors import DataError, ModelError
+from sdpid.estimation.constraints.condition import Condition, Layout, Row
+from sdpid.estimation.constraints.mirrored_links import check_places, pairs_of_names
+from sdpid.robot.model.geometry import link_placements, neutral
+from sdpid.robot.model.model import RobotModel
+
+__all__ = ["EqualFriction", "equal_friction"]
+
+# What friction forward of one joint is of its mirror image where that turns the other way.
+_TURNED = {"Fsp": "Fsn", "Fsn": "Fsp"}
+
+# A joint is turned by this, rad or m, to see its axis: far above rounding, and its square below
+# what descriptions are rounded to.
+_STEP = 1e-4
+
+
+@dataclass(frozen=True)
+class EqualFriction(Condition):
+    """Two joints have the same friction and rotor inertia, or the same within a share.
+
+    It is about parameters that cannot be negative: Coulomb friction, viscous friction, rotor
+    inertia and the like. Offsets are those of sensors and are left alone.
+
+    Attributes
+    ----------
+    first, second : str
+        The joints.
+    within : float
+        By how much each parameter of the two may differ, as a share of their mean; 0 for equal
+        ones, less than 2.
+    opposite : bool
+        Whether forward of one joint is backward of the other, so that friction forward of one is
+        that backward of the other.
+
+    Examples
+    --------
+    >>> alike = sdpid.constraints.EqualFriction("joint_5", "joint_6")
+    >>> limits = sdpid.Constraints(others=(alike,))
+    >>> found = sdpid.solve_sdp(problem.constrained(constraints=limits)).named_theta()
+    >>> bool(np.isclose(found["Fv5"], found["Fv6"], atol=1e-6))
+    True
+    """
+
+    first: str
+    second: str
+    _: KW_ONLY
+    within: float = 0.0
+    opposite: bool = False
+
+    def __post_init__(self) -> None:
+        what = f"EqualFriction of '{self.first}' and '{self.second}'"
+        if self.first == self.second:
+            raise DataError(f"{what}: name two joints.")
+        if not 0.0 <= self.within < 2.0:
+            raise DataError(
+                f"{what}: within is {self.within}; give a share of the mean from 0 to less than 2."
+            )
+
+    def compile(self, layout: Layout) -> Iterator[Row]:
+        """Return an equation a parameter, or two inequalities where they may differ."""
+        own = _of_joint(layout, self.first)
+        for name, index in _of_joint(layout, self.second).items():
+            other = own.get(_TURNED.get(name, name) if self.opposite else name)
+            if other is None:
+                continue
+            pair = np.zeros(layout.count)
+            pair[index], pair[other] = 1.0, -1.0
+            says = f"{layout.names[index]} of {self.second}"
+            if self.within == 0.0:
+                yield Row(f"{says} equal to that of {self.first}", frozen(pair), 0.0, 0.0)
+                continue
+            # |a − b| ≤ within·(a + b)/2 is a condition on parameters that are not negative.
+            mean = 0.5 * self.within * np.abs(pair)
+            share = f"{100.0 * self.within:g} % of that of {self.first}"
+            yield Row(f"{says} below by at most {share}", frozen(mean + pair), 0.0, np.inf)
+            yield Row(f"{says} above by at most {share}", frozen(mean - pair), 0.0, np.inf)
+
+
+def equal_friction(
+    robot: RobotModel,
+    pairs: Iterable[Sequence[str]] | None = None,
+    *,
+    within: float = 0.0,
+    normal: ArrayLike = (0.0, 1.0, 0.0),
+    position: ArrayLike | None = None,
+) -> tuple[EqualFriction, ...]:
+    """Return the conditions that joints on a robot's right have the friction of those on its left.
+
+    Drives of one kind are alike within some ten per cent; a motion that shows one joint well and
+    another hardly then says something of both.
+
+    Parameters
+    ----------
+    robot : RobotModel
+        The robot.
+    pairs : iterable of (str, str), optional
+        Names of joints, left and right. By default those whose names differ in one word that names
+        a side, as links do for `mirror_pairs`.
+    within : float, optional
+        By how much parameters of a pair may differ, as a share of their mean; 0 for equal ones.
+    normal : (3,) array_like, optional
+        Normal of the plane between left and right in the base link's frame.
+    position : (n,) or (nq,) array_like, optional
+        Joint positions at which left and right are mirror images; by default all zero.
+
+    Returns
+    -------
+    tuple of EqualFriction
+        For ``sdpid.Constraints(others=...)``.
+
+    Raises
+    ------
+    DataError
+        When no names differ by a side, or the share is none.
+    ModelError
+        When a joint is unknown, or joints of a pair do not lie as mirror images of each other.
+
+    Examples
+    --------
+    >>> floating = sdpid.load_robot("solo12", root="free_flyer")
+    >>> drives = sdpid.constraints.equal_friction(floating, within=0.2)
+    >>> len(drives), (drives[0].first, drives[0].second)
+    (6, ('FL_HAA', 'FR_HAA'))
+    >>> limits = sdpid.Constraints.of_size(floating, others=drives)
+    """
+    joints = robot.joint_names[robot.n_base :]
+    found = pairs_of_names("equal_friction", robot.name, "joint", joints, pairs)
+    # Joint j moves link j, behind a floating base link j + 1.
+    first = int(robot.free_flyer)
+    links = {joint: robot.link_names[first + j] for j, joint in enumerate(joints)}
+    placements = link_placements(robot, position)
+    plane = np.asarray(normal, dtype=np.float64)
+    plane = plane / np.linalg.norm(plane)
+    mirror = np.eye(3) - 2.0 * np.outer(plane, plane)
+    out = []
+    for one, two in found:
+        check_places("equal_friction", robot, placements, plane, links[one], links[two])
+        turn, slide = _rates(robot, placements, position, joints.index(one))
+        own_turn, own_slide = _rates(robot, placements, position, joints.index(two))
+        # A mirror turns the sense of rotations about what it keeps, not of translations.
+        way = float(own_slide @ mirror @ slide) - float(own_turn @ mirror @ turn)
+        out.append(EqualFriction(one, two, within=within, opposite=way < 0.0))
+    return tuple(out)
+
+
+def _of_joint(layout: Layout, joint: str) -> dict[str, int]:
+    """Return where a joint's own parameters that are not negative are in theta, by their letters.
+
+    Raises
+    ------
+    ModelError
+        When the robot has no such joint.
+    """
+    names = layout.friction.joint_names
+    if joint not in names:
+        raise ModelError(
+            f"EqualFriction: '{layout.robot.name}' has no joint '{joint}'; it has "
+            f"{', '.join(names)}."
+        )
+    j, first = names.index(joint), 10 * layout.robot.n_links
+    found = {}
+    for k, parameter in enumerate(layout.friction.parameters, first):
+        # Those of couplings have the numbers of two joints.
+        own = re.fullmatch(rf"([A-Za-z]+){j + 1}", parameter.name)
+        if own is not None and parameter.nonnegative:
+            found[own[1]] = k
+    return found
+
+
+def _rates(
+    robot: RobotModel, placements: Array, position: ArrayLike | None, joint: int
+) -> tuple[Array, Array]:
+    """Return how a joint turns and how it moves its link, (3,) each in the base frame."""
+    moved = np.array(neutral(robot) if position is None else position, dtype=np.float64)
+    base = len(moved) - (robot.n - robot.n_base)
+    moved[base + joint] += _STEP
+    link = joint + int(robot.free_flyer)
+    before, after = placements[link], link_placements(robot, moved)[link]
+    skew = after[:3, :3] @ before[:3, :3].T
+    turn = np.array([skew[2, 1] - skew[1, 2], skew[0, 2] - skew[2, 0], skew[1, 0] - skew[0, 1]])
+    return 0.5 * turn / _STEP, (after[:3, 3] - before[:3, 3]) / _STEP

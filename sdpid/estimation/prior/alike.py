@@ -1,0 +1,98 @@
+"""The belief that links are nearly mirror images of each other: legs that were built alike."""
+
+from __future__ import annotations
+
+from collections.abc import Hashable, Iterable, Sequence
+from dataclasses import fields
+
+import numpy as np
+
+from sdpid._common.arrays import Array
+from sdpid.errors import DataError
+from sdpid.estimation.conic.standard_form import symmetric_basis
+from sdpid.estimation.constraints.condition import Layout, Row
+from sdpid.estimation.constraints.equalities import MirrorPair
+from sdpid.robot.inertia import pseudo_inertia
+
+# More pairs are not listed by name.
+_MOST_NAMES = 4
+
+
+def pairs_of(given: object) -> tuple[MirrorPair, ...]:
+    """Return the pairs that are given: several, or one.
+
+    Raises
+    ------
+    DataError
+        For anything else.
+    """
+    pairs = (given,) if isinstance(given, MirrorPair) or not isinstance(given, Iterable) else given
+    found = []
+    for each in pairs:
+        if not isinstance(each, MirrorPair):
+            raise DataError(
+                f"Prior: alike holds {each!r:.80}; give MirrorPair objects, such as "
+                "sdpid.constraints.mirror_pairs(robot)."
+            )
+        found.append(each)
+    return tuple(found)
+
+
+def key_of_pairs(pairs: Sequence[MirrorPair]) -> Hashable:
+    """Return what is equal for pairs that say the same in the same words."""
+    return tuple(
+        tuple(
+            None if value is None else value if isinstance(value, str) else _numbers(value)
+            for value in (getattr(pair, field.name) for field in fields(pair) if field.name != "_")
+        )
+        for pair in pairs
+    )
+
+
+def alike_rows(pairs: Sequence[MirrorPair], within: float, bodies: Array, layout: Layout) -> Array:
+    """Return rows (10·pairs, p) whose squared norm is twice the nats of all differences.
+
+    Parameters
+    ----------
+    pairs : sequence of MirrorPair
+        The links.
+    within : float
+        Standard deviation of a difference, as a share of the body.
+    bodies : ndarray, shape (links, 10)
+        The believed bodies.
+    layout : Layout
+        Where parameters are in theta.
+
+    Raises
+    ------
+    ModelError
+        When the robot has no such link.
+    """
+    found = [np.zeros((0, layout.count))]
+    for pair in pairs:
+        difference = np.stack(
+            [part.coefficients for part in pair.compile(layout) if isinstance(part, Row)]
+        )
+        two = layout.link(pair.second)
+        theta = np.zeros(layout.count)
+        theta[: bodies.size] = bodies.ravel()
+        # The image of the first is the second less the difference: their mean is a body, too.
+        mean = pseudo_inertia(bodies[two] - 0.5 * (difference @ theta))
+        inverse = np.linalg.inv(np.linalg.cholesky(mean))
+        units = inverse @ pseudo_inertia(np.eye(10)) @ inverse.T
+        block = np.einsum("aij,kij->ak", symmetric_basis(4), units) / within
+        found.append(block @ difference)
+    return np.vstack(found)
+
+
+def described_pairs(pairs: Sequence[MirrorPair], within: float) -> str:
+    """Return the belief in words."""
+    named = [f"{pair.first} and {pair.second}" for pair in pairs[:_MOST_NAMES]]
+    rest = len(pairs) - len(named)
+    listed = ", ".join(named) + (f" and {rest} more pairs" if rest else "")
+    return f"mirror images of each other within {100.0 * within:g} %: {listed}"
+
+
+def _numbers(value: object) -> tuple[object, ...]:
+    array = np.asarray(value, dtype=np.float64)
+    return array.shape, array.tobytes()
