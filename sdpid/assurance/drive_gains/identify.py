@@ -36,6 +36,7 @@ from sdpid.experiment.recording.joints import match_joints
 from sdpid.experiment.recording.recording import Recording
 from sdpid.robot.friction.term import FrictionTerm
 from sdpid.robot.inertia import transform
+from sdpid.robot.model.contacts.open_chain import require_open_chain
 from sdpid.robot.model.load import load_robot
 from sdpid.robot.model.model import RobotModel
 from sdpid.robot.model.mounting import carrying_link, frame_on_link
@@ -249,6 +250,7 @@ def _recordings(given: Logs, name: str) -> tuple[Recording, ...]:
 
 def _matched(robot: RobotModel, log: Recording) -> Recording:
     """Return a recording with the robot's joints in its order, currents as they are."""
+    require_open_chain(robot, "gains")
     return match_joints(robot, log)
 
 

@@ -28,6 +28,11 @@ from sdpid.robot.model.model import RobotModel
 # millimeter apart some 1e-3.
 RANK = 1e-8
 
+# A force that moves joints less than this share of the strongest one of a sample is none: it acts
+# across a linkage in a plane, and only rounding moves joints, of angles in the description too
+# (pi to seven digits). Without a loop every force moves the base or a joint by its lever.
+_NOTHING = 1e-6
+
 # The last of a triangle's diagonal is no bound of the least singular value, but not far off either:
 # below this one looks closer.
 _SUSPICIOUS = 1e-4
@@ -100,6 +105,10 @@ class ContactRows:
             found.append(own)
             active.append(np.repeat(down[:, i, None], own.shape[1], axis=1))
         directions = np.swapaxes(np.concatenate(found, axis=1), 1, 2)
+        if any(contacts.against):
+            size = np.einsum("knm,knm->km", directions, directions)
+            acts = size > _NOTHING**2 * size.max(axis=1, keepdims=True, initial=0.0)
+            active = [np.concatenate(active, axis=1) & acts]
         if known is None or contacts.forces is None:
             return cls(directions, np.concatenate(active, axis=1), None, None, compiled)
         R = scale * np.where(np.isinf(known), 0.0, known)

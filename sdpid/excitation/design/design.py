@@ -35,6 +35,7 @@ from sdpid.excitation.search.search import Candidate, Search, most_steps
 from sdpid.excitation.search.starts import random_start
 from sdpid.experiment.trajectory.trajectory import Trajectory
 from sdpid.robot.friction.term import FrictionTerm
+from sdpid.robot.model.contacts.open_chain import require_open_chain
 from sdpid.robot.model.load import load_robot
 from sdpid.robot.model.model import RobotModel
 
@@ -149,7 +150,7 @@ def design_excitation(
     Raises
     ------
     ModelError
-        When the base floats, or the robot touches itself or an obstacle at rest.
+        When the base floats, loops close, or the robot touches itself or an obstacle at rest.
     DataError
         When arguments contradict each other, or the duration is too short for the limits.
     InfeasibleError
@@ -178,6 +179,7 @@ def design_excitation(
         raise DataError(f"time_limit: is {time_limit}; give a positive time in s.")
     require_solver()
     model = robot if isinstance(robot, RobotModel) else load_robot(robot)
+    require_open_chain(model, "excitation")
     if not model.n_base:
         _compile(model)
     began = time.monotonic()

@@ -136,6 +136,8 @@ class CorrectedLog:
     steps: tuple[Step, ...] = ()
     # What changes of the efforts alone do not touch.
     _of_motion: ClassVar[tuple[str, ...]] = ("rigid",)
+    # What is large, and made again where it is asked for.
+    _large: ClassVar[tuple[str, ...]] = ("rigid",)
 
     @property
     def joint_names(self) -> tuple[str, ...]:
@@ -179,6 +181,16 @@ class CorrectedLog:
     def misfit(self) -> float:
         """How badly the efforts are explained."""
         return misfit(self.shares)
+
+    def compared(self) -> CorrectedLog:
+        """Return the log with its shares known, and without what they were made of.
+
+        Of forty joints a thousand logs are compared: they would take all memory.
+        """
+        _ = self.shares
+        for name in self._large:
+            self.__dict__.pop(name, None)
+        return self
 
     @property
     def most_steps(self) -> int:
@@ -272,7 +284,7 @@ def _price(log: CorrectedLog) -> float:
 
 def _children(log: CorrectedLog) -> list[CorrectedLog]:
     """Return the logs that one more change makes, the best ones."""
-    listed = [(log.changed(change), change) for change in _changes(log)]
+    listed = [(log.changed(change).compared(), change) for change in _changes(log)]
     tried = sorted(listed, key=lambda each: each[0].misfit)
     # Of those that do as well as the best the likeliest counts.
     near = tried[0][0].misfit + _ALIKE

@@ -84,7 +84,7 @@ def _lag(measured: Array, velocity: Array, acceleration: Array) -> float | None:
 def late_efforts(subject: Subject) -> Iterator[Finding]:
     """Find efforts that are late, or early, against the motion."""
     rows, robot = subject.low_passed, subject.robot
-    if robot is None or robot.n_base or rows is None:
+    if robot is None or robot.n_base or rows is None or subject.closed:
         return
     if subject.corrected is not None and subject.corrected.steps:
         return  # With a wrong sign or order nothing can be said of delays.
@@ -109,7 +109,7 @@ def late_efforts(subject: Subject) -> Iterator[Finding]:
 def late_channels(subject: Subject) -> Iterator[Finding]:
     """Find channels of a recording with a base that are late, or early, against the joints."""
     robot, log = subject.floating, subject.log
-    if log.base is None or not subject.pieces:
+    if log.base is None or not subject.pieces or subject.closed:
         return
     if subject.corrected is not None and subject.corrected.steps:
         return  # With a wrong sign or order nothing can be said of delays.

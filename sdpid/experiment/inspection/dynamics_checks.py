@@ -30,8 +30,10 @@ _CARRIES = 0.05
 @check
 def not_compared(subject: Subject) -> Iterator[Finding]:
     """Say where efforts cannot be compared: of a free base, and of a description without masses."""
-    robot = subject.robot
-    if subject.floating is not None:
+    robot, give = subject.robot, None
+    if subject.closed:
+        lacks = "has loops, in which unknown forces act"
+    elif subject.floating is not None:
         if subject.corrected is not None:
             return
         lacks, give = "has a free base, and the log no contacts or too few samples", "contacts"
@@ -46,7 +48,7 @@ def not_compared(subject: Subject) -> Iterator[Finding]:
             f"efforts are not compared with the motion, for the robot's description {lacks}: wrong "
             "signs, units and orders of columns are not found"
         ),
-        remedy=f"check them by hand, or give {give}",
+        remedy="check them by hand" + ("" if give is None else f", or give {give}"),
     )
 
 

@@ -154,6 +154,12 @@ class Subject:
         pieces = [piece for _, piece in self.pieces]
         return low_passed(pieces, self.without) if pieces else None
 
+    @property
+    def closed(self) -> bool:
+        """Whether the robot has loops, whose forces nobody measured."""
+        robot = self.robot or self.floating
+        return robot is not None and bool(robot.loops)
+
     @cached_property
     def samples(self) -> Samples | None:
         """Samples of the longest piece of a recording with a base; None where it has none."""
@@ -164,10 +170,10 @@ class Subject:
     @cached_property
     def corrected(self) -> CorrectedLog | None:
         """The changes that make efforts follow from motion; None without masses to compare with."""
-        if self.floating is not None and self.samples is not None:
+        if self.floating is not None and self.samples is not None and not self.closed:
             log = floating_log(self.floating, self.samples, self.without)
             return None if log is None else searched(log)
-        if self.robot is None or self.low_passed is None:
+        if self.robot is None or self.low_passed is None or self.closed:
             return None
         return corrected(self.robot, self.low_passed)
 

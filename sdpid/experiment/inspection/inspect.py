@@ -30,6 +30,7 @@ from sdpid.experiment.inspection.joined import other_loads
 from sdpid.experiment.readers.read import is_frame, read_recording
 from sdpid.experiment.recording.floating.robots import robot_of
 from sdpid.experiment.recording.joints import joint_columns, match_joints
+from sdpid.experiment.recording.loops.passive_joints import lacking
 from sdpid.experiment.recording.recording import Recording
 from sdpid.robot.model.model import RobotModel
 
@@ -245,14 +246,16 @@ def _matched(
         matched = match_joints(robot, log)
     except DataError as cause:
         return log, None, [Finding(severity="refuse", kind="joints_unknown", message=str(cause))]
-    names, own = log.joint_names, robot.joint_names[robot.n_base :]
+    missing = lacking(robot, log)
+    own = tuple(name for name in robot.joint_names[robot.n_base :] if name not in missing)
+    names = log.joint_names
     if names is None or set(own) <= set(names):
         left_out = () if names is None else sorted(set(names) - set(own))
         if not left_out:
             return matched, robot, []
         message = f"columns of joints that the robot lacks are left out: {', '.join(left_out)}"
     else:
-        found = [names[column] for column in joint_columns(robot, names)]
+        found = [names[column] for column in joint_columns(robot, names, own)]
         pairs = [f"{a} is {b}" for a, b in zip(found, own, strict=True)]
         message = f"joints have another prefix or suffix than the robot's: {', '.join(pairs)}"
     return matched, robot, [Finding(severity="note", kind="joints", message=message)]

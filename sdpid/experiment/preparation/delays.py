@@ -44,7 +44,7 @@ def with_delays(
         With a reason for each delay that was found.
     """
     own = [match_joints(robot, log) for log in logs if log.base is not None]
-    if not robot.free_flyer or not own:
+    if not robot.free_flyer or robot.loops or not own:
         return processing
     each = [channel_delays(robot, log) for log in own]
     changes: dict[str, Any] = {}

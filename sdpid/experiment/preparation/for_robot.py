@@ -5,10 +5,12 @@ from __future__ import annotations
 from dataclasses import replace
 
 from sdpid.experiment.processing.choose import default_processing
+from sdpid.experiment.processing.contacts.loops import with_loops
 from sdpid.experiment.processing.process import Processing, process
 from sdpid.experiment.processing.samples import Samples
 from sdpid.experiment.recording.floating.robots import require_its_base
 from sdpid.experiment.recording.joints import match_joints
+from sdpid.experiment.recording.loops.passive_joints import lacking
 from sdpid.experiment.recording.recording import Recording
 from sdpid.robot.friction.term import FrictionTerm
 from sdpid.robot.friction.terms import Coulomb, SigmoidFriction
@@ -66,4 +68,9 @@ def prepare(robot: RobotModel, log: Recording, processing: Processing | None = N
     named = match_joints(robot, log)
     limits = robot.position_limits[robot.n_base :]
     samples = process(named, processing, position_limits=limits, gravity=robot.gravity.tolist())
-    return replace(samples, joint_names=robot.joint_names) if robot.n_base else samples
+    if robot.n_base:
+        samples = replace(samples, joint_names=robot.joint_names)
+    if missing := lacking(robot, log):
+        note = f"positions of {', '.join(missing)} are those that close the loops"
+        samples = replace(samples, notes=(*samples.notes, note))
+    return with_loops(robot, samples)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import TypeAlias
 
 import numpy as np
 
@@ -13,6 +14,9 @@ from sdpid.experiment.processing.contacts.contact_samples import ContactSamples,
 from sdpid.experiment.processing.samples import Samples
 
 __all__ = ["join_samples"]
+
+# The frames of a contact: of the robot, and of the robot again where a loop closes.
+Place: TypeAlias = "tuple[str, str | None]"
 
 
 def join_samples(pieces: Sequence[Samples]) -> Samples:
@@ -36,19 +40,15 @@ def _alike(pieces: tuple[Samples, ...]) -> tuple[Samples, ...]:
     first = next((contacts for contacts in given if contacts is not None), None)
     if first is None or all(first.same_contacts(contacts) for contacts in given):
         return pieces
-    frames: dict[str, tuple[Kind, Array]] = {}
-    covariances: dict[str, Array] = {}
+    frames: dict[Place, tuple[Kind, Array]] = {}
+    covariances: dict[Place, Array] = {}
     for number, contacts in enumerate(given, 1):
         if contacts is None:
             continue
-        if any(contacts.against):
-            raise DataError(
-                f"contacts: recording {number} has {', '.join(contacts.names)}, and others have "
-                "not; a loop is closed in all recordings."
-            )
-        for i, name in enumerate(contacts.frames):
+        for i, place in enumerate(zip(contacts.frames, contacts.against, strict=True)):
+            name = contacts.names[i]
             what = contacts.kind[i], contacts.offset[i]
-            known = frames.setdefault(name, what)
+            known = frames.setdefault(place, what)
             if known[0] != what[0] or not np.array_equal(known[1], what[1]):
                 raise DataError(
                     f"contacts: '{name}' is a {what[0]} at {what[1].tolist()} m in recording "
@@ -56,13 +56,13 @@ def _alike(pieces: tuple[Samples, ...]) -> tuple[Samples, ...]:
                     "it the same kind and offset in all."
                 )
             own = _covariance(contacts, i)
-            if not np.array_equal(covariances.setdefault(name, own), own):
+            if not np.array_equal(covariances.setdefault(place, own), own):
                 raise DataError(
                     f"contacts: forces of '{name}' are measured in one recording and not, or not "
                     f"as well, in recording {number}; process all of them alike "
                     "(Processing.contact_force_std)."
                 )
-    covariance = np.array([covariances[name] for name in frames])
+    covariance = np.array([covariances[place] for place in frames])
     # A point has no moments, whose variance is zero whether forces are measured or not.
     measured = bool(np.isfinite(np.einsum("cii->ci", covariance)[:, :3]).any())
     return tuple(
@@ -83,19 +83,21 @@ def _covariance(contacts: ContactSamples, i: int) -> Array:
 
 
 def _widened(
-    piece: Samples, frames: dict[str, tuple[Kind, Array]], covariance: Array | None
+    piece: Samples, frames: dict[Place, tuple[Kind, Array]], covariance: Array | None
 ) -> ContactSamples:
     """Return the contacts of one piece among those of all."""
     K, own = piece.n_samples, piece.contacts
     down = np.zeros((K, len(frames)), dtype=np.bool_)
     forces = np.zeros((K, len(frames), 6))
     if own is not None:
-        columns = [list(frames).index(name) for name in own.frames]
+        places = list(frames)
+        columns = [places.index(place) for place in zip(own.frames, own.against, strict=True)]
         down[:, columns] = own.down
         if own.forces is not None:
             forces[:, columns] = own.forces
     return ContactSamples(
-        frames=tuple(frames),
+        frames=tuple(frame for frame, _ in frames),
+        against=tuple(other for _, other in frames),
         kind=tuple(kind for kind, _ in frames.values()),
         offset=np.array([offset for _, offset in frames.values()]),
         down=down,

@@ -9,6 +9,7 @@ from itertools import takewhile
 from typing import Any
 
 from sdpid.errors import DataError
+from sdpid.experiment.recording.loops.passive_joints import lacking, with_passive_joints
 from sdpid.experiment.recording.recording import Recording, channels, renamed
 from sdpid.experiment.recording.stored import transformed
 from sdpid.robot.model.model import RobotModel
@@ -22,7 +23,8 @@ def match_joints(robot: RobotModel, log: Recording) -> Recording:
     Columns are found by name, and columns of other joints (a gripper's) are left out. Names may
     differ from the robot's by one common prefix and one common suffix: ``left_elbow_joint`` is
     ``elbow_joint`` and ``fer_joint1`` is ``panda_joint1``. Only a recording without names is
-    taken column by column.
+    taken column by column. Joints without motors (`RobotModel.passive`) need no column where loops
+    tell their positions, and their efforts are zero.
 
     Parameters
     ----------
@@ -41,7 +43,18 @@ def match_joints(robot: RobotModel, log: Recording) -> Recording:
         When a joint of the robot has no column or could have several, or when there are no names
         and another number of columns.
     """
-    names, wanted = log.joint_names, robot.joint_names[robot.n_base :]
+    wanted = robot.joint_names[robot.n_base :]
+    if not robot.passive:
+        return _picked(robot, log, wanted)
+    missing = lacking(robot, log)
+    return with_passive_joints(
+        robot, _picked(robot, log, tuple(name for name in wanted if name not in missing))
+    )
+
+
+def _picked(robot: RobotModel, log: Recording, wanted: tuple[str, ...]) -> Recording:
+    """Return a recording of some joints of a robot, in this order."""
+    names = log.joint_names
     if log.n < len(wanted) or (names is None and log.n != len(wanted)):
         raise DataError(
             f"the recording has {log.n} joints, the robot '{robot.name}' has {len(wanted)}: "
@@ -50,7 +63,7 @@ def match_joints(robot: RobotModel, log: Recording) -> Recording:
         )
     if names is None or log.n == 1:
         return renamed(log, wanted)
-    order = joint_columns(robot, names)
+    order = joint_columns(robot, names, wanted)
     if order == list(range(log.n)):
         return renamed(log, wanted)
     picked = partial(transformed, function=lambda values: values[:, order])
@@ -59,15 +72,17 @@ def match_joints(robot: RobotModel, log: Recording) -> Recording:
     return replace(log, **tables, joint_names=wanted, gains=gains)
 
 
-def joint_columns(robot: RobotModel, names: Sequence[str]) -> list[int]:
-    """Return the column of each of the robot's joints.
+def joint_columns(
+    robot: RobotModel, names: Sequence[str], wanted: Sequence[str] | None = None
+) -> list[int]:
+    """Return the column of each of the robot's joints, or of some of them.
 
     Raises
     ------
     DataError
         When a joint has no column, or could have several.
     """
-    wanted = robot.joint_names[robot.n_base :]
+    wanted = robot.joint_names[robot.n_base :] if wanted is None else wanted
     ways = ways_to_match(wanted, names)
     if len(ways) == 1:
         (way,) = ways

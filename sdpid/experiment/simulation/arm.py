@@ -14,6 +14,7 @@ from sdpid.experiment.simulation.kernels.friction_arrays import FrictionArrays
 from sdpid.experiment.simulation.kernels.layout import Robot, memory_for
 from sdpid.experiment.simulation.kernels.linked import entries
 from sdpid.robot.friction.posed import LoadFriction, PosedTerm, Tilt
+from sdpid.robot.model.contacts.open_chain import require_open_chain
 from sdpid.robot.model.dynamics import RobotDynamics
 from sdpid.robot.model.regressor_kernel import flatten
 
@@ -51,10 +52,11 @@ class SimulatedArm:
         Raises
         ------
         ModelError
-            When the base floats, a joint is neither revolute nor prismatic, or a friction term is
-            not one of `sdpid.friction`.
+            When the base floats, loops close, a joint is neither revolute nor prismatic or has no
+            motor, or a friction term is not one of `sdpid.friction`.
         """
         robot, terms = model.robot, model.terms
+        require_open_chain(robot, "simulation")
         tree = None if robot.free_flyer else flatten(robot.pin_model, robot.expansion)
         if tree is None:
             raise ModelError(

@@ -103,9 +103,10 @@ def graded(samples: Samples, fit: Validation) -> Iterator[Grade]:
     """Yield the grade of every joint whose effort was measured, by one prediction alone.
 
     A joint that stood still is at most "caution": a constant would have predicted its effort too.
+    Of one without a motor there is nothing to predict.
     """
     for j in range(len(fit.joint_names)):
-        if not fit.rows[j]:
+        if not fit.rows[j] or not np.any(samples.effort[:, j]):
             continue
         if not moved(samples, j):
             small = float(fit.nrmse[j]) <= SMALL

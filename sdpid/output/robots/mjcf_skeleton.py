@@ -6,7 +6,7 @@ every link stays a body under its name, and every number is written in full.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from fractions import Fraction
 
@@ -21,6 +21,9 @@ from sdpid.robot.description.mjcf import quaternion_of
 from sdpid.robot.description.origin import numbers
 from sdpid.robot.model.model import RobotModel
 from sdpid.verifier.results.inertials import central, rounded
+
+# Of two balls that stand for a pin one is this share of the robot's reach along its axis.
+_ALONG = 0.1
 
 
 def quoted(text: str) -> str:
@@ -79,6 +82,7 @@ def mjcf_skeleton(robot: RobotModel, tree: UrdfTree | None) -> tuple[str, tuple[
         out = [f"{pad}<body name={_body(names[i - 1])}{_pose(place.homogeneous)}>"]
         out.append(f'{pad}  <inertial pos="0 0 0" mass="1" diaginertia="1 1 1"/>')
         out.append(f"{pad}  {_joint(robot, i, columns.get(model.names[i]))}")
+        out += [f"{pad}  {site}" for site in _sites(robot, i)]
         for child in [] if tree is None else tree.fixed_children(names[i - 1]):
             inertial = child.body
             if inertial is not None and not _possible(inertial):
@@ -95,13 +99,15 @@ def mjcf_skeleton(robot: RobotModel, tree: UrdfTree | None) -> tuple[str, tuple[
         f'  <option gravity="{numbers(robot.gravity)}"/>',
         "  <worldbody>",
     ]
+    lines += [f"    {site}" for site in _sites(robot, 0)]
     for i in children.get(0, ()):
         lines += body(i, 2)
     lines.append("  </worldbody>")
     followers = [i for i in range(1, model.njoints) if _follows(robot, i)]
-    if followers:
+    if followers or robot.loops:
         lines.append("  <equality>")
         lines += [f"    {_equality(robot, i)}" for i in followers]
+        lines += [f"    {closure}" for closure in _closures(robot)]
         lines.append("  </equality>")
     return "\n".join([*lines, "</mujoco>", ""]), tuple(impossible)
 
@@ -141,6 +147,30 @@ def _joint(robot: RobotModel, i: int, column: int | None) -> str:
         if np.isfinite(effort) and effort > 0.0:
             out += f' actuatorfrcrange="{numbers([-effort, effort])}"'
     return out + "/>"
+
+
+def _sites(robot: RobotModel, i: int) -> Iterator[str]:
+    """Yield the sites on a joint's body at which loops close, for an axis another one along it."""
+    model = robot.pin_model
+    for loop in robot.loops:
+        for name in (loop.frame, loop.against):
+            frame = model.frames[robot.frame_numbers[name]]
+            if frame.parentJoint != i:
+                continue
+            place = frame.placement
+            yield f"<site name={quoted(name)}{_pose(place.homogeneous)}/>"
+            if loop.kind == "line":
+                along = place.translation + _ALONG * robot.reach * place.rotation[:, 1]
+                yield f'<site name={quoted(name + "/axis")} pos="{numbers(along)}"/>'
+
+
+def _closures(robot: RobotModel) -> Iterator[str]:
+    """Yield the equalities that close the loops: a pin is two balls on its axis."""
+    for loop in robot.loops:
+        mark = "weld" if loop.kind == "plane" else "connect"
+        for end in ("", "/axis") if loop.kind == "line" else ("",):
+            name, own, other = (quoted(f"{x}{end}") for x in (loop.name, loop.frame, loop.against))
+            yield f"<{mark} name={name} site1={own} site2={other}/>"
 
 
 def _follows(robot: RobotModel, i: int) -> bool:

@@ -17,6 +17,7 @@ from sdpid._common.arrays import Array
 from sdpid._common.extras import require
 from sdpid._common.sandbox import run_in_sandbox
 from sdpid.errors import ModelError
+from sdpid.robot.description.loops import Closure
 from sdpid.robot.description.urdf import Mimic
 from sdpid.robot.inertia import theta_from_physical, transform
 
@@ -125,8 +126,12 @@ class MjcfModel:
         ``armature``, ``damping`` and ``frictionloss`` by joint name.
     mimics : tuple of Mimic
         Joints that an active equality makes follow another.
-    closures : tuple of str
+    closures : tuple of Closure
+        Loops that active equalities close.
+    others : tuple of str
         Kinds of the other active equalities.
+    passive : tuple of str
+        Joints that no actuator moves; none where that is not plain.
     tendons : tuple of MjcfTendon
         Fixed tendons over two joints.
     """
@@ -135,7 +140,9 @@ class MjcfModel:
     bodies: tuple[MjcfBody, ...]
     joint_values: dict[str, dict[str, float]]
     mimics: tuple[Mimic, ...]
-    closures: tuple[str, ...]
+    closures: tuple[Closure, ...]
+    others: tuple[str, ...]
+    passive: tuple[str, ...]
     tendons: tuple[MjcfTendon, ...] = ()
 
 
@@ -184,23 +191,24 @@ def read_mjcf(
     return _Build(found, what).result()
 
 
-def pinocchio_from_mjcf(text: str, path: Path | None, what: str) -> tuple[Any, tuple[Mimic, ...]]:
-    """Return the Pinocchio model of an MJCF file, and joints that mimic others.
+def pinocchio_from_mjcf(text: str, path: Path | None, what: str) -> MjcfModel:
+    """Return the Pinocchio model of an MJCF file, joints that mimic others, and what loops close.
 
     Raises
     ------
     ModelError
-        When MuJoCo cannot compile it, or it has ball joints or closed loops.
+        When MuJoCo cannot compile it, or it has ball joints or equalities of another kind.
     MissingExtraError
         When MuJoCo is not installed (extra ``sim``).
     """
     found = read_mjcf(text, what, path=path)
-    if found.closures:
+    if found.others:
         raise ModelError(
-            f"{what}: has a {found.closures[0]} equality, which is not supported; supported are "
-            "linear equalities of two joints. Remove it, or set active='false'."
+            f"{what}: has a {found.others[0]} equality, which is not supported; supported are "
+            "linear equalities of two joints, and connect and weld of two bodies. Remove it, or "
+            "set active='false'."
         )
-    return found.pin_model, found.mimics
+    return found
 
 
 def _numbers(text: str, path: str | None, folder: str | None, what: str) -> dict[str, Any]:
@@ -211,7 +219,7 @@ def _numbers(text: str, path: str | None, folder: str | None, what: str) -> dict
         *("body_parentid", "body_pos", "body_quat", "body_mass", "body_ipos", "body_iquat"),
         *("body_inertia", "body_jntadr", "body_jntnum", "jnt_type", "jnt_pos", "jnt_axis"),
         *("jnt_range", "jnt_limited", "jnt_actfrcrange", "jnt_actfrclimited", "eq_type"),
-        *("eq_active0", "eq_obj1id", "eq_obj2id", "eq_data"),
+        *("eq_active0", "eq_obj1id", "eq_obj2id", "eq_data", "eq_objtype"),
         *("tendon_adr", "tendon_num", *(f"tendon_{key}" for key in _OF_TENDONS)),
         *("wrap_type", "wrap_objid", "wrap_prm"),
     )
@@ -229,6 +237,17 @@ def _numbers(text: str, path: str | None, folder: str | None, what: str) -> dict
         kind: int(getattr(mujoco.mjtJoint, f"mjJNT_{kind.upper()}"))
         for kind in ("free", "ball", "slide", "hinge")
     }
+    found["names_of_equalities"] = [str(model.equality(i).name) for i in range(model.neq)]
+    found["bodies_of_sites"] = [
+        [int(model.site_bodyid[i]), model.site_pos[i].tolist(), model.site_quat[i].tolist()]
+        for i in range(model.nsite)
+    ]
+    found["site"] = int(mujoco.mjtObj.mjOBJ_SITE)
+    # What moves joints alone; other actuators pull at tendons, bodies and sites.
+    plain = (int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARENT))
+    found["actuated"] = None
+    if model.nu and all(int(kind) in plain for kind in model.actuator_trntype):
+        found["actuated"] = [int(i) for i in model.actuator_trnid[:, 0]]
     found["wrap_joint"] = int(mujoco.mjtWrap.mjWRAP_JOINT)
     found["equalities"] = {
         str(int(getattr(mujoco.mjtEq, f"mjEQ_{kind.upper()}"))): kind
@@ -250,22 +269,51 @@ def _joint_names(found: dict[str, Any]) -> list[str]:
     ]
 
 
-def _equalities(found: dict[str, Any]) -> tuple[tuple[Mimic, ...], tuple[str, ...]]:
-    """Return active linear equalities of two joints as mimics, and the kinds of the others."""
+def _equalities(
+    found: dict[str, Any],
+) -> tuple[tuple[Mimic, ...], tuple[Closure, ...], tuple[str, ...]]:
+    """Return active equalities as mimics and as closures, and the kinds of the others."""
     names = _joint_names(found)
-    mimics, others = [], []
-    columns = [found[f"eq_{key}"] for key in ("type", "active0", "obj1id", "obj2id", "data")]
-    for kind, active, first, second, data in zip(*columns, strict=True):
+    mimics, closures, others = [], [], []
+    keys = ("type", "active0", "obj1id", "obj2id", "data")
+    columns = [found[f"eq_{key}"] for key in keys]
+    for number, (kind, active, first, second, data) in enumerate(zip(*columns, strict=True)):
         name = found["equalities"].get(str(kind), "strange")
         if not active:
             continue
-        if name != "joint" or second < 0 or any(data[2:5]):
+        if name in ("connect", "weld"):
+            closures.append(_closure(found, number, name))
+        elif name != "joint" or second < 0 or any(data[2:5]):
             others.append(name)
-            continue
-        # q1 − ref1 = c0 + c1·(q2 − ref2)
-        offset = found["ref"][first] + data[0] - data[1] * found["ref"][second]
-        mimics.append(Mimic(names[first], names[second], data[1], offset))
-    return tuple(mimics), tuple(others)
+        else:
+            # q1 − ref1 = c0 + c1·(q2 − ref2)
+            offset = found["ref"][first] + data[0] - data[1] * found["ref"][second]
+            mimics.append(Mimic(names[first], names[second], data[1], offset))
+    return tuple(mimics), tuple(closures), tuple(others)
+
+
+def _closure(found: dict[str, Any], number: int, kind: str) -> Closure:
+    """Return an equality that keeps two bodies, or sites on them, together."""
+    one, two = found["eq_obj1id"][number], found["eq_obj2id"][number]
+    data = found["eq_data"][number]
+    upright = [1.0, 0.0, 0.0, 0.0]
+    if found["eq_objtype"][number] == found["site"]:
+        sites = [found["bodies_of_sites"][site] for site in (one, two)]
+        ends = [(body, _placement(*place)) for body, *place in sites]
+    elif kind == "connect":
+        ends = [(one, _placement(data[:3], upright)), (two, _placement(data[3:6], upright))]
+    else:
+        # The place on the second body, then that on the first, turned as the second is.
+        ends = [(one, _placement(data[3:6], data[6:10])), (two, _placement(data[:3], upright))]
+    (first, on_first), (second, on_second) = (
+        (found["bodies"][body] or f"body_{body}" if body else "universe", place.homogeneous)
+        for body, place in ends
+    )
+    return Closure(
+        found["names_of_equalities"][number] or f"{kind}_{number + 1}",
+        "point" if kind == "connect" else "plane",
+        ((first, on_first), (second, on_second)),
+    )
 
 
 def _tendons(found: dict[str, Any]) -> Iterator[MjcfTendon]:
@@ -302,9 +350,19 @@ class _Build:
             name: {key: numbers[i] for key, numbers in self.found["dof"].items()}
             for i, name in enumerate(self.names)
         }
-        mimics, others = _equalities(self.found)
-        tendons = tuple(_tendons(self.found))
-        return MjcfModel(self.model, tuple(self.bodies), values, mimics, others, tendons)
+        mimics, closures, others = _equalities(self.found)
+        moved = self.found["actuated"]
+        passive = [] if moved is None else [n for i, n in enumerate(self.names) if i not in moved]
+        return MjcfModel(
+            pin_model=self.model,
+            bodies=tuple(self.bodies),
+            joint_values=values,
+            mimics=mimics,
+            closures=closures,
+            others=others,
+            passive=tuple(passive),
+            tendons=tuple(_tendons(self.found)),
+        )
 
     def _add(self, body: int) -> None:
         import pinocchio as pin

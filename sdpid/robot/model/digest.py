@@ -11,7 +11,7 @@ from sdpid.robot.model.regressor_kernel import flatten
 
 
 def kinematics_digest(robot: RobotModel) -> str | None:
-    """Return the SHA-256 of a robot's joints, placements, axes, mimic joints and gravity.
+    """Return the SHA-256 of a robot's joints, placements, axes, mimic joints, loops and gravity.
 
     Inertias, limits and shapes do not count. Robots of equal digest have the same regressor. None
     for joints that have no plain form (see `flatten`).
@@ -25,4 +25,14 @@ def kinematics_digest(robot: RobotModel) -> str | None:
         array = np.ascontiguousarray(np.asarray(values, dtype="<f8") + 0.0)
         digest.update(f"\n{array.shape}\n".encode())
         digest.update(array.data)
+    for loop in robot.loops:
+        digest.update(f"\n{loop.kind}".encode())
+        for name in (loop.frame, loop.against):
+            frame = robot.pin_model.frames[robot.frame_numbers[name]]
+            place = np.ascontiguousarray(np.asarray(frame.placement.homogeneous, "<f8") + 0.0)
+            digest.update(f"\n{name} {frame.parentJoint}\n".encode("utf-8", "surrogatepass"))
+            digest.update(place.data)
+    if robot.passive:
+        digest.update("\n".join(("", *robot.passive)).encode("utf-8", "surrogatepass"))
+        digest.update(np.array(robot.assembled, dtype="<f8").data)
     return digest.hexdigest()

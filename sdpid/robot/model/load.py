@@ -12,8 +12,9 @@ from sdpid._common.files import Source
 from sdpid.errors import ModelError
 from sdpid.robot.description.catalog import bundled_folder, bundled_robots, find_robot
 from sdpid.robot.description.dh_table import DhTable
+from sdpid.robot.description.loops import add_loops, urdf_closures, urdf_passive
 from sdpid.robot.description.mjcf import pinocchio_from_mjcf
-from sdpid.robot.description.urdf import pinocchio_from_urdf
+from sdpid.robot.description.urdf import parse_urdf, pinocchio_from_urdf
 from sdpid.robot.description.xacro import expand_xacro, is_xacro
 from sdpid.robot.description.xml import Description, is_mjcf, is_xml, read_description
 from sdpid.robot.model.model import RobotModel
@@ -29,6 +30,10 @@ def load_robot(
     xacro_args: Mapping[str, str] | None = None,
 ) -> RobotModel:
     """Load a robot.
+
+    Loops that close are read with it: elements ``<loop_joint>`` of a URDF, and equalities of kind
+    connect and weld of an MJCF; and joints without motors, ``<passive_joint name="..."/>`` of a
+    URDF, and of an MJCF with a loop what no actuator moves (docs/guides/loops.md).
 
     Parameters
     ----------
@@ -85,16 +90,37 @@ def load_robot(
     if not is_mjcf(found.text, found.what):
         floating = root is not None
         model, mimics = pinocchio_from_urdf(found.text, found.what, floating=floating)
+        described = parse_urdf(found.text, found.what)
+        loops = add_loops(model, urdf_closures(described, found.what), found.what)
         robot = RobotModel.from_pinocchio(model, gravity=gravity, mimics=mimics, urdf=found.text)
-        return replace(robot, source=origin, folder=folder)
+        stated = urdf_passive(described, found.what)
+        return replace(
+            robot,
+            source=origin,
+            folder=folder,
+            loops=loops,
+            passive=tuple(stated),
+            assembled=tuple(stated.values()),
+        )
     if root is not None:
         raise ModelError(
             f"{found.what}: an MJCF says itself whether its base floats; leave root out, and give "
             "its first body a <freejoint/>."
         )
-    model, mimics = pinocchio_from_mjcf(found.text, found.path, found.what)
-    robot = RobotModel.from_pinocchio(model, gravity=gravity, mimics=mimics)
-    return replace(robot, source=origin, folder=folder)
+    mjcf = pinocchio_from_mjcf(found.text, found.path, found.what)
+    loops = add_loops(mjcf.pin_model, mjcf.closures, found.what)
+    robot = RobotModel.from_pinocchio(mjcf.pin_model, gravity=gravity, mimics=mjcf.mimics)
+    # Joints that no actuator moves have none at all in most files: a loop tells that they matter.
+    passive = tuple(name for name in mjcf.passive if loops and name in robot.joint_names)
+    # Where the file's joints are zero its loops are closed.
+    return replace(
+        robot,
+        source=origin,
+        folder=folder,
+        loops=loops,
+        passive=passive,
+        assembled=(0.0,) * len(passive),
+    )
 
 
 def _find(source: str | os.PathLike[str]) -> tuple[Description, Sequence[float] | None]:

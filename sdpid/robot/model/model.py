@@ -17,6 +17,7 @@ from sdpid._common.files import Source
 from sdpid._common.tables import Table, facts_html
 from sdpid.errors import DataError, ModelError
 from sdpid.robot.description.dh_table import DhTable
+from sdpid.robot.description.loops import Loop
 from sdpid.robot.description.urdf import Mimic, pinocchio_from_urdf
 from sdpid.robot.inertia import PARAMETER_NAMES, PARAMETER_UNITS
 from sdpid.robot.model import regressor_kernel as kernels
@@ -53,6 +54,13 @@ class RobotModel:
         The description that `load_robot` read, and how; None for a robot from elsewhere.
     folder : Path or None
         The folder of the description's file, where the meshes that it names are looked up.
+    loops : tuple of Loop
+        Where loops close that the tree was cut at.
+    passive : tuple of str
+        Joints without motors, whose efforts are zero.
+    assembled : tuple of float
+        About where each of these is while those with motors are at zero, rad or m: which of the
+        ways it is in which the loops can be closed.
 
     Examples
     --------
@@ -77,6 +85,19 @@ class RobotModel:
     urdf: str | None = None
     source: Source | None = None
     folder: Path | None = None
+    loops: tuple[Loop, ...] = ()
+    passive: tuple[str, ...] = ()
+    assembled: tuple[float, ...] = ()
+
+    def __post_init__(self) -> None:
+        joints = self.joint_names[self.n_base :]
+        if unknown := [name for name in self.passive if name not in joints]:
+            raise ModelError(
+                f"robot '{self.name}': {', '.join(unknown)} is said to have no motor, and is no "
+                f"joint that moves by itself; these are {', '.join(joints)}."
+            )
+        if joints and set(joints) == set(self.passive):
+            raise ModelError(f"robot '{self.name}': no joint has a motor; one at least has one.")
 
     @classmethod
     def from_mdh(
@@ -191,12 +212,18 @@ class RobotModel:
 
     def __repr__(self) -> str:
         base = ", free flyer" if self.free_flyer else ""
-        return f"RobotModel({self.name!r:.80}, {self.n} coordinates, {self.n_links} links{base})"
+        closed = f", {len(self.loops)} loop{'s' * (len(self.loops) > 1)}" if self.loops else ""
+        return (
+            f"RobotModel({self.name!r:.80}, {self.n} coordinates, {self.n_links} links"
+            f"{base}{closed})"
+        )
 
     def _repr_html_(self) -> str:
         facts: dict[str, object] = {
             "coordinates": ", ".join(self.joint_names),
             "base": "floating" if self.free_flyer else "fixed",
+            "loops": ", ".join(f"{loop.name} ({loop.kind})" for loop in self.loops) or None,
+            "without motors": ", ".join(self.passive) or None,
             "described mass, kg": float(np.maximum(self.prior[:, 0], 0.0).sum()),
         }
         links = {"link": list(self.link_names), "described mass, kg": self.prior[:, 0].tolist()}

@@ -44,9 +44,9 @@ _UNIT = Fraction(1, 2**50)
 # what the numbers mean.
 _CHILDREN = {
     "mujoco": {"compiler", "option", "worldbody", "equality", "tendon"},
-    "worldbody": {"body"},
-    "body": {"inertial", "joint", "freejoint", "body"},
-    "equality": {"joint"},
+    "worldbody": {"body", "site"},
+    "body": {"inertial", "joint", "freejoint", "body", "site"},
+    "equality": {"joint", "connect", "weld"},
     "tendon": {"fixed"},
     "fixed": {"joint"},
 }
@@ -56,6 +56,10 @@ _ATTRIBUTES = {
     "body": {"name", "pos", "quat"},
     "inertial": {"pos", "quat", "mass", "diaginertia"},
     "freejoint": {"name"},
+    # Where loops close.
+    "site": {"name", "pos", "quat"},
+    "connect": {"name", "site1", "site2"},
+    "weld": {"name", "site1", "site2"},
     "joint": {"name", "type", "axis", "range", "actuatorfrcrange", *PLACES}
     | {"joint1", "joint2", "polycoef"}
     | {"joint", "coef"},

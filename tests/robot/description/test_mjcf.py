@@ -120,13 +120,6 @@ def test_what_is_read_survives_being_written(tmp_path: Path) -> None:
 REFUSED = [
     (ARM.replace('name="j4" axis="0 0 -1" ref="0.1"', 'name="j4" type="ball"'), "'j4' is a ball"),
     (FOLLOWER.replace("-2 0 0 0", "-2 1 0 0"), "joint equality, which is not supported"),
-    (
-        FOLLOWER.replace(
-            '<joint joint1="j4" joint2="j1" polycoef="0.3 -2 0 0 0"/>',
-            '<connect body1="second" body2="wrist" anchor="0 0 0"/>',
-        ),
-        "connect equality",
-    ),
     ("<mujoco><worldbody><nonsense/></worldbody></mujoco>", "MuJoCo cannot parse it"),
     ("<mujoco><worldbody><body/></worldbody></mujoco>", "no moving joint"),
     ("<mujoco><worldbody><body><joint/></body></worldbody></mujoco>", "MuJoCo cannot compile it"),

@@ -54,12 +54,21 @@ def _places(source: RowSource, found: dict[str, Any]) -> Iterator[str]:
     contacts = source.samples.contacts
     assert contacts is not None
     listed = zip(contacts.names, contacts.frames, contacts.kind, contacts.offset, strict=True)
-    for (name, own, kind, offset), closed in zip(listed, found["closed"], strict=True):
-        frame = model.frames[model.getFrameId(own)]
-        place = ", ".join(f"{each:.6g}" for each in frame.placement.translation)
+    pairs = zip(listed, contacts.against, found["closed"], strict=True)
+    for (name, own, kind, offset), against, closed in pairs:
+        if against is not None:
+            places = " and ".join(_place(model, each) for each in (own, against))
+            yield f"{kind} {shown(name)} at {places}, closed in {closed} samples"
+            continue
         beside = ", ".join(f"{each:.6g}" for each in offset)
         yield (
-            f"{kind} {shown(name)} at ({place}) m of joint "
-            f"{shown(model.names[frame.parentJoint])}, and ({beside}) m from there in the world's "
-            f"axes, closed in {closed} samples"
+            f"{kind} {shown(name)} at {_place(model, own)}, and ({beside}) m from there in the "
+            f"world's axes, closed in {closed} samples"
         )
+
+
+def _place(model: Any, name: str) -> str:
+    """Return where a frame is, in words."""
+    frame = model.frames[model.getFrameId(name)]
+    place = ", ".join(f"{each:.6g}" for each in frame.placement.translation)
+    return f"({place}) m of joint {shown(model.names[frame.parentJoint])}"

@@ -57,6 +57,7 @@ class FloatingLog(CorrectedLog):
     base_acceleration: Array
     contacts: ContactSamples
     _of_motion: ClassVar[tuple[str, ...]] = ("rigid", "unit", "free")
+    _large: ClassVar[tuple[str, ...]] = ("rigid", "free", "columns", "equations", "freely")
 
     @property
     def feet(self) -> tuple[str, ...]:

@@ -56,8 +56,8 @@ def _fits(result: Judged) -> Iterator[dict[str, Any]]:
     held = None if result.held_out is None else result.held_out.fit.moving
     levels = {each.joint: each.level for each in grades_of(result)}
     for j, name in enumerate(training.joint_names):
-        if training.rows[j] == 0:
-            continue
+        if j not in levels:
+            continue  # Its effort was not measured, or it has no motor.
         yield {
             "name": name,
             "level": levels[j],

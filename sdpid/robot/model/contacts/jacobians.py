@@ -116,6 +116,13 @@ def frame_gaps(
     robot: RobotModel, position: ArrayLike, frames: Sequence[str], others: Sequence[str]
 ) -> Array:
     """Return how far the origins of frames are from those of other ones, shape (K, c), in m."""
+    return np.asarray(np.linalg.norm(frame_offsets(robot, position, frames, others), axis=2))
+
+
+def frame_offsets(
+    robot: RobotModel, position: ArrayLike, frames: Sequence[str], others: Sequence[str]
+) -> Array:
+    """Return origins of frames less those of other ones, shape (K, c, 3), in m and world axes."""
     q = robot.configuration(position)
     numbers = [_frame_numbers(robot, names) for names in (frames, others)]
     tree = robot.tree
@@ -124,18 +131,18 @@ def frame_gaps(
 
         model: Any = robot.pin_model
         data = model.createData()
-        out = np.empty((len(q), len(frames)))
+        out = np.empty((len(q), len(frames), 3))
         for k, configuration in enumerate(q):
             pin.framesForwardKinematics(model, data, configuration)
             places = [np.array([data.oMf[i].translation for i in own]) for own in numbers]
-            out[k] = np.linalg.norm(places[0] - places[1], axis=1)
+            out[k] = places[0] - places[1]
         return out
     links = _Links(tree, q)
     own, other = (
         np.stack([_place(links, robot.pin_model.frames[i]) for i in each], axis=1)
         for each in numbers
     )
-    return np.asarray(np.linalg.norm(own - other, axis=2))
+    return np.asarray(own - other)
 
 
 def frame_axes(robot: RobotModel, position: ArrayLike, frames: Sequence[str]) -> Array:

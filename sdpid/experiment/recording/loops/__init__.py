@@ -1,0 +1,1 @@
+"""Recordings of linkages: joints without motors, positions that loops close."""

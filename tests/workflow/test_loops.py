@@ -1,0 +1,118 @@
+"""Linkages in MuJoCo, from a recording of their motors to a result that is proven."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import sdpid
+from sdpid.errors import DataError, ModelError
+from sdpid.robot.model.contacts.closure import close_loops
+from sdpid.workflow.result import Identification
+from tests.helpers.linkages import mjcf, run, urdf
+
+mujoco = pytest.importorskip("mujoco")
+
+STARTS = {"four_bar": (1.0, 0.0, 0.0), "five_bar": (2.0, 0.0, 1.14, 0.0)}
+# Friction is none in the plant; the prior is that of the description, which is 15 % off.
+SETTINGS: dict[str, Any] = {"friction": (), "effects": "none", "intervals": False}
+
+
+@pytest.fixture(scope="module", params=["four_bar", "five_bar"])
+def identified(
+    request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory
+) -> tuple[Identification, sdpid.Recording, Path]:
+    name = request.param
+    path = tmp_path_factory.mktemp("loop") / f"{name}.urdf"
+    path.write_text(urdf(name))
+    robot = sdpid.load_robot(path)
+    start = close_loops(robot, np.array([STARTS[name]]), robot.passive)[0]
+    scale = np.random.default_rng(1).uniform(0.85, 1.15, robot.n)
+    log, position = run(name, seconds=2.0, seed=0, scale=scale, start=start)
+    other, _ = run(name, seconds=1.5, seed=1, scale=scale, start=start)
+    # MuJoCo's joints without motors are where the loop closes.
+    known = np.where(np.isin(robot.joint_names, robot.passive), 0.0, position)
+    np.testing.assert_allclose(close_loops(robot, known, robot.passive), position, atol=2e-6)
+    return sdpid.identify(path, log, validation=other, **SETTINGS), log, path
+
+
+def test_motors_alone_identify_a_linkage(
+    identified: tuple[Identification, sdpid.Recording, Path],
+) -> None:
+    result, _, _ = identified
+    assert result.certificate.passed
+    assert result.certificate.gap is not None
+    assert result.certificate.gap < 1e-6
+    assert result.validation is not None
+    # Nothing was measured at joints without motors, and nothing is to be said of them.
+    assert result.validation.relative < 5e-4
+    assert not any(finding.kind == "effort_constant" for finding in result.findings)
+    assert not any("worse than a constant" in words for words in result.verdict)
+    described = result.problem.base_of(result.problem.robot.prior.ravel())
+    assert result.problem.cost(described) > 1e3 * result.problem.cost(result.estimate.base)
+    assert any("are those that close the loops" in note for note in result.problem.samples.notes)
+
+
+def test_a_loop_is_proven_from_the_log(
+    identified: tuple[Identification, sdpid.Recording, Path], tmp_path: Path
+) -> None:
+    result, log, _ = identified
+    result.save(tmp_path / "run", figures=False)
+    whole = sdpid.verify(tmp_path / "run", data=log)
+    assert whole.passed, whole.problems
+    assert whole.log is not None
+    assert {"robot", "contacts", "compression"} <= whole.log.proven
+    # The same with the loop a little farther out is another robot.
+    ends = urdf(result.problem.robot.name).replace(
+        'xyz="0.25 0 0"/><axis', 'xyz="0.251 0 0"/><axis'
+    )
+    ends = ends.replace('xyz="0.22 0 0"/><axis', 'xyz="0.221 0 0"/><axis')
+    other = sdpid.verify(tmp_path / "run", data=log, robot=sdpid.load_robot(ends))
+    assert not other.passed
+
+
+def test_an_mjcf_of_the_result_closes(
+    identified: tuple[Identification, sdpid.Recording, Path], tmp_path: Path
+) -> None:
+    result, _, path = identified
+    sdpid.write_mjcf(result.estimate, target=tmp_path / "out.xml")
+    assert mujoco.MjModel.from_xml_path(str(tmp_path / "out.xml")).neq == 1
+    again = sdpid.load_robot(tmp_path / "out.xml")
+    assert [loop.kind for loop in again.loops] == ["point"]
+    described = sdpid.load_robot(path)
+    loop = described.loops[0]
+    assert {loop.frame, loop.against} <= set(described.frame_numbers)
+
+
+def test_recorded_positions_and_other_columns(tmp_path: Path) -> None:
+    """Joints without motors may be recorded, and efforts of theirs do not count."""
+    robot = sdpid.load_robot(mjcf("four_bar"))
+    start = close_loops(sdpid.load_robot(urdf("four_bar")), np.array([[1.0, 0, 0]]), robot.passive)
+    log, position = run("four_bar", seconds=1.0, seed=0, start=start[0])
+    whole = sdpid.Recording(
+        time=log.time,
+        position=position,
+        effort=np.column_stack([log.effort[:, 0], log.effort[:, 0], 0.0 * log.effort[:, 0]]),
+        joint_names=robot.joint_names,
+    )
+    result = sdpid.identify(robot, whole, **SETTINGS)
+    assert result.training.relative < 1e-3
+    assert not np.any(result.problem.samples.effort[:, 1:])
+    whole.to_csv(tmp_path / "run.csv")
+    again = sdpid.identify(robot, tmp_path / "run.csv", **SETTINGS)
+    np.testing.assert_allclose(again.estimate.base, result.estimate.base, rtol=1e-9, atol=1e-12)
+
+
+def test_what_is_known_of_open_chains_only() -> None:
+    robot = sdpid.load_robot(urdf("four_bar"))
+    with pytest.raises(ModelError, match=r"has loops that close .pin.; this is known for open"):
+        sdpid.design_excitation(robot, duration=5.0)
+    alone = sdpid.load_robot(urdf("four_bar").split("<loop_joint")[0] + (
+        '<passive_joint name="coupler_joint"/></robot>'
+    ))  # fmt: skip
+    log = sdpid.Recording(time=np.arange(9.0), position=np.zeros((9, 2)), effort=np.zeros((9, 2)))
+    with pytest.raises(DataError, match="do not determine the positions of coupler_joint"):
+        sdpid.identify(alone, log)
