@@ -12,7 +12,7 @@ import sdpid.cli.options as opt
 from sdpid._common.extras import require
 from sdpid._common.files import atomic_write_text
 from sdpid.cli.printing import Printing, listed
-from sdpid.errors import DataError, ExportError
+from sdpid.errors import DataError, ExportError, SdpidError
 
 if TYPE_CHECKING:
     from sdpid.experiment.recording.recording import Recording
@@ -141,6 +141,7 @@ def simulate(
     }
     sliding = [name for name, kind in kinds.items() if kind.startswith("JointModelP")]
     notes = [*plan.velocity_report(sliding), *plan.notes, *recording.notes]
+    notes += [] if bundled else _of_a_held_base(robot, out)
     if suffix == ".csv" and recording.period is not None and recording.periods != 1:
         notes.append(
             f"{out} has no place for the period; to average its periods: sdpid identify --period "
@@ -193,6 +194,23 @@ def _legged(
     )
     mass = f"true total mass {true:.4g} kg, of the description {described:.4g} kg"
     _show(printing, log, [mass, *log.notes], files)
+
+
+def _of_a_held_base(name: str, out: Path) -> list[str]:
+    """Return what to know where a robot on legs was simulated like an arm."""
+    from sdpid.robot.legs.find import find_legs
+    from sdpid.robot.model.load import load_robot
+
+    try:
+        robot = load_robot(name, root="free_flyer")
+        find_legs(robot)
+    except SdpidError:
+        return []
+    return [
+        f"the base was held; --motion walk (stand, trot, hang) lets {robot.name} move on its legs. "
+        f'Beside such logs this one says [base] held = "{robot.link_names[0]}" in '
+        f"{out.with_suffix('.toml').name}"
+    ]
 
 
 def _write(recording: Recording, out: Path) -> None:

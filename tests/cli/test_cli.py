@@ -233,6 +233,23 @@ def test_simulate_any_robot_with_a_trajectory_file(tmp_path: Path) -> None:
     refused(run("simulate", "ur5_robot", "--out", second, "--trajectory", motion), 2, "m.toml")
 
 
+def test_simulate_says_that_the_base_of_a_robot_on_legs_was_held(tmp_path: Path) -> None:
+    """And its mapping says so, word for word."""
+    out, options = tmp_path / "hung.csv", ("--periods", 1, "--period", 6.5)
+    made = run("simulate", "solo12", "--out", out, *options)
+    assert made.exit_code == 0, made.output
+    assert "the base was held; --motion walk" in made.stdout
+    said = '[base] held = "base_link"'
+    assert f"{said} in hung.toml" in made.stdout
+    (tmp_path / "hung.toml").write_text(said.replace("] ", "]\n") + "\n")
+    log = sdpid.read_recording(out)
+    assert log.base is not None
+    assert log.contacts is not None
+    assert (log.contacts.frames, log.contacts.kind) == (("base_link",), ("plane",))
+    arm = run("simulate", "ur5_robot", "--out", out, *options)
+    assert "held" not in arm.stdout
+
+
 def test_simulate_along_samples(tmp_path: Path) -> None:
     motion, out = tmp_path / "motion.csv", tmp_path / "run.parquet"
     time = np.linspace(0.0, 2.0, 101)
@@ -268,9 +285,11 @@ def test_simulate_a_robot_on_legs(tmp_path: Path) -> None:
         assert log.base.imu is not None
         assert log.contacts is not None
         np.testing.assert_array_equal(log.effort, one.effort)
-        np.testing.assert_array_equal(log.base.imu.rotation, one.base.imu.rotation)
-        np.testing.assert_array_equal(log.contacts.offset, one.contacts.offset)
+        # The mapping has decimals in place of what all but is one.
+        np.testing.assert_allclose(log.base.imu.rotation, one.base.imu.rotation, atol=1e-10)
+        np.testing.assert_allclose(log.contacts.offset, one.contacts.offset, atol=1e-10)
         assert log.contacts.kind == ("point",) * 4
+    assert "offset = [[0.0, 0.0, -0.016]" in first.with_suffix(".toml").read_text()
     refused(run("simulate", "solo12", "--out", first, "--change", 0.1), 2, "--motion")
     refused(run("simulate", "solo12", "--out", first, *options, "--exact"), 2, "--exact")
     refused(run("simulate", "solo12", "--out", first, *options, "--change", 2), 2, "--change")

@@ -14,7 +14,7 @@ from sdpid._common.tables import plain
 from sdpid.errors import DataError
 from sdpid.experiment.drive_gains.gains import DriveGains
 from sdpid.experiment.readers.column_names import CONVENTIONS
-from sdpid.experiment.readers.floating.quantities import SETTINGS, checked_settings
+from sdpid.experiment.readers.floating.quantities import HELD, SETTINGS, checked_settings
 from sdpid.experiment.readers.mapping import find_mapping, read_mapping
 from sdpid.experiment.readers.missing import MISSING
 from sdpid.experiment.readers.unit_names import UNITS
@@ -71,8 +71,10 @@ class Arguments:
 
     @property
     def floating(self) -> dict[str, Any]:
-        """What is said of base, IMU and contacts."""
-        return {name: plain(getattr(self, name)) for name in SETTINGS}
+        """What is said of the columns of base, IMU and contacts."""
+        said: dict[str, Any] = {name: plain(getattr(self, name)) for name in SETTINGS}
+        said["base"] = {key: value for key, value in said["base"].items() if key not in HELD}
+        return said
 
     def to_dict(self) -> dict[str, Any]:
         """Return the arguments that differ from their defaults, as plain values.

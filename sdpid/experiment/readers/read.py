@@ -15,7 +15,7 @@ from sdpid.experiment.readers.arguments import Arguments, complete_arguments
 from sdpid.experiment.readers.conversion import convert
 from sdpid.experiment.readers.formats.loaders import LOADERS, MATRICES, load_frame
 from sdpid.experiment.readers.formats.matrices import is_folder_of_matrices
-from sdpid.experiment.readers.selection import read_selection, select
+from sdpid.experiment.readers.selection import Selection, read_selection, select
 from sdpid.experiment.readers.table import row_number
 from sdpid.experiment.recording.recording import Recording, with_source
 
@@ -117,7 +117,8 @@ def read_recording(path: Any, **how: Any) -> Any:
     base : mapping, optional
         Of a floating base: ``quaternion``, ``"xyzw"`` or ``"wxyz"``, where the names of the
         columns do not say it; ``velocity_frame``, ``"world"`` or ``"base"``; in a ROS bag
-        ``topic``, with its odometry.
+        ``topic``, with its odometry. Of a base that was held, as in a stand: ``held``, the link,
+        and its ``orientation`` x, y, z, w in the world, by default upright (`with_held_base`).
     imu : mapping, optional
         ``translation`` and ``rotation`` of the sensor in the base link, as in `Imu`; in a ROS bag
         its ``topic``.
@@ -191,15 +192,34 @@ def read_described(
     place: Callable[[int], str] = row_number
     if frame:
         found = select(file, load_frame(path), **arguments.selection)
-        recording, sources = convert(file, found, arguments, place)
+        recording, sources = _converted(file, found, arguments, place)
     else:
         suffix = _suffix(file)
         choices = _choices(file, suffix, arguments, stored)
         with unchanged(file):
             found, place = read_selection(file, suffix, choices, arguments.selection)
-            recording, sources = convert(file, found, arguments, place)
+            recording, sources = _converted(file, found, arguments, place)
             recording = with_source(recording, Source.of(file, arguments.to_dict()))
     return Reading(recording=recording, file=str(file), mapping=mapped, sources=sources)
+
+
+def _converted(
+    file: Path, found: Selection, arguments: Arguments, place: Callable[[int], str]
+) -> tuple[Recording, dict[str, str]]:
+    """Return the recording and where its quantities are from, with a base that was held."""
+    held = arguments.base.get("held")
+    if held is not None and found.floating.tables:
+        raise DataError(
+            f"{file}: base.held: the base was held at '{held}', and the log has the motion of one; "
+            "leave it out with columns={'base_orientation': None}, or leave held out."
+        )
+    recording, sources = convert(file, found, arguments, place)
+    if held is None:
+        return recording, sources
+    upright = (0.0, 0.0, 0.0, 1.0)
+    orientation = arguments.base.get("orientation", upright)
+    recording = recording.with_held_base(held, orientation=orientation)
+    return recording, {**sources, "base": f"held at {held}"}
 
 
 def is_frame(source: Any) -> bool:

@@ -103,6 +103,10 @@ def test_arrays_are_read_as_told(tmp_path: Path) -> None:
     [
         ({"base": {}}, "the order of its quaternions is not known; say base="),
         ({"base": {"quaternion": "zyxw"}}, "expected one of xyzw, wxyz"),
+        ({"base": {"held": "trunk"}}, "held at 'trunk', and the log has the motion of one"),
+        ({"base": {"held": True}}, "base.held: is True, expected the name of the link"),
+        ({"base": {"held": "trunk", "topic": "/odom"}}, "'trunk', and topic is about one that"),
+        ({"base": {"orientation": [0, 0, 0, 1]}}, "say which link was, held ="),
         ({"base": {"quat": "xyzw"}}, "base: quat is not known; known are quaternion"),
         ({"contacts": {}}, "say which frame of the robot each column is of"),
         ({"contacts": {"frames": ["left"]}}, "has 2 columns, expected 1 for each of the 1 frames"),
@@ -119,6 +123,31 @@ def test_what_is_not_told_or_not_there_is_refused(
     np.savez(tmp_path / "run.npz", **arrays())
     with pytest.raises(DataError, match=message):
         read_recording(tmp_path / "run.npz", **{**TOLD, **changes})
+
+
+def test_a_mapping_says_that_the_base_was_held(tmp_path: Path) -> None:
+    file, tilted = tmp_path / "hung.csv", [0.0, 0.6, 0.0, 0.8]
+    alone = Recording(time=T, position=log().position, effort=log().effort)
+    alone.to_csv(file)
+    assert read_recording(file).base is None
+    (tmp_path / "hung.toml").write_text(
+        f'[base]\nheld = "trunk"\norientation = {tilted}\n', encoding="utf-8"
+    )
+    found = read_described(file)
+    assert found.sources["base"] == "held at trunk"
+    wanted = alone.with_held_base("trunk", orientation=tilted)
+    for one in (found.recording, read_recording(file, mapping=False, base=held(tilted))):
+        assert one.base is not None
+        assert one.contacts is not None
+        np.testing.assert_array_equal(one.base.orientation, wanted.base.orientation)
+        assert (one.contacts.frames, one.contacts.kind) == (("trunk",), ("plane",))
+        assert one.contacts.down.all()
+        # What a saved run reads its log with.
+        assert one.source.options["base"] == held(tilted)
+
+
+def held(orientation: list[float]) -> dict[str, Any]:
+    return {"held": "trunk", "orientation": orientation}
 
 
 def test_velocities_of_unknown_axes_are_left_out_with_a_word(tmp_path: Path) -> None:

@@ -85,7 +85,7 @@ def test_a_mapping_beside_the_log(tmp_path: Path):
 def test_the_mapping_of_the_documentation(tmp_path: Path):
     page = Path(__file__).resolve().parents[3] / "docs/guides/logs.md"
     blocks = re.findall(r"^```toml\n(.*?)^```", page.read_text(encoding="utf-8"), re.M | re.S)
-    text, floating = blocks
+    text, floating, held = blocks
     (tmp_path / "run.toml").write_text(text, encoding="utf-8")
     header = [*(f"enc{j}" for j in range(1, 7)), *(f"i{j}" for j in range(1, 7))]
     rows = RNG.standard_normal((N, 12))
@@ -101,6 +101,7 @@ def test_the_mapping_of_the_documentation(tmp_path: Path):
     assert {"topic", "period"} <= set(read_mapping(load_toml(_written(tmp_path, open_text))))
     tables = {"rate_hz", "base", "imu", "contacts"}
     assert set(read_mapping(_written(tmp_path, floating))) == tables
+    assert set(read_mapping(_written(tmp_path, held))["base"]) == {"held", "orientation"}
 
 
 def _written(folder: Path, text: str) -> Path:

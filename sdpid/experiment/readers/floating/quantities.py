@@ -7,7 +7,7 @@ from typing import Any
 
 from sdpid.errors import DataError
 
-__all__ = ["NAMES", "PARTS", "SETTINGS", "checked_settings"]
+__all__ = ["HELD", "NAMES", "PARTS", "SETTINGS", "checked_settings"]
 
 # Names under which quantities are found, in the order in which they are looked for.
 NAMES: dict[str, tuple[str, ...]] = {
@@ -34,10 +34,12 @@ PARTS: dict[str, tuple[str, ...]] = {
 }
 # What an argument, or a table of a mapping, may say.
 SETTINGS: dict[str, tuple[str, ...]] = {
-    "base": ("quaternion", "velocity_frame", "topic"),
+    "base": ("quaternion", "velocity_frame", "topic", "held", "orientation"),
     "imu": ("translation", "rotation", "topic"),
     "contacts": ("frames", "kind", "offset", "threshold"),
 }
+# Of these, what is said of a base that was held.
+HELD = ("held", "orientation")
 _ORDERS = ("xyzw", "wxyz")
 
 
@@ -60,4 +62,27 @@ def checked_settings(name: str, given: Any) -> dict[str, Any]:
             f"base.quaternion: is {given['quaternion']!r:.80}, expected one of "
             f"{', '.join(_ORDERS)}: the order in which the log has it."
         )
+    if name == "base":
+        _check_held(given)
     return dict(given)
+
+
+def _check_held(given: Mapping[str, Any]) -> None:
+    """Raise where what is said of a held base makes no sense."""
+    if "held" not in given:
+        if "orientation" in given:
+            raise DataError(
+                "base.orientation: is that of a base that was held; say which link was, "
+                'held = "base_link".'
+            )
+        return
+    if not (isinstance(given["held"], str) and given["held"]):
+        raise DataError(
+            f"base.held: is {given['held']!r:.80}, expected the name of the link that was held, "
+            'such as "base_link".'
+        )
+    if others := [key for key in given if key not in HELD]:
+        raise DataError(
+            f"base.held: the base was held at '{given['held']:.80}', and {', '.join(others)} is "
+            "about one that moves; leave one of them out."
+        )

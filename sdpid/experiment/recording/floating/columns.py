@@ -17,6 +17,11 @@ __all__ = ["base_columns", "base_mapping", "base_metadata"]
 _XYZ, _WRENCH = ("x", "y", "z"), ("fx", "fy", "fz", "mx", "my", "mz")
 
 
+# A number this near to one of nine decimals, in m or a cosine, was that one before rounding: radii
+# of feet are measured in meshes, and rotations are made of cosines.
+_DECIMALS, _ROUNDED = 9, 1e-10
+
+
 def base_columns(base: BaseMotion | None, contacts: Contacts | None) -> dict[str, Array]:
     """Return the columns of a base and of contacts, by the names that readers find them by.
 
@@ -70,8 +75,18 @@ def base_mapping(base: BaseMotion | None, contacts: Contacts | None) -> str:
     """Return the text of a mapping, which tells beside a CSV file what its columns cannot."""
     lines = []
     for table, content in base_metadata(base, contacts).items():
-        lines += [f"[{table}]", *(f"{key} = {json.dumps(value)}" for key, value in content.items())]
+        lines.append(f"[{table}]")
+        lines += [f"{key} = {json.dumps(_in_decimals(value))}" for key, value in content.items()]
     return "".join(f"{line}\n" for line in lines)
+
+
+def _in_decimals(value: Any) -> Any:
+    """Return nested lists whose numbers are decimals where they all but are."""
+    if isinstance(value, list):
+        return [_in_decimals(each) for each in value]
+    if isinstance(value, float) and abs(value - (near := round(value, _DECIMALS))) < _ROUNDED:
+        return near + 0.0
+    return value
 
 
 def _columns(name: str, table: Array | None, parts: tuple[str, ...]) -> dict[str, Array]:
