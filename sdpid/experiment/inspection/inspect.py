@@ -25,6 +25,7 @@ from sdpid.experiment.inspection.floating import (
     feet_checks,
     flight_checks,
     force_checks,
+    imu_checks,
 )
 from sdpid.experiment.inspection.joined import other_loads
 from sdpid.experiment.readers.read import is_frame, read_recording
@@ -39,7 +40,7 @@ __all__ = ["Inspection", "inspect_recording", "inspect_recordings"]
 # Importing a file of checks adds them to the list. A new check is a function in one of these.
 _FILES = (
     *(time_checks, motion_checks, reference_checks, effort_checks, dynamics_checks),
-    *(delay_checks, base_checks, feet_checks, flight_checks, force_checks),
+    *(delay_checks, base_checks, imu_checks, feet_checks, flight_checks, force_checks),
 )
 
 # Wrong units of position or time make the dynamics meaningless: they are told alone.
@@ -51,6 +52,7 @@ _OF_SPEED = (
 # A wrong orientation makes all of these.
 _OF_BASE = (
     *("base_velocity", "imu_gyroscope", "imu_accelerometer"),
+    *("imu_axes", "imu_place", "imu_bias", "imu_scale"),
     *("foot_moves", "foot_high", "feet_exchanged"),
     *(f"{channel}_late" for channel in LEAST),
 )

@@ -1,0 +1,377 @@
+"""Where an IMU sits, how it is turned and what it shows wrong, by the rates of a base's pose."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from sdpid._common.arrays import Array
+from sdpid.experiment.inspection.delays.lag import filtered, lag
+from sdpid.experiment.inspection.floating.block_fit import BlockFit, BlockSums
+from sdpid.experiment.inspection.floating.evidence import LEAST_RATE
+from sdpid.experiment.processing.delays.on_time import on_time as shifted
+from sdpid.experiment.processing.derivatives import BAND_OVER_RATE, Weights, stencil
+from sdpid.experiment.processing.filters import ZeroPhaseFilter, low_pass
+from sdpid.experiment.processing.floating.rotations import body_rate, unit
+from sdpid.experiment.processing.settings import Processing
+from sdpid.experiment.recording.recording import Recording, rows_of
+
+__all__ = [
+    *("Found", "ImuFit", "accelerometer_fit", "gyroscope_fit", "on_time", "rotation"),
+    "rotation_vector",
+]
+
+# Cut-offs (Hz): rates of a pose are noisy, their rates are noisier.
+_RATE_HZ, _ACCELERATION_HZ = 15.0, 10.0
+_ORDER = 2
+# Samples that are looked at, from the middle of longer recordings, and least number of memories of
+# the filter.
+_READ, _LEAST = 40_000, 12
+# Delays above this (s) are taken off first, as differences do not hold for long ones.
+_LATE = 0.002
+# Samples for each period of the cut-off are enough.
+_SAMPLES = 10.0
+# Told from so many standard errors on, and from this size: turned by 3°, placed 1 cm off, 0.1 m/s²
+# (0.05 rad/s) or 2 % off. Right logs of three quadrupeds are off by 3.2 errors at most; an
+# accelerometer 5 cm off costs 1.2 %.
+SURE = 5.0
+SIZES = {"place": 0.01, "bias": 0.1, "scale": 0.02, "axes": np.radians(3.0)}
+RATE_BIAS = 0.05
+# Directions count whose error is below this share of the size.
+_KNOWN = 0.5
+# What explains this share of what the best does is named beside it: a level base does not tell an
+# axis that is tilted from a bias.
+_RIVAL = 0.5
+# Nothing is farther off than this: m, m/s² (rad/s), 1, rad, s.
+_MOST = {"place": 2.0, "bias": 20.0, "scale": 2.0, "axes": np.pi, "late": 0.1}
+_ROUNDS = 5
+# A turn far from what was stated has to leave less than this of what one nearby leaves.
+_CLEARLY = 0.8
+# A reflection is told where rotations leave this share of the turning, and it so much less.
+_MIRROR_SHARE, _MIRROR_BETTER = 0.02, 10.0
+# Columns of what may be wrong. That of the delay is always fitted: it is told elsewhere.
+_GYROSCOPE = {"bias": (0, 1, 2), "scale": (3,), "axes": (4, 5, 6), "late": (7,)}
+_ACCELEROMETER = {**_GYROSCOPE, "place": (8, 9, 10)}
+# Of what explains as much, the first is taken.
+_ORDER_OF_BLAME = ("place", "bias", "scale", "axes")
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Found:
+    """Something that is wrong with a sensor.
+
+    Attributes
+    ----------
+    value : ndarray, shape (3,) or (1,)
+        The change from what was stated to what the data show, in the base's axes: m of a place,
+        m/s² or rad/s of a bias (what is sensed too much), 1 of a scale (likewise), rad of a turn.
+    error : float
+        Standard error of it, that of its least certain direction.
+    rivals : tuple of str
+        What would explain as much in place of it.
+    """
+
+    value: Array
+    error: float
+    rivals: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class ImuFit:
+    """A sensor that is compared with a pose.
+
+    Attributes
+    ----------
+    found : mapping of str to Found
+        ``"place"``, ``"bias"``, ``"scale"`` and ``"axes"``, where they are sure.
+    turn : ndarray, shape (3, 3)
+        From the axes that were stated to those of the sensor, in the base's.
+    mirrored : bool
+        Whether no rotation agrees, and a reflection does.
+    """
+
+    found: Mapping[str, Found]
+    turn: Array
+    mirrored: bool = False
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _Chain:
+    """A low-pass filter with derivatives, and the samples that it leaves."""
+
+    smooth: ZeroPhaseFilter
+    weights: Weights
+    step: float
+    kept: slice
+
+    def low(self, values: Array) -> Array:
+        flat = filtered(values.reshape(len(values), -1), self.smooth)
+        return flat.reshape(values.shape)
+
+    def second(self, values: Array) -> Array:
+        """Return the second derivative of signals (N, ...)."""
+        from scipy.ndimage import correlate1d
+
+        rate = correlate1d(values, self.weights.second, axis=0, mode="nearest")
+        return np.asarray(rate / self.step**2)
+
+    def taken(self, *signals: Array) -> list[Array]:
+        return [signal[self.kept] for signal in signals]
+
+
+def _chain(log: Recording, cutoff_hz: float) -> _Chain | None:
+    step = log.step
+    cutoff = min(cutoff_hz, BAND_OVER_RATE / step)
+    smooth = low_pass("finite", cutoff, _ORDER, 1.0 / step)
+    if log.n_samples < _LEAST * smooth.reach:
+        return None
+    edge = 2 * smooth.reach
+    stride = max(1, int(1.0 / (_SAMPLES * cutoff * step)))
+    weights = stencil("central4", cutoff_over_rate=cutoff * step)
+    kept = slice(edge, log.n_samples - edge, stride)
+    return _Chain(smooth=smooth, weights=weights, step=step, kept=kept)
+
+
+def on_time(log: Recording) -> Recording:
+    """Return the middle of a recording with its IMU on the pose's time.
+
+    Both turn equally fast, whatever the sensor's axes are.
+    """
+    first = max(0, (log.n_samples - _READ) // 2)
+    log = rows_of(log, slice(first, first + _READ)) if first else log
+    base, chain = log.base, _chain(log, _RATE_HZ)
+    if base is None or base.imu is None or base.imu.gyroscope is None or chain is None:
+        return log
+    turning = chain.low(body_rate(unit(base.orientation), chain.weights.first, log.step))
+    inner = slice(chain.kept.start, chain.kept.stop)
+    sensed, speed = (
+        np.linalg.norm(each, axis=1)[inner, None]
+        for each in (chain.low(base.imu.gyroscope), turning)
+    )
+    late = lag(sensed, speed, log.step)
+    if late is None or not late.sure(_LATE, SURE):
+        return log
+    return shifted(log, Processing(imu_delay_s=late.value))
+
+
+def gyroscope_fit(log: Recording) -> ImuFit | None:
+    """Compare a gyroscope with the turning of the pose; None where there is too little of either.
+
+    Sensed is ``turn @ (E + scale) @ turning + bias``, late by a delay that is of no interest here.
+    """
+    base, chain = log.base, _chain(log, _RATE_HZ)
+    if base is None or base.imu is None or base.imu.gyroscope is None or chain is None:
+        return None
+    turning = chain.low(body_rate(unit(base.orientation), chain.weights.first, log.step))
+    sensed = chain.low(base.imu.gyroscope @ base.imu.rotation.T)
+    late = np.gradient(sensed, log.step, axis=0)
+    turning, sensed, late = chain.taken(turning, sensed, late)
+    sizes = {**SIZES, "bias": RATE_BIAS}
+    # At rest it has nothing but a bias.
+    rests = _rms(turning) < LEAST_RATE
+    groups = {name: _GYROSCOPE[name] for name in ("bias", "late")} if rests else _GYROSCOPE
+
+    def sums(turn: Array) -> BlockSums:
+        turned = sensed @ turn.T
+        columns = [
+            np.broadcast_to(np.eye(3), (len(turned), 3, 3)),
+            turned[:, :, None],
+            _cross_matrices(turned),
+            -(late @ turn.T)[:, :, None],
+        ]
+        return BlockSums.of(np.concatenate(columns, axis=2), turned - turning, _scales(_GYROSCOPE))
+
+    start = _nearest_turn(turning, sensed, proper=True)
+    found, turn, left = _searched(sums, groups, sizes, np.eye(3), start)
+    best = _nearest_turn(turning, sensed, proper=False)
+    rest = turning - sensed @ best.T
+    power = float(np.mean(turning**2))
+    mirrored = bool(
+        np.linalg.det(best) < 0.0
+        and left**2 > _MIRROR_SHARE * power
+        and _MIRROR_BETTER * float(np.mean(rest**2)) < left**2
+    )
+    return ImuFit(
+        found={} if mirrored else found, turn=best if mirrored else turn, mirrored=mirrored
+    )
+
+
+def accelerometer_fit(log: Recording, gravity: float, turn: Array) -> ImuFit | None:
+    """Compare an accelerometer with the pose's accelerations; None where there is too little.
+
+    In the world's axes, with the base's orientation R and position p, the sensor's place r and
+    the upward axis z, specific force is ``p'' + R''·r + g·z``: what is filtered alike on both
+    sides stays equal, with no velocity of the base and no product of rates.
+
+    Parameters
+    ----------
+    log : Recording
+        With a base whose position is known.
+    gravity : float
+        m/s².
+    turn : (3, 3) ndarray
+        Of the sensor, as the gyroscope shows it, against what is stated.
+    """
+    base, chain = log.base, _chain(log, _ACCELERATION_HZ)
+    if base is None or base.imu is None or base.imu.accelerometer is None or chain is None:
+        return None
+    if base.position is None:
+        return None
+    R, stated = base.rotations, base.imu.accelerometer @ base.imu.rotation.T
+    axes = chain.low(R)
+    moved = chain.second(chain.low(np.asarray(base.position)))
+    moved[:, 2] += gravity
+    swung = chain.second(axes)
+    wanted = moved + swung @ base.imu.translation
+    axes, swung, wanted = chain.taken(axes, swung, wanted)
+
+    def sums(turn: Array) -> BlockSums:
+        sensed = stated @ turn.T
+        force = chain.low(np.einsum("kij,kj->ki", R, sensed))
+        late = np.gradient(force, log.step, axis=0)
+        turned = chain.low(np.einsum("kij,kjl->kil", R, _cross_matrices(sensed)))
+        force, late, turned = chain.taken(force, late, turned)
+        columns = [axes, force[:, :, None], turned, -late[:, :, None], swung]
+        return BlockSums.of(
+            np.concatenate(columns, axis=2), force - wanted, _scales(_ACCELEROMETER)
+        )
+
+    turning = chain.low(body_rate(unit(base.orientation), chain.weights.first, log.step))
+    rests = _rms(turning[chain.kept]) < LEAST_RATE
+    names = ("bias", "scale", "late") if rests else tuple(_ACCELEROMETER)
+    groups = {name: _ACCELEROMETER[name] for name in names}
+    sensed = chain.low(np.einsum("kij,kj->ki", R, stated))[chain.kept]
+    in_base = [np.einsum("kji,kj->ki", axes, each) for each in (wanted, sensed)]
+    start = _nearest_turn(*in_base, proper=True)
+    found, total, _ = _searched(sums, groups, SIZES, turn, start)
+    if rests and "bias" in found:
+        # At rest an axis that is tilted shows the same.
+        found["bias"] = replace(found["bias"], rivals=(*found["bias"].rivals, "axes"))
+    return ImuFit(found=found, turn=total)
+
+
+def _scales(groups: Mapping[str, tuple[int, ...]]) -> Array:
+    order = sorted(groups, key=lambda name: groups[name])
+    return np.array([_MOST[name] for name in order for _ in groups[name]])
+
+
+def _searched(
+    sums: Callable[[Array], BlockSums],
+    groups: Mapping[str, tuple[int, ...]],
+    sizes: Mapping[str, float],
+    reference: Array,
+    start: Array,
+) -> tuple[dict[str, Found], Array, float]:
+    """Return what is wrong, one after another, the sensor's turn, and what is left.
+
+    What explains most comes first: one mistake leaks into all others until it is known.
+    """
+    turn, now = reference, sums(reference)
+    rivals: dict[str, tuple[str, ...]] = {}
+
+    def fit(names: Iterable[str], own: BlockSums) -> BlockFit:
+        return own.fit([i for name in ("late", *names) for i in groups[name]])
+
+    while True:
+        before = fit(rivals, now).left
+        drops = {}
+        for name in _ORDER_OF_BLAME:
+            if name in groups and name not in rivals:
+                tried = fit((*rivals, name), now)
+                if _sure(*tried.of(groups[name]), sizes[name]) is not None:
+                    drops[name] = before**2 - tried.left**2
+        if not drops:
+            break
+        likely = [name for name in drops if drops[name] >= _RIVAL * max(drops.values())]
+        rivals[likely[0]] = tuple(likely[1:])
+        if "axes" in rivals:
+            # Anew with whatever came later: all of them are found together.
+            first = likely[0] == "axes"
+            starts = (reference, start) if first else (turn, turn)
+            turn, now = _turned(sums, groups, tuple(rivals), starts)
+    last = fit(rivals, now)
+    found = {}
+    for name, others in rivals.items():
+        value, covariance = last.of(groups[name])
+        if name == "axes":
+            value = value + rotation_vector(turn @ reference.T)
+        sure = _sure(value, covariance, sizes[name])
+        if sure is not None:
+            found[name] = Found(value=sure[0], error=sure[1], rivals=others)
+    return found, turn if "axes" in found else reference, last.left
+
+
+def _turned(
+    sums: Callable[[Array], BlockSums],
+    groups: Mapping[str, tuple[int, ...]],
+    chosen: tuple[str, ...],
+    starts: tuple[Array, ...],
+) -> tuple[Array, BlockSums]:
+    """Return the turn that fits best, linearized anew until it stays."""
+    columns = [i for name in ("late", *chosen) for i in groups[name]]
+    ends = []
+    for turn in starts:
+        for _ in range(_ROUNDS):
+            own = sums(turn)
+            turn = rotation(own.fit(columns).of(groups["axes"])[0]) @ turn
+        own = sums(turn)
+        ends.append((own.fit(columns).left, turn, own))
+    # Where few axes turn, others fit as well that are far from what was stated.
+    near, far = ends
+    return far[1:] if far[0] < _CLEARLY * near[0] else near[1:]
+
+
+def _sure(value: Array, covariance: Array, size: float) -> tuple[Array, float] | None:
+    """Return the part of a value that is known, and its error, where it is large and sure.
+
+    Directions that the data hardly show are left as they were stated.
+    """
+    variances, axes = np.linalg.eigh(covariance)
+    known = variances < (_KNOWN * size) ** 2
+    if not known.any():
+        return None
+    parts = axes.T[known] @ value
+    deviations = float(np.sqrt(np.mean(parts**2 / np.maximum(variances[known], 1e-30))))
+    if deviations < SURE or float(np.linalg.norm(parts)) < size:
+        return None
+    return axes[:, known] @ parts, float(np.sqrt(variances[known].max()))
+
+
+def _nearest_turn(wanted: Array, given: Array, *, proper: bool) -> Array:
+    """Return the orthogonal matrix that turns vectors (K, 3) best into others [schonemann1966]_.
+
+    Of determinant 1 where it shall be `proper`: a rotation.
+    """
+    left, _, right = np.linalg.svd(wanted.T @ given)
+    if proper and np.linalg.det(left @ right) < 0.0:
+        left[:, 2] *= -1.0
+    return np.asarray(left @ right)
+
+
+def _rms(values: Array) -> float:
+    return float(np.sqrt(np.mean(values**2)))
+
+
+def rotation(vector: Array) -> Array:
+    """Return the matrix of a rotation vector."""
+    from scipy.spatial.transform import Rotation
+
+    return np.asarray(Rotation.from_rotvec(vector).as_matrix())
+
+
+def rotation_vector(matrix: Array) -> Array:
+    """Return the rotation vector of a matrix."""
+    from scipy.spatial.transform import Rotation
+
+    return np.asarray(Rotation.from_matrix(matrix).as_rotvec())
+
+
+def _cross_matrices(vectors: Array) -> Array:
+    """Return the matrices of cross products with vectors, (K, 3, 3)."""
+    out = np.zeros((len(vectors), 3, 3))
+    out[:, 0, 1], out[:, 1, 0] = -vectors[:, 2], vectors[:, 2]
+    out[:, 0, 2], out[:, 2, 0] = vectors[:, 1], -vectors[:, 1]
+    out[:, 1, 2], out[:, 2, 1] = -vectors[:, 0], vectors[:, 0]
+    return out
