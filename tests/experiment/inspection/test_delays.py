@@ -22,6 +22,8 @@ from sdpid.robot.model.contacts.jacobians import contact_jacobians, frame_axes
 
 pytest.importorskip("mujoco")
 
+# 20 % of the weight.
+THRESHOLD = Sensors(flag_threshold=5.0)
 LATE = {"effort": 0.002, "imu": 0.004, "contacts": 0.006}
 
 
@@ -51,6 +53,12 @@ def test_good_recordings_have_no_delay() -> None:
     assert not {kind for kind in kinds if kind.endswith("_late")}
     processing = prepare_recordings(robot(), recorded(late=False)).processing
     assert (processing.effort_delay_s, processing.imu_delay_s) == (0.0, 0.0)
+
+
+def test_flags_with_a_threshold_make_no_delays() -> None:
+    log = sdpid.simulate_legged(robot(), "walk", duration=3.0, seed=3, sensors=THRESHOLD).recording
+    kinds = {each.kind for each in sdpid.inspect_recording(log, robot()).findings}
+    assert not {kind for kind in kinds if kind.endswith("_late")}
 
 
 def test_findings_tell_what_processing_takes_off() -> None:

@@ -203,10 +203,6 @@ def test_what_is_wrong_is_named(name: str) -> None:
         # Forces, too, disagree with torques of another scale, and with flags of other feet.
         "torques 40 % high": {"forces_scale"},
         "forces of other feet": {"flags_unlike_forces"},
-        # Forces that no flag tells of look like delays.
-        "flags with a threshold": {
-            f"{each}_late" for each in ("effort", "imu", "base", "contacts")
-        },
     }.get(name, set())
     serious = {finding.kind for finding in found if finding.severity != "note"}
     assert not serious - {kind} - also, told

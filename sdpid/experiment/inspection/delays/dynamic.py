@@ -2,23 +2,25 @@
 
 A channel that is late by d makes residuals that are, to first order, d times their derivative by
 the delay. Parameters of links and friction that fit best are taken off both (variable projection),
-and what is left of one is compared with what is left of the other.
+and what is left of one is compared with what is left of the other. Contacts are taken for closed
+throughout: forces that flags deny look like delays, and rows without them need no flags.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from functools import partial
 from typing import Any
 
 import numpy as np
 
 from sdpid._common.arrays import Array, Indices
+from sdpid.experiment.inspection.delays.columns import free_columns, orthonormal, regressor
 from sdpid.experiment.inspection.delays.free_rows import FreeRows, first_scale
 from sdpid.experiment.inspection.delays.kinematic import on_legs
 from sdpid.experiment.inspection.delays.lag import Delay, block_error
 from sdpid.experiment.processing.choose import default_processing
+from sdpid.experiment.processing.contacts.contact_samples import TRANSMITS
 from sdpid.experiment.processing.delays.on_time import on_time
 from sdpid.experiment.processing.derivatives import BAND_OVER_RATE
 from sdpid.experiment.processing.process import process
@@ -33,16 +35,15 @@ __all__ = ["dynamic_delays", "is_held"]
 # IMU; at 10 Hz the signs of speeds are smeared. Accelerations from poses need 10 Hz: at 20 Hz their
 # noise in the regressor made 2 ms of 0.8 to 3.4.
 _CUTOFF_HZ, _POSE_CUTOFF_HZ = 30.0, 10.0
-# Flags may be late as well (s).
+# Flags may be late as well (s), where they are needed.
 _MARGIN = 0.01
+# Rows a sample that are left where every contact is closed. With the six of a quadruped on balls
+# delays are found as well as with right flags, whatever flags say.
+_LEAST_FREE = 6
 # Samples that are looked at, spread evenly.
 _ROWS = 600
 # Half the distance of two delays whose difference is a derivative (s).
 _HALF = 5e-4
-# Widths of smooth signs (rad/s) that together imitate any dry friction.
-_WIDTHS = (0.01, 0.02, 0.05, 0.2, 1.0)
-# Directions of the regressor with less than this share of the largest singular value are noise.
-_RANK = 1e-4
 _STEPS, _NEAR, _WEIGHTINGS = 4, 1e-4, 3
 # Where the equation of motion leaves more than this share of the efforts' mean square, something
 # else is wrong: simulated quadrupeds leave at most 0.002.
@@ -78,6 +79,7 @@ def dynamic_delays(robot: RobotModel, log: Recording) -> dict[str, Delay]:
     sensed = base is not None and base.imu is not None and base.imu.accelerometer is not None
     names = ("effort", "imu") if sensed and not held else ("effort",)
     processing = _processing(log, quiet=sensed or held)
+    log = _all_closed(robot, log)
     delays, scale, found = np.zeros(len(names)), None, {}
     for _ in range(_STEPS):
         rows = _Linearized.of(robot, log, processing, dict(zip(names, delays, strict=True)))
@@ -101,6 +103,21 @@ def dynamic_delays(robot: RobotModel, log: Recording) -> dict[str, Delay]:
         if np.abs(change).max() < _NEAR:
             break
     return found
+
+
+def _all_closed(robot: RobotModel, log: Recording) -> Recording:
+    """Return a recording whose contacts are closed throughout, those that ever are.
+
+    As it is where that leaves too few rows.
+    """
+    contacts = log.contacts
+    if contacts is None:
+        return log
+    down = np.array(np.broadcast_to(contacts.closed.any(axis=0), contacts.closed.shape))
+    taken = sum(TRANSMITS[kind] for kind, any_ in zip(contacts.kind, down[0], strict=True) if any_)
+    if robot.n - taken < _LEAST_FREE:
+        return log
+    return replace(log, contacts=replace(contacts, down=down))
 
 
 def _processing(log: Recording, *, quiet: bool) -> Processing:
@@ -180,12 +197,12 @@ class _Linearized:
             effort_rates.append((late - early) / (2.0 * half))
             regressor_rates.append(None)
             if name != "effort":
-                late, early = (_regressor(robot, end, picked) for end in ends)
+                late, early = (regressor(robot, end, picked) for end in ends)
                 regressor_rates[-1] = (late - early) / (2.0 * half)
         return cls(
             samples=samples,
             picked=picked,
-            columns=_columns(robot, samples, picked),
+            columns=free_columns(robot, samples, picked),
             effort=samples.effort[picked],
             effort_rates=tuple(effort_rates),
             regressor_rates=tuple(regressor_rates),
@@ -196,7 +213,7 @@ class _Linearized:
         columns, effort = free.apply(self.columns), free.apply(self.effort)
         if len(columns) <= columns.shape[1]:
             return None
-        basis, back = _basis(columns)
+        basis, back = orthonormal(columns)
         fitted = basis.T @ effort
         theta, left = back @ fitted, effort - basis @ fitted
         slopes = []
@@ -219,44 +236,3 @@ class _Linearized:
         influence = np.linalg.solve(power, (slope * left[:, None]).T)[:, order]
         errors = np.array([block_error(each, 1.0) for each in influence])
         return np.asarray(change), errors, np.asarray(left)
-
-
-def _regressor(robot: RobotModel, samples: Samples, rows: Indices) -> Array:
-    return robot.regressor(
-        samples.position[rows], samples.velocity[rows], samples.acceleration[rows]
-    )
-
-
-def _columns(robot: RobotModel, samples: Samples, rows: Indices) -> Array:
-    """Return the regressor of links, and of friction, rotors and offsets of every joint."""
-    first, n = robot.n_base, robot.n
-    wide = None if samples.wide is None else samples.wide[0]
-    speed, rate = samples.velocity[rows], samples.acceleration[rows]
-    signals = [speed, rate, np.ones_like(speed)]
-    for width in _WIDTHS:
-        if wide is None:
-            signals.append(np.tanh(speed / width))
-        else:
-            signals.append(wide.filtered(partial(_smooth_sign, width))[rows])
-    joints = np.arange(first, n)
-    friction = np.zeros((len(rows), n, len(signals), n - first))
-    for i, signal in enumerate(signals):
-        friction[:, joints, i, joints - first] = signal[:, first:]
-    return np.concatenate(
-        [_regressor(robot, samples, rows), friction.reshape(len(rows), n, -1)], axis=2
-    )
-
-
-def _smooth_sign(width: float, speed: Array, _rate: Array) -> Array:
-    return np.asarray(np.tanh(speed / width))
-
-
-def _basis(columns: Array) -> tuple[Array, Array]:
-    """Return an orthonormal basis of columns, and the way from it to their weights."""
-    size = np.linalg.norm(columns, axis=0)
-    inverse = np.where(size > 0.0, 1.0 / np.where(size > 0.0, size, 1.0), 0.0)
-    scaled = columns * inverse
-    values, vectors = np.linalg.eigh(scaled.T @ scaled)
-    kept = values > _RANK**2 * values[-1]
-    back = vectors[:, kept] / np.sqrt(values[kept])
-    return np.asarray(scaled @ back), np.asarray(inverse[:, None] * back)

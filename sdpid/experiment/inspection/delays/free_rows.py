@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sdpid._common.arrays import Array, Indices
+from sdpid._common.arrays import Array, Indices, Mask
 from sdpid.experiment.processing.contacts.contact_samples import TRANSMITS
 from sdpid.experiment.processing.samples import Samples
 from sdpid.robot.model.contacts.jacobians import contact_jacobians
@@ -31,20 +31,32 @@ class FreeRows:
     groups: tuple[tuple[Indices, Array], ...]
 
     @classmethod
-    def of(cls, robot: RobotModel, samples: Samples, rows: Indices, scale: Array) -> FreeRows:
-        """Return the free rows of some samples."""
+    def of(
+        cls,
+        robot: RobotModel,
+        samples: Samples,
+        rows: Indices,
+        scale: Array,
+        unknown: Mask | None = None,
+    ) -> FreeRows:
+        """Return the free rows of some samples.
+
+        `unknown` (c, 6) says which forces and moments closed contacts may have that nobody knows;
+        by default all that their kinds transmit.
+        """
         contacts = samples.contacts
         if contacts is None:
             every = np.broadcast_to(np.diag(1.0 / scale), (len(rows), len(scale), len(scale)))
             return cls(scale=scale, groups=((np.arange(len(rows)), every),))
         J = contact_jacobians(robot, samples.position[rows], contacts.frames, contacts.offset)
+        if unknown is None:
+            wide = np.array([TRANSMITS[kind] for kind in contacts.kind])
+            unknown = np.arange(6) < wide[:, None]
         patterns, which = np.unique(contacts.down[rows], axis=0, return_inverse=True)
         groups = []
         for number, down in enumerate(patterns):
             chosen = np.flatnonzero(which.reshape(-1) == number)
-            parts = [
-                J[chosen, i, : TRANSMITS[kind]] for i, kind in enumerate(contacts.kind) if down[i]
-            ]
+            parts = [J[chosen, i][:, own] for i, own in enumerate(unknown) if down[i] and own.any()]
             left = np.broadcast_to(np.eye(robot.n), (len(chosen), robot.n, robot.n))
             if parts:
                 closed = np.concatenate(parts, axis=1) / scale
