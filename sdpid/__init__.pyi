@@ -26,6 +26,7 @@ from .estimation.wls import solve_wls
 from .excitation.design.design import design_excitation
 from .excitation.limits.check import check_trajectory
 from .excitation.limits.limits import Limits
+from .excitation.standing.design import design_standing
 from .experiment.drive_gains.gains import DriveGains
 from .experiment.inspection.inspect import inspect_recording
 from .experiment.plant.legged.simulate import simulate_legged
@@ -88,6 +89,7 @@ __all__ = [
     "cost_of_constraints",
     "cross_validate",
     "design_excitation",
+    "design_standing",
     "errors",
     "friction",
     "identify",

@@ -23,6 +23,7 @@ CONTRACT = {
     "certify",
     "check_trajectory",
     "design_excitation",
+    "design_standing",
     "compare",
     "confidence_intervals",
     "identify",

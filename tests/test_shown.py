@@ -16,6 +16,7 @@ from sdpid.experiment.trajectory.trajectory import Trajectory
 from tests.helpers.arm_files import ARM_URDF
 from tests.helpers.motions import fourier_motion
 from tests.helpers.plans import small_plan
+from tests.helpers.standing import standing_plan
 from tests.test_contract import BESIDE, CONTRACT
 
 # In one process, which makes the results once.
@@ -120,6 +121,7 @@ SHOWN: dict[str, Callable[[], Any]] = {
     "cost_of_constraints": lambda: sdpid.cost_of_constraints(estimate()),
     "cross_validate": lambda: sdpid.cross_validate(robot(), log(), folds=2, effects="none"),
     "design_excitation": small_plan,
+    "design_standing": standing_plan,
     "identify": result,
     "Load": lambda: sdpid.Load(mass=2.0, com=[0.0, 0.0, 0.1]),
     "identify_drive_gains": lambda: sdpid.identify_drive_gains(

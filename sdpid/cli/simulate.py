@@ -17,8 +17,8 @@ from sdpid.errors import DataError, ExportError, SdpidError
 if TYPE_CHECKING:
     from sdpid.experiment.recording.recording import Recording
 
-# Of motions of robots on legs: seconds, and how far links are off their description.
-_DURATION, _CHANGE = 10.0, 0.15
+# How far links of robots on legs are off their description.
+_CHANGE = 0.15
 
 
 def simulate(
@@ -53,12 +53,13 @@ def simulate(
     motion: Annotated[
         str | None,
         typer.Option(
-            help="Motion of a robot on legs: stand, trot, step, walk or hang. Its base floats; "
-            "contacts and an IMU are recorded."
+            help="Motion of a robot on legs: stand, trot, step, walk or hang, or trajectory.csv of "
+            "sdpid excite --stand. Its base floats; contacts and an IMU are recorded."
         ),
     ] = None,
     duration: Annotated[
-        float | None, typer.Option(help="Length of --motion, s; 10 by default.")
+        float | None,
+        typer.Option(help="Length of --motion, s; 10 by default, or that of the file."),
     ] = None,
     change: Annotated[
         float | None,
@@ -165,6 +166,7 @@ def _legged(
     from sdpid.experiment.plant.legged.simulate import simulate_legged
     from sdpid.experiment.plant.legged.truth import changed_parameters
     from sdpid.experiment.recording.floating.columns import base_mapping
+    from sdpid.experiment.trajectory.whole_body import WholeBodyMotion
     from sdpid.robot.model.load import load_robot
 
     beside = out.with_suffix(".toml")
@@ -175,11 +177,12 @@ def _legged(
     # The same robot whatever the seed, so that several motions are of one.
     theta = changed_parameters(robot, change=_CHANGE if change is None else change)
     sensors = Sensors() if noise else replace(Sensors.exact(), forces=False)
+    planned = motion.lower().endswith(".csv")
     run = simulate_legged(
         robot,
-        motion,
+        WholeBodyMotion.from_csv(motion) if planned else motion,
         theta=theta,
-        duration=_DURATION if duration is None else duration,
+        duration=duration,
         seed=seed,
         sensors=sensors,
     )

@@ -32,7 +32,7 @@ from sdpid.plots.figures import (
 from sdpid.plots.panels import Panel, logarithmic, stacked
 
 # Heights of panels, points.
-_SMALL, _LARGE = 52.0, 130.0
+_SMALL, _LARGE, _STANDING = 52.0, 130.0, 90.0
 
 # A limit beyond so many times the motion is not drawn: the motion would be a flat line.
 _FAR = 4.0
@@ -337,3 +337,60 @@ def plot_rollout(
     if curves:
         legend(axis)
     return axis
+
+
+def plot_standing(
+    time: Array,
+    position: Array,
+    angles: Array,
+    feet: Sequence[str],
+    normal: Array,
+    used: Array,
+    *,
+    load: float = 0.0,
+    axes: Any = None,
+) -> Any:
+    """Show how the base of a standing robot moves, and what its feet bear.
+
+    Parameters
+    ----------
+    time : ndarray, shape (K,)
+        In s.
+    position, angles : ndarray, shape (K, 3)
+        Displacement of the base, m; roll, pitch and yaw, rad.
+    feet : sequence of str
+        The c feet.
+    normal : ndarray, shape (K, c)
+        Normal forces, N.
+    used : ndarray, shape (K, c)
+        Share of the friction that may be used.
+    load : float, optional
+        Least normal force, N, drawn dashed.
+    axes : array of matplotlib.axes.Axes, shape (4,), optional
+        Where to draw; by default in a figure of its own.
+
+    Returns
+    -------
+    ndarray of matplotlib.axes.Axes, shape (4,)
+    """
+    rows = (
+        ("base, m", position, ("x", "y", "z"), None),
+        ("base, rad", angles, ("roll", "pitch", "yaw"), None),
+        ("normal force, N", normal, tuple(feet), load),
+        ("friction used", used, tuple(feet), 1.0),
+    )
+    last = len(rows) - 1
+    panels = [
+        Panel(_STANDING, label, x="time [s]" if k == last else "")
+        for k, (label, *_) in enumerate(rows)
+    ]
+    drawn = stacked(panels, axes)
+    step = max(1, len(time) // _POINTS)
+    for axis, (_, values, names, limit) in zip(drawn, rows, strict=True):
+        axis.margins(x=0.0)
+        for name, column, color in zip(names, np.asarray(values).T, COLORS, strict=False):
+            axis.plot(time[::step], column[::step], color=color, linewidth=1.0, label=name)
+        if limit is not None:
+            axis.axhline(limit, color=RED, linewidth=0.9, linestyle=(0, (4, 2)))
+        legend(axis)
+    return drawn

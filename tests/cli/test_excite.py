@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner, Result
 
+import sdpid
 from sdpid import cli
 from sdpid._common.toml import load_toml
 from sdpid.cli.excite.surroundings import Surroundings
@@ -191,3 +192,23 @@ def test_ctrl_c_writes_the_best_so_far(folder: Path, tmp_path: Path) -> None:
     )
     assert done.returncode == 0, done.stderr
     assert (tmp_path / "plan" / "trajectory.csv").is_file()
+
+
+def test_a_robot_that_stands(tmp_path: Path) -> None:
+    out = tmp_path / "plan"
+    done = run("excite", "solo12", "--stand", "--duration", "2", "--time-limit", "4",
+               "--no-figures", "--grip", "0.4", "--out", out)  # fmt: skip
+    assert done.exit_code == 0, done.output
+    assert "of 130 base parameters known ten times as well as before" in done.output
+    assert {file.name for file in out.iterdir()} == {"trajectory.csv", "plan.toml", "plan.json"}
+    log = tmp_path / "run.csv"
+    done = run("simulate", "solo12", "--motion", out / "trajectory.csv", "--out", log)
+    assert done.exit_code == 0, done.output
+    assert sdpid.read_recording(log).contacts is not None
+    for wrong, told in (
+        (("--stand", "--periods", "2"), "--periods: is for robots on a fixed base"),
+        (("--grip", "0.4"), "--grip: is for robots that stand; give --stand"),
+    ):
+        done = run("excite", "solo12", *wrong, "--out", out)
+        assert done.exit_code == 2
+        assert told in done.output

@@ -16,6 +16,7 @@ from sdpid._common.extras import require
 from sdpid._common.text import printable
 from sdpid.cli.config import config_text
 from sdpid.cli.endings import NO_ANSWER, command_line
+from sdpid.cli.excite.standing import Standing, excite_standing
 from sdpid.cli.excite.surroundings import Surroundings
 from sdpid.cli.printing import Printing, listed
 from sdpid.cli.values import friction_terms, numbers
@@ -75,6 +76,7 @@ def excite(
         ),
     ],
     surroundings: Surroundings,
+    standing: Standing,
     printing: Printing,
     duration: Annotated[
         float, _motion(metavar="S", help="Length of the motion; it may be repeated.")
@@ -154,6 +156,43 @@ def excite(
     """Design a motion to run: safe at every instant, and with what it will buy told before."""
     from sdpid.robot.model.load import load_robot
 
+    standing.require_stand()
+    if standing.stand:
+        draw = importlib.util.find_spec("matplotlib") is not None if figures is None else figures
+        around = surroundings
+        excite_standing(
+            robot,
+            out,
+            standing,
+            printing,
+            options={
+                "duration": duration,
+                "limits": around.given_limits(),
+                "friction": friction_terms(friction),
+                "noise": None if noise is None else _one_or_more(numbers(noise, "--noise")),
+                "starts": starts,
+                "time_limit": time_limit,
+                "seed": seed,
+            },
+            unfit={
+                "--check": check is not None,
+                "--for": purpose is not Purpose.all,
+                "--predict": predict is not None,
+                "--objective": objective is not None,
+                "--previous": bool(previous),
+                "--motion": motion is not Motion.spline,
+                "--open": not closed,
+                "--harmonics": harmonics is not None,
+                "--start": start is not None,
+                "--periods": periods != 1,
+                "--table": bool(around.obstacles_around()),
+                "--clearance": around.clearance is not None,
+                "--torque-spread": around.torque_spread != 0.0,
+            },
+            figures=draw,
+            config=config_text(ctx, out),
+        )
+        return
     if check is not None:
         _check(load_robot(robot), check, surroundings, printing)
         return

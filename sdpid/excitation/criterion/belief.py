@@ -63,7 +63,7 @@ def prior_information(
     phase = (np.arange(_STATES) + 0.5) * 2.0 * np.pi / _STATES
     wave = np.sqrt(2.0) * np.sin(phase)[:, None]
     samples = Samples(
-        position=np.zeros((_STATES, robot.n)),
+        position=np.broadcast_to(_still(robot), (_STATES, len(_still(robot)))),
         velocity=speed * wave,
         acceleration=speed * np.roll(wave, _STATES // 4, axis=0),
         effort=np.asarray(effort_rms) * wave,
@@ -73,6 +73,15 @@ def prior_information(
     theta[: robot.prior.size] = _bodies(found, robot).ravel()
     R = np.vstack([term.curvature_rows(theta) for term in terms])
     return information_of_rows(R, base.matrix)
+
+
+def _still(robot: RobotModel) -> Array:
+    """Return a position, or with a floating base a configuration, in which joints are at zero."""
+    import pinocchio as pin
+
+    if not robot.free_flyer:
+        return np.zeros(robot.n)
+    return np.asarray(pin.neutral(robot.pin_model))
 
 
 def information_of_rows(R: Array, B: Array) -> Array:

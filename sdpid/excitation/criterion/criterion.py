@@ -8,7 +8,7 @@ import numpy as np
 
 from sdpid._common.arrays import Array
 from sdpid.excitation.criterion.objectives import Objective
-from sdpid.excitation.criterion.rows import BaseRows
+from sdpid.excitation.criterion.rows import StateRows
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -17,7 +17,7 @@ class Criterion:
 
     Attributes
     ----------
-    rows : BaseRows
+    rows : StateRows
         The regressor; smooth where derivatives are wanted.
     objective : Objective
         What is made small.
@@ -31,7 +31,7 @@ class Criterion:
         of the information about these.
     """
 
-    rows: BaseRows
+    rows: StateRows
     objective: Objective
     rates: Array
     known: Array

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass, fields, replace
+from typing import Protocol
 
 import numpy as np
 
@@ -27,6 +28,20 @@ _FRICTION_STEP = 1e-5
 
 # Bytes of rows that are written at a time.
 _BLOCK = 1 << 26
+
+
+class StateRows(Protocol):
+    """Rows of the base parameters, state by state, with their derivatives."""
+
+    @property
+    def count(self) -> int:
+        """Number b of base parameters."""
+
+    def rows(self, q: Array, v: Array, a: Array) -> Array:
+        """Return W (K, r, b) at states (K, n)."""
+
+    def gradient(self, C: Array, q: Array, v: Array, a: Array) -> tuple[Array, Array, Array]:
+        """Return the derivatives (K, n) of ``sum(C * rows(q, v, a))`` for constant C."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -68,8 +83,7 @@ class BaseRows:
 
     def smooth(self) -> BaseRows:
         """Return the same rows with signs that are smooth enough for a search."""
-        terms = tuple(_smooth(term) for term in self.friction.terms)
-        return replace(self, friction=replace(self.friction, terms=terms))
+        return replace(self, friction=smoothed(self.friction))
 
     def rows(self, q: Array, v: Array, a: Array) -> Array:
         """Return W (K, n, b) at states (K, n), with ``effort = W @ base``."""
@@ -156,6 +170,11 @@ class BaseRows:
                     sums.append(np.einsum("kjb,kjb->k", C, self._friction(*state)))
                 out[order][:, j] = (sums[0] - sums[1]) / (2.0 * _FRICTION_STEP)
         return out[0], out[1], out[2]
+
+
+def smoothed(friction: FrictionModel) -> FrictionModel:
+    """Return friction whose signs are smooth enough for a search."""
+    return replace(friction, terms=tuple(_smooth(term) for term in friction.terms))
 
 
 def _smooth(term: FrictionTerm) -> FrictionTerm:

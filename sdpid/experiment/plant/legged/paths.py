@@ -57,6 +57,8 @@ class Plan:
         Whether the base is held in the air.
     duration : float
         Length without the lead, s.
+    effort : callable, optional
+        Torques (K, joints) that carry the motion; by default those that carry the weight.
     """
 
     joints: Path
@@ -64,6 +66,7 @@ class Plan:
     down: Callable[[Array], Mask]
     held: bool
     duration: float
+    effort: Callable[[Array], Array] | None = None
 
 
 def planned(

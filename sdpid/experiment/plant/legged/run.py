@@ -83,7 +83,7 @@ def run_plan(
     desired, speeds = plan.joints(times)
     gains = _gains(legs)
     coarse: Array = times[::_COMMAND_STRIDE]
-    weight = weight_torques(legs, plan, coarse)
+    weight = weight_torques(legs, plan, coarse) if plan.effort is None else plan.effort(coarse)
     weight = np.stack([np.interp(times, coarse, each) for each in weight.T], axis=1)
     command = gains[0] * desired + gains[1] * speeds + weight
     position, turn = plan.base(np.zeros(1))

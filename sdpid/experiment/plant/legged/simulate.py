@@ -12,6 +12,7 @@ from sdpid._common.arrays import Array, frozen, real_array
 from sdpid._common.seeds import generator
 from sdpid._common.tables import facts_html
 from sdpid.errors import DataError
+from sdpid.experiment.plant.legged.follow import follow
 from sdpid.experiment.plant.legged.friction import DryFriction
 from sdpid.experiment.plant.legged.motions import plan_motion
 from sdpid.experiment.plant.legged.paths import LEAD
@@ -19,6 +20,7 @@ from sdpid.experiment.plant.legged.run import run_plan
 from sdpid.experiment.plant.legged.sensors import Sensors, record
 from sdpid.experiment.plant.legged.truth import Motion, changed_parameters
 from sdpid.experiment.recording.recording import Recording
+from sdpid.experiment.trajectory.whole_body import WholeBodyMotion
 from sdpid.robot.legs.find import find_legs
 from sdpid.robot.legs.legs import Legs
 from sdpid.robot.model.load import load_robot
@@ -27,6 +29,8 @@ from sdpid.robot.model.model import RobotModel
 __all__ = ["LeggedRun", "simulate_legged"]
 
 _RATES = (500.0, 5000.0)
+# Length of a recording where nothing else is said, s.
+_SECONDS = 10.0
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
@@ -67,10 +71,10 @@ class LeggedRun:
 
 def simulate_legged(
     robot: RobotModel | str | os.PathLike[str],
-    motion: str = "stand",
+    motion: str | WholeBodyMotion = "stand",
     *,
     theta: ArrayLike | None = None,
-    duration: float = 10.0,
+    duration: float | None = None,
     seed: int | np.random.Generator = 0,
     sensors: Sensors | None = None,
     legs: Legs | None = None,
@@ -91,15 +95,16 @@ def simulate_legged(
         A robot on a floating base: ``"go1"``, ``"talos_reduced"``, or
         ``load_robot("go1", root="free_flyer")``. Its kinematics are the true ones; its inertias
         are what the controller believes.
-    motion : {"stand", "trot", "step", "walk", "hang"}, optional
+    motion : {"stand", "trot", "step", "walk", "hang"} or WholeBodyMotion, optional
         Stand with a swaying base, trot in place (quadrupeds), lift one foot after the other in
         place, walk forward, or move all joints with the base held in the air. Joints beside the
-        legs swing in all of them.
+        legs swing in all of them. A planned motion, such as that of `design_standing`, is followed
+        with its own torques.
     theta : array_like, shape (10·links + 3·joints,), optional
         True parameters, as `changed_parameters` returns them; by default those of seed 0, which
         are 15 % off the description.
     duration : float, optional
-        Length of the recording, s.
+        Length of the recording, s; by default 10, or that of the planned motion.
     seed : int or numpy.random.Generator, optional
         The motion's phases and the sensors' noise.
     sensors : Sensors, optional
@@ -152,12 +157,17 @@ def simulate_legged(
             f"rate_hz: {rate_hz:g}, limits {_RATES[0]:g} and {_RATES[1]:g}: feet on the ground "
             "need short steps."
         )
-    if not duration * rate_hz >= 2.0:
+    if duration is not None and not duration * rate_hz >= 2.0:
         raise DataError(f"duration: {duration:g} s, the least is two samples.")
     before = round(sensors.longest_delay * rate_hz)
     if before > LEAD * rate_hz:
         raise DataError(f"delays: {sensors.longest_delay:g} s, the limit is {LEAD:g} s.")
-    plan = plan_motion(legs, motion, duration=duration, rng=rng)
+    if isinstance(motion, WholeBodyMotion):
+        plan = follow(legs, motion, duration)
+    else:
+        plan = plan_motion(
+            legs, motion, duration=_SECONDS if duration is None else duration, rng=rng
+        )
     time, truth = run_plan(legs, plan, values, friction=friction, rate_hz=rate_hz, before=before)
     log = record(legs, time, truth, sensors, gravity=robot.gravity, held=plan.held, rng=rng)
     wanted, _ = plan.joints(np.asarray(log.time) + LEAD)

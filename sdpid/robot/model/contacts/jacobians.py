@@ -145,6 +145,28 @@ def frame_offsets(
     return np.asarray(own - other)
 
 
+def frame_places(robot: RobotModel, position: ArrayLike, frames: Sequence[str]) -> Array:
+    """Return the origins of frames from that of the robot, world axes, shape (K, c, 3), in m.
+
+    Of a floating base that is the base's origin.
+    """
+    q = robot.configuration(position)
+    numbers = _frame_numbers(robot, frames)
+    tree = robot.tree
+    if tree is None:
+        import pinocchio as pin
+
+        model: Any = robot.pin_model
+        data = model.createData()
+        out = np.empty((len(q), len(numbers), 3))
+        for k, configuration in enumerate(q):
+            pin.framesForwardKinematics(model, data, configuration)
+            out[k] = [data.oMf[number].translation for number in numbers]
+        return out - q[:, None, :3] if robot.free_flyer else out
+    links = _Links(tree, q)
+    return np.stack([_place(links, robot.pin_model.frames[i]) for i in numbers], axis=1)
+
+
 def frame_axes(robot: RobotModel, position: ArrayLike, frames: Sequence[str]) -> Array:
     """Return the axes of frames in the world's, as columns, shape (K, c, 3, 3)."""
     q = robot.configuration(position)

@@ -1,0 +1,176 @@
+"""The limits of a standing robot: joints, motors, and feet that neither slip nor lift."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from sdpid._common.arrays import Array
+from sdpid.excitation.limits.joint_limits import JointLimits
+from sdpid.excitation.standing.jets import Jets
+from sdpid.excitation.standing.loads import loads
+from sdpid.excitation.standing.stance import Stance, States
+
+__all__ = ["Held", "Quantity"]
+
+# A leg's determinant keeps this share of that when standing: one that is stretched cannot follow.
+STRETCHED = 0.5
+
+# Kind, subject, unit, values (K,), lower and upper limit; infinite where there is none.
+Quantity = tuple[str, str, str, Array, float, float]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Held:
+    """Limits of a stance, as functions of a state that are to be at least zero.
+
+    Attributes
+    ----------
+    stance : Stance
+        The robot on its feet.
+    joints : JointLimits
+        Of all joints.
+    bodies : ndarray, shape (links, 10)
+        The bodies that torques and forces are of.
+    grip : float
+        Coefficient of friction of the ground that may be used.
+    load : float
+        Least normal force of a foot, N.
+    share : float
+        Share of joints' limits and of friction that is used.
+    name : str
+        What they limit.
+    """
+
+    stance: Stance
+    joints: JointLimits
+    bodies: Array
+    grip: float
+    load: float
+    share: float = 1.0
+    name: str = "standing"
+
+    @cached_property
+    def weight(self) -> float:
+        """Normal force of a foot that bears its share of the weight, N."""
+        mass = float(self.bodies[:, 0].sum())
+        gravity = float(np.linalg.norm(self.stance.robot.gravity))
+        return mass * gravity / len(self.stance.legs.frames)
+
+    def evaluate(self, q: Array, v: Array, a: Array) -> Array:
+        """Return the slacks (K, r) at coordinates (K, m) and their derivatives, in their units."""
+        return self._slacks(self._outputs(self._states(q, v, a)))
+
+    def derivatives(self, q: Array, v: Array, a: Array) -> tuple[Array | None, ...]:
+        """Return derivatives (K, r, m) of the slacks by coordinates and both derivatives."""
+        jets = Jets.of(self.stance, q, v, a)
+        here = self._outputs(jets.here)
+        slopes = Jets.slopes(here, self._outputs(jets.aside))
+        # Slacks are of second degree: differences over any step are exact.
+        return tuple(
+            np.stack(
+                [
+                    (self._slacks(here + along) - self._slacks(here - along)) / 2.0
+                    for along in np.moveaxis(slope, -1, 0)
+                ],
+                axis=-1,
+            )
+            for slope in slopes
+        )
+
+    def _states(self, q: Array, v: Array, a: Array) -> States:
+        return self.stance.states(self.stance.poses(q), v, a)
+
+    def _outputs(self, states: States) -> Array:
+        """Return positions, velocities, torques, forces and determinants side by side, (K, ·)."""
+        found = loads(self.stance, self.bodies, states, self.grip)
+        return np.hstack(
+            [
+                states.poses.configuration[:, 7:],
+                states.velocity[:, 6:],
+                found.torque,
+                found.wrenches.reshape(len(found.torque), -1),
+                self.stance.determinants(states.poses),
+            ]
+        )
+
+    def _split(self, outputs: Array) -> tuple[Array, Array, Array, Array, Array]:
+        n, c = self.stance.legs.n_joints, len(self.stance.legs.frames)
+        ends = [n, 2 * n, 3 * n, outputs.shape[1] - c]
+        position, speed, torque, force, stretched = np.split(outputs, ends, axis=1)
+        return position, speed, torque, force.reshape(len(force), c, -1), stretched
+
+    def _slacks(self, outputs: Array) -> Array:
+        position, speed, torque, force, stretched = self._split(outputs)
+        limits, share = self.joints, self.share
+        middle = 0.5 * (limits.lower + limits.upper)
+        half = 0.5 * (limits.upper - limits.lower)
+        found = []
+        for values, size in (
+            (position - np.where(np.isfinite(middle), middle, 0.0), half),
+            (speed, limits.velocity),
+            (torque, limits.torque),
+        ):
+            own = np.isfinite(size)
+            found.append(1.0 - (values[:, own] / (share * size[own])) ** 2)
+        along, normal = force[:, :, :2] / self.weight, force[:, :, 2] / self.weight
+        grip = share * self.grip
+        found.append(normal - self.load / self.weight / share)
+        found.append((grip * normal) ** 2 - np.sum(along**2, axis=2))
+        for _, low, high in self._pressure(force):
+            size = 0.5 * np.ptp(self._sole, axis=0).min() * self.weight
+            found += [low / size, high / size]
+        found.append(stretched - STRETCHED)
+        return np.hstack(found)
+
+    @property
+    def _sole(self) -> Array:
+        sole = self.stance.legs.sole
+        return np.zeros((2, 2)) if sole is None else sole
+
+    def _pressure(self, force: Array) -> Iterator[tuple[str, Array, Array]]:
+        """Yield moments (K, c) that are left until a sole tips or turns, two of each kind."""
+        if not self.stance.legs.flat:
+            return
+        low, high = self.share * self._sole
+        normal, moment = force[:, :, 2], force[:, :, 3:]
+        turn = self.share * self.grip * 0.5 * np.ptp(self._sole, axis=0).min()
+        yield (
+            "pressure along x",
+            -moment[:, :, 1] - low[0] * normal,
+            (high[0] * normal + moment[:, :, 1]),
+        )
+        yield (
+            "pressure along y",
+            moment[:, :, 0] - low[1] * normal,
+            (high[1] * normal - moment[:, :, 0]),
+        )
+        yield "torsion", turn * normal - moment[:, :, 2], turn * normal + moment[:, :, 2]
+
+    def quantities(self, states: States) -> Iterator[Quantity]:
+        """Yield everything that has a limit, as it is."""
+        position, speed, torque, force, stretched = self._split(self._outputs(states))
+        limits, names = self.joints, self.stance.robot.joint_names[6:]
+        for j, name in enumerate(names):
+            yield "position", name, "rad", position[:, j], limits.lower[j], limits.upper[j]
+            yield "velocity", name, "rad/s", speed[:, j], *_both(limits.velocity[j])
+            yield "torque", name, "N.m", torque[:, j], *_both(limits.torque[j])
+        for i, name in enumerate(self.stance.legs.frames):
+            normal = force[:, i, 2]
+            yield "normal force", name, "N", normal, self.load, np.inf
+            along = np.linalg.norm(force[:, i, :2], axis=1)
+            # A foot that pulls has no friction at all.
+            used = np.where(normal > 0.0, along / np.where(normal > 0.0, normal, 1.0), np.inf)
+            yield "friction", name, "1", used, -np.inf, self.grip
+            yield "determinant", name, "1", stretched[:, i], STRETCHED, np.inf
+        for kind, low, high in self._pressure(force):
+            for i, name in enumerate(self.stance.legs.frames):
+                least = np.minimum(low[:, i], high[:, i])
+                yield kind, name, "N.m", least, 0.0, np.inf
+
+
+def _both(limit: float) -> tuple[float, float]:
+    return -limit, limit

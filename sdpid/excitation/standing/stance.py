@@ -1,0 +1,322 @@
+"""The motions of a robot on legs whose feet stay where they are, and the joints that make them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from sdpid._common.arrays import Array, Indices
+from sdpid.robot.legs.legs import Legs
+from sdpid.robot.model.contacts.jacobians import contact_jacobians, frame_axes, frame_places
+from sdpid.robot.model.model import RobotModel
+
+__all__ = ["COORDINATES", "Poses", "Stance", "States"]
+
+# Coordinates of the base: metres from where it stands, and angles about its own x, then the
+# turned y, then the vertical axis, rad.
+COORDINATES = ("base_x", "base_y", "base_z", "base_roll", "base_pitch", "base_yaw")
+# Newton's method for the joints ends here, m and rad: below the steps of differences by far.
+_REACHED, _STEPS = 1e-10, 12
+# A step moves no joint by more, rad, and is damped by this length over the leg's: legs that do not
+# reach are not thrown about.
+_LONGEST, _DAMPING = 0.5, 1e-4
+# Rounds in which balls are rolled along a motion: a ball is a tenth of a leg, and each round
+# leaves a tenth of the error.
+_ROUNDS = 6
+_UP = np.array([0.0, 0.0, 1.0])
+
+
+@dataclass(frozen=True, eq=False)
+class Poses:
+    """Configurations of a stance, and what moves there.
+
+    Attributes
+    ----------
+    configuration : ndarray, shape (K, nq)
+        Pinocchio's, the base at the height at which it stands.
+    miss : ndarray, shape (K,)
+        By how much the worst foot misses its place, m or rad.
+    jacobians : ndarray, shape (K, c, 6, n)
+        Of the feet's frames, world axes.
+    turned : ndarray, shape (K, 3, 3)
+        Axes of the base.
+    angles : ndarray, shape (K, 3)
+        Roll, pitch, yaw.
+    basis : ndarray, shape (K, n, m)
+        Speeds of all coordinates by the base's twist in its own axes and by the free joints.
+    inverse : ndarray, shape (K, c, k, k)
+        Of each leg's Jacobian at its contact.
+    """
+
+    configuration: Array
+    miss: Array
+    jacobians: Array
+    turned: Array
+    angles: Array
+    basis: Array
+    inverse: Array
+
+    def take(self, index: Indices) -> Poses:
+        """Return some of them, in any order."""
+        return Poses(**{name: value[index] for name, value in vars(self).items()})
+
+
+@dataclass(frozen=True, eq=False)
+class States:
+    """States of a robot that stands; the base's linear velocity is left out (Galilei)."""
+
+    poses: Poses
+    velocity: Array
+    acceleration: Array
+
+    def take(self, index: Indices) -> States:
+        """Return some of them, in any order."""
+        return States(self.poses.take(index), self.velocity[index], self.acceleration[index])
+
+
+@dataclass(frozen=True, eq=False)
+class Stance:
+    """A robot whose feet stay at their places.
+
+    Its coordinates are those of the base (`COORDINATES`), then the joints beside the legs, less
+    their standing positions. Balls roll: a foot's center goes by the radius times what the foot
+    turns. Joints and their rates follow in closed form from Jacobians [featherstone2008]_.
+
+    Attributes
+    ----------
+    legs : Legs
+        The robot's legs, and how it stands.
+    """
+
+    legs: Legs
+
+    @property
+    def robot(self) -> RobotModel:
+        """The robot, on a floating base."""
+        return self.legs.robot
+
+    @property
+    def n(self) -> int:
+        """Number m of coordinates."""
+        return 6 + len(self.legs.free)
+
+    @cached_property
+    def names(self) -> tuple[str, ...]:
+        """Names of the coordinates."""
+        joints = self.robot.joint_names[6:]
+        return (*COORDINATES, *(joints[j] for j in self.legs.free))
+
+    @cached_property
+    def standing(self) -> Poses:
+        """The pose in which the robot stands."""
+        return self.poses(np.zeros((1, self.n)))
+
+    @cached_property
+    def _places(self) -> tuple[Array, Array]:
+        """Centers of the feet from the standing base (c, 3), and their axes (c, 3, 3)."""
+        q = self._configurations(np.zeros((1, self.n)))
+        q[:, 7:] = self.legs.standing
+        frames = self.legs.frames
+        return frame_places(self.robot, q, frames)[0], frame_axes(self.robot, q, frames)[0]
+
+    def _configurations(self, x: Array) -> Array:
+        """Return configurations (K, nq) whose legs are as when standing."""
+        from scipy.spatial.transform import Rotation
+
+        q = np.empty((len(x), self.robot.pin_model.nq))
+        q[:, :3] = x[:, :3]
+        q[:, 2] += self.legs.height + self.legs.radius
+        q[:, 3:7] = Rotation.from_euler("ZYX", x[:, 5:2:-1]).as_quat()
+        q[:, 7:] = self.legs.standing
+        q[:, 7 + self.legs.free] += x[:, 6:]
+        return q
+
+    def poses(self, x: Array, near: Array | None = None, *, centers: Array | None = None) -> Poses:
+        """Return the poses at coordinates (K, m), by Newton's method.
+
+        Parameters
+        ----------
+        x : ndarray, shape (K, m)
+            Coordinates.
+        near : ndarray, shape (K, nq), optional
+            Configurations nearby, where the method starts.
+        centers : ndarray, shape (K, c, 3), optional
+            Where the feet's centers are from the standing base, m; by default as far as a ball
+            rolls on the shortest way to how it is turned.
+        """
+        legs, robot = self.legs, self.robot
+        q = self._configurations(x)
+        if near is not None:
+            q[:, 7 + legs.joints.ravel()] = near[:, 7 + legs.joints.ravel()]
+        miss = np.full(len(x), np.inf)
+        far, index = np.arange(len(x)), 7 + legs.joints
+        for _ in range(_STEPS):
+            error = self._errors(q[far], x[far], None if centers is None else centers[far])
+            miss[far] = np.abs(error).max(axis=(1, 2))
+            error, far = error[miss[far] > _REACHED], far[miss[far] > _REACHED]
+            if not len(far):
+                break
+            A = self._own(contact_jacobians(robot, q[far], legs.frames, self._offset))
+            damped = A @ np.swapaxes(A, 2, 3)
+            damped += (_DAMPING * legs.height) ** 2 * np.eye(damped.shape[-1])
+            move = np.swapaxes(A, 2, 3) @ np.linalg.solve(damped, error[..., None])
+            q[far[:, None, None], index] += np.clip(move[..., 0], -_LONGEST, _LONGEST)
+        return self._moved(q, x, miss)
+
+    @property
+    def _offset(self) -> Array:
+        return np.array([0.0, 0.0, -self.legs.radius])
+
+    def _own(self, J: Array) -> Array:
+        """Return each leg's square Jacobian (K, c, k, k) from those of all feet."""
+        rows = 6 if self.legs.flat else 3
+        feet = np.arange(J.shape[1])[:, None, None]
+        found = J[:, feet, np.arange(rows)[:, None], self.legs.joints[:, None, :] + 6]
+        return np.asarray(found)
+
+    def _errors(self, q: Array, x: Array, centers: Array | None) -> Array:
+        """Return how far feet are from where they are wanted, (K, c, 3 or 6), world axes."""
+        places, axes = self._places
+        wanted = places if centers is None else centers
+        error = wanted - x[:, None, :3] - frame_places(self.robot, q, self.legs.frames)
+        if self.legs.flat:
+            R = frame_axes(self.robot, q, self.legs.frames)
+            return np.concatenate([error, -_turns(R @ np.swapaxes(axes, 1, 2))], axis=2)
+        return np.asarray(error if centers is not None else error + self._rolled(q))
+
+    def along(self, x: Array) -> Poses:
+        """Return the poses of a motion through coordinates (K, m), in small steps.
+
+        Balls roll on the way that the motion takes: they do not come back to where they were when
+        the base does.
+        """
+        poses = self.poses(x)
+        if self.legs.flat or not self.legs.radius:
+            return poses
+        for _ in range(_ROUNDS):
+            R = frame_axes(self.robot, poses.configuration, self.legs.frames)
+            turns = _turns(R[1:] @ np.swapaxes(R[:-1], 2, 3))
+            rolled = np.cumsum(self.legs.radius * np.cross(turns, _UP), axis=0)
+            first = self._places[0] + self._rolled(poses.configuration[:1])
+            centers = np.concatenate([first, first + rolled])
+            poses = self.poses(x, poses.configuration, centers=centers)
+        return poses
+
+    def _rolled(self, q: Array) -> Array:
+        """Return how far balls roll on the shortest way to how they are turned, (K, c, 3)."""
+        R = frame_axes(self.robot, q, self.legs.frames) @ np.swapaxes(self._places[1], 1, 2)
+        return np.asarray(self.legs.radius * np.cross(_turns(R), _UP))
+
+    def _moved(self, q: Array, x: Array, miss: Array) -> Poses:
+        """Return poses with all that moves there."""
+        from scipy.spatial.transform import Rotation
+
+        legs, n, k = self.legs, self.robot.n, len(q)
+        J = contact_jacobians(self.robot, q, legs.frames)
+        at = self.at_contacts(J)
+        A = self._own(at)
+        # Of a leg that is stretched no inverse: it is told by its determinant, elsewhere.
+        damped = A @ np.swapaxes(A, 2, 3) + (_DAMPING * legs.height) ** 4 * np.eye(A.shape[-1])
+        inverse = np.swapaxes(A, 2, 3) @ np.linalg.inv(damped)
+        N = np.zeros((k, n, self.n))
+        N[:, :6, :6] = np.eye(6)
+        N[:, 6 + legs.free, 6 + np.arange(len(legs.free))] = 1.0
+        N[:, 6 + legs.joints, :6] = -inverse @ at[:, :, : A.shape[2], :6]
+        return Poses(
+            configuration=q,
+            miss=miss,
+            jacobians=J,
+            turned=Rotation.from_quat(q[:, 3:7]).as_matrix(),
+            angles=x[:, 3:6],
+            basis=N,
+            inverse=inverse,
+        )
+
+    def at_contacts(self, J: Array) -> Array:
+        """Return Jacobians (K, c, 6, n) at the contacts from those at the feet's frames."""
+        out = J.copy()
+        # v + w × (0, 0, -radius).
+        out[:, :, 0] -= self.legs.radius * J[:, :, 4]
+        out[:, :, 1] += self.legs.radius * J[:, :, 3]
+        return out
+
+    def determinants(self, poses: Poses) -> Array:
+        """Return each leg's determinant (K, c), as a share of that when standing."""
+        own = np.linalg.det(self._own(self.at_contacts(poses.jacobians)))
+        return np.asarray(own / self._standing_determinants)
+
+    @cached_property
+    def _standing_determinants(self) -> Array:
+        return np.asarray(np.linalg.det(self._own(self.at_contacts(self.standing.jacobians)))[0])
+
+    def states(self, poses: Poses, rate: Array, second: Array) -> States:
+        """Return states from the coordinates' first and second derivatives, (K, m) each."""
+        legs = self.legs
+        twist, slope = _twist(poses, rate, second)
+        velocity = np.einsum("knm,km->kn", poses.basis, twist)
+        acceleration = np.einsum("knm,km->kn", poses.basis, slope)
+        drift = self._drift(poses, velocity)
+        own = poses.inverse @ drift[..., None]
+        acceleration[:, 6 + legs.joints] -= own[..., 0]
+        velocity[:, :3] = 0.0
+        return States(poses, velocity, acceleration)
+
+    def _drift(self, poses: Poses, velocity: Array) -> Array:
+        """Return the contacts' accelerations (K, c, 3 or 6) without any of the coordinates'."""
+        legs, joints = self.legs, self.legs.joints + 6
+        feet = np.arange(len(joints))[:, None]
+        J = np.moveaxis(poses.jacobians[:, feet, :, joints], (0, 1, 2), (1, 2, 0))
+        # (K, c, k, 6): linear columns and axes of each leg's joints, from the base outwards.
+        line, axis = J[..., :3], J[..., 3:]
+        speed = velocity[:, joints][..., None]
+        w = np.einsum("kij,kj->ki", poses.turned, velocity[:, 3:6])[:, None]
+        arm = self._arms(poses)
+        spin = np.cross(w, arm)
+        linear = np.cross(w, spin) + 2.0 * np.cross(w, (line * speed).sum(axis=2))
+        angular = np.cross(w, (axis * speed).sum(axis=2))
+        for i in range(joints.shape[1]):
+            for j in range(joints.shape[1]):
+                both = speed[:, :, i] * speed[:, :, j]
+                linear += both * np.cross(axis[:, :, min(i, j)], line[:, :, max(i, j)])
+                if i < j:
+                    angular += both * np.cross(axis[:, :, i], axis[:, :, j])
+        if legs.flat:
+            return np.concatenate([linear, angular], axis=2)
+        linear[:, :, 0] -= legs.radius * angular[:, :, 1]
+        linear[:, :, 1] += legs.radius * angular[:, :, 0]
+        return np.asarray(linear)
+
+    def _arms(self, poses: Poses) -> Array:
+        """Return the feet's frames from the base, world axes, (K, c, 3)."""
+        return frame_places(self.robot, poses.configuration, self.legs.frames)
+
+
+def _turns(rotations: Array) -> Array:
+    """Return the rotation vectors (K, c, 3) of matrices (K, c, 3, 3)."""
+    from scipy.spatial.transform import Rotation
+
+    found = Rotation.from_matrix(rotations.reshape(-1, 3, 3)).as_rotvec()
+    return np.asarray(found.reshape(*rotations.shape[:2], 3))
+
+
+def _twist(poses: Poses, rate: Array, second: Array) -> tuple[Array, Array]:
+    """Return the base's twist in its own axes and the free joints' speeds, and their derivatives.
+
+    The linear part's derivative is the acceleration of the origin, in the base's axes.
+    """
+    roll, pitch, _ = poses.angles.T
+    sr, cr, sp, cp = np.sin(roll), np.cos(roll), np.sin(pitch), np.cos(pitch)
+    dr, dp, dy = rate[:, 3:6].T
+    ar, ap, ay = second[:, 3:6].T
+    out, slope = rate.copy(), second.copy()
+    out[:, :3] = np.einsum("kji,kj->ki", poses.turned, rate[:, :3])
+    slope[:, :3] = np.einsum("kji,kj->ki", poses.turned, second[:, :3])
+    out[:, 3] = dr - sp * dy
+    out[:, 4] = cr * dp + sr * cp * dy
+    out[:, 5] = -sr * dp + cr * cp * dy
+    slope[:, 3] = ar - sp * ay - cp * dp * dy
+    slope[:, 4] = cr * ap + sr * cp * ay - sr * dr * dp + (cr * cp * dr - sr * sp * dp) * dy
+    slope[:, 5] = -sr * ap + cr * cp * ay - cr * dr * dp - (sr * cp * dr + cr * sp * dp) * dy
+    return out, slope

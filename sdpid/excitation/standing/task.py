@@ -1,0 +1,264 @@
+"""What a motion of a standing robot is asked for, resolved and checked before the search."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
+from typing import cast
+
+import numpy as np
+
+from sdpid._common.arrays import Array
+from sdpid._common.seeds import generator
+from sdpid.errors import DataError, ModelError
+from sdpid.estimation.prior.prior import Prior
+from sdpid.excitation.criterion.belief import prior_information
+from sdpid.excitation.criterion.criterion import Criterion
+from sdpid.excitation.criterion.noise import LASTING, ExpectedNoise, Given
+from sdpid.excitation.criterion.nominal import nominal_bodies
+from sdpid.excitation.criterion.objectives import Objective
+from sdpid.excitation.limits.joint_limits import NONE, JointLimits
+from sdpid.excitation.limits.limits import Limits
+from sdpid.excitation.search.linear import linear_limits
+from sdpid.excitation.search.space import Space, SplineSpace
+from sdpid.excitation.search.starts import random_start
+from sdpid.excitation.standing.held import Held
+from sdpid.excitation.standing.loads import loads
+from sdpid.excitation.standing.rows import StandingRows
+from sdpid.excitation.standing.stance import Stance
+from sdpid.robot.friction.term import FrictionTerm
+from sdpid.robot.legs.find import find_legs
+from sdpid.robot.model.model import RobotModel
+
+__all__ = ["StandingTask"]
+
+# Share of the description's limits that is used, and what is kept of torques for friction, which
+# descriptions seldom have.
+_SHARE, _RESERVE = 0.95, 0.2
+# The base sways by this share of its height where nothing else is said: on balls, and on soles.
+_SWAY, _SWAY_ON_SOLES = 0.25, 0.1
+# It speeds up by at most this share of gravity along the ground, and as much at its height about
+# it; and reaches that within this time, s: motors follow.
+_ACCELERATION, _RISE = 0.4, 0.1
+# Joints beside the legs use this share of their range at most, about where they stand, rad.
+_FREE = 0.5
+# The longest motion that is searched, s.
+_LONGEST = 60.0
+# Random motions from which usual efforts are taken.
+_USUAL = 5
+# Standard deviation of the base's rows, as a share of the weight: `estimation` has as much.
+_WEIGHT_SHARE = 1e-3
+# Rate of the samples that a given noise refers to, Hz.
+_RATE_HZ = 500.0
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class StandingTask:
+    """A design, ready to be searched.
+
+    Attributes
+    ----------
+    stance : Stance
+        The robot on its feet.
+    held : Held
+        Limits of joints, motors and feet.
+    coordinates : JointLimits
+        Limits of the base's motion, and of the joints beside the legs.
+    space : Space
+        The motions among which is searched.
+    rows : StandingRows
+        What a sample tells, signs as given.
+    criterion : Criterion
+        What is made small.
+    values : ndarray, shape (b,)
+        What the base parameters are taken to be.
+    notes : tuple of str
+        What was assumed.
+    """
+
+    stance: Stance
+    held: Held
+    coordinates: JointLimits
+    space: Space
+    rows: StandingRows
+    criterion: Criterion
+    values: Array
+    notes: tuple[str, ...]
+
+    @property
+    def robot(self) -> RobotModel:
+        """The robot, on a floating base."""
+        return self.stance.robot
+
+    @classmethod
+    def of(
+        cls,
+        robot: RobotModel,
+        *,
+        duration: float,
+        limits: Limits | None,
+        sway: float | None,
+        tilt: float,
+        grip: float,
+        load: float,
+        friction: Iterable[str | FrictionTerm],
+        prior: Prior | None,
+        earlier: Sequence[tuple[tuple[str, ...], Array]],
+        noise: Given,
+        standing: Sequence[float] | None,
+        feet: Sequence[str] | None,
+        seed: int,
+    ) -> StandingTask:
+        """Resolve and check the arguments of `design_standing`.
+
+        Raises
+        ------
+        SdpidError
+            As `design_standing`.
+        """
+        _check(duration, tilt, grip, load)
+        legs = find_legs(robot, feet=feet, standing=standing)
+        if not np.all(robot.prior[:, 0] >= 0.0) or not robot.prior[:, 0].sum() > 0.0:
+            raise ModelError(
+                f"excitation of '{robot.name}': the description has no masses, so that nobody "
+                "knows what its feet bear; give it some."
+            )
+        if sway is None:
+            sway = (_SWAY_ON_SOLES if legs.flat else _SWAY) * legs.height
+        if not 0.0 < sway < legs.height:
+            raise DataError(
+                f"sway: is {sway:g} m; give more than 0 and less than the base's height above the "
+                f"feet, {legs.height:.3g} m."
+            )
+        stance = Stance(legs)
+        bodies, assumed = nominal_bodies(robot)
+        joints = _joints(robot, limits, legs.standing)
+        held = Held(stance=stance, joints=joints, bodies=bodies, grip=grip, load=0.0)
+        held = replace(held, load=load * held.weight)
+        _require_stance(held)
+        coordinates = _coordinates(stance, joints, sway, tilt)
+        space = SplineSpace.of(stance.n, duration)
+        usual = _usual(stance, held, coordinates, space, seed)
+        states = stance.states(stance.poses(usual[0]), *usual[1:])
+        torque = loads(stance, bodies, states, grip).torque
+        effort = np.sqrt(np.mean(torque**2, axis=0))
+        expected = ExpectedNoise.of(robot.joint_names[6:], noise, effort, _RATE_HZ)
+        rows = StandingRows.of(stance, friction)
+        force = LASTING * (_WEIGHT_SHARE * held.weight * len(legs.frames)) ** 2
+        base = np.repeat([force, force * robot.reach**2], 3)
+        rows = replace(rows, spread=np.concatenate([base, expected.density]))
+        efforts = np.concatenate([np.zeros(6), effort])
+        known = prior_information(robot, rows.friction, rows.base, prior or True, efforts)
+        for names, information in earlier:
+            if names != rows.base.names:
+                raise DataError(
+                    f"previous: a plan of {len(names)} base parameters, this one has "
+                    f"{rows.count}, or others; plan for the same robot and friction terms."
+                )
+            known = known + information
+        theta = np.concatenate([bodies.ravel(), np.zeros(len(rows.friction.parameters))])
+        return cls(
+            stance=stance,
+            held=held,
+            coordinates=coordinates,
+            space=space,
+            rows=rows,
+            criterion=Criterion(
+                rows=rows.smooth(),
+                objective=Objective(kind="D"),
+                rates=np.ones(stance.n),
+                known=known,
+            ),
+            values=rows.base.matrix @ theta,
+            notes=(*joints.assumed, *assumed, *expected.notes),
+        )
+
+
+def _check(duration: float, tilt: float, grip: float, load: float) -> None:
+    """Refuse numbers out of range."""
+    for name, value, low, high, unit in (
+        ("duration", duration, 1.0, _LONGEST, " s"),
+        ("tilt", tilt, 0.0, 1.0, " rad"),
+        ("grip", grip, 0.0, 10.0, ""),
+        ("load", load, 0.0, 0.9, ""),
+    ):
+        if not (low < value <= high or value == low == 1.0):
+            raise DataError(
+                f"{name}: is {value:g}{unit}; give more than {low:g} and at most {high:g}{unit}."
+            )
+
+
+def _joints(robot: RobotModel, limits: Limits | None, standing: Array) -> JointLimits:
+    """Return the limits of the joints, which a held base has as well."""
+    import pinocchio as pin
+
+    model = robot.pin_model
+    held = RobotModel.from_pinocchio(pin.buildReducedModel(model, [1], pin.neutral(model)))
+    found = (limits or Limits()).of(held, standing, share=_SHARE, assume=False)
+    told = f"{100.0 * _RESERVE:g} % of every torque limit are kept for friction."
+    kept = [note for note in found.assumed if "acceleration" not in note and "jerk" not in note]
+    if np.isfinite(found.torque).any():
+        kept.append(told)
+    return replace(found, torque=(1.0 - _RESERVE) * found.torque, assumed=tuple(kept))
+
+
+def _require_stance(held: Held) -> None:
+    """Refuse a stance that is beyond limits before anything moves."""
+    still = np.zeros((1, held.stance.n))
+    states = held.stance.states(held.stance.standing, still, still)
+    for kind, subject, unit, values, low, high in held.quantities(states):
+        value = float(values[0])
+        if not low <= value <= high:
+            limit = low if value < low else high
+            raise DataError(
+                f"excitation of '{held.stance.robot.name}': standing still, {kind} of {subject} is "
+                f"{value:.4g} {unit}, the limit is {limit:.4g} {unit}; give another stance "
+                "(standing=), or wider limits."
+            )
+
+
+def _coordinates(stance: Stance, joints: JointLimits, sway: float, tilt: float) -> JointLimits:
+    """Return the limits of the base's motion, then those of the joints beside the legs."""
+    legs = stance.legs
+    free = legs.free
+    size = np.repeat([sway, tilt], 3)
+    gravity = float(np.linalg.norm(stance.robot.gravity)) * _ACCELERATION
+    most = np.repeat([gravity, gravity / legs.height], 3)
+    lower, upper = joints.lower[free], joints.upper[free]
+    room = np.minimum(legs.standing[free] - lower, upper - legs.standing[free])
+    room = np.minimum(room, _FREE)
+    # As fast as half a second from rest to the limit of speed, or to 2 rad/s.
+    speed = np.minimum(joints.velocity[free], 2.0)
+    none = (NONE,) * stance.n
+    return JointLimits(
+        joint_names=stance.names,
+        sliding=(True,) * 3 + (False,) * (stance.n - 3),
+        rest=np.zeros(stance.n),
+        lower=np.concatenate([-size, -room]),
+        upper=np.concatenate([size, room]),
+        velocity=np.concatenate([np.full(6, np.inf), speed]),
+        acceleration=np.concatenate([most, 2.0 * speed]),
+        jerk=np.concatenate([most, 2.0 * speed]) / _RISE,
+        torque=np.full(stance.n, np.inf),
+        sources=dict.fromkeys(("lower", "upper", "velocity", "torque"), none),
+    )
+
+
+def _usual(
+    stance: Stance, held: Held, coordinates: JointLimits, space: Space, seed: int
+) -> tuple[Array, Array, Array]:
+    """Return coordinates of random motions within the limits, and their derivatives."""
+    rng, grid = generator(seed), space.grid()
+    linear = linear_limits(space, coordinates, np.zeros(space.n))
+    bases = [space.basis(grid, order) for order in range(3)]
+
+    def holds(x: Array) -> bool:
+        c = space.coefficients(x)
+        return bool(held.evaluate(*(basis @ c for basis in bases)).min() > 0.0)
+
+    parts = []
+    for _ in range(_USUAL):
+        c = space.coefficients(random_start(space, linear, np.zeros(space.n), rng, holds))
+        parts.append([basis @ c for basis in bases])
+    q, v, a = (np.concatenate(part) for part in zip(*parts, strict=True))
+    return cast(tuple[Array, Array, Array], (q, v, a))

@@ -1,0 +1,98 @@
+"""The folder of a plan for a standing robot."""
+
+from __future__ import annotations
+
+import importlib.util
+import os
+from pathlib import Path
+from typing import Any
+
+from sdpid import __version__
+from sdpid._common.staging import RunFolder
+from sdpid._common.tables import plain
+from sdpid.excitation.standing.plan import StandingPlan
+
+__all__ = ["plan_content", "require_writable", "write_standing"]
+
+_TRAJECTORY, _PLOT, _CONFIG, _RESULT = "trajectory.csv", "plot.png", "plan.toml", "plan.json"
+_FOLDER = RunFolder((_TRAJECTORY, _PLOT, _CONFIG, _RESULT), _RESULT, _CONFIG, careful=True)
+
+require_writable = _FOLDER.require_writable
+
+
+def write_standing(
+    plan: StandingPlan,
+    folder: str | os.PathLike[str],
+    *,
+    figures: bool | None = None,
+    config: str | None = None,
+) -> tuple[Path, ...]:
+    """Write a plan into a folder, all files or none.
+
+    ``trajectory.csv`` holds joints, torques, base, contacts and planned forces at 500 Hz,
+    ``plot.png`` shows the base and what the feet bear, ``plan.toml`` the options of the command,
+    and ``plan.json`` limits, expected errors and everything that was assumed.
+
+    Parameters
+    ----------
+    plan : StandingPlan
+        From `design_standing`.
+    folder : str or path
+        Made where it does not exist; the files of an earlier plan in it are replaced.
+    figures : bool, optional
+        Draw the plot; by default where matplotlib is installed.
+    config : str, optional
+        Text of ``plan.toml``, which is not written without; settings stand in ``plan.json``.
+
+    Returns
+    -------
+    tuple of Path
+        The files.
+
+    Raises
+    ------
+    ExportError
+        When the folder cannot be written to, or holds files of these names that no plan wrote.
+    MissingExtraError
+        When figures are asked for and matplotlib is not installed (extra ``plot``).
+
+    Examples
+    --------
+    >>> from sdpid.excitation.standing.write import write_standing
+    >>> standing = sdpid.design_standing("solo12", duration=2.0, time_limit=4.0)
+    >>> [path.name for path in write_standing(standing, "standing", figures=False)]
+    ['trajectory.csv', 'plan.json']
+    """
+    target = Path(folder)
+    require_writable(target, writes_config=config is not None)
+    draw = importlib.util.find_spec("matplotlib") is not None if figures is None else figures
+    with _FOLDER.written(target, lambda _: None) as stage:
+        plan.motion.to_csv(stage.folder / _TRAJECTORY)
+        stage.names.append(_TRAJECTORY)
+        if draw:
+            plan.plot()[0].figure.savefig(stage.folder / _PLOT, dpi=150)
+            stage.names.append(_PLOT)
+        if config is not None:
+            (stage.folder / _CONFIG).write_text(config, encoding="utf-8")
+            stage.names.append(_CONFIG)
+        stage.content.update(plan_content(plan))
+    return tuple(target / name for name in stage.names)
+
+
+def plan_content(plan: StandingPlan) -> dict[str, Any]:
+    """Return a plan's results as plain values: limits, expected errors, notes."""
+    table = plan.table()
+    content = {
+        "sdpid": __version__,
+        "robot": plan.robot.name,
+        "joint_names": plan.motion.joint_names,
+        "feet": plan.motion.frames,
+        "duration_s": plan.motion.duration,
+        "base_parameters": [dict(zip(table.header, row, strict=True)) for row in table.rows],
+        "limits": plan.limits.to_dict(),
+        "sentences": plan.sentences(),
+        "notes": plan.notes,
+        "settings": plan.settings,
+    }
+    values: dict[str, Any] = plain(content)
+    return values

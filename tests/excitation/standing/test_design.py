@@ -1,0 +1,105 @@
+"""Plans for robots that stand: limits are held, feet stay down in MuJoCo, bad input is told."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import sdpid
+from sdpid.errors import DataError, ModelError
+from sdpid.excitation.standing.write import write_standing
+from sdpid.experiment.trajectory.whole_body import WholeBodyMotion
+from tests.helpers.standing import standing_plan
+
+
+def test_a_plan_holds_its_limits_and_tells_what_it_buys() -> None:
+    plan = standing_plan()
+    assert plan.limits.ok
+    kinds = {row.kind for row in plan.limits.rows}
+    assert {"torque", "normal force", "friction", "determinant", "miss"} <= kinds
+    assert np.all(plan.standard_errors <= plan.before * (1.0 + 1e-9))
+    assert np.min(plan.standard_errors / plan.before) < 0.2
+    motion = plan.motion
+    # From rest to rest, and somewhere between.
+    np.testing.assert_allclose(motion.velocity[[0, -1]], 0.0, atol=1e-9)
+    assert np.ptp(motion.base_position, axis=0).max() > 0.01
+    assert motion.forces[:, :, 2].min() >= plan.held.load
+    np.testing.assert_allclose(
+        np.gradient(motion.position, motion.time, axis=0), motion.velocity, atol=0.02
+    )
+
+
+def test_feet_stay_down_in_mujoco() -> None:
+    """With links that differ from the plan's, rotors and friction, no foot slips or lifts."""
+    motion = standing_plan().motion
+    run = sdpid.simulate_legged("solo12", motion)
+    assert run.motion.down.all()
+    force = run.motion.wrenches[:, :, :3]
+    # The ground of the plant holds one; the plan uses half of that.
+    used = np.linalg.norm(force[:, :, :2], axis=2) / force[:, :, 2]
+    assert used.max() < 0.9
+    rows = np.searchsorted(motion.time, run.recording.time)
+    off = run.motion.position[:, :3] - motion.base_position[np.minimum(rows, len(motion.time) - 1)]
+    assert np.abs(off).max() < 0.02
+
+
+def test_a_plan_is_written_and_read(tmp_path: Path) -> None:
+    plan = standing_plan()
+    files = write_standing(plan, tmp_path / "plan")
+    assert {file.name for file in files} >= {"trajectory.csv", "plan.json"}
+    read = WholeBodyMotion.from_csv(tmp_path / "plan" / "trajectory.csv")
+    for name in ("time", "position", "effort", "base_orientation", "down", "forces"):
+        np.testing.assert_array_equal(getattr(read, name), getattr(plan.motion, name))
+    content = json.loads((tmp_path / "plan" / "plan.json").read_text(encoding="utf-8"))
+    assert content["limits"]["ok"]
+    assert len(content["base_parameters"]) == plan.base.count
+    log = sdpid.read_recording(tmp_path / "plan" / "trajectory.csv")
+    assert log.base is not None
+    assert log.contacts is not None
+    (tmp_path / "bad.csv").write_text("time,position_a\n0,1\n", encoding="utf-8")
+    with pytest.raises(DataError, match="has no column 'velocity_a'"):
+        WholeBodyMotion.from_csv(tmp_path / "bad.csv")
+
+
+def test_the_same_design_is_found_again_beside_an_earlier_one() -> None:
+    """Earlier plans count: what they tell is known before."""
+    plan = standing_plan()
+    again = sdpid.design_standing(
+        "solo12", duration=3.0, time_limit=3.0, previous=plan, progress=False
+    )
+    np.testing.assert_allclose(again.before, plan.standard_errors, rtol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ({"duration": 0.5}, "duration: is 0.5 s; give more than 1"),
+        ({"sway": 2.0}, "sway: is 2 m; give more than 0 and less than the base's height"),
+        ({"grip": 0.0}, "grip: is 0; give more than 0"),
+        ({"load": 0.99}, "load: is 0.99; give more than 0 and at most 0.9"),
+        ({"starts": 0}, "starts: is 0"),
+        (
+            {"limits": sdpid.Limits(torque=0.1)},
+            "standing still, torque of .* is .* N.m, the limit is",
+        ),
+    ],
+)
+def test_bad_input_is_told_before_the_search(arguments: dict[str, Any], message: str) -> None:
+    with pytest.raises(DataError, match=message):
+        sdpid.design_standing("solo12", **arguments)
+
+
+def test_robots_without_legs_are_refused() -> None:
+    with pytest.raises(ModelError, match="has no link with 'foot' or 'sole'"):
+        sdpid.design_standing("ur10_robot")
+
+
+def test_motions_of_other_robots_are_refused() -> None:
+    with pytest.raises(DataError, match="'go1' has 12 joints and feet FL_foot"):
+        sdpid.simulate_legged("go1", standing_plan().motion)
+    with pytest.raises(DataError, match="duration: 9 s, the motion ends after 3 s"):
+        sdpid.simulate_legged("solo12", standing_plan().motion, duration=9.0)
