@@ -19,6 +19,7 @@ from __future__ import annotations
 from fractions import Fraction
 from typing import Any
 
+from .alike import in_words
 from .bodies import has_margin
 from .bound import Recomputed
 from .contacts import contacts
@@ -285,7 +286,8 @@ def _constraints(proof: Proof) -> str:
         demands.append(f"{len(problem['rows'])} rows and {len(problem['cones'])} cones")
     prior = []
     if problem["prior_rhs"]:
-        prior.append(f"a prior of {len(problem['prior_rhs'])} rows")
+        beliefs = in_words(problem, proof.link_names)
+        prior.append(f"a prior of {len(problem['prior_rhs'])} rows{beliefs}")
     if problem["entropic_prior"] is not None:
         of = len(problem["entropic_prior"]["links"])
         prior.append(f"a log-det prior of {of} links")

@@ -277,6 +277,7 @@ def _problem(problem: Problem) -> dict[str, Any]:
     """Return the problem as plain values."""
     feasible, squared, log_det = problem.feasible, problem.squared, problem.log_det
     prior_rows = slice(problem.base.count, None)
+    alike = () if problem.prior is None else problem.prior.alike
     return {
         "consistency": problem.consistency,
         "margin": float(problem.constraints.margin),
@@ -297,6 +298,8 @@ def _problem(problem: Problem) -> dict[str, Any]:
             "inverses": semidefinite(log_det.inverses).tolist(),
             "strength": float(log_det.strength),
         },
+        # Not there where nothing is believed of pairs: as in certificates before there were any.
+        **({"alike": [each.to_dict() for each in alike]} if alike else {}),
     }
 
 

@@ -250,18 +250,21 @@ class MirrorPair(Condition):
             position = frozen(real_array(self.position, f"{what}: position", ndim=1))
             object.__setattr__(self, "position", position)
 
+    def between(self, layout: Layout) -> Array:
+        """Return the reflection (4, 4) that maps the first link's joint frame to the second's."""
+        if self.reflection is not None:
+            return np.asarray(self.reflection)
+        first, second = layout.link(self.first), layout.link(self.second)
+        n, point = np.asarray(self.normal), np.asarray(self.point)
+        mirror = np.eye(4)
+        mirror[:3, :3] -= 2.0 * np.outer(n, n)
+        mirror[:3, 3] = 2.0 * (n @ point) * n
+        placements = link_placements(layout.robot, self.position)
+        return np.asarray(np.linalg.solve(placements[second], mirror @ placements[first]))
+
     def compile(self, layout: Layout) -> Iterator[Row]:
         """Return ten equations, each in its parameter's unit."""
-        first, second = layout.link(self.first), layout.link(self.second)
-        if self.reflection is None:
-            n, point = np.asarray(self.normal), np.asarray(self.point)
-            mirror = np.eye(4)
-            mirror[:3, :3] -= 2.0 * np.outer(n, n)
-            mirror[:3, 3] = 2.0 * (n @ point) * n
-            placements = link_placements(layout.robot, self.position)
-            M = np.linalg.solve(placements[second], mirror @ placements[first])
-        else:
-            M = np.asarray(self.reflection)
+        M = self.between(layout)
         image = transform(np.eye(10), M[:3, :3], M[:3, 3]).T
         yield from _pair(layout, self.first, self.second, image, "mirror image of")
 

@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Hashable, Iterable, Sequence
-from dataclasses import fields
+from dataclasses import dataclass, fields
+from typing import Any
 
 import numpy as np
 
-from sdpid._common.arrays import Array
+from sdpid._common.arrays import Array, frozen
 from sdpid.errors import DataError
 from sdpid.estimation.conic.standard_form import symmetric_basis
-from sdpid.estimation.constraints.condition import Layout, Row
+from sdpid.estimation.constraints.condition import Layout
 from sdpid.estimation.constraints.equalities import MirrorPair
 from sdpid.robot.inertia import pseudo_inertia
 
@@ -49,31 +50,53 @@ def key_of_pairs(pairs: Sequence[MirrorPair]) -> Hashable:
     )
 
 
-def alike_rows(pairs: Sequence[MirrorPair], within: float, bodies: Array, layout: Layout) -> Array:
-    """Return rows (10·pairs, p) whose squared norm is twice the nats of all differences.
+@dataclass(frozen=True, eq=False)
+class Alike:
+    """A link that is believed to be nearly the mirror image of another, in numbers.
 
-    Parameters
+    Attributes
     ----------
-    pairs : sequence of MirrorPair
+    first, second : int
         The links.
+    reflection : ndarray, shape (4, 4)
+        Maps the first link's joint frame to the second's.
+    inverse : ndarray, shape (4, 4)
+        Inverse of the mean believed pseudo-inertia L·L^T, in the second link's frame.
     within : float
-        Standard deviation of a difference, as a share of the body.
-    bodies : ndarray, shape (links, 10)
-        The believed bodies.
-    layout : Layout
-        Where parameters are in theta.
-
-    Raises
-    ------
-    ModelError
-        When the robot has no such link.
+        Standard deviation of the difference, as a share of the body.
+    rows : ndarray, shape (10, p)
+        Their squared norm is ``‖L^(-1)·(P_2 − M·P_1·M^T)·L^(-T)‖²/within²``, twice the nats.
     """
-    found = [np.zeros((0, layout.count))]
-    for pair in pairs:
-        difference = np.stack(
-            [part.coefficients for part in pair.compile(layout) if isinstance(part, Row)]
-        )
-        two = layout.link(pair.second)
+
+    first: int
+    second: int
+    reflection: Array
+    inverse: Array
+    within: float
+    rows: Array
+
+    @classmethod
+    def of(cls, pair: MirrorPair, within: float, bodies: Array, layout: Layout) -> Alike:
+        """Return the belief in a pair.
+
+        Parameters
+        ----------
+        pair : MirrorPair
+            The links.
+        within : float
+            Standard deviation of a difference.
+        bodies : ndarray, shape (links, 10)
+            The believed bodies.
+        layout : Layout
+            Where parameters are in theta.
+
+        Raises
+        ------
+        ModelError
+            When the robot has no such link.
+        """
+        difference = np.stack([row.coefficients for row in pair.compile(layout)])
+        two, M = layout.link(pair.second), pair.between(layout)
         theta = np.zeros(layout.count)
         theta[: bodies.size] = bodies.ravel()
         # The image of the first is the second less the difference: their mean is a body, too.
@@ -81,8 +104,25 @@ def alike_rows(pairs: Sequence[MirrorPair], within: float, bodies: Array, layout
         inverse = np.linalg.inv(np.linalg.cholesky(mean))
         units = inverse @ pseudo_inertia(np.eye(10)) @ inverse.T
         block = np.einsum("aij,kij->ak", symmetric_basis(4), units) / within
-        found.append(block @ difference)
-    return np.vstack(found)
+        return cls(
+            first=layout.link(pair.first),
+            second=two,
+            reflection=frozen(M),
+            inverse=frozen(inverse.T @ inverse),
+            within=within,
+            rows=frozen(block @ difference),
+        )
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return what a certificate states beside the rows, as plain values."""
+        inverse = 0.5 * (self.inverse + self.inverse.T)
+        return {
+            "first": self.first,
+            "second": self.second,
+            "reflection": self.reflection.tolist(),
+            "inverse": inverse.tolist(),
+            "within": self.within,
+        }
 
 
 def described_pairs(pairs: Sequence[MirrorPair], within: float) -> str:

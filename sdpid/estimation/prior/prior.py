@@ -15,7 +15,7 @@ from sdpid.estimation.compression.rows import CHUNK, Rows, RowSource
 from sdpid.estimation.conic.standard_form import symmetric_basis
 from sdpid.estimation.constraints.condition import Layout
 from sdpid.estimation.constraints.equalities import MirrorPair
-from sdpid.estimation.prior.alike import alike_rows, described_pairs, key_of_pairs, pairs_of
+from sdpid.estimation.prior.alike import Alike, described_pairs, key_of_pairs, pairs_of
 from sdpid.estimation.prior.cost_terms import CostTerm, SquaredTerm
 from sdpid.estimation.prior.evidence import STRONGEST, WEAKEST, strength_by_evidence
 from sdpid.estimation.prior.log_det import LogDetTerm
@@ -175,12 +175,16 @@ class PriorTerms:
         The links' strength, nats.
     source : Prior or None
         What they were made of.
+    alike : tuple of Alike
+        Links that are believed to be nearly mirror images: the last ten rows each of the
+        `SquaredTerm`.
     """
 
     terms: tuple[CostTerm, ...]
     notes: tuple[str, ...]
     strength: float
     source: Prior | None = None
+    alike: tuple[Alike, ...] = ()
 
 
 def repaired(bodies: Array) -> tuple[Array, tuple[int, ...], tuple[int, ...]]:
@@ -233,9 +237,10 @@ def prior_terms(prior: Prior, rows: Rows, *, data: tuple[Array, Array] | None = 
     belief = _friction_rows(rows) if prior.friction else np.zeros((0, 0))
     F = np.zeros((len(belief), theta_size))
     F[:, theta_size - len(belief) :] = belief
-    if prior.alike:
-        layout = Layout(rows.robot, rows.friction)
-        F = np.vstack([F, alike_rows(prior.alike, prior.within, bodies, layout)])
+    layout = Layout(rows.robot, rows.friction)
+    alike = tuple(Alike.of(pair, prior.within, bodies, layout) for pair in prior.alike)
+    if alike:
+        F = np.vstack([F, *(each.rows for each in alike)])
         notes.append(f"prior: {described_pairs(prior.alike, prior.within)}")
     f = np.zeros(len(F))
     if prior.strength == "evidence":
@@ -255,7 +260,7 @@ def prior_terms(prior: Prior, rows: Rows, *, data: tuple[Array, Array] | None = 
         R, r = R[vague], r[vague]
     root = np.sqrt(strength)
     squared = SquaredTerm(frozen(np.vstack([root * R, F])), frozen(np.concatenate([root * r, f])))
-    return PriorTerms((squared, *terms), tuple(notes), strength, prior)
+    return PriorTerms((squared, *terms), tuple(notes), strength, prior, alike)
 
 
 def link_rows(prior: Prior, robot: RobotModel) -> Array:

@@ -93,7 +93,12 @@ def _differences_of_prior(
     stated: StatedProblem, given: Mapping[str, Any], source: RowSource
 ) -> Iterator[str]:
     """Yield what of the certificate's prior is not as stated."""
-    terms = () if stated.prior is None else prior_terms(stated.prior, source).terms
+    made = None if stated.prior is None else prior_terms(stated.prior, source)
+    terms, alike = ((), ()) if made is None else (made.terms, made.alike)
+    found = given.get("alike", [])
+    pairs = zip(found, (each.to_dict() for each in alike), strict=False)
+    if len(found) != len(alike) or not all(_as(one, two) for one, two in pairs):
+        yield "links that are believed to be alike are not those that are stated"
     squared = [term for term in terms if isinstance(term, SquaredTerm)]
     log_det = [term for term in terms if isinstance(term, LogDetTerm)]
     rows = sum(len(term.rhs) for term in squared)
