@@ -4,6 +4,7 @@ Quadrupeds in MuJoCo as in `legged.py`. Efforts, IMU, pose of the base and flags
 each early by 1 ms, on time, or late by 1, 2 or 4 ms against the joints, drawn for each log; one
 log of each motion has no delay. *Worst* and *median* are of found less true delays, *told* counts
 delays of at least 2 ms (4 of flags) that inspection tells, *false* those told where there is none.
+Flags are also made by a threshold of a fifth of the weight, at which the feet carry much already.
 
 * ``legged_delays.csv``: errors of what is found, by motion and channel, with an IMU and without.
 * ``legged_late.csv``: errors on a held-out walk, of logs with late channels, taken on time or not.
@@ -36,6 +37,8 @@ MOTIONS = (*THREE, "walk")
 DELAYS_MS = (-1.0, 0.0, 1.0, 2.0, 4.0)
 # Delays that count as told or missed, ms.
 LONG_MS = {"effort": 2.0, "imu": 2.0, "base": 2.0, "contacts": 4.0}
+# Of the weight: below it, a foot is said to be up; and motions in which feet are.
+THRESHOLD, LIFTING = 0.2, ("trot", "walk")
 # What the first samples of a run are kept for: later delays, in samples.
 BEFORE = 20
 COLUMNS = (
@@ -55,19 +58,27 @@ LATE_COLUMNS = (
 
 
 def recorded(
-    quadruped: Quadruped, run: LeggedRun, delays_ms: dict[str, float], seed: int
+    quadruped: Quadruped,
+    run: LeggedRun,
+    delays_ms: dict[str, float],
+    seed: int,
+    threshold: float = 0.0,
 ) -> sdpid.Recording:
-    """Return a run, its channels late by so much against the joints."""
+    """Return a run, its channels late by so much against the joints.
+
+    Flags are those above a threshold, a share of the weight.
+    """
     least = min(0.0, *delays_ms.values()) if delays_ms else 0.0
     late = {name: (value - least) * 1e-3 for name, value in delays_ms.items()}
     robot, motion = quadruped.robot, run.motion
     contacts = run.recording.contacts
     assert contacts is not None
+    weight = 9.81 * float(run.theta[: 10 * robot.n_links : 10].sum())
     return record(
         find_legs(robot),
         (np.arange(len(motion.position)) - BEFORE) * run.recording.step,
         motion,
-        Sensors(delays={"joints": -least * 1e-3, **late}),
+        Sensors(delays={"joints": -least * 1e-3, **late}, flag_threshold=threshold * weight),
         gravity=robot.gravity,
         held=contacts.n == 1,
         rng=np.random.default_rng(seed),
@@ -90,7 +101,11 @@ def found_rows(
                         values = rng.choice(DELAYS_MS, len(CHANNELS)) if draw else np.zeros(4)
                         true = dict(zip(CHANNELS, values.tolist(), strict=True))
                         log = recorded(quadruped, run, true, seed=draw)
-                        for sensor, each in (("IMU", log), ("pose", without_imu(log))):
+                        sensors = [("IMU", log), ("pose", without_imu(log))]
+                        if motion in LIFTING:
+                            log = recorded(quadruped, run, true, seed=draw, threshold=THRESHOLD)
+                            sensors.append(("IMU, flags with a threshold", log))
+                        for sensor, each in sensors:
                             for channel, delay in channel_delays(quadruped.robot, each).items():
                                 off = 1e3 * delay.value - true[channel]
                                 told = is_told(channel, delay)
