@@ -11,6 +11,7 @@ import pytest
 import sdpid
 from sdpid.errors import DataError, ModelError
 from sdpid.robot.model.contacts.closure import close_loops
+from sdpid.robot.model.contacts.jacobians import frame_gaps
 from sdpid.workflow.result import Identification
 from tests.helpers.linkages import mjcf, run, urdf
 
@@ -27,7 +28,8 @@ def identified(
 ) -> tuple[Identification, sdpid.Recording, Path]:
     name = request.param
     path = tmp_path_factory.mktemp("loop") / f"{name}.urdf"
-    path.write_text(urdf(name))
+    # A ball in a plane, and a pin, are the same.
+    path.write_text(urdf(name, kind="spherical" if name == "four_bar" else "revolute"))
     robot = sdpid.load_robot(path)
     start = close_loops(robot, np.array([STARTS[name]]), robot.passive)[0]
     scale = np.random.default_rng(1).uniform(0.85, 1.15, robot.n)
@@ -59,17 +61,21 @@ def test_motors_alone_identify_a_linkage(
 def test_a_loop_is_proven_from_the_log(
     identified: tuple[Identification, sdpid.Recording, Path], tmp_path: Path
 ) -> None:
-    result, log, _ = identified
+    result, log, path = identified
     result.save(tmp_path / "run", figures=False)
     whole = sdpid.verify(tmp_path / "run", data=log)
     assert whole.passed, whole.problems
     assert whole.log is not None
-    assert {"robot", "contacts", "compression"} <= whole.log.proven
+    assert {"robot", "contacts", "compression", "rows"} <= whole.log.proven
+    equations = whole.log.equations
+    assert equations is not None
+    assert equations.gap is not None
+    assert equations.gap < 1e-6
     # The same with the loop a little farther out is another robot.
-    ends = urdf(result.problem.robot.name).replace(
-        'xyz="0.25 0 0"/><axis', 'xyz="0.251 0 0"/><axis'
-    )
-    ends = ends.replace('xyz="0.22 0 0"/><axis', 'xyz="0.221 0 0"/><axis')
+    ends = path.read_text()
+    for length in ("0.25", "0.22"):
+        ends = ends.replace(f'xyz="{length} 0 0"/><axis', f'xyz="{length}1 0 0"/><axis')
+    assert ends != path.read_text()
     other = sdpid.verify(tmp_path / "run", data=log, robot=sdpid.load_robot(ends))
     assert not other.passed
 
@@ -79,12 +85,18 @@ def test_an_mjcf_of_the_result_closes(
 ) -> None:
     result, _, path = identified
     sdpid.write_mjcf(result.estimate, target=tmp_path / "out.xml")
-    assert mujoco.MjModel.from_xml_path(str(tmp_path / "out.xml")).neq == 1
-    again = sdpid.load_robot(tmp_path / "out.xml")
-    assert [loop.kind for loop in again.loops] == ["point"]
     described = sdpid.load_robot(path)
-    loop = described.loops[0]
-    assert {loop.frame, loop.against} <= set(described.frame_numbers)
+    # A pin is two balls on its axis.
+    count = 2 if described.loops[0].kind == "line" else 1
+    model = mujoco.MjModel.from_xml_path(str(tmp_path / "out.xml"))
+    assert model.neq == count
+    again = sdpid.load_robot(tmp_path / "out.xml")
+    assert [loop.kind for loop in again.loops] == ["point"] * count
+    # Where the description's loop is closed, so is the file's.
+    start = np.array([STARTS[described.name]])
+    closed = close_loops(described, start, described.passive)
+    for loop in again.loops:
+        assert frame_gaps(again, closed, [loop.frame], [loop.against]) < 1e-9
 
 
 def test_recorded_positions_and_other_columns(tmp_path: Path) -> None:

@@ -17,6 +17,7 @@ from sdpid.assurance.log_proof.comparison import Piece, piece_of_many, piece_of_
 from sdpid.assurance.log_proof.enclosure import TINY, root
 from sdpid.assurance.log_proof.friction_columns import has_formula
 from sdpid.assurance.log_proof.touching.error import contact_error
+from sdpid.assurance.log_proof.touching.forces import ForceErrors, Near
 from sdpid.assurance.log_proof.weights import diagonal_weights, lesser_weights
 from sdpid.estimation.compression.covariance import Weighting
 from sdpid.estimation.compression.rows import Rows
@@ -62,6 +63,12 @@ class RowError:
     constant, share : float
         What does not depend on theta, and what grows with the cost: zero but for eq9, eq18
         and samples in contact.
+    forces : ForceErrors or None
+        What forces that nobody measured make of errors of contacts' Jacobians.
+    anywhere : float
+        What they make of them over the box, beside `share`.
+    matrix : ndarray, shape (b, p)
+        Base parameters of parameters.
     box : Box
         Bounds of everything feasible.
     taken_as_computed : tuple of str
@@ -74,6 +81,9 @@ class RowError:
     links: Array
     constant: float
     share: float
+    forces: ForceErrors | None
+    anywhere: float
+    matrix: Array
     box: Box
     taken_as_computed: tuple[str, ...]
     worst: WorstEntry
@@ -81,20 +91,27 @@ class RowError:
     @cached_property
     def total(self) -> float:
         """The bound rho for every theta in the box."""
-        return self._over(self.box)
+        return self._over(self.box, self.anywhere)
 
     def at(self, theta: Array) -> float:
         """Return the bound at some parameters (p,)."""
-        return self._over(Box.around(theta, len(self.links)))
+        theta = np.asarray(theta, dtype=np.float64)
+        forces = 0.0 if self.forces is None else self.forces.at(*_rounded(self.matrix, theta))
+        return self._over(Box.around(theta, len(self.links)), forces)
 
-    def _over(self, box: Box) -> float:
+    def _over(self, box: Box, forces: float) -> float:
         terms = np.concatenate([box.theta * self.columns, (box.bodies * self.links).ravel()])
-        found = float((np.sum(terms) + self.constant) * UP + TINY)
+        found = float((np.sum(terms) + self.constant + forces) * UP + TINY)
         return found if np.isfinite(found) else np.inf
 
 
 def row_error(
-    rows: Rows, sigma: Array, weighting: Weighting, feasible: FeasibleSet
+    rows: Rows,
+    sigma: Array,
+    weighting: Weighting,
+    feasible: FeasibleSet,
+    *,
+    near: Near | None = None,
 ) -> RowError | None:
     """Return how far rows are from those of the robot's equations, None for other joints.
 
@@ -114,6 +131,9 @@ def row_error(
         As for `sdpid.build_problem`.
     feasible : FeasibleSet
         The box, and the links' consistency.
+    near : Near, optional
+        What the rows were compressed to: of samples in contact the bound is then that of
+        parameters that fit, and what is more grows with the cost.
 
     Returns
     -------
@@ -133,7 +153,8 @@ def row_error(
         pieces = rows.map(piece_of_many, exponent, box, printed, sigma=sigma)
     columns = root(np.sum([piece.columns**2 for piece in pieces], axis=0))
     links = root(np.sum([piece.links**2 for piece in pieces], axis=0))
-    constant = share = 0.0
+    constant = share = anywhere = 0.0
+    forces = None
     if printed:
         whole = _Rows.of(pieces)
         columns, links, constant, share = whole.printed(rows.base.kept, columns, links)
@@ -147,7 +168,14 @@ def row_error(
             moved = touching.columns @ np.abs(rows.base.matrix)
         columns = (columns * touching.larger + moved) * UP
         links = links * touching.larger * UP
-        constant, share = touching.constant, touching.share
+        constant, share, forces = touching.constant, touching.share, touching.forces
+        limit = np.abs(rows.base.matrix) @ box.theta * UP
+        anywhere = forces.over(limit)
+        if near is not None:
+            grows, beside = forces.spread(near, limit)
+            beside += forces.at(near.base, np.zeros(len(limit)))
+            if np.isfinite([grows, beside]).all():
+                share, anywhere = share + grows, beside * UP
     first, best = 0, pieces[0]
     start = 0
     for piece in pieces:
@@ -160,6 +188,9 @@ def row_error(
         links=frozen(links),
         constant=constant,
         share=share,
+        forces=forces,
+        anywhere=anywhere,
+        matrix=rows.base.matrix,
         box=box,
         taken_as_computed=_as_computed(rows),
         worst=WorstEntry(
@@ -221,6 +252,12 @@ def _least_eigenvalue(gram: Array, error: float) -> float:
     except np.linalg.LinAlgError:
         return 0.0
     return max((least - error - 4.0 * m * (m + 2.0) * U * trace) / UP, 0.0)
+
+
+def _rounded(matrix: Array, theta: Array) -> tuple[Array, Array]:
+    """Return base parameters of parameters, and bounds of their rounding."""
+    off = gamma(matrix.shape[1]) * (np.abs(matrix) @ np.abs(theta))
+    return matrix @ theta, off * UP + TINY
 
 
 def _as_computed(rows: Rows) -> tuple[str, ...]:

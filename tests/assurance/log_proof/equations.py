@@ -20,7 +20,7 @@ def exact_regressor(robot: RobotModel, q: Array, v: Array, a: Array) -> Any:
     tree = robot.tree
     assert tree is not None
     with mp.workdps(DIGITS):
-        motion = _Motion(tree, robot.offset, q, v, a)
+        motion = ExactMotion(tree, robot.offset, q, v, a)
         columns = [motion.efforts(i, unit) for i in range(len(tree.kind)) for unit in np.eye(10)]
         return np.array(columns, dtype=object).T
 
@@ -35,7 +35,7 @@ def exact_jacobian(
     tree = robot.tree
     assert tree is not None
     with mp.workdps(DIGITS):
-        motion = _Motion(tree, robot.offset, q, np.zeros(robot.n), np.zeros(robot.n))
+        motion = ExactMotion(tree, robot.offset, q, np.zeros(robot.n), np.zeros(robot.n))
         R, i = numbers(np.eye(3)), link
         while i >= 0:
             R, i = motion.R[i].dot(R), int(tree.parent[i])
@@ -57,7 +57,7 @@ def _cross(x: Any, y: Any) -> Any:
     return np.array([x[i] * y[j] - x[j] * y[i] for i, j in ((1, 2), (2, 0), (0, 1))])
 
 
-class _Motion:
+class ExactMotion:
     def __init__(self, tree: Tree, offset: Array, q: Array, v: Array, a: Array) -> None:
         self.tree = tree
         self.factor = numbers(tree.factor)

@@ -25,6 +25,7 @@ from sdpid.assurance.log_proof.chain.stated import stated_problem
 from sdpid.assurance.log_proof.chain.totals import Totals, of_rows, of_true_rows
 from sdpid.assurance.log_proof.inputs import log_entry, recording_digest
 from sdpid.assurance.log_proof.row_error import row_error
+from sdpid.assurance.log_proof.touching.forces import Near
 from sdpid.errors import CertificateError, DataError, MissingExtraError, SdpidError
 from sdpid.estimation.compression.rows import RowSource
 from sdpid.estimation.constraints.condition import Layout
@@ -329,11 +330,12 @@ class _Check:
             self.sigma,
             sealed.recipe.weighting,
             replace(feasible, lower=lower, upper=upper),
+            near=self._near(),
         )
         if found is None or not np.isfinite([found.total, found.share]).all():
             text = (
                 "how far they are from the equations of motion is not bounded for these joints, or "
-                "for contacts along a line"
+                "for measured forces whose errors depend on each other"
             )
             self.say("rows", "not checked", text)
             return
@@ -356,6 +358,19 @@ class _Check:
                 text_of = f"columns of {', '.join(sorted(terms))} are taken as computed: they {why}"
                 self.say("rows", "not checked", text_of)
         self.say("rows", "proven", text)
+
+    def _near(self) -> Near | None:
+        """Return the certificate's compressed cost, and base parameters that fit."""
+        problem, theta = self.sealed.data["problem"], self.sealed.found.theta
+        A = np.array(problem["A"], dtype=np.float64).reshape(len(problem["rhs"]), -1)
+        rhs = np.array(problem["rhs"], dtype=np.float64)
+        found = self.compression
+        if found is None or found.relative is None or found.absolute is None:
+            return None
+        base = np.asarray(np.linalg.lstsq(A, rhs, rcond=None)[0], dtype=np.float64)
+        if theta is not None:
+            base = self.source.base.matrix @ np.array([float(each) for each in theta])
+        return Near(A=A, rhs=rhs, relative=found.relative, absolute=found.absolute, base=base)
 
     def add_up(self) -> None:
         """Say what is proven of the rows of this log."""

@@ -4,7 +4,7 @@ Of a sample with the residual r, the efforts A of forces that nobody measured an
 the cost is the least ``‖r + A·f‖²`` over all forces f, in the norm of C^-1. With another A + D,
 ``‖D‖ ≤ p``, its root is at most p·‖f‖ larger, f being the best forces for A, and at most
 ``p/(1 − p·g)·‖f‖ + s·b`` smaller, ``s = (p·g)²/(1 − p·g)``, b being the root for A + D; g is
-`ContactWhiteners.force`. Of parameters f is linear, and so are its bounds. docs/theory ("Rows hold
+`ContactWhiteners.force`. Of parameters f is linear (`forces`). docs/theory ("Rows hold
 for the robot's equations") has the proof.
 """
 
@@ -22,10 +22,11 @@ from sdpid.assurance.certificate.outward import below_one, gamma, quotient
 from sdpid.assurance.log_proof.enclosure import root
 from sdpid.assurance.log_proof.joints import Joint
 from sdpid.assurance.log_proof.regressor import motion
-from sdpid.assurance.log_proof.touching.jacobians import jacobian_errors
+from sdpid.assurance.log_proof.touching.forces import ForceErrors
+from sdpid.assurance.log_proof.touching.jacobians import JacobianErrors
 from sdpid.assurance.log_proof.weights import diagonal_weights
 from sdpid.estimation.compression.rows import Rows, RowSource
-from sdpid.robot.model.contacts.jacobians import contact_jacobians
+from sdpid.robot.model.contacts.jacobians import relative_jacobians
 from sdpid.robot.model.regressor_kernel import flatten
 
 
@@ -39,6 +40,8 @@ class ContactError:
         By at most this for each base parameter of size one.
     constant : float
         And by this for any.
+    forces : ForceErrors
+        And by what the best forces make of errors of Jacobians.
     share : float
         And by this share of the root itself.
     larger : float
@@ -48,6 +51,7 @@ class ContactError:
 
     columns: Array
     constant: float
+    forces: ForceErrors
     share: float
     larger: float
 
@@ -55,8 +59,7 @@ class ContactError:
 def contact_error(rows: Rows, sigma: Array) -> ContactError:
     """Return what errors of Jacobians do to the cost of rows with contacts.
 
-    Infinite where contacts are lines, whose axes are not enclosed, and where components of a
-    contact's force have errors that depend on each other.
+    Infinite where components of a contact's force have errors that depend on each other.
 
     Parameters
     ----------
@@ -69,6 +72,7 @@ def contact_error(rows: Rows, sigma: Array) -> ContactError:
     return ContactError(
         columns=root(np.sum([piece.columns**2 for piece in pieces], axis=0)),
         constant=float(root(sum(piece.constant**2 for piece in pieces))),
+        forces=ForceErrors.sum([piece.forces for piece in pieces]),
         share=max(piece.share for piece in pieces),
         larger=max(piece.larger for piece in pieces),
     )
@@ -84,21 +88,29 @@ def _piece(source: RowSource, sigma: Array) -> ContactError:
     assert tree is not None  # the caller has looked
     R = contacts.force_covariance
     correlated = R is not None and np.any(R - _diagonal(R))
-    if "line" in contacts.kind or any(contacts.against) or correlated:
-        nothing = np.full(source.base.count, np.inf)
-        return ContactError(columns=nothing, constant=np.inf, share=np.inf, larger=1.0)
+    count = source.base.count
+    if correlated:
+        return ContactError(
+            columns=np.full(count, np.inf),
+            constant=np.inf,
+            forces=ForceErrors.none(count + 1),
+            share=np.inf,
+            larger=1.0,
+        )
     joints = [Joint.of(tree, i) for i in range(len(tree.kind))]
-    columns, constant, larger = np.zeros(source.base.count + 1), 0.0, 1.0
+    columns, constant, larger = np.zeros(count + 1), 0.0, 1.0
+    found: list[ForceErrors] = [ForceErrors.none(count + 1)]
     most = 0.0
     for part in source.parts():
         own = sigma if sigma.ndim == 2 else sigma[part]
         mask, touching = source.mask(part), source.contacts(part)
         assert touching is not None
         samples = source.samples
-        J = contact_jacobians(
+        J = relative_jacobians(
             source.robot,
             samples.position[part],
             contacts.frames,
+            contacts.against,
             contacts.offset,
             compiled=touching.compiled,
         )
@@ -111,12 +123,14 @@ def _piece(source: RowSource, sigma: Array) -> ContactError:
         )
         # An overflow leaves a bound that is infinite or no number.
         with np.errstate(over="ignore", invalid="ignore"):
-            off = jacobian_errors(source.robot, joints, states, contacts, J)
+            errors = JacobianErrors(source.robot, joints, states, contacts, J)
+            off = errors.of_columns
             w = diagonal_weights(own, -1.0)
             grown = _grown(J, R, source.force_scale, own, w)
             larger = max(larger, grown)
             factor = np.where(mask, w, 0.0) * grown * UP
-            moved = root(np.einsum("kcdn,kn->k", off**2, factor**2))
+            eliminated = errors.of_eliminated(samples.position[part], contacts.down[part])
+            moved = root(np.einsum("kcdn,kn->k", eliminated**2, factor**2))
             block = source.rows(part)
             for each in contact_whiteners(touching, own, mask):
                 if not each.rank:
@@ -124,8 +138,11 @@ def _piece(source: RowSource, sigma: Array) -> ContactError:
                 p = moved[each.some]
                 product = p * each.force * UP
                 p = quotient(p, below_one(product))
-                found = p[:, None] * _forces(each, block[each.some], factor[each.some])
-                columns += np.sum(found**2, axis=0) * UP
+                W = block[each.some]
+                forces = p[:, None, None] * each.grown[:, None, None] * (each.G @ W)
+                found.append(ForceErrors.of(forces.reshape(-1, count + 1)))
+                left = p[:, None] * _left_open(each, W, factor[each.some])
+                columns += np.sum(left**2, axis=0) * UP
                 most = max(most, float((p * product * each.force).max()) * UP)
             if contacts.forces is not None and R is not None:
                 wrong = _effort_errors(J, off, contacts.forces[part], R, samples.effort[part])
@@ -134,14 +151,19 @@ def _piece(source: RowSource, sigma: Array) -> ContactError:
     return ContactError(
         columns=np.array(norms),
         constant=float(efforts + root(constant)) * UP,
+        forces=ForceErrors.sum(found).times((1.0 + most) * UP),
         share=most,
         larger=larger,
     )
 
 
-def _forces(each: ContactWhiteners, W: Array, factor: Array) -> Array:
-    """Return bounds (g, c) of the forces that explain the columns of rows (g, n, c) best."""
-    size = np.abs(each.G @ W) + gamma(W.shape[1]) * (np.abs(each.G) @ np.abs(W))
+def _left_open(each: ContactWhiteners, W: Array, factor: Array) -> Array:
+    """Return bounds (g, c) of what G leaves open of the forces that explain columns best.
+
+    That is its rounding, and what another left inverse would find.
+    """
+    # Rounding of the product, and of the factors before it.
+    size = gamma(W.shape[1] + 4) * (np.abs(each.G) @ np.abs(W))
     norms = root(np.einsum("gnc,gn->gc", W**2, factor**2))
     found = each.grown[:, None] * root(np.sum(size**2, axis=1)) + each.lean[:, None] * norms
     return np.asarray(found * UP)

@@ -12,26 +12,19 @@ from typing import Any
 
 import numpy as np
 
-from sdpid._common.arrays import Array
+from sdpid._common.arrays import Array, Mask
 from sdpid.assurance.certificate.outward import SLACK as UP
+from sdpid.assurance.certificate.outward import gamma
 from sdpid.assurance.log_proof.enclosure import TINY, Enclosed, root
 from sdpid.assurance.log_proof.joints import Joint, constant_vector
 from sdpid.assurance.log_proof.regressor import Motion, moving_links
 from sdpid.experiment.processing.contacts.contact_samples import ContactSamples
+from sdpid.robot.model.contacts.jacobians import frame_axes
 from sdpid.robot.model.model import RobotModel
 
 
-def jacobian_errors(
-    robot: RobotModel,
-    joints: Sequence[Joint],
-    states: Motion,
-    contacts: ContactSamples,
-    computed: Array,
-) -> Array:
-    """Return bounds of what Jacobians are off by, (k, c, 2, n).
-
-    Of each coordinate they bound the norm of the error of the point's velocity, and of the angular
-    velocity.
+class JacobianErrors:
+    """What Jacobians of contacts are off by.
 
     Parameters
     ----------
@@ -42,30 +35,100 @@ def jacobian_errors(
     states : Motion
         Of k samples.
     contacts : ContactSamples
-        Frames and offsets of c contacts.
+        Frames, those that they touch, and offsets of c contacts.
     computed : ndarray, shape (k, c, 6, n)
-        From `sdpid.robot.model.contacts.jacobians.contact_jacobians`.
+        From `sdpid.robot.model.contacts.jacobians.relative_jacobians`.
+
+    Attributes
+    ----------
+    of_columns : ndarray, shape (k, c, 2, n)
+        Of each coordinate bounds of the norm of the error of the point's velocity, and of the
+        angular velocity; against the link that it touches, where there is one.
     """
-    model: Any = robot.pin_model
-    links, turned = moving_links(joints, states), _Turned(joints, states)
-    parts = computed.reshape(*computed.shape[:2], 2, 3, computed.shape[3])
-    found: Array = np.sqrt(np.einsum("kcdin,kcdin->kcdn", parts, parts)) * UP
-    for i, name in enumerate(contacts.frames):
-        frame = model.frames[model.getFrameId(name)]
-        at = frame.parentJoint - 1
-        if at < 0:
-            # A frame of the world: it does not move, and nothing that was computed may.
-            continue
-        link, R = links[at], turned.of(at)
-        place = constant_vector(np.array(frame.placement.translation))
-        spin = R.apply(link.u)
-        offset = constant_vector(contacts.offset[i])
-        exact = R.apply(link.l + link.u.cross(place)) + spin.cross(offset)
-        for d, each in enumerate((exact, spin)):
-            off = parts[:, i, d][:, :, link.coordinates].transpose(2, 1, 0) - each.mid
-            norm = root(np.einsum("mik,mik->mk", off, off)) + each.rad[:, None] + TINY
-            found[:, i, d, link.coordinates] = norm.T * UP
-    return found
+
+    def __init__(
+        self,
+        robot: RobotModel,
+        joints: Sequence[Joint],
+        states: Motion,
+        contacts: ContactSamples,
+        computed: Array,
+    ) -> None:
+        self.robot, self.contacts, self.computed = robot, contacts, computed
+        self._links, self._turned = moving_links(joints, states), _Turned(joints, states)
+        self._spins: list[Enclosed] = []
+        parts = computed.reshape(*computed.shape[:2], 2, 3, computed.shape[3])
+        self.of_columns: Array = np.zeros((*computed.shape[:2], 2, computed.shape[3]))
+        for i, (own, other) in enumerate(zip(contacts.frames, contacts.against, strict=True)):
+            offset = constant_vector(contacts.offset[i])
+            exact = self._velocities(own, offset)
+            if other is not None:
+                exact = [a - b for a, b in zip(exact, self._velocities(other, offset), strict=True)]
+            self._spins.append(exact[1])
+            for d, each in enumerate(exact):
+                off = parts[:, i, d].transpose(2, 1, 0) - each.mid
+                norm = root(np.einsum("mik,mik->mk", off, off)) + each.rad[:, None] + TINY
+                self.of_columns[:, i, d] = norm.T * UP
+
+    def of_eliminated(self, position: Array, down: Mask) -> Array:
+        """Return the errors (k, c, 2, n) of what contacts transmit and nobody measures.
+
+        Nothing of contacts that are open, and of a line the moments across it.
+
+        Parameters
+        ----------
+        position : ndarray, shape (k, n) or (k, nq)
+            Of the same samples.
+        down : ndarray of bool, shape (k, c)
+            Whether contacts are closed.
+        """
+        found = self.of_columns * down[:, :, None, None]
+        for i, kind in enumerate(self.contacts.kind):
+            if kind == "point":
+                found[:, i, 1] = 0.0
+            elif kind == "line":
+                across = self._across(i, position)
+                found[:, i, 1] = np.maximum(found[:, i, 1], across * down[:, i, None])
+        return found
+
+    def _across(self, i: int, position: Array) -> Array:
+        """Return bounds (k, n) of what the two moments across an axis are off by."""
+        name = self.contacts.frames[i]
+        axes = frame_axes(self.robot, position, [name])[:, 0]
+        spin = self.computed[:, i, 3:]
+        frame: Any = self.robot.pin_model.frames[self.robot.frame_numbers[name]]
+        rotation, at = np.array(frame.placement.rotation), frame.parentJoint - 1
+        squares = []
+        for a in (0, 2):
+            own = axes[:, :, a]
+            computed = np.einsum("ki,kin->kn", own, spin)
+            vector = constant_vector(rotation[:, a])
+            if at >= 0:
+                vector = self._turned.of(at).apply(vector)
+            exact = vector.dot(self._spins[i])
+            # The rows' own sum of the same three products may round otherwise.
+            rounding = 2.0 * gamma(4) * np.einsum("ki,kin->kn", np.abs(own), np.abs(spin))
+            off = np.abs(computed - exact.mid.T) + exact.rad + rounding + TINY
+            squares.append((off * UP) ** 2)
+        return np.asarray(root(squares[0] + squares[1]) * UP)
+
+    def _velocities(self, name: str, offset: Enclosed) -> list[Enclosed]:
+        """Return the velocity of a point and the angular one, for all coordinates: (n, 3, k)."""
+        frame: Any = self.robot.pin_model.frames[self.robot.frame_numbers[name]]
+        k, _, _, n = self.computed.shape
+        at, whole = frame.parentJoint - 1, []
+        if at >= 0:
+            link, R = self._links[at], self._turned.of(at)
+            place = constant_vector(np.array(frame.placement.translation))
+            spin = R.apply(link.u)
+            for each in (R.apply(link.l + link.u.cross(place)) + spin.cross(offset), spin):
+                mid, rad, size = np.zeros((n, 3, k)), np.zeros(n), np.zeros(n)
+                mid[link.coordinates] = each.mid
+                rad[link.coordinates], size[link.coordinates] = each.rad, each.size
+                whole.append(Enclosed(mid, rad, size))
+            return whole
+        # A frame of the world: it does not move.
+        return [Enclosed(np.zeros((n, 3, k)), np.zeros(n), np.zeros(n))] * 2
 
 
 class _Turned:
