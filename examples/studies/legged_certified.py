@@ -1,6 +1,6 @@
-"""Results of robots on legs, of 13 to 33 links, proven from the log on.
+"""Results of robots on legs, of 13 to 44 links, proven from the log on.
 
-Quadrupeds and a humanoid in MuJoCo, their links 15 % off the description, identified with and
+Quadrupeds and humanoids in MuJoCo, their links 15 % off the description, identified with and
 without a prior. Each result is saved and checked from its log as `sdpid verify --data` does.
 
 * ``legged_certified.csv``: consistency, gap and times.
@@ -22,6 +22,8 @@ import sdpid
 from sdpid._common.progress import progress
 from sdpid._common.tables import Table
 from sdpid.experiment.plant.legged.friction import DryFriction
+from sdpid.robot.legs.find import find_legs
+from sdpid.robot.legs.legs import Legs
 
 # Each robot and the motions that are identified from together.
 ROBOTS = {
@@ -29,7 +31,12 @@ ROBOTS = {
     "go1": ("stand", "trot", "hang"),
     "a1": ("stand", "trot", "hang"),
     "talos_reduced": ("stand", "step", "hang"),
+    "g1_29dof_with_hand_rev_1_0": ("stand", "step", "hang"),
 }
+# What the description of a G1 does not say: where its soles are (here at the ankles' axes), and
+# how it stands, its hips having pitch, roll and yaw in this order.
+FEET = {"g1_29dof_with_hand_rev_1_0": ("left_ankle_roll_link", "right_ankle_roll_link")}
+BENT = {"hip_pitch": -0.4, "hip_roll": 0.0, "hip_yaw": 0.0, "knee": 0.8, "ankle_pitch": -0.4}
 FRICTION = (sdpid.friction.Coulomb(width=DryFriction().width), "viscous", "rotor_inertia")
 COLUMNS = (
     "robot", "links", "joints", "base_parameters", "prior", "samples", "rows", "most_eliminated",
@@ -38,11 +45,27 @@ COLUMNS = (
 )  # fmt: skip
 
 
+def legs_of(robot: sdpid.RobotModel) -> Legs:
+    """Return the legs of a robot, by the names of its links or as stated above."""
+    feet = FEET.get(robot.name)
+    if feet is None:
+        return find_legs(robot)
+    lower, upper = robot.position_limits[robot.n_base :].T
+    inside = np.minimum(0.25, (upper - lower) / 4.0)
+    angles = np.clip(0.0, lower + inside, upper - inside)
+    for joint, name in enumerate(robot.joint_names[robot.n_base :]):
+        for part, angle in BENT.items():
+            if f"_{part}_" in name:
+                angles[joint] = angle
+    return find_legs(robot, feet=feet, standing=angles)
+
+
 def rows(name: str, seconds: float, priors: tuple[bool, ...]) -> Iterator[tuple[object, ...]]:
     """Yield the rows of one robot."""
     robot = sdpid.load_robot(name, root="free_flyer")
+    legs = legs_of(robot)
     logs = [
-        sdpid.simulate_legged(robot, motion, duration=seconds, seed=i).recording
+        sdpid.simulate_legged(robot, motion, duration=seconds, seed=i, legs=legs).recording
         for i, motion in enumerate(ROBOTS[name])
     ]
     for prior in priors:
