@@ -14,6 +14,7 @@ __all__ = ["REFUSED", "kinds_accepted", "require_accepted"]
 REFUSED = (
     "axis_sign",
     "base_orientation",
+    "contact_frame",
     "effort_order",
     "effort_scale",
     "effort_sign",

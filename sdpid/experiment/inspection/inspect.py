@@ -25,9 +25,9 @@ from sdpid.experiment.inspection.floating import (
     feet_checks,
     flight_checks,
     force_checks,
-    imu_checks,
 )
 from sdpid.experiment.inspection.joined import other_loads
+from sdpid.experiment.inspection.places import imu_checks, point_checks
 from sdpid.experiment.readers.read import is_frame, read_recording
 from sdpid.experiment.recording.floating.robots import robot_of
 from sdpid.experiment.recording.joints import joint_columns, match_joints
@@ -40,7 +40,15 @@ __all__ = ["Inspection", "inspect_recording", "inspect_recordings"]
 # Importing a file of checks adds them to the list. A new check is a function in one of these.
 _FILES = (
     *(time_checks, motion_checks, reference_checks, effort_checks, dynamics_checks),
-    *(delay_checks, base_checks, imu_checks, feet_checks, flight_checks, force_checks),
+    *(
+        delay_checks,
+        base_checks,
+        imu_checks,
+        feet_checks,
+        point_checks,
+        flight_checks,
+        force_checks,
+    ),
 )
 
 # Wrong units of position or time make the dynamics meaningless: they are told alone.
@@ -53,17 +61,18 @@ _OF_SPEED = (
 _OF_BASE = (
     *("base_velocity", "imu_gyroscope", "imu_accelerometer"),
     *("imu_axes", "imu_place", "imu_bias", "imu_scale"),
-    *("foot_moves", "foot_high", "feet_exchanged"),
+    *("foot_moves", "foot_high", "feet_exchanged", "contact_frame", "contact_point"),
     *(f"{channel}_late" for channel in LEAST),
 )
 # What efforts are compared with, where the base is free, and what a wrong joint makes of feet.
 _BEFORE_EFFORTS = (
     *("base_orientation", "base_velocity", "imu_gyroscope", "imu_accelerometer"),
-    "contacts_missing",
+    *("contacts_missing", "contact_frame"),
 )
 _OF_JOINTS = ("joint_order", "position_sign", "axis_sign", "position_zero")
-_OF_FEET = ("foot_moves", "foot_high", "feet_exchanged")
+_OF_FEET = ("foot_moves", "foot_high", "feet_exchanged", "contact_frame", "contact_point")
 _DROWNED = (
+    dynamics_checks.not_compared,
     dynamics_checks.wrong_channels,
     dynamics_checks.scales,
     dynamics_checks.unlike_the_description,
@@ -230,6 +239,10 @@ def _looked_at(
         findings = [finding for finding in findings if finding.kind not in _OF_SPEED]
     if "base_orientation" in refused:
         findings = [finding for finding in findings if finding.kind not in _OF_BASE]
+    if "contact_frame" in refused:
+        findings = [
+            finding for finding in findings if finding.kind not in ("foot_moves", "foot_high")
+        ]
     if {finding.kind for finding in findings} & set(_OF_JOINTS):
         findings = [finding for finding in findings if finding.kind not in _OF_FEET]
     exchanged = [finding for finding in findings if finding.kind == "feet_exchanged"]

@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 import sdpid
 from sdpid import Recording
 from sdpid.experiment.inspection.finding import Finding, Subject
-from sdpid.experiment.inspection.floating import imu_checks, imu_fit
+from sdpid.experiment.inspection.places import imu_checks, imu_fit
 
 pytest.importorskip("mujoco")
 

@@ -6,23 +6,21 @@ import numpy as np
 
 from sdpid._common.arrays import Array, Mask
 from sdpid.experiment.inspection.delays.lag import Delay, block_error, filtered, lag
+from sdpid.experiment.inspection.delays.standing import Standing
 from sdpid.experiment.processing.derivatives import BAND_OVER_RATE, stencil
 from sdpid.experiment.processing.filters import low_pass
-from sdpid.experiment.processing.floating.feet import near
-from sdpid.experiment.processing.floating.rotations import body_rate, into_body, unit
+from sdpid.experiment.processing.floating.rotations import body_rate, unit
 from sdpid.experiment.recording.recording import Recording
 from sdpid.robot.model.contacts.jacobians import contact_jacobians
 from sdpid.robot.model.model import RobotModel
 
-__all__ = ["imu_against_pose", "on_legs", "pose_against_joints"]
+__all__ = ["imu_against_pose", "pose_against_joints"]
 
-# Cut-offs (Hz): of poses, whose differences are noisy, and of feet that stand for some 0.2 s.
-_POSE_HZ, _STANCE_HZ = 15.0, 20.0
+# Cut-off (Hz) of poses, whose differences are noisy.
+_POSE_HZ = 15.0
 _ORDER = 2
-# Feet that have just landed, or are about to lift, roll and slip (s).
-_SETTLED = 0.05
-# Samples at which feet are looked at, and least number of a foot that stands.
-_ROWS, _LEAST = 1500, 200
+# Least number of samples of a foot that stands.
+_LEAST = 200
 _STEPS = 3
 # A base that moves less than this (rad/s, rms) shows nothing.
 _LEAST_RATE = 0.05
@@ -58,33 +56,14 @@ def pose_against_joints(robot: RobotModel, log: Recording) -> Delay | None:
     """
     from scipy.interpolate import CubicSpline
 
-    base, contacts, step = log.base, log.contacts, log.step
-    if base is None or base.position is None or contacts is None or contacts.down is None:
+    feet, contacts = Standing.of(robot, log), log.contacts
+    if feet is None or contacts is None:
         return None
-    cutoff = min(_STANCE_HZ, BAND_OVER_RATE / step)
-    smooth = low_pass("finite", cutoff, _ORDER, 1.0 / step)
-    edge = 2 * smooth.reach
-    if log.n_samples < 4 * edge:
+    stands, velocity, rows, step = feet.stands, feet.base, feet.rows, feet.step
+    if np.count_nonzero(stands) < _LEAST or feet.turning < _LEAST_RATE:
         return None
-    orientation = unit(np.asarray(base.orientation))
-    weights = stencil("central4", cutoff_over_rate=cutoff * step).first
-    turning = body_rate(orientation, weights, step)
-    moving = into_body(orientation, np.gradient(np.asarray(base.position), step, axis=0))
-    velocity = filtered(np.hstack([moving, turning]), smooth)
-    joints = np.asarray(log.position)
-    speeds = filtered(np.gradient(joints, step, axis=0), smooth)
-    rows = np.unique(np.linspace(edge, log.n_samples - 1 - edge, _ROWS).astype(np.intp))
-    stands = ~near(~np.asarray(contacts.down), smooth.reach + round(_SETTLED / step))[rows]
-    # What holds a base stands still, whatever joints do.
-    stands &= on_legs(robot, log)
-    if np.count_nonzero(stands) < _LEAST or np.sqrt(np.mean(turning**2)) < _LEAST_RATE:
-        return None
-    q = np.hstack(
-        [filtered(np.asarray(base.position), smooth), unit(filtered(orientation, smooth))]
-    )
-    q = np.hstack([q, filtered(joints, smooth)])[rows]
-    J = contact_jacobians(robot, q, contacts.frames, contacts.offset)[:, :, :3]
-    legs = np.einsum("kcij,kj->kci", J[..., 6:], speeds[rows])
+    J = contact_jacobians(robot, feet.position, contacts.frames, contacts.offset)[:, :, :3]
+    legs = np.einsum("kcij,kj->kci", J[..., 6:], feet.speeds)
     spline = CubicSpline(np.arange(len(velocity)), velocity, axis=0)
     delay, error = 0.0, 0.0
     for _ in range(_STEPS):
@@ -94,16 +73,6 @@ def pose_against_joints(robot: RobotModel, log: Recording) -> Delay | None:
         change, error = _step(left, rate, stands)
         delay += change
     return Delay(value=delay, error=error)
-
-
-def on_legs(robot: RobotModel, log: Recording) -> Mask:
-    """Return which contacts joints move, (c,)."""
-    contacts = log.contacts
-    assert contacts is not None
-    middle = np.zeros((1, robot.pin_model.nq))
-    middle[0, 6], middle[0, 7:] = 1.0, log.position[log.n_samples // 2]
-    J = contact_jacobians(robot, middle, contacts.frames, contacts.offset)
-    return np.asarray(np.abs(J[0, :, :, robot.n_base :]).max(axis=(1, 2)) > 0.0)
 
 
 def _step(left: Array, rate: Array, stands: Mask) -> tuple[float, float]:

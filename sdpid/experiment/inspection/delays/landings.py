@@ -8,8 +8,8 @@ import numpy as np
 
 from sdpid._common.arrays import Array, Mask
 from sdpid.experiment.inspection.delays.free_rows import first_scale
-from sdpid.experiment.inspection.delays.kinematic import on_legs
 from sdpid.experiment.inspection.delays.lag import Delay, lag
+from sdpid.experiment.inspection.delays.standing import on_legs
 from sdpid.experiment.processing.choose import default_processing
 from sdpid.experiment.processing.contacts.contact_samples import TRANSMITS
 from sdpid.experiment.processing.derivatives import BAND_OVER_RATE

@@ -6,10 +6,10 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from sdpid._common.arrays import Array
 from sdpid.experiment.inspection.finding import Finding, Subject, check
 from sdpid.experiment.inspection.floating import base_checks
-from sdpid.experiment.inspection.floating.imu_fit import (
+from sdpid.experiment.inspection.floating.turning import GRAVITY, axes_in_words, signed_axes
+from sdpid.experiment.inspection.places.imu_fit import (
     RATE_BIAS,
     SIZES,
     Found,
@@ -18,7 +18,7 @@ from sdpid.experiment.inspection.floating.imu_fit import (
     gyroscope_fit,
     on_time,
 )
-from sdpid.experiment.inspection.floating.turning import GRAVITY, axes_in_words, signed_axes
+from sdpid.experiment.inspection.places.words import vector
 from sdpid.experiment.recording.floating.base import Imu
 
 _RIVALS = {
@@ -72,7 +72,7 @@ def _axes(sensor: str, imu: Imu, fit: ImuFit, found: Found) -> Finding:
         kind="imu_axes",
         message=(
             f"axes of the {sensor} are turned by {np.degrees(angle):.3g}° about "
-            f"{_vector(found.value / angle)} of the base against those stated, as the pose shows "
+            f"{vector(found.value / angle)} of the base against those stated, as the pose shows "
             f"(standard error {np.degrees(found.error):.2g}°, limit "
             f"{np.degrees(SIZES['axes']):.2g}°)"
         ),
@@ -102,11 +102,11 @@ def _place(sensor: str, imu: Imu, fit: ImuFit, found: Found) -> Finding:
         severity="warning",
         kind="imu_place",
         message=(
-            f"the {sensor} sits at {_vector(imu.translation + found.value)} m in the base's frame, "
+            f"the {sensor} sits at {vector(imu.translation + found.value)} m in the base's frame, "
             f"{away:.3g} m from where it is said to be, as the pose shows (standard error "
             f"{found.error:.2g} m, limit {SIZES['place']:g} m)"
         ),
-        remedy=f"give the IMU's translation={_vector(imu.translation + found.value)}",
+        remedy=f"give the IMU's translation={vector(imu.translation + found.value)}",
         numbers={"distance": away, "error": found.error, "limit": SIZES["place"]},
     )
 
@@ -118,7 +118,7 @@ def _bias(sensor: str, imu: Imu, fit: ImuFit, found: Found) -> Finding:
         severity="warning",
         kind="imu_bias",
         message=(
-            f"the {sensor} shows {_vector(value)} {unit} too much along its axes, as the pose "
+            f"the {sensor} shows {vector(value)} {unit} too much along its axes, as the pose "
             f"shows (standard error {found.error:.2g}, limit {limit:g}){_also(found)}"
         ),
         remedy=f"take it off the {sensor}",
@@ -145,9 +145,3 @@ def _also(found: Found) -> str:
     if not found.rivals:
         return ""
     return f"; {' or '.join(_RIVALS[name] for name in found.rivals)} would show the same"
-
-
-def _vector(values: Array) -> str:
-    """Return a vector as one writes it in Python."""
-    rounded = [float(f"{value:.3g}") if abs(value) >= 5e-4 else 0.0 for value in values]
-    return f"({', '.join(f'{value:g}' for value in rounded)})"

@@ -9,8 +9,9 @@ import numpy as np
 
 from sdpid._common.arrays import Array
 from sdpid.experiment.inspection.delays.lag import filtered, lag
-from sdpid.experiment.inspection.floating.block_fit import BlockFit, BlockSums
 from sdpid.experiment.inspection.floating.evidence import LEAST_RATE
+from sdpid.experiment.inspection.floating.turning import cross_matrices
+from sdpid.experiment.inspection.places.block_fit import SURE, BlockFit, BlockSums, sure_part
 from sdpid.experiment.processing.delays.on_time import on_time as shifted
 from sdpid.experiment.processing.derivatives import BAND_OVER_RATE, Weights, stencil
 from sdpid.experiment.processing.filters import ZeroPhaseFilter, low_pass
@@ -33,14 +34,11 @@ _READ, _LEAST = 40_000, 12
 _LATE = 0.002
 # Samples for each period of the cut-off are enough.
 _SAMPLES = 10.0
-# Told from so many standard errors on, and from this size: turned by 3°, placed 1 cm off, 0.1 m/s²
+# Told from five standard errors on and from this size: turned by 3°, placed 1 cm off, 0.1 m/s²
 # (0.05 rad/s) or 2 % off. Right logs of three quadrupeds are off by 3.2 errors at most; an
 # accelerometer 5 cm off costs 1.2 %.
-SURE = 5.0
 SIZES = {"place": 0.01, "bias": 0.1, "scale": 0.02, "axes": np.radians(3.0)}
 RATE_BIAS = 0.05
-# Directions count whose error is below this share of the size.
-_KNOWN = 0.5
 # What explains this share of what the best does is named beside it: a level base does not tell an
 # axis that is tilted from a bias.
 _RIVAL = 0.5
@@ -178,7 +176,7 @@ def gyroscope_fit(log: Recording) -> ImuFit | None:
         columns = [
             np.broadcast_to(np.eye(3), (len(turned), 3, 3)),
             turned[:, :, None],
-            _cross_matrices(turned),
+            cross_matrices(turned),
             -(late @ turn.T)[:, :, None],
         ]
         return BlockSums.of(np.concatenate(columns, axis=2), turned - turning, _scales(_GYROSCOPE))
@@ -231,7 +229,7 @@ def accelerometer_fit(log: Recording, gravity: float, turn: Array) -> ImuFit | N
         sensed = stated @ turn.T
         force = chain.low(np.einsum("kij,kj->ki", R, sensed))
         late = np.gradient(force, log.step, axis=0)
-        turned = chain.low(np.einsum("kij,kjl->kil", R, _cross_matrices(sensed)))
+        turned = chain.low(np.einsum("kij,kjl->kil", R, cross_matrices(sensed)))
         force, late, turned = chain.taken(force, late, turned)
         columns = [axes, force[:, :, None], turned, -late[:, :, None], swung]
         return BlockSums.of(
@@ -280,7 +278,7 @@ def _searched(
         for name in _ORDER_OF_BLAME:
             if name in groups and name not in rivals:
                 tried = fit((*rivals, name), now)
-                if _sure(*tried.of(groups[name]), sizes[name]) is not None:
+                if sure_part(*tried.of(groups[name]), sizes[name]) is not None:
                     drops[name] = before**2 - tried.left**2
         if not drops:
             break
@@ -297,7 +295,7 @@ def _searched(
         value, covariance = last.of(groups[name])
         if name == "axes":
             value = value + rotation_vector(turn @ reference.T)
-        sure = _sure(value, covariance, sizes[name])
+        sure = sure_part(value, covariance, sizes[name])
         if sure is not None:
             found[name] = Found(value=sure[0], error=sure[1], rivals=others)
     return found, turn if "axes" in found else reference, last.left
@@ -321,22 +319,6 @@ def _turned(
     # Where few axes turn, others fit as well that are far from what was stated.
     near, far = ends
     return far[1:] if far[0] < _CLEARLY * near[0] else near[1:]
-
-
-def _sure(value: Array, covariance: Array, size: float) -> tuple[Array, float] | None:
-    """Return the part of a value that is known, and its error, where it is large and sure.
-
-    Directions that the data hardly show are left as they were stated.
-    """
-    variances, axes = np.linalg.eigh(covariance)
-    known = variances < (_KNOWN * size) ** 2
-    if not known.any():
-        return None
-    parts = axes.T[known] @ value
-    deviations = float(np.sqrt(np.mean(parts**2 / np.maximum(variances[known], 1e-30))))
-    if deviations < SURE or float(np.linalg.norm(parts)) < size:
-        return None
-    return axes[:, known] @ parts, float(np.sqrt(variances[known].max()))
 
 
 def _nearest_turn(wanted: Array, given: Array, *, proper: bool) -> Array:
@@ -366,12 +348,3 @@ def rotation_vector(matrix: Array) -> Array:
     from scipy.spatial.transform import Rotation
 
     return np.asarray(Rotation.from_matrix(matrix).as_rotvec())
-
-
-def _cross_matrices(vectors: Array) -> Array:
-    """Return the matrices of cross products with vectors, (K, 3, 3)."""
-    out = np.zeros((len(vectors), 3, 3))
-    out[:, 0, 1], out[:, 1, 0] = -vectors[:, 2], vectors[:, 2]
-    out[:, 0, 2], out[:, 2, 0] = vectors[:, 1], -vectors[:, 1]
-    out[:, 1, 2], out[:, 2, 1] = -vectors[:, 0], vectors[:, 0]
-    return out

@@ -3,16 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from sdpid._common.arrays import Array
 
-__all__ = ["BlockFit", "BlockSums"]
+__all__ = ["SURE", "BlockFit", "BlockSums", "sure_part"]
 
 # Stretches of a recording whose errors count as independent.
 _BLOCKS = 20
+# What is this many standard errors from 0 is sure.
+SURE = 5.0
+# Directions count whose error is below this share of what matters.
+_KNOWN = 0.5
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -41,11 +45,6 @@ class BlockFit:
         at = [self.chosen.index(column) for column in columns]
         return self.values[at], self.covariance[np.ix_(at, at)]
 
-    def deviations(self, columns: Sequence[int]) -> float:
-        """Return how many standard errors coefficients are from 0, the rms over all directions."""
-        values, covariance = self.of(columns)
-        return float(np.sqrt(values @ np.linalg.solve(covariance, values) / len(values)))
-
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class BlockSums:
@@ -71,16 +70,31 @@ class BlockSums:
     scale: Array
 
     @classmethod
-    def of(cls, columns: Array, signal: Array, scale: Array) -> BlockSums:
-        """Sum up columns (K, m, p) and a signal (K, m)."""
+    def of(cls, columns: Array, signal: Array, scale: Array, count: int | None = None) -> BlockSums:
+        """Sum up columns (K, m, p) and a signal (K, m), of which `count` values are not masked."""
         parts = zip(np.array_split(columns, _BLOCKS), np.array_split(signal, _BLOCKS), strict=True)
         flat = [(A.reshape(-1, A.shape[-1]), y.ravel()) for A, y in parts]
         return cls(
             matrix=np.array([A.T @ A for A, _ in flat]),
             vector=np.array([A.T @ y for A, y in flat]),
             power=float(np.sum(signal**2)),
-            count=signal.size,
+            count=signal.size if count is None else count,
             scale=scale,
+        )
+
+    @property
+    def filled(self) -> int:
+        """Number of blocks with rows."""
+        return int(np.count_nonzero(np.einsum("bii->b", self.matrix)))
+
+    def plus(self, other: BlockSums) -> BlockSums:
+        """Return the sums of two signals with the same coefficients in the same blocks."""
+        return replace(
+            self,
+            matrix=self.matrix + other.matrix,
+            vector=self.vector + other.vector,
+            power=self.power + other.power,
+            count=self.count + other.count,
         )
 
     def fit(self, chosen: Sequence[int]) -> BlockFit:
@@ -106,3 +120,19 @@ class BlockSums:
             covariance=inverse @ spread @ inverse,
             left=float(np.sqrt(rest / self.count)),
         )
+
+
+def sure_part(value: Array, covariance: Array, size: float) -> tuple[Array, float] | None:
+    """Return the part of a value that is known, and its error, where it is large and sure.
+
+    Directions that the data hardly show are left as they were stated.
+    """
+    variances, axes = np.linalg.eigh(covariance)
+    known = variances < (_KNOWN * size) ** 2
+    if not known.any():
+        return None
+    parts = axes.T[known] @ value
+    deviations = float(np.sqrt(np.mean(parts**2 / np.maximum(variances[known], 1e-30))))
+    if deviations < SURE or float(np.linalg.norm(parts)) < size:
+        return None
+    return axes[:, known] @ parts, float(np.sqrt(variances[known].max()))

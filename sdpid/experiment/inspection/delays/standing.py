@@ -1,0 +1,101 @@
+"""`Standing`: motion of the feet of a robot on legs, and when they surely stand."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from sdpid._common.arrays import Array, Indices, Mask
+from sdpid.experiment.inspection.delays.lag import filtered
+from sdpid.experiment.processing.derivatives import BAND_OVER_RATE, stencil
+from sdpid.experiment.processing.filters import low_pass
+from sdpid.experiment.processing.floating.feet import near
+from sdpid.experiment.processing.floating.rotations import body_rate, into_body, unit
+from sdpid.experiment.recording.recording import Recording
+from sdpid.robot.model.contacts.jacobians import contact_jacobians
+from sdpid.robot.model.model import RobotModel
+
+__all__ = ["Standing", "on_legs"]
+
+# Cut-off (Hz) of the motion of feet that stand for some 0.2 s.
+_STANCE_HZ = 20.0
+_ORDER = 2
+# Feet that have just landed, or are about to lift, roll and slip (s).
+_SETTLED = 0.05
+# Samples at which feet are looked at.
+_ROWS = 1500
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Standing:
+    """A robot on legs at some samples, its motion filtered.
+
+    Attributes
+    ----------
+    robot : RobotModel
+    rows : ndarray of int, shape (K,)
+    position : ndarray, shape (K, nq)
+    base : ndarray, shape (N, 6)
+        Velocity of the base at all samples, in its axes.
+    speeds : ndarray, shape (K, joints)
+    stands : ndarray of bool, shape (K, c)
+        Feet that are down as far as the filter sees, and settled; never what holds a base.
+    turning : float
+        How fast the base turns, rad/s rms.
+    step : float
+        Of the recording, s.
+    """
+
+    robot: RobotModel
+    rows: Indices
+    position: Array
+    base: Array
+    speeds: Array
+    stands: Mask
+    turning: float
+    step: float
+
+    @classmethod
+    def of(cls, robot: RobotModel, log: Recording) -> Standing | None:
+        """Return the motion of a recording without gaps; None without pose, flags, or time."""
+        base, contacts, step = log.base, log.contacts, log.step
+        if base is None or base.position is None or contacts is None or contacts.down is None:
+            return None
+        cutoff = min(_STANCE_HZ, BAND_OVER_RATE / step)
+        smooth = low_pass("finite", cutoff, _ORDER, 1.0 / step)
+        edge = 2 * smooth.reach
+        if log.n_samples < 4 * edge:
+            return None
+        orientation = unit(np.asarray(base.orientation))
+        weights = stencil("central4", cutoff_over_rate=cutoff * step).first
+        turning = body_rate(orientation, weights, step)
+        moving = into_body(orientation, np.gradient(np.asarray(base.position), step, axis=0))
+        velocity = filtered(np.hstack([moving, turning]), smooth)
+        joints = np.asarray(log.position)
+        speeds = filtered(np.gradient(joints, step, axis=0), smooth)
+        rows = np.unique(np.linspace(edge, log.n_samples - 1 - edge, _ROWS).astype(np.intp))
+        stands = ~near(~np.asarray(contacts.down), smooth.reach + round(_SETTLED / step))[rows]
+        places = filtered(np.asarray(base.position), smooth)
+        q = np.hstack([places, unit(filtered(orientation, smooth)), filtered(joints, smooth)])
+        return cls(
+            robot=robot,
+            rows=rows,
+            position=q[rows],
+            base=velocity,
+            speeds=speeds[rows],
+            # What holds a base stands still, whatever joints do.
+            stands=stands & on_legs(robot, log),
+            turning=float(np.sqrt(np.mean(turning**2))),
+            step=step,
+        )
+
+
+def on_legs(robot: RobotModel, log: Recording) -> Mask:
+    """Return which contacts joints move, (c,)."""
+    contacts = log.contacts
+    assert contacts is not None
+    middle = np.zeros((1, robot.pin_model.nq))
+    middle[0, 6], middle[0, 7:] = 1.0, log.position[log.n_samples // 2]
+    J = contact_jacobians(robot, middle, contacts.frames, contacts.offset)
+    return np.asarray(np.abs(J[0, :, :, robot.n_base :]).max(axis=(1, 2)) > 0.0)
