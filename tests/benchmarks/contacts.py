@@ -3,7 +3,7 @@
     python -m tests.benchmarks.contacts [--repeat 5]
 
 The same states are compressed with four feet that are down for 60 % of the time, without contacts,
-and as those of the legs alone on a base that is fixed.
+and as those of the legs alone on a base that is fixed: leg by leg, and as all one chain.
 """
 
 from __future__ import annotations
@@ -14,6 +14,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from sdpid.estimation.compression.branches import NO_BRANCHES
 from sdpid.estimation.compression.rows import RowSource
 from sdpid.estimation.compression.whitening import compress
 from sdpid.experiment.processing.samples import Samples
@@ -51,19 +52,24 @@ def measure(repeats: int) -> Iterator[Row]:
     touching = source(quadruped(), samples)
     flying = source(quadruped(), replace(samples, contacts=None))
     held = source(fixed, legs)
-    contacts, alone, plain, jacobians = (
+    chain = source(fixed, legs)
+    # As a chain without branches is compressed.
+    chain.__dict__["branches"] = NO_BRANCHES
+    contacts, alone, plain, single, jacobians = (
         side_by_side(
             (
                 lambda: compress(touching, sigma),
                 lambda: compress(flying, sigma),
                 lambda: compress(held, sigma[6:, 6:]),
+                lambda: compress(chain, sigma[6:, 6:]),
                 lambda: contact_jacobians(quadruped(), samples.position, FEET, RADIUS),
             ),
             repeats,
         )
         / count
     )
-    yield Row.of("compress, 4 feet, per sample", contacts, "its base fixed", plain)
+    yield Row.of("compress, 4 feet, per sample", contacts, "its base fixed, one chain", single)
+    yield Row.of("compress, 4 feet, per sample", contacts, "its base fixed, leg by leg", plain)
     yield Row.of("compress, 4 feet, per sample", contacts, "no contacts", alone)
     yield Row.of("contact_jacobians, 4 feet, per sample", jacobians, "compress, 4 feet", contacts)
 

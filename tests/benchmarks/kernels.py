@@ -65,11 +65,11 @@ def regressor(repeats: int) -> Iterator[Row]:
             robot.regressor(*states, out=out)
 
         def single(action: Any = used) -> None:
-            before, kernels._threads = kernels._threads, lambda: 1
+            before, kernels.threads = kernels.threads, lambda: 1
             try:
                 action()
             finally:
-                kernels._threads = before
+                kernels.threads = before
 
         fresh, again, alone, loop, fill = (
             side_by_side((new, used, single, bare, lambda: target.fill(0.5)), repeats) / count

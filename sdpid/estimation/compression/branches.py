@@ -59,6 +59,14 @@ class Branches:
         """Return a triangle for each branch, without rows."""
         return tuple(Triangle(len(own)) for own in self.columns)
 
+    def split(self, rows: Array) -> tuple[Array, list[Array]]:
+        """Return the rows (k, n, c) of no branch, (r, c), and those of each with its columns."""
+        parts = []
+        for b, columns in enumerate(self.columns):
+            own = np.flatnonzero(self.of_row == b)
+            parts.append(rows[:, own[:, None], columns].reshape(-1, len(columns)))
+        return rows[:, self.of_row < 0].reshape(-1, rows.shape[2]), parts
+
     def join(self, triangle: Triangle, apart: Sequence[Triangle]) -> None:
         """Fold the triangles of the branches into that of all columns."""
         for own, columns in zip(apart, self.columns, strict=True):

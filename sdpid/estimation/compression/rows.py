@@ -160,8 +160,9 @@ class RowSource:
         return max(1, CHUNK_BYTES // self._sample_bytes)
 
     @property
-    def _many(self) -> bool:
-        # As the whole log would be, so that its last few samples are computed like the others.
+    def many(self) -> bool:
+        """Whether compiled loops are worth it, where there are any."""
+        # As for the whole log, so that its last few samples are computed like the others.
         return self._sample_bytes * self.samples.n_samples >= kernels.WORTH
 
     @property
@@ -177,9 +178,9 @@ class RowSource:
 
     @cached_property
     def branches(self) -> Branches:
-        """Which columns of `rows` the rows of branches have: none where nothing is touched."""
+        """Which columns of `rows` the rows of branches have, none of a single chain."""
         tree, friction = self.robot.tree, self.friction
-        if tree is None or self.samples.contacts is None:
+        if tree is None:
             return NO_BRANCHES
         standard = np.repeat(moved(tree), 10, axis=1)
         for term in friction.terms:
@@ -191,7 +192,9 @@ class RowSource:
             standard = np.concatenate([standard, own], axis=1)
         reached = np.ones((self.robot.n, self.base.count + 1), dtype=bool)
         reached[:, :-1] = standard[:, self.base.kept]
-        return Branches.of(reached)
+        found = Branches.of(reached)
+        # The last joints of a single chain share their columns with those before.
+        return found if len(found.columns) > 1 else NO_BRANCHES
 
     def regressor(self, part: slice) -> Array:
         """Return the base regressor of some samples, shape (k, n, b)."""
@@ -222,7 +225,7 @@ class RowSource:
     def contacts(self, part: slice) -> ContactRows | None:
         """Return what contacts do to the rows of some samples, None where there are none."""
         return ContactRows.of(
-            self.robot, self.samples, part, scale=self.force_scale, compiled=self._many
+            self.robot, self.samples, part, scale=self.force_scale, compiled=self.many
         )
 
     def effort(self, part: slice) -> Array:
@@ -257,7 +260,7 @@ class RowSource:
         v, a = s.velocity[part], s.acceleration[part]
         links = 10 * self.robot.n_links
         self.robot.regressor_columns(
-            s.position[part], v, a, places=self._places[:links], out=out, compiled=self._many
+            s.position[part], v, a, places=self._places[:links], out=out, compiled=self.many
         )
         self._add_friction(self.motion(part), self._places[links:], out)
         return out

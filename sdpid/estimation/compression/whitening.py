@@ -13,11 +13,13 @@ import numpy as np
 
 from sdpid._common.arrays import Array, Indices, Mask
 from sdpid.errors import DataError
+from sdpid.estimation.compression.ahead import one_ahead
 from sdpid.estimation.compression.branches import fold
 from sdpid.estimation.compression.contact_rows import ContactRows
 from sdpid.estimation.compression.covariance import masked_covariance, power, whitener
 from sdpid.estimation.compression.rows import RowSource
 from sdpid.estimation.compression.triangle import Triangle
+from sdpid.robot.model.regressor_kernel import threads
 
 # The first rows folded in are those of samples spread over the whole record, this many times as
 # many rows as columns: the others then have little that these have not.
@@ -207,19 +209,28 @@ def compress(rows: RowSource, sigma: Array) -> tuple[Triangle, int]:
     apart = branches.triangles()
     count = len(rows.samples.effort)
     step = max(1, count * n // (_FIRST * columns))
-    memory = _memory(rows)
+    memory = [_memory(rows)]
     # Their order makes no difference but to the speed, and to the last bits.
-    size = len(memory[0])
+    size = len(memory[0][0])
     first = range(0, count, step) if size < count else range(0)
+    again = slice(0)
+    chunks = []
     for start in range(0, len(first), size):
         some = first[start : start + size]
-        part = slice(some.start, some.stop, step)
-        found, few, _ = _independent(rows, part, sigma, memory)
-        triangle.add(found)
-        fold(apart, few)
+        chunks.append((slice(some.start, some.stop, step), again, 0))
     for part in rows.parts():
-        done = slice(-part.start % step, None, step) if first else slice(0)
-        found, few, own = _independent(rows, part, sigma, memory, done)
+        done = slice(-part.start % step, None, step) if first else again
+        chunks.append((part, done, 1))
+    ahead = rows.many and len(chunks) > 2 and threads() > 1
+    if ahead:
+        memory.append(_memory(rows))
+
+    def made(chunk: tuple[slice, slice, int], turn: int) -> tuple[Array, list[Array], int]:
+        part, done, counted = chunk
+        found, few, own = _independent(rows, part, sigma, memory[turn % len(memory)], done)
+        return found, few, counted * own
+
+    for found, few, own in one_ahead(made, chunks, ahead=ahead):
         triangle.add(found)
         fold(apart, few)
         used += own
@@ -237,14 +248,25 @@ def _independent(
     """
     touching = _touching(rows, part, -0.5)
     if touching is None:
-        whitened, mask = _whitened(rows, part, sigma, -0.5, memory)
+        powers, index = weights_of(rows, part, sigma)
+        block = rows.rows(part, memory[0])
+        whitened = apply(powers, index, block, memory[1][: len(block)])
         whitened[done] = 0.0
-        return whitened.reshape(-1, whitened.shape[2]), [], int(np.count_nonzero(mask))
+        used = int(np.count_nonzero(rows.mask(part)))
+        if rows.branches.columns and _are_diagonal(powers):
+            return *rows.branches.split(whitened), used
+        return whitened.reshape(-1, whitened.shape[2]), [], used
     block = rows.rows(part, memory[0])
     block[done] = 0.0
     powers, index = _roots(rows, part, sigma, -0.5, touching)
     found, apart, lost = touching.independent(powers, index, block, rows.branches)
     return found, apart, int(np.count_nonzero(rows.mask(part))) - lost
+
+
+def _are_diagonal(powers: Array) -> bool:
+    """Return whether weights leave the rows of a sample unmixed."""
+    diagonal = np.diagonal(powers, axis1=1, axis2=2)
+    return bool(np.count_nonzero(powers) == np.count_nonzero(diagonal))
 
 
 def _memory(rows: RowSource, size: int = 0) -> tuple[Array, Array]:

@@ -211,9 +211,9 @@ def regressor(
     route = np.arange(count) if places is None else np.require(places, np.intp, _COMPILED_FOR)
     # Most of a sample is zero. A large new array comes as zeros from the system; any other is
     # cleared sample by sample in the cache.
-    clear, threads = True, 1
+    clear, cores = True, 1
     if out is not None:
-        threads = _threads() if size >= _LARGE else 1
+        cores = threads() if size >= _LARGE else 1
     elif size >= _LARGE:
         # The system clears pages no faster for two threads than for one.
         out, clear = np.zeros(shape), False
@@ -222,19 +222,21 @@ def regressor(
     def work(part: slice) -> None:
         fill(*tree.arrays, route, whole, clear, *(x[part] for x in states), rows[part])
 
-    if threads == 1:
+    if cores == 1:
         work(slice(None))
     else:
         from concurrent.futures import ThreadPoolExecutor
 
-        ends = np.linspace(0, len(q), _SHARES * threads + 1).astype(int)
-        with ThreadPoolExecutor(threads) as pool:
+        ends = np.linspace(0, len(q), _SHARES * cores + 1).astype(int)
+        with ThreadPoolExecutor(cores) as pool:
             list(pool.map(work, itertools.starmap(slice, itertools.pairwise(ends))))
     return rows
 
 
-def _threads() -> int:
-    """Return how many threads Numba was given: the cores, or NUMBA_NUM_THREADS."""
+def threads() -> int:
+    """Return how many threads Numba was given: the cores, or NUMBA_NUM_THREADS; one without it."""
+    if compiled() is None:
+        return 1
     import numba
 
     return max(1, int(numba.config.NUMBA_NUM_THREADS))

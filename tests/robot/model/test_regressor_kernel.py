@@ -108,7 +108,7 @@ def test_small_new_and_used_memory_are_filled_the_same(
     cleared = kernels.regressor(tree, *arrays)
     assert cleared is not None
     monkeypatch.setattr(kernels, "_LARGE", 0)
-    monkeypatch.setattr(kernels, "_threads", lambda: threads)
+    monkeypatch.setattr(kernels, "threads", lambda: threads)
     np.testing.assert_array_equal(kernels.regressor(tree, *arrays), cleared)
     memory = np.full(cleared.shape, np.nan)
     assert kernels.regressor(tree, *arrays, out=memory) is memory
