@@ -11,12 +11,12 @@ import sdpid
 from sdpid.assurance.diagnostics.held_out import hold_out
 from sdpid.assurance.diagnostics.residuals import joint_errors
 from sdpid.assurance.diagnostics.validation import Validation
-from sdpid.constraints import Fixed
+from sdpid.constraints import Fixed, MirrorPair
 from sdpid.experiment.processing.samples import Samples
 from sdpid.output.report.grades import SMALL, Level, graded
 from sdpid.output.report.judged import errors_of
 from sdpid.output.report.prediction_verdict import prediction_findings
-from sdpid.output.report.verdict import _one_way, findings
+from sdpid.output.report.verdict import _one_way, _unlike, findings
 from sdpid.robot.friction.model import FrictionModel
 from sdpid.workflow.result import Identification
 from tests.helpers.identified import ARM, RATE, arm_theta, identified, moved
@@ -168,6 +168,19 @@ def test_constraints_that_cost_are_named(good: Identification) -> None:
     result = identified(good.problem.samples, constraints=constraints)
     assert "Fv1" in said(result, "The constraints contradict the data")
     unsaid(good, "contradict")
+
+
+def test_links_that_are_believed_to_be_alike_and_are_not_are_named(good: Identification) -> None:
+    mirror = np.diag([1.0, -1.0, 1.0, 1.0])
+    pair = MirrorPair(*ARM.link_names, reflection=mirror)
+    prior = sdpid.Prior(bodies=arm_theta()[:20].reshape(2, 10), alike=pair, within=0.1)
+    result = identified(good.problem.samples, prior=prior)
+    # So short a chain moves as one of two bodies that are alike would, or nearly.
+    assert not list(_unlike(result))
+    # The true ones are far from it.
+    (text,) = _unlike(replace(result, estimate=replace(result.estimate, theta=arm_theta())))
+    assert f"{' and '.join(ARM.link_names)} (8.5 times)" in text.text
+    assert not list(_unlike(good))
 
 
 def test_what_holds_a_joint_back_is_named_and_is_the_next_step(good: Identification) -> None:
