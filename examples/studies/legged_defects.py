@@ -9,6 +9,9 @@ who overrules that (`accept`).
 * ``legged_defects.csv``: errors on a held-out walk, and findings that the right logs do not have.
 
     python examples/studies/legged_defects.py --out results
+
+``--only places`` makes the mistakes in where things are: contact points, frames, and the IMU.
+``--keep folder`` keeps what each fit gave, and goes on from there.
 """
 
 from __future__ import annotations
@@ -16,12 +19,12 @@ from __future__ import annotations
 import argparse
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
-from functools import cached_property
+from functools import cached_property, partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from legged import ROBOTS, THREE, Quadruped, identified
+from legged import ROBOTS, THREE, Quadruped, kept
 
 import sdpid
 from sdpid._common.arrays import Array
@@ -39,6 +42,12 @@ COLUMNS = (
     "robot", "defect", "projection_joints_percent", "projection_mass_percent", "projection_named",
     "fusion_joints_percent", "fusion_mass_percent", "fusion_named",
 )  # fmt: skip
+# What `--only places` leaves out.
+PLACES = (
+    "nothing", "contact at the ball's center", "shanks for feet", "IMU's place ignored",
+    "IMU's axes ignored", "gyroscope in deg/s", "accelerometer in g",
+    "accelerometer off by 0.2 m/s²",
+)  # fmt: skip
 # Of the weight: below it, a foot is said to be up; and what a force sensor shows without a load.
 THRESHOLD, BIAS = 0.1, 0.05
 SENSORS = Sensors(forces=True)
@@ -46,6 +55,11 @@ SENSORS = Sensors(forces=True)
 
 class Sensed(Quadruped):
     """A quadruped with force sensors in its feet."""
+
+    @property
+    def weight(self) -> float:
+        """Of the robot as it is, N."""
+        return float(self.theta[: 10 * self.robot.n_links : 10].sum()) * 9.81
 
     @cached_property
     def runs(self) -> dict[str, LeggedRun]:
@@ -90,6 +104,11 @@ def feet(change: Callable[[Contacts], dict[str, Any]]) -> Change:
     return changed
 
 
+def shank(foot: str) -> str:
+    """Return the link before a foot, by the names of Go1, A1 and Solo12."""
+    return foot.replace("_foot", "_calf").replace("_FOOT", "_LOWER_LEG")
+
+
 def late(values: Array, samples: int) -> Any:
     """Return values that many samples late."""
     return values[np.maximum(np.arange(len(values)) - samples, 0)]
@@ -132,6 +151,7 @@ def defects(weight: float) -> dict[str, tuple[Change, bool]]:
         "left and right feet swapped": (exchanged((1, 0, 3, 2)), False),
         "diagonal feet swapped": (exchanged((3, 2, 1, 0)), False),
         "contact at the ball's center": (feet(lambda c: {"offset": np.zeros(3)}), False),
+        "shanks for feet": (feet(lambda c: {"frames": [shank(name) for name in c.frames]}), False),
         "forces 10 % low": (feet(lambda c: {"forces": 0.9 * c.forces}), True),
         "forces off by 5 % of the weight": (feet(lambda c: {"forces": c.forces + bias}), True),
         "forces on the ground": (feet(lambda c: {"forces": -c.forces}), True),
@@ -143,6 +163,10 @@ def defects(weight: float) -> dict[str, tuple[Change, bool]]:
         "IMU's axes ignored": (imu(lambda i: {"rotation": np.eye(3)}), False),
         "gyroscope in deg/s": (imu(lambda i: {"gyroscope": np.degrees(i.gyroscope)}), False),
         "accelerometer in g": (imu(lambda i: {"accelerometer": i.accelerometer / gravity}), False),
+        "accelerometer off by 0.2 m/s²": (
+            imu(lambda i: {"accelerometer": i.accelerometer + np.array([0.2, 0.0, 0.0])}),
+            False,
+        ),
         "torques in N·mm": (effort(lambda e: 1e3 * e), False),
         "torques 5 % high": (effort(lambda e: 1.05 * e), False),
     }
@@ -154,44 +178,57 @@ def without_forces(log: Log) -> Log:
     return replace(log, contacts=replace(log.contacts, forces=None, wrenches=None))
 
 
-def named(quadruped: Quadruped, logs: Sequence[Log]) -> dict[str, bool]:
-    """Return kinds of findings, and whether the log is refused for them."""
-    found: dict[str, bool] = {}
-    for log in logs:
-        for each in sdpid.inspect_recording(log, quadruped.robot).findings:
-            if each.severity != "note":
-                found[each.kind] = found.get(each.kind, False) or each.severity == "refuse"
-    return found
-
-
-def rows(quadruped: Quadruped, count: int) -> Iterator[tuple[object, ...]]:
-    """Yield the rows of a robot."""
-    clean = [quadruped.runs[motion].recording for motion in THREE]
-    weight = float(quadruped.theta[: 10 * quadruped.robot.n_links : 10].sum()) * 9.81
+def cell(quadruped: Sensed, defect: str, fused: bool) -> list[object]:
+    """Return errors of joints and of the mass, in %, and findings: kinds, and those refused."""
     wrenches = quadruped.runs["trot"].motion.wrenches
     # What the noise of the force sensors is.
     std = SENSORS.force_noise * float(np.sqrt(np.mean(wrenches**2)))
-    both: tuple[tuple[Change, dict[str, Any]], ...] = (
-        (without_forces, {}),
-        (lambda log: log, {"processing": {"contact_force_std": std}}),
-    )
-    usual = [named(quadruped, [bare(log) for log in clean]) for bare, _ in both]
-    for defect, (change, of_forces) in list(defects(weight).items())[:count]:
+    options: dict[str, Any] = {"processing": {"contact_force_std": std}} if fused else {}
+    change = defects(quadruped.weight)[defect][0]
+    logs = [change(quadruped.runs[motion].recording) for motion in THREE]
+    if not fused:
+        logs = [without_forces(log) for log in logs]
+    known = {"friction": quadruped.friction, "effects": "none", "intervals": False}
+    try:
+        result = sdpid.identify(quadruped.robot, logs, accept=REFUSED, **known, **options)
+    except sdpid.errors.SdpidError as error:
+        print(defect, error, flush=True)
+        return ["refused", "refused", [], []]
+    problem, estimate = result.problem, result.estimate
+    found = [each for each in result.findings if each.severity != "note"]
+    return [
+        quadruped.errors(quadruped.predicted(problem, estimate.base))[0],
+        abs(quadruped.mass_error(estimate.theta)),
+        sorted({each.kind for each in found}),
+        sorted({each.kind for each in found if each.severity == "refuse"}),
+    ]
+
+
+def rows(
+    quadruped: Sensed, names: Sequence[str], folder: Path | None
+) -> Iterator[tuple[object, ...]]:
+    """Yield the rows of a robot, the first of which is that of the right logs."""
+    usual: dict[bool, set[object]] = {}
+    for number, defect in enumerate(names):
         row: list[object] = [quadruped.name, defect]
-        for (bare, options), before in zip(both, usual, strict=True):
-            if of_forces and not options:
+        for fused in (False, True):
+            if not fused and defects(quadruped.weight)[defect][1]:
                 row += [None, None, None]
                 continue
-            logs = [bare(change(log)) for log in clean]
-            kinds = {kind: no for kind, no in named(quadruped, logs).items() if kind not in before}
-            try:
-                got = identified(quadruped, logs, intervals=False, accept=REFUSED, **options)
-                row += [got[0], got[3]]
-            except sdpid.errors.SdpidError as error:
-                print(defect, error, flush=True)
-                row += ["refused", "refused"]
-            said = [f"{kind} (refused)" if no else kind for kind, no in sorted(kinds.items())]
-            row.append(", ".join(said) or "nothing")
+            file = f"{quadruped.name}_{list(defects(1.0)).index(defect)}_{int(fused)}"
+            error, mass, kinds, refused = kept(
+                folder, file, partial(cell, quadruped, defect, fused)
+            )
+            assert isinstance(kinds, list)
+            assert isinstance(refused, list)
+            if number == 0:
+                usual[fused] = set(kinds)
+            said = [
+                f"{kind} (refused)" if kind in refused else kind
+                for kind in kinds
+                if number == 0 or kind not in usual[fused]
+            ]
+            row += [error, mass, ", ".join(said) or "nothing"]
         yield tuple(row)
 
 
@@ -200,17 +237,21 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--seconds", type=float, default=3.0)
     parser.add_argument("--robots", nargs="+", choices=tuple(ROBOTS)[:3], default=("solo12", "go1"))
+    parser.add_argument("--only", choices=("places",), help="some of the mistakes")
+    parser.add_argument("--keep", type=Path, help="folder for what each fit gave, to go on from")
     parser.add_argument("--quick", action="store_true", help="one robot, two defects")
     parser.add_argument("--out", type=Path, default=Path("results"))
     chosen = parser.parse_args()
-    count = len(defects(1.0))
+    names = tuple(defects(1.0)) if chosen.only is None else PLACES
     if chosen.quick:
-        chosen.robots, chosen.seconds, count = ("solo12",), 2.0, 2
+        chosen.robots, chosen.seconds, names = ("solo12",), 2.0, names[:2]
+    if chosen.keep is not None:
+        chosen.keep.mkdir(parents=True, exist_ok=True)
     chosen.out.mkdir(parents=True, exist_ok=True)
     lines: list[tuple[object, ...]] = []
-    with progress(count * len(chosen.robots), "legged_defects") as advance:
+    with progress(len(names) * len(chosen.robots), "legged_defects") as advance:
         for name in chosen.robots:
-            for row in rows(Sensed(name, 0, chosen.seconds), count):
+            for row in rows(Sensed(name, 0, chosen.seconds), names, chosen.keep):
                 lines.append(row)
                 print(*row, sep=" | ", flush=True)
                 # Row by row, so that an interruption leaves those that are done.
