@@ -161,8 +161,8 @@ def cells(
 
 
 def summary(found: Sequence[dict[str, str]]) -> Iterator[tuple[object, ...]]:
-    """Yield one row a robot, set of motions and kind of intervals, and one for all robots."""
-    names = [*dict.fromkeys(row["robot"] for row in found), "all"]
+    """Yield one row a set of motions and kind of intervals, and one a robot of the default."""
+    names = ["all", *dict.fromkeys(row["robot"] for row in found)]
     sets = dict.fromkeys(tuple(row[column] for column in CELL[1:5]) for row in found)
     for kind in sorted(sets, key=lambda each: each[2] != "known"):
         for name in names:
@@ -172,7 +172,7 @@ def summary(found: Sequence[dict[str, str]]) -> Iterator[tuple[object, ...]]:
                 if tuple(row[column] for column in CELL[1:5]) == kind
                 and name in (row["robot"], "all")
             ]
-            if not own:
+            if not own or (name != "all" and kind[3] != "default"):
                 continue
             within, mass, force, error, half = (
                 np.array([float(row[column]) for row in own]) for column in CELL[6:]

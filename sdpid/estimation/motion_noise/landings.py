@@ -1,7 +1,7 @@
 """By how much landings move the unconstrained fit.
 
-At a landing joint speeds jump within a sample. A filter sees the jump over its whole memory, in
-which the robot moves on: filtered efforts are no longer those of the filtered motion. The errors
+At a landing joint speeds jump within a sample: differences of positions give another acceleration
+than that of the sampled effort, and within the filter's memory the robot moves on. The errors
 repeat with every step, so that no residual shows them as noise, and no longer log averages them
 out. The same log without the samples near landings is fitted, too: its fit knows less and has none
 of these errors. The two differ by what landings do, and by noise, whose variance is the difference
