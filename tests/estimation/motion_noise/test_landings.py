@@ -9,7 +9,10 @@ import numpy as np
 import sdpid
 from sdpid.assurance.intervals.noise_in_motion import noise_in_words
 from sdpid.estimation.motion_noise.bias import with_motion_bias
+from sdpid.estimation.motion_noise.landings import beyond_noise
 from sdpid.experiment.plant.legged.sensors import Sensors
+from tests.helpers.arm import ARM
+from tests.helpers.data import full_regressor, random_theta
 
 PROCESSING = sdpid.Processing(
     cutoff_hz=46.0,
@@ -59,3 +62,32 @@ def test_intervals_of_a_trot_count_what_its_landings_do() -> None:
     # Where landings are left out there is nothing to count.
     apart = problem_of(robot, run.recording, replace(PROCESSING, impact_s=0.0))
     assert apart.landing_bias is None
+
+
+def counted(rng: np.random.Generator, wrong: float) -> float:
+    """Return the share of two fits' difference that is counted; some samples have wrong efforts."""
+    motion = tuple(rng.standard_normal((600, ARM.n)) for _ in range(3))
+    effort = full_regressor(ARM, motion, ()) @ random_theta(ARM, np.random.default_rng(0), ())
+    effort += 0.1 * rng.standard_normal(effort.shape)
+    near = np.arange(600) % 6 < 2
+    effort[near] += wrong * motion[2][near]
+    samples = sdpid.Samples(
+        position=motion[0], velocity=motion[1], acceleration=motion[2], effort=effort
+    )
+    away = replace(samples, mask=np.tile(~near[:, None], ARM.n))
+    problems = [
+        sdpid.build_problem(ARM, each, friction=(), weighting="residual")
+        for each in (samples, away)
+    ]
+    fits = [sdpid.solve_wls(each).base for each in problems]
+    moved = fits[0] - fits[1]
+    bias = beyond_noise(*problems, moved)
+    assert bias is not None
+    return float(np.linalg.norm(bias) / np.linalg.norm(moved))
+
+
+def test_noise_between_two_fits_is_hardly_counted_and_a_bias_is() -> None:
+    rng = np.random.default_rng(5)
+    noise = [counted(rng, 0.0) for _ in range(12)]
+    assert np.median(noise) < 0.4
+    assert counted(rng, 0.2) > 0.9
