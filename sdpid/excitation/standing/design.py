@@ -201,6 +201,8 @@ def design_standing(
         standard_errors=after,
         before=before,
         information=information,
+        known=known,
+        spread=task.rows.spread,
         notes=tuple(notes),
         settings=settings_of(
             robot=robot.name,

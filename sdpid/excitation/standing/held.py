@@ -19,6 +19,10 @@ __all__ = ["Held", "Quantity"]
 # A leg's determinant keeps this share of that when standing: one that is stretched cannot follow.
 STRETCHED = 0.5
 
+# The soft least of slacks that are alike is below them by the logarithm of their number over this:
+# a tenth of a limit for twelve joints.
+_SHARPNESS = 30.0
+
 # Kind, subject, unit, values (K,), lower and upper limit; infinite where there is none.
 Quantity = tuple[str, str, str, Array, float, float]
 
@@ -61,25 +65,31 @@ class Held:
         return mass * gravity / len(self.stance.legs.frames)
 
     def evaluate(self, q: Array, v: Array, a: Array) -> Array:
-        """Return the slacks (K, r) at coordinates (K, m) and their derivatives, in their units."""
-        return self._slacks(self._outputs(self._states(q, v, a)))
+        """Return slacks (K, g) at coordinates (K, m) and derivatives, in units of their limits.
+
+        One of each foot and kind, and the soft least of all joints of a kind: a row for each joint
+        would take the search three times as long.
+        """
+        joints, feet = self._slacks(self._outputs(self._states(q, v, a)))
+        return np.column_stack([*(_least(own)[0] for own in joints), feet])
 
     def derivatives(self, q: Array, v: Array, a: Array) -> tuple[Array | None, ...]:
-        """Return derivatives (K, r, m) of the slacks by coordinates and both derivatives."""
+        """Return derivatives (K, g, m) of them by coordinates and both derivatives."""
         jets = Jets.of(self.stance, q, v, a)
         here = self._outputs(jets.here)
         slopes = Jets.slopes(here, self._outputs(jets.aside))
-        # Slacks are of second degree: differences over any step are exact.
-        return tuple(
-            np.stack(
-                [
-                    (self._slacks(here + along) - self._slacks(here - along)) / 2.0
-                    for along in np.moveaxis(slope, -1, 0)
-                ],
-                axis=-1,
-            )
-            for slope in slopes
-        )
+        shares = [_least(own)[1] for own in self._slacks(here)[0]]
+        found = []
+        for slope in slopes:
+            columns = []
+            for along in np.moveaxis(slope, -1, 0):
+                # Slacks are of second degree: differences over any step are exact.
+                ahead, behind = self._slacks(here + along), self._slacks(here - along)
+                moves = zip(shares, ahead[0], behind[0], strict=True)
+                joints = [np.sum(share * (up - down), axis=1) / 2.0 for share, up, down in moves]
+                columns.append(np.column_stack([*joints, (ahead[1] - behind[1]) / 2.0]))
+            found.append(np.stack(columns, axis=-1))
+        return tuple(found)
 
     def _states(self, q: Array, v: Array, a: Array) -> States:
         return self.stance.states(self.stance.poses(q), v, a)
@@ -103,28 +113,29 @@ class Held:
         position, speed, torque, force, stretched = np.split(outputs, ends, axis=1)
         return position, speed, torque, force.reshape(len(force), c, -1), stretched
 
-    def _slacks(self, outputs: Array) -> Array:
+    def _slacks(self, outputs: Array) -> tuple[list[Array], Array]:
+        """Return slacks of joints by kind, (K, ·) each, and of feet (K, ·), in their units."""
         position, speed, torque, force, stretched = self._split(outputs)
         limits, share = self.joints, self.share
         middle = 0.5 * (limits.lower + limits.upper)
         half = 0.5 * (limits.upper - limits.lower)
-        found = []
+        joints = []
         for values, size in (
             (position - np.where(np.isfinite(middle), middle, 0.0), half),
             (speed, limits.velocity),
             (torque, limits.torque),
         ):
             own = np.isfinite(size)
-            found.append(1.0 - (values[:, own] / (share * size[own])) ** 2)
+            if own.any():
+                joints.append(1.0 - (values[:, own] / (share * size[own])) ** 2)
         along, normal = force[:, :, :2] / self.weight, force[:, :, 2] / self.weight
         grip = share * self.grip
-        found.append(normal - self.load / self.weight / share)
-        found.append((grip * normal) ** 2 - np.sum(along**2, axis=2))
+        feet = [normal - self.load / self.weight / share]
+        feet.append((grip * normal) ** 2 - np.sum(along**2, axis=2))
         for _, low, high in self._pressure(force):
             size = 0.5 * np.ptp(self._sole, axis=0).min() * self.weight
-            found += [low / size, high / size]
-        found.append(stretched - STRETCHED)
-        return np.hstack(found)
+            feet += [low / size, high / size]
+        return joints, np.hstack([*feet, stretched - STRETCHED])
 
     @property
     def _sole(self) -> Array:
@@ -170,6 +181,14 @@ class Held:
             for i, name in enumerate(self.stance.legs.frames):
                 least = np.minimum(low[:, i], high[:, i])
                 yield kind, name, "N.m", least, 0.0, np.inf
+
+
+def _least(slacks: Array) -> tuple[Array, Array]:
+    """Return the soft least (K,) of slacks (K, ·), and how much each counts, (K, ·)."""
+    least = slacks.min(axis=1, keepdims=True)
+    shares = np.exp(-_SHARPNESS * (slacks - least))
+    total = shares.sum(axis=1, keepdims=True)
+    return (least - np.log(total) / _SHARPNESS)[:, 0], shares / total
 
 
 def _both(limit: float) -> tuple[float, float]:

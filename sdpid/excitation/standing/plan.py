@@ -56,7 +56,11 @@ class StandingPlan:
     standard_errors, before : ndarray, shape (b,)
         Expected after the run and before it, prior and earlier plans included.
     information : ndarray, shape (b, b)
-        That of the run, and of earlier plans.
+        What the run tells of the base parameters.
+    known : ndarray, shape (b, b)
+        What is known before it, by the prior and earlier plans.
+    spread : ndarray, shape (n,)
+        Spectral density that errors of the base's rows and of torques were taken to have.
     notes : tuple of str
         What was assumed, chosen or found.
     settings : dict
@@ -82,11 +86,13 @@ class StandingPlan:
     standard_errors: Array
     before: Array
     information: Array
+    known: Array
+    spread: Array
     notes: tuple[str, ...] = ()
     settings: dict[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        for name in ("values", "standard_errors", "before", "information"):
+        for name in ("values", "standard_errors", "before", "information", "known", "spread"):
             object.__setattr__(self, name, frozen(getattr(self, name)))
         object.__setattr__(self, "motion", self._sampled())
 

@@ -82,7 +82,7 @@ class Stance:
 
     Its coordinates are those of the base (`COORDINATES`), then the joints beside the legs, less
     their standing positions. Balls roll: a foot's center goes by the radius times what the foot
-    turns. Joints and their rates follow in closed form from Jacobians [featherstone2008]_.
+    turns. Joints and their rates follow in closed form from Jacobians.
 
     Attributes
     ----------
