@@ -16,7 +16,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from sdpid._common.arrays import Array
+from sdpid._common.arrays import Array, Mask
 from sdpid.experiment.inspection.corrections import CorrectedLog, Correction
 from sdpid.experiment.inspection.dynamics import GAINS, Gains
 from sdpid.experiment.processing.contacts.contact_samples import TRANSMITS, ContactSamples
@@ -35,6 +35,9 @@ _MOST_LEGS, _MOST_STEPS = 4, 3
 # With so little unexplained nothing is looked for: 15 % off the description leave up to 0.06 of a
 # joint, and what is wrong 0.2 or more.
 _FINE = 0.1
+# Of more joints only those that are not explained, or not compared, are exchanged in pairs: of
+# forty there are 800 pairs, of positions and of efforts.
+_MANY = 20
 # A gain is known where its standard error, from so many blocks, is below this share of it.
 _KNOWN, _BLOCKS = 0.2, 20
 
@@ -183,7 +186,11 @@ class FloatingLog(CorrectedLog):
     def orders(self) -> list[tuple[int, ...]]:
         """Return orders of all columns that are tried, those of whole legs first."""
         legs = list(_leg_orders(self.robot))
-        return [*legs, *(order for order in super().orders() if order not in legs)]
+        others = [order for order in super().orders() if order not in legs]
+        if len(self.joint_names) > _MANY:
+            poor = ~self.rows.usable | (self.shares > _FINE)
+            others = [order for order in others if _exchanges(order, poor)]
+        return [*legs, *others]
 
     @property
     def most_steps(self) -> int:
@@ -267,6 +274,12 @@ def _sensible(columns: Array, due: Array, scale: float) -> Array:
         found[over] = high[over]
         open_ &= ~over
     return np.asarray(found / size)
+
+
+def _exchanges(order: tuple[int, ...], poor: Mask) -> bool:
+    """Return whether an order exchanges two joints of these, or moves more."""
+    moved = [joint for joint, place in enumerate(order) if joint != place]
+    return len(moved) > 2 or bool(poor[moved].all())
 
 
 def _leg_orders(robot: RobotModel) -> Iterator[tuple[int, ...]]:
