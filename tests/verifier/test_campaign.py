@@ -13,7 +13,7 @@ import pytest
 from sdpid.verifier import bound, certificate
 from sdpid.verifier.bound import Recomputed
 from sdpid.verifier.certificate import Proof
-from tests.helpers.forgeries import study
+from tests.helpers.studies import study
 
 FORGERIES, ZOO = study("forgeries"), study("certificate_zoo")
 JUDGE = study("certificate_judge").Judge()

@@ -31,7 +31,7 @@ from sdpid.verifier.command import main
 from sdpid.verifier.reading import MAX_BYTES, MalformedError, digest
 from sdpid.verifier.result import Result
 from tests.helpers.arm import BODIES, LAST, LIGHT, arm_problem
-from tests.helpers.forgeries import study
+from tests.helpers.studies import study
 
 Data = dict[str, Any]
 VERIFIER = Path(checker.__file__).parent

@@ -9,15 +9,12 @@ import numpy as np
 
 from sdpid._common.arrays import Array
 from sdpid.experiment.processing.floating.rotations import unit
-from sdpid.experiment.processing.motion import noise_of
+from sdpid.experiment.processing.motion import fourth_differences, noise_of
 from sdpid.experiment.recording.floating.base import BaseMotion, Imu
 from sdpid.experiment.recording.recording import Recording
 
 __all__ = ["twins"]
 
-# Differences of this order leave nothing of a motion that is slow against the sampling rate, and
-# 70 times the variance of white noise.
-_ORDER, _GAIN = 4, 70.0
 # Median of the size of a normal variable, in standard deviations.
 _MEDIAN = 0.6745
 
@@ -64,8 +61,7 @@ class _Draw:
         coarse steps do not change for most of the time.
         """
         top = noise_of(signals, self.rate_hz)
-        differences = np.diff(signals, n=_ORDER, axis=0)
-        quiet = np.median(np.abs(differences), axis=0) / (_MEDIAN * np.sqrt(_GAIN))
+        quiet = np.median(np.abs(fourth_differences(signals)), axis=0) / _MEDIAN
         return np.where(quiet > 0.0, np.minimum(top, quiet), top)
 
     def like(self, signals: Array) -> Array:

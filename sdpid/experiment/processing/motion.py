@@ -15,6 +15,7 @@ from sdpid.experiment.recording.stored import extremes
 __all__ = [
     "MOTION_SHARE",
     "band",
+    "fourth_differences",
     "joint_frequencies",
     "motion_frequency",
     "noise_limit",
@@ -30,6 +31,10 @@ _LONG = 1 << 18
 _RATE_OF_MOTION = 100.0
 # Above this share of half the sample rate joints do not move: what is there is noise.
 _NOISE_ONLY = 2.0 / 3.0
+# Fourth differences of motion are less than this of its amplitude at a tenth of the sampling rate;
+# white noise of variance one has a variance of this in them: 1 + 16 + 36 + 16 + 1.
+_DIFFERENCES = 4
+_GAIN = 70.0
 # Samples averaged at a time: the rows of all joints stay in a core's cache.
 _BLOCK = 1 << 14
 
@@ -117,6 +122,14 @@ def noise_of(signals: Array, rate_hz: float) -> Array:
     columns = np.asarray(signals).T
     powers = [_on_top(*spectrum(np.asarray(each), rate_hz, n_samples)) for each in columns]
     return np.sqrt(np.array(powers) / window)
+
+
+def fourth_differences(signals: Array) -> Array:
+    """Return differences of signals (N, n) that hardly hold motion, but white noise in full.
+
+    They are scaled so that white noise has the variance in them that it has in the signals.
+    """
+    return np.diff(signals, _DIFFERENCES, axis=0) / np.sqrt(_GAIN)
 
 
 def _on_top(frequency: Array, power: Array) -> float:

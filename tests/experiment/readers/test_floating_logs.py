@@ -14,6 +14,7 @@ from sdpid.experiment.readers.read import read_described, read_recording
 from sdpid.experiment.recording.recording import Recording
 from tests.experiment.recording.test_floating import log
 from tests.helpers.bags import JOINTS, write_bag
+from tests.helpers.studies import study
 
 N = 40
 T = 0.01 * np.arange(N)
@@ -231,23 +232,8 @@ def test_odometry_and_imu_of_bags_come_to_the_stamps_of_the_joints(
 
 def test_solo12_simulated_elsewhere(data_folder: Path) -> None:
     folder = data_folder / "solo12_simulated"
-    legs = [f"{leg}_{part}" for leg in ("FL", "FR", "HL", "HR") for part in ("HAA", "HFE", "KFE")]
-    told = {
-        "mapping": False,
-        "columns": {
-            "position": "q[8:19]",
-            "velocity": "dq[7:18]",
-            "base_position": "q[1:3]",
-            "base_orientation": "q[4:7]",
-            "base_linear_velocity": "dq[1:3]",
-            "base_angular_velocity": "dq[4:6]",
-        },
-        "base": {"quaternion": "xyzw", "velocity_frame": "base"},
-        "contacts": {"frames": ["FL_FOOT", "FR_FOOT", "HL_FOOT", "HR_FOOT"]},
-        "joint_names": legs,
-    }
-    stand = read_recording(folder, rows=(1, 2000), rate_hz=200.0, **told)
-    jump = read_recording(folder, rows=(3201, 4400), rate_hz=100.0, **told)
+    read = study("solo12_public").read
+    stand, jump = read(folder, "stand"), read(folder, "jump")
     assert repr(stand) == "Recording(2000 samples, 12 joints, 200 Hz, floating base, 4 contacts)"
     assert stand.contacts.down.all()
     assert 0.4 < jump.contacts.down.mean() < 0.6

@@ -13,16 +13,12 @@ import numpy as np
 
 from sdpid._common.arrays import Array
 from sdpid.experiment.processing.floating.on_grid import OnGrid
+from sdpid.experiment.processing.motion import fourth_differences
 from sdpid.experiment.recording.floating.base import BaseMotion
 
 __all__ = ["Quieter", "angle_noise", "base_limit", "quieter", "white_noise"]
 
 _GRAVITY = 9.81
-
-# Fourth differences of motion are less than this of its amplitude at a tenth of the sampling rate;
-# white noise of variance one has a variance of this in them: 1 + 16 + 36 + 16 + 1.
-_DIFFERENCES = 4
-_GAIN = 70.0
 
 
 class Quieter(enum.Enum):
@@ -63,9 +59,8 @@ def quieter(on_grid: OnGrid, velocity: Array, pose_noise: float, unit: str) -> t
 
 def white_noise(table: Array) -> float:
     """Return the white noise of channels (M, c), rms in a sample of one."""
-    if len(table) <= _DIFFERENCES:
-        return 0.0
-    return float(np.sqrt(np.mean(np.diff(table, _DIFFERENCES, axis=0) ** 2) / _GAIN))
+    differences = fourth_differences(table)
+    return float(np.sqrt(np.mean(differences**2))) if len(differences) else 0.0
 
 
 def angle_noise(quaternions: Array) -> float:

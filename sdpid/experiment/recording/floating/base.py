@@ -8,7 +8,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from sdpid._common.arrays import Array, frozen_view
+from sdpid._common.arrays import Array, frozen_view, rotation_matrices
 from sdpid._common.tables import facts_html
 from sdpid.errors import DataError
 from sdpid.experiment.recording.floating.arrays import (
@@ -175,14 +175,7 @@ class BaseMotion:
     @property
     def rotations(self) -> Array:
         """Rotation matrices of the orientations, base to world, (N, 3, 3)."""
-        x, y, z, w = self.orientation.T
-        matrix = np.empty((self.n_samples, 3, 3))
-        matrix[:, 0, 0], matrix[:, 1, 1] = 1 - 2 * (y * y + z * z), 1 - 2 * (x * x + z * z)
-        matrix[:, 2, 2] = 1 - 2 * (x * x + y * y)
-        matrix[:, 0, 1], matrix[:, 1, 0] = 2 * (x * y - z * w), 2 * (x * y + z * w)
-        matrix[:, 0, 2], matrix[:, 2, 0] = 2 * (x * z + y * w), 2 * (x * z - y * w)
-        matrix[:, 1, 2], matrix[:, 2, 1] = 2 * (y * z - x * w), 2 * (y * z + x * w)
-        return matrix
+        return rotation_matrices(self.orientation)
 
     def rows(self, rows: slice | NDArray[Any]) -> BaseMotion:
         """Return some samples."""

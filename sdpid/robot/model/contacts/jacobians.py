@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from sdpid._common.arrays import Array, real_array
+from sdpid._common.arrays import Array, real_array, rotation_matrices
 from sdpid.errors import DataError
 from sdpid.robot.model.contacts import kernel
 from sdpid.robot.model.model import RobotModel
@@ -217,7 +217,7 @@ class _Links:
         at = tree.first_q[link]
         own, way = tree.turn[link], tree.place[link]
         if tree.kind[link] == FLOATING:
-            return own[2] @ _rotations(q[:, at + 3 : at + 7]), np.zeros((len(q), 3))
+            return own[2] @ rotation_matrices(q[:, at + 3 : at + 7]), np.zeros((len(q), 3))
         before, origin = self._at(int(tree.parent[link]))
         if tree.kind[link] == PRISMATIC:
             return before @ own[2], origin + (
@@ -228,19 +228,6 @@ class _Links:
         y = q[:, at + 1] if unbounded else np.sin(q[:, at])
         turn = own[0] * x[:, None, None] + own[1] * y[:, None, None] + own[2]
         return before @ turn, origin + before @ way[0]
-
-
-def _rotations(quaternions: Array) -> Array:
-    """Return rotation matrices (K, 3, 3) of unit quaternions x, y, z, w (K, 4)."""
-    x, y, z, w = quaternions.T
-    out = np.empty((len(quaternions), 3, 3))
-    out[:, 0, 0] = 1.0 - 2.0 * (y * y + z * z)
-    out[:, 1, 1] = 1.0 - 2.0 * (x * x + z * z)
-    out[:, 2, 2] = 1.0 - 2.0 * (x * x + y * y)
-    out[:, 0, 1], out[:, 1, 0] = 2.0 * (x * y - z * w), 2.0 * (x * y + z * w)
-    out[:, 0, 2], out[:, 2, 0] = 2.0 * (x * z + y * w), 2.0 * (x * z - y * w)
-    out[:, 1, 2], out[:, 2, 1] = 2.0 * (y * z - x * w), 2.0 * (y * z + x * w)
-    return out
 
 
 def _fill(out: Array, tree: Tree, links: _Links, frame: Any, offset: Array) -> None:

@@ -1,4 +1,4 @@
-"""The studies that forge certificates, and that judge them without the verifier."""
+"""Modules of the studies, as tests use them."""
 
 from __future__ import annotations
 
