@@ -92,7 +92,9 @@ class ContactRows:
         active: list[Array] = []
         axes = None
         for i, kind in enumerate(contacts.kind):
-            own = J[:, i, :3][:, infinite[i, :3]]
+            own = J[:, i, :3]
+            if not infinite[i, :3].all():
+                own = own[:, infinite[i, :3]]
             moments = infinite[i, 3:]
             if kind == "line" and moments.all():
                 # An edge transmits no moment about itself, the frame's y axis.

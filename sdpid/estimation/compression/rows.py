@@ -23,6 +23,7 @@ from sdpid.robot.friction.term import FrictionTerm, JointwiseTerm
 from sdpid.robot.model import regressor_kernel as kernels
 from sdpid.robot.model.base_parameters import BaseParameters
 from sdpid.robot.model.model import RobotModel
+from sdpid.robot.model.regressor_kernel import Entries
 
 T = TypeVar("T")
 
@@ -218,9 +219,7 @@ class RowSource:
         effort = self.effort(part)
         if out is None:
             out = np.empty((len(effort), self.robot.n, self.base.count + 1))
-        rows = self._fill(part, out[: len(effort)])
-        rows[:, :, -1] = effort
-        return rows
+        return self._fill(part, out[: len(effort)], effort)
 
     def contacts(self, part: slice) -> ContactRows | None:
         """Return what contacts do to the rows of some samples, None where there are none."""
@@ -255,35 +254,48 @@ class RowSource:
         for start in range(0, count, size):
             yield slice(start, min(start + size, count))
 
-    def _fill(self, part: slice, out: Array) -> Array:
+    def _fill(self, part: slice, out: Array, effort: Array | None = None) -> Array:
+        """Write the regressor, and efforts as last column where they are given."""
         s = self.samples
-        v, a = s.velocity[part], s.acceleration[part]
         links = 10 * self.robot.n_links
+        entries, columns = self._friction(self.motion(part), self._places[links:])
+        if effort is not None:
+            n = self.robot.n
+            entries.append((effort, np.arange(n), np.full(n, out.shape[2] - 1)))
+        whole = None
+        if entries:
+            values, rows, to = zip(*entries, strict=True)
+            whole = np.concatenate(values, axis=1), np.concatenate(rows), np.concatenate(to)
         self.robot.regressor_columns(
-            s.position[part], v, a, places=self._places[:links], out=out, compiled=self.many
-        )
-        self._add_friction(self.motion(part), self._places[links:], out)
+            s.position[part], s.velocity[part], s.acceleration[part],
+            places=self._places[:links], out=out, compiled=self.many, entries=whole,
+        )  # fmt: skip
+        for at, block in columns:
+            out[:, self.friction.first :, at] = block
         return out
 
     def motion(self, part: slice) -> Motion:
         """Return the motion of some samples, at which friction columns are evaluated."""
         return motion_of(self.robot, self.samples, part, first=self.friction.first)
 
-    def _add_friction(self, motion: Motion, places: Indices, out: Array) -> None:
+    def _friction(
+        self, motion: Motion, places: Indices
+    ) -> tuple[list[Entries], list[tuple[Indices, Array]]]:
+        """Return the entries of terms that have one a row, and the columns of others."""
         friction = self.friction
         names, first, start = friction.joint_names, friction.first, 0
+        entries: list[Entries] = []
+        columns: list[tuple[Indices, Array]] = []
         for term in friction.terms:
             count = len(term.parameters(names))
             to = places[start : start + count]
             start += count
+            kept = np.flatnonzero(to >= 0)
             if isinstance(term, JointwiseTerm) and _is_diagonal(term):
-                # One entry a row.
-                shape = term.shape_in(motion)
-                for j in np.flatnonzero(to >= 0):
-                    out[:, first + j, to[j]] = shape[:, j]
+                entries.append((term.shape_in(motion)[:, kept], first + kept, to[kept]))
             else:
-                kept = np.flatnonzero(to >= 0)
-                out[:, first:, to[kept]] = term.columns_in(motion, names)[:, :, kept]
+                columns.append((to[kept], term.columns_in(motion, names)[:, :, kept]))
+        return entries, columns
 
 
 def _is_diagonal(term: FrictionTerm) -> bool:

@@ -57,6 +57,8 @@ class Triangle:
         self._M: Array | None = None
         self._back: Array = self._S
         self._G: Any = None
+        # No eigenvalue of G is larger.
+        self._growth = 1.0
         self._unseen: Any = None
         self._waiting: list[Array] = []
         self._count = 0
@@ -138,7 +140,7 @@ class Triangle:
         M = self._M
         if M is None:
             M = self._precondition(self._S)
-            self._G = np.eye(M.shape[1], order="F")
+            self._G, self._growth = np.eye(M.shape[1], order="F"), 1.0
         G = self._G
         if self._unseen.size and rows[:, self._unseen].any():
             self._fold_plainly(rows)
@@ -146,9 +148,12 @@ class Triangle:
         if not len(G):
             return
         grown = dsyrk(1.0, (rows @ M).T, beta=1.0, c=G)
-        growth = _bound(grown)
+        # Rows add their square at most; sums of sizes, a closer bound, cost as much as they.
+        growth = self._growth + float(np.trace(grown) - np.trace(G))
+        if not growth <= _GROWN:
+            growth = _bound(grown)
         if growth <= _GROWN:
-            self._G = grown
+            self._G, self._growth = grown, growth
             return
         if not growth <= _FAR:  # not a number, too
             self._fold_plainly(rows)
@@ -158,7 +163,7 @@ class Triangle:
         M = self._precondition(np.asarray(_root(grown) @ self._back))
         grown = dsyrk(1.0, (rows @ M).T, beta=1.0, c=dsyrk(1.0, (before @ M).T))
         if np.abs(np.triu(grown) - np.eye(len(grown))).max() <= _NEAR / len(grown):
-            self._G = grown
+            self._G, self._growth = grown, _bound(grown)
         else:
             self._restart(before)
             self._fold_plainly(rows)

@@ -423,6 +423,7 @@ class RobotModel:
         places: Indices,
         out: Array,
         compiled: bool | None = None,
+        entries: kernels.Entries | None = None,
     ) -> Array:
         """Write some columns of the regressor into a wider block, and zeros everywhere else.
 
@@ -437,6 +438,8 @@ class RobotModel:
         compiled : bool, optional
             Whether to use the compiled loop: of a log's blocks all or none. By default the size
             decides.
+        entries : tuple of ndarray, optional
+            Further entries of `out`: values (K, m), rows (m,) and columns (m,) of a sample's block.
 
         Returns
         -------
@@ -456,12 +459,17 @@ class RobotModel:
                 f"for each of {10 * self.n_links} parameters, below {out.shape[2]} columns."
             )
         if self.tree is not None:
-            found = kernels.regressor(self.tree, q, v, a, out=out, places=places, worth=compiled)
+            found = kernels.regressor(
+                self.tree, q, v, a, out=out, places=places, worth=compiled, entries=entries
+            )
             if found is not None:
                 return found
         wanted = np.flatnonzero(places >= 0)
         out[:] = 0.0
         out[:, :, places[wanted]] = self._pinocchio_regressor(q, v, a)[:, :, wanted]
+        if entries is not None:
+            values, rows, columns = entries
+            out[:, rows, columns] = values
         return out
 
     @functools.cached_property

@@ -46,6 +46,9 @@ _SHARES = 4
 # Other arrays, read-only ones among them, would be compiled for anew; they are copied.
 _COMPILED_FOR: tuple[Literal["C", "A", "W"], ...] = ("C", "A", "W")
 
+# Values (K, m) beside the regressor, and the row and the column of each in a sample's block.
+Entries = tuple[Array, Indices, Indices]
+
 # Compiling for longer than this is worth a line, s.
 _PATIENCE = 1.0
 
@@ -176,6 +179,7 @@ def regressor(
     out: Array | None = None,
     places: Indices | None = None,
     worth: bool | None = None,
+    entries: Entries | None = None,
 ) -> Array | None:
     """Return the regressor of samples, None without Numba or when there are few.
 
@@ -195,6 +199,8 @@ def regressor(
     worth : bool, optional
         Whether to use the compiled loop: of a log's blocks all or none. By default the size
         decides.
+    entries : tuple, optional
+        Further entries of each sample's block, while it is in the cache.
 
     Returns
     -------
@@ -206,7 +212,9 @@ def regressor(
     fill = compiled() if (size >= SMALL if worth is None else worth) else None
     if fill is None:
         return None
-    states = [np.require(x, np.float64, _COMPILED_FOR) for x in (q, v, a)]
+    extra, *at = entries or (np.zeros((len(q), 0)), *(np.zeros(0, dtype=np.intp),) * 2)
+    states = [np.require(x, np.float64, _COMPILED_FOR) for x in (q, v, a, extra)]
+    places_of = [np.require(x, np.intp, _COMPILED_FOR) for x in at]
     whole = places is None
     route = np.arange(count) if places is None else np.require(places, np.intp, _COMPILED_FOR)
     # Most of a sample is zero. A large new array comes as zeros from the system; any other is
@@ -220,7 +228,8 @@ def regressor(
     rows = np.empty(shape) if out is None else out
 
     def work(part: slice) -> None:
-        fill(*tree.arrays, route, whole, clear, *(x[part] for x in states), rows[part])
+        parts = (x[part] for x in states)
+        fill(*tree.arrays, route, whole, clear, *places_of, *parts, rows[part])
 
     if cores == 1:
         work(slice(None))
@@ -298,7 +307,8 @@ def _first_call(fill: Callable[..., None]) -> None:
             index,
             True,
             True,
-            *(table,) * 3,
+            *(index,) * 2,
+            *(table,) * 4,
             np.zeros((0, 0, 0)),
         )
     finally:
@@ -328,9 +338,12 @@ def _fill(
     route: Indices,
     whole: bool,
     clear: bool,
+    extra_row: Indices,
+    extra_column: Indices,
     q: Array,
     v: Array,
     a: Array,
+    extra: Array,
     out: Array,
 ) -> None:
     """Write the regressor's blocks, link by link along each sample's tree.
@@ -549,3 +562,5 @@ def _fill(
                 else:
                     for t in range(first[i], first[i + 1]):
                         out[k, h, route[wanted[t]]] = row[wanted[t] - to]
+        for e in range(len(extra_row)):
+            out[k, extra_row[e], extra_column[e]] = extra[k, e]
