@@ -103,7 +103,9 @@ class VariableProjection:
     """The least cost as a function of the open parameters, searched one at a time.
 
     Whitened columns are kept joint by joint, (n, K, columns): with independent joints a column is
-    zero at all joints but those that its term acts on.
+    zero at all joints but those that its term acts on. Where contacts mix joints, a whitened column
+    is zero nowhere: then columns that are tried stay as they are and the others are whitened twice,
+    which makes the same products.
 
     Parameters
     ----------
@@ -148,6 +150,9 @@ class VariableProjection:
         own = np.einsum("nka,nkb->ab", self._loose, self._loose, optimize=True)
         self._products: Array = own - self._inside.T @ self._inside
         self._squares: Array = np.diagonal(own).copy()
+        if not self._independent:
+            self._gram = np.swapaxes(self._power, 1, 2) @ self._power
+            self._basis, self._loose = (self._whiten_again(x) for x in (self._basis, self._loose))
         nonnegative = np.array([p.nonnegative for p in rows.friction.parameters], dtype=bool)
         self._free = np.flatnonzero(~nonnegative[loose])
         self._lowest = np.where(nonnegative[loose], 0.0, -np.inf)
@@ -219,7 +224,7 @@ class VariableProjection:
             others += self._loose[j].T @ each
         others = np.moveaxis((others - self._inside.T @ inside).reshape(len(others), g, m), 1, 0)
         inside = np.moveaxis(inside.reshape(len(inside), g, m), 1, 0)
-        own = np.einsum("wkga,wkgb->gab", columns, columns)
+        own = self._product(joints, columns)
         others[:, places] = own - np.swapaxes(inside, 1, 2) @ inside
         products = np.repeat(self._products[None], g, axis=0)
         products[:, :, places], products[:, places] = others, np.swapaxes(others, 1, 2)
@@ -232,11 +237,17 @@ class VariableProjection:
 
     def _keep(self, trial: _Trial) -> None:
         """Make the columns of a trial the present ones."""
-        self._loose[:, :, trial.places] = 0.0
-        for j, column in zip(trial.joints, trial.columns, strict=True):
-            self._loose[j][:, trial.places] = column
+        if self._independent:
+            self._loose[:, :, trial.places] = 0.0
+            for j, column in zip(trial.joints, trial.columns, strict=True):
+                self._loose[j][:, trial.places] = column
+            squares = np.einsum("nkc,nkc->c", trial.columns, trial.columns)
+        else:
+            mixed = np.moveaxis(self._gram[:, :, trial.joints], 1, 0)
+            self._loose[:, :, trial.places] = np.einsum("nkw,wkc->nkc", mixed, trial.columns)
+            squares = np.diagonal(self._product(trial.joints, trial.columns[:, :, None])[0])
         self._inside[:, trial.places] = trial.inside
-        self._squares[trial.places] = np.einsum("nkc,nkc->c", trial.columns, trial.columns)
+        self._squares[trial.places] = squares
         self._products, self.cost = trial.products, trial.cost
 
     def _moving(self, t: int, i: int) -> Indices:
@@ -252,7 +263,10 @@ class VariableProjection:
         return term.columns_in(self._motion, self._names)
 
     def _whitened(self, terms: list[FrictionTerm], moved: Indices) -> tuple[Indices, Array]:
-        """Return at which joints some columns of g terms are not zero, and these (w, K, g, m)."""
+        """Return at which joints some columns of g terms are not zero, and these (w, K, g, m).
+
+        They are whitened where joints are independent.
+        """
         first = terms[0]
         if isinstance(first, JointwiseTerm) and type(first) in _ALIKE and len(moved) == 1:
             joints, columns = moved, self._shapes(terms, int(moved[0]))[None, :, :, None]
@@ -262,11 +276,15 @@ class VariableProjection:
             columns = np.swapaxes(found[:, joints], 0, 1)
         joints = joints + self._first
         if self._independent:
-            return joints, columns * self._power[:, joints, joints].T[:, :, None, None]
-        w, count, g, m = columns.shape
-        flat = np.swapaxes(columns, 0, 1).reshape(count, w, g * m)
-        whitened = np.ascontiguousarray(np.swapaxes(self._power[:, :, joints] @ flat, 0, 1))
-        return np.arange(len(self._basis)), whitened.reshape(-1, count, g, m)
+            columns = columns * self._power[:, joints, joints].T[:, :, None, None]
+        return joints, columns
+
+    def _product(self, joints: Indices, columns: Array) -> Array:
+        """Return the products (g, m, m) of whitened columns, as `_whitened` returns them."""
+        if self._independent:
+            return np.einsum("wkga,wkgb->gab", columns, columns)
+        weighted = np.einsum("kwv,vkga->wkga", self._gram[:, joints[:, None], joints], columns)
+        return np.einsum("wkga,wkgb->gab", columns, weighted)
 
     def _shapes(self, terms: list[FrictionTerm], joint: int) -> Array:
         """Return the columns (K, g) of one joint, as if each term were that of another joint."""
@@ -282,6 +300,11 @@ class VariableProjection:
     def _whiten(self, columns: Array) -> Array:
         """Return whitened columns (n, K, c) from columns (K, n, c)."""
         return np.ascontiguousarray(np.swapaxes(self._power @ columns, 0, 1))
+
+    def _whiten_again(self, columns: Array) -> Array:
+        """Return whitened columns (n, K, c) times the transposed weights."""
+        again = np.swapaxes(self._power, 1, 2) @ np.swapaxes(columns, 0, 1)
+        return np.ascontiguousarray(np.swapaxes(again, 0, 1))
 
     def _least(self, products: Array, squares: Array) -> Array:
         """Return the least costs (g,) over all linear parameters, from the open columns' products.
