@@ -282,9 +282,9 @@ class VariableProjection:
     def _product(self, joints: Indices, columns: Array) -> Array:
         """Return the products (g, m, m) of whitened columns, as `_whitened` returns them."""
         if self._independent:
-            return np.einsum("wkga,wkgb->gab", columns, columns)
+            return np.asarray(np.einsum("wkga,wkgb->gab", columns, columns))
         weighted = np.einsum("kwv,vkga->wkga", self._gram[:, joints[:, None], joints], columns)
-        return np.einsum("wkga,wkgb->gab", columns, weighted)
+        return np.asarray(np.einsum("wkga,wkgb->gab", columns, weighted))
 
     def _shapes(self, terms: list[FrictionTerm], joint: int) -> Array:
         """Return the columns (K, g) of one joint, as if each term were that of another joint."""

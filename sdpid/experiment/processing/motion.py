@@ -129,7 +129,7 @@ def fourth_differences(signals: Array) -> Array:
 
     They are scaled so that white noise has the variance in them that it has in the signals.
     """
-    return np.diff(signals, _DIFFERENCES, axis=0) / np.sqrt(_GAIN)
+    return np.asarray(np.diff(signals, _DIFFERENCES, axis=0) / np.sqrt(_GAIN))
 
 
 def _on_top(frequency: Array, power: Array) -> float:
