@@ -47,8 +47,7 @@ class Errors:
         Norm of all errors over the norm of all efforts.
     rows : ndarray of int, shape (n,)
         Rows that count. Where there are none, of a joint whose effort was not measured,
-        the joint's figures say nothing: `rmse` and `nrmse` are 0, `r2` is 1. So are these two
-        where the effort is zero, of a joint without a motor.
+        the joint's figures say nothing: `rmse` and `nrmse` are 0, `r2` is 1.
     n_base : int
         The first of these are coordinates of a floating base, which are no joints: they have no
         rows here, and stand in no table.
@@ -405,14 +404,13 @@ def _figures(effort: Array, predicted: Array, mask: Mask) -> dict[str, Any]:
     tiny = np.finfo(float).tiny
     # An effort that is constant up to rounding has nothing to explain.
     varies = spread > count * np.finfo(float).eps * power
-    # Beside no effort at all, of a joint without a motor, there are no shares.
-    unexplained = np.where((square > 0.0) & (power > 0.0), np.inf, 0.0)
+    unexplained = np.where(square > 0.0, np.inf, 0.0)
     # Beside an effort that is all but zero a share may exceed what a number holds.
     with np.errstate(over="ignore"):
         np.divide(square, spread, out=unexplained, where=varies)
     return {
         "rmse": frozen(np.sqrt(square / count)),
-        "nrmse": frozen(np.where(power > 0.0, np.sqrt(square / np.maximum(power, tiny)), 0.0)),
+        "nrmse": frozen(np.sqrt(square) / np.sqrt(np.maximum(power, tiny))),
         "r2": frozen(1.0 - unexplained),
         "relative": float(np.sqrt(square.sum()) / np.sqrt(max(power.sum(), tiny))),
         "rows": frozen_view(rows),

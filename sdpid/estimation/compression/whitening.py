@@ -232,7 +232,9 @@ def compress(rows: RowSource, sigma: Array) -> tuple[Triangle, int]:
 
     for found, few, own in one_ahead(made, chunks, ahead=ahead):
         triangle.add(found)
-        fold(apart, few)
+        # Rows that weights mix stand with all columns, those of branches too.
+        if few:
+            fold(apart, few)
         used += own
     branches.join(triangle, apart)
     return triangle, used
