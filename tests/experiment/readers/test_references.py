@@ -135,7 +135,7 @@ def test_a_recording_keeps_its_reference(tmp_path: Path, stored: bool):
     with pytest.raises(DataError, match=r"reference: has shape \(300, 1\), expected \(300, 2\)"):
         replace(log, reference=REF[:, :1])
     # The robot's order, gaps and late stamps.
-    robot = SimpleNamespace(n=2, n_base=0, name="arm", joint_names=("elbow", "lift"))
+    robot = SimpleNamespace(n=2, n_base=0, name="arm", joint_names=("elbow", "lift"), passive=())
     np.testing.assert_array_equal(match_joints(cast(Any, robot), log).reference, REF[:, ::-1])
     gap = np.delete(np.arange(N), np.s_[100:150])
     kept = {"time": T[gap], "position": Q[gap], "effort": TAU[gap], "reference": REF[gap]}
