@@ -10,5 +10,5 @@ from sdpid.excitation.standing.plan import StandingPlan
 
 @cache
 def standing_plan() -> StandingPlan:
-    """Return a plan for Solo12, searched for a few seconds: the search may be cut short."""
-    return design_standing("solo12", duration=3.0, time_limit=8.0, progress=False)
+    """Return a plan for Solo12 from a short search."""
+    return design_standing("solo12", duration=3.0, steps=12, progress=False)

@@ -60,11 +60,25 @@ class Standing:
             "Default: 0.3.",
         ),
     ] = None
+    steps: Annotated[
+        int | None,
+        _standing(
+            metavar="N",
+            min=1,
+            help="With --stand: steps of the search from one start. Default: 80.",
+        ),
+    ] = None
 
     @property
     def given(self) -> dict[str, Any]:
         """What is given of the options, by their names in `design_standing`."""
-        named = {"sway": self.sway, "tilt": self.tilt, "grip": self.grip, "load": self.load}
+        named = {
+            "sway": self.sway,
+            "tilt": self.tilt,
+            "grip": self.grip,
+            "load": self.load,
+            "steps": self.steps,
+        }
         return {name: value for name, value in named.items() if value is not None}
 
     def require_stand(self) -> None:

@@ -5,8 +5,7 @@ from __future__ import annotations
 import itertools
 import os
 import time
-from collections.abc import Callable, Iterable, Iterator
-from contextlib import contextmanager
+from collections.abc import Iterable
 from dataclasses import replace
 from typing import Any
 
@@ -14,7 +13,6 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from sdpid._common.arrays import Array
-from sdpid._common.progress import progress as progress_bar
 from sdpid._common.seeds import generator
 from sdpid.errors import DataError, InfeasibleError
 from sdpid.estimation.prior.prior import Prior
@@ -33,6 +31,7 @@ from sdpid.excitation.plan.settings import settings_of
 from sdpid.excitation.search.ipopt import INTERRUPTED, require_solver
 from sdpid.excitation.search.search import Candidate, Search, most_steps
 from sdpid.excitation.search.starts import random_start
+from sdpid.excitation.search.steps import counted_steps
 from sdpid.experiment.trajectory.trajectory import Trajectory
 from sdpid.robot.friction.term import FrictionTerm
 from sdpid.robot.model.contacts.open_chain import require_open_chain
@@ -212,7 +211,7 @@ def design_excitation(
         deadline = began + time_limit - min(_KEPT_SECONDS, _KEPT_SHARE * time_limit)
         search = replace(search, deadline=deadline)
     inequalities = Inequalities(task)
-    with _steps(starts, began, search.deadline, progress) as step:
+    with counted_steps(most_steps(starts), began, search.deadline, progress) as step:
         count = starts if time_limit is None else None
         begun = itertools.islice(_starts(task, search, inequalities.rows(task.space), seed), count)
         found, stopped = search.run(begun, inequalities.rows, step=step)
@@ -280,25 +279,6 @@ def _compile(robot: RobotModel) -> None:
     rows = BaseRows.of(robot, ())
     still = np.zeros((max(1, _STATES // robot.n), robot.n))
     rows.gradient(rows.rows(still, still, still), still, still, still)
-
-
-@contextmanager
-def _steps(
-    starts: int, began: float, deadline: float, shown: bool | None
-) -> Iterator[Callable[[], None]]:
-    """Yield what to call after every step of the search, which moves a progress bar."""
-    timed = np.isfinite(deadline)
-    total = deadline - began if timed else most_steps(starts)
-    last = began
-    with progress_bar(total, "searching a motion", enabled=shown) as advance:
-
-        def step() -> None:
-            nonlocal last
-            now = time.monotonic()
-            advance(now - last if timed else 1.0)
-            last = now
-
-        yield step
 
 
 def _starts(task: Task, search: Search, rows: Any, seed: int) -> Iterable[Array]:

@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
+import math
 import os
 import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from contextlib import contextmanager
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
 from sdpid._common.arrays import Array
-from sdpid._common.progress import progress as progress_bar
 from sdpid._common.seeds import generator
 from sdpid.errors import DataError, InfeasibleError
 from sdpid.estimation.prior.prior import Prior
@@ -25,6 +24,7 @@ from sdpid.excitation.search.ipopt import require_solver
 from sdpid.excitation.search.search import Candidate, Search
 from sdpid.excitation.search.space import Space
 from sdpid.excitation.search.starts import random_start
+from sdpid.excitation.search.steps import counted_steps
 from sdpid.excitation.standing.check import check_standing
 from sdpid.excitation.standing.held import Held
 from sdpid.excitation.standing.plan import StandingPlan
@@ -37,9 +37,9 @@ __all__ = ["design_standing"]
 
 # Friction terms of a plan, where none are named.
 FRICTION = ("coulomb", "viscous", "rotor_inertia")
-# Starts of the search, steps of one, and of the best with twice and four times the intervals: a
-# step takes 0.3 s for 10 s of a quadruped, and later ones bring little.
-STARTS, _COARSE_STEPS, _REFINING = 1, 80, (60, 40)
+# Starts of the search, steps of one, and as a share of them those of the best with twice and four
+# times the intervals: a step takes 0.3 s for 10 s of a quadruped, and later ones bring little.
+STARTS, STEPS, _REFINING = 1, 80, (0.75, 0.5)
 # Of a time limit, what is kept for the check, at most seconds and this share.
 _KEPT_SECONDS, _KEPT_SHARE = 5.0, 0.2
 # Instants in an interval of a spline at which limits are held during the search.
@@ -68,6 +68,7 @@ def design_standing(
     standing: Sequence[float] | None = None,
     feet: Sequence[str] | None = None,
     starts: int = STARTS,
+    steps: int = STEPS,
     time_limit: float | None = None,
     seed: int = 0,
     progress: bool | None = None,
@@ -115,8 +116,10 @@ def design_standing(
         Frames at the feet; by default links with 'sole' or 'foot' in their names.
     starts : int, optional
         Number of random starts of the search; the best is refined.
+    steps : int, optional
+        Largest number of steps from one start; refining takes five quarters of them at most.
     time_limit : float, optional
-        Seconds that search and check may take.
+        Seconds that search and check may take; without, the same arguments give the same plan.
     seed : int, optional
         Seed of everything that is random.
     progress : bool, optional
@@ -139,15 +142,16 @@ def design_standing(
 
     Examples
     --------
-    >>> standing = sdpid.design_standing("solo12", duration=2.0, time_limit=4.0)
+    >>> standing = sdpid.design_standing("solo12", duration=2.0, steps=8)
     >>> standing.limits.ok, standing.motion
     (True, WholeBodyMotion(12 joints, 4 feet, 2 s))
     """
     require_solver()
     if not isinstance(robot, RobotModel):
         robot = load_robot(robot, root="free_flyer")
-    if starts < 1:
-        raise DataError(f"starts: is {starts}; give at least 1.")
+    for name, number in (("starts", starts), ("steps", steps)):
+        if number < 1:
+            raise DataError(f"{name}: is {number}; give at least 1.")
     if time_limit is not None and not time_limit > 0.0:
         raise DataError(f"time_limit: is {time_limit}; give a positive time in s.")
     earlier = (previous,) if isinstance(previous, StandingPlan) else tuple(previous)
@@ -182,8 +186,9 @@ def design_standing(
         start=np.zeros(task.space.n),
         deadline=deadline,
     )
-    with _steps(starts, began, deadline, progress) as step:
-        found, stopped = _searched(task, search, seed, starts, step)
+    total = starts * steps + sum(_refining(steps))
+    with counted_steps(total, began, deadline, progress) as step:
+        found, stopped = _searched(task, search, seed, starts, steps, step)
         best, check = _mended(task, search, found)
     notes = [*task.notes]
     if stopped:
@@ -213,46 +218,31 @@ def design_standing(
             standing=None if standing is None else list(standing),
             feet=None if feet is None else list(feet),
             starts=starts,
+            steps=steps,
             time_limit=time_limit,
             seed=seed,
         ),
     )
 
 
-@contextmanager
-def _steps(
-    starts: int, began: float, deadline: float, shown: bool | None
-) -> Iterator[Callable[[], None]]:
-    """Yield what to call after every step of the search, which moves a progress bar."""
-    timed = np.isfinite(deadline)
-    last = began
-    total = deadline - began if timed else starts * _COARSE_STEPS + sum(_REFINING)
-    with progress_bar(total, "searching a motion", enabled=shown) as advance:
-
-        def step() -> None:
-            nonlocal last
-            now = time.monotonic()
-            advance(now - last if timed else 1.0)
-            last = now
-
-        yield step
+def _refining(steps: int) -> list[int]:
+    """Return the steps of the best motion with twice and four times the intervals."""
+    return [math.ceil(share * steps) for share in _REFINING]
 
 
 def _searched(
-    task: StandingTask, search: Search, seed: int, starts: int, step: Callable[[], None]
+    task: StandingTask, search: Search, seed: int, starts: int, steps: int, step: Callable[[], None]
 ) -> tuple[Candidate, bool]:
     """Return the best motion from random starts, refined, and whether the search was stopped."""
     found: list[Candidate] = []
     rows, stopped = _rows(task.space, task.held, _SHARE), False
     for number, start in enumerate(_starts(task, search, rows, seed, starts)):
-        candidate, stopped = search.improve(
-            start, rows, number=number, most_steps=_COARSE_STEPS, step=step
-        )
+        candidate, stopped = search.improve(start, rows, number=number, most_steps=steps, step=step)
         found.append(candidate)
         if stopped:
             break
     best = min(found, key=lambda each: each.value)
-    for most in _REFINING:
+    for most in _refining(steps):
         refined = best.space.refined(best.x)
         if stopped or refined is None:
             break

@@ -70,7 +70,7 @@ class StandingPlan:
 
     Examples
     --------
-    >>> standing = sdpid.design_standing("solo12", duration=2.0, time_limit=4.0)
+    >>> standing = sdpid.design_standing("solo12", duration=2.0, steps=8)
     >>> standing.limits.ok, standing.motion.duration
     (True, 2.0)
     >>> standing.table().header[:3]

@@ -59,7 +59,7 @@ def write_standing(
     Examples
     --------
     >>> from sdpid.excitation.standing.write import write_standing
-    >>> standing = sdpid.design_standing("solo12", duration=2.0, time_limit=4.0)
+    >>> standing = sdpid.design_standing("solo12", duration=2.0, steps=8)
     >>> [path.name for path in write_standing(standing, "standing", figures=False)]
     ['trajectory.csv', 'plan.json']
     """

@@ -68,9 +68,7 @@ def test_a_plan_is_written_and_read(tmp_path: Path) -> None:
 def test_the_same_design_is_found_again_beside_an_earlier_one() -> None:
     """Earlier plans count: what they tell is known before."""
     plan = standing_plan()
-    again = sdpid.design_standing(
-        "solo12", duration=3.0, time_limit=3.0, previous=plan, progress=False
-    )
+    again = sdpid.design_standing("solo12", duration=3.0, steps=2, previous=plan, progress=False)
     np.testing.assert_allclose(again.before, plan.standard_errors, rtol=1e-6)
 
 
@@ -82,6 +80,7 @@ def test_the_same_design_is_found_again_beside_an_earlier_one() -> None:
         ({"grip": 0.0}, "grip: is 0; give more than 0"),
         ({"load": 0.99}, "load: is 0.99; give more than 0 and at most 0.9"),
         ({"starts": 0}, "starts: is 0"),
+        ({"steps": 0}, "steps: is 0; give at least 1"),
         (
             {"limits": sdpid.Limits(torque=0.1)},
             "standing still, torque of .* is .* N.m, the limit is",
