@@ -122,7 +122,8 @@ def find_causes(
     for each in errors:
         j = fit.joint_names.index(each.joint)
         kept = moving[:, j]
-        if np.count_nonzero(kept) < 2:
+        # Without a motor there is no measured effort to explain.
+        if np.count_nonzero(kept) < 2 or each.joint in robot.passive:
             continue
         v, a = samples.velocity[kept, j], samples.acceleration[kept, j]
         q = samples.position[kept, j + shift]

@@ -32,10 +32,8 @@ def signals(subject: Subject) -> Iterator[Finding]:
     """Find efforts that never change, and single values far beyond all others."""
     log = subject.log
     low, high = extremes(log.effort)
-    robot = subject.robot or subject.floating
-    passive = () if robot is None else robot.passive
     for j, name in enumerate(log.names):
-        if name in passive:
+        if name in subject.passive:
             continue  # Without a motor it has none.
         if not high[j] > low[j]:
             yield Finding(

@@ -160,6 +160,12 @@ class Subject:
         robot = self.robot or self.floating
         return robot is not None and bool(robot.loops)
 
+    @property
+    def passive(self) -> tuple[str, ...]:
+        """Joints without motors."""
+        robot = self.robot or self.floating
+        return () if robot is None else robot.passive
+
     @cached_property
     def samples(self) -> Samples | None:
         """Samples of the longest piece of a recording with a base; None where it has none."""

@@ -63,7 +63,8 @@ def rest_and_jumps(subject: Subject) -> Iterator[Finding]:
         for j, speed, step, row in _fast_steps(first, piece):
             jumps[j] = max(jumps.get(j, (0.0, 0.0, 0)), (speed, step, row))
     for j, name in enumerate(log.names):
-        if reach[j] < AT_REST:
+        # A joint without a motor moves as far as its loop moves it: nobody can excite it.
+        if reach[j] < AT_REST and name not in subject.passive:
             moved = "never moves" if reach[j] == 0.0 else f"moves by {reach[j]:.3g} rad only"
             yield Finding(
                 severity="warning",

@@ -19,7 +19,7 @@ from sdpid.assurance.log_proof.enclosure import TINY, Enclosed, root
 from sdpid.assurance.log_proof.joints import Joint, constant_vector
 from sdpid.assurance.log_proof.regressor import Motion, moving_links
 from sdpid.experiment.processing.contacts.contact_samples import ContactSamples
-from sdpid.robot.model.contacts.jacobians import frame_axes
+from sdpid.robot.model.contacts.jacobians import carrying_both, frame_axes
 from sdpid.robot.model.model import RobotModel
 
 
@@ -63,7 +63,9 @@ class JacobianErrors:
             offset = constant_vector(contacts.offset[i])
             exact = self._velocities(own, offset)
             if other is not None:
-                exact = [a - b for a, b in zip(exact, self._velocities(other, offset), strict=True)]
+                apart = ~carrying_both(robot, own, other)
+                pairs = zip(exact, self._velocities(other, offset), strict=True)
+                exact = [_where(apart, a - b) for a, b in pairs]
             self._spins.append(exact[1])
             for d, each in enumerate(exact):
                 off = parts[:, i, d].transpose(2, 1, 0) - each.mid
@@ -129,6 +131,11 @@ class JacobianErrors:
             return whole
         # A frame of the world: it does not move.
         return [Enclosed(np.zeros((n, 3, k)), np.zeros(n), np.zeros(n))] * 2
+
+
+def _where(some: Mask, vectors: Enclosed) -> Enclosed:
+    """Return some of vectors (n, 3, k), and zeros in place of the others."""
+    return Enclosed(vectors.mid * some[:, None, None], vectors.rad * some, vectors.size * some)
 
 
 class _Turned:

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from sdpid._common.arrays import Array, real_array, rotation_matrices
+from sdpid._common.arrays import Array, Mask, real_array, rotation_matrices
 from sdpid.errors import DataError
 from sdpid.robot.model.contacts import kernel
 from sdpid.robot.model.model import RobotModel
@@ -98,6 +98,9 @@ def relative_jacobians(
 ) -> Array:
     """Return `contact_jacobians` of frames less those of the frames that they touch.
 
+    Of two links that touch, coordinates that carry both move neither against the other, and are
+    zero: also where the two places are a little apart, as a filter of positions leaves them.
+
     Parameters
     ----------
     against : sequence of (str or None)
@@ -109,7 +112,21 @@ def relative_jacobians(
         which, others = zip(*pairs, strict=True)
         at = np.broadcast_to(np.asarray(offset, dtype=np.float64), (len(frames), 3))[list(which)]
         J[:, which] -= contact_jacobians(robot, position, others, at, compiled=compiled)
+        for i, other in pairs:
+            J[:, i][..., carrying_both(robot, frames[i], other)] = 0.0
     return J
+
+
+def carrying_both(robot: RobotModel, frame: str, other: str) -> Mask:
+    """Return which coordinates move the links of two frames by the same joints only, (n,)."""
+    model: Any = robot.pin_model
+    links = [model.frames[number].parentJoint for number in _frame_numbers(robot, (frame, other))]
+    apart = set(model.supports[links[0]]) ^ set(model.supports[links[1]])
+    moving = np.zeros(robot.n, dtype=np.bool_)
+    for joint in apart:
+        first = model.joints[joint].idx_v
+        moving |= np.any(robot.expansion[first : first + model.joints[joint].nv] != 0.0, axis=0)
+    return ~moving
 
 
 def frame_gaps(

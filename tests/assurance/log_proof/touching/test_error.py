@@ -108,6 +108,8 @@ def test_axes_and_links_that_meet_are_within_their_bounds() -> None:
             exact = exact_jacobians(samples, k)
             exact[1] = exact[1] - exact[0]
             exact[3] = exact[3] - exact_jacobians(others, k)[3]
+            # The base carries both links, whose places are not one here.
+            exact[1][:, :6] = exact[3][:, :6] = mp.mpf(0)
             for i, name in enumerate(FEET):
                 off = J[k, i] - exact[i]
                 across = exact_axes(samples, k, name)[:, [0, 2]].T.dot(exact[i, 3:])

@@ -15,7 +15,9 @@ from sdpid.robot.model.contacts.jacobians import (
     _frame_numbers,
     contact_jacobians,
     frame_axes,
+    relative_jacobians,
 )
+from tests.helpers.closed_chains import mjcf
 from tests.helpers.robots import TREE, TREE_MIMIC_NO_OFFSET
 
 FEET = ("FL_FOOT", "FR_FOOT", "HL_FOOT", "HR_FOOT")
@@ -85,3 +87,22 @@ def test_refuses_a_frame_that_is_not_there() -> None:
         contact_jacobians(robot, q, ["FL_FOTO"])
     with pytest.raises(DataError, match=r"offset: has shape \(2, 3\), expected \(3,\) or \(1, 3\)"):
         contact_jacobians(robot, q, FEET[:1], np.zeros((2, 3)))
+
+
+def test_links_that_meet_move_against_each_other_alone() -> None:
+    """What carries both moves neither against the other, though a filter left them apart."""
+    robot = load_robot(mjcf("ankle", floating=True))
+    q = np.zeros((3, robot.pin_model.nq))
+    q[:, 6] = 1.0
+    q[:, 7:] = 1e-3 * np.arange(24).reshape(3, 8)
+    ends = [loop.frame for loop in robot.loops], [loop.against for loop in robot.loops]
+    J = relative_jacobians(robot, q, *ends)
+    apart = contact_jacobians(robot, q, ends[0]) - contact_jacobians(robot, q, ends[1])
+    assert np.abs(apart[..., :6]).max() > 1e-4
+    assert not J[..., :6].any()
+    # Each rod, its crank and the foot.
+    names = np.array(robot.joint_names)
+    for i, side in enumerate(("left", "right")):
+        moving = {"pitch", "roll", side, f"{side}_a", f"{side}_b"}
+        assert set(names[np.any(J[:, i] != 0.0, axis=(0, 1))]) == moving
+        np.testing.assert_array_equal(J[:, i][..., 6:], apart[:, i][..., 6:])
