@@ -32,7 +32,7 @@ import numpy as np
 
 from sdpid._common.arrays import Array, Indices, frozen
 from sdpid.estimation.compression.rows import RowSource
-from sdpid.estimation.compression.whitening import shares_of, whiten_rows
+from sdpid.estimation.compression.whitening import apply, weights_and_shares
 from sdpid.estimation.effects.bending import Bending
 from sdpid.estimation.information import information_root
 from sdpid.estimation.problem import Problem
@@ -234,8 +234,9 @@ def _bands(
         residual = own[:, :, -1:] - own[:, :, :-1] @ fit[:, None]
         slopes = bending.columns(rows.motion(part))
         stacked = np.concatenate([own[:, :, :-1], slopes, residual], axis=2)
-        weighted = whiten_rows(rows, part, stacked, sigma, exponent)
-        used = shares_of(rows, part, sigma).sum(axis=0)
+        powers, index, shares = weights_and_shares(rows, part, sigma, exponent)
+        weighted = apply(powers, index, stacked)
+        used = shares.sum(axis=0)
         for j in range(n):
             seen = np.flatnonzero(np.any(weighted[:, j] != 0.0, axis=0))
             place = np.ix_(seen, seen)

@@ -8,7 +8,7 @@ import numpy as np
 
 from sdpid._common.arrays import Array, Indices
 from sdpid.estimation.compression.rows import Rows, RowSource
-from sdpid.estimation.compression.whitening import shares_of
+from sdpid.estimation.compression.whitening import weights_and_shares
 
 
 def contact_record(rows: Rows | None, sigma: Array) -> dict[str, Any] | None:
@@ -58,7 +58,7 @@ def _counts(rows: RowSource, sigma: Array) -> tuple[Indices, Indices]:
     ranks = np.zeros(rows.robot.n + 1, dtype=np.intp)
     for part in rows.parts():
         used = np.count_nonzero(rows.mask(part), axis=1)
-        left = np.rint(shares_of(rows, part, sigma).sum(axis=1)).astype(np.intp)
+        left = np.rint(weights_and_shares(rows, part, sigma)[2].sum(axis=1)).astype(np.intp)
         ranks += np.bincount(used - left, minlength=len(ranks))
     return np.count_nonzero(contacts.down, axis=0), ranks
 

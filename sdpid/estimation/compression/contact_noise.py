@@ -9,6 +9,7 @@ in (N·m)². They are never pooled with each other or with joints.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
@@ -23,8 +24,8 @@ from sdpid.estimation.compression.covariance import (
     LaggedSums,
     integrated_time,
 )
-from sdpid.estimation.compression.rows import Rows, RowSource
-from sdpid.estimation.compression.whitening import compress, shares_of, weights_of
+from sdpid.estimation.compression.rows import CHUNK, Rows, RowSource
+from sdpid.estimation.compression.whitening import compress, weights_and_shares
 
 # Samples that the variances come from, evenly spread: of 4096 with six independent rows each a
 # joint's variance is known to some 2 %, and another pass over all samples costs as much as a fit.
@@ -37,6 +38,9 @@ _WEIGHT_SHARE = 1e-3
 
 # Variances that change by less than this are settled: far less than they are known to.
 _SETTLED = 1e-2
+
+# Of a row that forces take whole, rounding leaves this share at most: some 1e-16 either way.
+_NO_SHARE = 1e-12
 
 # Rounds in which the residuals stay as they are: they cost a tenth of a fit.
 _INNER = 4
@@ -57,20 +61,22 @@ def contact_noise(rows: Rows) -> tuple[Array, float]:
     thin = RowSource(rows.robot, rows.friction, rows.base, samples.thinned(_MOST_SAMPLES))
     groups = _groups(rows)
     variance, least = _beginning(thin)
+    left = _Left(thin)
+    effort = np.concatenate([thin.effort(part) for part in thin.parts()])
     for _ in range(ROUNDS):
         base, rank, count = _fitted(thin, variance)
-        residual = np.concatenate([e - W @ base for _, W, e, _ in thin.chunks()])
+        predicted = _predicted(thin, base)
         if rows.robot.n_base:
-            weight = np.concatenate([W[:, :3] @ base for _, W, _, _ in thin.chunks()])
-            _bound_base(least, weight, thin)
+            _bound_base(least, predicted[:, :3], thin)
         freedom = count / max(count - rank, 1.0)
         before = variance
         for _ in range(_INNER):
-            variance = np.maximum(_updated(thin, variance, residual, groups, freedom), least)
+            updated = _updated(left, variance, effort - predicted, groups, freedom)
+            variance = np.maximum(updated, least)
         if np.allclose(variance, before, rtol=_SETTLED):
             break
     base, rank, count = _fitted(thin, variance)
-    power = sum(thin.map(_power, base, sigma=np.diag(variance)))
+    power = left.power(variance, effort - _predicted(thin, base))
     variance *= max(power / max(count - rank, 1.0), LEAST_NOISE)
     sums = LaggedSums.merged(rows.map(_lagged, base, sigma=np.diag(variance)))
     said = sums.products[:, 0]
@@ -97,12 +103,13 @@ def prediction_noise(rows: RowSource, predicted: Array) -> Array:
     missed = replace(samples, effort=samples.effort - predicted)
     thin = rows.on(missed.thinned(_MOST_SAMPLES))
     residual = np.concatenate([thin.effort(part) for part in thin.parts()])
+    left = _Left(thin)
     variance, least = _beginning(rows)
     if rows.robot.n_base:
         _bound_base(least, predicted[:, :3], rows)
     for _ in range(ROUNDS * _INNER):
         before = variance
-        variance = np.maximum(_updated(thin, variance, residual, groups, 1.0), least)
+        variance = np.maximum(_updated(left, variance, residual, groups, 1.0), least)
         if np.allclose(variance, before, rtol=_SETTLED):
             break
     return variance
@@ -176,18 +183,52 @@ def _fitted(rows: RowSource, variance: Array) -> tuple[Array, int, int]:
     return np.asarray(base), int(rank), count
 
 
+def _predicted(rows: RowSource, base: Array) -> Array:
+    """Return the efforts (k, n) that base parameters make."""
+    return np.concatenate([rows.regressor(part) @ base for part in rows.parts()])
+
+
+class _Left:
+    """What forces that nobody measured leave of samples, found once for all weights."""
+
+    def __init__(self, rows: RowSource) -> None:
+        pieces: dict[int, list[tuple[Indices, Array, Array]]] = {}
+        for part in rows.parts(CHUNK):
+            touching = rows.contacts(part)
+            assert touching is not None
+            for some, N in touching.unforced(rows.mask(part)):
+                known = np.zeros((len(N), N.shape[2], N.shape[2]))
+                if touching.covariance is not None:
+                    known = np.swapaxes(N, 1, 2) @ touching.covariance[some] @ N
+                pieces.setdefault(N.shape[2], []).append((part.start + some, N, known))
+        # Those with as many independent rows together: there are hundreds of patterns.
+        alike = (zip(*each, strict=True) for each in pieces.values())
+        self._pieces = [tuple(np.concatenate(each) for each in piece) for piece in alike]
+
+    def weights(self, variance: Array) -> Iterator[tuple[Indices, Array, Array]]:
+        """Yield samples with factors N (s, n, r) and M (s, r, r) of ``Omega = N·M·N^T``."""
+        for some, N, known in self._pieces:
+            yield some, N, np.linalg.inv(np.swapaxes(N, 1, 2) @ (variance[:, None] * N) + known)
+
+    def power(self, variance: Array, residual: Array) -> float:
+        """Return the sum of squared whitened residuals."""
+        total = 0.0
+        for some, N, M in self.weights(variance):
+            own = np.swapaxes(N, 1, 2) @ residual[some][:, :, None]
+            total += float(np.sum(own * (M @ own)))
+        return total
+
+
 def _updated(
-    rows: RowSource, variance: Array, residual: Array, groups: Indices, freedom: float
+    left: _Left, variance: Array, residual: Array, groups: Indices, freedom: float
 ) -> Array:
     """Return more likely variances."""
-    sigma = np.diag(variance)
     scores, information = np.zeros(len(variance)), np.zeros(len(variance))
-    for part in rows.parts():
-        T, index = weights_of(rows, part, sigma)
-        T = T[index]
-        weighted = np.swapaxes(T, 1, 2) @ (T @ residual[part][:, :, None])
+    for some, N, M in left.weights(variance):
+        lifted = N @ M
+        weighted = lifted @ (np.swapaxes(N, 1, 2) @ residual[some][:, :, None])
         scores += np.sum(weighted[:, :, 0] ** 2, axis=0)
-        information += np.einsum("kij,kij->j", T, T)
+        information += np.einsum("kir,kir->i", lifted, N)
     said: Array = np.asarray(np.bincount(groups, scores)[groups])
     known: Array = np.asarray(np.bincount(groups, information)[groups])
     # What contacts hide altogether keeps its variance.
@@ -195,24 +236,14 @@ def _updated(
     return np.asarray(variance * ratio * freedom)
 
 
-def _power(rows: RowSource, sigma: Array, base: Array) -> float:
-    """Return the sum of squared whitened residuals."""
-    return float(sum(np.sum(each**2) for each in _whitened_residuals(rows, sigma, base)))
-
-
 def _lagged(rows: RowSource, sigma: Array, base: Array) -> LaggedSums:
     """Return the lagged sums of whitened residuals about their means."""
-    found = np.concatenate(_whitened_residuals(rows, sigma, base))
-    shares = np.concatenate([shares_of(rows, part, sigma) for part in rows.parts()])
-    mean = found.sum(axis=0) / np.maximum(shares.sum(axis=0), 1.0)
-    counts = shares > 0.0
-    return LaggedSums.of(np.where(counts, found - mean, 0.0), counts, rows.samples.parts)
-
-
-def _whitened_residuals(rows: RowSource, sigma: Array, base: Array) -> list[Array]:
-    """Return the whitened residuals of the rows, chunk by chunk, (k, n)."""
-    found = []
+    whitened, shares = [], []
     for part, W, effort, _ in rows.chunks():
-        T, index = weights_of(rows, part, sigma)
-        found.append((T[index] @ (effort - W @ base)[:, :, None])[:, :, 0])
-    return found
+        T, index, share = weights_and_shares(rows, part, sigma)
+        whitened.append((T[index] @ (effort - W @ base)[:, :, None])[:, :, 0])
+        shares.append(share)
+    found, share = np.concatenate(whitened), np.concatenate(shares)
+    mean = found.sum(axis=0) / np.maximum(share.sum(axis=0), 1.0)
+    counts = share > _NO_SHARE
+    return LaggedSums.of(np.where(counts, found - mean, 0.0), counts, rows.samples.parts)

@@ -133,21 +133,36 @@ class ContactRows:
         for own, few in zip(patterns, np.split(order, ends), strict=True):
             yield some[few], np.flatnonzero(own)
 
-    def bases(self, powers: Array, index: Indices) -> Iterator[tuple[Indices, Array, Array]]:
-        """Yield samples, their P (s, n, n), and bases Q (s, n, r) of P·A, orthonormal or zero."""
+    def unforced(self, mask: Mask) -> Iterator[tuple[Indices, Array]]:
+        """Yield samples, and bases N (s, n, r) of what forces leave of the rows in use (k, n).
+
+        They are the same for all weights: a covariance C of the rows makes
+        ``Omega = N·(N^T·C·N)^-1·N^T``. Samples without a row in use have none.
+        """
+        for some, own in self.pattern_of(np.arange(len(self.active))):
+            used, index = np.unique(mask[some], axis=0, return_inverse=True)
+            for i in np.flatnonzero(used.any(axis=1)):
+                rows = used[i]
+                alike = some[index.reshape(-1) == i]
+                A = self.directions[alike][:, rows][:, :, own]
+                for few, kept, _ in complements(A):
+                    N = np.zeros((len(few), len(rows), kept.shape[2]))
+                    N[:, rows] = kept
+                    yield alike[few], N
+
+    def eliminated(self, powers: Array, index: Indices, mask: Mask) -> tuple[Array, Array]:
+        """Return weights T (k, n, n) from roots P, and how much of each row is left, (k, n).
+
+        What is left of the rows in use, `mask`, adds up to the independent ones.
+        """
+        found = np.empty((len(index), *powers.shape[1:]))
+        shares = mask.astype(np.float64)
         for some, own in self.pattern_of(np.arange(len(self.active))):
             P = powers[index[some]]
-            A = P @ self.directions[some][:, :, own]
-            yield some, P, orthonormal(A)
-
-    def eliminated(self, powers: Array, index: Indices) -> tuple[Array, Indices]:
-        """Return weights T (k, n, n) from roots P, and how many directions each sample lost."""
-        found = np.empty((len(index), *powers.shape[1:]))
-        ranks = np.zeros(len(index), dtype=np.intp)
-        for some, P, Q in self.bases(powers, index):
+            Q = orthonormal(P @ self.directions[some][:, :, own])
             found[some] = P - Q @ (np.swapaxes(Q, 1, 2) @ P)
-            ranks[some] = _rank(Q)
-        return found, ranks
+            shares[some] -= np.einsum("knr,knr->kn", Q, Q)
+        return found, np.maximum(shares, 0.0)
 
     def independent(
         self, powers: Array, index: Indices, rows: Array, branches: Branches = NO_BRANCHES
@@ -181,13 +196,6 @@ class ContactRows:
                 found.append(weighted.reshape(-1, rows.shape[2]))
                 lost += rank * len(chosen)
         return found[0] if len(found) == 1 else np.concatenate(found), apart, lost
-
-    def shares(self, powers: Array, index: Indices, mask: Mask) -> Array:
-        """Return how much of each row is left, (k, n): they add up to the independent ones."""
-        found = mask.astype(np.float64)
-        for some, _, Q in self.bases(powers, index):
-            found[some] -= np.einsum("knr,knr->kn", Q, Q)
-        return np.maximum(found, 0.0)
 
     def errors(self, powers: Array, index: Indices, residual: Array) -> Array:
         """Return errors of the efforts (k, n, c) from residuals: less what forces explain best.
@@ -262,7 +270,3 @@ def _doubtful(R: Array) -> Indices:
     """Return whose triangle may be singular."""
     least = np.abs(np.diagonal(R, axis1=1, axis2=2)).min(axis=1, initial=1.0)
     return np.flatnonzero(least < _SUSPICIOUS)
-
-
-def _rank(Q: Array) -> Indices:
-    return np.asarray(np.round(np.einsum("snr,snr->s", Q, Q)).astype(np.intp))

@@ -78,11 +78,23 @@ def weights_of(
     DataError
         For another exponent where samples have contacts.
     """
-    touching = _touching(rows, part, exponent)
+    return weights_and_shares(rows, part, sigma, exponent)[:2]
+
+
+def weights_and_shares(
+    rows: RowSource, part: slice, sigma: Array, exponent: float = -0.5
+) -> tuple[Array, Indices, Array]:
+    """Return `weights_of` some samples, and how much of each row is independent, (k, n).
+
+    Without contacts it is one for each row that is used; forces that nobody measured take as many
+    as they have components.
+    """
+    touching, mask = _touching(rows, part, exponent), rows.mask(part)
     powers, index = _roots(rows, part, sigma, exponent, touching)
     if touching is None:
-        return powers, index
-    return touching.eliminated(powers, index)[0], np.arange(len(index))
+        return powers, index, mask.astype(np.float64)
+    T, shares = touching.eliminated(powers, index, mask)
+    return T, np.arange(len(index)), shares
 
 
 def whiten_rows(
@@ -99,19 +111,6 @@ def whiten_rows(
     in place.
     """
     return apply(*weights_of(rows, part, sigma, exponent), values, out)
-
-
-def shares_of(rows: RowSource, part: slice, sigma: Array) -> Array:
-    """Return how much of each row of some samples is independent, (k, n).
-
-    Without contacts it is one for each row that is used; forces that nobody measured take as many
-    as they have components.
-    """
-    touching = _touching(rows, part, -0.5)
-    mask = rows.mask(part)
-    if touching is None:
-        return mask.astype(np.float64)
-    return touching.shares(*_roots(rows, part, sigma, -0.5, touching), mask)
 
 
 def effort_errors(rows: RowSource, part: slice, sigma: Array, residual: Array) -> Array:

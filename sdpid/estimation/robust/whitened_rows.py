@@ -12,7 +12,7 @@ from sdpid.errors import DataError
 from sdpid.estimation.compression.covariance import whitener
 from sdpid.estimation.compression.rows import CHUNK
 from sdpid.estimation.compression.triangle import Triangle
-from sdpid.estimation.compression.whitening import shares_of, whitened_chunks
+from sdpid.estimation.compression.whitening import weights_and_shares, whitened_chunks
 from sdpid.estimation.problem import Problem
 
 # The median size of a standard normal variable.
@@ -91,7 +91,7 @@ class WhitenedRows:
     def freedom(self) -> Array:
         """Independent rows of each sample, (K, 1)."""
         sigma = self.problem.sigma
-        found = [shares_of(self.rows, part, sigma) for part in self.rows.parts()]
+        found = [weights_and_shares(self.rows, part, sigma)[2] for part in self.rows.parts()]
         return np.asarray(np.rint(np.concatenate(found).sum(axis=1))[:, None])
 
     @cached_property

@@ -16,9 +16,15 @@ from sdpid._common.arrays import Array
 from sdpid.assurance.certificate.rows_digest import samples_digest
 from sdpid.assurance.diagnostics.bands import _left_open, parameter_root
 from sdpid.errors import DataError
+from sdpid.estimation.compression.contact_noise import contact_noise
 from sdpid.estimation.compression.contact_rows import ContactRows
 from sdpid.estimation.compression.rows import RowSource
-from sdpid.estimation.compression.whitening import compress, shares_of, weights, weights_of
+from sdpid.estimation.compression.whitening import (
+    compress,
+    weights,
+    weights_and_shares,
+    weights_of,
+)
 from sdpid.estimation.problem import Problem
 from sdpid.experiment.preparation.several import without_efforts
 from sdpid.experiment.processing.contacts.contact_samples import ContactSamples
@@ -74,8 +80,10 @@ def test_the_information_is_that_of_a_dense_projection() -> None:
     assert contacts is not None
     rows = problem(samples, weighting="gls").rows
     assert isinstance(rows, RowSource)
-    T, index = weights_of(rows, slice(None), sigma)
-    shares = shares_of(rows, slice(None), sigma)
+    T, index, shares = weights_and_shares(rows, slice(None), sigma)
+    touching = rows.contacts(slice(None))
+    assert touching is not None
+    bases = {k: N for some, Ns in touching.unforced(mask) for k, N in zip(some, Ns, strict=True)}
     J = contact_jacobians(robot, samples.position, FEET, RADIUS)
     axes = frame_axes(robot, samples.position, FEET)
     for k in range(12):
@@ -89,6 +97,14 @@ def test_the_information_is_that_of_a_dense_projection() -> None:
         expected = N @ np.linalg.solve(N.T @ sigma @ N, N.T)
         np.testing.assert_allclose(T[index[k]].T @ T[index[k]], expected, atol=1e-10)
         assert shares[k].sum() == pytest.approx(N.shape[1])
+        np.testing.assert_allclose(bases[k] @ bases[k].T, N @ N.T, atol=1e-12)
+
+
+def test_samples_without_a_row_in_use_have_no_basis() -> None:
+    touching = ContactRows.of(quadruped(), gait(4).samples, slice(None))
+    assert touching is not None
+    mask = np.repeat([[True], [False], [True], [False]], 18, axis=1)
+    assert sorted(np.concatenate([some for some, _ in touching.unforced(mask)])) == [0, 2]
 
 
 def test_independent_rows_have_the_products_of_all() -> None:
@@ -133,6 +149,23 @@ def test_compiled_rows_have_the_same_products() -> None:
     assert found[0][1] == found[1][1]
     size = np.sqrt(np.diagonal(found[0][0]))
     np.testing.assert_allclose(found[0][0], found[1][0], atol=1e-12 * np.outer(size, size).max())
+
+
+def test_rounding_decides_no_correlation_time() -> None:
+    # Beside masked rows of the base, forces take all of a leg's rows: rounding leaves them nothing,
+    # or next to nothing.
+    samples = gait(240).noisy()
+    mask = np.ones((240, 18), dtype=bool)
+    mask[::3, :6] = False
+    contacts = samples.contacts
+    assert contacts is not None
+    turned = replace(contacts, frames=contacts.frames[::-1], down=contacts.down[:, ::-1])
+    rows = problem(replace(samples, mask=mask)).rows
+    assert isinstance(rows, RowSource)
+    others = rows.on(replace(rows.samples, contacts=turned))
+    (variance, time), (same, alike) = contact_noise(rows), contact_noise(others)
+    np.testing.assert_allclose(same, variance, rtol=1e-9)
+    assert alike == pytest.approx(time, rel=1e-9)
 
 
 def test_forces_that_are_hardly_known_are_eliminated() -> None:

@@ -103,7 +103,8 @@ def test_rows_are_those_of_an_estimate(stance: Stance) -> None:
     contacts = ContactRows.of(robot, samples, slice(0, K))
     assert contacts is not None
     root = np.diag(rows.spread**-0.5)[None]
-    T, _ = contacts.eliminated(root, np.zeros(K, dtype=np.intp))
+    every = np.ones((K, robot.n), dtype=bool)
+    T, _ = contacts.eliminated(root, np.zeros(K, dtype=np.intp), every)
     other = T @ rows.regressor(found)
     mine, theirs = (np.einsum("kmb,kmc->kbc", each, each) for each in (W, other))
     np.testing.assert_allclose(mine, theirs, atol=1e-10 * np.abs(theirs).max())
