@@ -24,8 +24,9 @@ from sdpid.estimation.compression.covariance import (
     LaggedSums,
     integrated_time,
 )
-from sdpid.estimation.compression.rows import CHUNK, Rows, RowSource
-from sdpid.estimation.compression.whitening import compress, weights_and_shares
+from sdpid.estimation.compression.rows import CHUNK, CHUNK_BYTES, Rows, RowSource
+from sdpid.estimation.compression.triangle import Triangle
+from sdpid.estimation.compression.whitening import weights_and_shares
 
 # Samples that the variances come from, evenly spread: of 4096 with six independent rows each a
 # joint's variance is known to some 2 %, and another pass over all samples costs as much as a fit.
@@ -62,21 +63,21 @@ def contact_noise(rows: Rows) -> tuple[Array, float]:
     groups = _groups(rows)
     variance, least = _beginning(thin)
     left = _Left(thin)
-    effort = np.concatenate([thin.effort(part) for part in thin.parts()])
+    kept, force = left.rows(thin)
     for _ in range(ROUNDS):
-        base, rank, count = _fitted(thin, variance)
-        predicted = _predicted(thin, base)
+        base, rank, count = _fitted(left, kept, variance)
         if rows.robot.n_base:
-            _bound_base(least, predicted[:, :3], thin)
+            _bound_base(least, force @ base, thin)
+        residual = _missed(kept, base)
         freedom = count / max(count - rank, 1.0)
         before = variance
         for _ in range(_INNER):
-            updated = _updated(left, variance, effort - predicted, groups, freedom)
-            variance = np.maximum(updated, least)
+            variance = np.maximum(_updated(left, variance, residual, groups, freedom), least)
         if np.allclose(variance, before, rtol=_SETTLED):
             break
-    base, rank, count = _fitted(thin, variance)
-    power = left.power(variance, effort - _predicted(thin, base))
+    base, rank, count = _fitted(left, kept, variance)
+    last = zip(_missed(kept, base), left.weights(variance), strict=True)
+    power = sum(float(np.sum(each * (M @ each))) for each, M in last)
     variance *= max(power / max(count - rank, 1.0), LEAST_NOISE)
     sums = LaggedSums.merged(rows.map(_lagged, base, sigma=np.diag(variance)))
     said = sums.products[:, 0]
@@ -102,8 +103,8 @@ def prediction_noise(rows: RowSource, predicted: Array) -> Array:
     samples, groups = rows.samples, np.minimum(_groups(rows), rows.robot.n_base)
     missed = replace(samples, effort=samples.effort - predicted)
     thin = rows.on(missed.thinned(_MOST_SAMPLES))
-    residual = np.concatenate([thin.effort(part) for part in thin.parts()])
     left = _Left(thin)
+    residual = left.of(np.concatenate([thin.effort(part) for part in thin.parts()]))
     variance, least = _beginning(rows)
     if rows.robot.n_base:
         _bound_base(least, predicted[:, :3], rows)
@@ -166,30 +167,11 @@ def _least(rows: RowSource, effort: float, square: Array) -> Array:
     return found
 
 
-def _fitted(rows: RowSource, variance: Array) -> tuple[Array, int, int]:
-    """Return the base parameters that fit best under variances, their rank, and the rows."""
-    pieces = rows.map(compress, sigma=np.diag(variance))
-    triangle, count = pieces[0]
-    for other, own in pieces[1:]:
-        triangle.merge(other)
-        count += own
-    if count < 1:
-        raise DataError(
-            "samples: the forces of the contacts explain every row, nothing is left to fit; check "
-            "the mask and the contacts (flags, kinds), or give measured forces."
-        )
-    R = triangle.R
-    base, _, rank, _ = np.linalg.lstsq(R[:, :-1], R[:, -1], rcond=None)
-    return np.asarray(base), int(rank), count
-
-
-def _predicted(rows: RowSource, base: Array) -> Array:
-    """Return the efforts (k, n) that base parameters make."""
-    return np.concatenate([rows.regressor(part) @ base for part in rows.parts()])
-
-
 class _Left:
-    """What forces that nobody measured leave of samples, found once for all weights."""
+    """What forces that nobody measured leave of samples, found once for all weights.
+
+    Samples with as many independent rows are together: patterns of contacts and masks are hundreds.
+    """
 
     def __init__(self, rows: RowSource) -> None:
         pieces: dict[int, list[tuple[Indices, Array, Array]]] = {}
@@ -201,33 +183,66 @@ class _Left:
                 if touching.covariance is not None:
                     known = np.swapaxes(N, 1, 2) @ touching.covariance[some] @ N
                 pieces.setdefault(N.shape[2], []).append((part.start + some, N, known))
-        # Those with as many independent rows together: there are hundreds of patterns.
         alike = (zip(*each, strict=True) for each in pieces.values())
-        self._pieces = [tuple(np.concatenate(each) for each in piece) for piece in alike]
+        self.pieces = [tuple(np.concatenate(each) for each in piece) for piece in alike]
 
-    def weights(self, variance: Array) -> Iterator[tuple[Indices, Array, Array]]:
-        """Yield samples with factors N (s, n, r) and M (s, r, r) of ``Omega = N·M·N^T``."""
-        for some, N, known in self._pieces:
-            yield some, N, np.linalg.inv(np.swapaxes(N, 1, 2) @ (variance[:, None] * N) + known)
+    def weights(self, variance: Array) -> Iterator[Array]:
+        """Yield M (s, r, r) of ``Omega = N·M·N^T``, the weight of what is left."""
+        for _, N, known in self.pieces:
+            yield np.linalg.inv(np.swapaxes(N, 1, 2) @ (variance[:, None] * N) + known)
 
-    def power(self, variance: Array, residual: Array) -> float:
-        """Return the sum of squared whitened residuals."""
-        total = 0.0
-        for some, N, M in self.weights(variance):
-            own = np.swapaxes(N, 1, 2) @ residual[some][:, :, None]
-            total += float(np.sum(own * (M @ own)))
-        return total
+    def of(self, residual: Array) -> list[Array]:
+        """Return what is left (s, r, 1) of residuals (k, n)."""
+        return [np.swapaxes(N, 1, 2) @ residual[some][:, :, None] for some, N, _ in self.pieces]
+
+    def rows(self, rows: RowSource) -> tuple[list[Array], Array]:
+        """Return what is left (s, r, b + 1) of rows, and those of the force on the base whole."""
+        columns = rows.base.count + 1
+        found = [np.empty((len(N), N.shape[2], columns)) for _, N, _ in self.pieces]
+        force = []
+        for part in rows.parts():
+            block = rows.rows(part)
+            force.append(block[:, :3, :-1].copy())
+            for (some, N, _), out in zip(self.pieces, found, strict=True):
+                own = np.flatnonzero((some >= part.start) & (some < part.stop))
+                out[own] = np.swapaxes(N[own], 1, 2) @ block[some[own] - part.start]
+        return found, np.concatenate(force)
+
+
+def _fitted(left: _Left, kept: list[Array], variance: Array) -> tuple[Array, int, int]:
+    """Return the base parameters that fit best under variances, their rank, and the rows."""
+    count = sum(X.shape[0] * X.shape[1] for X in kept)
+    if count < 1:
+        raise DataError(
+            "samples: the forces of the contacts explain every row, nothing is left to fit; check "
+            "the mask and the contacts (flags, kinds), or give measured forces."
+        )
+    triangle = Triangle(kept[0].shape[2])
+    for X, M in zip(kept, left.weights(variance), strict=True):
+        root = np.swapaxes(np.linalg.cholesky(M), 1, 2)
+        size = max(1, CHUNK_BYTES // max(8 * X.shape[1] * X.shape[2], 1))
+        for start in range(0, len(X), size):
+            own = slice(start, start + size)
+            triangle.add((root[own] @ X[own]).reshape(-1, X.shape[2]))
+    R = triangle.R
+    base, _, rank, _ = np.linalg.lstsq(R[:, :-1], R[:, -1], rcond=None)
+    return np.asarray(base), int(rank), count
+
+
+def _missed(kept: list[Array], base: Array) -> list[Array]:
+    """Return what base parameters leave (s, r, 1) of rows, the efforts last."""
+    return [X[:, :, -1:] - X[:, :, :-1] @ base[:, None] for X in kept]
 
 
 def _updated(
-    left: _Left, variance: Array, residual: Array, groups: Indices, freedom: float
+    left: _Left, variance: Array, residual: list[Array], groups: Indices, freedom: float
 ) -> Array:
     """Return more likely variances."""
     scores, information = np.zeros(len(variance)), np.zeros(len(variance))
-    for some, N, M in left.weights(variance):
+    weights = left.weights(variance)
+    for (_, N, _), own, M in zip(left.pieces, residual, weights, strict=True):
         lifted = N @ M
-        weighted = lifted @ (np.swapaxes(N, 1, 2) @ residual[some][:, :, None])
-        scores += np.sum(weighted[:, :, 0] ** 2, axis=0)
+        scores += np.sum((lifted @ own)[:, :, 0] ** 2, axis=0)
         information += np.einsum("kir,kir->i", lifted, N)
     said: Array = np.asarray(np.bincount(groups, scores)[groups])
     known: Array = np.asarray(np.bincount(groups, information)[groups])
