@@ -24,7 +24,7 @@ import sdpid
 from sdpid._common.arrays import Array
 from sdpid._common.tables import Table
 from sdpid.estimation.compression.rows import RowSource
-from sdpid.estimation.compression.whitening import shares_of, weights_of
+from sdpid.estimation.compression.whitening import weights_and_shares, weights_of
 from sdpid.experiment.plant.legged.model import LeggedModel, build_legged
 from sdpid.experiment.plant.legged.simulate import simulate_legged
 from sdpid.experiment.plant.legged.truth import Motion
@@ -132,7 +132,8 @@ class Beside:
             residual = rows.effort(slice(None)) - needed
             error += float(np.sum((T[index] @ residual[:, :, None]) ** 2))
             size += float(np.sum((T[index] @ needed[:, :, None]) ** 2))
-            count += float(np.sum(shares_of(rows, slice(None), np.eye(self.robot.n))))
+            _, _, shares = weights_and_shares(rows, slice(None), np.eye(self.robot.n))
+            count += float(np.sum(shares))
         return float(np.sqrt(error / size)) if count > 0.5 else None
 
 
