@@ -24,8 +24,8 @@ from sdpid.experiment.inspection.floating import (
     base_checks,
     feet_checks,
     flight_checks,
-    force_checks,
 )
+from sdpid.experiment.inspection.forces import flag_checks, force_checks
 from sdpid.experiment.inspection.joined import other_loads
 from sdpid.experiment.inspection.places import imu_checks, point_checks
 from sdpid.experiment.readers.read import is_frame, read_recording
@@ -47,6 +47,7 @@ _FILES = (
         feet_checks,
         point_checks,
         flight_checks,
+        flag_checks,
         force_checks,
     ),
 )
@@ -71,6 +72,20 @@ _BEFORE_EFFORTS = (
 )
 _OF_JOINTS = ("joint_order", "position_sign", "axis_sign", "position_zero")
 _OF_FEET = ("foot_moves", "foot_high", "feet_exchanged", "contact_frame", "contact_point")
+# What one mistake makes of other channels.
+_OF_FORCES = (
+    *("forces_exchanged", "forces_axes", "forces_scale", "forces_offset"),
+    "forces_unlike_motion",
+)
+_MAKES = {
+    **dict.fromkeys(("effort_scale", "effort_unlike_description"), _OF_FORCES),
+    "feet_exchanged": ("flags_unlike_forces", "flags_unlike_motion"),
+    "forces_exchanged": ("flags_unlike_forces", "flags_unlike_motion"),
+    "forces_offset": ("flags_unlike_forces",),
+    "contacts_late": ("forces_unlike_motion",),
+    # Accelerations of a wrong place are those of another time.
+    **dict.fromkeys(("imu_place", "imu_axes"), tuple(f"{channel}_late" for channel in LEAST)),
+}
 _DROWNED = (
     dynamics_checks.not_compared,
     dynamics_checks.wrong_channels,
@@ -78,7 +93,8 @@ _DROWNED = (
     dynamics_checks.unlike_the_description,
     delay_checks.late_efforts,
     delay_checks.late_channels,
-    force_checks.total_mass,
+    flag_checks.total_mass,
+    flag_checks.flags_and_torques,
     force_checks.forces,
 )
 
@@ -248,9 +264,19 @@ def _looked_at(
     exchanged = [finding for finding in findings if finding.kind == "feet_exchanged"]
     # Told by what stands still already, it is told once.
     findings = [finding for finding in findings if finding not in exchanged[1:]]
+    findings = _without_repeats(findings)
     kept = (f for f in findings if not (f.kind.startswith("effort") and f.joint in without))
     ranks = ("refuse", "warning", "note")
     return subject, tuple(sorted(kept, key=lambda finding: ranks.index(finding.severity)))
+
+
+def _without_repeats(findings: list[Finding]) -> list[Finding]:
+    """Leave out what other findings explain."""
+    kinds = {finding.kind for finding in findings}
+    drowned = {kind for cause, made in _MAKES.items() if cause in kinds for kind in made}
+    if any(f.kind == "forces_exchanged" and f.numbers["flags"] for f in findings):
+        drowned |= {"feet_exchanged"}
+    return [finding for finding in findings if finding.kind not in drowned]
 
 
 def _matched(

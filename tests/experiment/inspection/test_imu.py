@@ -14,6 +14,8 @@ import sdpid
 from sdpid import Recording
 from sdpid.experiment.inspection.finding import Finding, Subject
 from sdpid.experiment.inspection.places import imu_checks, imu_fit
+from sdpid.experiment.plant.legged.friction import DryFriction
+from sdpid.experiment.plant.legged.truth import changed_parameters
 
 pytest.importorskip("mujoco")
 
@@ -99,3 +101,19 @@ def test_mirrored_gyroscope_is_told_from_a_turned_one() -> None:
     ]
     assert [fit.mirrored for fit in fits] == [True, False]
     assert set(fits[1].found) == {"axes"}
+
+
+def test_delays_are_not_told_of_an_imu_that_sits_elsewhere() -> None:
+    """Accelerations of a wrong place are those of another time, for all channels."""
+    run = sdpid.simulate_legged(
+        robot(),
+        "stand",
+        theta=changed_parameters(robot(), seed=1),
+        seed=10,
+        duration=2.5,
+        friction=DryFriction(width=0.042, peak=0.15, peak_speed=0.13),
+    )
+    base = run.recording.base
+    moved = replace(run.recording, base=replace(base, imu=replace(base.imu, translation=(0, 0, 0))))
+    told = sdpid.inspect_recording(moved, robot()).findings
+    assert [finding.kind for finding in told if finding.severity != "note"] == ["imu_place"]

@@ -112,6 +112,9 @@ def gyroscope(subject: Subject) -> Iterator[Finding]:
     imu = log.base.imu
     if imu.gyroscope is None:
         return
+    if _unchanging(imu.gyroscope):
+        yield _not_measured("gyroscope", imu.gyroscope)
+        return
     wanted = turn_rates(log.base.orientation, log.step)
     sensed = window_means(imu.gyroscope, log.step)
     measured = sensed @ imu.rotation.T
@@ -153,6 +156,9 @@ def accelerometer(subject: Subject) -> Iterator[Finding]:
     imu = log.base.imu
     if imu.accelerometer is None:
         return
+    if _unchanging(imu.accelerometer):
+        yield _not_measured("accelerometer", imu.accelerometer)
+        return
     sensed = window_means(imu.accelerometer, log.step)
     force = sensed @ imu.rotation.T
     turns = window_means(log.base.rotations.reshape(-1, 9), log.step).reshape(-1, 3, 3)
@@ -189,6 +195,22 @@ def accelerometer(subject: Subject) -> Iterator[Finding]:
         message=f"accelerometer of the base: {what}",
         remedy=remedy,
         numbers={"size": size, "upward": along, "limit": _GRAVITY_SHARE},
+    )
+
+
+def _unchanging(values: Array) -> bool:
+    return not np.any(np.ptp(values, axis=0))
+
+
+def _not_measured(sensor: str, values: Array) -> Finding:
+    """Return the finding of a sensor that shows the same in every row."""
+    shown = ", ".join(f"{value + 0.0:.4g}" for value in values[0])
+    return Finding(
+        severity="warning",
+        kind=f"imu_{sensor}",
+        message=f"{sensor} of the base never changes: it is ({shown}) in every row",
+        remedy="if it was not measured, leave it out",
+        numbers={"size": float(np.linalg.norm(values[0]))},
     )
 
 

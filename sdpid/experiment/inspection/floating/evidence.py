@@ -68,7 +68,9 @@ class Evidence:
         if base.imu is not None and base.imu.accelerometer is not None:
             force = np.array(base.imu.accelerometer @ base.imu.rotation.T)
             mean = Rotation.from_quat(quaternions).apply(force).mean(axis=0)
-            tilt = float(np.arccos(np.clip(mean[2] / np.linalg.norm(mean), -1.0, 1.0)))
+            size = float(np.linalg.norm(mean))
+            # Zeros point nowhere.
+            tilt = float(np.arccos(np.clip(mean[2] / size, -1.0, 1.0))) if size else None
         above = None
         if feet is not None:
             turns = Rotation.from_quat(quaternions[feet[:, 0].astype(np.intp)])

@@ -38,6 +38,8 @@ _FINE = 0.1
 # Of more joints only those that are not explained, or not compared, are exchanged in pairs: of
 # forty there are 800 pairs, of positions and of efforts.
 _MANY = 20
+# Rows of a base that is held are 0 but for rounding.
+_HELD = 1e-6
 # A gain is known where its standard error, from so many blocks, is below this share of it.
 _KNOWN, _BLOCKS = 0.2, 20
 
@@ -60,7 +62,14 @@ class FloatingLog(CorrectedLog):
     base_acceleration: Array
     contacts: ContactSamples
     _of_motion: ClassVar[tuple[str, ...]] = ("rigid", "unit", "free")
-    _large: ClassVar[tuple[str, ...]] = ("rigid", "free", "columns", "equations", "freely")
+    _large: ClassVar[tuple[str, ...]] = (
+        "rigid",
+        "free",
+        "columns",
+        "equations",
+        "sensible",
+        "freely",
+    )
 
     @property
     def feet(self) -> tuple[str, ...]:
@@ -125,10 +134,17 @@ class FloatingLog(CorrectedLog):
         return weighted, np.einsum("kij,kj->ki", self.free, self.rigid / self.unit)
 
     @cached_property
+    def sensible(self) -> tuple[Array, Array]:
+        """What the efforts come to with sensible gains, and what a sensible model leaves."""
+        columns, due = self.equations
+        found = _sensible(columns, due, self.scale)
+        n = len(self.joint_names)
+        return columns[..., :n] @ found[:n], due - columns @ found
+
+    @cached_property
     def shares(self) -> Array:
         """Shares that a sensible model leaves of what each joint's rows ask for, (n,)."""
-        columns, due = self.equations
-        return self._shares(due - columns @ _sensible(columns, due, self.scale))
+        return self._shares(self.sensible[1])
 
     @cached_property
     def freely(self) -> tuple[Array, Array, Array]:
@@ -139,11 +155,23 @@ class FloatingLog(CorrectedLog):
 
     @property
     def left(self) -> Array:
-        """Shares that are unexplained with any gains, (n,)."""
-        return np.minimum(self.shares, self.freely[2])
+        """Shares that are unexplained with any gains, or of the effort itself, (n,).
 
-    def _shares(self, left: Array) -> Array:
-        power = np.sum(self.equations[1][:, 6:] ** 2, axis=0)
+        What a joint bears may be little against its friction.
+        """
+        measured, left = self.sensible
+        least = np.minimum(self.shares, self.freely[2])
+        return np.minimum(least, self._shares(left, measured))
+
+    @property
+    def bears_base(self) -> bool:
+        """Whether rows show the base's weight: where something holds it, they do not."""
+        due = self.equations[1]
+        return bool(np.sum(due[:, :6] ** 2) > _HELD * np.sum(due**2))
+
+    def _shares(self, left: Array, of: Array | None = None) -> Array:
+        """Return the shares of what is due, or of other values (K, 6 + n), by joint."""
+        power = np.sum((self.equations[1] if of is None else of)[:, 6:] ** 2, axis=0)
         found = np.sum(left[:, 6:] ** 2, axis=0) / np.where(power > 0.0, power, 1.0)
         return np.where(self.rows.usable & (power > 0.0), found, 1.0)
 

@@ -40,6 +40,11 @@ class BlockFit:
     covariance: Array
     left: float
 
+    @property
+    def errors(self) -> Array:
+        """Standard errors of the coefficients, (p,)."""
+        return np.asarray(np.sqrt(np.diagonal(self.covariance)))
+
     def of(self, columns: Sequence[int]) -> tuple[Array, Array]:
         """Return coefficients of some of the chosen columns, and their covariance."""
         at = [self.chosen.index(column) for column in columns]

@@ -1,0 +1,127 @@
+"""Check the mass that torques carry, and flags of contacts against measured forces."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from sdpid.experiment.inspection.finding import Finding, Subject, check
+from sdpid.experiment.inspection.floating.floating_log import FloatingLog
+from sdpid.experiment.recording.floating.contacts import Contacts
+
+__all__ = ["explained_log", "follow_forces"]
+
+# A mass that is this far off the description's is a scale of the torques, or a load: so many
+# standard errors as well.
+_MASS_APART, _SURE = 0.2, 5.0
+# Beyond this factor efforts are in another unit, which is told as such.
+_OTHER_UNIT = 5.0
+# With flags that are right torques leave at most 0.003 of what weight and inertia ask for.
+_UNLIKE = 0.1
+# Flags contradict forces where this share of all force acts while its foot is said to be up: rows
+# of landings are half a sample off, which makes 0.004 at most.
+_UP_SHARE = 0.01
+
+
+def explained_log(subject: Subject) -> FloatingLog | None:
+    """Return the rows of a recording whose efforts are N·m, and explained as they are.
+
+    Flags of other feet are no matter of efforts.
+    """
+    log = subject.corrected
+    if not isinstance(log, FloatingLog):
+        return None
+    if any(step.change.kind != "feet_exchanged" for step in log.steps):
+        return None
+    common = log.gains.common
+    if common is not None and not 1.0 / _OTHER_UNIT < common < _OTHER_UNIT:
+        return None
+    return log
+
+
+@check
+def total_mass(subject: Subject) -> Iterator[Finding]:
+    """Find torques that carry another mass than the description's."""
+    log = explained_log(subject)
+    if log is None or log.steps or not log.explained or log.scale != 1.0 or not log.bears_base:
+        return
+    share, error = log.carried()
+    if abs(share - 1.0) < max(_MASS_APART, _SURE * error):
+        return
+    mass = float(log.robot.prior[:, 0].sum())
+    yield Finding(
+        severity="warning",
+        kind="total_mass",
+        message=(
+            f"torques carry {share * mass:.4g} kg (standard error {error * mass:.2g} kg), "
+            f"{share:.3g} times the {mass:.4g} kg of the description, limit "
+            f"{1 - _MASS_APART:g} to {1 + _MASS_APART:g}: a load, or another scale of all torques"
+        ),
+        remedy="weigh the robot, and give its mass (TotalMass); check the torque constants",
+        numbers={"share": share, "error": error, "limit": _MASS_APART},
+    )
+
+
+@check
+def flags_and_torques(subject: Subject) -> Iterator[Finding]:
+    """Find flags with which torques do not follow, where measured forces do."""
+    log = explained_log(subject)
+    if log is None or log.steps or log.contacts.forces is None:
+        return
+    columns, due = log.equations
+    demand = float(np.sum(due**2))
+    left = float(np.sum((due - columns @ log.freely[0]) ** 2)) / max(demand, 1e-300)
+    if left < _UNLIKE:
+        return
+    yield Finding(
+        severity="warning",
+        kind="flags_unlike_motion",
+        message=(
+            f"flags of contacts are wrong: with them torques leave {100 * left:.3g} % of what "
+            f"weight and inertia ask for, limit {100 * _UNLIKE:g} %"
+        ),
+        remedy="fuse the forces (contact_force_std), or make the flags of them",
+        numbers={"unexplained": left, "limit": _UNLIKE},
+    )
+
+
+def felt_up(contacts: Contacts) -> float:
+    """Return the share of all measured force that acts on feet that are said to be up."""
+    assert contacts.down is not None
+    assert contacts.forces is not None
+    size = np.linalg.norm(np.asarray(contacts.forces), axis=-1)
+    # What a sensor shows where nothing touches it, and at least a hundredth of the largest force.
+    noise = max(float(np.percentile(size, 1.0)), 0.01 * float(size.max(initial=0.0)))
+    felt = size * (size > 3.0 * noise)
+    return float(felt[~contacts.down].sum() / max(float(felt.sum()), 1e-300))
+
+
+def follow_forces(contacts: Contacts) -> bool:
+    """Return whether flags differ from foot to foot, and are those of the measured forces."""
+    if contacts.down is None or contacts.forces is None:
+        return False
+    differ = bool((contacts.down != contacts.down[:, :1]).any())
+    return differ and felt_up(contacts) < _UP_SHARE
+
+
+@check
+def flags_and_forces(subject: Subject) -> Iterator[Finding]:
+    """Find flags that say a foot is up while its force is measured."""
+    contacts = subject.log.contacts
+    if contacts is None or contacts.down is None or contacts.forces is None:
+        return
+    up = felt_up(contacts)
+    if up < _UP_SHARE:
+        return
+    yield Finding(
+        severity="warning",
+        kind="flags_unlike_forces",
+        message=(
+            f"{100 * up:.3g} % of all measured contact force acts on feet that are said to be up, "
+            f"limit {100 * _UP_SHARE:g} %: flags are late, have too high a threshold, or are of "
+            "other feet"
+        ),
+        remedy="leave the flags out, and they are made of the forces; or widen contact_margin_s",
+        numbers={"share": up, "limit": _UP_SHARE},
+    )

@@ -1,0 +1,184 @@
+"""Check measured contact forces against the torques of the legs that bear them.
+
+Forces are seen twice: by sensors, and by torques. Where both agree they are right up to a common
+scale, for which the description's mass is asked.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from sdpid.experiment.inspection.finding import Finding, Subject, check
+from sdpid.experiment.inspection.forces.flag_checks import explained_log, follow_forces
+from sdpid.experiment.inspection.forces.free_legs import FreeLegs, free_legs
+from sdpid.experiment.inspection.forces.readings import Reading, readings
+from sdpid.experiment.inspection.forces.scales import FootScale, common_scale, foot_scales
+from sdpid.experiment.inspection.places.words import vector
+
+# Told from so many standard errors on, and beyond these: of 72 simulated logs of quadrupeds, links
+# 15 % off their description, the common scale is up to 1.1 % off, that of a foot against all 2.7 %,
+# an offset 0.9 % of the weight.
+_SURE = 5.0
+_APART, _ONE_APART, _OFFSET = 0.02, 0.04, 0.02
+# In these logs right forces leave at most 0.0005 of what the legs' torques need beside their own
+# links, and no other reading leaves less; what is read wrong leaves ten times as much.
+_LIKE, _BETTER = 0.001, 3.0
+# With more than this no reading is right.
+_UNLIKE = 0.1
+# What is measured in the air is the sensor's: within this share the offset that torques tell.
+_SAME = 0.5
+
+
+@check
+def forces(subject: Subject) -> Iterator[Finding]:
+    """Find measured forces of the wrong foot, axes, sign, scale or with an offset."""
+    if explained_log(subject) is None or subject.floating is None or subject.samples is None:
+        return
+    legs = free_legs(subject.floating, subject.samples, subject.without)
+    if legs is None:
+        return
+    given, best = readings(legs)
+    if given.left < _LIKE or given.left < _BETTER * best.left:
+        best = given
+    if best.left > _UNLIKE:
+        yield Finding(
+            severity="warning",
+            kind="forces_unlike_motion",
+            message=(
+                f"contact forces are not those of this motion: {100 * best.left:.3g} % of what the "
+                f"legs' torques need beside their own links stays unexplained, limit "
+                f"{100 * _UNLIKE:g} %, whatever feet and axes they are of"
+            ),
+            remedy="check that forces are in N and on time, and what their sensors hold",
+            numbers={"unexplained": best.left, "limit": _UNLIKE},
+        )
+        return
+    yield from _misread(subject, legs, given, best)
+    wrenches = best.apply(legs)
+    scales = foot_scales(legs, wrenches)
+    yield from _scales(legs, scales, legs.borne(wrenches[..., :3]))
+    yield from _offsets(legs, scales)
+
+
+def _misread(subject: Subject, legs: FreeLegs, given: Reading, best: Reading) -> Iterator[Finding]:
+    """Tell of which feet and axes, and of which sign, forces are."""
+    names = legs.contacts.frames
+    better = (
+        f"so read they leave {100 * best.left:.2g} % of what the legs' torques need beside their "
+        f"own links, as given {100 * given.left:.3g} %, limit a factor of {_BETTER:g}"
+    )
+    numbers = {"unexplained": given.left, "unexplained_mended": best.left, "limit": _BETTER}
+    if best.order != given.order:
+        contacts = subject.log.contacts
+        both = contacts is not None and follow_forces(contacts)
+        pairs = [
+            f"those of {names[j]} are of {names[i]}" for i, j in enumerate(best.order) if i != j
+        ]
+        yield Finding(
+            severity="warning",
+            kind="forces_exchanged",
+            message=(
+                f"contact forces{', and flags with them,' if both else ''} are of other feet: "
+                f"{', '.join(pairs)}; {better}"
+            ),
+            remedy="give the contacts' frames in the order of their columns"
+            if both
+            else "put the columns of the forces in the order of the contacts' frames",
+            numbers={**numbers, "flags": float(both)},
+        )
+    if best.axes != given.axes:
+        own = "the base" if best.axes == "base" else "each foot's frame"
+        yield Finding(
+            severity="warning",
+            kind="forces_axes",
+            message=f"contact forces are in the axes of {own}, not in the world's: {better}",
+            remedy="turn them into the world's axes: R @ force, R the rotation from those axes",
+            numbers=numbers,
+        )
+    wrong = [names[j] for j, sign in zip(best.order, best.signs, strict=True) if sign < 0]
+    if wrong:
+        of = "" if len(wrong) == len(names) else f" of {', '.join(wrong)}"
+        yield Finding(
+            severity="warning",
+            kind="forces_axes",
+            message=f"contact forces{of} have the wrong sign: they are those on the ground",
+            remedy="flip their signs: forces are those on the robot",
+            numbers={"feet": float(len(wrong))},
+        )
+
+
+def _scales(legs: FreeLegs, scales: list[FootScale], borne: float) -> Iterator[Finding]:
+    """Tell the scale of forces against torques, in common and foot by foot."""
+    ratio, error = common_scale(scales)
+    mass = float(legs.robot.prior[:, 0].sum())
+    limit = max(_APART, _SURE * error)
+    if abs(ratio - 1.0) > limit:
+        by_torques = borne / ratio
+        # The nearer to the description is the likelier.
+        off = [abs(np.log(max(share, 1e-3))) for share in (borne, by_torques)]
+        likely = "forces" if off[0] > off[1] else "torques"
+        yield Finding(
+            severity="warning",
+            kind="forces_scale",
+            message=(
+                f"contact forces are {ratio:.4g} times (standard error {error:.2g}) those that the "
+                f"legs' torques show, limit {1 - limit:.3g} to {1 + limit:.3g}; forces carry "
+                f"{borne * mass:.4g} kg, torques {by_torques * mass:.4g} kg, the description has "
+                f"{mass:.4g} kg, so that the {likely} are likelier wrong"
+            ),
+            remedy="do not fuse these forces; weigh the robot, and give its mass (TotalMass)",
+            numbers={"ratio": ratio, "error": error, "limit": limit},
+        )
+    if len(scales) < 2:
+        return
+    for foot, (name, scale) in enumerate(zip(legs.contacts.frames, scales, strict=True)):
+        others, uncertain = common_scale([each for i, each in enumerate(scales) if i != foot])
+        against = scale.ratio / others
+        limit = max(_ONE_APART, _SURE * float(np.hypot(scale.error, uncertain)))
+        if abs(against - 1.0) <= limit:
+            continue
+        yield Finding(
+            severity="warning",
+            kind="forces_scale",
+            message=(
+                f"contact forces of {name} are {against:.3g} times those of the other feet, by "
+                f"their legs' torques, limit {1 - limit:.3g} to {1 + limit:.3g}"
+            ),
+            remedy="calibrate this sensor and the torques of its leg, or leave its forces out",
+            numbers={"ratio": against, "limit": limit},
+        )
+
+
+def _offsets(legs: FreeLegs, scales: list[FootScale]) -> Iterator[Finding]:
+    """Tell forces that are measured where there are none."""
+    least = _OFFSET * legs.weight
+    for name, scale in zip(legs.contacts.frames, scales, strict=True):
+        size = np.abs(scale.offset)
+        told = size > np.maximum(least, _SURE * scale.offset_errors)
+        if not told.any():
+            continue
+        seen = (
+            "while it is down; it is never up, so that torques with an offset would show the same"
+        )
+        if scale.in_air is not None:
+            if np.linalg.norm(scale.in_air - scale.offset) > _SAME * np.linalg.norm(scale.offset):
+                continue  # Torques have it, not the sensor.
+            seen = "up as down"
+        axis = int(np.argmax(np.where(told, size, 0.0)))
+        limit = max(least, _SURE * float(scale.offset_errors[axis]))
+        yield Finding(
+            severity="warning",
+            kind="forces_offset",
+            message=(
+                f"contact forces of {name} are off by {vector(scale.offset)} N in x, y, z "
+                f"(standard errors {vector(scale.offset_errors)}, limit {limit:.3g} N in "
+                f"{'xyz'[axis]}), {seen}"
+            ),
+            remedy="take it off, or zero the sensor while the foot is up",
+            numbers={
+                **{f"offset_{key}": value for key, value in zip("xyz", scale.offset, strict=True)},
+                "limit": limit,
+            },
+        )

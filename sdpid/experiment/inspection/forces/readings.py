@@ -1,0 +1,106 @@
+"""Which feet, axes and sign measured forces are of, by the torques of the legs."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from sdpid._common.arrays import Array, Indices, rotation_matrices
+from sdpid.experiment.inspection.forces.free_legs import FreeLegs
+from sdpid.robot.model.contacts.jacobians import frame_axes
+
+__all__ = ["Reading", "readings"]
+
+# In whose axes forces may have been recorded.
+_AXES = ("world", "base", "foot")
+# A sign is seen where its force explains so much.
+_SHOWN = 0.5
+# Forces are at most this many times those that torques show.
+_LARGEST = 10.0
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Reading:
+    """One way to read measured forces.
+
+    Attributes
+    ----------
+    axes : str
+        One of `_AXES`.
+    order : tuple of int
+        The column of each foot's force.
+    signs : tuple of int
+        1, or -1 where a foot's force is that on the ground.
+    left : float
+        Share that is unexplained of what the torques of legs need beside their own links: the
+        mean of the legs.
+    """
+
+    axes: str
+    order: tuple[int, ...]
+    signs: tuple[int, ...]
+    left: float
+
+    @property
+    def as_given(self) -> bool:
+        """Whether forces are those of their feet in the world's axes, on the robot."""
+        upright = all(sign > 0 for sign in self.signs)
+        return self.axes == "world" and self.order == tuple(range(len(self.order))) and upright
+
+    def apply(self, legs: FreeLegs) -> Array:
+        """Return the legs' wrenches (K, c, 6) on the robot, in the world's axes."""
+        wrenches = legs.wrenches[:, list(self.order)] * np.array(self.signs)[:, None]
+        turns = _turns(legs)[self.axes]
+        halves = [turns @ wrenches[..., part, None] for part in (slice(0, 3), slice(3, 6))]
+        return np.concatenate(halves, axis=2)[..., 0]
+
+
+def readings(legs: FreeLegs) -> tuple[Reading, Reading]:
+    """Return the reading as given, but for the sign, and that which fits best."""
+    from scipy.optimize import linear_sum_assignment
+
+    best = []
+    for axes, turns in _turns(legs).items():
+        left, gains = _compared(legs, turns)
+        if axes == "world":
+            own = _reading(axes, np.arange(len(left)), left, gains)
+        best.append(_reading(axes, linear_sum_assignment(left)[1], left, gains))
+    return own, min(best, key=lambda reading: reading.left)
+
+
+def _reading(axes: str, order: Indices, left: Array, gains: Array) -> Reading:
+    feet = np.arange(len(order))
+    return Reading(
+        axes=axes,
+        order=tuple(int(i) for i in order),
+        signs=tuple(np.where((gains < 0.0) & (left < _SHOWN), -1, 1)[feet, order].tolist()),
+        left=float(np.mean(left[feet, order])),
+    )
+
+
+def _turns(legs: FreeLegs) -> dict[str, Array]:
+    """Return the rotations (K, c, 3, 3) that bring forces into the world's axes."""
+    feet = frame_axes(legs.robot, legs.position, legs.contacts.frames)
+    base = rotation_matrices(legs.position[:, 3:7])[:, None]
+    each = (np.eye(3), base, feet)
+    return {name: np.broadcast_to(turn, feet.shape) for name, turn in zip(_AXES, each, strict=True)}
+
+
+def _compared(legs: FreeLegs, turns: Array) -> tuple[Array, Array]:
+    """Return what each foot's torques leave with each column's force, and its scale, (c, c)."""
+    c = len(legs.legs)
+    left, gains = np.ones((c, c)), np.ones((c, c))
+    for foot, leg in enumerate(legs.legs):
+        forces, moments = (
+            turns[:, foot] @ np.swapaxes(legs.wrenches[:, :, part], 1, 2)
+            for part in (slice(0, 3), slice(3, 6))
+        )
+        taken = leg.by_forces(forces) + leg.by_moments(moments)
+        sums = leg.sums(taken, np.full(c, _LARGEST))
+        own = range(leg.own.shape[2])
+        without = max(sums.fit(own).left ** 2, 1e-300)
+        for column in range(c):
+            fit = sums.fit([*own, len(own) + column])
+            left[foot, column], gains[foot, column] = fit.left**2 / without, fit.values[-1]
+    return left, gains
