@@ -11,10 +11,12 @@ from typing import Any
 
 import numpy as np
 import pytest
+from typer.testing import CliRunner
 
 import sdpid
 from sdpid.assurance.log_proof.chain.check import check_log
-from sdpid.errors import CertificateError, DataError
+from sdpid.cli import app
+from sdpid.errors import CertificateError, DataError, ModelError
 from sdpid.experiment.recording.recording import rows_of
 from sdpid.output.report.sections.gait import values
 from sdpid.verifier.reading import digest
@@ -113,6 +115,46 @@ def test_the_report_draws_which_feet_were_down() -> None:
 def test_a_robot_that_is_fixed_is_refused() -> None:
     with pytest.raises(DataError, match="fixed to the ground, and the recording has a floating"):
         sdpid.identify(sdpid.load_robot("solo12"), crawl().log())
+
+
+@pytest.mark.parametrize(
+    ("call", "what"),
+    [
+        (lambda result, _: sdpid.check_bias(result.estimate), "check_bias"),
+        (lambda result, _: sdpid.solve_instrumental(result.problem), "solve_instrumental"),
+        (lambda result, log: sdpid.rollout(result.estimate, log), "simulation"),
+        (lambda result, log: sdpid.solve_output_error(result.problem, log), "output error"),
+        (lambda result, log: sdpid.identify_payload(result.problem.robot, log), "payload"),
+        (lambda result, log: sdpid.identify_drive_gains(result.problem.robot, log), "gains"),
+        (
+            lambda result, _: sdpid.design_excitation(result.problem.robot, duration=5.0),
+            "excitation",
+        ),
+        (lambda result, _: sdpid.simulate(result.problem.robot), "motion"),
+    ],
+)
+def test_what_knows_fixed_robots_only_says_how_to_load_one(call: Any, what: str) -> None:
+    told = f"^{what}: 'solo' has a floating base.*load its URDF without root='free_flyer'"
+    with pytest.raises(ModelError, match=told):
+        call(identified(), data())
+
+
+def test_a_robot_that_hangs_is_a_fixed_one(tmp_path: Path) -> None:
+    """What refuses a floating base takes the result's URDF, and a recording without a base."""
+    sdpid.write_urdf(identified().estimate, target=tmp_path / "identified.urdf")
+    hung = sdpid.simulate_legged("solo12", "hang", duration=1.0, seed=1).recording
+    path = str(tmp_path / "hanging.csv")
+    replace(hung, base=None, contacts=None).to_csv(path)
+    robot = ["--robot", str(tmp_path / "identified.urdf")]
+    rolled = CliRunner().invoke(app, ["validate", path, *robot, "--rollout", "--json"])
+    assert rolled.exit_code == 0, rolled.output
+    assert json.loads(rolled.stdout)["rollouts"]
+    floating = str(tmp_path / "floating.csv")
+    hung.to_csv(floating)
+    for command in (["validate", floating, *robot, "--rollout"], ["payload", floating, *robot]):
+        refused = CliRunner().invoke(app, command)
+        assert refused.exit_code == 2
+        assert "floating base" in refused.output
 
 
 def data() -> sdpid.Recording:

@@ -36,7 +36,7 @@ from sdpid.experiment.recording.joints import match_joints
 from sdpid.experiment.recording.recording import Recording
 from sdpid.robot.friction.term import FrictionTerm
 from sdpid.robot.inertia import transform
-from sdpid.robot.model.contacts.open_chain import require_open_chain
+from sdpid.robot.model.contacts.open_chain import require_fixed_robot, require_open_chain
 from sdpid.robot.model.load import load_robot
 from sdpid.robot.model.model import RobotModel
 from sdpid.robot.model.mounting import carrying_link, frame_on_link
@@ -140,10 +140,7 @@ def identify_drive_gains(
     True
     """
     model = robot if isinstance(robot, RobotModel) else load_robot(robot)
-    if model.n_base:
-        raise ModelError(
-            f"gains: '{model.name}' has a floating base; give a description fixed to it."
-        )
+    require_fixed_robot(model, "gains")
     kinds = kinds_accepted(accept)
     bare = _recordings(without_load, "without_load")
     loaded = () if with_load is None else _recordings(with_load, "with_load")

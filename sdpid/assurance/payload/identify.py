@@ -48,7 +48,7 @@ from sdpid.robot.consistent import raise_second_moments
 from sdpid.robot.friction.model import BY_NAME
 from sdpid.robot.friction.term import FrictionTerm
 from sdpid.robot.inertia import margin, physical_parameters, transform
-from sdpid.robot.model.contacts.open_chain import require_open_chain
+from sdpid.robot.model.contacts.open_chain import require_fixed_robot, require_open_chain
 from sdpid.robot.model.load import load_robot
 from sdpid.robot.model.model import RobotModel
 from sdpid.robot.model.mounting import carrying_link, frame_on_link
@@ -178,6 +178,7 @@ def identify_payload(
     given = without_load if isinstance(without_load, Estimate) else None
     model = _robot(robot, given)
     findings: tuple[Finding, ...] = ()
+    require_fixed_robot(model, "payload")
     require_open_chain(model, "payload")
     absent = joints_without(without_effort)
     columns_absent = columns_without(model, absent)

@@ -17,6 +17,7 @@ from sdpid.estimation.instrumental.moments import Columns, Moments, Pair
 from sdpid.estimation.instrumental.rows import InstrumentalRows
 from sdpid.estimation.problem import Problem
 from sdpid.experiment.processing.samples import Samples
+from sdpid.robot.model.contacts.open_chain import require_fixed_robot
 
 # A direction whose canonical correlation with the instruments is below this is not seen by them at
 # all. Above, instruments may be weak, which is told parameter by parameter: raw accelerations of
@@ -61,6 +62,8 @@ def require_instrumentable(problem: Problem, purpose: str) -> None:
 
     Raises
     ------
+    ModelError
+        When the robot has a floating base.
     DataError
         When its rows were not kept or are elsewhere, are weighted by a robust loss, or its
         weighting is no likelihood.
@@ -77,6 +80,7 @@ def require_instrumentable(problem: Problem, purpose: str) -> None:
             "the robust estimate was made of."
         )
     rows = problem.require_rows_here(purpose)
+    require_fixed_robot(problem.robot, purpose)
     if rows.samples.contacts is not None:
         raise DataError(
             f"{purpose}: contacts tie the rows of a sample together, and instruments are made for "

@@ -25,6 +25,7 @@ from sdpid.experiment.preparation.twin import Twin
 from sdpid.experiment.simulation.controllers import Controller
 from sdpid.robot.friction.posed import LoadFriction
 from sdpid.robot.friction.terms import Coupling
+from sdpid.robot.model.contacts.open_chain import require_fixed_robot
 
 Method = Literal["didim", "closed_loop"]
 METHODS = ("didim", "closed_loop")
@@ -106,6 +107,8 @@ def solve_output_error(
 
     Raises
     ------
+    ModelError
+        When the robot has a floating base.
     DataError
         When options make no sense, nothing says what was commanded, the robot of the start does
         not follow it as it did in the recording, or ``"closed_loop"`` is asked for with a
@@ -203,11 +206,7 @@ def _check(
             f"({problem.meaning or 'its rows are weighted by a robust loss'}); give the one that "
             "was built of the recording."
         )
-    if problem.robot.free_flyer:
-        raise DataError(
-            f"output error: '{problem.robot.name}' has a floating base, which no joint controller "
-            "holds; only arms on a fixed base are simulated."
-        )
+    require_fixed_robot(problem.robot, "output error")
     if method == "closed_loop":
         _require_smooth(problem)
     problem.require_rows_here("output error")

@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 
 from sdpid._common.arrays import Array, real_array
 from sdpid._common.seeds import generator
-from sdpid.errors import DataError, ModelError
+from sdpid.errors import DataError
 from sdpid.estimation.prior.prior import Prior
 from sdpid.excitation.criterion.belief import prior_information
 from sdpid.excitation.criterion.criterion import Criterion
@@ -36,6 +36,7 @@ from sdpid.excitation.search.space import FourierSpace, Space, SplineSpace
 from sdpid.excitation.search.starts import random_start
 from sdpid.experiment.trajectory.trajectory import Trajectory
 from sdpid.robot.friction.term import FrictionTerm
+from sdpid.robot.model.contacts.open_chain import require_fixed_robot
 from sdpid.robot.model.model import RobotModel
 
 Motion = Literal["spline", "fourier", "postures", "one_by_one"]
@@ -247,8 +248,11 @@ class Task:
 
 
 def _check(robot: RobotModel, duration: float, motion: str, periods: int) -> None:
-    if robot.n_base:
-        raise ModelError(f"excitation of '{robot.name}': a floating base has no motors to move it.")
+    require_fixed_robot(
+        robot,
+        "excitation",
+        instead="Of a robot that stands, sdpid.design_standing (sdpid excite --stand) plans it.",
+    )
     if not (np.isfinite(duration) and duration > 0.0):
         raise DataError(f"duration: is {duration}; give a positive time in s.")
     if duration > _LONGEST:

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from sdpid._common.arrays import Array, Mask, real_array
-from sdpid.errors import DataError, ModelError
+from sdpid.errors import DataError
 from sdpid.excitation.limits.joint_limits import (
     ASSUMED,
     DESCRIBED,
@@ -19,6 +19,7 @@ from sdpid.excitation.limits.joint_limits import (
     unit_of,
 )
 from sdpid.excitation.limits.resting import able_to_rest, check_rest
+from sdpid.robot.model.contacts.open_chain import require_fixed_robot
 from sdpid.robot.model.coordinates import sliding
 from sdpid.robot.model.model import RobotModel
 
@@ -110,8 +111,7 @@ class _Narrowing:
         override: bool,
         assume: bool,
     ) -> None:
-        if robot.n_base:
-            raise ModelError(f"limits of '{robot.name}': a floating base has no motors to move it.")
+        require_fixed_robot(robot, "limits")
         self.robot, self.given, self.share, self.override = robot, given, share, override
         self.assume = assume
         self.names, self.n = robot.joint_names, robot.n

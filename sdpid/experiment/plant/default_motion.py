@@ -5,10 +5,11 @@ from __future__ import annotations
 import numpy as np
 
 from sdpid._common.seeds import generator
-from sdpid.errors import DataError, ModelError
+from sdpid.errors import DataError
 from sdpid.experiment.trajectory.fourier import FourierSeries
 from sdpid.experiment.trajectory.paper import filled, quiet_start
 from sdpid.experiment.trajectory.trajectory import Trajectory
+from sdpid.robot.model.contacts.open_chain import require_fixed_robot
 from sdpid.robot.model.model import RobotModel
 
 __all__ = ["default_motion"]
@@ -59,8 +60,11 @@ def default_motion(
     DataError
         When the period is shorter than 6.25 s, too short for five harmonics.
     """
-    if robot.n_base:
-        raise ModelError(f"motion of '{robot.name}': a floating base has no motors to move it.")
+    require_fixed_robot(
+        robot,
+        "motion",
+        instead="On its legs, sdpid.simulate_legged (sdpid simulate --motion stand) moves it.",
+    )
     period = _PERIOD if period is None else float(period)
     available = int(np.floor(_HIGHEST * period)) if 0.0 < period < 1e9 else 0
     if available < _SINUSOIDS:

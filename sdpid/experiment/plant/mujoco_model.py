@@ -27,7 +27,7 @@ from sdpid._common.extras import require
 from sdpid.errors import ModelError
 from sdpid.experiment.plant.drives import Drives
 from sdpid.robot.inertia import margin, physical_parameters
-from sdpid.robot.model.contacts.open_chain import require_open_chain
+from sdpid.robot.model.contacts.open_chain import require_fixed_robot, require_open_chain
 from sdpid.robot.model.model import RobotModel
 
 # Impedance of the friction constraint: MuJoCo's upper limit is 0.9999 (mjMAXIMP). The residual
@@ -90,10 +90,9 @@ def build_mujoco(
     """
     mujoco = require("mujoco", extra="sim")
     n = robot.n
-    if robot.free_flyer or robot.expansion.shape != (n, n):
-        raise ModelError(
-            f"plant of '{robot.name}': a floating base and mimic joints are not supported."
-        )
+    require_fixed_robot(robot, "plant", instead="On its legs, sdpid.simulate_legged simulates it.")
+    if robot.expansion.shape != (n, n):
+        raise ModelError(f"plant of '{robot.name}': mimic joints are not supported.")
     require_open_chain(robot, "plant")
     bodies = theta[: 10 * robot.n_links].reshape(robot.n_links, 10)
     coulomb, viscous = theta[10 * robot.n_links :].reshape(2, n)

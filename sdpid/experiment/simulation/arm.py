@@ -14,7 +14,7 @@ from sdpid.experiment.simulation.kernels.friction_arrays import FrictionArrays
 from sdpid.experiment.simulation.kernels.layout import Robot, memory_for
 from sdpid.experiment.simulation.kernels.linked import entries
 from sdpid.robot.friction.posed import LoadFriction, PosedTerm, Tilt
-from sdpid.robot.model.contacts.open_chain import require_open_chain
+from sdpid.robot.model.contacts.open_chain import require_fixed_robot, require_open_chain
 from sdpid.robot.model.dynamics import RobotDynamics
 from sdpid.robot.model.regressor_kernel import flatten
 
@@ -56,12 +56,12 @@ class SimulatedArm:
             motor, or a friction term is not one of `sdpid.friction`.
         """
         robot, terms = model.robot, model.terms
+        require_fixed_robot(robot, "simulation")
         require_open_chain(robot, "simulation")
-        tree = None if robot.free_flyer else flatten(robot.pin_model, robot.expansion)
+        tree = flatten(robot.pin_model, robot.expansion)
         if tree is None:
             raise ModelError(
-                f"simulation: '{robot.name}' has a floating base, or a joint that is neither "
-                "revolute nor prismatic; only arms on a fixed base are simulated."
+                f"simulation: '{robot.name}' has a joint that is neither revolute nor prismatic."
             )
         bodies = np.array(model.theta[: 10 * robot.n_links]).reshape(-1, 10)
         friction, at = FrictionArrays(robot.n), 10 * robot.n_links

@@ -1,11 +1,37 @@
-"""Refuse robots with loops where only open chains are known."""
+"""Refuse robots with loops, or with a floating base, where only fixed open chains are known."""
 
 from __future__ import annotations
 
 from sdpid.errors import ModelError
 from sdpid.robot.model.model import RobotModel
 
-__all__ = ["require_open_chain"]
+__all__ = ["require_fixed_robot", "require_open_chain"]
+
+
+def require_fixed_robot(robot: RobotModel, what: str, *, instead: str = "") -> None:
+    """Refuse a robot with a floating base.
+
+    Parameters
+    ----------
+    robot : RobotModel
+        The robot.
+    what : str
+        What asks for it, as the beginning of the message.
+    instead : str, optional
+        What else there is, as its last sentence.
+
+    Raises
+    ------
+    ModelError
+        Saying how a robot that hangs by its base is loaded.
+    """
+    if robot.free_flyer:
+        raise ModelError(
+            f"{what}: '{robot.name}' has a floating base, and only robots that are fixed to the "
+            "ground are known here. Where its base is held, load its URDF without "
+            "root='free_flyer', or an MJCF without <freejoint/>, and give recordings without a "
+            f"base.{instead and ' ' + instead}"
+        )
 
 
 def require_open_chain(robot: RobotModel, what: str) -> None:
