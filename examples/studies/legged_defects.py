@@ -120,6 +120,13 @@ def exchanged(order: Sequence[int]) -> Change:
     return feet(lambda c: {"down": c.down[:, columns], "forces": c.forces[:, columns]})
 
 
+def in_base_axes(log: Log) -> Log:
+    """Give forces in the axes of the base, in place of the world's."""
+    assert log.base is not None
+    turns = log.base.rotations
+    return feet(lambda c: {"forces": np.einsum("kji,kcj->kci", turns, c.forces)})(log)
+
+
 def one_foot_always_down(contacts: Contacts) -> dict[str, Any]:
     """Return flags with one that never opens."""
     down = np.array(contacts.down)
@@ -153,8 +160,17 @@ def defects(weight: float) -> dict[str, tuple[Change, bool]]:
         "contact at the ball's center": (feet(lambda c: {"offset": np.zeros(3)}), False),
         "shanks for feet": (feet(lambda c: {"frames": [shank(name) for name in c.frames]}), False),
         "forces 10 % low": (feet(lambda c: {"forces": 0.9 * c.forces}), True),
+        "one foot's forces 10 % low": (
+            feet(lambda c: {"forces": c.forces * np.array([0.9, 1.0, 1.0, 1.0])[:, None]}),
+            True,
+        ),
         "forces off by 5 % of the weight": (feet(lambda c: {"forces": c.forces + bias}), True),
         "forces on the ground": (feet(lambda c: {"forces": -c.forces}), True),
+        "forces in the base's axes": (in_base_axes, True),
+        "forces of left and right feet swapped": (
+            feet(lambda c: {"forces": c.forces[:, [1, 0, 3, 2]]}),
+            True,
+        ),
         "quaternion w x y z": (
             base(lambda b: {"orientation": np.roll(b.orientation, 1, axis=1)}),
             False,
@@ -162,6 +178,7 @@ def defects(weight: float) -> dict[str, tuple[Change, bool]]:
         "IMU's place ignored": (imu(lambda i: {"translation": np.zeros(3)}), False),
         "IMU's axes ignored": (imu(lambda i: {"rotation": np.eye(3)}), False),
         "gyroscope in deg/s": (imu(lambda i: {"gyroscope": np.degrees(i.gyroscope)}), False),
+        "gyroscope of zeros": (imu(lambda i: {"gyroscope": 0.0 * i.gyroscope}), False),
         "accelerometer in g": (imu(lambda i: {"accelerometer": i.accelerometer / gravity}), False),
         "accelerometer off by 0.2 m/s²": (
             imu(lambda i: {"accelerometer": i.accelerometer + np.array([0.2, 0.0, 0.0])}),

@@ -38,6 +38,7 @@ def compare(
     """Run every solver on one problem and measure them against the proven lower bound."""
     if out is not None:
         opt.require_folder("--out", out, reading.files((log,), robot, printing.config))
+    from sdpid.estimation.constraints.mass import known_mass
     from sdpid.experiment.preparation.several import columns_without, prepare_recordings
     from sdpid.experiment.recording.floating.robots import robot_of
     from sdpid.workflow.comparison import compare as run
@@ -53,6 +54,7 @@ def compare(
         record,
         processing.changes(),
         without_effort=formulation.pop("without_effort"),
+        total_mass=known_mass(formulation["constraints"].others),
         **acceptance.arguments(),
     )
     problem = formulate(model, prepared, **formulation)

@@ -27,6 +27,7 @@ def formulated(
 
     The problem's robot is `robot`, with a floating base where a log has one.
     """
+    from sdpid.estimation.constraints.mass import known_mass
     from sdpid.experiment.preparation.several import columns_without, prepare_recordings
     from sdpid.experiment.recording.floating.robots import robot_of
     from sdpid.workflow.formulate import formulate
@@ -41,6 +42,7 @@ def formulated(
         records,
         processing.changes(),
         without_effort=formulation.pop("without_effort"),
+        total_mass=known_mass(formulation["constraints"].others),
         **acceptance.arguments(),
     )
     return formulate(model, prepared, **formulation), prepared

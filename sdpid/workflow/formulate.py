@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike
 from sdpid.errors import DataError
 from sdpid.estimation.compression.covariance import Weighting
 from sdpid.estimation.constraints.constraints import Constraints
+from sdpid.estimation.constraints.mass import known_mass
 from sdpid.estimation.effects.kinds import EFFECTS
 from sdpid.estimation.prior.prior import Prior
 from sdpid.estimation.problem import Problem, build_problem
@@ -131,6 +132,7 @@ def formulate(
             without_effort=without_effort,
             accept=kinds_accepted(accept),
             gains=gains,
+            total_mass=None if constraints is None else known_mass(constraints.others),
         )
     robot = robot_of(robot, log.logs)
     samples = log.samples

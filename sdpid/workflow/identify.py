@@ -22,6 +22,7 @@ from sdpid.assurance.log_proof.recipe import recipe_or_reason
 from sdpid.errors import DataError, IdentifiabilityError, SdpidError, SolverError
 from sdpid.estimation.compression.covariance import Weighting
 from sdpid.estimation.constraints.constraints import Constraints
+from sdpid.estimation.constraints.mass import known_mass
 from sdpid.estimation.estimate import Estimate
 from sdpid.estimation.instrumental.bias import BiasTest, check_bias
 from sdpid.estimation.motion_noise.bias import with_motion_bias
@@ -188,7 +189,13 @@ def identify(
     kinds = kinds_accepted(accept)
     known = as_gains(gains)
     prepared = prepare_recordings(
-        robot, log, processing, without_effort=without_effort, accept=kinds, gains=known
+        robot,
+        log,
+        processing,
+        without_effort=without_effort,
+        accept=kinds,
+        gains=known,
+        total_mass=None if constraints is None else known_mass(constraints.others),
     )
     model = prepared.robot
     fresh = None

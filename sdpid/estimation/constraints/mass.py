@@ -18,6 +18,8 @@ from sdpid.robot.model.geometry import collision_points
 
 AXES = ("x", "y", "z")
 
+# A mass that may differ by more than this share of it is not known.
+_ROUGHLY = 0.02
 # A matrix written with eight digits or more is taken for a rotation.
 _ORTHOGONAL = 1e-7
 
@@ -96,6 +98,16 @@ class TotalMass(Condition):
         group = "" if self.links is None else f" of {', '.join(self.links)}"
         lower, upper = self.mass - self.tolerance, self.mass + self.tolerance
         yield Row(f"total mass{group}", frozen(coefficients), lower, upper)
+
+
+def known_mass(conditions: Sequence[Condition]) -> float | None:
+    """Return what a robot weighs by conditions, kg; None where that is not said, or roughly."""
+    for condition in conditions:
+        if not isinstance(condition, TotalMass) or condition.links is not None:
+            continue
+        if condition.tolerance <= _ROUGHLY * condition.mass:
+            return condition.mass
+    return None
 
 
 @dataclass(frozen=True, eq=False)

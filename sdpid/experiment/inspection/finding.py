@@ -101,12 +101,15 @@ class Subject:
         Joints whose effort is not used.
     floating : RobotModel or None
         The robot in place of `robot`, where the recording has a floating base.
+    total_mass : float or None
+        What the robot weighs, kg, where that is known.
     """
 
     log: Recording
     robot: RobotModel | None
     without: frozenset[str] = frozenset()
     floating: RobotModel | None = None
+    total_mass: float | None = None
 
     @cached_property
     def continued(self) -> tuple[tuple[Recording, ...], list[str]] | DataError:

@@ -75,7 +75,7 @@ _OF_FEET = ("foot_moves", "foot_high", "feet_exchanged", "contact_frame", "conta
 # What one mistake makes of other channels.
 _OF_FORCES = (
     *("forces_exchanged", "forces_axes", "forces_scale", "forces_offset"),
-    "forces_unlike_motion",
+    *("forces_unlike_motion", "wrenches_moments", "wrenches_point"),
 )
 _MAKES = {
     **dict.fromkeys(("effort_scale", "effort_unlike_description"), _OF_FORCES),
@@ -148,6 +148,8 @@ class Inspection:
 def inspect_recording(
     log: Recording | str | os.PathLike[str],
     robot: RobotModel | str | os.PathLike[str] | None = None,
+    *,
+    total_mass: float | None = None,
 ) -> Inspection:
     """Check a recording for defects that make parameters from it wrong.
 
@@ -158,6 +160,8 @@ def inspect_recording(
     robot : RobotModel, name or path, optional
         Whose joints these are (see `load_robot`): names, limits, and the efforts that the
         description's bodies need for this motion are then compared with the recording.
+    total_mass : float, optional
+        What a robot with a floating base weighs, kg, in place of the description's mass.
 
     Returns
     -------
@@ -192,7 +196,7 @@ def inspect_recording(
         log = read_recording(log)
     if robot is not None:
         robot = robot_of(robot, [log])
-    return Inspection(findings=_looked_at(log, robot)[1])
+    return Inspection(findings=_looked_at(log, robot, total_mass=total_mass)[1])
 
 
 def inspect_recordings(
@@ -201,6 +205,7 @@ def inspect_recordings(
     *,
     name: str = "",
     without_effort: Iterable[str] = (),
+    total_mass: float | None = None,
 ) -> tuple[Finding, ...]:
     """Return the findings of recordings, and of what does not fit between them.
 
@@ -214,8 +219,10 @@ def inspect_recordings(
         Messages begin with it and, of several recordings, a number.
     without_effort : iterable of str, optional
         Joints whose effort is not used: what is wrong with it is not told.
+    total_mass : float, optional
+        What a robot with a floating base weighs, kg.
     """
-    looked_at = [_looked_at(log, robot, frozenset(without_effort)) for log in logs]
+    looked_at = [_looked_at(log, robot, frozenset(without_effort), total_mass) for log in logs]
     if len(logs) == 1 and not name:
         return looked_at[0][1]
     between: dict[int, Finding] = {}
@@ -230,7 +237,10 @@ def inspect_recordings(
 
 
 def _looked_at(
-    log: Recording, robot: RobotModel | None, without: frozenset[str] = frozenset()
+    log: Recording,
+    robot: RobotModel | None,
+    without: frozenset[str] = frozenset(),
+    total_mass: float | None = None,
 ) -> tuple[Subject, tuple[Finding, ...]]:
     """Return one recording as checks see it, and its findings, what is to be refused first."""
     findings: list[Finding] = []
@@ -238,7 +248,9 @@ def _looked_at(
         log, robot, findings = _matched(log, robot)
     # The dynamics of a robot that is fixed say nothing about one that is not.
     fixed, floating = (robot, None) if log.base is None else (None, robot)
-    subject = Subject(log=log, robot=fixed, without=without, floating=floating)
+    subject = Subject(
+        log=log, robot=fixed, without=without, floating=floating, total_mass=total_mass
+    )
     for each in CHECKS:
         if each not in _DROWNED:
             findings += each(subject)

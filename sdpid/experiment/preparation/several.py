@@ -216,6 +216,7 @@ def prepare_recordings(
     accept: Iterable[str] | None = None,
     gains: Any = None,
     name: str = "log",
+    total_mass: float | None = None,
 ) -> Prepared:
     """Read, match, process and join recordings of a robot.
 
@@ -238,6 +239,8 @@ def prepare_recordings(
         Gains that make torques of efforts that are currents, as in `read_recording`.
     name : str, optional
         What messages call the argument that holds the recordings.
+    total_mass : float, optional
+        What a robot with a floating base weighs, kg, which inspection compares with its efforts.
 
     Raises
     ------
@@ -252,7 +255,7 @@ def prepare_recordings(
     for log in read:
         require_torques(log)
         require_its_base(robot, log)
-    findings = () if accept is None else inspected(robot, read, accept, without, name)
+    findings = () if accept is None else inspected(robot, read, accept, without, name, total_mass)
     chosen, why = chosen_processing(read, processing)
     if not isinstance(processing, Processing) and not without:
         chosen = with_delays(robot, read, chosen, processing)
@@ -276,6 +279,7 @@ def inspected(
     accept: Iterable[str] = (),
     without_effort: Sequence[str] = (),
     name: str = "log",
+    total_mass: float | None = None,
 ) -> tuple[Finding, ...]:
     """Return what is wrong with recordings of a robot.
 
@@ -291,6 +295,8 @@ def inspected(
         Joints whose effort is not used: what is wrong with it does not matter.
     name : str, optional
         Messages name recordings of another argument than ``log`` by it.
+    total_mass : float, optional
+        What a robot with a floating base weighs, kg.
 
     Raises
     ------
@@ -299,7 +305,9 @@ def inspected(
     """
     kinds = kinds_accepted(accept)
     called = "" if name == "log" else f"{name} recording"
-    findings = inspect_recordings(logs, robot, name=called, without_effort=without_effort)
+    findings = inspect_recordings(
+        logs, robot, name=called, without_effort=without_effort, total_mass=total_mass
+    )
     require_accepted(findings, kinds)
     return findings
 

@@ -16,7 +16,10 @@ from sdpid.experiment.inspection.finding import Finding, Subject
 from sdpid.experiment.inspection.floating.compare import floating_log
 from sdpid.experiment.inspection.floating.floating_log import FloatingLog
 from sdpid.experiment.plant.legged.sensors import Sensors
+from sdpid.experiment.plant.legged.simulate import LeggedRun
+from sdpid.experiment.preparation import several
 from sdpid.robot.model.contacts.jacobians import frame_axes
+from sdpid.workflow import formulate
 
 pytest.importorskip("mujoco")
 
@@ -29,12 +32,14 @@ def robot(name: str = "solo12") -> sdpid.RobotModel:
 
 
 @cache
-def log(motion: str, name: str = "solo12") -> Recording:
-    """Return a recording of a robot whose links are 15 % off the description."""
+def simulated(motion: str, name: str = "solo12") -> LeggedRun:
+    """Let a robot move whose links are 15 % off the description."""
     sensors = Sensors(forces=True)
-    return sdpid.simulate_legged(
-        robot(name), motion, seed=1, duration=2.0, sensors=sensors
-    ).recording
+    return sdpid.simulate_legged(robot(name), motion, seed=1, duration=2.0, sensors=sensors)
+
+
+def log(motion: str, name: str = "solo12") -> Recording:
+    return simulated(motion, name).recording
 
 
 def found(recording: Recording, name: str = "solo12") -> list[Finding]:
@@ -203,3 +208,51 @@ def compared(recording: Recording) -> FloatingLog:
     rows = floating_log(model, samples)
     assert rows is not None
     return rows
+
+
+def test_mass_that_is_known_tells_torques_of_another_scale() -> None:
+    run = simulated("trot")
+    mass = float(run.theta[: 10 * robot().n_links : 10].sum())
+    without = replace(run.recording, contacts=replace(run.recording.contacts, forces=None))
+    scaled = replace(without, effort=1.07 * np.array(without.effort))
+    told = sdpid.inspect_recording(scaled, robot(), total_mass=mass).findings
+    assert [f.kind for f in told if f.severity != "note"] == ["total_mass"]
+    assert f"times the {mass:.4g} kg that it weighs" in told[0].message
+    # Neither of right torques, nor where nobody weighed the robot.
+    assert sdpid.inspect_recording(without, robot(), total_mass=mass).ok
+    assert sdpid.inspect_recording(scaled, robot()).ok
+
+
+def test_mass_that_is_known_tells_whether_forces_are_wrong() -> None:
+    mass = 1.05 * float(simulated("trot").theta[: 10 * robot().n_links : 10].sum())
+    forced = with_feet("trot", forces=0.95 * forces("trot"))
+    told = sdpid.inspect_recording(forced, robot(), total_mass=mass).findings
+    assert "forces are likelier wrong" in {f.kind: f.message for f in told}["forces_scale"]
+    raised = with_feet("trot", forces=1.05 * forces("trot"))
+    told = sdpid.inspect_recording(raised, robot(), total_mass=mass).findings
+    assert "torques are likelier wrong" in {f.kind: f.message for f in told}["forces_scale"]
+
+
+@pytest.mark.parametrize(
+    ("condition", "mass"),
+    [
+        (sdpid.constraints.TotalMass(2.5, tolerance=0.01), 2.5),
+        (sdpid.constraints.TotalMass(2.5, tolerance=0.5), None),
+        (sdpid.constraints.TotalMass(0.4, links=("FL_KFE", "FR_KFE")), None),
+    ],
+)
+def test_mass_of_a_condition_is_compared(
+    condition: sdpid.constraints.TotalMass, mass: float | None, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    asked = []
+
+    def inspect(*_: object, total_mass: float | None = None, **__: object) -> None:
+        asked.append(total_mass)
+        raise sdpid.errors.DataError("asked")
+
+    monkeypatch.setattr(several, "inspect_recordings", inspect)
+    constraints = sdpid.Constraints(others=(condition,))
+    for run in (sdpid.identify, formulate.formulate):
+        with pytest.raises(sdpid.errors.DataError, match="asked"):
+            run(robot(), log("stand"), constraints=constraints)
+    assert asked == [mass, mass]

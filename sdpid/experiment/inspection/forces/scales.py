@@ -22,6 +22,25 @@ _LEAST_UP = 20
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
+class MomentScale:
+    """What the torques of a leg say of the moments at its sole.
+
+    Attributes
+    ----------
+    ratio, error : float
+        Measured moments over those that the torques show, and the standard error.
+    point, point_errors : ndarray, shape (3,)
+        The point that moments are about, from that which they are said to be about, in the
+        world's axes, and standard errors, m.
+    """
+
+    ratio: float
+    error: float
+    point: Array
+    point_errors: Array
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
 class FootScale:
     """What the torques of a leg say of the forces, or the wrench, at its foot.
 
@@ -33,11 +52,8 @@ class FootScale:
         Forces that are measured where there are none, and standard errors, N.
     in_air : ndarray, shape (3,), or None
         The mean of what is measured while the foot is up; None where it is hardly ever.
-    moments : tuple of 2 floats, or None
-        Ratio and error of a sole's moments.
-    point, point_errors : ndarray, shape (3,)
-        From where moments are said to act about to where they do, m; of feet without moments
-        within their radius.
+    moments : MomentScale or None
+        None of points.
     """
 
     ratio: float
@@ -45,9 +61,7 @@ class FootScale:
     offset: Array
     offset_errors: Array
     in_air: Array | None
-    moments: tuple[float, float] | None
-    point: Array
-    point_errors: Array
+    moments: MomentScale | None
 
 
 def foot_scales(legs: FreeLegs, wrenches: Array) -> list[FootScale]:
@@ -63,8 +77,8 @@ def foot_scales(legs: FreeLegs, wrenches: Array) -> list[FootScale]:
 def _scale(leg: FreeLeg, wrenches: Array, up: Mask, *, flat: bool) -> FootScale:
     forces, moments = wrenches[:, :3], wrenches[:, 3:]
     ones = np.broadcast_to(np.eye(3), (len(forces), 3, 3))
-    # A force at another point has another moment: the cross product with the way there.
-    turned = cross_matrices(forces)
+    # Less the cross product with the way there, a moment is about another point.
+    turned = -cross_matrices(forces)
     parts = [
         (leg.by_forces(forces[:, :, None]), _SCALE),
         (leg.by_forces(ones), _OFFSET * float(np.abs(forces).max())),
@@ -76,20 +90,24 @@ def _scale(leg: FreeLeg, wrenches: Array, up: Mask, *, flat: bool) -> FootScale:
     size = np.concatenate([np.full(part.shape[2], scale) for part, scale in parts])
     fit = leg.fit(np.concatenate([part for part, _ in parts], axis=2), size)
     values, errors = (each[leg.own.shape[2] :] for each in (fit.values, fit.errors))
+    # Torques show what was measured, less its offset, over its scale.
     gain = float(values[0])
-    of_moments = None
+    about = None
     if flat:
-        of_moments = 1.0 / float(values[7]), float(errors[7]) / float(values[7]) ** 2
-    # Torques show the force that was measured less its offset, over its scale.
+        of_moments = float(values[7])
+        about = MomentScale(
+            ratio=1.0 / of_moments,
+            error=float(errors[7]) / of_moments**2,
+            point=values[4:7] / gain,
+            point_errors=errors[4:7] / abs(gain),
+        )
     return FootScale(
         ratio=1.0 / gain,
         error=float(errors[0]) / gain**2,
         offset=-values[1:4] / gain,
         offset_errors=errors[1:4] / abs(gain),
         in_air=forces[up].mean(axis=0) if np.count_nonzero(up) >= _LEAST_UP else None,
-        moments=of_moments,
-        point=values[4:7] / gain,
-        point_errors=errors[4:7] / abs(gain),
+        moments=about,
     )
 
 
