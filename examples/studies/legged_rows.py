@@ -24,7 +24,7 @@ import sdpid
 from sdpid._common.arrays import Array
 from sdpid._common.tables import Table
 from sdpid.estimation.compression.rows import RowSource
-from sdpid.estimation.compression.whitening import weights_and_shares, weights_of
+from sdpid.estimation.compression.whitening import weights_and_shares
 from sdpid.experiment.plant.legged.model import LeggedModel, build_legged
 from sdpid.experiment.plant.legged.simulate import simulate_legged
 from sdpid.experiment.plant.legged.truth import Motion
@@ -127,12 +127,11 @@ class Beside:
             states = {name: values[part] for name, values in self.states.items()}
             samples = sdpid.Samples(**states, contacts=contacts)
             rows = RowSource(self.robot, friction, base, samples)
-            T, index = weights_of(rows, slice(None), np.eye(self.robot.n))
+            T, index, shares = weights_and_shares(rows, slice(None), np.eye(self.robot.n))
             needed = rows.regressor(slice(None)) @ (base.matrix @ self.theta)
             residual = rows.effort(slice(None)) - needed
             error += float(np.sum((T[index] @ residual[:, :, None]) ** 2))
             size += float(np.sum((T[index] @ needed[:, :, None]) ** 2))
-            _, _, shares = weights_and_shares(rows, slice(None), np.eye(self.robot.n))
             count += float(np.sum(shares))
         return float(np.sqrt(error / size)) if count > 0.5 else None
 
