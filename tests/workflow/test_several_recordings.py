@@ -15,6 +15,7 @@ from sdpid.assurance.diagnostics.residuals import joint_errors
 from sdpid.experiment.plant.default_motion import default_motion
 from sdpid.experiment.preparation.for_robot import default_processing, prepare
 from sdpid.experiment.preparation.several import (
+    agreed,
     chosen_processing,
     common_processing,
     prepare_recordings,
@@ -35,6 +36,23 @@ def logs() -> list[sdpid.Recording]:
 @pytest.fixture(scope="module")
 def result(logs: list[sdpid.Recording]) -> Identification:
     return sdpid.identify(arm(), logs[:2], validation=logs[2])
+
+
+def test_a_gaits_cutoff_decides_beside_a_slow_motion(logs: list[sdpid.Recording]) -> None:
+    choices = [sdpid.Processing(cutoff_hz=hz) for hz in (45.0, 15.0, 20.0)]
+    for floating, several, chosen in (
+        (True, choices[:2], 45.0),
+        (False, choices[:2], 15.0),
+        (True, choices, 20.0),
+        (False, choices, 20.0),
+    ):
+        assert agreed(several, floating=floating)[0].cutoff_hz == chosen
+
+    upright = np.tile([0.0, 0.0, 0.0, 1.0], (logs[0].n_samples, 1))
+    base = sdpid.BaseMotion(orientation=upright, position=np.zeros((logs[0].n_samples, 3)))
+    # Of cut-offs that are equal the second counts as the higher one.
+    for log, number in ((logs[0], 1), (replace(logs[0], base=base), 2)):
+        assert f"as suits recording {number}" in str(common_processing([log, log])[1])
 
 
 def test_recordings_are_processed_alike_and_alone(

@@ -100,7 +100,8 @@ class DistributedSamples:
         why = None
         if processing is None and not all(isinstance(piece, Samples) for piece in given):
             own = [client.submit(_choice, piece, pure=False) for piece in given]
-            processing, why = agreed([each for each in _gathered(client, own) if each is not None])
+            choices = [each for each in _gathered(client, own) if each is not None]
+            processing, why = agreed(choices, floating=robot.free_flyer)
         futures = tuple(
             client.submit(samples_of, there, piece, processing, pure=False) for piece in given
         )

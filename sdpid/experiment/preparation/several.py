@@ -97,7 +97,9 @@ def common_processing(
     Each recording has its own default, chosen from its rate and its motion
     (`default_processing`). All are processed by that of the recording with the median cut-off, of
     an even number the lower one of the middle two: one unusual recording then decides nothing, and
-    the choice is one that was made for a whole recording.
+    the choice is one that was made for a whole recording. With a floating base it is the higher
+    one: a cut-off made for standing filters a gait's own motion away, and what that does to rows
+    beside contacts is an error that no interval counts.
 
     Returns
     -------
@@ -106,15 +108,16 @@ def common_processing(
     str or None
         The choice in words, where there was one.
     """
-    return agreed([default_processing(log, given) for log in logs])
+    floating = any(log.base is not None for log in logs)
+    return agreed([default_processing(log, given) for log in logs], floating=floating)
 
 
-def agreed(choices: Sequence[Processing]) -> tuple[Processing, str | None]:
+def agreed(choices: Sequence[Processing], *, floating: bool) -> tuple[Processing, str | None]:
     """Return the one of the recordings' processings that `common_processing` takes for all."""
     if len(choices) == 1:
         return choices[0], None
     ranked = sorted(range(len(choices)), key=lambda i: (choices[i].cutoff_hz, i))
-    chosen = ranked[(len(ranked) - 1) // 2]
+    chosen = ranked[len(ranked) // 2 if floating else (len(ranked) - 1) // 2]
     cutoffs = ", ".join(f"{each.cutoff_hz:.3g}" for each in choices)
     return choices[chosen], (
         f"the {len(choices)} recordings are processed alike, as suits recording {chosen + 1}, "
