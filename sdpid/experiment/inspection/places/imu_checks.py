@@ -12,12 +12,12 @@ from sdpid.experiment.inspection.floating.turning import GRAVITY, axes_in_words,
 from sdpid.experiment.inspection.places.imu_fit import (
     RATE_BIAS,
     SIZES,
-    Found,
     ImuFit,
     accelerometer_fit,
     gyroscope_fit,
     on_time,
 )
+from sdpid.experiment.inspection.places.imu_search import Found
 from sdpid.experiment.inspection.places.words import vector
 from sdpid.experiment.recording.floating.base import Imu
 

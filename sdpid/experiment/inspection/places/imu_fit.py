@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -11,7 +11,8 @@ from sdpid._common.arrays import Array
 from sdpid.experiment.inspection.delays.lag import filtered, lag
 from sdpid.experiment.inspection.floating.evidence import LEAST_RATE
 from sdpid.experiment.inspection.floating.turning import cross_matrices
-from sdpid.experiment.inspection.places.block_fit import SURE, BlockFit, BlockSums, sure_part
+from sdpid.experiment.inspection.places.block_fit import SURE, BlockSums
+from sdpid.experiment.inspection.places.imu_search import Found, nearest_turn, searched
 from sdpid.experiment.processing.delays.on_time import on_time as shifted
 from sdpid.experiment.processing.derivatives import BAND_OVER_RATE, Weights, stencil
 from sdpid.experiment.processing.filters import ZeroPhaseFilter, low_pass
@@ -19,10 +20,7 @@ from sdpid.experiment.processing.floating.rotations import body_rate, unit
 from sdpid.experiment.processing.settings import Processing
 from sdpid.experiment.recording.recording import Recording, rows_of
 
-__all__ = [
-    *("Found", "ImuFit", "accelerometer_fit", "gyroscope_fit", "on_time", "rotation"),
-    "rotation_vector",
-]
+__all__ = ["RATE_BIAS", "SIZES", "ImuFit", "accelerometer_fit", "gyroscope_fit", "on_time"]
 
 # Cut-offs (Hz): rates of a pose are noisy, their rates are noisier.
 _RATE_HZ, _ACCELERATION_HZ = 15.0, 10.0
@@ -39,41 +37,13 @@ _SAMPLES = 10.0
 # accelerometer 5 cm off costs 1.2 %.
 SIZES = {"place": 0.01, "bias": 0.1, "scale": 0.02, "axes": np.radians(3.0)}
 RATE_BIAS = 0.05
-# What explains this share of what the best does is named beside it: a level base does not tell an
-# axis that is tilted from a bias.
-_RIVAL = 0.5
 # Nothing is farther off than this: m, m/s² (rad/s), 1, rad, s.
 _MOST = {"place": 2.0, "bias": 20.0, "scale": 2.0, "axes": np.pi, "late": 0.1}
-_ROUNDS = 5
-# A turn far from what was stated has to leave less than this of what one nearby leaves.
-_CLEARLY = 0.8
 # A reflection is told where rotations leave this share of the turning, and it so much less.
 _MIRROR_SHARE, _MIRROR_BETTER = 0.02, 10.0
 # Columns of what may be wrong. That of the delay is always fitted: it is told elsewhere.
 _GYROSCOPE = {"bias": (0, 1, 2), "scale": (3,), "axes": (4, 5, 6), "late": (7,)}
 _ACCELEROMETER = {**_GYROSCOPE, "place": (8, 9, 10)}
-# Of what explains as much, the first is taken.
-_ORDER_OF_BLAME = ("place", "bias", "scale", "axes")
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Found:
-    """Something that is wrong with a sensor.
-
-    Attributes
-    ----------
-    value : ndarray, shape (3,) or (1,)
-        The change from what was stated to what the data show, in the base's axes: m of a place,
-        m/s² or rad/s of a bias (what is sensed too much), 1 of a scale (likewise), rad of a turn.
-    error : float
-        Standard error of it, that of its least certain direction.
-    rivals : tuple of str
-        What would explain as much in place of it.
-    """
-
-    value: Array
-    error: float
-    rivals: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -181,9 +151,9 @@ def gyroscope_fit(log: Recording) -> ImuFit | None:
         ]
         return BlockSums.of(np.concatenate(columns, axis=2), turned - turning, _scales(_GYROSCOPE))
 
-    start = _nearest_turn(turning, sensed, proper=True)
-    found, turn, left = _searched(sums, groups, sizes, np.eye(3), start)
-    best = _nearest_turn(turning, sensed, proper=False)
+    start = nearest_turn(turning, sensed, proper=True)
+    found, turn, left = searched(sums, groups, sizes, np.eye(3), start)
+    best = nearest_turn(turning, sensed, proper=False)
     rest = turning - sensed @ best.T
     power = float(np.mean(turning**2))
     mirrored = bool(
@@ -242,8 +212,8 @@ def accelerometer_fit(log: Recording, gravity: float, turn: Array) -> ImuFit | N
     groups = {name: _ACCELEROMETER[name] for name in names}
     sensed = chain.low(np.einsum("kij,kj->ki", R, stated))[chain.kept]
     in_base = [np.einsum("kji,kj->ki", axes, each) for each in (wanted, sensed)]
-    start = _nearest_turn(*in_base, proper=True)
-    found, total, _ = _searched(sums, groups, SIZES, turn, start)
+    start = nearest_turn(*in_base, proper=True)
+    found, total, _ = searched(sums, groups, SIZES, turn, start)
     if rests and "bias" in found:
         # At rest an axis that is tilted shows the same.
         found["bias"] = replace(found["bias"], rivals=(*found["bias"].rivals, "axes"))
@@ -255,96 +225,5 @@ def _scales(groups: Mapping[str, tuple[int, ...]]) -> Array:
     return np.array([_MOST[name] for name in order for _ in groups[name]])
 
 
-def _searched(
-    sums: Callable[[Array], BlockSums],
-    groups: Mapping[str, tuple[int, ...]],
-    sizes: Mapping[str, float],
-    reference: Array,
-    start: Array,
-) -> tuple[dict[str, Found], Array, float]:
-    """Return what is wrong, one after another, the sensor's turn, and what is left.
-
-    What explains most comes first: one mistake leaks into all others until it is known.
-    """
-    turn, now = reference, sums(reference)
-    rivals: dict[str, tuple[str, ...]] = {}
-
-    def fit(names: Iterable[str], own: BlockSums) -> BlockFit:
-        return own.fit([i for name in ("late", *names) for i in groups[name]])
-
-    while True:
-        before = fit(rivals, now).left
-        drops = {}
-        for name in _ORDER_OF_BLAME:
-            if name in groups and name not in rivals:
-                tried = fit((*rivals, name), now)
-                if sure_part(*tried.of(groups[name]), sizes[name]) is not None:
-                    drops[name] = before**2 - tried.left**2
-        if not drops:
-            break
-        likely = [name for name in drops if drops[name] >= _RIVAL * max(drops.values())]
-        rivals[likely[0]] = tuple(likely[1:])
-        if "axes" in rivals:
-            # Anew with whatever came later: all of them are found together.
-            first = likely[0] == "axes"
-            starts = (reference, start) if first else (turn, turn)
-            turn, now = _turned(sums, groups, tuple(rivals), starts)
-    last = fit(rivals, now)
-    found = {}
-    for name, others in rivals.items():
-        value, covariance = last.of(groups[name])
-        if name == "axes":
-            value = value + rotation_vector(turn @ reference.T)
-        sure = sure_part(value, covariance, sizes[name])
-        if sure is not None:
-            found[name] = Found(value=sure[0], error=sure[1], rivals=others)
-    return found, turn if "axes" in found else reference, last.left
-
-
-def _turned(
-    sums: Callable[[Array], BlockSums],
-    groups: Mapping[str, tuple[int, ...]],
-    chosen: tuple[str, ...],
-    starts: tuple[Array, ...],
-) -> tuple[Array, BlockSums]:
-    """Return the turn that fits best, linearized anew until it stays."""
-    columns = [i for name in ("late", *chosen) for i in groups[name]]
-    ends = []
-    for turn in starts:
-        for _ in range(_ROUNDS):
-            own = sums(turn)
-            turn = rotation(own.fit(columns).of(groups["axes"])[0]) @ turn
-        own = sums(turn)
-        ends.append((own.fit(columns).left, turn, own))
-    # Where few axes turn, others fit as well that are far from what was stated.
-    near, far = ends
-    return far[1:] if far[0] < _CLEARLY * near[0] else near[1:]
-
-
-def _nearest_turn(wanted: Array, given: Array, *, proper: bool) -> Array:
-    """Return the orthogonal matrix that turns vectors (K, 3) best into others [schonemann1966]_.
-
-    Of determinant 1 where it shall be `proper`: a rotation.
-    """
-    left, _, right = np.linalg.svd(wanted.T @ given)
-    if proper and np.linalg.det(left @ right) < 0.0:
-        left[:, 2] *= -1.0
-    return np.asarray(left @ right)
-
-
 def _rms(values: Array) -> float:
     return float(np.sqrt(np.mean(values**2)))
-
-
-def rotation(vector: Array) -> Array:
-    """Return the matrix of a rotation vector."""
-    from scipy.spatial.transform import Rotation
-
-    return np.asarray(Rotation.from_rotvec(vector).as_matrix())
-
-
-def rotation_vector(matrix: Array) -> Array:
-    """Return the rotation vector of a matrix."""
-    from scipy.spatial.transform import Rotation
-
-    return np.asarray(Rotation.from_matrix(matrix).as_rotvec())
