@@ -7,12 +7,13 @@ from __future__ import annotations
 
 import functools
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 
 from sdpid._common.arrays import Array, Indices
+from sdpid.estimation.compression.branches import Branches
 from sdpid.robot.model.regressor_kernel import compiled_loop
 
 
@@ -22,9 +23,9 @@ def independent_rows(
     scale: Array,
     which: Indices,
     rows: Array,
+    branches: Branches,
+    *,
     doubtful: float,
-    branch: Indices,
-    columns: Sequence[Indices],
 ) -> tuple[Array, list[Array], Any] | None:
     """Return what rows say beside unknown forces, None without Numba.
 
@@ -40,12 +41,10 @@ def independent_rows(
         The pattern of each sample.
     rows : ndarray, shape (k, n, c)
         The rows.
+    branches : Branches
+        Which rows are of which branch.
     doubtful : float
         A triangle's diagonal entry below this, columns of unit length, makes a sample doubtful.
-    branch : ndarray of int, shape (n,)
-        The branch of each row, -1 for none.
-    columns : sequence of ndarray of int
-        Of each branch, the columns where its rows are not zero.
 
     Returns
     -------
@@ -60,6 +59,8 @@ def independent_rows(
     if reduce is None:
         return None
     count, n, width = rows.shape
+    columns = branches.columns
+    branch = branches.of_row if columns else np.full(n, -1)
     out = np.empty((int(np.maximum(n - np.count_nonzero(active, axis=1), 0).sum()), width))
     good = np.ones(count, dtype=np.bool_)
     widths = np.array([len(own) for own in columns], dtype=np.intp)

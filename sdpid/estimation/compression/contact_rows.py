@@ -177,11 +177,10 @@ class ContactRows:
         every = np.arange(len(index))
         scale = np.diagonal(powers, axis1=1, axis2=2)
         if self.compiled and np.count_nonzero(powers) == np.count_nonzero(scale):
-            of_row = branches.of_row if branches.columns else np.full(rows.shape[1], -1)
+            directions = np.swapaxes(self.directions, 1, 2)
             quick = independent_rows(
-                np.swapaxes(self.directions, 1, 2), self.active, scale, index, rows, _SUSPICIOUS,
-                of_row, branches.columns,
-            )  # fmt: skip
+                directions, self.active, scale, index, rows, branches, doubtful=_SUSPICIOUS
+            )
             if quick is not None:
                 dense, apart, good = quick
                 found.append(dense)
