@@ -11,14 +11,14 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import example, given
 
 import sdpid
 from sdpid._common.arrays import Array, Mask
 from sdpid.assurance.certificate.compression import enclose_compression, prove_compression
 from sdpid.assurance.certificate.contact_record import contact_record
 from sdpid.errors import CertificateError
-from sdpid.estimation.compression.contact_rows import ContactRows
+from sdpid.estimation.compression.contact_rows import RANK, ContactRows
 from sdpid.estimation.compression.covariance import Weighting
 from sdpid.estimation.compression.triangle import Triangle
 from sdpid.estimation.compression.whitening import weights
@@ -33,9 +33,37 @@ from tests.assurance.certificate.test_compression import (
     holds,
     mirrored,
     solve,
+    times,
 )
 from tests.helpers.data import random_covariance
 from tests.helpers.legged import FEET, NOISE, RADIUS, gait, quadruped
+
+
+def independent(A: Array, covariance: Array) -> Array:
+    """Return as many columns of A (n, m) as count, those furthest from the others' span first.
+
+    Their number is that of singular values above `RANK` of the strongest, columns whitened and
+    scaled to unit length; the choice is that of a pivoted factor of the Gram matrix, exactly.
+    """
+    if not A.size:
+        return A
+    white = np.linalg.solve(np.linalg.cholesky(covariance), A)
+    size = np.linalg.svd(white / np.sqrt(np.sum(white**2, axis=0)), compute_uv=False)
+    rank = int(np.count_nonzero(size > RANK * size[0]))
+    if rank == A.shape[1]:
+        return A
+    columns = fractions(A.T)
+    weighted = [solve(fractions(covariance), column) for column in columns]
+    gram = [times(columns, column) for column in weighted]
+    length = [gram[j][j] for j in range(len(gram))]
+    kept: list[int] = []
+    for _ in range(rank):
+        j = max(set(range(len(gram))) - set(kept), key=lambda i: gram[i][i] / length[i])
+        kept.append(j)
+        gram = [
+            [x - row[j] * y / gram[j][j] for x, y in zip(row, gram[j], strict=True)] for row in gram
+        ]
+    return A[:, sorted(kept)]
 
 
 @dataclass(frozen=True)
@@ -52,15 +80,18 @@ class TouchingRows(GivenRows):
         return [function(self, sigma, *arguments)]
 
     def cost(self, sigma: Array, weighting: Weighting, base: Array) -> Fraction:
-        """Return the least cost over all forces: ``[C A; A^T 0]·(x, f) = (r, 0)`` and r·x."""
+        """Return the least cost over all forces: ``[C A; A^T 0]·(x, f) = (r, 0)`` and r·x.
+
+        Of directions that all but repeat each other as many count as theory's rule says.
+        """
         z = [*fractions(base), Fraction(-1)]
         total = Fraction(0)
         for k, (block, used) in enumerate(zip(self.block, self.used, strict=True)):
             own = fractions(block[used])
             r = [sum((a * b for a, b in zip(row, z, strict=True)), Fraction(0)) for row in own]
-            A = fractions(self.directions[k][used][:, self.active[k]])
-            C = fractions((sigma if sigma.ndim == 2 else sigma[k])[np.ix_(used, used)])
-            m = int(np.count_nonzero(self.active[k]))
+            covariance = (sigma if sigma.ndim == 2 else sigma[k])[np.ix_(used, used)]
+            directions = independent(self.directions[k][used][:, self.active[k]], covariance)
+            A, C, m = fractions(directions), fractions(covariance), directions.shape[1]
             if not r or m >= len(r):
                 continue
             upper = [[*c, *a] for c, a in zip(C, A, strict=True)]
@@ -78,6 +109,8 @@ class TouchingRows(GivenRows):
         return triangle.split()
 
 
+# Once whitened, two directions of a sample repeat each other to 5e-9: the rows lose one of them.
+@example(seed=273)
 @given(seed=SEEDS)
 def test_no_point_of_the_box_leaves_the_enclosure(seed: int) -> None:
     """Whatever A, rhs and floor are: those of the rows, or spoiled in any digit."""
