@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import Any
+from numbers import Real
+from typing import Any, TypeGuard
 
 import numpy as np
 from numpy.typing import NDArray
@@ -83,10 +84,14 @@ def real_array(
     return array
 
 
+def is_number(value: object) -> TypeGuard[float]:
+    """Whether a value is a real number, of any type but bool."""
+    return isinstance(value, Real) and not isinstance(value, bool | np.bool_)
+
+
 def require_probability(value: Any, what: str) -> None:
     """Raise DataError when a value is not a number between 0 and 1, ends excluded."""
-    real = isinstance(value, int | float | np.floating) and not isinstance(value, bool)
-    if not real or not 0.0 < value < 1.0:
+    if not is_number(value) or not 0.0 < value < 1.0:
         raise DataError(f"{what} is {value!r:.80}; give a probability between 0 and 1.")
 
 

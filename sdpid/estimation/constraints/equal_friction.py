@@ -9,9 +9,10 @@ from dataclasses import KW_ONLY, dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from sdpid._common.arrays import Array, frozen
+from sdpid._common.arrays import Array, frozen, is_number
 from sdpid.errors import DataError, ModelError
 from sdpid.estimation.constraints.condition import Condition, Layout, Row
+from sdpid.estimation.constraints.equalities import unit_normal
 from sdpid.estimation.constraints.mirrored_links import check_places, pairs_of_names
 from sdpid.robot.model.geometry import link_placements, neutral
 from sdpid.robot.model.model import RobotModel
@@ -63,9 +64,10 @@ class EqualFriction(Condition):
         what = f"EqualFriction of '{self.first}' and '{self.second}'"
         if self.first == self.second:
             raise DataError(f"{what}: name two joints.")
-        if not 0.0 <= self.within < 2.0:
+        if not (is_number(self.within) and 0.0 <= self.within < 2.0):
             raise DataError(
-                f"{what}: within is {self.within}; give a share of the mean from 0 to less than 2."
+                f"{what}: within is {self.within!r}; give a share of the mean from 0 to less than "
+                "2."
             )
 
     def compile(self, layout: Layout) -> Iterator[Row]:
@@ -123,7 +125,8 @@ def equal_friction(
     Raises
     ------
     DataError
-        When no names differ by a side, or the share is none.
+        When no names differ by a side, pairs are none or given twice, the normal is no direction,
+        or the share is none.
     ModelError
         When a joint is unknown, or joints of a pair do not lie as mirror images of each other.
 
@@ -141,8 +144,7 @@ def equal_friction(
     first = int(robot.free_flyer)
     links = {joint: robot.link_names[first + j] for j, joint in enumerate(joints)}
     placements = link_placements(robot, position)
-    plane = np.asarray(normal, dtype=np.float64)
-    plane = plane / np.linalg.norm(plane)
+    plane = unit_normal(normal, "equal_friction")
     mirror = np.eye(3) - 2.0 * np.outer(plane, plane)
     out = []
     for one, two in found:

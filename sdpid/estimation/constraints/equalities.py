@@ -166,7 +166,7 @@ class MirrorSymmetry(Condition):
 
     def __post_init__(self) -> None:
         what = f"MirrorSymmetry of '{self.link}'"
-        object.__setattr__(self, "normal", _normal(self.normal, what))
+        object.__setattr__(self, "normal", unit_normal(self.normal, what))
         object.__setattr__(self, "point", vector(self.point, f"{what}: point"))
 
     def compile(self, layout: Layout) -> Iterator[Row]:
@@ -245,7 +245,7 @@ class MirrorPair(Condition):
                 )
             object.__setattr__(self, "reflection", _reflection(self.reflection, what))
             return
-        object.__setattr__(self, "normal", _normal(self.normal, what))
+        object.__setattr__(self, "normal", unit_normal(self.normal, what))
         if self.position is not None:
             position = frozen(real_array(self.position, f"{what}: position", ndim=1))
             object.__setattr__(self, "position", position)
@@ -269,6 +269,23 @@ class MirrorPair(Condition):
         yield from _pair(layout, self.first, self.second, image, "mirror image of")
 
 
+def unit_normal(values: ArrayLike | None, what: str) -> Array:
+    """Return the normal of a plane (3,), of unit length.
+
+    Raises
+    ------
+    DataError
+        When it has another shape, is zero, or a value is not finite.
+    """
+    normal = vector(() if values is None else values, f"{what}: normal")
+    largest = float(np.abs(normal).max())
+    if largest == 0.0:
+        raise DataError(f"{what}: normal is zero; give the direction across the plane.")
+    # Squares of very small and very large numbers are zero and infinite.
+    direction = normal / largest
+    return frozen(direction / np.linalg.norm(direction))
+
+
 def _unit(k: int, size: int = 10) -> Array:
     return np.asarray(np.eye(size)[k])
 
@@ -276,14 +293,6 @@ def _unit(k: int, size: int = 10) -> Array:
 def _require_two(kind: str, first: str, second: str, remedy: str) -> None:
     if first == second:
         raise DataError(f"{kind}: '{first}' is named twice; {remedy}.")
-
-
-def _normal(values: ArrayLike | None, what: str) -> Array:
-    normal = vector(() if values is None else values, f"{what}: normal")
-    length = float(np.linalg.norm(normal))
-    if not length > 0.0:
-        raise DataError(f"{what}: normal is zero; give the direction across the plane.")
-    return frozen(normal / length)
 
 
 def _reflection(values: ArrayLike, what: str) -> Array:

@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 
 from sdpid._common.arrays import Array
 from sdpid.errors import DataError, ModelError
-from sdpid.estimation.constraints.equalities import MirrorPair
+from sdpid.estimation.constraints.equalities import MirrorPair, unit_normal
 from sdpid.robot.model.geometry import link_placements
 from sdpid.robot.model.model import RobotModel
 
@@ -54,7 +54,8 @@ def mirror_pairs(
     Raises
     ------
     DataError
-        When no names differ by a side.
+        When no names differ by a side, pairs are none or given twice, or the normal is no
+        direction.
     ModelError
         When joints of a pair do not lie as mirror images of each other.
 
@@ -67,8 +68,7 @@ def mirror_pairs(
     >>> limits = sdpid.Constraints.of_size(floating, others=legs)
     """
     found = pairs_of_names("mirror_pairs", robot.name, "link", robot.link_names, pairs)
-    plane = np.asarray(normal, dtype=np.float64)
-    plane = plane / np.linalg.norm(plane)
+    plane = unit_normal(normal, "mirror_pairs")
     placements = link_placements(robot, None if position is None else np.asarray(position))
     for first, second in found:
         check_places("mirror_pairs", robot, placements, plane, first, second)
@@ -98,7 +98,7 @@ def pairs_of_names(
     Raises
     ------
     DataError
-        When no names differ by a side.
+        When no names differ by a side, or what is given are no pairs, none, or one twice.
     ModelError
         When a name is unknown.
     """
@@ -110,13 +110,36 @@ def pairs_of_names(
                 "a side, such as left and right or FL and FR; give pairs=[(left, right)]."
             )
         return found
-    given = tuple((str(first), str(second)) for first, second in pairs)
+    given = tuple(_pairs(asked, kind, pairs))
     unknown = [name for pair in given for name in pair if name not in names]
     if unknown:
         raise ModelError(
             f"{asked}: '{robot}' has no {kind} {', '.join(unknown)}; it has {', '.join(names)}."
         )
     return given
+
+
+def _pairs(asked: str, kind: str, pairs: object) -> Iterator[tuple[str, str]]:
+    """Yield pairs of different names, each once, whichever comes first in it."""
+    remedy = f"give pairs=[(left, right), ...] with names of {kind}s, or leave it out"
+    if isinstance(pairs, str) or not isinstance(pairs, Iterable):
+        raise DataError(f"{asked}: pairs is {pairs!r:.80}; {remedy}.")
+    seen: set[frozenset[str]] = set()
+    for pair in pairs:
+        names = tuple(pair) if isinstance(pair, Iterable) and not isinstance(pair, str) else ()
+        if len(names) != 2 or not all(isinstance(name, str) for name in names):
+            raise DataError(f"{asked}: pairs holds {pair!r:.80}; {remedy}.")
+        if names[0] == names[1]:
+            raise DataError(f"{asked}: pairs holds '{names[0]}' twice in a pair; {remedy}.")
+        if frozenset(names) in seen:
+            raise DataError(
+                f"{asked}: the pair of '{names[0]}' and '{names[1]}' is given twice; give each "
+                "pair once."
+            )
+        seen.add(frozenset(names))
+        yield names[0], names[1]
+    if not seen:
+        raise DataError(f"{asked}: pairs is empty; {remedy}.")
 
 
 def _by_names(names: Sequence[str]) -> Iterator[tuple[str, str]]:

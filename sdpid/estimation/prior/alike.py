@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Hashable, Iterable, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from typing import Any
 
 import numpy as np
@@ -25,18 +25,30 @@ def pairs_of(given: object) -> tuple[MirrorPair, ...]:
     Raises
     ------
     DataError
-        For anything else.
+        For anything else, and for pairs that are given twice.
     """
     pairs = (given,) if isinstance(given, MirrorPair) or not isinstance(given, Iterable) else given
-    found = []
+    found: list[MirrorPair] = []
     for each in pairs:
         if not isinstance(each, MirrorPair):
             raise DataError(
                 f"Prior: alike holds {each!r:.80}; give MirrorPair objects, such as "
                 "sdpid.constraints.mirror_pairs(robot)."
             )
+        if any(_same(each, other) for other in found):
+            raise DataError(
+                f"Prior: alike holds '{each.first}' and '{each.second}' twice; give each pair once."
+            )
         found.append(each)
     return tuple(found)
+
+
+def _same(one: MirrorPair, other: MirrorPair) -> bool:
+    """Whether two pairs say the same: of a plane's mirror either link may come first."""
+    turned = (
+        other if other.normal is None else replace(other, first=other.second, second=other.first)
+    )
+    return key_of_pairs([one]) in (key_of_pairs([other]), key_of_pairs([turned]))
 
 
 def key_of_pairs(pairs: Sequence[MirrorPair]) -> Hashable:

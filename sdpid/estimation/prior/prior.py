@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from numbers import Real
 from typing import Literal, get_args
 
 import numpy as np
 
-from sdpid._common.arrays import Array, Indices, frozen, real_array
+from sdpid._common.arrays import Array, Indices, frozen, is_number, real_array
 from sdpid._common.tables import Settings
 from sdpid.errors import DataError
 from sdpid.estimation.compression.rows import CHUNK, Rows, RowSource
@@ -124,10 +123,9 @@ class Prior(Settings):
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "alike", pairs_of(self.alike))
-        within: object = self.within
-        if not (isinstance(within, Real) and 0.0 < float(within) < np.inf):
+        if not (is_number(self.within) and 0.0 < self.within < np.inf):
             raise DataError(
-                f"Prior: within is {self.within}; give a positive share. Links that are mirror "
+                f"Prior: within is {self.within!r}; give a positive share. Links that are mirror "
                 "images exactly go among the constraints: Constraints(others=...)."
             )
         if self.bodies is not None:
@@ -142,10 +140,9 @@ class Prior(Settings):
             raise DataError(f"Prior: kind is {self.kind!r}: use one of {get_args(PriorKind)}.")
         if self.strength == "evidence":
             return
-        given: object = self.strength
-        if not (isinstance(given, Real) and 0.0 < float(given) < np.inf):
+        if not (is_number(self.strength) and 0.0 < self.strength < np.inf):
             raise DataError(
-                f"Prior: strength is {self.strength}; give a positive number of nats, or "
+                f"Prior: strength is {self.strength!r}; give a positive number of nats, or "
                 "'evidence'."
             )
 

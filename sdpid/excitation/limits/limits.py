@@ -10,11 +10,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from sdpid._common.arrays import is_number
 from sdpid._common.tables import Settings, plain
 from sdpid._common.toml import load_toml
 from sdpid.errors import DataError
 from sdpid.excitation.limits.joint_limits import JointLimits
-from sdpid.excitation.limits.narrowing import KINDS, OTHERS, Values, is_number, narrow
+from sdpid.excitation.limits.narrowing import KINDS, OTHERS, Values, narrow
 from sdpid.robot.model.model import RobotModel
 
 
@@ -226,7 +227,7 @@ def _entries(values: Values) -> Iterable[tuple[str, object]]:
 
 def _check_number(kind: str, where: str, value: object) -> None:
     """Raise `DataError` unless a value can be a limit of its kind."""
-    number = float(value) if is_number(value) else np.nan  # type: ignore[arg-type]
+    number = float(value) if is_number(value) else np.nan
     if np.isnan(number):
         raise DataError(f"limits: {kind} of {where} is {value!r}; give a number.")
     if kind not in ("lower", "upper") and number <= 0.0:

@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from numbers import Real
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from sdpid._common.arrays import Array, Mask, real_array
+from sdpid._common.arrays import Array, Mask, is_number, real_array
 from sdpid.errors import DataError
 from sdpid.excitation.limits.joint_limits import (
     ASSUMED,
@@ -281,7 +280,7 @@ class _Narrowing:
                 )
             each = [values.get(name, values.get(OTHERS)) for name in self.names]
         else:
-            each = [values] * self.n if is_number(values) else list(values)  # type: ignore[list-item, arg-type]
+            each = [values] * self.n if is_number(values) else list(values)  # type: ignore[arg-type]
         if len(each) != self.n:
             raise DataError(
                 f"limits: {kind} has {len(each)} values, '{self.robot.name}' has {self.n} "
@@ -366,8 +365,3 @@ def _usual_rest(lower: Array, upper: Array) -> Array:
 def _positive(values: Array) -> Array:
     """Return limits with NaN in place of those that are none: infinity, or zero."""
     return np.where(np.isfinite(values) & (values > 0.0), values, np.nan)
-
-
-def is_number(value: object) -> bool:
-    """Return whether a value is a real number, and no truth value."""
-    return isinstance(value, Real) and not isinstance(value, bool)

@@ -70,6 +70,10 @@ def test_refused() -> None:
         equal_friction(sdpid.load_robot("ur5_robot"))
     with pytest.raises(DataError, match="within is 2; give a share"):
         EqualFriction("a", "b", within=2)
+    with pytest.raises(DataError, match="within is True; give a share"):
+        EqualFriction("a", "b", within=True)
+    with pytest.raises(DataError, match="within is nan; give a share"):
+        EqualFriction("a", "b", within=np.nan)
     with pytest.raises(DataError, match="name two joints"):
         EqualFriction("a", "a")
     with pytest.raises(ModelError, match="has no joint 'a'"):

@@ -79,6 +79,13 @@ def test_what_a_prior_says_and_refuses() -> None:
     )
     with pytest.raises(DataError, match=r"within is 0\.0; give a positive share"):
         sdpid.Prior(alike=PAIR, within=0.0)
+    with pytest.raises(DataError, match="within is True; give a positive share"):
+        sdpid.Prior(alike=pairs, within=True)
+    with pytest.raises(DataError, match="alike holds 'link_1' and 'link_2' twice"):
+        sdpid.Prior(alike=(PAIR, PAIR))
+    planes = [MirrorPair(*names, normal=(0, 1, 0)) for names in (("a", "b"), ("b", "a"))]
+    with pytest.raises(DataError, match="alike holds 'b' and 'a' twice"):
+        sdpid.Prior(alike=planes)  # type: ignore[arg-type]
     with pytest.raises(DataError, match="alike holds 'link_1'"):
         sdpid.Prior(alike=("link_1",))  # type: ignore[arg-type]
     other = MirrorPair(FIRST, "tail", reflection=REFLECTION)

@@ -206,7 +206,7 @@ def test_a_description_without_masses_is_no_prior():
     robot = robot_of(bodies_of(0))
     with pytest.raises(DataError, match="no link a mass"):
         prior_terms(Prior(bodies=np.zeros((2, 10))), rows_of(robot))
-    for strength in (0.0, -1.0, np.inf, np.nan, "often"):
+    for strength in (0.0, -1.0, np.inf, np.nan, "often", True):
         with pytest.raises(DataError, match="strength"):
             Prior(strength=strength)
     with pytest.raises(DataError, match="kind"):
