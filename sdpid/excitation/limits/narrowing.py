@@ -53,6 +53,11 @@ _UNBOUNDED = 1e3
 _DEGREES = {"lower": 4.0 * np.pi, "upper": 4.0 * np.pi, "velocity": 50.0}
 _MILLIMETERS = {"lower": 20.0, "upper": 20.0, "velocity": 20.0}
 
+# Described limits of turning joints beyond these limit nothing: in example-robot-data real ones
+# come to 52 rad/s, two turns, and 17 times the torque that holds the whole robot at its reach (a
+# hand); numbers that stand for none begin at 100 rad/s, three turns and 77 times.
+_FASTEST, _WIDEST, _STRONGEST = 20.0 * np.pi, 6.0 * np.pi, 40.0
+
 # Limits are the same where they differ by less than this share: files round them.
 _SAME = 1e-3
 
@@ -149,6 +154,7 @@ class _Narrowing:
         )
         torque = self._merged("torque", self.share * torques, torques)
         self._tell(np.isnan(torque), "no torque limits; they are not checked")
+        self._tell_empty(upper - lower, velocity, torque)
         if self.share < 1.0 and any(DESCRIBED in each for each in self.sources.values()):
             self.told.append(
                 f"of the description's position ranges, speeds and torques {100 * self.share:g} % "
@@ -320,6 +326,27 @@ class _Narrowing:
         else:
             for joints, amount in zip((~self.sliding, self.sliding), amounts, strict=True):
                 self._tell(where & joints, f"no {kind} limits; {words.format(amount)}")
+
+    def _tell_empty(self, width: Array, velocity: Array, torque: Array) -> None:
+        """Tell which limits of the description are so wide that they limit nothing."""
+        robot, mass = self.robot, self.robot.prior[:, 0]
+        own = np.linalg.norm(robot.prior[:, 1:4], axis=1)
+        length = robot.reach + np.max(own / np.where(mass > 0.0, mass, np.inf), initial=0.0)
+        holding = float(mass.sum() * np.linalg.norm(robot.gravity) * length)
+        most = _STRONGEST * holding if holding > 0.0 else np.inf
+        for kinds, what, size, limit, unit in (
+            (("lower", "upper"), "ranges of positions", width, _WIDEST, "rad"),
+            (("velocity",), "velocity limits", velocity, _FASTEST, "rad/s"),
+            (("torque",), "torque limits", torque, most, "N·m"),
+        ):
+            described = np.all(np.array([self.sources[k] for k in kinds]) == DESCRIBED, axis=0)
+            # Infinity is told as none.
+            beyond = np.isfinite(size) & (size > limit) & ~self.sliding
+            self._tell(
+                described & beyond,
+                f"{what} in the description that limit nothing (more than {limit:.3g} {unit}); "
+                "give the real ones",
+            )
 
     def _tell(self, where: Mask, words: str) -> None:
         """Add a sentence about the joints for which something holds."""

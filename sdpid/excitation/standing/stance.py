@@ -249,7 +249,20 @@ class Stance:
 
     @cached_property
     def _standing_determinants(self) -> Array:
-        return np.asarray(np.linalg.det(self._own(self.at_contacts(self.standing.jacobians)))[0])
+        return np.asarray(np.linalg.det(self._standing_jacobians))
+
+    @property
+    def _standing_jacobians(self) -> Array:
+        return np.asarray(self._own(self.at_contacts(self.standing.jacobians))[0])
+
+    @property
+    def bent(self) -> Array:
+        """How far each leg is from straight when standing, (c,), from 0 to 1.
+
+        The size of its determinant, as a share of the product of its columns' lengths.
+        """
+        lengths = np.linalg.norm(self._standing_jacobians, axis=1)
+        return np.asarray(np.abs(self._standing_determinants) / np.prod(lengths, axis=1))
 
     def states(self, poses: Poses, rate: Array, second: Array) -> States:
         """Return states from the coordinates' first and second derivatives, (K, m) each."""

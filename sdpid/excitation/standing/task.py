@@ -44,6 +44,9 @@ _ACCELERATION, _RISE = 0.4, 0.1
 _FREE = 0.5
 # The longest motion that is searched, s.
 _LONGEST = 60.0
+# Legs that are bent as usual have determinants of 0.03 (six joints) to 0.65 (three) times the
+# product of their columns' lengths; less than this is a knee that is bent by a degree or less.
+_STRAIGHT = 1e-3
 # Random motions from which usual efforts are taken.
 _USUAL = 5
 # Standard deviation of the base's rows, as a share of the weight: `estimation` has as much.
@@ -131,6 +134,7 @@ class StandingTask:
                 f"feet, {legs.height:.3g} m."
             )
         stance = Stance(legs)
+        _require_bent(stance)
         bodies, assumed = nominal_bodies(robot)
         joints = _joints(robot, limits, legs.standing)
         held = Held(stance=stance, joints=joints, bodies=bodies, grip=grip, load=0.0)
@@ -200,6 +204,18 @@ def _joints(robot: RobotModel, limits: Limits | None, standing: Array) -> JointL
     if np.isfinite(found.torque).any():
         kept.append(told)
     return replace(found, torque=(1.0 - _RESERVE) * found.torque, assumed=tuple(kept))
+
+
+def _require_bent(stance: Stance) -> None:
+    """Refuse a stance on straight legs, along which no joint moves the base."""
+    bent = stance.bent
+    if bent.min() < _STRAIGHT:
+        raise DataError(
+            f"excitation of '{stance.robot.name}': standing, the leg of "
+            f"'{stance.legs.frames[int(bent.argmin())]}' is straight: its Jacobian's determinant "
+            f"is {bent.min():.2g} of the product of its columns' lengths, at least {_STRAIGHT:g} "
+            "is needed; bend its knee (standing=)."
+        )
 
 
 def _require_stance(held: Held) -> None:

@@ -71,17 +71,17 @@ def find_legs(
             f"legs: '{robot.name}' is on a fixed base; load it with "
             'load_robot(..., root="free_flyer").'
         )
-    if robot.expansion.shape != (robot.n, robot.n):
-        raise ModelError(
-            f"legs of '{robot.name}': joints that mimic others are not supported; make "
-            "them fixed or free in the description."
-        )
     if feet is None:
         feet = _named(robot, _SOLE) or _named(robot, _FOOT)
     if not feet:
         raise ModelError(
             f"legs: '{robot.name}' has no link with '{_FOOT}' or '{_SOLE}' in its name: "
-            "it is no robot on legs, or its feet are called otherwise (find_legs(robot, feet=...))."
+            "it is no robot on legs, or its feet are called otherwise (feet=)."
+        )
+    if robot.expansion.shape != (robot.n, robot.n):
+        raise ModelError(
+            f"legs of '{robot.name}': joints that mimic others are not supported; make "
+            "them fixed or free in the description."
         )
     chains: list[list[int]] = []
     for name in feet:
@@ -106,6 +106,12 @@ def find_legs(
         if angles.shape != (robot.n - 6,):
             raise DataError(
                 f"standing: shape {angles.shape}, expected {(robot.n - 6,)}: one angle a joint."
+            )
+        if not np.isfinite(angles).all():
+            j = int(np.argmin(np.isfinite(angles)))
+            raise DataError(
+                f"standing: the angle of '{robot.joint_names[6 + j]}' is {angles[j]}; give finite "
+                "ones, in rad."
             )
     names = tuple(feet)
     if len(chains[0]) == 3:

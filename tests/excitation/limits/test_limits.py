@@ -57,6 +57,24 @@ def test_description_holds_where_nothing_is_given() -> None:
     assert not found.lower.flags.writeable
 
 
+def test_described_limits_that_limit_nothing_are_told() -> None:
+    wide = 'lower="-10" upper="10" velocity="1000" effort="1e5"'
+    found = Limits().of(arm(*TWO, limit=f"<limit {wide}/>"))
+    told = [text for text in found.assumed if "limit nothing" in text]
+    assert [text.split(" in the")[0] for text in told] == [
+        "all joints have ranges of positions",
+        "all joints have velocity limits",
+        "all joints have torque limits",
+    ]
+    assert "(more than 62.8 rad/s); give the real ones." in told[1]
+    real = Limits(lower=-1.0, upper=1.0, velocity={"a": 2.0}, torque=50.0)
+    one = real.of(arm(*TWO, limit=f"<limit {wide}/>")).assumed
+    assert [text for text in one if "limit nothing" in text] == [
+        "b has velocity limits in the description that limit nothing (more than 62.8 rad/s); give "
+        "the real ones."
+    ]
+
+
 def test_share_of_the_description_is_told() -> None:
     found = Limits().of(arm(*TWO), share=0.9)
     np.testing.assert_allclose(found.lower, -0.5 - 0.9 * 1.5)

@@ -81,6 +81,8 @@ def test_the_same_design_is_found_again_beside_an_earlier_one() -> None:
         ({"load": 0.99}, "load: is 0.99; give more than 0 and at most 0.9"),
         ({"starts": 0}, "starts: is 0"),
         ({"steps": 0}, "steps: is 0; give at least 1"),
+        ({"standing": [np.nan] * 12}, "standing: the angle of 'FL_HAA' is nan; give finite ones"),
+        ({"standing": [0.0] * 12}, "the leg of 'FL_FOOT' is straight: .* bend its knee"),
         (
             {"limits": sdpid.Limits(torque=0.1)},
             "standing still, torque of .* is .* N.m, the limit is",
@@ -95,6 +97,16 @@ def test_bad_input_is_told_before_the_search(arguments: dict[str, Any], message:
 def test_robots_without_legs_are_refused() -> None:
     with pytest.raises(ModelError, match="has no link with 'foot' or 'sole'"):
         sdpid.design_standing("ur10_robot")
+    # Its fingers mimic each other, which is not what is wrong.
+    with pytest.raises(ModelError, match=r"has no link with 'foot' or 'sole'.*no robot on legs"):
+        sdpid.design_standing("panda")
+
+
+def test_limits_that_limit_nothing_are_told() -> None:
+    plan = sdpid.design_standing("solo12", duration=2.0, steps=2, progress=False)
+    told = [note for note in plan.notes if "limit nothing" in note]
+    assert len(told) == 3
+    assert told[1].startswith("all joints have velocity limits in the description")
 
 
 def test_motions_of_other_robots_are_refused() -> None:
