@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+import math
 from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
@@ -65,13 +66,23 @@ def errors_table(fits: dict[str, Validation]) -> str:
 
     first = next(iter(fits.values()))
     header = ["joint"]
-    base = () if first.floating is None else tuple(name for name, _ in first.floating.rows)
+    # A base that is held in one recording may move in another.
+    free = next((fit.floating for fit in fits.values() if fit.floating is not None), None)
+    base = () if free is None else tuple(name for name, _ in free.rows)
     columns: list[list[Any]] = [[*first.joint_names[first.n_base :], *base]]
     for label, fit in fits.items():
         header += [f"{label} RMSE [N.m]", "NRMSE [%]"]
-        missed = [] if fit.floating is None else [size for _, size in fit.floating.rows]
+        missed: list[float | None] = [None] * len(base)
+        if fit.floating is not None:
+            missed = [size for _, size in fit.floating.rows]
         for values, more in ((fit.rmse, missed), (100.0 * fit.nrmse, [None] * len(base))):
             rows = zip(values.tolist(), fit.rows.tolist(), strict=True)
             columns.append([*[x if k else None for x, k in rows][fit.n_base :], *more])
     table = Table(tuple(header), tuple(zip(*columns, strict=True))).text(4)
-    return f"on the rows in use, without those masked near reversals and at rest:\n{table}"
+    silent = [
+        name
+        for j, name in enumerate(first.joint_names)
+        if any(math.isinf(fit.nrmse[j]) for fit in fits.values())
+    ]
+    note = f"\nno effort of which errors are a share: {', '.join(silent)}" if silent else ""
+    return f"on the rows in use, without those masked near reversals and at rest:\n{table}{note}"

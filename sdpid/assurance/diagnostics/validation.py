@@ -23,6 +23,7 @@ from sdpid.estimation.compression.whitening import with_contact_forces
 from sdpid.estimation.estimate import Estimate
 from sdpid.estimation.problem import Problem
 from sdpid.experiment.preparation.several import joints_without, without_efforts
+from sdpid.experiment.processing.contacts.held import base_held
 from sdpid.experiment.processing.samples import Samples
 from sdpid.robot.model.base_parameters import structural_base
 from sdpid.robot.model.dynamics import RobotDynamics
@@ -40,9 +41,10 @@ class Errors:
     rmse : ndarray, shape (n,)
         Root mean square error, N·m.
     nrmse : ndarray, shape (n,)
-        Root mean square error over root mean square effort.
+        Root mean square error over root mean square effort; infinite beside no effort at all, as
+        of a joint without a motor, and None or "no effort" where it is told.
     r2 : ndarray, shape (n,)
-        Share of the effort's variance that is explained.
+        Share of the effort's variance that is explained; minus infinity there.
     relative : float
         Norm of all errors over the norm of all efforts.
     rows : ndarray of int, shape (n,)
@@ -168,9 +170,10 @@ class Validation(Errors):
     rmse : ndarray, shape (n,)
         Root mean square error, N·m.
     nrmse : ndarray, shape (n,)
-        Root mean square error over root mean square effort.
+        Root mean square error over root mean square effort; infinite beside no effort at all, as
+        of a joint without a motor, and None or "no effort" where it is told.
     r2 : ndarray, shape (n,)
-        Share of the effort's variance that is explained.
+        Share of the effort's variance that is explained; minus infinity there.
     relative : float
         Norm of all errors over the norm of all efforts.
     rows : ndarray of int, shape (n,)
@@ -187,7 +190,8 @@ class Validation(Errors):
     floating : BaseErrors or None
         Of a floating base: forces and torques that the base's equations miss. Its six rows do not
         count among the joints'. Contact forces that were not measured are those that leave the
-        least error, so that errors are smaller than with forces that one knew.
+        least error, so that errors are smaller than with forces that one knew. Samples in which
+        the base is held by what measures nothing do not count; None where it always is.
 
     Examples
     --------
@@ -214,9 +218,14 @@ class Validation(Errors):
         band: Callable[[], Array] | None = None,
         *,
         n_base: int = 0,
+        held: Mask | None = None,
     ) -> Validation:
-        """Return the errors of predicted efforts (K, n) of samples, `n_base` of them the base's."""
+        """Return the errors of predicted efforts (K, n) of samples, `n_base` of them the base's.
+
+        Of the base, samples (K,) in which it is `held` do not count.
+        """
         moving, still = moving_rows(samples), resting_rows(samples)
+        free = samples.used if held is None else samples.used & ~held[:, None]
         effort, of = samples.effort, functools.partial(Errors.of, names, n_base=n_base)
         # Newtons and newton meters that no motor makes are no joint's errors.
         joints = np.arange(samples.n) >= n_base
@@ -225,7 +234,7 @@ class Validation(Errors):
             effort_predicted=frozen(predicted),
             moving=of(effort, predicted, moving),
             resting=of(effort, predicted, still) if (still & joints).any() else None,
-            floating=BaseErrors.of(effort, predicted, samples.used) if n_base else None,
+            floating=BaseErrors.of(effort, predicted, free) if n_base else None,
             n_base=n_base,
             _band=band,
             _samples=samples,
@@ -339,6 +348,7 @@ def validate(
         problem.predict(estimate.base, samples),
         band=functools.partial(effort_band, estimate, samples),
         n_base=problem.robot.n_base,
+        held=base_held(problem.robot, samples),
     )
 
 
@@ -390,7 +400,13 @@ def validate_dynamics(
         predicted = np.concatenate(
             [with_contact_forces(rows, part, sigma, predicted[part]) for part in rows.parts()]
         )
-    return Validation.of_prediction(robot.joint_names, samples, predicted, n_base=robot.n_base)
+    return Validation.of_prediction(
+        robot.joint_names,
+        samples,
+        predicted,
+        n_base=robot.n_base,
+        held=base_held(robot, samples),
+    )
 
 
 def _figures(effort: Array, predicted: Array, mask: Mask) -> dict[str, Any]:
@@ -402,6 +418,7 @@ def _figures(effort: Array, predicted: Array, mask: Mask) -> dict[str, Any]:
     square, power = (error**2).sum(axis=0), (effort**2).sum(axis=0)
     spread = power - effort.sum(axis=0) ** 2 / count
     tiny = np.finfo(float).tiny
+    rooted = np.sqrt(np.maximum(power, tiny))
     # An effort that is constant up to rounding has nothing to explain.
     varies = spread > count * np.finfo(float).eps * power
     unexplained = np.where(square > 0.0, np.inf, 0.0)
@@ -410,7 +427,9 @@ def _figures(effort: Array, predicted: Array, mask: Mask) -> dict[str, Any]:
         np.divide(square, spread, out=unexplained, where=varies)
     return {
         "rmse": frozen(np.sqrt(square / count)),
-        "nrmse": frozen(np.sqrt(square) / np.sqrt(np.maximum(power, tiny))),
+        "nrmse": frozen(
+            np.where((square > 0.0) & (power == 0.0), np.inf, np.sqrt(square) / rooted)
+        ),
         "r2": frozen(1.0 - unexplained),
         "relative": float(np.sqrt(square.sum()) / np.sqrt(max(power.sum(), tiny))),
         "rows": frozen_view(rows),

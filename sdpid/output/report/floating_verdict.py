@@ -16,9 +16,6 @@ from sdpid.output.report.judged import Judged, judged
 # 0.5 N of a quadruped of 2.5 kg.
 _FORCE = 0.02
 
-# Below this share it is rounding: the base was held all the time, which explains any force.
-_HELD = 1e-9
-
 # A number is told by the data where more than this share of its prior's uncertainty is gone.
 _TOLD = 0.5
 
@@ -45,8 +42,6 @@ def _base(result: Judged, theta: Array) -> Iterator[Finding]:
     if not weight > 0.0:
         return
     share = errors.force / weight
-    if share < _HELD:
-        return
     good = share <= _FORCE
     trust = "Trust it for" if good else "Do not rely on it for"
     yield Finding(

@@ -10,8 +10,11 @@ import pytest
 import sdpid
 from sdpid.assurance.diagnostics.described import described_dynamics
 from sdpid.assurance.diagnostics.validation import validate_dynamics, validate_robot
+from sdpid.cli.printing import errors_table
 from sdpid.errors import DataError
 from sdpid.experiment.preparation.for_robot import prepare
+from sdpid.experiment.processing.contacts.contact_samples import ContactSamples
+from sdpid.experiment.processing.contacts.held import base_held
 from tests.helpers import legged
 from tests.helpers.identified import arm_theta, identified, moved
 
@@ -28,6 +31,26 @@ def test_an_effort_that_is_all_but_zero(size: float) -> None:
     assert fit.nrmse[0] > 1e90
     assert fit.r2[0] == -np.inf or fit.r2[0] < -1e90
     assert np.isfinite([fit.nrmse[1], fit.r2[1], fit.relative]).all()
+
+
+def test_beside_no_effort_no_share_is_told() -> None:
+    samples = moved(arm_theta(), 1)
+    estimate = identified(samples).estimate
+    effort = np.array(samples.effort)
+    effort[:, 0] = 0.0
+    fit = sdpid.validate(estimate, replace(samples, effort=effort))
+    assert fit.nrmse[0] == np.inf
+    told = fit.to_dict()["joints"]
+    assert isinstance(told, dict)
+    assert told["joint_1"]["nrmse"] is None
+    assert told["joint_1"]["r2"] is None
+    assert told["joint_1"]["rmse"] > 0.0
+    printed = errors_table({"training": fit}).splitlines()
+    assert printed[-1] == "no effort of which errors are a share: joint_1"
+    assert next(line for line in printed if line.startswith("joint_1")).split()[-1] == "-"
+    # Where nothing is predicted either, nothing is missed.
+    still = replace(fit, nrmse=np.zeros(len(fit.nrmse)))
+    assert "no effort" not in errors_table({"training": still})
 
 
 def test_a_description_on_legs_is_judged_beside_the_forces_that_suit_it() -> None:
@@ -78,3 +101,34 @@ def test_a_held_base_leaves_an_arm_of_legs() -> None:
     ]
     np.testing.assert_allclose(both[0].rmse, both[1].rmse[6:], rtol=1e-6)
     assert both[1].relative == pytest.approx(0.1 / 1.1, rel=0.02)
+    # What holds the base takes any force.
+    assert both[1].floating is None
+    assert "base" not in both[1].table()
+
+
+@pytest.mark.parametrize("measured", [False, True])
+def test_the_base_is_judged_where_it_is_not_held(measured: bool) -> None:
+    made = legged.gait(80)
+    first = np.arange(80) < 50
+    down = np.column_stack([made.samples.contacts.down & ~first[:, None], first])
+    contacts = ContactSamples(
+        frames=(*legged.FEET, "base_link"),
+        kind=(*["point"] * 4, "plane"),
+        down=down,
+        forces=np.zeros((80, 5, 6)) if measured else None,
+        force_covariance=np.eye(6) if measured else None,
+    )
+    samples = replace(made.samples, contacts=contacts)
+    assert base_held(made.robot, samples).tolist() == (first & (not measured)).tolist()
+    errors = validate_robot(made.robot, samples).floating
+    assert errors is not None
+    assert errors.samples == (80 if measured else 30)
+    always = replace(contacts, down=np.tile(down[:1], (80, 1)))
+    alone = validate_robot(made.robot, replace(samples, contacts=always))
+    assert (alone.floating is None) is not measured
+    if not measured:
+        printed = errors_table(
+            {"training": alone, "validation": validate_robot(made.robot, samples)}
+        )
+        told = next(line for line in printed.splitlines() if line.startswith("base, force"))
+        assert told.split()[-4:-2] == ["-", "-"]

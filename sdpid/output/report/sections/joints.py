@@ -69,22 +69,26 @@ def _fits(result: Judged) -> Iterator[dict[str, Any]]:
 
 def _floating(result: Judged) -> Iterator[dict[str, Any]]:
     """Yield what the equations of a floating base miss, on training and validation data."""
-    held = None if result.held_out is None else result.held_out.fit.floating
-    both = result.training.floating, result.training_wls.floating
-    if both[0] is None or both[1] is None:
-        return
-    names = [name for name, _ in both[0].rows]
-    for i, name in enumerate(names):
-        yield {
-            "name": name,
-            "training": both[0].rows[i][1],
-            "free": both[1].rows[i][1],
-            "held": None if held is None else held.rows[i][1],
-        }
+    errors = {
+        "training": result.training.floating,
+        "free": result.training_wls.floating,
+        "held": None if result.held_out is None else result.held_out.fit.floating,
+    }
+    # A base that is held in one recording may move in another.
+    told = next((each for each in errors.values() if each is not None), None)
+    for i, (name, _) in enumerate(() if told is None else told.rows):
+        sizes = {key: None if each is None else each.rows[i][1] for key, each in errors.items()}
+        yield {"name": name, **sizes}
 
 
-def _errors(fit: Errors, j: int) -> dict[str, float]:
-    return {"rmse": float(fit.rmse[j]), "nrmse": float(fit.nrmse[j]), "r2": float(fit.r2[j])}
+def _errors(fit: Errors, j: int) -> dict[str, float | bool]:
+    """Return a joint's errors, and whether there was no effort of which they are a share."""
+    return {
+        "rmse": float(fit.rmse[j]),
+        "nrmse": float(fit.nrmse[j]),
+        "r2": float(fit.r2[j]),
+        "silent": bool(np.isinf(fit.nrmse[j])),
+    }
 
 
 def _held_title(result: Judged) -> str:
@@ -184,8 +188,7 @@ def _plots(result: Judged, errors: tuple[JointErrors, ...]) -> Iterator[dict[str
         yield {
             "name": name,
             "unit": own.unit,
-            "rmse": float(fit.rmse[j]),
-            "r2": float(fit.r2[j]),
+            **_errors(fit, j),
             "driven": seen[j],
             "pictures": pictures,
         }
