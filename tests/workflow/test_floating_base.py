@@ -57,6 +57,20 @@ def test_a_log_with_a_base_gives_a_floating_robot_with_its_mass() -> None:
     assert mass == pytest.approx(robot.prior[:, 0].sum(), rel=2e-3)
 
 
+def test_a_base_that_is_held_all_the_time_is_proven() -> None:
+    """No row has the base's parameters: what is least of the cost may be in no floor."""
+    pytest.importorskip("mujoco")
+    log = sdpid.simulate_legged("solo12", "hang", duration=2.0, seed=0).recording
+    log = replace(log, base=None, contacts=None, velocity=None)
+    friction = ("coulomb", "viscous", "rotor_inertia")
+    held = log.with_held_base("base_link")
+    result = sdpid.identify("solo12", held, friction=friction, effects="none", intervals=False)
+    assert result.certificate.passed
+    assert result.certificate.gap < 1e-6
+    assert result.training.floating is None
+    assert "at the base" not in result.headline.error
+
+
 def test_errors_of_joints_and_of_the_base_stand_apart() -> None:
     fit = identified().validation
     assert fit is not None

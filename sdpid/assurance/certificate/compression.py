@@ -197,15 +197,19 @@ class _Compressed:
 
 
 def _small(R: Array, limit: Array) -> Array:
-    """Return columns' weights D so small that ``‖D·z‖²`` hardly counts beside the floor.
+    """Return columns' weights D so small that ``‖D·z‖²`` is no more than the least cost.
 
     They make directions definite that no data show. None is above the size of its own column, or
     above 1 where the column is zero: a base parameter may be zero in the whole box.
     """
     efforts = float(np.sum(np.square(R[:, -1])))
-    scale = max(float(R[-1, -1]) ** 2, TINY_COST * efforts) or 1.0
     own = np.sqrt(np.einsum("ij,ij->j", R, R))
     most = own + (own == 0.0)
+    # Beside columns that depend on each other, what no parameter explains is not in the floor
+    # alone.
+    columns, left = R[:, :-1] / most[:-1], R[:, -1]
+    left = left - columns @ np.linalg.lstsq(columns, left)[0]
+    scale = max(float(np.sum(np.square(left))), TINY_COST * efforts) or 1.0
     share = math.sqrt(scale / len(limit))
     return np.asarray(share / np.maximum(limit, share / most))
 

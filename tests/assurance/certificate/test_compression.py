@@ -225,6 +225,32 @@ def test_no_point_of_the_box_leaves_the_enclosure(weighting: Weighting, seed: in
         assert holds(found, of_rows, compressed_cost(A, rhs, floor, base))
 
 
+def test_what_no_parameter_explains_may_be_in_the_right_hand_side() -> None:
+    """Beside a column of zeros and one that repeats another a triangle's floor may be zero."""
+    rng = np.random.default_rng(0)
+    block = rng.standard_normal((300, 2, 5))
+    block[..., 1] *= 1e6
+    block[..., 2] = block[..., 1]
+    block[..., 0] = 0.0
+    rows = GivenRows(block, np.ones((300, 2), dtype=bool), 300)
+    A, rhs, floor = rows.compressed(np.eye(2), "gls")
+    R = np.vstack([np.column_stack([A, rhs]), [0.0, 0.0, 0.0, 0.0, np.sqrt(floor)]])
+    U, s, _ = np.linalg.svd(R[:, :-1])
+    rank = int(np.count_nonzero(s > 1e-9 * s[0]))
+    assert rank == 2
+    turned = U.T @ R
+    turned[rank:, -1] = np.linalg.norm(turned[rank:, -1]), 0.0, 0.0
+    forms = (A, rhs, floor), (turned[:-1, :-1], turned[:-1, -1], 0.0)
+    shown, hidden = (
+        enclose_compression(
+            rows, np.eye(2), "gls", A=A, rhs=rhs, floor=floor, base_limit=np.full(4, 100.0)
+        )
+        for A, rhs, floor in forms
+    )
+    assert floor > 100.0
+    assert hidden.absolute + floor * hidden.relative < 2.0 * floor * shown.relative + shown.absolute
+
+
 def exact_gram(matrix: Array) -> Any:
     """Return matrix^T·matrix without rounding."""
     columns = [list(column) for column in zip(*fractions(matrix), strict=True)]
