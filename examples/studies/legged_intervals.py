@@ -1,9 +1,9 @@
 """Do intervals of quadrupeds hold the truth? Simulated logs of many seeds, and what it rests on.
 
-Go1, Solo12 and A1 in MuJoCo, their links 15 % off the description, with friction, rotor inertia and
-noise (`sdpid.simulate_legged`). Of every seed the share of true base parameters inside their 95 %
-intervals, whether the total mass is inside its own, and how much of the force on the base is, over
-the motion of the log:
+Go1, Solo12, A1 and Talos in MuJoCo, their links 15 % off the description, with friction, rotor
+inertia and noise (`sdpid.simulate_legged`). Of every seed the share of true base parameters inside
+their 95 % intervals, whether the total mass is inside its own, and how much of the force on the
+base is, over the motion of the log:
 
 * ``residuals``: what the residuals show, and no more;
 * ``noise``: with the bias by noise in the motion;
@@ -42,6 +42,8 @@ from sdpid.workflow.formulate import formulate
 
 ROBOTS = ("go1", "solo12", "a1")
 MOTIONS = ("stand", "trot", "hang")
+# On soles, which step in place of the trot.
+HUMANOIDS, STEPS = ("talos_reduced",), ("stand", "step", "hang")
 KNOWN = (sdpid.friction.Coulomb(width=0.02), "viscous", "rotor_inertia")
 # What is measured: motions, seconds each, friction, and how many of the seeds.
 SETS = (
@@ -51,6 +53,9 @@ SETS = (
     (("trot",), 10.0, "known", 3),
     (("trot",), 4.0, "chosen", 3),
     (MOTIONS, 4.0, "chosen", 1),
+    (("stand", "trot"), 4.0, "known", 3),
+    (MOTIONS, 10.0, "known", 1),
+    (STEPS, 3.0, "known", 1),
 )
 ON_TIME = {f"{channel}_delay_s": 0.0 for channel in ("effort", "imu", "base", "contacts")}
 LEVEL = 0.95
@@ -81,7 +86,7 @@ def recorded(
     if path.exists():
         log: sdpid.Recording = pickle.loads(path.read_bytes())
         return log
-    number = 10 * seed + MOTIONS.index(motion)
+    number = 10 * seed + (STEPS if motion in STEPS else MOTIONS).index(motion)
     run = sdpid.simulate_legged(
         robot, motion, theta=theta, duration=seconds, seed=number, friction=law
     )
@@ -202,7 +207,7 @@ def main() -> None:
     for number in options.sets:
         motions, seconds, friction, seeds = SETS[number]
         for seed in range(min(options.seeds, seeds)):
-            for name in options.robots:
+            for name in HUMANOIDS if motions == STEPS else options.robots:
                 own = (name, ", ".join(motions), f"{seconds:g}", friction, str(seed))
                 with path.open() as file:
                     done = {
