@@ -7,7 +7,8 @@ base is, over the motion of the log:
 
 * ``residuals``: what the residuals show, and no more;
 * ``noise``: with the bias by noise in the motion;
-* ``default``: with that by landings, too, where they are kept: of a gait alone.
+* ``default``: with that by landings, too, where they are kept: of a gait, alone or beside
+  one other motion.
 
 Friction is *known* where the estimate is given its terms and speeds, *chosen* where `identify` fits
 the width of its own sign to a law with a Stribeck peak that differs from seed to seed. Channels are
