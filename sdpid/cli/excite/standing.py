@@ -65,7 +65,7 @@ class Standing:
         _standing(
             metavar="N",
             min=1,
-            help="With --stand: steps of the search from one start. Default: 80.",
+            help="With --stand: steps of the search from one start. Default: 30.",
         ),
     ] = None
 

@@ -11,6 +11,8 @@ import pytest
 
 import sdpid
 from sdpid.errors import DataError, ModelError
+from sdpid.excitation.limits.check import LimitCheck, LimitRow
+from sdpid.excitation.standing.design import _narrowed
 from sdpid.excitation.standing.write import write_standing
 from sdpid.experiment.trajectory.whole_body import WholeBodyMotion
 from tests.helpers.standing import standing_plan
@@ -92,6 +94,17 @@ def test_the_same_design_is_found_again_beside_an_earlier_one() -> None:
 def test_bad_input_is_told_before_the_search(arguments: dict[str, Any], message: str) -> None:
     with pytest.raises(DataError, match=message):
         sdpid.design_standing("solo12", **arguments)
+
+
+@pytest.mark.parametrize(("slack", "narrower"), [(-1e-6, 1.0013), (-0.05, 1.13), (-np.inf, 2.3)])
+def test_limits_are_narrowed_by_what_was_missing(slack: float, narrower: float) -> None:
+    """Also where a foot is pulled, and no friction holds it."""
+    row = LimitRow(
+        kind="friction", subject="foot", side="upper", limit=0.5, worst=0.5 - slack,
+        reached=0.5 - slack, time=0.0, slack=slack, unit="1", verdict="broken",
+    )  # fmt: skip
+    check = LimitCheck(rows=(row,), notes=())
+    assert _narrowed(0.97, check) == pytest.approx(0.97 / narrower)
 
 
 def test_robots_without_legs_are_refused() -> None:
