@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import json
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -12,9 +10,8 @@ import pytest
 import sdpid
 from sdpid.errors import DataError, ModelError
 from sdpid.excitation.limits.check import LimitCheck, LimitRow
-from sdpid.excitation.standing.design import _narrowed
-from sdpid.excitation.standing.write import write_standing
-from sdpid.experiment.trajectory.whole_body import WholeBodyMotion
+from sdpid.excitation.search.space import SplineSpace
+from sdpid.excitation.standing.design import _narrowed, _rows
 from tests.helpers.standing import standing_plan
 
 
@@ -49,24 +46,6 @@ def test_feet_stay_down_in_mujoco() -> None:
     assert np.abs(off).max() < 0.02
 
 
-def test_a_plan_is_written_and_read(tmp_path: Path) -> None:
-    plan = standing_plan()
-    files = write_standing(plan, tmp_path / "plan")
-    assert {file.name for file in files} >= {"trajectory.csv", "plan.json"}
-    read = WholeBodyMotion.from_csv(tmp_path / "plan" / "trajectory.csv")
-    for name in ("time", "position", "effort", "base_orientation", "down", "forces"):
-        np.testing.assert_array_equal(getattr(read, name), getattr(plan.motion, name))
-    content = json.loads((tmp_path / "plan" / "plan.json").read_text(encoding="utf-8"))
-    assert content["limits"]["ok"]
-    assert len(content["base_parameters"]) == plan.base.count
-    log = sdpid.read_recording(tmp_path / "plan" / "trajectory.csv")
-    assert log.base is not None
-    assert log.contacts is not None
-    (tmp_path / "bad.csv").write_text("time,position_a\n0,1\n", encoding="utf-8")
-    with pytest.raises(DataError, match="has no column 'velocity_a'"):
-        WholeBodyMotion.from_csv(tmp_path / "bad.csv")
-
-
 def test_the_same_design_is_found_again_beside_an_earlier_one() -> None:
     """Earlier plans count: what they tell is known before."""
     plan = standing_plan()
@@ -94,6 +73,17 @@ def test_the_same_design_is_found_again_beside_an_earlier_one() -> None:
 def test_bad_input_is_told_before_the_search(arguments: dict[str, Any], message: str) -> None:
     with pytest.raises(DataError, match=message):
         sdpid.design_standing("solo12", **arguments)
+
+
+def test_limits_are_held_where_the_criterion_looks() -> None:
+    """A leg that is stretched there, and nowhere else, would make rows without bound."""
+    plan = standing_plan()
+    space = SplineSpace.of(plan.stance.n, 3.0)
+    finer = space.refined(np.zeros(space.size))
+    assert finer is not None
+    for each in (space, finer[0]):
+        ((_, instants),) = _rows(each, plan.held, 0.9).parts
+        np.testing.assert_array_equal(instants, each.grid())
 
 
 @pytest.mark.parametrize(("slack", "narrower"), [(-1e-6, 1.0013), (-0.05, 1.13), (-np.inf, 2.3)])
