@@ -55,6 +55,7 @@ def test_motors_alone_identify_a_chain(
         assert floating.torque < 1e-3
     # Of joints without motors there is nothing to say.
     assert not any("wrong sign" in words or "unit or scale" in words for words in result.verdict)
+    assert "at rest" not in result.headline.error
     assert not any(finding.kind == "joint_at_rest" for finding in result.findings)
 
 

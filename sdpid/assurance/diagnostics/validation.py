@@ -186,7 +186,7 @@ class Validation(Errors):
         masked for slowness included.
     resting : Errors or None
         The same on the rows in which the joint rests, masked for slowness or not: stiction, which
-        no function of the velocity explains. None where no joint rests.
+        no function of the velocity explains. None where no joint with an effort rests.
     floating : BaseErrors or None
         Of a floating base: forces and torques that the base's equations miss. Its six rows do not
         count among the joints'. Contact forces that were not measured are those that leave the
@@ -229,11 +229,13 @@ class Validation(Errors):
         effort, of = samples.effort, functools.partial(Errors.of, names, n_base=n_base)
         # Newtons and newton meters that no motor makes are no joint's errors.
         joints = np.arange(samples.n) >= n_base
+        # Joints without motors have no effort to compare with, at rest as in motion.
+        rests = bool(np.any(effort[still & joints]))
         return cls(
             joint_names=names,
             effort_predicted=frozen(predicted),
             moving=of(effort, predicted, moving),
-            resting=of(effort, predicted, still) if (still & joints).any() else None,
+            resting=of(effort, predicted, still) if rests else None,
             floating=BaseErrors.of(effort, predicted, free) if n_base else None,
             n_base=n_base,
             _band=band,
