@@ -26,6 +26,7 @@ from sdpid.estimation.constraints.mass import known_mass
 from sdpid.estimation.estimate import Estimate
 from sdpid.estimation.instrumental.bias import BiasTest, check_bias
 from sdpid.estimation.motion_noise.bias import with_motion_bias
+from sdpid.estimation.motion_noise.landings import landings_used
 from sdpid.estimation.prior.prior import Prior
 from sdpid.estimation.problem import Problem
 from sdpid.estimation.sdp.solve import solve_sdp
@@ -38,7 +39,6 @@ from sdpid.experiment.preparation.several import (
     ProcessingOf,
     prepare_recordings,
 )
-from sdpid.experiment.processing.floating.feet import landing_share
 from sdpid.experiment.readers.arguments import as_gains
 from sdpid.robot.friction.term import FrictionTerm
 from sdpid.robot.inertia import Consistency
@@ -296,8 +296,7 @@ def _with_motion_bias(problem: Problem, prepared: Prepared) -> tuple[Problem, li
         found = with_motion_bias(problem, prepared.logs, prepared.processing)
     except SdpidError as reason:
         return problem, [f"intervals do not count what noise in the motion does: {reason}"]
-    contacts = [log.contacts for log in prepared.logs if log.contacts is not None]
-    landed = prepared.processing.impact_s is None and any(landing_share(c, 0) for c in contacts)
+    landed = landings_used(problem, prepared.logs, prepared.processing)
     unknown = landed and found.landing_bias is None
     return found, [_NOT_APART] if unknown else []
 

@@ -51,7 +51,7 @@ def with_motion_bias(
     logs : sequence of Recording
         What its samples were made of.
     processing : Processing
-        How. Landings are looked for where they were not left out.
+        How. Landings are looked for where any of them was used.
     seed : int or numpy.random.Generator, optional
         Of the noise.
 

@@ -21,10 +21,36 @@ from sdpid.estimation.noise_spectrum import NoiseSpectrum
 from sdpid.estimation.problem import Problem
 from sdpid.experiment.preparation.for_robot import prepare
 from sdpid.experiment.preparation.joined_contacts import join_samples
+from sdpid.experiment.processing.floating.feet import landing_share
 from sdpid.experiment.processing.settings import Processing
 from sdpid.experiment.recording.recording import Recording
 
-__all__ = ["away_from_landings", "beyond_noise"]
+__all__ = ["away_from_landings", "beyond_noise", "landings_used"]
+
+
+def landings_used(problem: Problem, logs: Sequence[Recording], processing: Processing) -> bool:
+    """Return whether samples near a landing were used: by choice, or as too few others would stay.
+
+    Parameters
+    ----------
+    problem : Problem
+        Of these recordings.
+    logs : sequence of Recording
+        What its samples were made of.
+    processing : Processing
+        How.
+    """
+    contacts, around = problem.samples.contacts, processing.impact_s
+    if contacts is None:
+        return False
+    # As far as the filter sees; flags' own margin is not told apart from it, and widens this.
+    seen = (contacts.widened_s or 0.0) + (around or 0.0)
+    most = 0.0 if around is None else 1.0 - processing.kept_share
+    return any(
+        landing_share(log.contacts, round(seen / log.step)) > most
+        for log in logs
+        if log.contacts is not None
+    )
 
 
 def away_from_landings(
@@ -39,13 +65,21 @@ def away_from_landings(
     logs : sequence of Recording
         What its samples were made of.
     processing : Processing
-        How: one that leaves landings out has none to look for.
+        How: one that leaves all landings out has none to look for.
     """
-    if processing.impact_s is not None or all(log.contacts is None for log in logs):
+    if not landings_used(problem, logs, processing):
         return None
-    apart = replace(processing, impact_s=0.0)
+
+    def rows(**changed: float | None) -> Mask:
+        own = replace(processing, **changed)  # type: ignore[arg-type]
+        return join_samples([prepare(problem.robot, log, own) for log in logs]).used
+
     try:
-        clear = join_samples([prepare(problem.robot, log, apart) for log in logs]).used
+        if processing.impact_s is None:
+            clear = rows(impact_s=0.0)
+        else:
+            # `kept_share` kept them, and rows that are slow, which are not asked for here.
+            clear = rows(kept_share=0.0) | ~rows(kept_share=0.0, impact_s=None)
     except DataError:
         # No sample of a recording is away from all landings.
         return None

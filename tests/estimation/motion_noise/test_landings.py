@@ -9,7 +9,7 @@ import numpy as np
 import sdpid
 from sdpid.assurance.intervals.noise_in_motion import noise_in_words
 from sdpid.estimation.motion_noise.bias import with_motion_bias
-from sdpid.estimation.motion_noise.landings import beyond_noise
+from sdpid.estimation.motion_noise.landings import beyond_noise, landings_used
 from sdpid.experiment.plant.legged.sensors import Sensors
 from tests.helpers.arm import ARM
 from tests.helpers.data import full_regressor, random_theta
@@ -62,6 +62,18 @@ def test_intervals_of_a_trot_count_what_its_landings_do() -> None:
     # Where landings are left out there is nothing to count.
     apart = problem_of(robot, run.recording, replace(PROCESSING, impact_s=0.0))
     assert apart.landing_bias is None
+    assert not landings_used(apart, [run.recording], replace(PROCESSING, impact_s=0.0))
+    # Where too few samples would stay they are used after all, and counted as much.
+    kept = replace(PROCESSING, impact_s=0.0, kept_share=0.9)
+    again = problem_of(robot, run.recording, kept)
+    assert landings_used(again, [run.recording], kept)
+    assert again.landing_bias is not None
+    np.testing.assert_allclose(again.landing_bias, bias, rtol=1e-9)
+    # No sample is two seconds away from a landing: what they do is not known.
+    wide = replace(PROCESSING, impact_s=2.0, kept_share=0.1)
+    unknown = problem_of(robot, run.recording, wide)
+    assert unknown.landing_bias is None
+    assert landings_used(unknown, [run.recording], wide)
 
 
 def counted(rng: np.random.Generator, wrong: float) -> float:
