@@ -26,6 +26,7 @@ from sdpid.assurance.certificate.outward import (
     usable,
 )
 from sdpid.assurance.certificate.row_sums import RowSums
+from sdpid.assurance.certificate.whitener_errors import paired
 from sdpid.errors import DataError
 from sdpid.estimation.compression.covariance import Weighting
 from sdpid.estimation.compression.rows import Rows
@@ -33,6 +34,11 @@ from sdpid.estimation.problem import Problem
 
 # Costs next to zero are compared with this share of that of the efforts alone, as gaps are.
 TINY_COST = 1e-6
+
+
+# Products of a factor and a matrix that makes its columns orthonormal are of size one: where they
+# are added up of numbers this large, rounding counts. Few columns are, and pairs take much longer.
+_CANCELING = 1e5
 
 
 @dataclass(frozen=True)
@@ -230,10 +236,21 @@ def _inverse(factor: Array) -> Array | None:
 
 
 def _gram(factor: Array, M: Array) -> tuple[Array, float]:
-    """Return (factor·M)^T·(factor·M) and a bound of the norm of its error."""
+    """Return (factor·M)^T·(factor·M) and a bound of the norm of its error.
+
+    Columns of products that cancel are added up in pairs of doubles.
+    """
     count = len(factor)
     product = factor @ M
-    shift = gamma(count) * norm(lengths(factor) @ np.abs(M))
+    sizes = lengths(factor) @ np.abs(M)
+    moved = gamma(count) * sizes
+    some = np.flatnonzero(sizes > _CANCELING)
+    if len(some):
+        (high, low), left = paired(factor[None], M[None][:, :, some])
+        product[:, some] = high[0] + low[0]
+        # The sum is rounded once.
+        moved[some] = lengths(left[0] + 2.0 * UNIT * np.abs(product[:, some]))
+    shift = norm(moved)
     gram = product.T @ product
     rounding = gamma(count) * norm(product) ** 2
     error = (2.0 * _root(gram, rounding) + shift) * shift + rounding

@@ -19,6 +19,7 @@ from sdpid.assurance.certificate.compression import (
     UNPROVEN,
     Compression,
     _Compressed,
+    _gram,
     _of_squares,
     _small,
     base_limit,
@@ -255,6 +256,29 @@ def exact_gram(matrix: Array) -> Any:
     """Return matrix^T·matrix without rounding."""
     columns = [list(column) for column in zip(*fractions(matrix), strict=True)]
     return [times(columns, column) for column in columns]
+
+
+def test_products_that_cancel_are_added_up_in_pairs() -> None:
+    """Columns that all but repeat each other, made orthonormal: numbers of 1e9 leave one."""
+    rng = np.random.default_rng(2)
+    factor = rng.standard_normal((5, 3))
+    factor[:, 1] = factor[:, 0] + 1e-9 * factor[:, 1]
+    M = np.linalg.inv(np.linalg.qr(factor)[1])
+    found, error = _gram(factor, M)
+    product = [times(fractions(factor), column) for column in fractions(M.T)]
+    exact = [
+        [sum((a * b for a, b in zip(x, y, strict=True)), Fraction(0)) for y in product]
+        for x in product
+    ]
+    off = squared(
+        [
+            Fraction(x) - y
+            for own, row in zip(found.tolist(), exact, strict=True)
+            for x, y in zip(own, row, strict=True)
+        ]
+    )
+    assert off <= Fraction(error) ** 2
+    assert error < 1e-14
 
 
 @given(seed=SEEDS)
