@@ -54,7 +54,7 @@ STRIDE = 10
 
 
 @dataclass(frozen=True)
-class Quadruped:
+class Walker:
     """A robot that differs from its description, and its runs."""
 
     name: str
@@ -175,19 +175,19 @@ CASES: tuple[tuple[slice, bool, bool], ...] = (
 
 
 def identified(
-    quadruped: Quadruped, logs: Sequence[sdpid.Recording], *, chosen: bool = False, **options: Any
+    walker: Walker, logs: Sequence[sdpid.Recording], *, chosen: bool = False, **options: Any
 ) -> list[object]:
     """Identify a robot and return what is said of the result in a row."""
-    known = {} if chosen else {"friction": quadruped.friction, "effects": "none"}
+    known = {} if chosen else {"friction": walker.friction, "effects": "none"}
     start = time.process_time()
-    result = sdpid.identify(quadruped.robot, list(logs), **known, **options)
+    result = sdpid.identify(walker.robot, list(logs), **known, **options)
     seconds = time.process_time() - start
     estimate, problem = result.estimate, result.problem
     certificate = result.certificate
-    least = quadruped.errors(quadruped.predicted(problem, result.wls.base))
+    least = walker.errors(walker.predicted(problem, result.wls.base))
     return [
-        *quadruped.errors(quadruped.predicted(problem, estimate.base)),
-        abs(quadruped.mass_error(estimate.theta)),
+        *walker.errors(walker.predicted(problem, estimate.base)),
+        abs(walker.mass_error(estimate.theta)),
         *least[:2],
         certificate is not None and bool(certificate.passed),
         None if certificate is None else certificate.gap,
@@ -195,13 +195,13 @@ def identified(
     ]
 
 
-def cell(quadruped: Quadruped, number: int) -> list[object]:
+def cell(walker: Walker, number: int) -> list[object]:
     """Return what a robot gives in a case, with the errors of its description."""
     which, imu, chosen = CASES[number]
-    logs = [quadruped.runs[motion].recording for motion in ROBOTS[quadruped.name][which]]
+    logs = [walker.runs[motion].recording for motion in ROBOTS[walker.name][which]]
     logs = logs if imu else [without_imu(log) for log in logs]
-    row = identified(quadruped, logs, chosen=chosen, intervals=False)
-    return [*row, *quadruped.described[:2]]
+    row = identified(walker, logs, chosen=chosen, intervals=False)
+    return [*row, *walker.described[:2]]
 
 
 def kept(folder: Path | None, name: str, made: Callable[[], list[object]]) -> list[object]:
@@ -223,10 +223,10 @@ def main_rows(
     # Seed by seed, so that what is there after an interruption is about all robots.
     for seed in range(seeds):
         for name in robots:
-            quadruped = Quadruped(name, seed, seconds)
+            walker = Walker(name, seed, seconds)
             for number in cases:
-                row = kept(folder, f"{name}_{seed}_{number}", partial(cell, quadruped, number))
-                print(name, seed, CASES[number], quadruped.law, *row, flush=True)
+                row = kept(folder, f"{name}_{seed}_{number}", partial(cell, walker, number))
+                print(name, seed, CASES[number], walker.law, *row, flush=True)
                 found.setdefault((name, number), []).append(row)
     for name in robots:
         for number in cases:

@@ -24,7 +24,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from legged import ROBOTS, THREE, Quadruped, kept
+from legged import ROBOTS, THREE, Walker, kept
 
 import sdpid
 from sdpid._common.arrays import Array
@@ -53,7 +53,7 @@ THRESHOLD, BIAS = 0.1, 0.05
 SENSORS = Sensors(forces=True)
 
 
-class Sensed(Quadruped):
+class Sensed(Walker):
     """A quadruped with force sensors in its feet."""
 
     @property

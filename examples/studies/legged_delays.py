@@ -20,7 +20,7 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import numpy as np
-from legged import THREE, Quadruped, identified, without_imu
+from legged import THREE, Walker, identified, without_imu
 
 import sdpid
 from sdpid._common.progress import progress
@@ -58,7 +58,7 @@ LATE_COLUMNS = (
 
 
 def recorded(
-    quadruped: Quadruped,
+    walker: Walker,
     run: LeggedRun,
     delays_ms: dict[str, float],
     seed: int,
@@ -70,7 +70,7 @@ def recorded(
     """
     least = min(0.0, *delays_ms.values()) if delays_ms else 0.0
     late = {name: (value - least) * 1e-3 for name, value in delays_ms.items()}
-    robot, motion = quadruped.robot, run.motion
+    robot, motion = walker.robot, run.motion
     contacts = run.recording.contacts
     assert contacts is not None
     weight = 9.81 * float(run.theta[: 10 * robot.n_links : 10].sum())
@@ -94,19 +94,19 @@ def found_rows(
     with progress(len(robots) * seeds * len(MOTIONS), "legged_delays") as advance:
         for name in robots:
             for seed in range(seeds):
-                quadruped = Quadruped(name, seed, seconds)
+                walker = Walker(name, seed, seconds)
                 for motion in MOTIONS:
-                    run = quadruped.run(motion)
+                    run = walker.run(motion)
                     for draw in range(draws):
                         values = rng.choice(DELAYS_MS, len(CHANNELS)) if draw else np.zeros(4)
                         true = dict(zip(CHANNELS, values.tolist(), strict=True))
-                        log = recorded(quadruped, run, true, seed=draw)
+                        log = recorded(walker, run, true, seed=draw)
                         sensors = [("IMU", log), ("pose", without_imu(log))]
                         if motion in LIFTING:
-                            log = recorded(quadruped, run, true, seed=draw, threshold=THRESHOLD)
+                            log = recorded(walker, run, true, seed=draw, threshold=THRESHOLD)
                             sensors.append(("IMU, flags with a threshold", log))
                         for sensor, each in sensors:
-                            for channel, delay in channel_delays(quadruped.robot, each).items():
+                            for channel, delay in channel_delays(walker.robot, each).items():
                                 off = 1e3 * delay.value - true[channel]
                                 told = is_told(channel, delay)
                                 found[motion, sensor, channel].append(
@@ -128,13 +128,13 @@ def found_rows(
 
 def late_rows(name: str, seconds: float, cases: int) -> Iterator[tuple[object, ...]]:
     """Yield the rows of the table of errors."""
-    quadruped = Quadruped(name, 0, seconds)
+    walker = Walker(name, 0, seconds)
     for words, delays in list(LATE.items())[:cases]:
         logs = [
-            recorded(quadruped, quadruped.runs[motion], {k: 1e3 * v for k, v in delays.items()}, i)
+            recorded(walker, walker.runs[motion], {k: 1e3 * v for k, v in delays.items()}, i)
             for i, motion in enumerate(THREE)
         ]
-        taken = with_delays(quadruped.robot, logs, Processing())
+        taken = with_delays(walker.robot, logs, Processing())
         on_time = [
             1e3 * getattr(taken, f"{each}_delay_s") for each in ("effort", "imu", "contacts")
         ]
@@ -142,7 +142,7 @@ def late_rows(name: str, seconds: float, cases: int) -> Iterator[tuple[object, .
         for how, changes in (("on time", {}), ("as recorded", as_they_are)):
             if not delays and how == "as recorded":
                 continue
-            row = identified(quadruped, logs, intervals=False, processing=changes)
+            row = identified(walker, logs, intervals=False, processing=changes)
             shown = on_time if how == "on time" else [0.0] * 3
             yield (words, how, row[0], row[1], row[3], *shown)
 

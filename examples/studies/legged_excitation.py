@@ -20,7 +20,7 @@ from functools import partial
 from pathlib import Path
 
 import numpy as np
-from legged import Quadruped, kept
+from legged import Walker, kept
 
 import sdpid
 from sdpid._common.tables import Table
@@ -37,36 +37,36 @@ COLUMNS = (
 )  # fmt: skip
 
 
-def cell(quadruped: Quadruped, steps: int | None) -> list[object]:
+def cell(walker: Walker, steps: int | None) -> list[object]:
     """Return errors on the walk of what a stand identifies, and those of the description."""
     motion: str | WholeBodyMotion = "stand"
     if steps is not None:
         # The plan knows the description alone; its seed is that of the robot.
         motion = sdpid.design_standing(
-            quadruped.robot,
-            duration=quadruped.seconds,
+            walker.robot,
+            duration=walker.seconds,
             steps=steps,
-            seed=quadruped.seed,
+            seed=walker.seed,
             progress=False,
         ).motion
     run = simulate_legged(
-        quadruped.robot,
+        walker.robot,
         motion,
-        theta=quadruped.theta,
-        duration=quadruped.seconds,
-        seed=10 * quadruped.seed,
-        friction=quadruped.law,
+        theta=walker.theta,
+        duration=walker.seconds,
+        seed=10 * walker.seed,
+        friction=walker.law,
     )
     result = sdpid.identify(
-        quadruped.robot,
+        walker.robot,
         run.recording,
-        friction=quadruped.friction,
+        friction=walker.friction,
         effects="none",
         intervals=False,
     )
-    joints, force, _ = quadruped.errors(quadruped.predicted(result.problem, result.estimate.base))
-    mass = abs(quadruped.mass_error(result.estimate.theta))
-    return [joints, force, mass, quadruped.described[0]]
+    joints, force, _ = walker.errors(walker.predicted(result.problem, result.estimate.base))
+    mass = abs(walker.mass_error(result.estimate.theta))
+    return [joints, force, mass, walker.described[0]]
 
 
 def rows(
@@ -77,10 +77,10 @@ def rows(
     # Seed by seed, so that what is there after an interruption is about all robots.
     for seed in range(seeds):
         for name in robots:
-            quadruped = Quadruped(name, seed, seconds)
+            walker = Walker(name, seed, seconds)
             for motion, steps in MOTIONS.items():
                 fewer = steps if steps is None or most is None else min(steps, most)
-                row = kept(folder, f"{name}_{seed}_{motion}", partial(cell, quadruped, fewer))
+                row = kept(folder, f"{name}_{seed}_{motion}", partial(cell, walker, fewer))
                 print(name, seed, motion, *row, flush=True)
                 found.setdefault((name, motion), []).append(row)
     for (name, motion), each in found.items():

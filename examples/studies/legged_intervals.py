@@ -27,7 +27,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from legged import Quadruped
+from legged import Walker
 
 import sdpid
 from sdpid._common.arrays import Array
@@ -139,7 +139,7 @@ def cells(
     """Yield what one set of motions of one robot and seed says."""
     motions, seconds, friction, _ = SETS[number]
     theta = changed_parameters(robot, seed=seed)
-    law = Quadruped(name, seed, seconds).law if friction == "chosen" else None
+    law = Walker(name, seed, seconds).law if friction == "chosen" else None
     logs = [recorded(robot, theta, motion, seed, seconds, kept, law) for motion in motions]
     problem, processing = formulated(robot, logs, friction)
     estimate = sdpid.solve_sdp(problem)

@@ -23,7 +23,7 @@ from functools import cached_property
 from pathlib import Path
 
 import numpy as np
-from legged import Quadruped
+from legged import Walker
 
 import sdpid
 from sdpid._common.arrays import Array
@@ -56,7 +56,7 @@ SAID: dict[str, tuple[float | None, float | None]] = {
 
 
 @dataclass(frozen=True)
-class Mirrored(Quadruped):
+class Mirrored(Walker):
     """A robot whose left and right are alike, or not."""
 
     alike: bool

@@ -18,7 +18,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from legged import Quadruped
+from legged import Walker
 from legged_defects import Change, Log, feet, imu, shank
 
 import sdpid
@@ -132,10 +132,10 @@ def row(name: str, motion: str, logs: Sequence[tuple[sdpid.RobotModel, Log]]) ->
     return (name, motion, len(logs), named if mistake.kind else None, mistake.kind, *off, others)
 
 
-def rows(quadrupeds: Sequence[Quadruped], motions: Sequence[str]) -> Iterator[tuple[object, ...]]:
+def rows(walkers: Sequence[Walker], motions: Sequence[str]) -> Iterator[tuple[object, ...]]:
     """Yield all rows."""
     for motion in motions:
-        logs = [(each.robot, each.run(motion).recording) for each in quadrupeds]
+        logs = [(each.robot, each.run(motion).recording) for each in walkers]
         for name in MISTAKES:
             yield row(name, motion, logs)
 
@@ -152,12 +152,10 @@ def main() -> None:
     if chosen.quick:
         robots, motions, chosen.seeds, chosen.seconds = ("solo12",), MOTIONS[:1], 1, 2.0
     chosen.out.mkdir(parents=True, exist_ok=True)
-    quadrupeds = [
-        Quadruped(name, s, chosen.seconds) for name in robots for s in range(chosen.seeds)
-    ]
+    walkers = [Walker(name, s, chosen.seconds) for name in robots for s in range(chosen.seeds)]
     lines = []
     with progress(len(MISTAKES) * len(motions), "legged_places") as advance:
-        for line in rows(quadrupeds, motions):
+        for line in rows(walkers, motions):
             lines.append(line)
             print(*line, flush=True)
             advance(1)
