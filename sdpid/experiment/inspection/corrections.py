@@ -53,7 +53,8 @@ class Correction:
     kind : str
         ``"effort_sign"``, ``"position_sign"`` (which turns velocities too), ``"axis_sign"`` (both),
         ``"position_zero"``, ``"position_in_degrees"``, ``"joint_order"``, ``"effort_order"``,
-        ``"gravity_direction"`` or ``"feet_exchanged"`` (of which foot each has the flags).
+        ``"gravity_direction"``, ``"feet_exchanged"`` (of which foot each has the flags) or
+        ``"flags_unlike_motion"`` (feet are down throughout).
     joint : int or None
         Of one joint, or of all.
     value : tuple of float
@@ -212,8 +213,8 @@ class CorrectedLog:
         if order != tuple(range(len(order))):
             yield order
 
-    def feet_orders(self) -> Iterator[tuple[int, ...]]:
-        """Yield orders of contacts' flags that are tried."""
+    def flags(self) -> Iterator[Correction]:
+        """Yield changes of contacts' flags that are tried."""
         yield from ()
 
     def gravities(self) -> Iterator[tuple[float, ...]]:
@@ -308,8 +309,7 @@ def _changes(log: CorrectedLog) -> Iterator[Correction]:
         yield from (Correction(kind=kind, joint=j) for j in usable)
     if np.abs(log.rows.position).max() > _LEAST_DEGREES:
         yield Correction(kind="position_in_degrees")
-    for order in log.feet_orders():
-        yield Correction(kind="feet_exchanged", value=order)
+    yield from log.flags()
     for order in log.orders():
         yield Correction(kind="joint_order", value=order)
     for order in log.effort_orders():

@@ -21,6 +21,8 @@ _FAR_SCALE = 20.0
 # Units that are met, with the effort of 1 N·m in them.
 _UNITS = {1000.0: "N·mm or mN·m", 100.0: "N·cm", 10.2: "kgf·cm or per cent", 0.001: "kN·m"}
 _UNIT_SLACK = 2.5
+# Changes of flags of contacts, which leave efforts as they are.
+OF_FLAGS = ("feet_exchanged", "flags_unlike_motion")
 # More than this share of the effort of a joint that carries its links, unexplained by the
 # description, is no model of that joint: at most 0.4 on good recordings of real arms.
 _UNLIKE = 0.6
@@ -167,7 +169,7 @@ def _finding(log: CorrectedLog, step: Step, change: Correction) -> Finding:
     also = f"; as good: {', or '.join(others)}" if others else ""
     # Signs of efforts are told by friction too, which takes power whatever the masses are.
     sure = change.kind in ("effort_sign", "position_sign") or not placeholders(log.robot)
-    severity: Severity = "refuse" if sure and change.kind != "feet_exchanged" else "warning"
+    severity: Severity = "refuse" if sure and change.kind not in OF_FLAGS else "warning"
     return Finding(
         severity=severity,
         kind=change.kind,
@@ -189,6 +191,11 @@ def _words(change: Correction, names: tuple[str, ...], feet: tuple[str, ...]) ->
         return (
             f"flags of contacts are of other feet: {', '.join(pairs)}",
             "give the contacts' frames in the order of their columns",
+        )
+    if change.kind == "flags_unlike_motion":
+        return (
+            "flags of contacts are wrong: feet bear the robot while they are said to be up",
+            "lower their threshold, or widen contact_margin_s; fuse forces where they are measured",
         )
     of = "all joints" if change.joint is None else names[change.joint]
     if change.kind == "effort_sign":

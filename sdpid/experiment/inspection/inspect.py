@@ -82,6 +82,7 @@ _MAKES = {
     "feet_exchanged": ("flags_unlike_forces", "flags_unlike_motion"),
     "forces_exchanged": ("flags_unlike_forces", "flags_unlike_motion"),
     "forces_offset": ("flags_unlike_forces",),
+    "flags_unlike_forces": ("flags_unlike_motion",),
     "contacts_late": ("forces_unlike_motion",),
     # Accelerations of a wrong place are those of another time.
     **dict.fromkeys(("imu_place", "imu_axes"), tuple(f"{channel}_late" for channel in LEAST)),
@@ -94,7 +95,6 @@ _DROWNED = (
     delay_checks.late_efforts,
     delay_checks.late_channels,
     flag_checks.total_mass,
-    flag_checks.flags_and_torques,
     force_checks.forces,
 )
 

@@ -256,3 +256,16 @@ def test_mass_of_a_condition_is_compared(
         with pytest.raises(sdpid.errors.DataError, match="asked"):
             run(robot(), log("stand"), constraints=constraints)
     assert asked == [mass, mass]
+
+
+@pytest.mark.parametrize("measured", [True, False])
+def test_flags_that_open_feet_are_not_taken_for_other_joints(measured: bool) -> None:
+    """Equations in which a foot's force is missing look like efforts in another order."""
+    stand = log("stand", "go1")
+    least = 0.1 * 9.81 * float(robot("go1").prior[:, 0].sum())
+    felt = stand.contacts.forces[..., 2] > least
+    contacts = replace(
+        stand.contacts, down=felt, forces=stand.contacts.forces if measured else None
+    )
+    told = found(replace(stand, contacts=contacts), "go1")
+    assert [(each.severity, each.kind) for each in told] == [("warning", "flags_unlike_motion")]

@@ -228,20 +228,26 @@ class FloatingLog(CorrectedLog):
 
     def changed(self, change: Correction) -> CorrectedLog:
         """Return the log with one more change."""
-        if change.kind != "feet_exchanged":
+        down = self.contacts.down
+        if change.kind == "feet_exchanged":
+            down = down[:, np.array(change.value, dtype=np.intp)]
+        elif change.kind == "flags_unlike_motion":
+            down = np.broadcast_to(down.any(axis=0), down.shape)
+        else:
             return super().changed(change)
-        down = self.contacts.down[:, np.array(change.value, dtype=np.intp)]
         log = replace(self, contacts=replace(self.contacts, down=down))
         for name in ("rigid", "unit"):
             log.__dict__[name] = getattr(self, name)
         return log
 
-    def feet_orders(self) -> Iterator[tuple[int, ...]]:
-        """Yield orders of contacts' flags that are tried."""
+    def flags(self) -> Iterator[Correction]:
+        """Yield changes of contacts' flags that are tried: other feet's, and none that open."""
         down = self.contacts.down
-        if not 2 <= self.contacts.n <= MOST_LEGS or (down == down[:, :1]).all():
-            return
-        yield from list(permutations(range(self.contacts.n)))[1:]
+        if 2 <= self.contacts.n <= MOST_LEGS and (down != down[:, :1]).any():
+            for order in list(permutations(range(self.contacts.n)))[1:]:
+                yield Correction(kind="feet_exchanged", value=order)
+        if (down.any(axis=0) != down.all(axis=0)).any():
+            yield Correction(kind="flags_unlike_motion")
 
     def effort_orders(self) -> Iterator[tuple[int, ...]]:
         """Yield orders of the efforts' columns that are tried."""

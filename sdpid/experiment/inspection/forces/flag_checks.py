@@ -6,6 +6,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from sdpid.experiment.inspection.dynamics_checks import OF_FLAGS
 from sdpid.experiment.inspection.finding import Finding, Subject, check
 from sdpid.experiment.inspection.floating.floating_log import FloatingLog
 from sdpid.experiment.recording.floating.contacts import Contacts
@@ -18,8 +19,6 @@ __all__ = ["explained_log", "follow_forces"]
 _MASS_APART, _WEIGHED_APART, _SURE = 0.2, 0.04, 5.0
 # Beyond this factor efforts are in another unit, which is told as such.
 _OTHER_UNIT = 5.0
-# With flags that are right torques leave at most 0.003 of what weight and inertia ask for.
-_UNLIKE = 0.1
 # Flags contradict forces where this share of all force acts while its foot is said to be up: rows
 # of landings are half a sample off, which makes 0.004 at most.
 _UP_SHARE = 0.01
@@ -28,12 +27,12 @@ _UP_SHARE = 0.01
 def explained_log(subject: Subject) -> FloatingLog | None:
     """Return the rows of a recording whose efforts are N·m, and explained as they are.
 
-    Flags of other feet are no matter of efforts.
+    Wrong flags are no matter of efforts.
     """
     log = subject.corrected
     if not isinstance(log, FloatingLog):
         return None
-    if any(step.change.kind != "feet_exchanged" for step in log.steps):
+    if any(step.change.kind not in OF_FLAGS for step in log.steps):
         return None
     common = log.gains.common
     if common is not None and not 1.0 / _OTHER_UNIT < common < _OTHER_UNIT:
@@ -65,29 +64,6 @@ def total_mass(subject: Subject) -> Iterator[Finding]:
         ),
         remedy="weigh the robot, and give its mass (TotalMass); check the torque constants",
         numbers={"share": share, "error": error, "limit": limit},
-    )
-
-
-@check
-def flags_and_torques(subject: Subject) -> Iterator[Finding]:
-    """Find flags with which torques do not follow, where measured forces do."""
-    log = explained_log(subject)
-    if log is None or log.steps or log.contacts.forces is None:
-        return
-    columns, due = log.equations
-    demand = float(np.sum(due**2))
-    left = float(np.sum((due - columns @ log.freely[0]) ** 2)) / max(demand, 1e-300)
-    if left < _UNLIKE:
-        return
-    yield Finding(
-        severity="warning",
-        kind="flags_unlike_motion",
-        message=(
-            f"flags of contacts are wrong: with them torques leave {100 * left:.3g} % of what "
-            f"weight and inertia ask for, limit {100 * _UNLIKE:g} %"
-        ),
-        remedy="fuse the forces (contact_force_std), or make the flags of them",
-        numbers={"unexplained": left, "limit": _UNLIKE},
     )
 
 
