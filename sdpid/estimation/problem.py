@@ -88,6 +88,8 @@ class Problem:
     landing_bias : ndarray, shape (b,), or None
         Likewise by landings, whose samples are among its own. None where there are none, or too
         few others.
+    friction_bias : ndarray, shape (b,), or None
+        Likewise by a law of friction that is not the robot's, where the data chose its speeds.
     meaning : str or None
         What the cost is where it is not that of the measured motion's own rows, such as the last
         one that an iteration solved; None where it is.
@@ -123,6 +125,7 @@ class Problem:
     constant: float = 0.0
     motion_bias: Array | None = None
     landing_bias: Array | None = None
+    friction_bias: Array | None = None
     meaning: str | None = None
 
     def __repr__(self) -> str:
@@ -213,7 +216,8 @@ class Problem:
     @property
     def biases(self) -> Array:
         """By how much the unconstrained fit is thought to be off beside its noise, (k, b)."""
-        known = [each for each in (self.motion_bias, self.landing_bias) if each is not None]
+        biases = self.motion_bias, self.landing_bias, self.friction_bias
+        known = [each for each in biases if each is not None]
         return frozen(np.reshape(known, (-1, self.base.count)))
 
     @property

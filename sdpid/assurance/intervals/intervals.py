@@ -79,6 +79,9 @@ class Intervals:
     landing_share : ndarray, shape (k,), or None
         Share of the bias by landings, likewise; None where no sample near a landing was used, or
         too few others.
+    friction_share : ndarray, shape (k,), or None
+        Share of the bias by a law of friction that is not the robot's, likewise; None where the
+        data chose no speeds.
     seconds : float
         In the solver.
     solves : int
@@ -110,6 +113,7 @@ class Intervals:
     gains_share: Array | None = None
     motion_share: Array | None = None
     landing_share: Array | None = None
+    friction_share: Array | None = None
     seconds: float = 0.0
     solves: int = field(default=0)
 
@@ -143,14 +147,14 @@ class Intervals:
             "upper": self.upper.tolist(),
             "label": self.label,
         }
-        if self.gains_share is not None:
-            columns["from gains, %"] = [round(100.0 * each) for each in self.gains_share.tolist()]
-        if self.motion_share is not None:
-            shares = self.motion_share.tolist()
-            columns["from noise in motion, %"] = [round(100.0 * each) for each in shares]
-        if self.landing_share is not None:
-            shares = self.landing_share.tolist()
-            columns["from landings, %"] = [round(100.0 * each) for each in shares]
+        for what, share in (
+            ("gains", self.gains_share),
+            ("noise in motion", self.motion_share),
+            ("landings", self.landing_share),
+            ("friction's law", self.friction_share),
+        ):
+            if share is not None:
+                columns[f"from {what}, %"] = [round(100.0 * each) for each in share.tolist()]
         if self.by_mass.any():
             columns["at mass_max"] = [
                 " and ".join(compress(("lower", "upper"), pair)) for pair in self.by_mass.tolist()
@@ -173,12 +177,9 @@ class Intervals:
             "label": self.label,
             "ends_at_largest_mass": self.by_mass.tolist(),
         }
-        if self.gains_share is not None:
-            columns["gains_share"] = self.gains_share.tolist()
-        if self.motion_share is not None:
-            columns["motion_share"] = self.motion_share.tolist()
-        if self.landing_share is not None:
-            columns["landing_share"] = self.landing_share.tolist()
+        for name in ("gains_share", "motion_share", "landing_share", "friction_share"):
+            if (share := getattr(self, name)) is not None:
+                columns[name] = share.tolist()
         rows = zip(*columns.values(), strict=True)
         found: dict[str, Any] = plain(
             {
@@ -495,7 +496,11 @@ def _shares(
 ) -> dict[str, Array | None]:
     """Return shares (k,) of what residuals do not show in the variances, None without it."""
     problem = estimate.problem
-    biases = {"motion_share": problem.motion_bias, "landing_share": problem.landing_bias}
+    biases = {
+        "motion_share": problem.motion_bias,
+        "landing_share": problem.landing_bias,
+        "friction_share": problem.friction_bias,
+    }
     gains = GainErrors.of(problem).any
     if posterior is None and (gains or len(problem.biases)):
         posterior = Posterior.of(estimate)

@@ -1,4 +1,4 @@
-"""Tell what noise in the measured motion, and landings, do to intervals, in words."""
+"""Tell what noise in the motion, landings, and friction's law do to intervals, in words."""
 
 from __future__ import annotations
 
@@ -25,6 +25,12 @@ def noise_in_words(intervals: Intervals) -> str | None:
             intervals.landing_share,
             "landings, where joint speeds jump, move",
             "a motion with fewer of them beside this one, or impact_s = 0, leaves them out",
+        ),
+        _moved(
+            intervals,
+            intervals.friction_share,
+            "a law of friction that is not the model's moves",
+            "friction terms that bend as the robot's do make them shorter",
         ),
     ]
     return "; ".join(each for each in found if each) or None

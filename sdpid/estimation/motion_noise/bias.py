@@ -1,4 +1,4 @@
-"""By how much noise in the measured motion, and landings, move the unconstrained fit.
+"""By how much noise in the motion, landings, and friction's law move the unconstrained fit.
 
 Noise in positions enters the columns of the regression: least squares makes what multiplies
 accelerations too small, by the share of noise in their power, and friction near reversals, too.
@@ -21,6 +21,7 @@ from sdpid._common.seeds import generator
 from sdpid.errors import DataError
 from sdpid.estimation.compression.factor import compressed
 from sdpid.estimation.compression.rows import RowSource
+from sdpid.estimation.motion_noise.friction import friction_bias
 from sdpid.estimation.motion_noise.landings import away_from_landings, beyond_noise
 from sdpid.estimation.motion_noise.twins import twins
 from sdpid.estimation.problem import Problem
@@ -40,7 +41,7 @@ def with_motion_bias(
     *,
     seed: int | np.random.Generator = 0,
 ) -> Problem:
-    """Return a problem that knows how far noise in the motion, and landings, move its fit.
+    """Return a problem that knows how far noise in the motion, landings, and friction move its fit.
 
     The estimate stays as it is; intervals and standard errors count the biases as errors.
 
@@ -80,6 +81,8 @@ def with_motion_bias(
     fits = [_fit(each) for each in every]
     biases = [0.5 * (a + b) - fit for a, b, fit in zip(*moved, fits, strict=True)]
     found = replace(problem, motion_bias=frozen(biases[0]))
+    if (law := friction_bias(problem, rows)) is not None:
+        found = replace(found, friction_bias=frozen(law))
     if clear is None:
         return found
     apart = fits[0] - biases[0] - (fits[1] - biases[1])

@@ -25,7 +25,7 @@ from sdpid.experiment.processing.floating.feet import landing_share
 from sdpid.experiment.processing.settings import Processing
 from sdpid.experiment.recording.recording import Recording
 
-__all__ = ["away_from_landings", "beyond_noise", "landings_used"]
+__all__ = ["away_from_landings", "beyond", "beyond_noise", "landings_used"]
 
 
 def landings_used(problem: Problem, logs: Sequence[Recording], processing: Processing) -> bool:
@@ -108,6 +108,19 @@ def beyond_noise(problem: Problem, apart: Problem, moved: Array) -> Array | None
     if len(apart.excitation.weak()) > len(problem.excitation.weak()):
         return None
     own, others = (np.diag(NoiseSpectrum.of(each).covariance) for each in (problem, apart))
+    return beyond(moved, own, others)
+
+
+def beyond(moved: Array, own: Array, others: Array) -> Array:
+    """Return the difference of an efficient fit and another, as large as it is beyond its noise.
+
+    Parameters
+    ----------
+    moved : ndarray, shape (b,)
+        By how much the first fit is above the second.
+    own, others : ndarray, shape (b,)
+        Variances of the first and of the second.
+    """
     seen = own > 0.0
     noise = float(np.sum(np.maximum(others[seen] / own[seen] - 1.0, 0.0)))
     found = float(np.sum(moved[seen] ** 2 / own[seen]))
