@@ -25,9 +25,9 @@ from sdpid.robot.friction.terms import RotorInertia
 
 __all__ = ["friction_bias"]
 
-# Speeds of the further curves, in those that the data chose: with a third and three times alone the
-# total mass of simulated trots of Go1 and A1 moved half as far towards the true law's. Slower ones
-# still, to 16 times, moved it no farther.
+# Speeds of the further curves, in those that the data chose: they moved the total mass of a trot of
+# a simulated A1 to where the true law has it, a third and three times alone half as far, and
+# further ones, to an eighth or 16 times, no farther.
 _SPEEDS = (0.25, 0.5, 2.0, 4.0)
 
 
