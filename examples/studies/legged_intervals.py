@@ -8,7 +8,8 @@ base is, over the motion of the log:
 * ``residuals``: what the residuals show, and no more;
 * ``noise``: with the bias by noise in the motion;
 * ``default``: with that by landings, too, where they are kept: of a gait, alone or beside
-  one other motion; and that by friction's law where the data chose its speeds.
+  one other motion; that by the filter elsewhere; and that by friction's law where the data
+  chose its speeds.
 
 Friction is *known* where the estimate is given its terms and speeds, *chosen* where `identify` fits
 the width of its own sign to a law with a Stribeck peak that differs from seed to seed. Channels are
@@ -55,7 +56,7 @@ SETS = (
     (("trot",), 4.0, "chosen", 3),
     (MOTIONS, 4.0, "chosen", 1),
     (("stand", "trot"), 4.0, "known", 3),
-    (MOTIONS, 10.0, "known", 1),
+    (MOTIONS, 10.0, "known", 3),
     (STEPS, 3.0, "known", 1),
 )
 ON_TIME = {f"{channel}_delay_s": 0.0 for channel in ("effort", "imu", "base", "contacts")}
@@ -149,7 +150,7 @@ def cells(
     first = None
     for intervals, counted in (
         ("residuals", problem),
-        ("noise", replace(default, landing_bias=None, friction_bias=None)),
+        ("noise", replace(default, landing_bias=None, filter_bias=None, friction_bias=None)),
         ("default", default),
     ):
         half = half_widths(replace(estimate, problem=counted), np.vstack([base, masses, forces]))

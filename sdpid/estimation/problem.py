@@ -88,6 +88,8 @@ class Problem:
     landing_bias : ndarray, shape (b,), or None
         Likewise by landings, whose samples are among its own. None where there are none, or too
         few others.
+    filter_bias : ndarray, shape (b,), or None
+        Likewise by the filter, where no sample near a landing is among its own.
     friction_bias : ndarray, shape (b,), or None
         Likewise by a law of friction that is not the robot's, where the data chose its speeds.
     meaning : str or None
@@ -125,6 +127,7 @@ class Problem:
     constant: float = 0.0
     motion_bias: Array | None = None
     landing_bias: Array | None = None
+    filter_bias: Array | None = None
     friction_bias: Array | None = None
     meaning: str | None = None
 
@@ -216,7 +219,7 @@ class Problem:
     @property
     def biases(self) -> Array:
         """By how much the unconstrained fit is thought to be off beside its noise, (k, b)."""
-        biases = self.motion_bias, self.landing_bias, self.friction_bias
+        biases = self.motion_bias, self.landing_bias, self.filter_bias, self.friction_bias
         known = [each for each in biases if each is not None]
         return frozen(np.reshape(known, (-1, self.base.count)))
 

@@ -286,7 +286,7 @@ def _intervals(estimate: Estimate, wanted: bool | Method) -> tuple[Intervals | N
 
 
 def _with_motion_bias(problem: Problem, prepared: Prepared) -> tuple[Problem, list[str]]:
-    """Return a problem that knows its biases by noise in the motion and landings, or why not.
+    """Return a problem that knows its biases by noise in the motion and all else, or why not.
 
     Robots that are fixed to the ground have a test in place of it (`check_bias`).
     """

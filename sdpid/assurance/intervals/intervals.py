@@ -79,6 +79,8 @@ class Intervals:
     landing_share : ndarray, shape (k,), or None
         Share of the bias by landings, likewise; None where no sample near a landing was used, or
         too few others.
+    filter_share : ndarray, shape (k,), or None
+        Share of the bias by the filter, likewise; None where samples near landings were used.
     friction_share : ndarray, shape (k,), or None
         Share of the bias by a law of friction that is not the robot's, likewise; None where the
         data chose no speeds.
@@ -113,6 +115,7 @@ class Intervals:
     gains_share: Array | None = None
     motion_share: Array | None = None
     landing_share: Array | None = None
+    filter_share: Array | None = None
     friction_share: Array | None = None
     seconds: float = 0.0
     solves: int = field(default=0)
@@ -151,6 +154,7 @@ class Intervals:
             ("gains", self.gains_share),
             ("noise in motion", self.motion_share),
             ("landings", self.landing_share),
+            ("the filter", self.filter_share),
             ("friction's law", self.friction_share),
         ):
             if share is not None:
@@ -177,7 +181,8 @@ class Intervals:
             "label": self.label,
             "ends_at_largest_mass": self.by_mass.tolist(),
         }
-        for name in ("gains_share", "motion_share", "landing_share", "friction_share"):
+        shares = ("gains_share", "motion_share", "landing_share", "filter_share", "friction_share")
+        for name in shares:
             if (share := getattr(self, name)) is not None:
                 columns[name] = share.tolist()
         rows = zip(*columns.values(), strict=True)
@@ -499,6 +504,7 @@ def _shares(
     biases = {
         "motion_share": problem.motion_bias,
         "landing_share": problem.landing_bias,
+        "filter_share": problem.filter_bias,
         "friction_share": problem.friction_bias,
     }
     gains = GainErrors.of(problem).any

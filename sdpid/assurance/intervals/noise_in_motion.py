@@ -1,4 +1,4 @@
-"""Tell what noise in the motion, landings, and friction's law do to intervals, in words."""
+"""Tell what noise in the motion, landings, filter and friction's law do to intervals, in words."""
 
 from __future__ import annotations
 
@@ -25,6 +25,12 @@ def noise_in_words(intervals: Intervals) -> str | None:
             intervals.landing_share,
             "landings, where joint speeds jump, move",
             "a motion with fewer of them beside this one, or impact_s = 0, leaves them out",
+        ),
+        _moved(
+            intervals,
+            intervals.filter_share,
+            "what the filter takes away moves",
+            "a higher cut-off (cutoff_hz), or efforts with less noise, makes them shorter",
         ),
         _moved(
             intervals,

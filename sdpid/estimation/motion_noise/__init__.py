@@ -1,1 +1,1 @@
-"""What noise in the measured motion, landings, and friction's law do to a fit."""
+"""What noise in the motion, landings, the filter, and friction's law do to a fit."""

@@ -96,14 +96,14 @@ def beyond_noise(problem: Problem, apart: Problem, moved: Array) -> Array | None
     problem : Problem
         Of all samples.
     apart : Problem
-        Of those away from landings.
+        Of those away from landings, or of samples of another filter.
     moved : ndarray, shape (b,)
         By how much the first's fit is above the second's.
 
     Returns
     -------
     ndarray, shape (b,), or None
-        None where samples away from landings leave directions open.
+        None where the other samples leave directions open.
     """
     if len(apart.excitation.weak()) > len(problem.excitation.weak()):
         return None

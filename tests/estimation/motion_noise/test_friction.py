@@ -80,7 +80,8 @@ def test_motion_and_friction_are_asked_together() -> None:
     assert bias.any()
     found = with_motion_bias(problem, [log], PROCESSING)
     np.testing.assert_array_equal(found.friction_bias, bias)
-    assert len(found.biases) == 2
+    # Noise in motion, the filter, and the law.
+    assert len(found.biases) == 3
 
 
 def test_a_law_that_is_right_has_next_to_none() -> None:

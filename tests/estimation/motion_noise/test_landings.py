@@ -68,6 +68,7 @@ def test_intervals_of_a_trot_count_what_its_landings_do() -> None:
     again = problem_of(robot, run.recording, kept)
     assert landings_used(again, [run.recording], kept)
     assert again.landing_bias is not None
+    assert again.filter_bias is None
     np.testing.assert_allclose(again.landing_bias, bias, rtol=1e-9)
     # No sample is two seconds away from a landing: what they do is not known.
     wide = replace(PROCESSING, impact_s=2.0, kept_share=0.1)
