@@ -164,6 +164,11 @@ def defects(weight: float) -> dict[str, tuple[Change, bool]]:
             feet(lambda c: {"forces": c.forces * np.array([0.9, 1.0, 1.0, 1.0])[:, None]}),
             True,
         ),
+        "one foot's forces of zeros": (
+            feet(lambda c: {"forces": c.forces * np.array([0.0, 1.0, 1.0, 1.0])[:, None]}),
+            True,
+        ),
+        "forces of zeros": (feet(lambda c: {"forces": 0.0 * c.forces}), True),
         "forces off by 5 % of the weight": (feet(lambda c: {"forces": c.forces + bias}), True),
         "forces on the ground": (feet(lambda c: {"forces": -c.forces}), True),
         "forces in the base's axes": (in_base_axes, True),

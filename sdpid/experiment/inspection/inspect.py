@@ -6,8 +6,10 @@ import os
 from collections import Counter
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
+from math import isfinite
 from typing import Any
 
+from sdpid._common.arrays import is_number
 from sdpid._common.tables import Table, facts_html
 from sdpid.errors import DataError
 from sdpid.experiment.inspection import (
@@ -25,7 +27,7 @@ from sdpid.experiment.inspection.floating import (
     feet_checks,
     flight_checks,
 )
-from sdpid.experiment.inspection.forces import flag_checks, force_checks
+from sdpid.experiment.inspection.forces import flag_checks, force_checks, missing_checks
 from sdpid.experiment.inspection.joined import other_loads
 from sdpid.experiment.inspection.places import imu_checks, point_checks
 from sdpid.experiment.readers.read import is_frame, read_recording
@@ -47,6 +49,7 @@ _FILES = (
         feet_checks,
         point_checks,
         flight_checks,
+        missing_checks,
         flag_checks,
         force_checks,
     ),
@@ -83,7 +86,12 @@ _MAKES = {
     "forces_exchanged": ("flags_unlike_forces", "flags_unlike_motion"),
     "forces_offset": ("flags_unlike_forces",),
     "flags_unlike_forces": ("flags_unlike_motion",),
-    "contacts_late": ("forces_unlike_motion",),
+    # Forces that are late differ from those of their time.
+    "contacts_late": (
+        *("forces_unlike_motion", "forces_scale", "forces_offset"),
+        *("wrenches_moments", "wrenches_point"),
+    ),
+    "forces_missing": (*_OF_FORCES, "flags_unlike_forces"),
     # Accelerations of a wrong place are those of another time.
     **dict.fromkeys(("imu_place", "imu_axes"), tuple(f"{channel}_late" for channel in LEAST)),
 }
@@ -170,7 +178,7 @@ def inspect_recording(
     Raises
     ------
     DataError
-        When the log cannot be read, or is no log.
+        When the log cannot be read, or is no log; when the total mass is no positive number.
     ModelError
         When the robot cannot be read.
 
@@ -191,6 +199,12 @@ def inspect_recording(
         raise DataError(
             f"log: is {type(given).__name__} {given!r:.80}; give a Recording, the path of a log or "
             "a data frame."
+        )
+    if total_mass is not None and not (
+        is_number(total_mass) and isfinite(total_mass) and total_mass > 0.0
+    ):
+        raise DataError(
+            f"total_mass: is {total_mass!r:.80}; give what the robot weighs, a positive number, kg."
         )
     if not isinstance(log, Recording):
         log = read_recording(log)

@@ -175,10 +175,52 @@ def test_forces_of_nothing_are_told_as_such() -> None:
     assert set(told) == {"forces_unlike_motion"}, told
 
 
-def test_late_forces_are_told_once() -> None:
-    contacts = log("trot").contacts
-    rows = np.maximum(np.arange(contacts.n_samples) - 10, 0)
-    late = with_feet("trot", forces=contacts.forces[rows], down=contacts.down[rows])
+def noise(recording: Recording, feet: int) -> Array:
+    return 0.1 * np.random.default_rng(0).normal(size=(recording.contacts.n_samples, feet, 3))
+
+
+def test_noise_of_feet_in_the_air_is_no_force() -> None:
+    hang, feet = log("hang"), log("stand").contacts
+    held, n = hang.contacts, hang.contacts.n_samples
+    measured = np.concatenate([np.zeros((n, feet.n, 6)), held.wrenches], axis=1)
+    measured[:, : feet.n, :3] = noise(hang, feet.n)
+    contacts = sdpid.Contacts(
+        frames=(*feet.frames, *held.frames),
+        kind=(*feet.kind, *held.kind),
+        down=np.hstack([np.zeros((n, feet.n), dtype=bool), held.closed]),
+        wrenches=measured,
+    )
+    assert not found(replace(hang, contacts=contacts))
+
+
+@pytest.mark.parametrize("feet", [[2], [0, 1, 2, 3]])
+def test_forces_of_zeros_are_refused(feet: list[int]) -> None:
+    changed = forces("trot")
+    changed[:, feet] = 0.0
+    told = sdpid.inspect_recording(with_feet("trot", forces=changed), robot()).findings
+    assert [(f.severity, f.kind) for f in told if f.severity != "note"] == [
+        ("refuse", "forces_missing") for _ in feet
+    ]
+    assert all("never change: they are (0, 0, 0) N" in f.message for f in told[: len(feet)])
+
+
+def test_forces_of_one_axis_are_told() -> None:
+    told = found(with_feet("trot", forces=forces("trot") * np.array([0.0, 0.0, 1.0])))
+    assert [(each.severity, each.kind) for each in told] == [("warning", "forces_missing")] * 4
+    assert "contact forces of FL_FOOT in x, y never change" in told[0].message
+
+
+@pytest.mark.parametrize("mass", [0, -1.0, float("nan"), float("inf"), "2.5", True])
+def test_total_mass_must_be_positive(mass: Any) -> None:
+    with pytest.raises(sdpid.errors.DataError, match=r"total_mass: is .* a positive number"):
+        sdpid.inspect_recording(log("stand"), robot(), total_mass=mass)
+
+
+@pytest.mark.parametrize("motion", ["stand", "trot"])
+def test_late_forces_are_told_once(motion: str) -> None:
+    contacts = log(motion).contacts
+    rows = np.maximum(np.arange(contacts.n_samples) - 20, 0)
+    late = with_feet(motion, forces=contacts.forces[rows], down=contacts.down[rows])
     assert [finding.kind for finding in found(late)] == ["contacts_late"]
 
 

@@ -44,6 +44,21 @@ def test_right_wrenches_are_left_alone(motion: str) -> None:
     assert not found(motion, wrenches(motion))
 
 
+def test_hand_that_never_lands_is_not_compared() -> None:
+    stand = log("stand").contacts
+    n = stand.n_samples
+    noisy = np.zeros((n, 1, 6))
+    noisy[..., :3] = np.random.default_rng(0).normal(size=(n, 1, 3))
+    contacts = sdpid.Contacts(
+        frames=(*stand.frames, "gripper_left_joint"),
+        kind=(*stand.kind, "point"),
+        down=np.hstack([stand.closed, np.zeros((n, 1), dtype=bool)]),
+        wrenches=np.concatenate([stand.wrenches, noisy], axis=1),
+    )
+    told = sdpid.inspect_recording(replace(log("stand"), contacts=contacts), robot()).findings
+    assert not [each for each in told if each.severity != "note"]
+
+
 @pytest.mark.parametrize("motion", ["stand", "step"])
 @pytest.mark.parametrize(("factor", "words"), [(-1.0, "wrong sign"), (0.7, "are 0.")])
 def test_moments_of_another_scale(motion: str, factor: float, words: str) -> None:

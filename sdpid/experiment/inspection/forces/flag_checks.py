@@ -10,6 +10,7 @@ from sdpid.experiment.inspection.dynamics_checks import OF_FLAGS
 from sdpid.experiment.inspection.finding import Finding, Subject, check
 from sdpid.experiment.inspection.floating.floating_log import FloatingLog
 from sdpid.experiment.recording.floating.contacts import Contacts
+from sdpid.robot.model.model import RobotModel
 
 __all__ = ["explained_log", "follow_forces"]
 
@@ -22,6 +23,9 @@ _OTHER_UNIT = 5.0
 # Flags contradict forces where this share of all force acts while its foot is said to be up: rows
 # of landings are half a sample off, which makes 0.004 at most.
 _UP_SHARE = 0.01
+# What shows less is no force: three times what a sensor shows where nothing touches it, and at
+# least this share of the largest force, and of the weight.
+_NOISE = 0.03
 
 
 def explained_log(subject: Subject) -> FloatingLog | None:
@@ -67,7 +71,7 @@ def total_mass(subject: Subject) -> Iterator[Finding]:
     )
 
 
-def _felt_up(contacts: Contacts | None) -> float | None:
+def _felt_up(contacts: Contacts | None, robot: RobotModel | None) -> float | None:
     """Return the share of all measured force that acts on feet that are said to be up."""
     if contacts is None or contacts.down is None:
         return None
@@ -75,15 +79,17 @@ def _felt_up(contacts: Contacts | None) -> float | None:
     if measured is None:
         return None
     size = np.linalg.norm(measured, axis=-1)
-    # What a sensor shows where nothing touches it, and at least a hundredth of the largest force.
-    noise = max(float(np.percentile(size, 1.0)), 0.01 * float(size.max(initial=0.0)))
-    felt = size * (size > 3.0 * noise)
+    weight = 0.0
+    if robot is not None:
+        weight = float(robot.prior[:, 0].sum() * np.linalg.norm(robot.gravity))
+    least = _NOISE * max(float(size.max(initial=0.0)), weight)
+    felt = size * (size > max(3.0 * float(np.percentile(size, 1.0)), least))
     return float(felt[~contacts.down].sum() / max(float(felt.sum()), 1e-300))
 
 
-def follow_forces(contacts: Contacts | None) -> bool:
+def follow_forces(contacts: Contacts | None, robot: RobotModel | None) -> bool:
     """Return whether flags differ from foot to foot, and are those of the measured forces."""
-    up = _felt_up(contacts)
+    up = _felt_up(contacts, robot)
     if contacts is None or contacts.down is None or up is None:
         return False
     differ = bool((contacts.down != contacts.down[:, :1]).any())
@@ -93,7 +99,7 @@ def follow_forces(contacts: Contacts | None) -> bool:
 @check
 def flags_and_forces(subject: Subject) -> Iterator[Finding]:
     """Find flags that say a foot is up while its force is measured."""
-    up = _felt_up(subject.log.contacts)
+    up = _felt_up(subject.log.contacts, subject.floating)
     if up is None or up < _UP_SHARE:
         return
     yield Finding(

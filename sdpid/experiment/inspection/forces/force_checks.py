@@ -69,7 +69,7 @@ def _misread(subject: Subject, legs: FreeLegs, given: Reading, best: Reading) ->
     )
     numbers = {"unexplained": given.left, "unexplained_mended": best.left, "limit": BETTER}
     if best.order != given.order:
-        both = follow_forces(subject.log.contacts)
+        both = follow_forces(subject.log.contacts, subject.floating)
         pairs = [
             f"those of {names[j]} are of {names[i]}" for i, j in enumerate(best.order) if i != j
         ]

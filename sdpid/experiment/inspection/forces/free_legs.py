@@ -32,6 +32,10 @@ _BELIEF, _AT = 0.3, 0.1
 _WIDTH = 0.02
 # Friction and rotor inertia are free: in units of the largest effort no joint has as much.
 _FREE = 100.0
+# A foot bears something where it is down so often, or where the root mean square of its force is
+# this share of the weight: below it there is nothing that checks would tell, such as the noise of
+# sensors in the air.
+_OFTEN, _BEARING = 0.1, 0.02
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -121,7 +125,8 @@ def free_legs(
 ) -> FreeLegs | None:
     """Return the legs that bear measured forces, None where there are none.
 
-    Contacts that share joints with others, and joints whose effort says nothing, are left out.
+    Contacts that bear nothing, that share joints with others, or have joints whose effort says
+    nothing, are left out.
 
     Parameters
     ----------
@@ -142,8 +147,8 @@ def free_legs(
     moved: Mask = np.abs(J[..., robot.n_base :]).max(axis=(0, 2)) > 0.0
     known = np.array([name not in without for name in robot.joint_names[robot.n_base :]])
     shared = moved & (moved.sum(axis=0) > 1)
-    pushed = np.any(contacts.forces != 0.0, axis=(0, 2)) if contacts.forces is not None else False
-    taken = pushed & moved.any(axis=1) & ~shared.any(axis=1) & ~(moved & ~known).any(axis=1)
+    taken = _bearing(robot, contacts) & moved.any(axis=1) & ~shared.any(axis=1)
+    taken &= ~(moved & ~known).any(axis=1)
     if not np.any(taken):
         return None
     Y = robot.regressor(q, v, a)
@@ -176,6 +181,15 @@ def free_legs(
         contacts=_only(contacts, taken),
         needed=described[:, :3],
     )
+
+
+def _bearing(robot: RobotModel, contacts: ContactSamples) -> Mask:
+    """Return which contacts bear something, (c,)."""
+    assert contacts.forces is not None
+    weight = robot.prior[:, 0].sum() * np.linalg.norm(robot.gravity)
+    size = np.sqrt(np.mean(np.sum(contacts.forces[..., :3] ** 2, axis=2), axis=0))
+    bears: Mask = (contacts.down.mean(axis=0) >= _OFTEN) | (size >= _BEARING * weight)
+    return bears
 
 
 def _believed(robot: RobotModel) -> Array:

@@ -38,20 +38,13 @@ class Reading:
     signs : tuple of int
         1, or -1 where a foot's force is that on the ground.
     left : float
-        Share that is unexplained of what the torques of legs need beside their own links: the
-        mean of the legs.
+        Share that is unexplained of what the torques of all legs need beside their own links.
     """
 
     axes: str
     order: tuple[int, ...]
     signs: tuple[int, ...]
     left: float
-
-    @property
-    def as_given(self) -> bool:
-        """Whether forces are those of their feet in the world's axes, on the robot."""
-        upright = all(sign > 0 for sign in self.signs)
-        return self.axes == "world" and self.order == tuple(range(len(self.order))) and upright
 
     def apply(self, legs: FreeLegs) -> Array:
         """Return the legs' wrenches (K, c, 6) on the robot, in the world's axes."""
@@ -72,8 +65,8 @@ def readings(legs: FreeLegs) -> tuple[Reading, Reading]:
     feet = np.arange(len(legs.legs))
     given = _reading("world", feet, *compared["world"])
     ordered, *turned = (
-        _reading(axes, linear_sum_assignment(left)[1], left, gains)
-        for axes, (left, gains) in compared.items()
+        _reading(axes, linear_sum_assignment(needs[:, None] * left)[1], left, gains, needs)
+        for axes, (left, gains, needs) in compared.items()
     )
     best = given
     for other in (ordered, min(turned, key=lambda reading: reading.left)):
@@ -82,13 +75,14 @@ def readings(legs: FreeLegs) -> tuple[Reading, Reading]:
     return given, best
 
 
-def _reading(axes: str, order: Indices, left: Array, gains: Array) -> Reading:
+def _reading(axes: str, order: Indices, left: Array, gains: Array, needs: Array) -> Reading:
     feet = np.arange(len(order))
     return Reading(
         axes=axes,
         order=tuple(int(i) for i in order),
         signs=tuple(np.where((gains < 0.0) & (left < _SHOWN), -1, 1)[feet, order].tolist()),
-        left=float(np.mean(left[feet, order])),
+        # A leg that needs no force, as of a foot that never lands, says nothing.
+        left=float(np.average(left[feet, order], weights=needs)),
     )
 
 
@@ -100,10 +94,13 @@ def _turns(legs: FreeLegs) -> dict[str, Array]:
     return {name: np.broadcast_to(turn, feet.shape) for name, turn in zip(_AXES, each, strict=True)}
 
 
-def _compared(legs: FreeLegs, turns: Array) -> tuple[Array, Array]:
-    """Return what each foot's torques leave with each column's force, and its scale, (c, c)."""
+def _compared(legs: FreeLegs, turns: Array) -> tuple[Array, Array, Array]:
+    """Return what each foot's torques leave with each column's force, and its scale, (c, c).
+
+    What they leave is a share of what they need without any, the last, (c,).
+    """
     c = len(legs.legs)
-    left, gains = np.ones((c, c)), np.ones((c, c))
+    left, gains, needs = np.ones((c, c)), np.ones((c, c)), np.ones(c)
     for foot, leg in enumerate(legs.legs):
         forces, moments = (
             turns[:, foot] @ np.swapaxes(legs.wrenches[:, :, part], 1, 2)
@@ -116,9 +113,9 @@ def _compared(legs: FreeLegs, turns: Array) -> tuple[Array, Array]:
             columns += [leg.by_moments(turn @ forces) for turn in cross_matrices(np.eye(3))]
         sums = leg.sums(np.concatenate(columns, axis=2), np.full(c * len(columns), _LARGEST))
         own = range(leg.own.shape[2])
-        without = max(sums.fit(own).left ** 2, 1e-300)
+        needs[foot] = max(sums.fit(own).left ** 2, 1e-300)
         for column in range(c):
             fit = sums.fit([*own, *range(len(own) + column, len(sums.scale), c)])
-            left[foot, column] = fit.left**2 / without
+            left[foot, column] = fit.left**2 / needs[foot]
             gains[foot, column] = fit.values[len(own)]
-    return left, gains
+    return left, gains, needs

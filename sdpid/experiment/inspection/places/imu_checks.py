@@ -21,6 +21,8 @@ from sdpid.experiment.inspection.places.imu_search import Found
 from sdpid.experiment.inspection.places.words import vector
 from sdpid.experiment.recording.floating.base import Imu
 
+# Accelerations of a wrong place or axes are those of another time.
+_DELAYS = "delays are told once this is mended"
 _RIVALS = {
     "bias": "a bias",
     "scale": "another scale",
@@ -74,7 +76,7 @@ def _axes(sensor: str, imu: Imu, fit: ImuFit, found: Found) -> Finding:
             f"axes of the {sensor} are turned by {np.degrees(angle):.3g}° about "
             f"{vector(found.value / angle)} of the base against those stated, as the pose shows "
             f"(standard error {np.degrees(found.error):.2g}°, limit "
-            f"{np.degrees(SIZES['axes']):.2g}°)"
+            f"{np.degrees(SIZES['axes']):.2g}°); {_DELAYS}"
         ),
         remedy=f"give the IMU's rotation=[{rows}]",
         numbers={"angle": angle, "error": found.error, "limit": SIZES["axes"]},
@@ -89,7 +91,7 @@ def _mirrored(imu: Imu, fit: ImuFit) -> Finding:
         kind="imu_axes",
         message=(
             "axes of the gyroscope are mirrored: no rotation makes it the pose's turning, and "
-            f"{axes_in_words(nearest)} measured does"
+            f"{axes_in_words(nearest)} measured does; {_DELAYS}"
         ),
         remedy="exchange its columns or their signs; rotation= can only turn them",
         numbers={"determinant": -1.0},
@@ -104,7 +106,7 @@ def _place(sensor: str, imu: Imu, fit: ImuFit, found: Found) -> Finding:
         message=(
             f"the {sensor} sits at {vector(imu.translation + found.value)} m in the base's frame, "
             f"{away:.3g} m from where it is said to be, as the pose shows (standard error "
-            f"{found.error:.2g} m, limit {SIZES['place']:g} m)"
+            f"{found.error:.2g} m, limit {SIZES['place']:g} m); {_DELAYS}"
         ),
         remedy=f"give the IMU's translation={vector(imu.translation + found.value)}",
         numbers={"distance": away, "error": found.error, "limit": SIZES["place"]},
