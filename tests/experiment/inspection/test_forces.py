@@ -15,6 +15,7 @@ from sdpid._common.arrays import Array
 from sdpid.experiment.inspection.finding import Finding, Subject
 from sdpid.experiment.inspection.floating.compare import floating_log
 from sdpid.experiment.inspection.floating.floating_log import FloatingLog
+from sdpid.experiment.inspection.forces import force_checks
 from sdpid.experiment.plant.legged.sensors import Sensors
 from sdpid.experiment.plant.legged.simulate import LeggedRun
 from sdpid.experiment.preparation import several
@@ -88,6 +89,15 @@ def test_scale_of_forces_against_torques(
     right = forced / driven
     assert abs(finding.numbers["ratio"] - right) < 5.0 * finding.numbers["error"]
     assert f"{likely} are likelier wrong" in finding.message
+
+
+def test_some_feet_alone_tell_no_mass() -> None:
+    scaled = with_feet("trot", forces=0.95 * forces("trot"))
+    subject = Subject(log=scaled, robot=None, floating=robot(), without=frozenset({"FL_KFE"}))
+    (finding,) = force_checks.forces(subject)
+    assert finding.kind == "forces_scale"
+    assert "kg" not in finding.message
+    assert "likelier" not in finding.message
 
 
 def test_scale_of_one_foot() -> None:

@@ -118,17 +118,21 @@ def _scales(
     limit = max(_APART, _SURE * error)
     if abs(ratio - 1.0) > limit:
         by_torques = borne / ratio
-        # The nearer to what is known is the likelier.
-        off = [abs(np.log(max(share, 1e-3))) for share in (borne, by_torques)]
-        likely = "forces" if off[0] > off[1] else "torques"
+        carried = ""
+        if legs.whole:
+            # The nearer to what is known is the likelier.
+            off = [abs(np.log(max(share, 1e-3))) for share in (borne, by_torques)]
+            likely = "forces" if off[0] > off[1] else "torques"
+            carried = (
+                f"; forces carry {borne * mass:.4g} kg, torques {by_torques * mass:.4g} kg, {who} "
+                f"{mass:.4g} kg, so that the {likely} are likelier wrong"
+            )
         yield Finding(
             severity="warning",
             kind="forces_scale",
             message=(
                 f"contact forces are {ratio:.4g} times (standard error {error:.2g}) those that the "
-                f"legs' torques show, limit {1 - limit:.3g} to {1 + limit:.3g}; forces carry "
-                f"{borne * mass:.4g} kg, torques {by_torques * mass:.4g} kg, {who} {mass:.4g} kg, "
-                f"so that the {likely} are likelier wrong"
+                f"legs' torques show, limit {1 - limit:.3g} to {1 + limit:.3g}{carried}"
             ),
             remedy="do not fuse these forces; weigh the robot, and give its mass (TotalMass)",
             numbers={"ratio": ratio, "error": error, "limit": limit},

@@ -94,6 +94,8 @@ class FreeLegs:
         Of these legs, with their forces.
     needed : ndarray, shape (K, 3)
         Force on the base that weight and inertia of the description need, in its axes, N.
+    whole : bool
+        Whether these are all contacts that bear something, and so together the robot.
     """
 
     robot: RobotModel
@@ -101,6 +103,7 @@ class FreeLegs:
     position: Array
     contacts: ContactSamples
     needed: Array
+    whole: bool
 
     @property
     def wrenches(self) -> Array:
@@ -147,7 +150,8 @@ def free_legs(
     moved: Mask = np.abs(J[..., robot.n_base :]).max(axis=(0, 2)) > 0.0
     known = np.array([name not in without for name in robot.joint_names[robot.n_base :]])
     shared = moved & (moved.sum(axis=0) > 1)
-    taken = _bearing(robot, contacts) & moved.any(axis=1) & ~shared.any(axis=1)
+    bearing = _bearing(robot, contacts)
+    taken = bearing & moved.any(axis=1) & ~shared.any(axis=1)
     taken &= ~(moved & ~known).any(axis=1)
     if not np.any(taken):
         return None
@@ -180,6 +184,7 @@ def free_legs(
         position=q,
         contacts=_only(contacts, taken),
         needed=described[:, :3],
+        whole=bool(taken[bearing].all()),
     )
 
 
