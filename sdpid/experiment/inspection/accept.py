@@ -18,6 +18,7 @@ REFUSED = (
     "effort_order",
     "effort_scale",
     "effort_sign",
+    "forces_missing",
     "gravity_direction",
     "joint_order",
     "payload_differs",

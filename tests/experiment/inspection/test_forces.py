@@ -12,6 +12,7 @@ import pytest
 import sdpid
 from sdpid import Recording
 from sdpid._common.arrays import Array
+from sdpid.experiment.inspection.accept import require_accepted
 from sdpid.experiment.inspection.finding import Finding, Subject
 from sdpid.experiment.inspection.floating.compare import floating_log
 from sdpid.experiment.inspection.floating.floating_log import FloatingLog
@@ -212,6 +213,9 @@ def test_forces_of_zeros_are_refused(feet: list[int]) -> None:
         ("refuse", "forces_missing") for _ in feet
     ]
     assert all("never change: they are (0, 0, 0) N" in f.message for f in told[: len(feet)])
+    with pytest.raises(sdpid.errors.DataError, match="forces_missing"):
+        require_accepted(told)
+    require_accepted(told, "forces_missing")
 
 
 def test_forces_of_one_axis_are_told() -> None:
