@@ -11,8 +11,9 @@ from sdpid.experiment.processing.filters import ZeroPhaseFilter
 
 __all__ = ["Delay", "block_error", "filtered", "lag", "pooled"]
 
-# Gauss-Newton steps of a lag; three are there from 20 ms away.
-_STEPS = 3
+# Gauss-Newton steps of a lag end when one is this share of its error. Of motions three are enough
+# from 20 ms away; of forces, which jump, ten and more.
+_SETTLED, _STEPS = 0.02, 50
 # Stretches of a recording whose errors count as independent.
 _BLOCKS = 20
 
@@ -89,6 +90,8 @@ def lag(signal: Array, other: Array, step: float, *, gain: bool = False) -> Dela
         change = float(np.sum(left * rate * weight)) / power
         error = block_error(np.sum((left - change * rate) * rate * weight, axis=1), power)
         delay += change
+        if abs(change) <= _SETTLED * error:
+            break
     return Delay(value=delay, error=error)
 
 
