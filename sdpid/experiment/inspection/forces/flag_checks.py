@@ -9,6 +9,7 @@ import numpy as np
 from sdpid.experiment.inspection.dynamics_checks import OF_FLAGS
 from sdpid.experiment.inspection.finding import Finding, Subject, check
 from sdpid.experiment.inspection.floating.floating_log import FloatingLog
+from sdpid.experiment.inspection.forces.free_legs import described_weight
 from sdpid.experiment.recording.floating.contacts import Contacts
 from sdpid.robot.model.model import RobotModel
 
@@ -75,13 +76,11 @@ def _felt_up(contacts: Contacts | None, robot: RobotModel | None) -> float | Non
     """Return the share of all measured force that acts on feet that are said to be up."""
     if contacts is None or contacts.down is None:
         return None
-    measured = contacts.forces if contacts.wrenches is None else contacts.wrenches[..., :3]
+    measured = contacts.measured
     if measured is None:
         return None
     size = np.linalg.norm(measured, axis=-1)
-    weight = 0.0
-    if robot is not None:
-        weight = float(robot.prior[:, 0].sum() * np.linalg.norm(robot.gravity))
+    weight = 0.0 if robot is None else described_weight(robot)
     least = _NOISE * max(float(size.max(initial=0.0)), weight)
     felt = size * (size > max(3.0 * float(np.percentile(size, 1.0)), least))
     return float(felt[~contacts.down].sum() / max(float(felt.sum()), 1e-300))

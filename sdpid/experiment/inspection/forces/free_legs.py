@@ -114,7 +114,7 @@ class FreeLegs:
     @property
     def weight(self) -> float:
         """Of the description, N."""
-        return float(self.robot.prior[:, 0].sum() * np.linalg.norm(self.robot.gravity))
+        return described_weight(self.robot)
 
     def borne(self, forces: Array) -> float:
         """Return what part of the description's weight and inertia forces (K, c, 3) bear."""
@@ -188,10 +188,15 @@ def free_legs(
     )
 
 
+def described_weight(robot: RobotModel) -> float:
+    """Return the weight of a description, N."""
+    return float(robot.prior[:, 0].sum() * np.linalg.norm(robot.gravity))
+
+
 def _bearing(robot: RobotModel, contacts: ContactSamples) -> Mask:
     """Return which contacts bear something, (c,)."""
     assert contacts.forces is not None
-    weight = robot.prior[:, 0].sum() * np.linalg.norm(robot.gravity)
+    weight = described_weight(robot)
     size = np.sqrt(np.mean(np.sum(contacts.forces[..., :3] ** 2, axis=2), axis=0))
     bears: Mask = (contacts.down.mean(axis=0) >= _OFTEN) | (size >= _BEARING * weight)
     return bears

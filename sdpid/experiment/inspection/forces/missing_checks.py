@@ -18,7 +18,7 @@ def missing_forces(subject: Subject) -> Iterator[Finding]:
     contacts = subject.log.contacts
     if contacts is None or contacts.down is None:
         return
-    measured = contacts.forces if contacts.wrenches is None else contacts.wrenches[..., :3]
+    measured = contacts.measured
     if measured is None:
         return
     still = np.ptp(measured, axis=0) == 0.0

@@ -110,11 +110,16 @@ class Contacts:
         return next(len(t) for n in _SAMPLED if (t := getattr(self, n)) is not None)
 
     @property
+    def measured(self) -> Array | None:
+        """Measured forces (N, c, 3), N, those of wrenches too; None where there are none."""
+        return self.forces if self.wrenches is None else self.wrenches[..., :3]
+
+    @property
     def closed(self) -> Mask:
         """Flags (N, c), or what forces tell where there are none."""
         if self.down is not None:
             return self.down
-        measured = self.forces if self.wrenches is None else self.wrenches[..., :3]
+        measured = self.measured
         assert measured is not None  # one of the three is always there
         size = np.linalg.norm(measured, axis=-1)
         told: Mask = size > _CLOSED_SHARE * np.quantile(size, _STRONG)
