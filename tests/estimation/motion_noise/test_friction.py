@@ -14,6 +14,7 @@ from sdpid.estimation.motion_noise.bias import with_motion_bias
 from sdpid.estimation.motion_noise.friction import friction_bias
 from sdpid.experiment.preparation.for_robot import prepare
 from tests.estimation.motion_noise.test_bias import PROCESSING, recorded
+from tests.estimation.motion_noise.test_landings import with_and_without
 from tests.helpers.arm import ARM
 from tests.helpers.data import full_regressor, random_theta
 
@@ -53,15 +54,7 @@ def test_the_bias_is_what_the_fit_is_off_by() -> None:
     assert not bias[~links].any()
     # Intervals count it, say so, and name what it moves.
     counted = replace(wls, problem=replace(problem, friction_bias=bias))
-    honest, short = (
-        sdpid.confidence_intervals(each, method="gauss_markov", parameters=problem.base.names)
-        for each in (counted, wls)
-    )
-    assert honest.friction_share is not None
-    assert short.friction_share is None
-    np.testing.assert_allclose(
-        honest.width**2 * (1.0 - honest.friction_share), short.width**2, rtol=0.05
-    )
+    honest, _ = with_and_without(counted, wls.problem, "friction_share")
     assert "from friction's law, %" in honest.table()
     words = noise_in_words(replace(honest, friction_share=np.full(len(honest), 0.9)))
     assert words is not None

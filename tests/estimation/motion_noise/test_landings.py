@@ -34,6 +34,22 @@ def problem_of(
     return with_motion_bias(problem, [log], processing)
 
 
+def with_and_without(
+    estimate: sdpid.Estimate, without: sdpid.Problem, name: str
+) -> tuple[sdpid.Intervals, sdpid.Intervals]:
+    """Return intervals that count a bias, and those that do not; its share is the difference."""
+    honest, short = (
+        sdpid.confidence_intervals(each, method="gauss_markov", parameters=without.base.names)
+        for each in (estimate, replace(estimate, problem=without))
+    )
+    # Shares say how much of the variance it is.
+    share = getattr(honest, name)
+    assert share is not None
+    assert getattr(short, name) is None
+    np.testing.assert_allclose(honest.width**2 * (1.0 - share), short.width**2, rtol=0.05)
+    return honest, short
+
+
 def test_intervals_of_a_trot_count_what_its_landings_do() -> None:
     robot = sdpid.load_robot("solo12", root="free_flyer")
     run = sdpid.simulate_legged(robot, "trot", duration=2.0, seed=1, sensors=Sensors.exact())
@@ -41,20 +57,12 @@ def test_intervals_of_a_trot_count_what_its_landings_do() -> None:
     bias, truth = problem.landing_bias, problem.base_of(run.theta)
     assert bias is not None
     wls = sdpid.solve_wls(problem)
-    honest, short = (
-        sdpid.confidence_intervals(each, method="gauss_markov", parameters=problem.base.names)
-        for each in (wls, replace(wls, problem=replace(problem, landing_bias=None)))
-    )
+    honest, short = with_and_without(wls, replace(problem, landing_bias=None), "landing_share")
     size = short.width
     assert np.corrcoef(bias / size, (wls.base - truth) / size)[0, 1] > 0.5
     assert honest.contains(truth).mean() > max(0.95, short.contains(truth).mean())
     assert np.median(honest.width / short.width) < 2.0
-    # Shares say how much of the variance it is.
     assert honest.landing_share is not None
-    assert short.landing_share is None
-    np.testing.assert_allclose(
-        honest.width**2 * (1.0 - honest.landing_share), short.width**2, rtol=0.05
-    )
     assert "from landings, %" in honest.table()
     words = noise_in_words(honest)
     assert words is not None
