@@ -89,7 +89,7 @@ def _complete_friction(incomplete: str) -> list[str]:
     """Complete the name of a friction term."""
     from sdpid.robot.friction.model import BY_NAME
 
-    return _beginning(BY_NAME)(incomplete)
+    return _beginning([plus + name for plus in ("", "+") for name in BY_NAME])(incomplete)
 
 
 def _complete_kind(incomplete: str) -> list[str]:
@@ -407,7 +407,7 @@ class Estimation:
             help="coulomb, coulomb=0.02 (smooth within 0.02 rad/s), coulomb=fit (smooth within "
             "the speed that fits best), asymmetric_coulomb, viscous, offset, rotor_inertia, "
             "stribeck, sigmoid, square_root, load, tilt, or coupling=joint_5,joint_6. Repeat for "
-            "each term.",
+            "each term. They replace the default terms; +stribeck adds to them.",
             autocompletion=_complete_friction,
         ),
     ] = None

@@ -71,13 +71,16 @@ def share(text: str, option: str) -> float:
 def friction_terms(texts: list[str] | None) -> list[str | FrictionTerm] | None:
     """Return the terms of ``--friction``: names, or names with a speed or joints.
 
+    Names that begin with + come after the default terms.
+
     Raises
     ------
     DataError
         When a speed is no number.
     ModelError
-        When a term takes no value, or another number of them.
+        When a term takes no value, or another number of them, or only some begin with +.
     """
+    from sdpid.experiment.preparation.for_robot import DEFAULT
     from sdpid.robot.friction.terms import (
         AsymmetricCoulomb,
         Coulomb,
@@ -92,8 +95,15 @@ def friction_terms(texts: list[str] | None) -> list[str | FrictionTerm] | None:
         "stribeck": lambda speed: Stribeck(velocity=speed),
         "sigmoid": lambda speed: SigmoidFriction(velocity=speed),
     }
-    terms: list[str | FrictionTerm] = []
-    for text in texts or ():
+    added = [text for text in texts or () if text.startswith("+")]
+    if added and len(added) < len(texts or ()):
+        raise ModelError(
+            f"--friction {added[0]}: + adds to the default terms, and others are given without +, "
+            "which replace them; write all with + or none."
+        )
+    terms: list[str | FrictionTerm] = [DEFAULT] if added else []
+    for given in texts or ():
+        text = given.removeprefix("+")
         name, equals, value = text.partition("=")
         if not equals:
             terms.append(text)

@@ -18,7 +18,7 @@ from sdpid.estimation.problem import Problem, build_problem
 from sdpid.estimation.selection.choose import with_chosen_effects, with_effects
 from sdpid.experiment.drive_gains.gains import DriveGains
 from sdpid.experiment.inspection.accept import kinds_accepted
-from sdpid.experiment.preparation.for_robot import default_friction
+from sdpid.experiment.preparation.for_robot import friction_of
 from sdpid.experiment.preparation.several import (
     Logs,
     Prepared,
@@ -144,7 +144,7 @@ def formulate(
     if isinstance(prior, (bool, np.bool_)):
         prior = Prior() if prior else None
     asked = names_of_effects(effects)
-    given = default_friction(log.logs[0]) if friction is None else friction
+    given = friction_of(log.logs[0], friction)
     constraints = Constraints.of_size(robot) if constraints is None else constraints
 
     def build(terms: tuple[str | FrictionTerm, ...]) -> Problem:

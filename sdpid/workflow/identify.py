@@ -123,7 +123,7 @@ def identify(
     friction : iterable, optional
         Friction terms, by name or as objects. By default, for records with periods, Coulomb and
         viscous friction; else these with a smooth sign, a sigmoid and offsets (see
-        docs/guides/friction.md).
+        docs/guides/friction.md). ``"default"`` among them stands for these default terms.
     weighting : str, optional
         By default ``gls`` for records with periods, else ``residual`` (see `build_problem`).
     consistency : str, optional

@@ -162,8 +162,11 @@ def test_friction_options() -> None:
         *(Coulomb(width=None), Stribeck(0.2), Stribeck(), AsymmetricCoulomb(width=0.1)),
         *("sigmoid", Coupling("a", "b")),
     ]
+    assert values.friction_terms(["+stribeck=0.2", "+load"]) == ["default", Stribeck(0.2), "load"]
     with pytest.raises(sdpid.errors.ModelError, match="viscous=1: takes no value"):
         values.friction_terms(["viscous=1"])
+    with pytest.raises(sdpid.errors.ModelError, match="write all with \\+ or none"):
+        values.friction_terms(["viscous", "+stribeck"])
 
 
 def test_terms_with_chosen_speeds(log: Path, tmp_path: Path) -> None:

@@ -14,7 +14,7 @@ from sdpid.estimation.effects.kinds import EFFECTS
 from sdpid.estimation.prior.prior import Prior
 from sdpid.estimation.problem import Problem, build_problem
 from sdpid.estimation.selection.choose import with_chosen_effects, with_effects
-from sdpid.experiment.preparation.for_robot import SMOOTH, default_friction
+from sdpid.experiment.preparation.for_robot import SMOOTH, friction_of
 from sdpid.experiment.preparation.several import ProcessingOf, common_processing
 from sdpid.experiment.processing.choose import with_changes
 from sdpid.experiment.processing.process import Processing
@@ -97,7 +97,7 @@ def chosen_terms(
         As `identify_drive_gains` takes them.
     """
     names = _names(effects)
-    given = default_friction(logs[0]) if friction is None else tuple(friction)
+    given = friction_of(logs[0], friction)
     joined = Samples.join([replace(each, effort=each.effort * gains) for each in samples])
     described = bool(np.any(robot.prior[:, 0] > 0.0))
     prior = Prior() if described else None

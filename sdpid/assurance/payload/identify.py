@@ -30,7 +30,7 @@ from sdpid.estimation.prior.prior import Prior
 from sdpid.estimation.problem import Problem, build_problem
 from sdpid.experiment.drive_gains.gains import DriveGains
 from sdpid.experiment.inspection.finding import Finding
-from sdpid.experiment.preparation.for_robot import default_friction, prepare
+from sdpid.experiment.preparation.for_robot import friction_of, prepare
 from sdpid.experiment.preparation.several import (
     columns_without,
     inspected,
@@ -325,11 +325,10 @@ def _problems(
 ) -> tuple[Problem, Problem | None]:
     """Return the problems with and without load, compressed with the same base parameters."""
     samples = read(with_load)
-    if friction is None:
-        friction = ("coulomb", "viscous", "offset")
-        if isinstance(with_load, Recording):
-            friction = default_friction(with_load)
-    terms = tuple(friction)
+    if isinstance(with_load, Recording):
+        terms = friction_of(with_load, friction)
+    else:
+        terms = ("coulomb", "viscous", "offset") if friction is None else tuple(friction)
     if without_load is None and prior is None and not np.all(robot.prior[:, 0] > 0.0):
         raise ModelError(
             f"payload: the description of '{robot.name}' gives links no mass; give a recording "

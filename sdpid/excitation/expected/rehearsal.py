@@ -28,7 +28,7 @@ from sdpid.estimation.problem import Problem, build_problem
 from sdpid.excitation.criterion.belief import default_prior
 from sdpid.excitation.criterion.noise import ExpectedNoise, Given
 from sdpid.excitation.criterion.nominal import nominal_theta
-from sdpid.experiment.preparation.for_robot import default_friction
+from sdpid.experiment.preparation.for_robot import friction_of
 from sdpid.experiment.processing.choose import default_processing
 from sdpid.experiment.processing.process import process
 from sdpid.experiment.processing.settings import Processing
@@ -113,7 +113,7 @@ def rehearse(
         Whether the log is fitted as it is, or averaged over its periods.
     """
     log = _log(robot, trajectory, reading)
-    terms = default_friction(log) if friction is None else tuple(friction)
+    terms = friction_of(log, friction)
     model = FrictionModel.from_terms(terms, robot.joint_names, first=robot.n_base)
     q, v, a = trajectory.sample()
     model, profiled = closed_in_the_middle(model, np.abs(v))

@@ -242,11 +242,17 @@ def inspect_recordings(
     between: dict[int, Finding] = {}
     if len(logs) > 1:
         between = dict(other_loads([subject for subject, _ in looked_at]))
+    resting = [{f.joint for f in found if f.kind == "joint_at_rest"} for _, found in looked_at]
+    always = set.intersection(*resting)
     name = name or "recording"
     each = []
     for place, (_, findings) in enumerate(looked_at):
         own = (between[place], *findings) if place in between else findings
-        each += [replace(f, message=f"{name} {place + 1}: {f.message}") for f in own]
+        for finding in own:
+            told = replace(finding, message=f"{name} {place + 1}: {finding.message}")
+            if finding.kind == "joint_at_rest" and finding.joint not in always:
+                told = replace(told, remedy="nothing to do where it moves enough in another one")
+            each.append(told)
     return tuple(each)
 
 

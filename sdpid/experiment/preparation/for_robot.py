@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import replace
 
 from sdpid.experiment.processing.choose import default_processing
@@ -16,7 +17,10 @@ from sdpid.robot.friction.term import FrictionTerm
 from sdpid.robot.friction.terms import Coulomb, SigmoidFriction
 from sdpid.robot.model.model import RobotModel
 
-__all__ = ["default_friction", "default_processing", "prepare"]
+__all__ = ["DEFAULT", "default_friction", "default_processing", "friction_of", "prepare"]
+
+# Among friction terms: those that are used by default.
+DEFAULT = "default"
 
 # Half-width of the smooth sign of real friction, rad/s. Its columns pass the filter of the efforts,
 # so it need not be as wide as the filter smears; wider friction is the sigmoid's business.
@@ -40,6 +44,16 @@ def default_friction(log: Recording) -> tuple[str | FrictionTerm, ...]:
     if log.base is not None:
         return (SigmoidFriction(), "viscous", "rotor_inertia")
     return (Coulomb(width=SMOOTH), SigmoidFriction(), "viscous", "offset")
+
+
+def friction_of(
+    log: Recording, given: Iterable[str | FrictionTerm] | None
+) -> tuple[str | FrictionTerm, ...]:
+    """Return the friction terms to use: given ones, `DEFAULT` among them standing for its terms."""
+    terms: list[str | FrictionTerm] = []
+    for each in (DEFAULT,) if given is None else given:
+        terms += default_friction(log) if isinstance(each, str) and each == DEFAULT else [each]
+    return tuple(terms)
 
 
 def prepare(robot: RobotModel, log: Recording, processing: Processing | None = None) -> Samples:

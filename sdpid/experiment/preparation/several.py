@@ -141,6 +141,9 @@ def chosen_processing(
     return with_changes(common, {} if given is None else given), why
 
 
+_NOT_PREDICTED = "how well it is predicted in motion is not shown; record it moving"
+
+
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Prepared:
     """Recordings made ready for one fit: joints matched, processed alike, joined.
@@ -198,16 +201,21 @@ class Prepared:
             As for `prepare_recordings`.
         """
         chosen = replace(processing or self.processing, covariance=None)
-        without = self.without_effort
-        return prepare_recordings(
+        found = prepare_recordings(
             self.robot,
             logs,
             chosen,
-            without_effort=without,
+            without_effort=self.without_effort,
             accept=accept,
             gains=gains,
             name="validation",
         )
+        # The fit may know the joint well: only its prediction lacks motion here.
+        told = (
+            replace(each, remedy=_NOT_PREDICTED) if each.kind == "joint_at_rest" else each
+            for each in found.findings
+        )
+        return replace(found, findings=tuple(told))
 
 
 def prepare_recordings(

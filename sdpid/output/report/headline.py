@@ -23,6 +23,7 @@ from sdpid.output.report.judged import (
     errors_of_urdf,
     grades_of,
     judged,
+    missing_friction,
     terms_of,
 )
 from sdpid.output.report.prediction_verdict import resting_share
@@ -146,6 +147,12 @@ def _steps(result: Judged, worst: Grade | None, causes: dict[str, Cause]) -> Ite
     if worst is not None and not worst.moved:
         yield f"record {fit.joint_names[worst.joint]} moving"
     name = None if worst is None else fit.joint_names[worst.joint]
+    missing = missing_friction(result)
+    if missing and worst is not None and worst.level != "good":
+        yield (
+            f"let {' and '.join(missing)} friction in, which every joint has: --friction +TERM "
+            "adds a term to the default ones, --friction TERM replaces them"
+        )
     if name in held_of(result) and name not in causes:
         yield held_of(result)[name].step
     # The cause that explains most of the whole error, or else that of the worst joint.
@@ -155,7 +162,8 @@ def _steps(result: Judged, worst: Grade | None, causes: dict[str, Cause]) -> Ite
         largest = name
     if largest in causes:
         step = next_step(causes[largest], terms_of(result), result.problem.effects)
-        yield f"{step} (for {largest})"
+        of_all = f", {percent(weights[largest])} of all joints' squared errors"
+        yield f"{step} (for {largest}{'' if largest == name else of_all})"
     held_out = result.held_out
     if held_out is None or held_out.by == "blocks":
         yield _OTHER_MOTION

@@ -20,6 +20,13 @@ from sdpid.experiment.processing.samples import Samples
 from sdpid.output.report.grades import Grade, Level, grades
 from sdpid.output.robots.export_report import Errors
 from sdpid.output.robots.urdf_errors import urdf_errors
+from sdpid.robot.friction.model import BY_NAME
+
+# Classes of terms that describe what every joint has.
+_FRICTION = {
+    "Coulomb": {"Coulomb", "AsymmetricCoulomb", "SigmoidFriction"},
+    "viscous": {"Viscous"},
+}
 
 
 class Crossed(Protocol):
@@ -218,6 +225,14 @@ def least_squares_of(identification: Judged) -> Validation:
 def terms_of(identification: Judged) -> frozenset[str]:
     """Return the names of the classes of the model's terms."""
     return frozenset(type(term).__name__ for term in identification.problem.friction.terms)
+
+
+def missing_friction(result: Judged) -> tuple[str, ...]:
+    """Return which of Coulomb and viscous friction no term describes; none with unknown terms."""
+    terms = terms_of(result)
+    if terms - {each.__name__ for each in BY_NAME.values()} - {"Coupling"}:
+        return ()
+    return tuple(kind for kind, classes in _FRICTION.items() if not terms & classes)
 
 
 def seen_on(result: Judged) -> str:

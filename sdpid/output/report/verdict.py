@@ -30,6 +30,7 @@ from sdpid.output.report.judged import (
     errors_of,
     grades_of,
     judged,
+    missing_friction,
     seen_on,
     terms_of,
 )
@@ -105,6 +106,7 @@ def findings(
             terms_of(identification),
             identification.problem.effects,
         ),
+        *_friction(identification),
         *_rollouts(identification),
         *_light(identification),
         *held_back_findings(identification),
@@ -125,6 +127,18 @@ def _recordings(identification: Judged) -> Iterator[Finding]:
     for each in identification.findings:
         if each.severity == "refuse":
             yield Finding("bad", f"The recording is not what it says: {each}.")
+
+
+def _friction(result: Judged) -> Iterator[Finding]:
+    """Tell a set of terms without Coulomb or viscous friction, which every joint has."""
+    if missing := missing_friction(result):
+        terms = ", ".join(sorted(terms_of(result))) or "none"
+        yield Finding(
+            "caution",
+            f"No term describes {' or '.join(missing)} friction (terms: {terms}), which every "
+            "joint has: its effort goes into the other parameters or into the error. --friction "
+            "+TERM adds a term to the default ones, --friction TERM replaces them.",
+        )
 
 
 def _bias(result: Judged) -> Iterator[Finding]:

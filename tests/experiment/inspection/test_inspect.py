@@ -14,6 +14,7 @@ import sdpid
 from sdpid.errors import DataError, SdpidError
 from sdpid.experiment.inspection.inspect import inspect_recording, inspect_recordings
 from sdpid.experiment.preparation.overview import overview
+from sdpid.experiment.preparation.several import prepare_recordings
 from sdpid.experiment.readers.read import read_recording
 from sdpid.experiment.recording.recording import Recording
 
@@ -229,6 +230,22 @@ def test_findings_are_data(log: Recording, robot: sdpid.RobotModel):
     assert entry["severity"] == "refuse"
     assert entry["numbers"]["unexplained_mended"] < 0.05
     assert entry["text"] == f"{entry['message']}; {entry['remedy']}"
+
+
+def test_a_joint_that_another_recording_moves_is_not_unknown(
+    log: Recording, robot: sdpid.RobotModel
+):
+    position = log.position.copy()
+    position[:, 5] = 0.3
+    still = replace(log, position=position, velocity=None)
+    rests = [f for f in inspect_recordings((log, still), robot) if f.kind == "joint_at_rest"]
+    assert [f.remedy for f in rests] == ["nothing to do where it moves enough in another one"]
+    rests = [f for f in inspect_recordings((still, still), robot) if f.kind == "joint_at_rest"]
+    assert [f.remedy for f in rests] == ["its inertia and friction are unknown; excite it"] * 2
+    # What is only predicted says nothing of what the fit knows.
+    others = prepare_recordings(robot, log).others(still, accept=())
+    (rest,) = (f for f in others.findings if f.kind == "joint_at_rest")
+    assert rest.remedy == "how well it is predicted in motion is not shown; record it moving"
 
 
 def test_identify_says_what_info_finds(log: Recording, robot: sdpid.RobotModel):

@@ -9,7 +9,12 @@ import numpy as np
 import pytest
 
 import sdpid
-from sdpid.experiment.preparation.for_robot import default_friction, default_processing, prepare
+from sdpid.experiment.preparation.for_robot import (
+    default_friction,
+    default_processing,
+    friction_of,
+    prepare,
+)
 
 # Relative residual in % that default settings must reach on motion that was not trained on.
 TARGETS = {
@@ -44,6 +49,14 @@ def test_the_cut_off_follows_the_motion() -> None:
     assert slow.reversal_time == pytest.approx(0.1 / slow.cutoff_hz)
     fast = default_processing(sine(1000.0, 20.0, 10.0))
     assert fast.cutoff_hz == pytest.approx(1000.0 / 7.5)
+
+
+def test_default_among_friction_terms_stands_for_the_default_ones() -> None:
+    log = sine(100.0, 10.0, 0.5)
+    usual = default_friction(log)
+    assert friction_of(log, None) == friction_of(log, ("default",)) == usual
+    assert friction_of(log, ("default", "stribeck")) == (*usual, "stribeck")
+    assert friction_of(log, ("viscous",)) == ("viscous",)
 
 
 def test_what_stands_still_has_no_cut_off() -> None:

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
+import sdpid
 from sdpid.assurance.diagnostics.held_out import hold_out
 from sdpid.estimation.effects.tried import Tried
 from sdpid.experiment.inspection.finding import Finding
@@ -86,6 +88,31 @@ def test_the_worst_joint_its_cause_and_the_step(good: Identification) -> None:
     flipped = replace(wrong, kind="effort_sign", remedy="flip its sign", joint=LAST)
     step = headline(replace(good, held_out=held_out, findings=(flipped,))).step
     assert step == f"flip its sign (for {LAST})"
+
+
+def test_a_cause_of_another_joint_than_the_worst_is_told_with_its_share(
+    good: Identification,
+) -> None:
+    fresh = moved(arm_theta(), 2)
+    effort, q = np.array(fresh.effort), fresh.position[:, 0]
+    effort[:, 0] += 0.4 * effort[:, 0].std() * np.sin(q)
+    noise = np.random.default_rng(0).standard_normal(len(effort))
+    effort[:, 1] += 0.5 * effort[:, 1].std() * noise
+    held_out = hold_out(good.estimate, good.wls, replace(fresh, effort=effort))
+    found = headline(replace(good, held_out=held_out))
+    assert found.worst.startswith(f"{LAST}, error ")
+    assert "its shape shows no cause" in found.worst
+    assert re.search(rf"\(for {FIRST}, [\d.]+ % of all joints' squared errors\)", found.step)
+
+
+def test_friction_without_coulomb_or_viscous_terms_is_told(good: Identification) -> None:
+    samples = moved(arm_theta(), 1)
+    problem = sdpid.build_problem(ARM, samples, friction=("stribeck",), weighting="residual")
+    result = identified(problem, moved(arm_theta(), 2))
+    words = "No term describes Coulomb or viscous friction (terms: Stribeck)"
+    assert any(text.startswith(words) for text in result.verdict)
+    assert headline(result).step.startswith("let Coulomb and viscous friction in")
+    assert not any("No term describes" in text for text in good.verdict)
 
 
 def test_the_error_at_rest_stands_apart(good: Identification) -> None:
