@@ -126,7 +126,6 @@ ALLOWED = {
     "casadi": ("sdpid.excitation.search.ipopt",),
     "cvxpy": ("sdpid.estimation.sdp.", "sdpid.assurance."),
     "clarabel": ("sdpid.estimation.conic",),
-    "scs": ("sdpid.estimation.conic",),
     "mujoco": (
         "sdpid.experiment.plant",
         "sdpid.robot.description.mjcf",

@@ -1,1 +1,1 @@
-"""Cone programs for Clarabel and SCS; they know no robot."""
+"""Cone programs for Clarabel; they know no robot."""

@@ -5,8 +5,7 @@
 
 With a radius the squares are no cost but a constraint, ``‖M·x + m‖ ≤ radius``.
 
-It is handed to Clarabel or SCS directly, in their standard form (see
-`sdpid.estimation.conic.standard_form`).
+It is handed to Clarabel directly, in its standard form (`sdpid.estimation.conic.standard_form`).
 """
 
 from __future__ import annotations
@@ -15,7 +14,7 @@ import threading
 import time
 from dataclasses import dataclass, field, replace
 from itertools import groupby
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 
@@ -25,7 +24,7 @@ from sdpid.estimation.conic.standard_form import (
     Matrix,
     Standard,
     standard_form,
-    triangle_basis,
+    symmetric_basis,
 )
 
 __all__ = [
@@ -34,19 +33,12 @@ __all__ = [
     "ConicProgram",
     "ConicSolution",
     "Matrix",
-    "Solver",
     "solve_conic",
 ]
 
 # Tighter than a solver can reach: it then stops where it makes no further progress, and what it
 # found is judged by what is recomputed.
 TOLERANCE = 1e-11
-
-# SCS is a first-order method: this is as far as it goes in a reasonable time.
-_SCS_TOLERANCE = 1e-9
-_SCS_ITERATIONS = 20000
-
-Solver = Literal["clarabel", "scs"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -128,7 +120,7 @@ class ConicFamily:
             # Zeros of one program must keep their place.
             program = replace(program, M=np.where(pattern, 1.0, 0.0))
         self.program = program
-        self._form = standard_form(program, lower_triangle=False)
+        self._form = standard_form(program)
         A = self._form.A
         columns = np.repeat(np.arange(A.shape[1]), np.diff(A.indptr))
         self._squares = np.flatnonzero((A.indices < self._form.zero) & (columns < program.n))
@@ -196,13 +188,12 @@ class ConicFamily:
         found = _clarabel_found(solver, again=again)
         if found[0].startswith("panic"):
             solvers.pop(key, None)
-        return _read(self.program, changed, found, lower=False)
+        return _read(self.program, changed, found)
 
 
 def solve_conic(
     program: ConicProgram,
     *,
-    solver: Solver = "clarabel",
     regularization: float = 1e-8,
     tolerance: float = TOLERANCE,
     verbose: bool = False,
@@ -213,8 +204,6 @@ def solve_conic(
     ----------
     program : ConicProgram
         The program.
-    solver : {"clarabel", "scs"}, optional
-        The solver.
     regularization : float, optional
         What Clarabel adds to the diagonal of its linear systems.
     tolerance : float, optional
@@ -227,19 +216,12 @@ def solve_conic(
     ConicSolution
         With the point where the solver stopped, whatever it calls it.
     """
-    lower = solver == "scs"
-    standard = standard_form(program, lower_triangle=lower)
-    if lower:
-        found = _scs(standard, verbose)
-    else:
-        made = _clarabel_solver(standard, regularization, tolerance=tolerance, verbose=verbose)
-        found = _clarabel_found(made)
-    return _read(program, standard, found, lower=lower)
+    standard = standard_form(program)
+    made = _clarabel_solver(standard, regularization, tolerance=tolerance, verbose=verbose)
+    return _read(program, standard, _clarabel_found(made))
 
 
-def _read(
-    program: ConicProgram, standard: Standard, found: _Found, *, lower: bool
-) -> ConicSolution:
+def _read(program: ConicProgram, standard: Standard, found: _Found) -> ConicSolution:
     """Sort what a solver found: its point, and the multipliers."""
     status, v, dual, iterations, seconds, error = found
     if not (np.all(np.isfinite(v)) and np.all(np.isfinite(dual))):
@@ -256,7 +238,7 @@ def _read(
     # Blocks of one size in turn, of which there is seldom more than one.
     for size, run in groupby(block.constant.shape[0] for block in program.blocks):
         count = len(list(run))
-        basis = triangle_basis(size, lower=lower)
+        basis = symmetric_basis(size)
         found_there = dual[at : at + count * len(basis)].reshape(count, len(basis))
         blocks += list((found_there @ basis.reshape(len(basis), -1)).reshape(count, size, size))
         at += count * len(basis)
@@ -314,28 +296,3 @@ def _clarabel_found(solver: Any, *, again: bool = False) -> _Found:
     error = error if np.isfinite(error) else np.inf
     iterations = int(found.iterations)
     return str(found.status), np.array(found.x), np.array(found.z), iterations, seconds, error
-
-
-def _scs(standard: Standard, verbose: bool) -> _Found:
-    import scs
-
-    data = {"P": standard.P, "A": standard.A, "b": standard.b, "c": standard.q}
-    cone = {
-        "z": standard.zero,
-        "l": standard.positive,
-        "q": [standard.ball] if standard.ball else [],
-        "s": list(standard.sizes),
-        "ep": standard.exponential,
-    }
-    solver = scs.SCS(
-        data,
-        cone,
-        eps_abs=_SCS_TOLERANCE,
-        eps_rel=_SCS_TOLERANCE,
-        max_iters=_SCS_ITERATIONS,
-        verbose=verbose,
-    )
-    found = solver.solve()
-    info = found["info"]
-    seconds = 1e-3 * float(info["setup_time"] + info["solve_time"])
-    return str(info["status"]), found["x"], found["y"], int(info["iter"]), seconds, np.inf

@@ -1,4 +1,4 @@
-"""Least squares over a cone, and the standard form of the solvers.
+"""Least squares over a cone, and the standard form of the solver.
 
     minimize ½·v·P·v + q·v   subject to   A·v + s = b,   s in a cone
 
@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from sdpid._common.arrays import Array, Indices
+from sdpid._common.arrays import Array, Indices, frozen
 
 
 @dataclass(frozen=True, eq=False)
@@ -127,30 +127,21 @@ class Standard:
     ball: int = 0
 
 
+@cache
 def symmetric_basis(size: int) -> Array:
-    """Return an orthonormal basis of the symmetric matrices, (size·(size+1)/2, size, size)."""
+    """Return an orthonormal basis of the symmetric matrices, (size·(size+1)/2, size, size).
+
+    Clarabel's vector of a matrix, the columns of the upper triangle in turn, is its coordinates.
+    """
     pairs = [(i, j) for i in range(size) for j in range(i + 1)]
     basis = np.zeros((len(pairs), size, size))
     for k, (i, j) in enumerate(pairs):
         basis[k, i, j] = basis[k, j, i] = 1.0 if i == j else np.sqrt(0.5)
-    return basis
+    return frozen(basis)
 
 
-@cache
-def triangle_basis(size: int, *, lower: bool) -> Array:
-    """Return the orthonormal basis whose coordinates are a solver's vector of a matrix.
-
-    Clarabel stacks the columns of the upper triangle, SCS those of the lower one.
-    """
-    basis = symmetric_basis(size)
-    if not lower:
-        return basis
-    pairs = [(i, j) for i in range(size) for j in range(i + 1)]
-    return basis[[pairs.index((i, j)) for j in range(size) for i in range(j, size)]]
-
-
-def standard_form(program: ConicProgram, *, lower_triangle: bool) -> Standard:
-    """Bring a program into the solvers' form."""
+def standard_form(program: ConicProgram) -> Standard:
+    """Bring a program into the solver's form."""
     from scipy.sparse import csc_matrix
 
     n = program.n
@@ -181,7 +172,7 @@ def standard_form(program: ConicProgram, *, lower_triangle: bool) -> Standard:
     sizes = []
     for block in program.blocks:
         size = block.constant.shape[0]
-        basis = triangle_basis(size, lower=lower_triangle)
+        basis = symmetric_basis(size)
         flat = basis.reshape(len(basis), -1)
         rows.add(
             -flat @ block.linear.reshape(len(block.linear), -1).T,
@@ -190,7 +181,7 @@ def standard_form(program: ConicProgram, *, lower_triangle: bool) -> Standard:
         )
         sizes.append(size)
     for matrix, (triangle, _) in zip(program.log_dets, extra, strict=True):
-        sizes.append(_add_log_det(rows, matrix, triangle, lower_triangle))
+        sizes.append(_add_log_det(rows, matrix, triangle))
     exponential = 0
     for matrix, (triangle, logs) in zip(program.log_dets, extra, strict=True):
         size = matrix.constant.shape[0]
@@ -225,10 +216,10 @@ def standard_form(program: ConicProgram, *, lower_triangle: bool) -> Standard:
     )
 
 
-def _add_log_det(rows: _Rows, matrix: Matrix, triangle: Indices, lower: bool) -> int:
+def _add_log_det(rows: _Rows, matrix: Matrix, triangle: Indices) -> int:
     """Add ``[[X, Z], [Z^T, diag(Z)]]`` ⪰ 0 with Z lower triangular: then det X ≥ Π z_jj."""
     size = int(matrix.constant.shape[0])
-    basis = triangle_basis(2 * size, lower=lower)
+    basis = symmetric_basis(2 * size)
     flat = basis.reshape(len(basis), -1)
     linear = np.zeros((len(matrix.index) + len(triangle), 2 * size, 2 * size))
     linear[: len(matrix.index), :size, :size] = matrix.linear

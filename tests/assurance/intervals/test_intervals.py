@@ -15,7 +15,7 @@ from sdpid.assurance.intervals.intervals import FROM_DATA, FROM_PHYSICS, FROM_PR
 from sdpid.assurance.intervals.profile_likelihood import ProfileLikelihood
 from sdpid.errors import DataError
 from sdpid.estimation.cluster_robust import ScoreBlocks
-from sdpid.estimation.conic.solve import ConicFamily, ConicProgram, Solver, solve_conic
+from sdpid.estimation.conic.solve import ConicFamily, ConicProgram, solve_conic
 from sdpid.estimation.estimate import Estimate
 from sdpid.estimation.noise_spectrum import NoiseSpectrum
 from sdpid.estimation.posterior import Groups
@@ -45,8 +45,7 @@ def relaxed() -> Estimate:
     return sdpid.solve_sdp(build_problem(ARM, samples, constraints=limits))
 
 
-@pytest.mark.parametrize("solver", ["clarabel", "scs"])
-def test_a_linear_cost_in_a_ball_is_least_at_its_rim(solver: Solver) -> None:
+def test_a_linear_cost_in_a_ball_is_least_at_its_rim() -> None:
     rng = np.random.default_rng(0)
     M, m, cost = np.diag([1.0, 2.0, 3.0]), rng.standard_normal(3), rng.standard_normal(3)
     program = ConicProgram(
@@ -58,7 +57,7 @@ def test_a_linear_cost_in_a_ball_is_least_at_its_rim(solver: Solver) -> None:
         upper=np.zeros(0),
         radius=0.7,
     )
-    found = solve_conic(program, solver=solver)
+    found = solve_conic(program)
     pull = np.linalg.solve(M.T, cost)
     assert found.x is not None
     np.testing.assert_allclose(M @ found.x + m, -0.7 * pull / np.linalg.norm(pull), atol=SOLVED)
