@@ -225,8 +225,9 @@ class Reading:
 
     def files(self, logs: Iterable[Path], *others: PathLike | None) -> list[PathLike | None]:
         """Return the files that a command reads: logs, mappings, and others."""
-        beside = [log.with_suffix(".toml") if log.suffix else Path(f"{log}.toml") for log in logs]
-        return [*logs, *beside, self.mapping, self.gains, *others]
+        from sdpid.experiment.readers.mapping import mapping_beside
+
+        return [*logs, *map(mapping_beside, logs), self.mapping, self.gains, *others]
 
 
 @dataclass(frozen=True, kw_only=True)

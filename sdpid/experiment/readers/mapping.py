@@ -12,7 +12,7 @@ from sdpid.errors import DataError
 from sdpid.experiment.readers.floating.quantities import SETTINGS, checked_settings
 from sdpid.experiment.recording.motor_side import MotorSide
 
-__all__ = ["find_mapping", "read_mapping"]
+__all__ = ["find_mapping", "mapping_beside", "read_mapping"]
 
 _NUMBERS = ("period", "start", "periods", "rate_hz")
 _TEXTS = ("topic", "missing")
@@ -25,10 +25,16 @@ _KNOWN = (
 _NOTHING = (False, "none")
 
 
-def find_mapping(path: Path) -> Path | None:
-    """Return the mapping beside a log: ``run.toml`` for ``run.csv`` or the folder ``run``."""
-    beside = path.with_suffix(".toml") if path.suffix else Path(f"{path}.toml")
-    return beside if beside.is_file() and beside != path else None
+def mapping_beside(log: Path) -> Path:
+    """Return where the mapping of a log lies: `run.toml` for `run.csv`, `run.csv.gz` or `run`."""
+    unpacked = log.with_suffix("") if log.suffix.lower() == ".gz" else log
+    return log.parent / f"{unpacked.stem}.toml"
+
+
+def find_mapping(log: Path) -> Path | None:
+    """Return the mapping beside a log, if there is one."""
+    beside = mapping_beside(log)
+    return beside if beside.is_file() and beside != log else None
 
 
 def read_mapping(source: str | os.PathLike[str] | Mapping[str, Any]) -> dict[str, Any]:

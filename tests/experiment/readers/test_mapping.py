@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gzip
 import re
 from pathlib import Path
 from typing import Any
@@ -10,6 +11,7 @@ import numpy as np
 import pytest
 
 from sdpid._common.toml import load_toml
+from sdpid.cli.options import Reading
 from sdpid.errors import DataError
 from sdpid.experiment.readers.mapping import read_mapping
 from sdpid.experiment.readers.read import read_described, read_recording
@@ -80,6 +82,19 @@ def test_a_mapping_beside_the_log(tmp_path: Path):
     other = tmp_path / "other.toml"
     other.write_text(MAPPING.replace('effort = "mA"', 'effort = "A"'))
     np.testing.assert_allclose(read_recording(file, mapping=other).effort, 1e3 * TAU, atol=1e-9)
+
+
+@pytest.mark.parametrize("name", ["run.csv.gz", "run.2.txt.gz", "RUN.TSV.GZ"])
+def test_a_mapping_beside_a_compressed_log(tmp_path: Path, name: str):
+    plain = motor_log(tmp_path)
+    file, beside = tmp_path / name, tmp_path / f"{name[:-7]}.toml"
+    file.write_bytes(gzip.compress(plain.read_bytes()))
+    beside.write_text(MAPPING)
+    reading = read_described(file)
+    np.testing.assert_allclose(reading.recording.effort, TAU, atol=1e-12)
+    assert reading.mapping == str(beside)
+    # Commands know it as a file that they read.
+    assert beside in Reading().files([file])
 
 
 def test_the_mapping_of_the_documentation(tmp_path: Path):
