@@ -10,11 +10,13 @@ from sdpid.experiment.inspection.finding import Finding
 
 __all__ = ["REFUSED", "kinds_accepted", "require_accepted"]
 
-# Kinds of findings that may be of severity 'refuse', and that one may overrule.
+# Kinds of findings that may be of severity 'refuse', and that one may overrule. Any other that is
+# refused stands in the way of processing the log as well, whatever is accepted.
 REFUSED = (
     "axis_sign",
     "base_orientation",
     "contact_frame",
+    "contacts_missing",
     "effort_order",
     "effort_scale",
     "effort_sign",
@@ -28,8 +30,6 @@ REFUSED = (
     "position_zero",
     "time_unit",
 )
-# Refused by what processes a log as well, whatever is accepted.
-_FINAL = ("joints_unknown", "time_stamps", "processing")
 
 
 def kinds_accepted(accept: str | Iterable[str]) -> tuple[str, ...]:
@@ -78,7 +78,7 @@ def require_accepted(findings: Sequence[Finding], accept: str | Iterable[str] = 
         return
     listed = ". ".join(f"{each.kind}: {each}".rstrip(".") for each in refused)
     names = dict.fromkeys(each.kind for each in refused)
-    overruled = [name for name in names if name not in _FINAL]
+    overruled = [name for name in names if name in REFUSED]
     asked = ", ".join(repr(name) for name in overruled)
     options = " ".join(f"--accept {name}" for name in overruled)
     rest = (

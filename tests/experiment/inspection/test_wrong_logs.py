@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import ast
+import re
+from collections.abc import Callable, Iterator
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -11,6 +14,7 @@ import pytest
 import sdpid
 from sdpid.errors import DataError
 from sdpid.experiment.inspection.accept import REFUSED, kinds_accepted, require_accepted
+from sdpid.experiment.inspection.dynamics_checks import OF_FLAGS
 from sdpid.experiment.inspection.finding import Finding
 from sdpid.experiment.inspection.inspect import inspect_recording, inspect_recordings
 from sdpid.experiment.inspection.time_checks import _read_as_seconds
@@ -310,6 +314,29 @@ def test_findings_are_overruled_by_name():
     for wrong in (None, True, 3):
         with pytest.raises(DataError, match=rf"accept: is {wrong}; give kinds of findings"):
             kinds_accepted(wrong)  # type: ignore[arg-type]
+
+
+def kinds_refused() -> Iterator[str]:
+    """Yield every kind of finding, and of a correction, that the code may give to refuse a log."""
+    for path in Path(sdpid.__file__).parent.joinpath("experiment").rglob("*.py"):
+        for node in ast.walk(ast.parse(path.read_text("utf-8"))):
+            if isinstance(node, ast.Call) and ast.unparse(node.func) in ("Finding", "Correction"):
+                given = {each.arg: ast.unparse(each.value).strip("'") for each in node.keywords}
+                mild = ("warning", "note", "subject.about_velocity")
+                if given.get("severity") not in mild and given["kind"].isidentifier():
+                    yield given["kind"]
+
+
+def test_every_kind_that_is_refused_is_accepted_by_name_or_is_final():
+    final = {"joints_unknown", "time_stamps", "processing"}
+    kinds = set(kinds_refused()) - {"kind", *OF_FLAGS}
+    assert kinds - final <= set(REFUSED)
+    assert len(kinds) > 12
+    findings = [Finding(severity="refuse", kind=kind, message=kind) for kind in sorted(kinds)]
+    with pytest.raises(DataError) as error:
+        require_accepted(findings)
+    asked = re.findall(r"--accept (\w+)", str(error.value))
+    assert kinds_accepted(asked) == tuple(sorted(kinds - final))
 
 
 def test_every_use_of_a_log_refuses_it(log: Recording, robot: sdpid.RobotModel):
