@@ -8,6 +8,7 @@ from typing import Annotated
 import typer
 
 import sdpid.cli.options as opt
+from sdpid.cli.formulated import formulated
 from sdpid.cli.printing import Printing, findings_listed, listed
 
 
@@ -38,26 +39,11 @@ def compare(
     """Run every solver on one problem and measure them against the proven lower bound."""
     if out is not None:
         opt.require_folder("--out", out, reading.files((log,), robot, printing.config))
-    from sdpid.estimation.constraints.mass import known_mass
-    from sdpid.experiment.preparation.several import columns_without, prepare_recordings
-    from sdpid.experiment.recording.floating.robots import robot_of
     from sdpid.workflow.comparison import compare as run
-    from sdpid.workflow.formulate import formulate
 
-    model = robot_of(robot)
-    absent = columns_without(model, estimation.arguments(model)["without_effort"])
-    record = reading.read(log, without_effort=absent, **periods.arguments())
-    model = robot_of(robot, [record])
-    formulation = estimation.arguments(model)
-    prepared = prepare_recordings(
-        model,
-        record,
-        processing.changes(),
-        without_effort=formulation.pop("without_effort"),
-        total_mass=known_mass(formulation["constraints"].others),
-        **acceptance.arguments(),
+    problem, prepared = formulated(
+        robot, [log], reading, periods, processing, estimation, acceptance
     )
-    problem = formulate(model, prepared, **formulation)
     comparison = run(problem, starts=starts, seed=seed, max_iterations=max_iterations, n_jobs=jobs)
     files = [] if out is None else [str(out)]
     if out is not None:

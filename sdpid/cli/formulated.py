@@ -11,11 +11,28 @@ import sdpid.cli.options as opt
 if TYPE_CHECKING:
     from sdpid.estimation.problem import Problem
     from sdpid.experiment.preparation.several import Prepared
+    from sdpid.experiment.recording.recording import Recording
     from sdpid.robot.model.model import RobotModel
 
 
+def robot_and_logs(
+    robot: Path | str,
+    logs: Sequence[Path],
+    reading: opt.Reading,
+    periods: opt.Periods,
+    without_effort: tuple[str, ...],
+) -> tuple[RobotModel, list[Recording]]:
+    """Return the robot, with a floating base where a log has one, and the recordings."""
+    from sdpid.experiment.preparation.several import columns_without
+    from sdpid.experiment.recording.floating.robots import robot_of
+
+    absent = columns_without(robot_of(robot), without_effort)
+    records = [reading.read(log, without_effort=absent, **periods.arguments()) for log in logs]
+    return robot_of(robot, records), records
+
+
 def formulated(
-    robot: RobotModel | Path | str,
+    robot: Path | str,
     logs: Sequence[Path],
     reading: opt.Reading,
     periods: opt.Periods,
@@ -28,14 +45,11 @@ def formulated(
     The problem's robot is `robot`, with a floating base where a log has one.
     """
     from sdpid.estimation.constraints.mass import known_mass
-    from sdpid.experiment.preparation.several import columns_without, prepare_recordings
-    from sdpid.experiment.recording.floating.robots import robot_of
+    from sdpid.experiment.preparation.several import prepare_recordings
     from sdpid.workflow.formulate import formulate
 
-    model = robot_of(robot)
-    absent = columns_without(model, estimation.arguments(model)["without_effort"])
-    records = [reading.read(log, without_effort=absent, **periods.arguments()) for log in logs]
-    model = robot_of(robot, records)
+    absent = opt.joints(estimation.without_effort)
+    model, records = robot_and_logs(robot, logs, reading, periods, absent)
     formulation = estimation.arguments(model)
     prepared = prepare_recordings(
         model,

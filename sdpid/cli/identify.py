@@ -15,6 +15,7 @@ from sdpid._common.files import Source
 from sdpid._common.text import printable
 from sdpid.cli.config import config_text
 from sdpid.cli.endings import OURS, command_line
+from sdpid.cli.formulated import robot_and_logs
 from sdpid.cli.printing import Printing, errors_table, findings_listed, listed
 
 if TYPE_CHECKING:
@@ -80,14 +81,12 @@ def identify(
     if draw:
         require("matplotlib", extra="plot")
     from sdpid.experiment.preparation.several import columns_without
-    from sdpid.experiment.recording.floating.robots import robot_of
     from sdpid.workflow.identify import identify as run
 
-    model = robot_of(robot)
-    absent = columns_without(model, estimation.arguments(model)["without_effort"])
-    records = [reading.read(log, without_effort=absent, **periods.arguments()) for log in logs]
-    checks = [reading.read(log, without_effort=absent) for log in validation or ()]
-    model = robot_of(robot, records)
+    absent = opt.joints(estimation.without_effort)
+    model, records = robot_and_logs(robot, logs, reading, periods, absent)
+    columns = columns_without(model, absent)
+    checks = [reading.read(log, without_effort=columns) for log in validation or ()]
     formulation = estimation.arguments(model)
     result = run(
         model,

@@ -10,6 +10,7 @@ import typer
 
 import sdpid.cli.options as opt
 from sdpid._common.extras import require
+from sdpid.cli.formulated import robot_and_logs
 from sdpid.cli.printing import Printing, errors_table, findings_listed, listed
 
 if TYPE_CHECKING:
@@ -45,18 +46,13 @@ def validate(
     from sdpid.experiment.preparation.for_robot import prepare
     from sdpid.experiment.preparation.several import (
         chosen_processing,
-        columns_without,
         inspected,
         without_efforts,
     )
-    from sdpid.experiment.recording.floating.robots import robot_of
     from sdpid.output.report.prediction_verdict import prediction_findings
 
-    model = robot_of(robot)
     absent = opt.joints(without_effort)
-    columns = columns_without(model, absent)
-    record = reading.read(log, without_effort=columns, **periods.arguments())
-    model = robot_of(robot, [record])
+    model, (record,) = robot_and_logs(robot, [log], reading, periods, absent)
     findings = inspected(model, [record], without_effort=absent, **acceptance.arguments())
     chosen, _ = chosen_processing([record], processing.changes())
     samples = prepare(model, record, replace(chosen, covariance=None))

@@ -109,7 +109,10 @@ def read_given(
     file = Path(path)
     suffix = file.suffix.lower()
     if suffix in _DESCRIPTIONS:
-        return GivenParameters(source=file.name, values=_described(load_robot(path), robot, file))
+        given = load_robot(path)
+        if robot.free_flyer and not given.free_flyer:
+            given = load_robot(path, root="free_flyer")
+        return GivenParameters(source=file.name, values=_described(given, robot, file))
     if suffix == ".csv":
         table = read_base_table(path, value=value)
         numbers = {name: float(x) for name, x in table.values.items()}

@@ -49,15 +49,13 @@ def certify(
     if certificate is not None:
         inputs = [parameters, *reading.files(logs, robot, printing.config)]
         opt.require_folder("--certificate", certificate, inputs)
-    from sdpid.robot.model.load import load_robot
     from sdpid.workflow.certify_parameters import certify_parameters
     from sdpid.workflow.given_parameters import read_given
 
-    model = load_robot(robot)
-    given = read_given(parameters, model, value=value)
     problem, prepared = formulated(
-        model, logs, reading, periods, processing, estimation, acceptance
+        robot, logs, reading, periods, processing, estimation, acceptance
     )
+    given = read_given(parameters, problem.robot, value=value)
     judged = certify_parameters(problem, given)
     files = [] if certificate is None else [str(certificate)]
     text = judged.summary()
