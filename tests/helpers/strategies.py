@@ -7,6 +7,7 @@ of what they are.
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from typing import Any, Literal
 
 import numpy as np
@@ -122,9 +123,13 @@ def dh_tables(
     size, angle = (CLEAR_LENGTHS, CLEAR_ANGLES) if clear else (reals(-1.0, 1.0), ANGLES)
     rows = st.lists(dh_joints(prismatic=prismatic, clear=clear), min_size=least, max_size=most)
     x, y, z = draw(st.tuples(size, size, size))
+    joints, convention = tuple(draw(rows)), draw(st.sampled_from(conventions))
+    if convention == "standard" and not any(joint.r for joint in joints):
+        # A length d alone would be along x or z.
+        joints = tuple(replace(joint, a=joint.d, d=0.0) for joint in joints)
     return DhTable(
-        joints=tuple(draw(rows)),
-        convention=draw(st.sampled_from(conventions)),
+        joints=joints,
+        convention=convention,
         base_translation=draw(st.tuples(size, size, size)),
         base_rpy=draw(st.tuples(angle, angle, angle)),
         gravity=(10.0 * x, 10.0 * y, 10.0 * z),

@@ -19,12 +19,15 @@ from sdpid.errors import ModelError
 from sdpid.robot.description.origin import axis_rotation, matrix_rpy, numbers, rpy_matrix
 from sdpid.robot.description.urdf import inertial_element
 
-_OPTIONAL = ("lower", "upper", "velocity", "effort")
+_OPTIONAL = ("a", "lower", "upper", "velocity", "effort")
 
 
 @dataclass(frozen=True, kw_only=True)
 class DhJoint:
-    """One row of a table; the joint variable is added to `theta` (revolute) or `r` (prismatic).
+    """One row of a table; the joint variable is added to `theta` or to the length along z.
+
+    Lengths have Khalil's letters, `d` along x and `r` along z, unless a row of the table has an
+    `a`: then they are `a` along x and `d` along z, in all of its rows.
 
     Attributes
     ----------
@@ -32,6 +35,8 @@ class DhJoint:
         Angles about x and z in rad.
     d, r : float
         Lengths along x and z in m.
+    a : float, optional
+        Length along x in m, in tables that call the length along z `d`.
     kind : {"revolute", "prismatic"}
         The joint.
     name : str, optional
@@ -54,6 +59,7 @@ class DhJoint:
     d: float = 0.0
     theta: float = 0.0
     r: float = 0.0
+    a: float | None = None
     kind: Literal["revolute", "prismatic"] = "revolute"
     name: str | None = None
     lower: float | None = None
@@ -74,7 +80,8 @@ class DhTable(Settings):
 
     With ``convention="modified"`` [khalil2002]_ frame i follows frame i-1 by
     ``Rot(x, alpha) Trans(x, d) Rot(z, theta) Trans(z, r)``; with ``"standard"`` by
-    ``Rot(z, theta) Trans(z, r) Trans(x, d) Rot(x, alpha)``.
+    ``Rot(z, theta) Trans(z, r) Trans(x, d) Rot(x, alpha)``. Where rows have an `a`, it stands for
+    this d, and their d for this r.
 
     Attributes
     ----------
@@ -121,7 +128,7 @@ class DhTable(Settings):
                     f"kinematic table, row {i + 1}: joint kind {joint.kind!r} is not supported; "
                     "use 'revolute' or 'prismatic'."
                 )
-            for key in ("alpha", "d", "theta", "r", "lower", "upper", "velocity", "effort"):
+            for key in ("alpha", "d", "theta", "r", *_OPTIONAL):
                 value = getattr(joint, key)
                 if value is None and key in _OPTIONAL:
                     continue
@@ -136,6 +143,7 @@ class DhTable(Settings):
                     f"kinematic table, row {i + 1}: lower limit {joint.lower} is above the upper "
                     f"limit {joint.upper}."
                 )
+        self._require_letters()
         for key in ("base_translation", "base_rpy", "gravity"):
             what = f"kinematic table: {key}"
             vector = real_array(getattr(self, key), what, ndim=1, error=ModelError)
@@ -148,6 +156,31 @@ class DhTable(Settings):
         names = self.joint_names
         if len(set(names)) != len(names):
             raise ModelError(f"kinematic table: joint names repeat: {', '.join(names)}.")
+
+    def _require_letters(self) -> None:
+        """Refuse lengths whose letters do not tell whether they are along x or z."""
+        known = self._has_a or any(joint.r for joint in self.joints)
+        for i, joint in enumerate(self.joints):
+            if self._has_a and joint.r:
+                raise ModelError(
+                    f"kinematic table, row {i + 1}: r is {joint.r!r} in a table with lengths a; "
+                    "lengths along x and z are called a and d, or d and r."
+                )
+            if self.convention == "standard" and joint.d and not known:
+                raise ModelError(
+                    f"kinematic table, row {i + 1}: d is {joint.d!r}, and no row has a or r, so "
+                    "that it is not known whether d is along z or x; give a beside it where d is "
+                    "along z (a = 0 where there is none), or a in place of it."
+                )
+
+    @property
+    def _has_a(self) -> bool:
+        """Whether lengths along x and z are called a and d in place of d and r."""
+        return any(joint.a is not None for joint in self.joints)
+
+    def _lengths(self, joint: DhJoint) -> tuple[float, float]:
+        """Return the lengths of a row along x and z."""
+        return (joint.a or 0.0, joint.d) if self._has_a else (joint.d, joint.r)
 
     @property
     def joint_names(self) -> tuple[str, ...]:
@@ -227,11 +260,12 @@ class DhTable(Settings):
     def link_transform(self, index: int, variable: float) -> Array:
         """Return the transform from frame `index` to the next at a joint variable."""
         joint = self.joints[index]
+        along_x, along_z = self._lengths(joint)
         revolute = joint.kind == "revolute"
         about_z = axis_rotation(2, joint.theta + (variable if revolute else 0.0)) @ _translation(
-            2, joint.r + (0.0 if revolute else variable)
+            2, along_z + (0.0 if revolute else variable)
         )
-        about_x = axis_rotation(0, joint.alpha) @ _translation(0, joint.d)
+        about_x = axis_rotation(0, joint.alpha) @ _translation(0, along_x)
         return about_x @ about_z if self.convention == "modified" else about_z @ about_x
 
     def forward_kinematics(self, q: ArrayLike) -> Array:
@@ -257,8 +291,9 @@ class DhTable(Settings):
                 placements.append(before @ self.link_transform(i, 0.0))
                 before = np.eye(4)
             else:
-                placements.append(before @ axis_rotation(2, joint.theta) @ _translation(2, joint.r))
-                before = axis_rotation(0, joint.alpha) @ _translation(0, joint.d)
+                along_x, along_z = self._lengths(joint)
+                placements.append(before @ axis_rotation(2, joint.theta) @ _translation(2, along_z))
+                before = axis_rotation(0, joint.alpha) @ _translation(0, along_x)
         return placements, before
 
     def to_urdf(self, inertias: ArrayLike | None = None) -> str:
@@ -319,7 +354,7 @@ def _row(row: Any) -> DhJoint:
         return row
     if not isinstance(row, Mapping):
         raise ModelError(
-            f"kinematic table: a row is {row!r}; give a mapping with alpha, d, theta, r."
+            f"kinematic table: a row is {row!r}; give a mapping with alpha, theta, d and r or a."
         )
     try:
         return DhJoint(**row)

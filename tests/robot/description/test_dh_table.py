@@ -40,6 +40,11 @@ def translation(axis: int, length: float) -> Array:
     return transform
 
 
+def lengths(joint: DhJoint) -> tuple[float, float]:
+    """Return the lengths along x and z."""
+    return (joint.d, joint.r) if joint.a is None else (joint.a, joint.d)
+
+
 def product(table: DhTable, q: Array) -> list[Array]:
     """Return the frames of a table, written down again from its definition."""
     transform = np.eye(4)
@@ -48,9 +53,10 @@ def product(table: DhTable, q: Array) -> list[Array]:
     frames = []
     for joint, x in zip(table.joints, q, strict=True):
         theta = joint.theta + (x if joint.kind == "revolute" else 0.0)
-        r = joint.r + (x if joint.kind == "prismatic" else 0.0)
-        about_x = rotation(0, joint.alpha) @ translation(0, joint.d)
-        about_z = rotation(2, theta) @ translation(2, r)
+        along_x, along_z = lengths(joint)
+        along_z += x if joint.kind == "prismatic" else 0.0
+        about_x = rotation(0, joint.alpha) @ translation(0, along_x)
+        about_z = rotation(2, theta) @ translation(2, along_z)
         step = about_x @ about_z if table.convention == "modified" else about_z @ about_x
         transform = transform @ step
         frames.append(transform)
@@ -65,7 +71,7 @@ def pinocchio_frames(robot: RobotModel, table: DhTable, q: Array) -> list[Array]
     if table.convention == "standard":
         # The joint frame stands before the fixed end of its row.
         frames = [
-            frame @ translation(0, joint.d) @ rotation(0, joint.alpha)
+            frame @ translation(0, lengths(joint)[0]) @ rotation(0, joint.alpha)
             for frame, joint in zip(frames, table.joints, strict=True)
         ]
     return frames
@@ -189,6 +195,8 @@ def test_sources_of_a_table_agree() -> None:
         ([3.0], "a row is 3.0"),
         ({"joint": [ROW], "convention": "denavit"}, "denavit"),
         ({"joint": [3.0]}, "not understood|a row is"),
+        ({"joint": [{"a": 0.1}, {"r": 0.1}]}, "row 2: r is 0.1 in a table with lengths a"),
+        ({"joint": [{}, {"d": 0.1}], "convention": "standard"}, "row 2: d is 0.1.*along z or x"),
         ({"joint": [ROW], "gravity": [0.0, -9.81]}, "gravity"),
         ({"joint": [ROW], "gravity": [0.0, 0.0, math.nan]}, "gravity"),
         ({"joint": [ROW], "base": {"translation": [0.0, 1.0]}}, "base_translation"),
@@ -204,6 +212,15 @@ def test_sources_of_a_table_agree() -> None:
 def test_bad_tables_are_model_errors(table: Any, says: str) -> None:
     with pytest.raises(ModelError, match=says):
         RobotModel.from_mdh(table)
+
+
+@pytest.mark.parametrize("convention", ["modified", "standard"])
+def test_lengths_a_and_d_are_khalils_d_and_r(convention: Any) -> None:
+    khalil = [{"alpha": 1.0, "d": 0.3}, {"theta": 0.5, "d": 0.2, "r": 0.1}, {"r": -0.2}]
+    others = [{"alpha": 1.0, "a": 0.3}, {"theta": 0.5, "a": 0.2, "d": 0.1}, {"d": -0.2}]
+    one, other = (DhTable.of(rows, convention=convention) for rows in (khalil, others))
+    assert other.to_urdf() == one.to_urdf()
+    np.testing.assert_array_equal(*(t.forward_kinematics([0.1, 0.2, 0.3]) for t in (one, other)))
 
 
 def test_bad_options_are_model_errors() -> None:
