@@ -26,6 +26,8 @@ OF_FLAGS = ("feet_exchanged", "flags_unlike_motion")
 # More than this share of the effort of a joint that carries its links, unexplained by the
 # description, is no model of that joint: at most 0.4 on good recordings of real arms.
 _UNLIKE = 0.6
+# Springs and actuators that are named.
+_NAMED = 3
 _CARRIES = 0.05
 
 
@@ -52,6 +54,43 @@ def not_compared(subject: Subject) -> Iterator[Finding]:
         ),
         remedy="check them by hand" + ("" if give is None else f", or give {give}"),
     )
+
+
+@check
+def left_out_of_the_model(subject: Subject) -> Iterator[Finding]:
+    """Tell what acts on joints by the description, and is not in the model."""
+    robot = subject.robot or subject.floating
+    if robot is None:
+        return
+    if robot.forces:
+        yield Finding(
+            severity="warning",
+            kind="forces_ignored",
+            message=(
+                f"the description has forces on joints that are not in the model: "
+                f"{_some(robot.forces)}; they are taken for gravity, offsets and friction"
+            ),
+            remedy=(
+                "take stiffness·(position − springref) off the recorded efforts of a joint with a "
+                "spring, or leave it out (--without-effort)"
+            ),
+        )
+    if robot.actuators:
+        yield Finding(
+            severity="note",
+            kind="actuators_ignored",
+            message=(
+                "the description has actuators whose effort is not their control: "
+                f"{_some(robot.actuators)}; efforts are read as the joints', whatever these are"
+            ),
+            remedy="log the efforts of joints (qfrc_actuator), not controls",
+        )
+
+
+def _some(words: tuple[str, ...]) -> str:
+    """Return the first of some words."""
+    more = f" and {len(words) - _NAMED} more" if len(words) > _NAMED else ""
+    return f"{', '.join(words[:_NAMED])}{more}"
 
 
 @check

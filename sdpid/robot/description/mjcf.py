@@ -134,6 +134,10 @@ class MjcfModel:
         Joints that no actuator moves; none where that is not plain.
     tendons : tuple of MjcfTendon
         Fixed tendons over two joints.
+    forces : tuple of str
+        Springs and compensated gravity, which no term of a robot stands for, in words.
+    actuators : tuple of str
+        Actuators that do not pass their control on as a joint's effort, in words.
     """
 
     pin_model: Any
@@ -144,6 +148,8 @@ class MjcfModel:
     others: tuple[str, ...]
     passive: tuple[str, ...]
     tendons: tuple[MjcfTendon, ...] = ()
+    forces: tuple[str, ...] = ()
+    actuators: tuple[str, ...] = ()
 
 
 def read_mjcf(
@@ -221,10 +227,12 @@ def _numbers(text: str, path: str | None, folder: str | None, what: str) -> dict
         *("jnt_range", "jnt_limited", "jnt_actfrcrange", "jnt_actfrclimited", "eq_type"),
         *("eq_active0", "eq_obj1id", "eq_obj2id", "eq_data", "eq_objtype"),
         *("tendon_adr", "tendon_num", *(f"tendon_{key}" for key in _OF_TENDONS)),
-        *("wrap_type", "wrap_objid", "wrap_prm"),
+        *("wrap_type", "wrap_objid", "wrap_prm", "jnt_stiffness", "tendon_stiffness"),
+        *("body_gravcomp", "actuator_gainprm", "actuator_biasprm", "actuator_gear"),
     )
     found: dict[str, Any] = {name: np.asarray(getattr(model, name)).tolist() for name in arrays}
     found["ref"] = [float(model.qpos0[at]) for at in model.jnt_qposadr]
+    found["springref"] = [float(model.qpos_spring[at]) for at in model.jnt_qposadr]
     found["dof"] = {
         key: [float(getattr(model, f"dof_{key}")[at]) for at in model.jnt_dofadr]
         for key in ("armature", "damping", "frictionloss")
@@ -238,6 +246,7 @@ def _numbers(text: str, path: str | None, folder: str | None, what: str) -> dict
         for kind in ("free", "ball", "slide", "hinge")
     }
     found["names_of_equalities"] = [str(model.equality(i).name) for i in range(model.neq)]
+    found["actuators"] = [str(model.actuator(i).name) for i in range(model.nu)]
     found["bodies_of_sites"] = [
         [int(model.site_bodyid[i]), model.site_pos[i].tolist(), model.site_quat[i].tolist()]
         for i in range(model.nsite)
@@ -327,6 +336,28 @@ def _tendons(found: dict[str, Any]) -> Iterator[MjcfTendon]:
             yield MjcfTendon((one, two), factors, *values)
 
 
+def _forces(found: dict[str, Any]) -> Iterator[str]:
+    """Yield the forces that act on joints beside gravity, in words."""
+    springs = zip(_joint_names(found), found["jnt_stiffness"], found["springref"], strict=True)
+    for name, stiffness, rest in springs:
+        if stiffness:
+            yield f"spring at {name} (stiffness {stiffness:.4g}, springref {rest:.4g})"
+    for number, stiffness in enumerate(found["tendon_stiffness"], 1):
+        if stiffness:
+            yield f"spring of tendon {number} (stiffness {stiffness:.4g})"
+    for name, share in zip(found["bodies"], found["body_gravcomp"], strict=True):
+        if share:
+            yield f"gravcomp {share:.4g} of body {name}"
+
+
+def _actuators(found: dict[str, Any]) -> Iterator[str]:
+    """Yield the actuators whose effort is not their control, in words."""
+    keys = ("actuators", "actuator_gainprm", "actuator_biasprm", "actuator_gear")
+    for number, (name, gain, bias, gear) in enumerate(zip(*map(found.get, keys), strict=True), 1):
+        if gain[0] != 1.0 or gear[0] != 1.0 or any(bias):
+            yield f"{name or number} (gain {gain[0]:.4g}, gear {gear[0]:.4g})"
+
+
 class _Build:
     """Builds a Pinocchio model body by body."""
 
@@ -362,6 +393,8 @@ class _Build:
             others=others,
             passive=tuple(passive),
             tendons=tuple(_tendons(self.found)),
+            forces=tuple(_forces(self.found)),
+            actuators=tuple(_actuators(self.found)),
         )
 
     def _add(self, body: int) -> None:

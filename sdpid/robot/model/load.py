@@ -120,6 +120,8 @@ def load_robot(
         loops=loops,
         passive=passive,
         assembled=(0.0,) * len(passive),
+        forces=mjcf.forces,
+        actuators=mjcf.actuators,
     )
 
 

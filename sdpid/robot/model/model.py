@@ -61,6 +61,9 @@ class RobotModel:
     assembled : tuple of float
         About where each of these is while those with motors are at zero, rad or m: which of the
         ways it is in which the loops can be closed.
+    forces, actuators : tuple of str
+        What an MJCF has and the model has not, in words: springs and compensated gravity, and
+        actuators with gains or gears.
 
     Examples
     --------
@@ -88,6 +91,8 @@ class RobotModel:
     loops: tuple[Loop, ...] = ()
     passive: tuple[str, ...] = ()
     assembled: tuple[float, ...] = ()
+    forces: tuple[str, ...] = ()
+    actuators: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         joints = self.joint_names[self.n_base :]

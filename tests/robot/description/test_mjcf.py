@@ -8,6 +8,8 @@ import numpy as np
 import pytest
 
 from sdpid.errors import ModelError
+from sdpid.experiment.inspection.inspect import inspect_recording
+from sdpid.experiment.recording.recording import Recording
 from sdpid.robot.description import mjcf
 from sdpid.robot.model.base_parameters import generic_states
 from sdpid.robot.model.load import load_robot
@@ -15,6 +17,7 @@ from sdpid.robot.model.model import RobotModel
 
 mujoco = pytest.importorskip("mujoco")
 
+T = np.linspace(0.0, 5.0, 500)
 ARM = """<?xml version="1.0"?>
 <mujoco model="odd arm">
   <compiler angle="radian"/>
@@ -131,6 +134,23 @@ REFUSED = [
 def test_refusals(text: str, says: str) -> None:
     with pytest.raises(ModelError, match=says):
         load_robot(text)
+
+
+SPRING = """<mujoco><worldbody><body name="a" gravcomp="1"><joint name="j" stiffness="3"
+  springref="90"/><joint name="k" axis="1 0 0"/><geom size="1"/></body></worldbody>
+  <actuator><motor joint="k"/><position name="p" joint="j" kp="5"/><motor joint="k" gear="9"/>
+  </actuator></mujoco>"""
+
+
+def test_what_the_model_lacks_is_told() -> None:
+    robot = load_robot(SPRING)
+    log = Recording(time=T, position=np.sin([T, 2.0 * T]).T, effort=np.cos([T, 2.0 * T]).T)
+    told = {each.kind: each for each in inspect_recording(log, robot).findings}
+    spring = "spring at j (stiffness 3, springref 1.571), gravcomp 1 of body a; they are taken for"
+    assert spring in told["forces_ignored"].message
+    assert told["forces_ignored"].severity == "warning"
+    assert "p (gain 5, gear 1), 3 (gain 1, gear 9); efforts" in told["actuators_ignored"].message
+    assert not load_robot(ARM).forces + load_robot(ARM).actuators
 
 
 def test_a_root_is_refused() -> None:
