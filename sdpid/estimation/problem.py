@@ -25,6 +25,7 @@ from sdpid.estimation.effects.choose import Profiled, close_terms
 from sdpid.estimation.effects.tried import Tried
 from sdpid.estimation.information import Excitation, require_excitation
 from sdpid.estimation.prior.cost_terms import SquaredTerm
+from sdpid.estimation.prior.friction import with_friction_max
 from sdpid.estimation.prior.log_det import LogDetTerm
 from sdpid.estimation.prior.prior import Prior, PriorTerms, prior_terms
 from sdpid.experiment.preparation.several import Piece, all_samples
@@ -302,6 +303,9 @@ class Problem:
         """Return the same cost under other constraints; nothing is compressed again."""
         if consistency is not None and consistency not in CONSISTENCIES:
             raise DataError(f"consistency is {consistency!r}: use one of {CONSISTENCIES}.")
+        if constraints is not None and constraints.friction_max is None:
+            known = self.constraints.friction_max or 0.0
+            constraints = constraints.replace(friction_max=max(known, constraints.theta_max))
         feasible = FeasibleSet.build(
             constraints or self.constraints,
             consistency or self.consistency,
@@ -421,6 +425,7 @@ def build_problem(
         if likelihood is None:
             note = "prior: the samples have no covariance, so errors count in units of 1 N.m"
             terms = replace(terms, notes=(*terms.notes, note))
+    bounds = with_friction_max(constraints or Constraints(), rows)
     problem = Problem(
         robot=robot,
         friction=model,
@@ -432,7 +437,7 @@ def build_problem(
         floor=found.floor,
         n_samples=rows.n_samples,
         n_rows=found.used,
-        feasible=FeasibleSet.build(constraints or Constraints(), consistency, Layout(robot, model)),
+        feasible=FeasibleSet.build(bounds, consistency, Layout(robot, model)),
         prior=terms,
         profiled=profiled,
         rows=rows,

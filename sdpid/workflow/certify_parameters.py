@@ -341,7 +341,7 @@ def _audit(problem: Problem, given: GivenParameters) -> BaseAudit | None:
             margin=limits.margin,
             mass_min=limits.mass_min,
             mass_max=limits.mass_max,
-            theta_max=limits.theta_max,
+            theta_max=float(problem.feasible.widest.max()),
             friction=problem.friction.terms,
             friction_nonnegative=limits.friction_nonnegative,
             base=problem.base,

@@ -106,12 +106,15 @@ def test_unseen_directions_are_open_up_to_limits() -> None:
     samples = make_samples(ARM, random_theta(ARM, rng), rng, count=30, noise=0.1)
     mask = np.tile([True, False], (30, 1))
     problem = build_problem(
-        ARM, replace(samples, mask=mask), prior=sdpid.Prior(bodies=BODIES), weighting="residual"
+        ARM,
+        replace(samples, mask=mask),
+        prior=sdpid.Prior(bodies=BODIES, friction=False),
+        weighting="residual",
     )
     found = sdpid.confidence_intervals(
         sdpid.solve_sdp(problem), method="gauss_markov", parameters=("Fv1", "Fv2", "xxr2", "zz2")
     )
     assert found.label[0] == "from data"
     assert found.label[1] == "from the prior"
-    assert (found.lower[1], found.upper[1]) == (0.0, problem.constraints.theta_max)
+    assert (found.lower[1], found.upper[1]) == (0.0, problem.constraints.friction_max)
     assert np.isfinite(found.upper).all()

@@ -128,7 +128,7 @@ class Second:
     def numbers(self) -> list[cp.Constraint]:
         """Return margin, masses, signs and theta_max."""
         problem, c = self.problem, self.problem.constraints
-        out: list[cp.Constraint] = [cp.abs(self.theta) <= c.theta_max]
+        out: list[cp.Constraint] = [cp.abs(self.theta) <= problem.feasible.widest]
         if problem.consistency == "none":
             return out
         matrix = pseudo_inertia if problem.consistency == "pseudo_inertia" else spatial_inertia

@@ -73,3 +73,14 @@ def planar_arm() -> RobotModel:
     """Return two links with parallel horizontal axes."""
     rows = (DhJoint(alpha=RIGHT), DhJoint(d=0.4))
     return RobotModel.from_mdh(DhTable(joints=rows, name="planar_arm"))
+
+
+LIFT = """<robot name="arm_on_a_lift"><link name="base"/>
+<link name="carriage"><inertial><origin xyz="0 0 0.05"/><mass value="8"/>
+  <inertia ixx="0.02" iyy="0.03" izz="0.02" ixy="0" ixz="0" iyz="0"/></inertial></link>
+<link name="arm"><inertial><origin xyz="0.15 0 0"/><mass value="2"/>
+  <inertia ixx="0.01" iyy="0.01" izz="0.01" ixy="0" ixz="0" iyz="0"/></inertial></link>
+<joint name="lift" type="prismatic"><parent link="base"/><child link="carriage"/>
+  <axis xyz="0 0 1"/><limit effort="500" velocity="0.07" lower="0" upper="0.5"/></joint>
+<joint name="arm" type="revolute"><parent link="carriage"/><child link="arm"/>
+  <axis xyz="0 1 0"/><limit effort="50" velocity="2" lower="-3" upper="3"/></joint></robot>"""

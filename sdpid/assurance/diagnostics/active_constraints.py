@@ -84,7 +84,8 @@ def constraint_states(estimate: Estimate) -> tuple[ConstraintState, ...]:
     """Return slack, multiplier and activity of every constraint.
 
     These are, in turn: the consistency of every link, bounds on masses, signs of friction, what
-    touches theta_max, and the linear rows and cones of the further conditions, limit by limit.
+    touches the widest bounds, and the linear rows and cones of the further conditions, limit by
+    limit.
 
     A constraint is active where its slack is at most `ACTIVE` of its size. It is also where slack,
     relative to the size, is below the multiplier, relative to the cost over the size: their product
@@ -173,7 +174,7 @@ class _Seen:
                 return 0.0 - abs(slack), size, multiplier
         else:
             wide = constraint.kind == "theta_max"
-            size = feasible.constraints.theta_max if wide else float(self.scaling.theta[k])
+            size = abs(limit) if wide else float(self.scaling.theta[k])
             slack = sign * (float(self.theta[k]) - limit)
             included = found is not None and bool(found.bounds_included[k])
             multiplier = float(found.bounds[k]) if found is not None and included else None

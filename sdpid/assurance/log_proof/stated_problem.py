@@ -19,8 +19,8 @@ from sdpid.robot.inertia import CONSISTENCIES, Consistency
 
 _NUMBERS = tuple(each.name for each in fields(Constraints) if each.name != "others")
 _PRIOR = tuple(each.name for each in fields(Prior))
-# Recipes of runs before there were mirrored links in a prior lack these.
-_NEW = {"alike", "within"}
+# Recipes of runs before there were mirrored links in a prior, and a bound on friction, lack these.
+_NEW = {"alike", "within", "friction_max"}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -87,7 +87,7 @@ class StatedProblem:
             raise ValueError(f"consistency is {consistency!r:.80}")
         others = conditions_from_list(numbers.get("others", ()))
         numbers = {name: value for name, value in numbers.items() if name != "others"}
-        if numbers.keys() != set(_NUMBERS) or not all(
+        if not set(_NUMBERS) - _NEW <= numbers.keys() <= set(_NUMBERS) or not all(
             type(value) in (int, float, bool) for value in numbers.values()
         ):
             raise ValueError(f"constraints are {numbers!r:.200}")

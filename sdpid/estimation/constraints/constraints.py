@@ -30,8 +30,12 @@ class Constraints(Settings):
         Bounds on every link's mass, kg. A positive lower bound keeps the center of mass defined;
         a finite upper bound makes the optimum attained.
     theta_max : float
-        Bound on the size of every standard parameter, in its unit. It is part of the problem so
+        Bound on the size of every parameter of a link, in its unit. It is part of the problem so
         that a lower bound on the cost covers everything that is feasible.
+    friction_max : float or None
+        Likewise of every parameter of friction and drives. By default `build_problem` takes ten
+        times what makes the efforts of the data alone, rounded up to a power of ten, and at least
+        `theta_max`: the size of a robot says nothing about its friction.
     friction_nonnegative : bool
         Whether terms that cannot be negative (Coulomb, viscous, rotor) are bounded by zero.
     others : tuple of Condition
@@ -55,13 +59,14 @@ class Constraints(Settings):
     mass_min: float = 1e-3
     mass_max: float = 100.0
     theta_max: float = 1e4
+    friction_max: float | None = None
     friction_nonnegative: bool = True
     others: tuple[Condition, ...] = ()
 
     def __post_init__(self) -> None:
-        for name in ("margin", "mass_min", "mass_max", "theta_max"):
+        for name in ("margin", "mass_min", "mass_max", "theta_max", "friction_max"):
             value = getattr(self, name)
-            if not np.isfinite(value):
+            if value is not None and not np.isfinite(value):
                 raise DataError(f"Constraints: {name} is {value}; give a finite number.")
         if self.margin < 0.0:
             raise DataError(f"Constraints: margin is {self.margin} kg.m2, the least is 0.")
@@ -81,6 +86,11 @@ class Constraints(Settings):
         for other in self.others:
             if not isinstance(other, Condition):
                 raise DataError(f"Constraints: {other!r} among the others is not a Condition.")
+        if self.friction_max is not None and not self.friction_max > 0.0:
+            raise DataError(
+                f"Constraints: friction_max is {self.friction_max}; give a positive number, or "
+                "None for one that follows the efforts."
+            )
         if self.theta_max < self.mass_max:
             raise DataError(
                 f"Constraints: theta_max {self.theta_max} is below mass_max {self.mass_max} kg; "

@@ -91,7 +91,7 @@ class FeasibleSet:
         """
         robot, n_links = layout.robot, layout.robot.n_links
         nonnegative = np.array([p.nonnegative for p in layout.friction.parameters], dtype=bool)
-        upper = np.full(layout.count, float(constraints.theta_max))
+        upper = _widest(constraints, layout.count, n_links)
         lower = -upper
         if consistency != "none":
             lower[: 10 * n_links : 10] = constraints.mass_min
@@ -135,7 +135,7 @@ class FeasibleSet:
     def without(self, constraint: Constraint) -> FeasibleSet:
         """Return the set that leaves out one constraint.
 
-        A parameter without its own bound still has theta_max. The sizes of matrices and rows stay;
+        A parameter without its own bound still has the widest. The sizes of matrices and rows stay;
         only cones are taken out. Local solvers and `repair` keep every link consistent all the
         same: solve such a set as a program.
 
@@ -164,7 +164,7 @@ class FeasibleSet:
         row = constraint.kind == "row"
         lower, upper = (self.row_lower, self.row_upper) if row else (self.lower, self.upper)
         lower, upper = lower.copy(), upper.copy()
-        wide = self.constraints.theta_max if constraint.kind in ("mass", "sign") else np.inf
+        wide = float(self.widest[k]) if constraint.kind in ("mass", "sign") else np.inf
         if constraint.side != "most":
             lower[k] = -wide
         if constraint.side != "least":
@@ -177,6 +177,11 @@ class FeasibleSet:
     def required(self) -> Mask:
         """Which links must be consistent: all, unless one was left out."""
         return np.asarray(np.any(self.block_basis[: self.n_own] != 0.0, axis=(1, 2, 3)))
+
+    @cached_property
+    def widest(self) -> Array:
+        """Bounds (p,) of the size of each parameter that has none of its own."""
+        return frozen(_widest(self.constraints, len(self.theta_names), self.n_links))
 
     @property
     def n_links(self) -> int:
@@ -218,7 +223,7 @@ class FeasibleSet:
         link = self.link_names[k // 10] if k < 10 * self.n_links else None
         kind: ConstraintKind = "sign" if link is None else "mass"
         words = f"{name} at {side} {limit:g}"
-        if abs(limit) >= self.constraints.theta_max:
+        if abs(limit) >= self.widest[k]:
             kind = "theta_max"
         elif kind == "mass":
             words = f"mass of {link} at {side} {limit:g} kg"
@@ -240,9 +245,8 @@ class FeasibleSet:
 
     @property
     def bounded(self) -> Mask:
-        """Parameters with bounds of their own, beside theta_max: masses, and signs of friction."""
-        wide = self.constraints.theta_max
-        return (self.lower > -wide) | (self.upper < wide)
+        """Parameters with bounds of their own, not the widest: masses, and signs of friction."""
+        return (self.lower > -self.widest) | (self.upper < self.widest)
 
     @property
     def n_own(self) -> int:
@@ -337,6 +341,13 @@ class FeasibleSet:
         outside = np.maximum(self.row_lower - values, values - self.row_upper)
         worst = max(worst, float(np.max(outside, initial=0.0)))
         return max(worst, float(np.max(-self.slacks(theta), initial=0.0)))
+
+
+def _widest(constraints: Constraints, count: int, n_links: int) -> Array:
+    """Return the widest bounds (p,): of the links' parameters, then of friction and drives."""
+    widest = np.full(count, float(constraints.theta_max))
+    widest[10 * n_links :] = constraints.friction_max or constraints.theta_max
+    return widest
 
 
 def _numbered(parts: list[Row | Cone]) -> list[Row | Cone]:

@@ -10,13 +10,14 @@ import numpy as np
 from sdpid._common.arrays import Array, Indices, frozen, is_number, real_array
 from sdpid._common.tables import Settings
 from sdpid.errors import DataError
-from sdpid.estimation.compression.rows import CHUNK, Rows, RowSource
+from sdpid.estimation.compression.rows import Rows
 from sdpid.estimation.conic.standard_form import symmetric_basis
 from sdpid.estimation.constraints.condition import Layout
 from sdpid.estimation.constraints.equalities import MirrorPair
 from sdpid.estimation.prior.alike import Alike, described_pairs, key_of_pairs, pairs_of
 from sdpid.estimation.prior.cost_terms import CostTerm, SquaredTerm
 from sdpid.estimation.prior.evidence import STRONGEST, WEAKEST, strength_by_evidence
+from sdpid.estimation.prior.friction import friction_rows
 from sdpid.estimation.prior.log_det import LogDetTerm
 from sdpid.robot.consistent import raise_second_moments
 from sdpid.robot.inertia import from_pseudo_inertia, margin, pseudo_inertia
@@ -32,15 +33,6 @@ _RADIUS = 0.02
 
 # A second moment short of the least by this share is short by rounding: no note names it.
 _ROUNDED = 1e-6
-
-# Friction and offset terms are believed to move the joint's effort by this share of its rms. Wrists
-# have little but friction: a third is a belief that their friction is less than it is.
-_FRICTION_SHARE = 1.0
-
-# Parameters that are believed to be alike, such as Coulomb friction in both directions, differ by
-# less than they are believed to be large, by this factor.
-_ALIKE = 3.0
-
 
 # A link that the description gives no mass is believed to be a ball of the mean link's mass, its
 # radius of gyration this share of the robot's length; with a standard deviation this many
@@ -231,7 +223,7 @@ def prior_terms(prior: Prior, rows: Rows, *, data: tuple[Array, Array] | None = 
         own = slice(10 * i, 10 * i + 10)
         R[own, own] = block
     r = R[:, : bodies.size] @ bodies.ravel()
-    belief = _friction_rows(rows) if prior.friction else np.zeros((0, 0))
+    belief = friction_rows(rows) if prior.friction else np.zeros((0, 0))
     F = np.zeros((len(belief), theta_size))
     F[:, theta_size - len(belief) :] = belief
     layout = Layout(rows.robot, rows.friction)
@@ -333,46 +325,3 @@ def _at_end(strength: float) -> str:
     if strength > STRONGEST * (1.0 - _AT_END):
         return " (the most that is tried)"
     return ""
-
-
-def _friction_rows(rows: Rows) -> Array:
-    """Return the rows (f, f) whose squared norm is twice the nats of the friction parameters."""
-    weights = _friction_weights(rows)
-    found = np.diag(weights)
-    for i, j in rows.friction.alike:
-        # A side that never moved has no weight of its own.
-        weight = max(float(weights[i]), float(weights[j]))
-        found[[i, j]] = 0.0
-        found[i, [i, j]] = 0.5 * weight
-        found[j, [i, j]] = _ALIKE * weight, -_ALIKE * weight
-    return found
-
-
-def _friction_weights(rows: Rows) -> Array:
-    """Return 1/standard deviation of every friction term."""
-    sums = rows.map(_squares)
-    count, efforts, terms = (np.sum(each, axis=0) for each in zip(*sums, strict=True))
-    count = np.maximum(count, 1)
-    effort = np.sqrt(efforts / count)
-    # A joint that is all but silent gets a thousandth of the loudest one's effort.
-    effort = np.maximum(effort, 1e-3 * float(effort.max()) or 1.0)
-    # Size of a term's effect relative to the effort of each joint that it acts on.
-    share = np.sqrt((terms / count[:, None] / effort[:, None] ** 2).max(axis=0))
-    believed = [p.deviation for p in rows.friction.parameters]
-    own = [1.0 / deviation if deviation else 0.0 for deviation in believed]
-    return np.where(np.array(own) > 0.0, own, share / _FRICTION_SHARE)
-
-
-def _squares(rows: RowSource) -> tuple[Array, Array, Array]:
-    """Return rows used (n,), and sums of squares of efforts (n,) and friction terms (n, f)."""
-    s, n = rows.samples, rows.robot.n
-    count, efforts = np.zeros(n), np.zeros(n)
-    terms = np.zeros((n, len(rows.friction.parameters)))
-    for start in range(0, s.n_samples, CHUNK):
-        part = slice(start, start + CHUNK)
-        columns = rows.friction.columns_in(rows.motion(part))
-        mask = rows.mask(part)
-        count += mask.sum(axis=0)
-        efforts += (np.where(mask, s.effort[part], 0.0) ** 2).sum(axis=0)
-        terms += (np.where(mask[:, :, None], columns, 0.0) ** 2).sum(axis=0)
-    return count, efforts, terms

@@ -163,7 +163,7 @@ def _shortfall(problem: Problem, limits: list[_Limit]) -> float:
     among the limits a thousand times as much is allowed, for the program to be bounded. NaN where
     the solver has no answer.
     """
-    feasible, scaling, numbers = problem.feasible, Scaling.of(problem), problem.constraints
+    feasible, scaling = problem.feasible, Scaling.of(problem)
     basis, n = scaling.basis(), problem.n_theta
     inverses = np.linalg.inv(scaling.block_roots(feasible))
     sizes = scaling.row_sizes(feasible)
@@ -171,11 +171,11 @@ def _shortfall(problem: Problem, limits: list[_Limit]) -> float:
     blocks = []
     coordinates = Coordinates(np.zeros(problem.n_theta), basis)
     units, exist = pseudo_inertia(np.eye(10)), np.linalg.inv(scaling.roots(4))
-    widest = numbers.theta_max * _WIDER
+    widest = feasible.widest * _WIDER
     for limit in limits:
         constraint = limit.constraint
         if constraint is None and limit.link is None:
-            widest = numbers.theta_max
+            widest = feasible.widest
         elif constraint is None or constraint.kind in ("consistency", "cone"):
             if constraint is None:
                 link, inverse, F, constant = limit.link, exist[limit.link], units, np.zeros((4, 4))

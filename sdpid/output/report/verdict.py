@@ -10,7 +10,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from sdpid._common.arrays import Array
-from sdpid.assurance.diagnostics.active_constraints import constraint_states
+from sdpid.assurance.diagnostics.active_constraints import ConstraintState, constraint_states
 from sdpid.assurance.diagnostics.held_out import LEAST_SQUARES
 from sdpid.assurance.diagnostics.motion.light_joints import light_joints
 from sdpid.assurance.diagnostics.provenance import provenance
@@ -299,12 +299,19 @@ def _constraints(result: Judged) -> Iterator[Finding]:
             f"{percent(free)}. {end} Active constraints: {names} (cost_of_constraints tells "
             "what each costs).",
         )
-    ends = [s.name for s in states if s.kind == "theta_max"]
-    if ends:
+    ends = [s for s in states if s.kind == "theta_max"]
+    held = [s.name for s in ends if _rises(result, s) > PRICE]
+    if held:
         yield Finding(
             "bad",
-            f"Nothing but a numerical limit holds {listed(ends)}: the data do not determine these "
-            "parameters. Use a prior, or a richer motion.",
+            f"A numerical limit contradicts the data: {listed(held)}. The robot may well have "
+            "more: widen theta_max (of links) or friction_max of the constraints.",
+        )
+    if open_ends := [s.name for s in ends if s.name not in held]:
+        yield Finding(
+            "bad",
+            f"Nothing but a numerical limit holds {listed(open_ends)}: the data do not determine "
+            "these parameters. Use a prior, or a richer motion.",
         )
     heavy = [s.name for s in states if s.kind == "mass" and s.side == "most"]
     if heavy:
@@ -314,6 +321,12 @@ def _constraints(result: Judged) -> Iterator[Finding]:
             "those of their neighbors; lower --mass-max to what the link can weigh, or use a "
             "prior.",
         )
+
+
+def _rises(result: Judged, state: ConstraintState) -> float:
+    """Return by which share the cost would fall, were a limit twice as far: to first order."""
+    size = abs(state.constraint.limit or 0.0)
+    return abs(state.multiplier or 0.0) * size / max(result.estimate.cost, 1e-300)
 
 
 def _unlike(result: Judged) -> Iterator[Finding]:

@@ -74,7 +74,7 @@ def total(states: Iterable[ConstraintState], *words: str) -> float:
         ("margin", ("consistency",), 5e-3, {}),
         ("mass_max", ("mass of", "most 0.2 kg"), 0.2, {}),
         ("mass_min", ("mass of", "least 4 kg"), 4.0, {"mass_max": 10.0}),
-        ("theta_max", (), 0.25, {"mass_max": 0.2}),
+        ("friction_max", (), 0.25, {"mass_max": 0.2}),
     ],
 )
 def test_multipliers_of_the_numbers(
@@ -101,7 +101,7 @@ def test_multipliers_of_the_numbers(
         return solve_sdp(problem.constrained(constraints=moved)).cost
 
     states = constraint_states(solve_sdp(problem))
-    if field == "theta_max":
+    if field == "friction_max":
         ends = [s for s in states if s.name.endswith(("least -0.25", "most 0.25"))]
         assert ends
         # Raising it raises upper limits and lowers the others.
@@ -285,7 +285,7 @@ def test_states_without_multipliers_or_parameters() -> None:
 
 
 def test_wide_bounds_show_only_where_they_hold() -> None:
-    problem = arm_problem(mass_max=0.2, theta_max=0.25)
+    problem = arm_problem(mass_max=0.2, friction_max=0.25)
     states = constraint_states(solve_sdp(problem))
     ends = [state for state in states if state.name.endswith(("-0.25", " 0.25"))]
     assert ends

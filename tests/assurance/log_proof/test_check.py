@@ -348,6 +348,7 @@ def test_what_was_asked_of_the_parameters(
         ("manifest.recipe.problem.prior.within", lambda _: 0.06),
         ("manifest.recipe.problem.prior.alike.0.reflection.0.3", lambda x: x + 1e-3),
         ("manifest.recipe.problem.constraints.others.0.within", lambda _: 0.4),
+        ("manifest.recipe.problem.constraints.friction_max", lambda x: 10.0 * x),
         ("certificate.problem.rows.0.coefficients.0", lambda _: 1e-3),
     ],
 )

@@ -15,6 +15,7 @@ from hypothesis import strategies as st
 import sdpid
 from sdpid.assurance.log_proof.inputs import recording_digest
 from sdpid.assurance.log_proof.recipe import Recipe, RobotRecipe
+from sdpid.assurance.log_proof.stated_problem import StatedProblem
 from sdpid.errors import CertificateError
 from sdpid.experiment.preparation.several import prepare_recordings
 from sdpid.experiment.processing.settings import Processing
@@ -166,3 +167,13 @@ def test_a_recipe_that_says_something_else_is_refused(key: str, value: Any) -> N
     )
     with pytest.raises(CertificateError, match="its recipe cannot be followed"):
         Recipe.from_dict({**recipe.to_dict(), key: value})
+
+
+def test_recipes_from_before_friction_had_a_bound_of_its_own() -> None:
+    stated = StatedProblem(
+        consistency="pseudo_inertia", constraints=sdpid.Constraints(friction_max=1e4), prior=None
+    )
+    given = json.loads(json.dumps(stated.to_dict()))
+    assert StatedProblem.from_dict(given) == stated
+    del given["constraints"]["friction_max"]
+    assert StatedProblem.from_dict(given).constraints == sdpid.Constraints()

@@ -72,6 +72,16 @@ def test_a_good_model_is_trusted(good: Identification) -> None:
     assert {f.level for f in findings(good)} <= {"good", "caution"}
 
 
+def test_a_limit_that_contradicts_the_data_is_told_as_such(good: Identification) -> None:
+    problem = good.problem
+    largest = max(good.estimate.named()[name] for name in ("Fs1", "Fv1"))
+    limits = problem.constraints.replace(friction_max=largest / 2.0)
+    estimate = sdpid.solve_sdp(problem.constrained(constraints=limits))
+    held = replace(good, problem=estimate.problem, estimate=estimate)
+    assert f"at most {largest / 2.0:g}" in said(held, "numerical limit contradicts the data")
+    unsaid(held, "do not determine")
+
+
 def test_nothing_held_out_is_said(good: Identification) -> None:
     alone = replace(good, validation=None, validation_samples=None, held_out=None)
     said(alone, "Nothing was held out")

@@ -19,6 +19,7 @@ from sdpid.estimation.constraints.constraints import Constraints
 from sdpid.estimation.constraints.feasible_set import FeasibleSet
 from sdpid.estimation.prior.alike import described_pairs
 from sdpid.estimation.prior.cost_terms import SquaredTerm
+from sdpid.estimation.prior.friction import with_friction_max
 from sdpid.estimation.prior.log_det import LogDetTerm
 from sdpid.estimation.prior.prior import prior_terms
 from sdpid.verifier.reading import shown
@@ -135,9 +136,10 @@ def _in_words(sealed: Sealed, stated: StatedProblem, source: RowSource) -> str:
     numbers = (
         f"{stated.consistency}, margin {constraints.margin!r} kg.m2, masses from "
         f"{constraints.mass_min!r} to {constraints.mass_max!r} kg, parameters to "
-        f"{constraints.theta_max!r}"
+        f"{constraints.theta_max!r}, of friction to {constraints.friction_max!r}"
     )
-    usual = described and constraints.replace(others=()) == Constraints.of_size(robot)
+    default = with_friction_max(Constraints.of_size(robot), source)
+    usual = described and constraints.replace(others=()) == default
     said = f"the recipe ({numbers}{', the defaults for this robot' if usual else ''}"
     if constraints.others:
         said += f"; conditions: {in_words(constraints.others)}"

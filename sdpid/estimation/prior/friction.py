@@ -1,0 +1,107 @@
+"""How large friction and drive terms are believed to be, and may be: by the size of the efforts."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from sdpid._common.arrays import Array
+from sdpid.estimation.compression.rows import CHUNK, Rows, RowSource
+from sdpid.estimation.constraints.constraints import Constraints
+from sdpid.robot.friction.terms import Offset
+
+# Parameters that are believed to be alike, such as Coulomb friction in both directions, differ by
+# less than they are believed to be large, by this factor.
+_ALIKE = 3.0
+
+# A joint that is all but silent has this share of the loudest one's effort.
+_SILENT = 1e-3
+
+# An offset also takes up what a counterweight or a spring carries, which is of the size of the
+# weight, not of what is left of it to measure. Where there is neither, described efforts are up to
+# 1.42 times the measured: half of them leaves those joints as they are.
+_DESCRIBED = 0.5
+
+# Described efforts are computed at this many samples of each recording.
+_SAMPLES = 400
+
+# Friction that makes this many times a joint's effort would need something else to cancel it.
+_MOST = 10.0
+
+# Columns smaller than this (of viscous friction the rms velocity, rad/s or m/s) are of joints at
+# rest: noise, which says nothing about a size.
+_SLOW = 1e-3
+
+
+def friction_rows(rows: Rows) -> Array:
+    """Return the rows (f, f) whose squared norm is twice the nats of the friction parameters."""
+    columns, efforts, unshown = _columns_and_efforts(rows)
+    # Size of a term's effect relative to the effort of each joint that it acts on.
+    shares = (columns / efforts).max(axis=0)
+    believed = [1.0 / p.deviation if p.deviation else 0.0 for p in rows.friction.parameters]
+    weights = np.where(np.array(believed) > 0.0, believed, shares)
+    found = np.diag(np.where(weights > 0.0, weights, unshown))
+    for i, j in rows.friction.alike:
+        # A side that never moved has no weight of its own.
+        weight = max(float(weights[i]), float(weights[j])) or float(unshown[i])
+        found[[i, j]] = 0.0
+        found[i, [i, j]] = 0.5 * weight
+        found[j, [i, j]] = _ALIKE * weight, -_ALIKE * weight
+    return found
+
+
+def with_friction_max(constraints: Constraints, rows: Rows) -> Constraints:
+    """Return constraints whose bound on friction follows the efforts, unless it was given."""
+    if constraints.friction_max is not None:
+        return constraints
+    columns, efforts, _ = _columns_and_efforts(rows)
+    sizes = np.divide(efforts, columns, out=np.zeros_like(columns), where=columns > _SLOW)
+    power = 10.0 ** np.ceil(np.log10(max(_MOST * float(sizes.max(initial=0.0)), 1e-300)))
+    return replace(constraints, friction_max=max(float(power), constraints.theta_max))
+
+
+def _columns_and_efforts(rows: Rows) -> tuple[Array, Array, Array]:
+    """Return rms columns of the terms (n, f), the efforts (n, f) they are believed to make.
+
+    And what weighs a term (f,) whose column is zero throughout: as if that were one. Of a joint
+    without rows all samples count, and the described efforts; it is not quieter than the others.
+    """
+    friction = rows.friction
+    sums = zip(*rows.map(_squares), strict=True)
+    count, measured, described, terms, whole = (np.sum(each, axis=0) for each in sums)
+    unused = count == 0
+    described = np.sqrt(described / rows.n_samples)
+    effort = np.sqrt(measured / np.maximum(count, 1))
+    effort = np.maximum(effort, _SILENT * float(effort.max()) or 1.0)
+    quietest = float(effort[~unused].min(initial=np.inf))
+    effort = np.where(unused, np.maximum(described, min(quietest, 1e300)), effort)
+    squares = np.where(unused[:, None], whole, terms)
+    columns = np.sqrt(squares / np.where(unused, rows.n_samples, count)[:, None])
+    names, joints = friction.joint_names, [friction.first + p.joint for p in friction.parameters]
+    offset = [isinstance(term, Offset) for term in friction.terms for _ in term.parameters(names)]
+    own = np.where(offset, np.maximum(effort, _DESCRIBED * described)[:, None], effort[:, None])
+    return columns, own, 1.0 / effort[joints]
+
+
+def _squares(rows: RowSource) -> tuple[Array, Array, Array, Array, Array]:
+    """Return rows used (n,), and sums of squares of efforts measured and described, and of terms.
+
+    The last on the rows in use (n, f), and on all.
+    """
+    s, robot, n = rows.samples, rows.robot, rows.robot.n
+    count, efforts = np.zeros(n), np.zeros(n)
+    terms, whole = np.zeros((2, n, len(rows.friction.parameters)))
+    for start in range(0, s.n_samples, CHUNK):
+        part = slice(start, start + CHUNK)
+        columns = rows.friction.columns_in(rows.motion(part)) ** 2
+        mask = rows.mask(part)
+        count += mask.sum(axis=0)
+        efforts += (np.where(mask, s.effort[part], 0.0) ** 2).sum(axis=0)
+        terms += np.where(mask[:, :, None], columns, 0.0).sum(axis=0)
+        whole += columns.sum(axis=0)
+    some = slice(None, None, max(s.n_samples // _SAMPLES, 1))
+    bodies = np.where(robot.prior[:, :1] > 0.0, robot.prior, 0.0)
+    states = (each[some] for each in (s.position, s.velocity, s.acceleration))
+    described = np.mean(robot.efforts_of_bodies(bodies, *states) ** 2, axis=0) * s.n_samples
+    return count, efforts, described, terms, whole
