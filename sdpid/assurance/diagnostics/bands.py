@@ -139,7 +139,7 @@ def _missed(estimate: Estimate) -> Array:
             predicted = predicted_by(blocks, problem, {"": own})[""]
         else:
             predicted = problem.predict(estimate.base)
-        used, moving = samples.used, moving_rows(samples)
+        used, moving = samples.used, moving_rows(samples, problem.robot.slides)
         # A joint that never moves is judged at rest.
         counted = np.where(moving.any(axis=0), moving, used)
         if blocks:

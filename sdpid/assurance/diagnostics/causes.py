@@ -116,7 +116,7 @@ def find_causes(
     states = samples.position, samples.velocity, samples.acceleration
     load = np.abs(robot.inverse_dynamics(bodies, *states))
     turned = _turned_gravity(robot, bodies, samples)
-    moving = moving_rows(samples) & samples.used
+    moving = moving_rows(samples, robot.slides) & samples.used
     shift = samples.position.shape[1] - robot.n
     found = {}
     for each in errors:

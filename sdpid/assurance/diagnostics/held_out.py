@@ -30,7 +30,6 @@ from sdpid.estimation.compression.whitening import with_contact_forces
 from sdpid.estimation.estimate import Estimate
 from sdpid.estimation.problem import Problem
 from sdpid.estimation.wls import solve_wls
-from sdpid.experiment.processing.contacts.held import base_held
 from sdpid.experiment.processing.samples import Samples
 from sdpid.robot.model.model import RobotModel
 
@@ -204,11 +203,8 @@ def _judged(
     if DESCRIPTION in predicted:
         friction = described_friction(robot, samples)
         predicted = {**predicted, DESCRIPTION: predicted[DESCRIPTION] + friction}
-    held = base_held(robot, samples)
     return {
-        name: Validation.of_prediction(
-            robot.joint_names, samples, effort, n_base=robot.n_base, held=held
-        )
+        name: Validation.of_prediction(robot.joint_names, samples, effort, robot=robot)
         for name, effort in predicted.items()
     }
 

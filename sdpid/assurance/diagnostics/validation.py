@@ -192,6 +192,8 @@ class Validation(Errors):
         count among the joints'. Contact forces that were not measured are those that leave the
         least error, so that errors are smaller than with forces that one knew. Samples in which
         the base is held by what measures nothing do not count; None where it always is.
+    slides : ndarray of bool, shape (n,)
+        Which joints slide: their speeds are in m/s.
 
     Examples
     --------
@@ -203,6 +205,7 @@ class Validation(Errors):
     """
 
     effort_predicted: Array
+    slides: Mask
     moving: Errors
     resting: Errors | None = None
     floating: BaseErrors | None = None
@@ -217,15 +220,17 @@ class Validation(Errors):
         predicted: Array,
         band: Callable[[], Array] | None = None,
         *,
-        n_base: int = 0,
-        held: Mask | None = None,
+        robot: RobotModel | None = None,
     ) -> Validation:
-        """Return the errors of predicted efforts (K, n) of samples, `n_base` of them the base's.
+        """Return the errors of predicted efforts (K, n) of samples.
 
-        Of the base, samples (K,) in which it is `held` do not count.
+        Without the robot its base is fixed and its joints turn. Of a floating base, samples in
+        which it is held do not count.
         """
-        moving, still = moving_rows(samples), resting_rows(samples)
-        free = samples.used if held is None else samples.used & ~held[:, None]
+        slides = np.zeros(samples.n, dtype=bool) if robot is None else robot.slides
+        n_base = 0 if robot is None else robot.n_base
+        moving, still = moving_rows(samples, slides), resting_rows(samples, slides)
+        free = samples.used if robot is None else samples.used & ~base_held(robot, samples)[:, None]
         effort, of = samples.effort, functools.partial(Errors.of, names, n_base=n_base)
         # Newtons and newton meters that no motor makes are no joint's errors.
         joints = np.arange(samples.n) >= n_base
@@ -237,6 +242,7 @@ class Validation(Errors):
             moving=of(effort, predicted, moving),
             resting=of(effort, predicted, still) if rests else None,
             floating=BaseErrors.of(effort, predicted, free) if n_base else None,
+            slides=slides,
             n_base=n_base,
             _band=band,
             _samples=samples,
@@ -349,8 +355,7 @@ def validate(
         samples,
         problem.predict(estimate.base, samples),
         band=functools.partial(effort_band, estimate, samples),
-        n_base=problem.robot.n_base,
-        held=base_held(problem.robot, samples),
+        robot=problem.robot,
     )
 
 
@@ -402,13 +407,7 @@ def validate_dynamics(
         predicted = np.concatenate(
             [with_contact_forces(rows, part, sigma, predicted[part]) for part in rows.parts()]
         )
-    return Validation.of_prediction(
-        robot.joint_names,
-        samples,
-        predicted,
-        n_base=robot.n_base,
-        held=base_held(robot, samples),
-    )
+    return Validation.of_prediction(robot.joint_names, samples, predicted, robot=robot)
 
 
 def _figures(effort: Array, predicted: Array, mask: Mask) -> dict[str, Any]:

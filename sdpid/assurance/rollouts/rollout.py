@@ -23,7 +23,6 @@ from sdpid.experiment.recording.recording import Recording
 from sdpid.experiment.simulation.arm import SimulatedArm
 from sdpid.experiment.simulation.controllers import Controller
 from sdpid.experiment.simulation.open_loop import Track
-from sdpid.robot.model.coordinates import sliding
 from sdpid.robot.model.dynamics import RobotDynamics
 from sdpid.robot.model.model import RobotModel
 
@@ -174,12 +173,11 @@ def _simulated(
         moved = simulated(setting.arm, setting.again)
         # What is compared with is measured with noise, too.
         errors[FLOOR] = runs.errors(moved, own + (runs.measured(setting.again) - measured))
-    slides = sliding(robot.pin_model, robot.joint_names)
     joints = [j for group in groups for j in group]
     return Rollout(
         robot=robot.name,
         joint_names=tuple(robot.joint_names[j] for j in joints),
-        sliding=slides[joints],
+        sliding=robot.slides[joints],
         free=named if controller is None else CLOSED_LOOP,
         horizons=setting.horizons,
         time=np.asarray(setting.after * track.step, dtype=np.float64),

@@ -15,6 +15,7 @@ import numpy as np
 from sdpid._common.arrays import Array
 from sdpid.assurance.diagnostics.bands import random_motion
 from sdpid.assurance.diagnostics.held_out import HeldOut
+from sdpid.assurance.diagnostics.rest import rest_speeds
 from sdpid.assurance.diagnostics.validation import Validation
 from sdpid.errors import SdpidError
 from sdpid.estimation.estimate import Estimate
@@ -32,10 +33,6 @@ EXPLAINED, HARDLY = 0.95, 0.8
 # the effort itself is small all the same: payloads and temperature change it by as much. It lifts a
 # joint by one level and no more, since R² alone tells a model from a constant.
 SMALL = 0.1
-
-# A joint that was never faster than this (rad/s) did not move: velocity noise at standstill stays
-# below, and so does what is masked around reversals.
-MOVES = 0.02
 
 # Held-out blocks repeat the motion that was trained on. A joint is trusted on other motion where
 # twice their error would still be good: then all of 229 joints of six real robots kept the grade on
@@ -108,7 +105,7 @@ def graded(samples: Samples, fit: Validation) -> Iterator[Grade]:
     for j in range(len(fit.joint_names)):
         if not fit.rows[j] or not np.any(samples.effort[:, j]):
             continue
-        if not moved(samples, j):
+        if not moved(samples, fit, j):
             small = float(fit.nrmse[j]) <= SMALL
             yield Grade(j, "caution" if small else "bad", moved=False)
             continue
@@ -124,10 +121,10 @@ def level_of(r2: float, nrmse: float) -> Level:
     return "caution" if small or r2 >= HARDLY else "bad"
 
 
-def moved(samples: Samples, joint: int) -> bool:
-    """Return whether a joint moved on the rows in use."""
+def moved(samples: Samples, fit: Validation, joint: int) -> bool:
+    """Return whether a joint was ever faster, on the rows in use, than one that rests."""
     speeds = np.abs(samples.velocity[samples.used[:, joint], joint])
-    return bool(np.any(speeds > MOVES))
+    return bool(np.any(speeds > rest_speeds(fit.slides)[joint]))
 
 
 # Of estimates that are still in use, each computed once.

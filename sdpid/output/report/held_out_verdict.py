@@ -96,7 +96,7 @@ def inside_bands(result: Judged) -> float | None:
     held_out = result.held_out
     if held_out is None or held_out.by != "recording":
         return None
-    samples, moving = held_out.samples, moving_rows(held_out.samples)
+    samples, moving = held_out.samples, moving_rows(held_out.samples, held_out.fit.slides)
     try:
         band = held_out.fit.effort_band
     except SdpidError:  # no covariance; a verdict must not cost the run

@@ -6,11 +6,12 @@ from collections.abc import Iterator
 
 from sdpid.assurance.diagnostics.causes import find_causes
 from sdpid.assurance.diagnostics.residuals import joint_errors
+from sdpid.assurance.diagnostics.rest import rest_speeds
 from sdpid.assurance.diagnostics.validation import Validation
 from sdpid.experiment.processing.samples import Samples
 from sdpid.output.report.cause_words import cause_findings
 from sdpid.output.report.finding import Finding, listed, percent
-from sdpid.output.report.grades import MARGIN, MOVES, SMALL, Grade, graded
+from sdpid.output.report.grades import MARGIN, SMALL, Grade, graded
 from sdpid.robot.model.model import RobotModel
 
 
@@ -55,7 +56,9 @@ def effort_findings(
     for each in given:
         name, words = fit.joint_names[each.joint], _explained(fit, each.joint)
         if not each.moved:
-            named["still"].append(name)
+            limit = f"{rest_speeds(fit.slides)[each.joint]:g}"
+            unit = "m/s" if fit.slides[each.joint] else "rad/s"
+            named["still"].append(f"{name} (never faster than {limit} {unit})")
         elif not each.shown:
             named["unshown"].append(f"{name} ({words})")
         elif each.level == "caution" and float(fit.moving.r2[each.joint]) < 0.0:
@@ -103,9 +106,8 @@ def effort_findings(
     if named["still"]:
         yield Finding(
             "bad",
-            f"Joints that did not move on {where} (never faster than {MOVES:g} rad/s): "
-            f"{listed(named['still'], 99)}. How well their effort is predicted in motion is not "
-            "known. Record them moving.",
+            f"Joints that did not move on {where}: {listed(named['still'], 99)}. How well "
+            "their effort is predicted in motion is not known. Record them moving.",
         )
     yield from _rest(fit)
 

@@ -15,13 +15,13 @@ from sdpid.assurance.diagnostics.held_out import LEAST_SQUARES
 from sdpid.assurance.diagnostics.motion.light_joints import light_joints
 from sdpid.assurance.diagnostics.provenance import provenance
 from sdpid.assurance.diagnostics.residuals import JointErrors
+from sdpid.assurance.diagnostics.rest import rest_speeds
 from sdpid.estimation.compression.rows import RowSource
 from sdpid.estimation.problem import Problem
 from sdpid.output.report.cause_words import cause_findings
 from sdpid.output.report.finding import Finding, listed, percent
 from sdpid.output.report.floating_verdict import floating_findings
 from sdpid.output.report.gains_verdict import gains_findings
-from sdpid.output.report.grades import MOVES
 from sdpid.output.report.held_back import held_back_findings
 from sdpid.output.report.held_out_verdict import held_out_findings
 from sdpid.output.report.judged import (
@@ -176,7 +176,8 @@ def _reach(result: Judged) -> Iterator[Finding]:
     joints = range(robot.n_base, robot.n)
     peaks = np.abs(_speeds(problem)).max(axis=0)
     slow = [
-        f"{robot.joint_names[j]} ({peaks[j]:.2g} of {robot.velocity_limits[j]:.2g} rad/s)"
+        f"{robot.joint_names[j]} ({peaks[j]:.2g} of {robot.velocity_limits[j]:.2g} "
+        f"{'m/s' if robot.slides[j] else 'rad/s'})"
         for j in joints
         if robot.velocity_limits[j] < NO_LIMIT and peaks[j] < SLOW * robot.velocity_limits[j]
     ]
@@ -211,9 +212,10 @@ def _one_way(result: Judged) -> Iterator[Finding]:
     robot, friction = result.problem.robot, result.problem.friction
     moving = friction.columns(np.ones((1, robot.n)), np.zeros((1, robot.n)))[0]
     lowest, highest = _speeds(result.problem)
+    slow = rest_speeds(robot.slides)
     named = []
     for j in range(robot.n_base, robot.n):
-        forwards, backwards = highest[j] > MOVES, lowest[j] < -MOVES
+        forwards, backwards = highest[j] > slow[j], lowest[j] < -slow[j]
         if forwards != backwards and moving[j].any():
             named.append(f"{robot.joint_names[j]} ({'forwards' if forwards else 'backwards'})")
     if named:

@@ -18,7 +18,6 @@ from sdpid.robot.friction.model import FrictionModel
 from sdpid.robot.friction.motion import Motion
 from sdpid.robot.friction.posed import LoadFriction, Tilt
 from sdpid.robot.friction.term import FrictionTerm
-from sdpid.robot.model.coordinates import sliding
 from sdpid.robot.model.model import RobotModel
 from sdpid.robot.model.states import States, is_single, many
 
@@ -287,7 +286,7 @@ class RobotDynamics:
             joint=self.terms.joint_names[j],
             velocity=speeds,
             effort=frozen(self.friction(states)[:, column]),
-            unit="N" if sliding(self.robot.pin_model, self.robot.joint_names)[column] else "N·m",
+            unit="N" if self.robot.slides[column] else "N·m",
         )
 
     def _settle(

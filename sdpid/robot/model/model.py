@@ -12,7 +12,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import ArrayLike
 
-from sdpid._common.arrays import Array, Indices, frozen, real_array
+from sdpid._common.arrays import Array, Indices, Mask, frozen, real_array
 from sdpid._common.files import Source
 from sdpid._common.tables import Table, facts_html
 from sdpid.errors import DataError, ModelError
@@ -21,7 +21,7 @@ from sdpid.robot.description.loops import Loop
 from sdpid.robot.description.urdf import Mimic, pinocchio_from_urdf
 from sdpid.robot.inertia import PARAMETER_NAMES, PARAMETER_UNITS
 from sdpid.robot.model import regressor_kernel as kernels
-from sdpid.robot.model.coordinates import coordinate_names, expand_mimics, link_names
+from sdpid.robot.model.coordinates import coordinate_names, expand_mimics, link_names, sliding
 
 # Descriptions and our own URDFs write 'no limit' as a number at least this large.
 _UNLIMITED = 1e9
@@ -481,6 +481,11 @@ class RobotModel:
     def tree(self) -> kernels.Tree | None:
         """The kinematics as plain arrays; None where a joint is of a kind they do not cover."""
         return kernels.flatten(self.pin_model, self.expansion)
+
+    @functools.cached_property
+    def slides(self) -> Mask:
+        """Which joints slide, (n,); no coordinate of a floating base counts as one."""
+        return sliding(self.pin_model, self.joint_names) & (np.arange(self.n) >= self.n_base)
 
     @functools.cached_property
     def frame_numbers(self) -> dict[str, int]:

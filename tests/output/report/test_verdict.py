@@ -20,7 +20,7 @@ from sdpid.output.report.verdict import _one_way, _unlike, findings
 from sdpid.robot.friction.model import FrictionModel
 from sdpid.workflow.result import Identification
 from tests.helpers.identified import ARM, RATE, arm_theta, identified, moved
-from tests.helpers.robots import small_arm
+from tests.helpers.robots import LIFT, small_arm
 
 FIRST, LAST = ARM.joint_names
 ONE = small_arm(1)
@@ -128,6 +128,19 @@ def test_worse_than_a_constant_is_never_trusted() -> None:
     assert "Validate on a motion in which the effort varies" in only.text
     # An error that is large beside the effort as well is worse still.
     assert grade(*biased(10.0, 2.0)) == "bad"
+
+
+@pytest.mark.parametrize(("speed", "moves"), [(0.018, True), (0.0005, False)])
+def test_a_lift_moves_in_meters_per_second(speed: float, moves: bool) -> None:
+    lift = sdpid.load_robot(LIFT)
+    t = np.arange(400) / RATE
+    v = np.outer(np.sin(t), [speed, 1.0])
+    samples = Samples(position=v, velocity=v, acceleration=v, effort=1.0 + v, time=t)
+    fit = Validation.of_prediction(lift.joint_names, samples, 1.0 + v, robot=lift)
+    assert fit.moving.rows.tolist() == [len(t) if moves else 0, len(t)]
+    assert [each.moved for each in graded(samples, fit)] == [moves, True]
+    text = " ".join(found.text for found in prediction_findings(lift, samples, fit))
+    assert ("lift (never faster than 0.001 m/s)" in text) is not moves
 
 
 @pytest.mark.parametrize("error", [0.0, 0.2])
