@@ -112,7 +112,7 @@ def identify(
         such as ``{"cutoff_hz": 10.0}``.
     without_effort : iterable of str, optional
         Joints whose effort was not measured, or is wrong. Only their motion is used; their
-        friction comes from the prior.
+        friction comes from the prior, which is zero, and the verdict says that it is unknown.
     accept : str or iterable of str, optional
         Kinds of findings that make a recording worthless in general, but are as they should be
         here, such as ``"effort_sign"`` (see `inspect_recording`).

@@ -114,6 +114,7 @@ def findings(
         *_bias(identification),
         *_reach(identification),
         *_one_way(identification),
+        *_without_rows(identification),
         *_weak(identification),
         *_sources(identification),
         *_constraints(identification),
@@ -224,6 +225,20 @@ def _one_way(result: Judged) -> Iterator[Finding]:
             f"Joints that moved in one direction only: {listed(named, 99)}. Their friction in the "
             "other direction is an extrapolation: in one direction Coulomb friction and an offset "
             "cannot be told apart. Record them moving both ways.",
+        )
+
+
+def _without_rows(result: Judged) -> Iterator[Finding]:
+    """Name joints of whose friction nothing is known, for none of their efforts was used."""
+    problem = result.problem
+    names, first = problem.robot.joint_names, problem.robot.n_base
+    unused = np.flatnonzero(~problem.samples.used.any(axis=0)[first:])
+    if unused.size and problem.friction.parameters:
+        yield Finding(
+            "caution",
+            f"Friction of {listed([names[first + j] for j in unused])} is unknown: no effort of "
+            "theirs was used. In parameters and files stands what was believed before, next to "
+            "none; give it from elsewhere.",
         )
 
 

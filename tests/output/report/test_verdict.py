@@ -333,6 +333,14 @@ def test_velocity_noise_is_no_motion_and_hidden_rows_do_not_count(
     assert f"{LAST} (forwards)" in said(result, "one direction only")
 
 
+def test_friction_of_a_joint_without_rows_is_unknown(good: Identification) -> None:
+    unsaid(good, "is unknown")
+    samples = good.problem.samples
+    mask = np.tile([True, False], (samples.n_samples, 1))
+    text = said(trained_on(good, replace(samples, mask=mask)), "is unknown")
+    assert f"Friction of {LAST} is unknown" in text
+
+
 def test_without_friction_directions_do_not_matter(good: Identification) -> None:
     problem = good.problem
     bare = FrictionModel.from_terms((), problem.robot.joint_names)
