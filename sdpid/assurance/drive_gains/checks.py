@@ -18,6 +18,7 @@ from sdpid.experiment.inspection.inspect import inspect_recordings
 from sdpid.experiment.processing.samples import Samples
 from sdpid.experiment.recording.floating.refusal import require_fixed_base
 from sdpid.experiment.recording.recording import Recording
+from sdpid.experiment.recording.stored import extremes
 from sdpid.robot.model.model import RobotModel
 
 # Efforts that are this near to what the description's bodies need, at every joint that shows it,
@@ -83,6 +84,23 @@ def require_different(bare: Sequence[Recording], loaded: Sequence[Recording]) ->
                     "all their efforts are equal. Give the log of the run with the load "
                     "(with_load=, --with)."
                 )
+
+
+def require_every_current(logs: Sequence[Recording]) -> None:
+    """Refuse recordings in all of which the current of a joint is zero.
+
+    Raises
+    ------
+    DataError
+        Naming the joints.
+    """
+    largest = np.max([np.fmax(*np.abs(extremes(log.effort))) for log in logs], axis=0)
+    if not largest.all():
+        silent = ", ".join(n for n, a in zip(logs[0].names, largest, strict=True) if not a)
+        raise DataError(
+            f"gains: the current of {silent} is zero in every recording, which tells no gain; log "
+            "it, or hold the joint still and describe it as fixed."
+        )
 
 
 def rough_gains(robot: RobotModel, samples: Sequence[Samples]) -> tuple[Array, Array]:
@@ -203,7 +221,7 @@ def require_bearable(robot: RobotModel, load: Load, samples: Samples, columns: A
     weight = load.mass * np.abs(
         robot.efforts_of_bodies(columns.reshape(-1, 10), samples.position, still, still)
     ).max(axis=0)
-    limits = np.where(robot.effort_limits > 0.0, robot.effort_limits, np.inf)
+    limits = robot.effort_limits
     worst = int(np.argmax(weight / limits))
     if weight[worst] > limits[worst]:
         raise DataError(

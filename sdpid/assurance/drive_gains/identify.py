@@ -151,6 +151,7 @@ def identify_drive_gains(
     held = _held(model, known)
     _check_numbers(model, description_error, starts)
     matched = [[_matched(model, log) for log in logs] for logs in (bare, loaded)]
+    checks.require_every_current([*matched[0], *matched[1]])
     chosen, why = gain_processing([*matched[0], *matched[1]], processing)
     samples = [
         [prepare(model, replace(log, currents=False), chosen) for log in logs] for logs in matched

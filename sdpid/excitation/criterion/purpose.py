@@ -192,6 +192,11 @@ def _made(
 ) -> Purpose:
     size = np.linalg.norm(functionals, axis=1)
     kept = functionals[size > _NEGLIGIBLE * size.max(initial=0.0)]
+    if not len(kept):
+        raise DataError(
+            f"purpose: is '{name}', and none of the robot's {len(directions)} base parameters "
+            "counts for it; choose another, or all."
+        )
     return Purpose(
         name=name,
         directions=frozen(directions),

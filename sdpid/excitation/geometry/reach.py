@@ -21,6 +21,7 @@ import numpy as np
 
 from sdpid._common.arrays import Array, Mask
 from sdpid.excitation.geometry.solids import Solid
+from sdpid.robot.model.jacobians import local_jacobian
 from sdpid.robot.model.model import RobotModel
 
 Ball = tuple[Array, float]
@@ -35,9 +36,7 @@ def joint_axes(robot_model: Any) -> tuple[Array, Array]:
     pin.computeJointJacobians(robot_model, data, pin.neutral(robot_model))
     turning, sliding = np.zeros((2, robot_model.njoints, 3))
     for i in range(1, robot_model.njoints):
-        column = pin.getJointJacobian(robot_model, data, i, pin.ReferenceFrame.LOCAL)
-        # With a single joint the binding drops the axis of length one.
-        column = column.reshape(6, -1)[:, robot_model.joints[i].idx_v]
+        column = local_jacobian(robot_model, data, i)[:, robot_model.joints[i].idx_v]
         sliding[i], turning[i] = column[:3], column[3:]
     return turning, sliding
 

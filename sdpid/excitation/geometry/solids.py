@@ -22,6 +22,8 @@ from sdpid.robot.model.shapes import Shape, collision_library, link_shapes
 # Radius of assumed links as a share of the way to the farthest joint, and its largest value in m:
 # industrial and collaborative arms of 0.5 to 1.3 m have links of 5 to 8 cm.
 _RADIUS_SHARE, _LARGEST_RADIUS = 0.1, 0.07
+# Their radius where all joints lie in one place, which tells no size, m.
+_RADIUS_OF_NO_WAY = 0.01
 
 # Thickness of the box around a mesh without volume, as a share of its size.
 _THIN = 1e-3
@@ -191,7 +193,7 @@ def body_name(robot: RobotModel, joint: int) -> str:
 
 def assumed_radius(robot: RobotModel) -> float:
     """Return the radius of capsules that stand for links, m."""
-    return min(_RADIUS_SHARE * robot.reach, _LARGEST_RADIUS)
+    return min(_RADIUS_SHARE * robot.reach, _LARGEST_RADIUS) or _RADIUS_OF_NO_WAY
 
 
 def assumed_shapes(robot: RobotModel, joint: int, radius: float) -> list[Shape]:

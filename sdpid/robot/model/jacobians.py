@@ -42,7 +42,7 @@ def link_jacobians(robot: RobotModel, q: ArrayLike) -> Array:
     for k, configuration in enumerate(configurations):
         pin.computeJointJacobians(model, data, configuration)
         for i in range(robot.n_links):
-            out[k, i] = pin.getJointJacobian(model, data, i + 1, pin.ReferenceFrame.LOCAL)
+            out[k, i] = local_jacobian(model, data, i + 1)
     return np.asarray(out[:, :, _ANGULAR_FIRST] @ robot.expansion)
 
 
@@ -63,8 +63,7 @@ def joint_rates(robot: RobotModel) -> Array:
     for i in range(1, model.njoints):
         joint = model.joints[i]
         columns = slice(joint.idx_v, joint.idx_v + joint.nv)
-        J = pin.getJointJacobian(model, data, i, pin.ReferenceFrame.LOCAL)[_ANGULAR_FIRST]
-        S = J[:, columns]
+        S = local_jacobian(model, data, i)[_ANGULAR_FIRST, columns]
         out[columns, 6 * i - 6 : 6 * i] = S.T
         before = model.parents[i]
         if before > 0:
@@ -73,6 +72,15 @@ def joint_rates(robot: RobotModel) -> Array:
             X = X[np.ix_(_ANGULAR_FIRST, _ANGULAR_FIRST)]
             out[columns, 6 * before - 6 : 6 * before] = -S.T @ X
     return out
+
+
+def local_jacobian(model: Any, data: Any, joint: int) -> Array:
+    """Return the Jacobian (6, nv) of a joint's frame, linear first, of Jacobians in `data`."""
+    import pinocchio as pin
+
+    # With a single joint the binding drops the axis of length one.
+    found = pin.getJointJacobian(model, data, joint, pin.ReferenceFrame.LOCAL)
+    return np.asarray(found).reshape(6, -1)
 
 
 def _configurations(robot: RobotModel, q: ArrayLike) -> Array:

@@ -24,6 +24,7 @@ from sdpid.robot.model.model import RobotModel
 from tests.helpers.arm import ARM, BOTH, arm_problem
 from tests.helpers.data import make_samples, random_links, random_theta
 from tests.helpers.robots import TREE, TREE_MIMIC, small_arm
+from tests.helpers.small_robots import SMALL
 from tests.helpers.strategies import SEEDS
 
 # Sums of a few hundred products of order one.
@@ -36,8 +37,9 @@ def robot(source: str) -> RobotModel:
     return small_arm(int(source)) if source.isdigit() else load_robot(source)
 
 
-ROBOTS = (TREE, TREE_MIMIC, "2", "4", "denso_vp6242")
-NAMES = ("tree", "mimic", "arm2", "arm4", "denso")
+URDFS = {name: small.urdf for name, small in SMALL.items()}
+ROBOTS = (TREE, TREE_MIMIC, "2", "4", "denso_vp6242", *URDFS.values())
+NAMES = ("tree", "mimic", "arm2", "arm4", "denso", *URDFS)
 
 
 @pytest.mark.parametrize("source", ROBOTS, ids=NAMES)
@@ -157,8 +159,9 @@ def test_the_box_is_the_description_s_limits() -> None:
     assert worst.value < half.value
 
 
-def test_without_limits_a_joint_turns_once_or_slides_a_meter() -> None:
-    slide = '<limit lower="-1e9" upper="1e9" velocity="1" effort="1"/>'
+@pytest.mark.parametrize("ends", ['lower="-1e9" upper="1e9"', ""])
+def test_without_limits_a_joint_turns_once_or_slides_a_meter(ends: str) -> None:
+    slide = f'<limit {ends} velocity="1" effort="1"/>'
     estimate = estimate_from_description(LIMITED.format(upper=60.0, limit=slide))
     worst = sdpid.smallest_mass_eigenvalue(estimate)
     turn = [0.5, 0.5 + 2.0 * np.pi]
