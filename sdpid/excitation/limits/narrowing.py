@@ -129,7 +129,10 @@ class _Narrowing:
         lower, upper = self._range(start)
         position = np.where(np.isnan(start), _usual_rest(lower, upper), start)
         robot = self.robot
-        speeds, torques = _positive(robot.velocity_limits), _positive(robot.effort_limits)
+        speeds, torques = (
+            np.where(np.isfinite(limit), limit, np.nan)
+            for limit in (robot.velocity_limits, robot.effort_limits)
+        )
         velocity = self._filled(
             "velocity",
             self._merged("velocity", self.share * speeds, speeds),
@@ -189,19 +192,17 @@ class _Narrowing:
     def _range(self, start: Array) -> tuple[Array, Array]:
         """Return the lower and upper limits of the positions."""
         low, high = self.robot.position_limits.T
-        # Descriptions without limits write infinity, or zero for both.
-        real = (low != 0.0) | (high != 0.0)
-        wrong = np.flatnonzero(real & ~(low < high))
+        wrong = np.flatnonzero(~(low < high))
         if wrong.size and not self.override:
             j = wrong[0]
             raise DataError(
                 f"limits: the description of '{self.robot.name}' has joint '{self.names[j]}' from "
                 f"{low[j]:g} to {high[j]:g}; mend it, or give both with override."
             )
-        real &= low < high
-        low = np.where(real & np.isfinite(low), low, np.nan)
-        high = np.where(real & np.isfinite(high), high, np.nan)
-        low, high = _within_mimics(self.robot, low, high)
+        real = np.isfinite(low) & (low < high)
+        low, high = _within_mimics(
+            self.robot, np.where(real, low, np.nan), np.where(real, high, np.nan)
+        )
         # NaN where an end is missing: then the other is used as it stands.
         spare = np.nan_to_num(0.5 * (1.0 - self.share) * (high - low))
         lower = self._merged("lower", low + spare, low)
@@ -387,8 +388,3 @@ def _usual_rest(lower: Array, upper: Array) -> Array:
     edge = _FROM_ENDS * (high - low)
     inside = (low + edge <= 0.0) & (high - edge >= 0.0)
     return np.where(inside, 0.0, 0.5 * (low + high))
-
-
-def _positive(values: Array) -> Array:
-    """Return limits with NaN in place of those that are none: infinity, or zero."""
-    return np.where(np.isfinite(values) & (values > 0.0), values, np.nan)

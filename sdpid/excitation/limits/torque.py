@@ -281,7 +281,7 @@ def _dynamics(
     viscous, coulomb = robot.described_friction()
     limit = robot.effort_limits
     speed = np.where(np.isfinite(robot.velocity_limits), robot.velocity_limits, 0.0)
-    heavy = (limit > 0.0) & (coulomb + viscous * speed > _MOST_FRICTION * limit)
+    heavy = coulomb + viscous * speed > _MOST_FRICTION * limit
     viscous, coulomb = (np.where(heavy, 0.0, friction) for friction in (viscous, coulomb))
     terms = FrictionModel.from_terms(("coulomb", "viscous", "rotor_inertia"), robot.joint_names)
     values = [robot.prior.ravel(), coulomb, viscous, robot.described_armature()]

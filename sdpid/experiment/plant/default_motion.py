@@ -74,13 +74,11 @@ def default_motion(
         )
     rng = generator(seed)
     low, high = robot.position_limits.T
-    # Descriptions without limits write infinity, or zero for both.
-    limited = np.isfinite(low) & np.isfinite(high) & (high > low)
+    limited = np.isfinite(low) & (low < high)
     low, high = np.where(limited, low, -_UNLIMITED), np.where(limited, high, _UNLIMITED)
     center = (low + high) / 2.0
     half = np.minimum(np.where(limited, _PART, 1.0) * (high - center), _WIDEST)
-    speeds = robot.velocity_limits
-    speeds = np.minimum(np.where(speeds > 0.0, speeds, _FASTEST), _FASTEST)
+    speeds = np.minimum(robot.velocity_limits, _FASTEST)
     draws = [rng.choice(available, _SINUSOIDS, replace=False) + 1 for _ in range(robot.n)]
     harmonics = np.sort(draws, axis=1)
     phases = rng.uniform(0.0, 2.0 * np.pi, harmonics.shape)

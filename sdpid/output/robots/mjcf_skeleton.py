@@ -141,10 +141,10 @@ def _joint(robot: RobotModel, i: int, column: int | None) -> str:
     out = f'<joint name={quoted(name)} type="{mark}" axis="{numbers(axis)}"'
     if column is not None:
         lower, upper = robot.position_limits[column]
-        if np.isfinite([lower, upper]).all() and lower < upper:
+        if lower < upper < np.inf:
             out += f' range="{numbers([lower, upper])}"'
         effort = robot.effort_limits[column]
-        if np.isfinite(effort) and effort > 0.0:
+        if np.isfinite(effort):
             out += f' actuatorfrcrange="{numbers([-effort, effort])}"'
     return out + "/>"
 

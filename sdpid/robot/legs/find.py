@@ -131,11 +131,7 @@ def _named(robot: RobotModel, word: str) -> list[str]:
 
 def _resting(robot: RobotModel) -> Array:
     """Return joint positions of zero, or the next to it well inside the limits, (joints,)."""
-    model = robot.pin_model
-    lower, upper = (
-        np.clip(limit[7:], -np.pi, np.pi)
-        for limit in (model.lowerPositionLimit, model.upperPositionLimit)
-    )
+    lower, upper = np.clip(robot.position_limits[6:].T, -np.pi, np.pi)
     inside = np.minimum(_INSIDE, (upper - lower) / 4.0)
     return np.clip(np.zeros(robot.n - 6), lower + inside, upper - inside)
 

@@ -296,12 +296,15 @@ class RobotModel:
 
     @property
     def position_limits(self) -> Array:
-        """Limits of the joints' positions, shape (n, 2), infinite where there are none."""
+        """Limits of the joints' positions, shape (n, 2), infinite where there are none.
+
+        A joint from 0 to 0 has none: so a URDF is read that leaves them out.
+        """
         limits = np.tile([-np.inf, np.inf], (self.n, 1))
         for column, joint in self._single_joints():
             lower = self.pin_model.lowerPositionLimit[joint.idx_q]
             upper = self.pin_model.upperPositionLimit[joint.idx_q]
-            if joint.nq == 1 and max(-lower, upper) < _UNLIMITED:
+            if joint.nq == 1 and (lower or upper) and max(-lower, upper) < _UNLIMITED:
                 limits[column] = lower, upper
         return limits
 
@@ -319,18 +322,18 @@ class RobotModel:
     def _rate_limits(self, values: Array) -> Array:
         limits = np.full(self.n, np.inf)
         for column, joint in self._single_joints():
-            if values[joint.idx_v] < _UNLIMITED:
+            if 0.0 < values[joint.idx_v] < _UNLIMITED:
                 limits[column] = values[joint.idx_v]
         return limits
 
     @property
     def velocity_limits(self) -> Array:
-        """Largest speeds, shape (n,), infinite where there are none."""
+        """Largest speeds, shape (n,), infinite where there are none, or zero."""
         return self._rate_limits(self.pin_model.velocityLimit)
 
     @property
     def effort_limits(self) -> Array:
-        """Largest efforts, shape (n,), infinite where there are none."""
+        """Largest efforts, shape (n,), infinite where there are none, or zero."""
         return self._rate_limits(self.pin_model.effortLimit)
 
     def configuration(self, position: ArrayLike) -> Array:

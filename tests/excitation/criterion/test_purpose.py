@@ -12,6 +12,7 @@ from sdpid.excitation.criterion.purpose import PURPOSES, effort_functionals, pur
 from sdpid.robot.friction.model import FrictionModel
 from sdpid.robot.model.base_parameters import structural_base
 from tests.helpers.robots import small_arm
+from tests.helpers.small_robots import SMALL
 
 ARM = small_arm(3)
 FRICTION = FrictionModel.from_terms(("coulomb", "viscous"), ARM.joint_names)
@@ -75,6 +76,13 @@ def test_gravity_asks_nothing_of_friction() -> None:
     assert not purpose.functionals[:, BASE.kept >= 10 * ARM.n_links].any()
 
 
+def test_gravity_counts_all_around_where_the_description_has_no_limits() -> None:
+    robot = SMALL["without_limits"].model
+    base = structural_base(robot, none := FrictionModel.from_terms((), robot.joint_names))
+    variances = purpose_of("gravity", robot, none, base).covariance(np.eye(base.count))
+    assert np.linalg.matrix_rank(variances, tol=1e-6) == 4  # mx and mz of two links
+
+
 def test_wrong_purposes_are_refused() -> None:
     with pytest.raises(DataError, match="use one of"):
         purpose_of("speed", ARM, FRICTION, BASE)
@@ -83,3 +91,7 @@ def test_wrong_purposes_are_refused() -> None:
     none = FrictionModel.from_terms((), ARM.joint_names)
     with pytest.raises(DataError, match="no friction terms"):
         purpose_of("friction", ARM, none, structural_base(ARM, none))
+    upright = small_arm(1)
+    terms = FrictionModel.from_terms(("viscous",), upright.joint_names)
+    with pytest.raises(DataError, match="'gravity', and none of the robot's 2 base parameters"):
+        purpose_of("gravity", upright, terms, structural_base(upright, terms))

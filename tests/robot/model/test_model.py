@@ -14,6 +14,7 @@ from sdpid.robot.model.load import load_robot
 from sdpid.robot.model.model import RobotModel
 from tests.helpers.data import random_links
 from tests.helpers.robots import MIMIC, TREE, TREE_MIMIC, TREE_MIMIC_NO_OFFSET
+from tests.helpers.small_robots import SMALL
 from tests.helpers.strategies import SEEDS, dh_tables, random_states
 from tests.helpers.tolerances import DYNAMICS, KINEMATICS
 
@@ -196,6 +197,15 @@ def test_limits_of_a_tree(tree: RobotModel) -> None:
     assert speeds["lift"] == 2.0
     efforts = dict(zip(tree.joint_names, tree.effort_limits, strict=True))
     assert efforts["slide"] == 50.0
+
+
+def test_limits_of_zero_are_none() -> None:
+    limits = '<limit effort="80" velocity="3"/>'
+    text = SMALL["without_limits"].urdf
+    assert limits in text
+    robot = load_robot(text.replace(limits, '<limit effort="0" velocity="0"/>'))
+    np.testing.assert_array_equal(robot.position_limits, [[-np.inf, np.inf]] * 2)
+    assert np.isinf([*robot.velocity_limits, *robot.effort_limits]).all()
 
 
 def test_continuous_joints_take_angles(tree: RobotModel) -> None:
