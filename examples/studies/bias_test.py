@@ -341,7 +341,7 @@ def coverage_rows(runs: int, cases: int = len(COVERED)) -> Iterator[list[object]
                 log, position=log.position + noise * rng.standard_normal(log.effort.shape)
             )
             problem = arm.problem(log, processing)
-            truth, every = problem.base_of(arm.model.theta), np.eye(problem.base.count)
+            truth = problem.base_of(arm.model.theta)
             second = sdpid.solve_instrumental(
                 problem, log, processing=processing, instruments="reference", solver=sdpid.solve_wls
             )
@@ -352,8 +352,9 @@ def coverage_rows(runs: int, cases: int = len(COVERED)) -> Iterator[list[object]
                 strict=True,
             ):
                 errors = fit_errors(estimate, groups)
-                deviation = np.sqrt(np.diag(errors.covariance))
-                half = stdtrit(errors.freedom(every), 0.975) * deviation
+                T = errors.root
+                deviation = np.sqrt(np.diag(T @ errors.scores @ T.T))
+                half = stdtrit(errors.freedom(T), 0.975) * deviation
                 held[key].append(np.abs(estimate.base - truth) <= half)
             blocks = -(-problem.samples.n_samples // problem.samples.block)
         yield [

@@ -19,6 +19,7 @@ import numpy as np
 import sdpid
 from sdpid._common.progress import progress
 from sdpid._common.tables import Table
+from sdpid.estimation.cluster_robust import ScoreBlocks
 from sdpid.experiment.plant.simulate import true_parameters
 from sdpid.robot.inertia import (
     complement,
@@ -110,7 +111,7 @@ def run(case: str, options: argparse.Namespace) -> list[tuple[object, ...]]:
             truth = problem.base_of(theta)
             fit, estimate = sdpid.solve_wls(problem), sdpid.solve_sdp(problem)
             pressed.append((estimate.cost - fit.cost) / fit.cost > 1e-6)
-            half = NORMAL * fit.standard_errors
+            half = NORMAL * np.sqrt(np.diag(ScoreBlocks.of(problem).covariance))
             ends: dict[str, tuple[Any, Any]] = {METHODS[0]: (fit.base - half, fit.base + half)}
             for method in METHODS[1:]:
                 found = sdpid.confidence_intervals(

@@ -14,9 +14,10 @@ the correlation of filtered residuals stays inside; or whole periods, where they
 leverage. Before their squares are summed, the residuals of a block are multiplied by
 ``(E − P_gg)^(-1/2)``, with P the projection of the fit: this makes the variance unbiased where rows
 are white and equally noisy, and nearly so otherwise (CR2, [bell2002]_, [pustejovsky2018]_). As
-``X^T·f(X·X^T) = f(X^T·X)·X^T`` only b×b matrices are needed. The variance itself is uncertain; the
-degrees of freedom of its Student's t are those of Satterthwaite's approximation, for every
-parameter its own.
+``X^T·f(X·X^T) = f(X^T·X)·X^T`` only b×b matrices are needed. They are those of columns ``X·T`` that
+are orthonormal over all rows: then the products lose nothing to rounding. The variance itself is
+uncertain; the degrees of freedom of its Student's t are those of Satterthwaite's approximation, for
+every parameter its own.
 """
 
 from __future__ import annotations
@@ -32,7 +33,7 @@ from sdpid.errors import DataError
 from sdpid.estimation.compression.covariance import whitener
 from sdpid.estimation.compression.rows import RowSource
 from sdpid.estimation.compression.whitening import whitened_chunks
-from sdpid.estimation.information import information_root, require_excitation
+from sdpid.estimation.information import information_root, information_rows
 from sdpid.estimation.problem import Problem
 
 Groups = Literal["blocks", "periods"]
@@ -52,15 +53,18 @@ class ScoreBlocks:
     ----------
     groups : {"blocks", "periods"}
         What a group is.
-    information : ndarray, shape (G, b, b)
-        H_g. Of periods, one share of the whole each: all have the same regressor.
-    target : ndarray, shape (G, b)
+    information : ndarray, shape (G, r, r)
+        H_g of the columns X·T. Of periods, one share of the whole each: all have one regressor.
+    target : ndarray, shape (G, r)
         c_g.
+    coordinates : ndarray, shape (b, r)
+        T.
     """
 
     groups: Groups
     information: Array
     target: Array
+    coordinates: Array
 
     @classmethod
     def of(
@@ -86,7 +90,8 @@ class ScoreBlocks:
             return cls._of_periods(problem)
         exponent = 0.5 * problem.score_exponent
         rows = problem.require_rows("standard errors")
-        found = rows.map(_block_products, exponent, size, sigma=problem.sigma)
+        T = problem.excitation.root
+        found = rows.map(_block_products, exponent, size, T, sigma=problem.sigma)
         products = np.concatenate(found)
         information, target = products[:, :, :-1], products[:, :, -1]
         if len(information) < FEWEST_BLOCKS:
@@ -94,7 +99,7 @@ class ScoreBlocks:
                 f"standard errors: {len(information)} blocks of {size or problem.samples.block} "
                 f"samples, at least {FEWEST_BLOCKS} are needed; record longer, or decimate less."
             )
-        return cls("blocks", frozen(information), frozen(target))
+        return cls("blocks", frozen(information), frozen(target), T)
 
     @classmethod
     def _of_periods(cls, problem: Problem) -> ScoreBlocks:
@@ -105,42 +110,42 @@ class ScoreBlocks:
                 "standard errors: groups='periods' needs samples with efforts of single periods "
                 "(Samples.effort_periods); use groups='blocks'."
             )
-        count = problem.base.count
+        T = problem.excitation.root
+        count = T.shape[1]
         H, target = np.zeros((count, count)), np.zeros((len(efforts), count))
         for part, W, _, mask in rows.chunks():
             sigma = problem.sigma if problem.sigma.ndim == 2 else problem.sigma[part]
             weight = whitener(sigma, mask, 0.5 * problem.score_exponent)
-            X = weight @ W
+            X = weight @ (W @ T)
             H += np.einsum("kib,kic->bc", X, X, optimize=True)
             weighted = np.einsum("kij,kib->kjb", weight, X)
             target += np.einsum("kjb,pkj->pb", weighted, efforts[:, part], optimize=True)
         share = np.broadcast_to(H / len(efforts), (len(efforts), count, count))
-        return cls("periods", frozen(share), frozen(target / len(efforts)))
+        return cls("periods", frozen(share), frozen(target / len(efforts)), T)
 
     @property
     def count(self) -> int:
         """Number of groups."""
         return len(self.target)
 
-    @cached_property
+    @property
     def root(self) -> Array:
         """T (b, r) with ``T·T^T = H^(-1)`` on what the data determine."""
-        return information_root(self.information.sum(axis=0))
+        return np.asarray(self.coordinates @ self._root)
 
     @cached_property
-    def fit(self) -> Array:
-        """The unconstrained fit (b,)."""
-        return np.asarray(self.root @ (self.root.T @ self.target.sum(axis=0)))
+    def _root(self) -> Array:
+        return information_root(information_rows(self.information.sum(axis=0)))
 
     @cached_property
     def _shares(self) -> Array:
         """K_g, the information of each group in the coordinates of `root`, (G, r, r)."""
-        return np.asarray(self.root.T @ self.information @ self.root)
+        return np.asarray(self._root.T @ self.information @ self._root)
 
     @cached_property
     def _factors(self) -> Array:
         """(E − K_g)^(-1/2) in the coordinates of `root`; of periods what makes them unbiased."""
-        count = self.root.shape[1]
+        count = self._root.shape[1]
         if self.groups == "periods":
             factor = np.sqrt(self.count / (self.count - 1))
             return np.broadcast_to(factor * np.eye(count), (self.count, count, count))
@@ -150,22 +155,24 @@ class ScoreBlocks:
         return np.asarray((vectors * factor[:, None, :]) @ np.swapaxes(vectors, 1, 2))
 
     @cached_property
-    def errors(self) -> Array:
-        """What each group contributes to the fit's error, corrected for leverage, (G, b)."""
-        scores = (self.target - self.information @ self.fit) @ self.root
-        return np.asarray(np.einsum("gij,gj->gi", self._factors, scores) @ self.root.T)
+    def scores(self) -> Array:
+        """Covariance of the fit in the coordinates of `root`, corrected for leverage, (r, r)."""
+        fit = self._root @ (self._root.T @ self.target.sum(axis=0))
+        scores = (self.target - self.information @ fit) @ self._root
+        errors = np.einsum("gij,gj->gi", self._factors, scores)
+        return np.asarray(errors.T @ errors)
 
-    @cached_property
+    @property
     def covariance(self) -> Array:
         """Covariance of the unconstrained fit, (b, b)."""
-        return np.asarray(self.errors.T @ self.errors)
+        return np.asarray(self.root @ self.scores @ self.root.T)
 
-    def freedom(self, functionals: Array) -> Array:
-        """Return the degrees of freedom of the variance of each functional (k, b) of the fit."""
+    def freedom(self, directions: Array) -> Array:
+        """Return the degrees of freedom of variances along directions (k, r) of `root`."""
         if self.groups == "periods":
-            return np.full(len(functionals), self.count - 1.0)
-        out = np.ones(len(functionals))
-        for k, direction in enumerate(functionals @ self.root):
+            return np.full(len(directions), self.count - 1.0)
+        out = np.ones(len(directions))
+        for k, direction in enumerate(directions):
             size = float(np.linalg.norm(direction))
             if size == 0.0:
                 continue
@@ -180,31 +187,15 @@ class ScoreBlocks:
         return out
 
 
-def covariance(problem: Problem) -> Array:
-    """Return the covariance (b, b) of the unconstrained fit of a problem, from its blocks.
-
-    Parameters
-    ----------
-    problem : Problem
-        The problem.
-
-    Raises
-    ------
-    DataError
-        When the record is too short for blocks.
-    IdentifiabilityError
-        When the data leave base parameters undetermined: their errors are infinite.
-    """
-    require_excitation(problem.excitation)
-    return ScoreBlocks.of(problem).covariance
-
-
-def _block_products(rows: RowSource, sigma: Array, exponent: float, block: int | None) -> Array:
-    """Return H_g and c_g of all blocks, (G, b, b + 1)."""
+def _block_products(
+    rows: RowSource, sigma: Array, exponent: float, block: int | None, T: Array
+) -> Array:
+    """Return H_g and c_g of all blocks, (G, r, r + 1)."""
     found, block = [], block or rows.samples.block
     size = max(rows.chunk_size // block, 1) * block
     for _, weighted, _ in whitened_chunks(rows, sigma, exponent, size=size):
         for start in range(0, len(weighted), block):
             own = weighted[start : start + block].reshape(-1, weighted.shape[2])
-            found.append(own[:, :-1].T @ own)
+            turned = own[:, :-1] @ T
+            found.append(turned.T @ np.column_stack([turned, own[:, -1]]))
     return np.asarray(found)

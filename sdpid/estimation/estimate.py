@@ -15,9 +15,9 @@ from sdpid._common.tables import Table, facts_html
 from sdpid.errors import DataError
 from sdpid.estimation.agreement.agreement import Agreement
 from sdpid.estimation.agreement.compare import compare_estimates
-from sdpid.estimation.cluster_robust import covariance
 from sdpid.estimation.duality.multipliers import Multipliers
-from sdpid.estimation.gain_errors import GainErrors
+from sdpid.estimation.information import require_excitation
+from sdpid.estimation.posterior import Posterior
 from sdpid.estimation.problem import Problem
 from sdpid.robot.inertia import margin
 from sdpid.robot.model.dynamics import RobotDynamics
@@ -67,6 +67,9 @@ class Estimate:
         Cost and violation over the iterations, for solvers that show them.
     start : ndarray or None
         Standard parameters that a local solver started from.
+    curvature : ndarray, shape (r, r), or None
+        Half the second derivative of the data's cost, along the columns of
+        ``problem.excitation.root``, where it is not that of the problem's squares.
 
     Examples
     --------
@@ -93,6 +96,7 @@ class Estimate:
     multipliers: Multipliers | None = None
     history: tuple[Step, ...] = field(default=(), repr=False)
     start: Array | None = field(default=None, repr=False)
+    curvature: Array | None = field(default=None, repr=False)
 
     @classmethod
     def of_theta(cls, problem: Problem, theta: ArrayLike, **fields: Any) -> Estimate:
@@ -196,17 +200,26 @@ class Estimate:
 
     @cached_property
     def covariance(self) -> Array:
-        """Covariance of the unconstrained fit's base parameters, (b, b).
+        """Covariance of the base parameters, (b, b): that of the Gauss-Markov intervals.
 
-        The sandwich estimate from blocks of samples that are longer than the filter's memory,
-        corrected for leverage (see `sdpid.estimation.cluster_robust`), and where efforts were made
-        of currents the errors of the gains. It is that of the problem:
-        neither constraints nor a prior have a say.
+        The errors that the residuals' spectrum shows, those of a prior as stated, and what else is
+        known to move the fit (see `sdpid.estimation.posterior`). Inequalities are not counted,
+        equations among the constraints are. Infinite on the diagonal is what neither data nor a
+        prior see.
+
+        Raises
+        ------
+        DataError
+            When the problem has no rows.
+        IdentifiabilityError
+            When there is no prior, and the data leave base parameters undetermined.
         """
-        own = covariance(self.problem)
-        gains = GainErrors.of(self.problem)
-        moved = np.linalg.lstsq(self.problem.A, gains.rows, rcond=None)[0]
-        return frozen(own + moved @ gains.covariance @ moved.T)
+        if self.problem.prior is None:
+            require_excitation(self.problem.excitation)
+        posterior, functions = Posterior.of(self), self.problem.base.matrix
+        found, lost = posterior.covariance(functions), posterior.lost(functions)
+        found[lost, lost] = np.inf
+        return frozen(found)
 
     @cached_property
     def standard_errors(self) -> Array:
@@ -232,7 +245,7 @@ class Estimate:
         Parameters
         ----------
         parameters : {"base", "standard"}, optional
-            Base parameters with ``unit``, ``value``, ``standard_error`` of the unconstrained fit
+            Base parameters with ``unit``, ``value``, ``standard_error``
             (missing where the problem has no rows) and ``regrouping``; or standard parameters with
             ``unit`` and ``value``.
 

@@ -25,9 +25,6 @@ from sdpid.experiment.drive_gains.gains import DriveGains
 # Their cost is the norm of the normal equations' residual, so that these are the rows.
 PRINTED = ("eq9", "eq18")
 
-# Directions of the compressed regressor, columns scaled, below this share are rounding.
-_ROUNDING = 1e-12
-
 
 @dataclass(frozen=True, eq=False)
 class GainErrors:
@@ -97,9 +94,8 @@ def _gather(problem: Problem) -> GainErrors:
     target = np.sum(problem.rows.map(_targets, exponent, sigma=problem.sigma), axis=0)
     rows = target
     if problem.weighting not in PRINTED:
-        norms = problem.excitation.column_norms
-        scale = np.where(norms > 0.0, norms, 1.0)
-        rows = np.linalg.lstsq((problem.A / scale).T, target / scale[:, None], rcond=_ROUNDING)[0]
+        T = problem.excitation.root
+        rows = problem.A @ T @ (T.T @ target)
     return GainErrors(frozen(rows), gains.relative_covariance, gains.freedom, gains)
 
 

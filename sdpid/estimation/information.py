@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sdpid._common.arrays import Array, frozen
+from sdpid._common.arrays import Array, Mask, frozen
 from sdpid.errors import IdentifiabilityError
 
 # Below this (columns scaled to unit length) a direction is lost in rounding: not determined.
@@ -51,8 +51,24 @@ class Excitation:
         """Analyze a compressed regressor (b, b)."""
         norms = np.linalg.norm(A, axis=0)
         scaled = A / np.where(norms > 0.0, norms, 1.0)
-        _, singular, directions = np.linalg.svd(scaled)
+        _, singular, directions = np.linalg.svd(scaled, full_matrices=False)
         return cls(names, frozen(singular), frozen(directions), frozen(norms))
+
+    @property
+    def root(self) -> Array:
+        """T (b, r) that makes the regressor's columns orthonormal (see `information_root`)."""
+        kept, norms = self._kept, np.where(self.column_norms > 0.0, self.column_norms, 1.0)
+        return self.directions[kept].T / self.singular_values[kept] / norms[:, None]
+
+    @property
+    def inverse(self) -> Array:
+        """``T^+`` (r, b): the coordinates of base parameters that the data show."""
+        kept = self._kept
+        return self.singular_values[kept, None] * self.directions[kept] * self.column_norms
+
+    @property
+    def _kept(self) -> Mask:
+        return np.asarray(self.singular_values >= UNDETERMINED)
 
     @property
     def condition_number(self) -> float:
@@ -72,20 +88,35 @@ class Excitation:
         )
 
 
-def information_root(H: Array) -> Array:
-    """Return T (b, r) with ``T·T^T = H^(-1)`` on what the data determine.
+def information_root(X: Array) -> Array:
+    """Return T (b, r) that makes the columns of ``X·T`` orthonormal, on what X (k, b) determines.
 
-    Parameters
-    ----------
-    H : ndarray, shape (b, b)
-        Information: sum of ``X^T·X`` over whitened rows X.
+    So ``T·T^T`` is the inverse of ``X^T·X``. Where X determines nothing, errors are infinite and T
+    has no column: whoever uses it must not take them for zero.
+    Give rows or their triangle: products ``X^T·X`` have lost half of the digits, and with them
+    every direction below 1e-7.
     """
-    scale = np.sqrt(np.diagonal(H))
+    return Excitation.of(X, ()).root
+
+
+def least_squares(X: Array, y: Array) -> Array:
+    """Return the shortest x that minimizes ``‖X·x − y‖``, its entries in units of the columns."""
+    # Columns scaled to unit length: their units differ, and so do their sizes by orders.
+    scale = np.linalg.norm(X, axis=0)
+    scale = np.where(scale > 0.0, scale, 1.0)
+    return np.asarray(np.linalg.lstsq(X / scale, y, rcond=None)[0] / scale)
+
+
+def information_rows(H: Array) -> Array:
+    """Return X (b, b) with ``X^T·X = H``, of an information of which no rows are left.
+
+    What rounding of H hides, directions below about 1e-7, X does not determine.
+    """
+    scale = np.sqrt(np.maximum(np.diagonal(H), 0.0))
     scale = np.where(scale > 0.0, scale, 1.0)
     values, vectors = np.linalg.eigh(H / np.outer(scale, scale))
-    # Eigenvalues are squares of singular values, and their rounding is that of the largest.
-    kept = values > max(UNDETERMINED**2, len(H) * np.finfo(float).eps) * values[-1]
-    return np.asarray(vectors[:, kept] / np.sqrt(values[kept]) / scale[:, None])
+    kept = values > len(H) * np.finfo(float).eps * values[-1]
+    return np.asarray(np.sqrt(np.where(kept, values, 0.0))[:, None] * vectors.T * scale)
 
 
 def require_excitation(excitation: Excitation) -> None:

@@ -4,7 +4,8 @@ Errors whose law does not change with time have Fourier coefficients that are in
 other, each with the variance S that the errors' spectrum has at its frequency [whittle1953]_. So
 the scores ``X^T·e`` of whitened rows X and errors e have the covariance ``Σ S_g·H_g``: a group g
 is a band of frequencies of one joint, ``H_g`` the information ``X^T·X`` within it, and S_g comes
-from the power of the joint's residual there. Errors may be white or correlated for long, and
+from the power of the joint's residual there. Kept are triangles of rows, ``H_g = R_g^T·R_g``, at
+the columns that the joint has. Errors may be white or correlated for long, and
 filtered by the processing; a record may be too short for blocks. Errors of different joints are
 taken to be independent, once whitened.
 
@@ -22,7 +23,7 @@ number, it is known no better than before: between the limits of the search.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import pairwise
@@ -32,9 +33,10 @@ import numpy as np
 
 from sdpid._common.arrays import Array, Indices, frozen
 from sdpid.estimation.compression.rows import RowSource
+from sdpid.estimation.compression.triangle import Triangle
 from sdpid.estimation.compression.whitening import apply, weights_and_shares
 from sdpid.estimation.effects.bending import Bending
-from sdpid.estimation.information import information_root
+from sdpid.estimation.information import information_root, least_squares
 from sdpid.estimation.problem import Problem
 
 # Half an octave a band: spectra of filtered noise and of what a model lacks bend no faster.
@@ -59,6 +61,9 @@ _LEAST_DEVIATION = 1e-3
 # A joint without information has this much, to divide by.
 _NOTHING = np.finfo(float).tiny
 
+# Columns (c',) that some rows (k, c' + 1) have, whose last one is the residual.
+Band: TypeAlias = tuple[Indices, Array]
+
 # Variances (n, m) of Fourier coefficients at frequencies (m,).
 Believed: TypeAlias = Callable[[Array], Array]
 
@@ -73,8 +78,9 @@ class NoiseSpectrum:
 
     Attributes
     ----------
-    information : ndarray, shape (G, c, c)
-        H_g of the b base parameters, and of d speeds that the data chose.
+    groups : tuple of (ndarray, ndarray), length G
+        R_g at the columns that it has of c: the b base parameters, and d speeds that the data
+        chose; the residual last.
     power : ndarray, shape (G,)
         Power of the unconstrained fit's residual.
     room : ndarray, shape (G,)
@@ -86,14 +92,17 @@ class NoiseSpectrum:
         base parameters.
     base_count : int
         b.
+    whole_root : ndarray, shape (c, r)
+        T with ``T·T^T = H^(-1)`` on what the data determine.
     """
 
-    information: Array
+    groups: tuple[Band, ...]
     power: Array
     room: Array
     joint: Indices
     known: Array
     base_count: int
+    whole_root: Array
 
     @classmethod
     def of(
@@ -119,36 +128,43 @@ class NoiseSpectrum:
             When the problem has no rows.
         """
         rows = problem.require_rows("standard errors")
-        norms = problem.excitation.column_norms
-        scale = np.where(norms > 0.0, norms, 1.0)
-        fit = np.linalg.lstsq(problem.A / scale, problem.rhs, rcond=None)[0] / scale
+        fit = least_squares(problem.A, problem.rhs)
         friction = rows.friction
         tail = np.zeros(0) if theta is None else theta[problem.n_theta - len(friction.parameters) :]
         bending = Bending.of(friction, () if theta is None else problem.profiled, tail)
         found = rows.map(_bands, 0.5 * problem.score_exponent, fit, bending, sigma=problem.sigma)
-        products, count = (np.sum(each, axis=0) for each in zip(*found, strict=True))
-        H = products[:, :, :-1, :-1]
+        count = np.sum([each for _, each in found], axis=0)
+        places = sorted({place for bands, _ in found for place in bands})
+        bands = {p: _stacked(own[p] for own, _ in found if p in own) for p in places}
+        residual, spent = np.zeros(count.shape), np.zeros(count.shape)
+        for place, (_, R) in bands.items():
+            residual[place] = R[:, -1] @ R[:, -1]
         # A weighted row's variance, about one unless weights are no variances.
-        size = products[:, :, -1, -1].sum() / max(count.sum() - problem.base.count, 1.0)
+        size = residual.sum() / max(count.sum() - problem.base.count, 1.0)
         least = np.maximum(bending.deviations, _LEAST_DEVIATION)
         known = np.concatenate([np.zeros(problem.base.count), size / least**2])
-        root = information_root(H.sum(axis=(0, 1)) + np.diag(known))
-        spent = np.einsum("ar,jmab,br->jm", root, H, root, optimize=True)
+        root = information_root(_rows(bands.values(), known))
+        for place, (columns, R) in bands.items():
+            spent[place] = np.sum((R[:, :-1] @ root[columns]) ** 2)
         room = np.maximum(count - spent, 0.0)
         groups = [(j, own) for j, each in enumerate(room) for own in _joined(each)]
         left = np.array([max(room[j, own].sum(), 1.0) for j, own in groups])
-        power = np.array([products[j, own, -1, -1].sum() for j, own in groups])
+        power = np.array([residual[j, own].sum() for j, own in groups])
         if believed is not None:
             variances, weights = believed(_MIDDLES), spent + _NOTHING
             means = [np.average(variances[j, own], weights=weights[j, own]) for j, own in groups]
             power = np.array(means) * left
         return cls(
-            frozen(np.array([H[j, own].sum(axis=0) for j, own in groups])),
+            tuple(
+                _stacked(bands.pop(p) for p in places if p[0] == j and own.start <= p[1] < own.stop)
+                for j, own in groups
+            ),
             frozen(power),
             frozen(left),
             np.array([j for j, _ in groups], dtype=np.intp),
             frozen(known),
             problem.base.count,
+            frozen(root),
         )
 
     @property
@@ -159,46 +175,77 @@ class NoiseSpectrum:
     @property
     def densities(self) -> Array:
         """Variance of each joint's Fourier coefficients where its information lies, (n,)."""
-        weight = np.einsum("gii->g", self._shares)
+        weight = [np.sum((R[:, :-1] @ self.whole_root[own]) ** 2) for own, R in self.groups]
         spread = np.bincount(self.joint, weight * self.density)
         return np.asarray(spread / np.maximum(np.bincount(self.joint, weight), _NOTHING))
 
-    @cached_property
+    def information(self, weights: Array | None = None) -> Array:
+        """Return ``Σ w_g·H_g`` (c, c), by default with weights of one."""
+        total = np.zeros((len(self.known), len(self.known)))
+        for g, (own, R) in enumerate(self.groups):
+            H = R[:, :-1].T @ R[:, :-1]
+            total[np.ix_(own, own)] += H if weights is None else weights[g] * H
+        return total
+
+    @property
     def root(self) -> Array:
-        """T (c, r) with ``T·T^T = H^(-1)`` on what the data determine."""
-        return information_root(self.information.sum(axis=0) + np.diag(self.known))
+        """Of the fit alone, (b, r)."""
+        return self.whole_root[: self.base_count]
 
     @cached_property
-    def _shares(self) -> Array:
-        """H_g in the coordinates of `root`, (G, r, r): with what is known they add up to E."""
-        return np.asarray(self.root.T @ self.information @ self.root)
+    def scores(self) -> Array:
+        """Covariance of the fit in the coordinates of `root`, (r, r)."""
+        # What is known beforehand is as uncertain as stated.
+        size = float(self.power.sum() / self.room.sum())
+        weights = np.sqrt(self.density)
+        weighted = ((own, w * R) for w, (own, R) in zip(weights, self.groups, strict=True))
+        turned = _rows(weighted, size * self.known) @ self.whole_root
+        return np.asarray(turned.T @ turned)
 
     @property
     def covariance(self) -> Array:
         """Covariance of the unconstrained fit, (b, b)."""
         return self.whole_covariance[: self.base_count, : self.base_count]
 
-    @cached_property
+    @property
     def whole_covariance(self) -> Array:
         """Covariance (c, c) of the fit and of the logarithms of speeds that the data chose."""
-        scores = np.einsum("g,gij->ij", self.density, self._shares)
-        # What is known beforehand is as uncertain as stated.
-        size = float(self.power.sum() / self.room.sum())
-        scores += size * (self.root.T * self.known) @ self.root
-        return np.asarray(self.root @ scores @ self.root.T)
+        return np.asarray(self.whole_root @ self.scores @ self.whole_root.T)
 
-    def freedom(self, functionals: Array) -> Array:
-        """Return the degrees of freedom of the variance of each functional (k, b) of the fit."""
-        directions = functionals @ self.root[: self.base_count]
-        parts = np.einsum("kg,g->kg", _quadratic(self._shares, directions), self.density)
+    def freedom(self, directions: Array) -> Array:
+        """Return the degrees of freedom of variances along directions (k, r) of `root`."""
+        moved = self.whole_root @ directions.T
+        parts = np.array([np.sum((R[:, :-1] @ moved[own]) ** 2, axis=0) for own, R in self.groups])
+        parts = parts.T * self.density
         total = parts.sum(axis=1)
         spread = np.maximum((parts**2 / self.room).sum(axis=1), np.finfo(float).tiny)
         return np.asarray(np.maximum(total**2 / spread, 1.0))
 
 
-def _quadratic(matrices: Array, vectors: Array) -> Array:
-    """Return v·M·v of all vectors (k, r) and symmetric matrices (G, r, r), (k, G)."""
-    return np.asarray(np.einsum("gkr,kr->kg", vectors @ matrices, vectors))
+def _stacked(bands: Iterable[Band]) -> Band:
+    """Return the rows of several bands at the columns of any, no more of them than columns."""
+    found = list(bands)
+    columns = np.unique(np.concatenate([own for own, _ in found]))
+    stacked = np.zeros((sum(len(R) for _, R in found), len(columns) + 1))
+    start = 0
+    for own, R in found:
+        stop = start + len(R)
+        stacked[start:stop, np.append(np.searchsorted(columns, own), -1)] = R
+        start = stop
+    if len(stacked) > len(columns):
+        stacked = np.asarray(np.linalg.qr(stacked, mode="r"))
+    return columns, stacked
+
+
+def _rows(bands: Iterable[Band], known: Array) -> Array:
+    """Return the triangle (at most c, c) of rows, and of what is known (c,) beforehand."""
+    triangle = Triangle(len(known))
+    triangle.add(np.diag(np.sqrt(known)))
+    for own, R in bands:
+        whole = np.zeros((len(R), len(known)))
+        whole[:, own] = R[:, :-1]
+        triangle.add(whole)
+    return triangle.R
 
 
 def _joined(room: Array) -> list[slice]:
@@ -216,19 +263,13 @@ def _joined(room: Array) -> list[slice]:
 
 def _bands(
     rows: RowSource, sigma: Array, exponent: float, fit: Array, bending: Bending
-) -> tuple[Array, Array]:
-    """Return products of rows, the residual last, and the count of coefficients of each band.
-
-    Returns
-    -------
-    ndarray, shape (n, bands, c + 1, c + 1)
-    ndarray, shape (n, bands)
-    """
+) -> tuple[dict[tuple[int, int], Band], Array]:
+    """Return rows by joint and band, and the count of coefficients of each (n, bands)."""
     K, n, base = rows.n_samples, rows.robot.n, rows.base.count
     columns = base + len(bending.deviations) + 1
     pieces = -(-K * n * columns * 8 // _TOGETHER)
-    products = np.zeros((n, _OCTAVES * _BANDS_PER_OCTAVE + 1, columns, columns))
-    count = np.zeros(products.shape[:2])
+    found: dict[tuple[int, int], Band] = {}
+    count = np.zeros((n, _OCTAVES * _BANDS_PER_OCTAVE + 1))
     for part in rows.parts(-(-K // pieces)):
         own = rows.rows(part)
         residual = own[:, :, -1:] - own[:, :, :-1] @ fit[:, None]
@@ -238,12 +279,12 @@ def _bands(
         weighted = apply(powers, index, stacked)
         used = shares.sum(axis=0)
         for j in range(n):
-            seen = np.flatnonzero(np.any(weighted[:, j] != 0.0, axis=0))
-            place = np.ix_(seen, seen)
-            for m, coefficients in _transformed(weighted[:, j, seen]):
-                products[j, m][place] += coefficients.T @ coefficients
+            seen = np.flatnonzero(np.any(weighted[:, j, :-1] != 0.0, axis=0))
+            for m, coefficients in _transformed(weighted[:, j, np.append(seen, -1)]):
+                before = [found[j, m]] if (j, m) in found else []
+                found[j, m] = _stacked([*before, (seen, coefficients)])
                 count[j, m] += used[j] * len(coefficients) / _padded(len(own))
-    return products, count
+    return found, count
 
 
 def _padded(count: int) -> int:

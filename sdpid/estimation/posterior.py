@@ -59,16 +59,27 @@ class Estimated(Protocol):
     def theta(self) -> Array | None:
         """Standard parameters (p,), None where the method has none."""
 
+    @property
+    def curvature(self) -> Array | None:
+        """That of the data's cost where it is not that of squares, (r, r) (see `Estimate`)."""
+
 
 class FitErrors(Protocol):
-    """What is known of the errors of the unconstrained fit."""
+    """What is known of the errors of the unconstrained fit: it is off by T·x, where it is seen.
+
+    A·T has numbers of order one however little the data show of a direction, T has not.
+    """
 
     @property
-    def covariance(self) -> Array:
-        """Covariance of the unconstrained fit, (b, b)."""
+    def root(self) -> Array:
+        """T (b, r); directions that the data do not determine have no column."""
 
-    def freedom(self, functionals: Array) -> Array:
-        """Return the degrees of freedom of the variance of each functional (k, b) of the fit."""
+    @property
+    def scores(self) -> Array:
+        """Covariance of x, (r, r)."""
+
+    def freedom(self, directions: Array) -> Array:
+        """Return the degrees of freedom of the variance of x along each direction (k, r)."""
 
 
 def fit_errors(estimate: Estimated, groups: Groups) -> FitErrors:
@@ -84,32 +95,51 @@ def fit_errors(estimate: Estimated, groups: Groups) -> FitErrors:
         if groups == "frequencies"
         else ScoreBlocks.of(estimate.problem, groups)
     )
-    return with_biases(errors, estimate.problem.biases)
+    return beside(errors, estimate)
 
 
-def with_biases(errors: FitErrors, biases: Array) -> FitErrors:
-    """Return errors of a fit with biases (k, b) beside them; without any, the errors."""
-    return _Biased(errors, biases) if len(biases) else errors
+def rows_covariance(problem: Problem, errors: FitErrors) -> Array:
+    """Return the covariance (b, b) of the compressed efforts that the fit's errors are those of."""
+    turned = problem.A @ errors.root
+    return np.asarray(turned @ errors.scores @ turned.T)
+
+
+def beside(errors: FitErrors, estimate: Estimated) -> FitErrors:
+    """Return errors of a fit under the estimate's cost, and with its biases beside them.
+
+    Where the cost is not of squares, its curvature takes the place of theirs.
+    """
+    problem, root = estimate.problem, errors.root
+    if estimate.curvature is not None:
+        T = problem.excitation.root
+        pull = (problem.A @ T).T @ (problem.A @ root)
+        root = T @ np.linalg.solve(estimate.curvature, pull)
+    elif not len(problem.biases):
+        return errors
+    return _Beside(errors, np.hstack([root, problem.biases.T]))
 
 
 @dataclass(frozen=True, eq=False)
-class _Biased:
-    """Errors of a fit, with biases (k, b) beside them."""
+class _Beside:
+    """Errors of a fit, and k biases beside them: each as one more error of size one."""
 
     errors: FitErrors
-    biases: Array
+    root: Array
 
     @property
-    def covariance(self) -> Array:
-        """Mean squared errors of the unconstrained fit, (b, b)."""
-        return np.asarray(self.errors.covariance + self.biases.T @ self.biases)
+    def scores(self) -> Array:
+        """Mean squares, (r + k, r + k)."""
+        own = self.errors.scores
+        found = np.eye(self.root.shape[1])
+        found[: len(own), : len(own)] = own
+        return found
 
-    def freedom(self, functionals: Array) -> Array:
-        """Return the degrees of freedom of what each functional (k, b) is off by."""
-        own = np.einsum("ki,ij,kj->k", functionals, self.errors.covariance, functionals)
-        squared = np.sum((functionals @ self.biases.T) ** 2, axis=1)
-        share = _share(own, own + squared, 1.0)
-        freedom = self.errors.freedom(functionals)
+    def freedom(self, directions: Array) -> Array:
+        """Return the degrees of freedom of mean squares along directions (k, r + k)."""
+        parts = np.split(directions, [len(self.errors.scores)], axis=1)
+        own = np.einsum("ki,ij,kj->k", parts[0], self.errors.scores, parts[0])
+        share = _share(own, own + np.sum(parts[1] ** 2, axis=1), 1.0)
+        freedom = self.errors.freedom(parts[0])
         return np.asarray(freedom / np.maximum(share, _LEAST_SHARE) ** 2)
 
 
@@ -123,6 +153,8 @@ class Posterior:
         Of the unconstrained fit.
     from_fit : ndarray, shape (p, b)
         How theta moves with the unconstrained fit.
+    from_errors : ndarray, shape (p, r)
+        The same with the coordinates of its errors.
     from_prior : ndarray, shape (p, rows)
         How theta moves with the prior's rows.
     from_gains : ndarray, shape (p, n)
@@ -135,6 +167,7 @@ class Posterior:
 
     errors: FitErrors
     from_fit: Array
+    from_errors: Array
     from_prior: Array
     from_gains: Array
     gains: GainErrors
@@ -158,7 +191,9 @@ class Posterior:
     def about(cls, estimate: Estimated, errors: FitErrors) -> Posterior:
         """Build from the errors of the unconstrained fit; as `of`."""
         problem = estimate.problem
-        A, B = problem.A, problem.base.matrix
+        # What rounding hides of the data is not seen.
+        excitation, B = problem.excitation, problem.base.matrix
+        A = problem.A @ excitation.root @ excitation.inverse
         basis = Scaling.of(problem).basis()
         R = prior_rows(estimate)
         if estimate.theta is not None and estimate.method != "wls":
@@ -170,15 +205,17 @@ class Posterior:
         L = (seen / singular[:rank]) @ U[:, :rank].T
         gains = GainErrors.of(problem)
         of_data, of_prior = L[:, : len(A)], L[:, len(A) :]
-        return cls(errors, of_data @ A, of_prior, of_data @ gains.rows, gains, seen, unseen)
+        from_errors = of_data @ (A @ errors.root)
+        of_gains = of_data @ gains.rows
+        return cls(errors, of_data @ A, from_errors, of_prior, of_gains, gains, seen, unseen)
 
     def covariance(self, functions: Array, *, gains: bool = True) -> Array:
         """Return the covariance (k, k) of functions (k, p) of theta, of what data and prior see.
 
         The errors of gains are left out on request.
         """
-        data, prior = functions @ self.from_fit, functions @ self.from_prior
-        found = data @ self.errors.covariance @ data.T + prior @ prior.T
+        data, prior = functions @ self.from_errors, functions @ self.from_prior
+        found = data @ self.errors.scores @ data.T + prior @ prior.T
         if gains and self.gains.any:
             moved = functions @ self.from_gains
             found = found + moved @ self.gains.covariance @ moved.T
@@ -196,8 +233,8 @@ class Posterior:
         freedom : ndarray, shape (k,)
             Degrees of freedom of the variance: that of the prior's rows is known.
         """
-        data, prior = functions @ self.from_fit, functions @ self.from_prior
-        own = np.maximum(np.einsum("ki,ij,kj->k", data, self.errors.covariance, data), 0.0)
+        data, prior = functions @ self.from_errors, functions @ self.from_prior
+        own = np.maximum(np.einsum("ki,ij,kj->k", data, self.errors.scores, data), 0.0)
         slopes = functions @ self.from_gains
         of_gains, believed = self.gains.variance(slopes), np.sum(prior**2, axis=1)
         total = own + of_gains + believed
@@ -250,16 +287,3 @@ def _along_equations(problem: Problem, basis: Array, theta: Array) -> Array:
             problem=problem,
         )
     return found.directions
-
-
-def constrained_covariance(estimate: Estimated) -> Array:
-    """Return the covariance (b, b) of an estimate's base parameters, its prior's share included.
-
-    Inequalities are not counted, equations among the constraints are.
-
-    Raises
-    ------
-    DataError
-        When the problem has no rows.
-    """
-    return Posterior.of(estimate).covariance(estimate.problem.base.matrix)

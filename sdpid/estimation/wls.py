@@ -10,6 +10,7 @@ from sdpid._common.arrays import Array, frozen
 from sdpid._common.threads import one_thread
 from sdpid.errors import SolverError
 from sdpid.estimation.estimate import Estimate
+from sdpid.estimation.information import least_squares
 from sdpid.estimation.problem import Problem
 
 # Newton's method on a cost with a log-det term stops where a step promises less than this share
@@ -56,7 +57,7 @@ def solve_wls(problem: Problem) -> Estimate:
     """
     start = time.perf_counter()
     if problem.prior is None:
-        base = frozen(_least_squares(problem.A, problem.rhs))
+        base = frozen(least_squares(problem.A, problem.rhs))
         return Estimate(
             problem=problem,
             method="wls",
@@ -79,14 +80,6 @@ def solve_wls(problem: Problem) -> Estimate:
     )
 
 
-def _least_squares(matrix: Array, rhs: Array) -> Array:
-    """Return the shortest x that minimizes ``‖matrix @ x − rhs‖``, its entries in column units."""
-    # Columns scaled to unit length: their units differ, and so do their sizes by orders.
-    scale = np.linalg.norm(matrix, axis=0)
-    scale = np.where(scale > 0.0, scale, 1.0)
-    return np.asarray(np.linalg.lstsq(matrix / scale, rhs, rcond=None)[0] / scale)
-
-
 def _newton(problem: Problem) -> tuple[Array, int]:
     """Return the theta of the least cost without constraints, and the number of steps.
 
@@ -102,7 +95,7 @@ def _newton(problem: Problem) -> tuple[Array, int]:
         # R with R^T·R half the Hessian, and r with R^T·r half the gradient.
         pull = np.linalg.lstsq(rows.T, 0.5 * weight * log_det.gradient(theta), rcond=None)[0]
         matrix = np.vstack([squared.matrix, rows])
-        move = -_least_squares(matrix, np.concatenate([squared.residual(theta), pull]))
+        move = -least_squares(matrix, np.concatenate([squared.residual(theta), pull]))
         promised = float(np.sum((matrix @ move) ** 2))
         length = _length(problem, theta, move, promised, weight)
         theta = theta + length * move

@@ -9,9 +9,15 @@ import pytest
 
 from sdpid._common.arrays import Array
 from sdpid.errors import IdentifiabilityError
-from sdpid.estimation.information import Excitation
+from sdpid.estimation.cluster_robust import ScoreBlocks
+from sdpid.estimation.information import UNDETERMINED, Excitation
+from sdpid.estimation.posterior import Posterior
+from sdpid.estimation.prior.prior import Prior
 from sdpid.estimation.problem import build_problem
+from sdpid.estimation.sdp.solve import solve_sdp
+from sdpid.estimation.wls import solve_wls
 from sdpid.experiment.processing.samples import Samples
+from sdpid.robot.friction.terms import SigmoidFriction
 from sdpid.robot.model.model import RobotModel
 from tests.helpers.data import make_samples, random_theta
 from tests.helpers.robots import small_arm
@@ -104,3 +110,34 @@ def test_a_column_of_zeros() -> None:
     excitation = Excitation.of(np.diag([1.0, 0.0]), ("a", "b"))
     assert excitation.condition_number == float("inf")
     assert excitation.weak() == ((0.0, ("b",)),)
+
+
+@pytest.mark.parametrize("speed", [1e-2, 3e-5])
+def test_errors_of_what_is_hardly_seen_are_large(speed: float) -> None:
+    """A slow joint's viscous and sigmoid friction are nearly one column."""
+    samples = samples_of(count=400)
+    velocity = samples.velocity * [1.0, 1.0, speed]
+    effort = np.random.default_rng(1).standard_normal(samples.effort.shape)
+    samples = replace(samples, velocity=velocity, effort=effort)
+    terms = ("viscous", SigmoidFriction(velocity=(0.3,) * 3))
+    problem = build_problem(ARM, samples, friction=terms)
+    found = problem.excitation
+    assert UNDETERMINED < found.singular_values[-1] < 50.0 * speed**2
+    expected = np.linalg.norm(found.root, axis=1)
+    np.testing.assert_allclose(solve_wls(problem).standard_errors, expected, rtol=0.2)
+    blocks = np.sqrt(np.diag(ScoreBlocks.of(problem).covariance))
+    np.testing.assert_allclose(blocks, expected, rtol=0.2)
+
+
+def test_what_nothing_shows_has_infinite_errors() -> None:
+    samples = still(samples_of(), 2)
+    prior = Prior(bodies=np.tile([1.0, *np.zeros(3), 0.1, 0.0, 0.1, 0.0, 0.0, 0.1], (3, 1)))
+    problem = build_problem(ARM, samples, prior=prior)
+    # A prior says nothing of the friction of a joint that rests.
+    unseen = [name in ("Fs3", "Fv3") for name in problem.base.names]
+    np.testing.assert_array_equal(np.isinf(solve_sdp(problem).standard_errors), unseen)
+    estimate = solve_wls(replace(problem, prior=None))
+    with pytest.raises(IdentifiabilityError, match="base parameter directions"):
+        _ = estimate.standard_errors
+    variance = Posterior.of(estimate).spread(problem.base.matrix)[0]
+    np.testing.assert_array_equal(np.isinf(variance), problem.excitation.column_norms == 0.0)

@@ -10,7 +10,7 @@ import pytest
 import sdpid
 from sdpid._common.arrays import Array
 from sdpid.estimation.noise_spectrum import NoiseSpectrum
-from sdpid.estimation.posterior import Posterior, constrained_covariance
+from sdpid.estimation.posterior import Posterior
 from sdpid.estimation.problem import build_problem
 from tests.helpers.arm import ARM, CONDITIONS, arm_problem
 from tests.helpers.data import make_samples, random_links, random_theta
@@ -29,30 +29,29 @@ def test_without_a_prior_it_is_the_fit() -> None:
     estimate = estimated(0.1, None)
     expected = NoiseSpectrum.of(estimate.problem).covariance
     size = np.sqrt(np.diag(expected))
-    found = constrained_covariance(estimate) / np.outer(size, size)
+    found = estimate.covariance / np.outer(size, size)
     np.testing.assert_allclose(found, expected / np.outer(size, size), atol=1e-6)
 
 
 class Known:
     """Errors of unit variance: the weights are right."""
 
-    def __init__(self, covariance: Array) -> None:
-        self.covariance = covariance
+    def __init__(self, root: Array) -> None:
+        self.root, self.scores = root, np.eye(root.shape[1])
 
-    def freedom(self, functionals: Array) -> Array:
-        return np.full(len(functionals), 10.0)
+    def freedom(self, directions: Array) -> Array:
+        return np.full(len(directions), 10.0)
 
 
 @pytest.mark.parametrize("kind", ["pullback", "entropic"])
 def test_with_right_weights_it_is_bayes(kind: str) -> None:
     estimate = estimated(0.1, sdpid.Prior(bodies=BODIES, kind=kind))  # type: ignore[arg-type]
-    problem, found = estimate.problem, Posterior.of(estimate)
-    H = problem.A.T @ problem.A
+    problem = estimate.problem
     assert problem.prior is not None
     rows = [term.curvature_rows(estimate.theta) for term in problem.prior.terms]
     G = problem.A @ problem.base.matrix
     expected = np.linalg.inv(G.T @ G + sum(R.T @ R for R in rows))
-    right = replace(found, errors=Known(np.linalg.inv(H)))
+    right = Posterior.about(estimate, Known(np.linalg.inv(problem.A)))
     B = problem.base.matrix
     size = np.sqrt(np.diag(B @ expected @ B.T))
     np.testing.assert_allclose(
@@ -94,7 +93,7 @@ def test_errors_of_estimates_with_a_prior_are_as_large_as_stated() -> None:
         estimate = sdpid.solve_sdp(problem)
         viscous = [base.names.index(name) for name in ("Fv1", "Fv2")]
         errors = (estimate.base - problem.base_of(theta))[viscous]
-        stated = np.diag(constrained_covariance(estimate))[viscous]
+        stated = np.diag(estimate.covariance)[viscous]
         ratios.append(errors**2 / stated)
     # A chi² of 80 degrees of freedom over its mean scatters by 16 %.
     assert 0.5 < np.mean(ratios) < 1.5

@@ -28,6 +28,7 @@ from sdpid.assurance.diagnostics.validation import Validation, validate
 from sdpid.estimation.compression.covariance import pooled
 from sdpid.estimation.compression.whitening import with_contact_forces
 from sdpid.estimation.estimate import Estimate
+from sdpid.estimation.information import least_squares
 from sdpid.estimation.problem import Problem
 from sdpid.estimation.wls import solve_wls
 from sdpid.experiment.processing.samples import Samples
@@ -171,10 +172,7 @@ def friction_fitted(estimate: Estimate) -> Array:
     own = np.any(squared.matrix[:, first:] != 0.0, axis=1)
     columns, missing = squared.matrix[own], squared.rhs[own]
     missing = missing - columns[:, :first] @ bodies
-    columns = columns[:, first:]
-    scale = np.linalg.norm(columns, axis=0)
-    scale = np.where(scale > 0.0, scale, 1.0)
-    friction = np.linalg.lstsq(columns / scale, missing, rcond=None)[0] / scale
+    friction = least_squares(columns[:, first:], missing)
     return np.concatenate([bodies, friction])
 
 

@@ -16,7 +16,7 @@ from sdpid._common.arrays import Array, Mask
 from sdpid.assurance.drive_gains.fit import GainFit
 from sdpid.errors import DataError
 from sdpid.estimation.cluster_robust import FEWEST_BLOCKS, ScoreBlocks
-from sdpid.estimation.information import information_root
+from sdpid.estimation.information import information_root, information_rows
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,7 +56,7 @@ def gain_errors(fit: GainFit, log_kappa: Array, z: Array, free: Mask) -> GainErr
         rows = np.zeros((len(fit.knowledge[0]), size))
         rows[:, n : n + len(z)] = fit.knowledge[0]
         H = blocks.information.sum(axis=0)
-        root = information_root(H + rows.T @ rows)
+        root = information_root(information_rows(H + rows.T @ rows))
         inverse = root @ root.T
         functionals = functionals @ inverse @ H
         known = np.eye(n, size) @ inverse @ rows.T
@@ -64,7 +64,7 @@ def gain_errors(fit: GainFit, log_kappa: Array, z: Array, free: Mask) -> GainErr
     else:
         found = own[:n, :n]
     covariance[np.ix_(free, free)] = found
-    freedom[free] = blocks.freedom(functionals)
+    freedom[free] = blocks.freedom(functionals @ blocks.root)
     return GainErrors(covariance, freedom, blocks.count)
 
 
@@ -116,7 +116,9 @@ def score_blocks(fit: GainFit, log_kappa: Array, z: Array, free: Mask) -> ScoreB
             c[:, kept] += np.einsum("ac,gab,b->gc", own, products[:, :-1], error) / fit.sigma[j]
         information.append(H)
         target.append(H @ present + c)
-    blocks = ScoreBlocks("blocks", np.concatenate(information), np.concatenate(target))
+    blocks = ScoreBlocks(
+        "blocks", np.concatenate(information), np.concatenate(target), np.eye(total)
+    )
     if blocks.count < FEWEST_BLOCKS:
         raise DataError(
             f"gains: the recordings have {blocks.count} blocks of samples that are independent of "

@@ -29,6 +29,7 @@ from sdpid.estimation.cluster_robust import Groups, ScoreBlocks
 from sdpid.estimation.conic.retry import Retried, solve_with_retries
 from sdpid.estimation.estimate import Estimate
 from sdpid.estimation.gain_errors import PRINTED, GainErrors
+from sdpid.estimation.information import information_root, information_rows
 from sdpid.estimation.sdp.reusable import ReusableProgram, program_about
 
 Kind = Literal["percentile", "basic"]
@@ -159,7 +160,8 @@ def resample(
     else:
         pieces, run = ScoreBlocks.of(problem, groups), 1
     gains = GainErrors.of(problem)
-    turn = np.eye(problem.base.count) if problem.weighting in PRINTED else problem.A.T
+    T = pieces.coordinates
+    turn = T.T if problem.weighting in PRINTED else (problem.A @ T).T
     moves, biased = turn @ gains.root, turn @ problem.A @ problem.biases.T
     draws = _Draws(pieces, run, _whole(seed), Refit.of(estimate), moves, biased)
     starts = range(0, resamples, _TOGETHER)
@@ -196,9 +198,9 @@ class _Draws:
         Of all draws.
     refit : Refit
         The estimate.
-    gains : ndarray, shape (b, n)
+    gains : ndarray, shape (r, n)
         How the target moves with errors of the gains of variance one.
-    biases : ndarray, shape (b, k)
+    biases : ndarray, shape (r, k)
         How it moves with the fit's biases.
     """
 
@@ -253,8 +255,11 @@ class Refit:
     programs : tuple of ReusableProgram
         What is solved: with the bounds that any data need, then with all of them; nothing where
         there is a closed form.
+    inverse : ndarray, shape (r, b)
+        Coordinates of base parameters, in which the data are given (see `ScoreBlocks`).
     """
 
+    inverse: Array
     printed: bool
     programs: tuple[ReusableProgram, ...]
 
@@ -262,30 +267,28 @@ class Refit:
     def of(cls, estimate: Estimate) -> Refit:
         """Put the programs into solver form once."""
         problem = estimate.problem
-        printed = problem.weighting in ("eq9", "eq18")
+        inverse, printed = problem.excitation.inverse, problem.weighting in PRINTED
         if estimate.method == "wls" or estimate.theta is None:
-            return cls(printed, ())
+            return cls(inverse, printed, ())
         theta, few = np.array(estimate.theta), problem.feasible.bounded
         programs = [
             program_about(problem, theta, estimate.cost, included)
             for included in (few, np.ones_like(few))
         ]
-        return cls(printed, tuple(ReusableProgram.of(program) for program in programs))
+        return cls(inverse, printed, tuple(ReusableProgram.of(program) for program in programs))
 
     def solve(self, information: Array, target: Array) -> tuple[Array | None, float]:
         """Return the base parameters (b,) of some data, None without a solution, and seconds."""
-        scale = np.sqrt(np.maximum(np.diagonal(information), np.finfo(float).tiny))
         if self.printed:
-            A, rhs = information, target
+            A, rhs = self.inverse.T @ information @ self.inverse, self.inverse.T @ target
         else:
-            try:
-                root = np.linalg.cholesky(information / np.outer(scale, scale))
-            except np.linalg.LinAlgError:
-                return None, 0.0
-            A = np.asarray(root.T * scale)
-            rhs = np.asarray(np.linalg.solve(root, target / scale))
+            X = information_rows(information)
+            root = information_root(X)
+            A, rhs = X @ self.inverse, X @ root @ (root.T @ target)
         if not self.programs:
-            return np.asarray(np.linalg.solve(A / scale, rhs) / scale), 0.0
+            root = information_root(A)
+            seen = root.shape[1] == A.shape[1]
+            return root @ ((A @ root).T @ rhs) if seen else None, 0.0
         seconds = 0.0
         for program in self.programs:
             found = _solved(program, A, rhs)

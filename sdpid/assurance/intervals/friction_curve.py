@@ -17,7 +17,7 @@ from sdpid.errors import DataError
 from sdpid.estimation.effects.bending import Bending
 from sdpid.estimation.estimate import Estimate
 from sdpid.estimation.noise_spectrum import NoiseSpectrum
-from sdpid.estimation.posterior import Posterior, with_biases
+from sdpid.estimation.posterior import Posterior, beside
 from sdpid.estimation.problem import Problem
 from sdpid.robot.friction.curve import JointCurve, joint_number
 from sdpid.robot.friction.motion import Motion
@@ -153,9 +153,8 @@ class _Bands:
                 "estimate of a constrained solver."
             )
         self.problem, self.theta = estimate.problem, np.array(estimate.theta)
-        self._errors = NoiseSpectrum.of(self.problem, self.theta)
-        errors = with_biases(self._errors, self.problem.biases)
-        self._posterior = Posterior.about(estimate, errors)
+        self._spectrum = NoiseSpectrum.of(self.problem, self.theta)
+        self._posterior = Posterior.about(estimate, beside(self._spectrum, estimate))
         friction = self.problem.friction
         self._links = self.problem.n_theta - len(friction.parameters)
         self.bending = Bending.of(friction, self.problem.profiled, self.theta[self._links :])
@@ -168,13 +167,14 @@ class _Bands:
         from scipy.special import stdtrit
 
         functions = np.hstack([np.zeros((len(columns), self._links)), columns])
-        by_fit = functions @ self._posterior.from_fit
-        moves = np.hstack([by_fit, slopes])
-        variance = np.einsum("ji,il,jl->j", moves, self._errors.whole_covariance, moves)
-        variance += np.sum((by_fit @ self.problem.biases.T) ** 2, axis=1)
+        moved = functions @ self._posterior.from_errors
+        of_slopes = self._spectrum.whole_root[self._spectrum.base_count :]
+        moved[:, : of_slopes.shape[1]] += slopes @ of_slopes
+        variance = np.einsum("ji,il,jl->j", moved, self._posterior.errors.scores, moved)
         variance += np.sum((functions @ self._posterior.from_prior) ** 2, axis=1)
         variance += self._posterior.gains.variance(functions @ self._posterior.from_gains)
-        freedom = self._posterior.spread(functions)[2]
+        plain, _, freedom = self._posterior.spread(functions)
+        variance = np.where(np.isfinite(plain), variance, np.inf)
         half = stdtrit(freedom, 0.5 * (1.0 + level)) * np.sqrt(variance)
         return functions @ self.theta, np.asarray(half)
 

@@ -28,7 +28,7 @@ import numpy as np
 from sdpid._common.arrays import Array
 from sdpid.estimation.duality.bound import cost_scale
 from sdpid.estimation.gain_errors import GainErrors
-from sdpid.estimation.posterior import FitErrors
+from sdpid.estimation.posterior import FitErrors, rows_covariance
 from sdpid.estimation.problem import Problem
 
 # The estimate itself is known to this share of its cost.
@@ -83,11 +83,10 @@ class Level:
     ) -> None:
         self.errors, self.probability = errors, probability
         self.count = problem.base.count
-        self.A = problem.A
+        self.turned = problem.A @ errors.root
         self.least = _LEAST_RISE * max(cost, cost_scale(problem))
-        own = problem.A @ errors.covariance @ problem.A.T
         self.gains = GainErrors.of(problem)
-        data = own + self.gains.root @ self.gains.root.T
+        data = rows_covariance(problem, errors) + self.gains.root @ self.gains.root.T
         self.noise = np.eye(len(problem.squared.rhs))
         self.noise[: len(data), : len(data)] = data
         self._average = float(np.trace(data)) / self.count
@@ -137,12 +136,12 @@ class Level:
 
     def _freedom(self, moves: Array) -> Array:
         """Return the degrees of freedom of the variance of each combination (k, b) of the data."""
-        moved = moves @ self.A
+        moved = moves @ self.turned
         freedom = self.errors.freedom(moved)
         if not self.gains.any:
             return freedom
         slopes = moves @ self.gains.rows
-        own = np.einsum("ki,ij,kj->k", moved, self.errors.covariance, moved)
+        own = np.einsum("ki,ij,kj->k", moved, self.errors.scores, moved)
         of_gains = self.gains.variance(slopes)
         spread = own**2 / freedom + of_gains**2 / self.gains.degrees(slopes)
         total = (own + of_gains) ** 2

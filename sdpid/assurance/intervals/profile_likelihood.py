@@ -165,18 +165,10 @@ class ProfileLikelihood:
 
         It is that of the problem without constraints.
         """
-        scale, inverse = self._inverse
+        root = self.problem.excitation.root
         moved = np.zeros(len(self.residual))
-        moved[: len(scale)] = (functional / scale) @ inverse
+        moved[: len(root)] = self.problem.A @ root @ (root.T @ functional)
         return moved
-
-    @cached_property
-    def _inverse(self) -> tuple[Array, Array]:
-        """The sizes of the columns of A, and the pseudoinverse of A with columns of size one."""
-        A = self.problem.A
-        scale = np.linalg.norm(A, axis=0)
-        scale = np.where(scale > 0.0, scale, 1.0)
-        return scale, np.asarray(np.linalg.pinv(A / scale, rcond=np.finfo(float).eps * len(A)))
 
     def minima(
         self, wanted: Sequence[tuple[Array, Array | None]], n_jobs: int | None = None

@@ -21,6 +21,7 @@ from sdpid._common.arrays import Array, Indices
 from sdpid.errors import DataError
 from sdpid.estimation.cluster_robust import ScoreBlocks
 from sdpid.estimation.gain_errors import GainErrors
+from sdpid.estimation.information import information_root
 from sdpid.estimation.prior.cost_terms import SquaredTerm
 from sdpid.estimation.prior.evidence import strength_by_evidence
 from sdpid.estimation.prior.prior import Prior, prior_terms
@@ -46,7 +47,7 @@ class PayloadRows:
     matrix, rhs : ndarray, shapes (10, 10) and (10,)
     floor : float
     sources : tuple of (ScoreBlocks, ndarray)
-        Errors of fits (k,) and the matrices (10, k) that take them to rhs.
+        Errors of fits and the matrices (10, r) that take their coordinates to rhs.
     unit : ndarray, shape (10, j)
         What takes errors of variance one to rhs: of priors, and of records too short for blocks.
     short : bool
@@ -80,10 +81,10 @@ class PayloadRows:
         known = float(np.sum((direction @ self.unit) ** 2))
         variance = known + of_gains
         for blocks, matrix in self.sources:
-            functional = direction @ matrix
-            own = float(functional @ blocks.covariance @ functional)
+            moved = direction @ matrix
+            own = float(moved @ blocks.scores @ moved)
             variance += own
-            spread += own**2 / float(blocks.freedom(functional[None])[0])
+            spread += own**2 / float(blocks.freedom(moved[None])[0])
         return variance, variance**2 / spread if spread > 0.0 else np.inf
 
 
@@ -221,12 +222,15 @@ def rows_beside_description(
         unit = np.hstack([described, W * np.sqrt(max(worse, 1.0))])
         return PayloadRows(T, s, floor, (), unit, True, gains), granted
     K = np.hstack([friction, columns])
+    root, shown = information_root(loaded.A @ K), loaded.excitation.inverse
+    turned = shown @ K @ root
     reduced = ScoreBlocks(
         blocks.groups,
-        K.T @ blocks.information @ K,
-        (blocks.target - blocks.information @ known) @ K,
+        turned.T @ blocks.information @ turned,
+        (blocks.target - blocks.information @ (shown @ known)) @ turned,
+        root,
     )
-    takes = np.hstack([np.zeros((len(T), friction.shape[1])), T])
+    takes = T @ reduced.root[friction.shape[1] :]
     rows = PayloadRows(T, s, floor, ((reduced, takes),), described, False, gains)
     return rows, granted
 
@@ -237,7 +241,8 @@ def _with_errors(
     sources, short = [], False
     for problem, W in parts:
         try:
-            sources.append((ScoreBlocks.of(problem), W @ problem.A))
+            blocks = ScoreBlocks.of(problem)
+            sources.append((blocks, W @ (problem.A @ blocks.root)))
         except DataError:
             # Too short for blocks: the rows are whitened, their variance is one.
             unit, short = np.hstack([unit, W]), True

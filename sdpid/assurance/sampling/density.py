@@ -23,7 +23,7 @@ from sdpid.estimation.conic.solve import ConicProgram, Matrix, solve_conic
 from sdpid.estimation.coordinates import Coordinates
 from sdpid.estimation.estimate import Estimate
 from sdpid.estimation.gain_errors import GainErrors
-from sdpid.estimation.posterior import FitErrors, Groups, fit_errors
+from sdpid.estimation.posterior import FitErrors, Groups, fit_errors, rows_covariance
 from sdpid.estimation.problem import Problem
 from sdpid.estimation.scaling import Scaling
 from sdpid.robot.inertia import pseudo_inertia
@@ -298,7 +298,7 @@ def _gaussian(
     # The errors of the data's rows are those that the residuals show, of the prior's as stated.
     W = np.eye(len(M))
     of_gains = GainErrors.of(problem).root
-    W[:count, :count] = problem.A @ errors.covariance @ problem.A.T + of_gains @ of_gains.T
+    W[:count, :count] = rows_covariance(problem, errors) + of_gains @ of_gains.T
     try:
         root = np.linalg.inv(np.linalg.cholesky(U.T @ W @ U)) @ (singular[:, None] * V)
     except np.linalg.LinAlgError:

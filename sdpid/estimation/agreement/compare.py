@@ -128,10 +128,10 @@ class _Part:
             return cls(nothing, np.zeros((k, k)), nothing, nothing, np.zeros(k, dtype=bool), None)
         posterior = Posterior.of(estimate)
         functions = estimate.problem.base.matrix[chosen]
-        data = functions @ posterior.from_fit
+        data = functions @ posterior.from_errors
         return cls(
             data,
-            data @ posterior.errors.covariance @ data.T,
+            data @ posterior.errors.scores @ data.T,
             functions @ posterior.from_prior,
             functions @ posterior.from_gains,
             ~np.isfinite(posterior.spread(functions)[0]),

@@ -22,7 +22,7 @@ import numpy as np
 
 from sdpid._common.arrays import Array, frozen
 from sdpid.estimation.cluster_robust import ALONE, FEWEST_BLOCKS
-from sdpid.estimation.information import information_root
+from sdpid.estimation.information import information_root, information_rows
 from sdpid.estimation.instrumental.moments import Pair
 from sdpid.estimation.instrumental.second_stage import FirstStage
 
@@ -63,7 +63,7 @@ class Contrast:
         """
         columns = first.columns
         A, rhs = columns.problem.A, columns.problem.rhs
-        least = columns.root @ (columns.root.T @ (A.T @ rhs))
+        least = columns.root @ ((A @ columns.root).T @ rhs)
         moved = columns.root @ first.fit - least
         found = [_Pass(first, pair, moved, block) for pair in first.pairs]
         r = len(first.fit)
@@ -128,7 +128,7 @@ def _hidden(gram: Array, inner: Array, scores: Array, explained: Array) -> Array
         The fit of v by W.
     """
     r = len(gram)
-    root = information_root(gram)
+    root = information_root(information_rows(gram))
     values, vectors = np.linalg.eigh(root.T @ inner[:, :, :r] @ root)
     left = np.sqrt(np.maximum(1.0 - values, 0.0))
     # What a block alone determines has no residual, and no information.

@@ -11,10 +11,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sdpid._common.arrays import Array, Mask, frozen
+from sdpid._common.arrays import Array, Mask
 from sdpid.estimation.compression.rows import RowSource
 from sdpid.estimation.compression.whitening import whiten
-from sdpid.estimation.information import information_root
 from sdpid.estimation.problem import Problem
 from sdpid.experiment.processing.samples import Samples
 
@@ -51,10 +50,8 @@ class Columns:
     @classmethod
     def of(cls, problem: Problem) -> Columns:
         """Find the coordinates."""
-        H = problem.A.T @ problem.A
-        root = information_root(H)
-        rows = problem.require_rows_here("instruments")
-        return cls(problem=problem, rows=rows, root=frozen(root), inverse=frozen(root.T @ H))
+        rows, found = problem.require_rows_here("instruments"), problem.excitation
+        return cls(problem=problem, rows=rows, root=found.root, inverse=found.inverse)
 
     def chunks(self, pair: Pair, *, block: int = 1) -> Iterator[Chunk]:
         """Yield the rows of a pair in order, cut between blocks of samples."""

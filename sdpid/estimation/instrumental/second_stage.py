@@ -175,7 +175,7 @@ class FirstStage:
         _require_seen(columns, values * np.abs(values))
         fit = _solved(link, 0.5 * moments.target)
         A, rhs = columns.problem.A, columns.problem.rhs
-        plain = columns.root.T @ (A.T @ rhs)
+        plain = (A @ columns.root).T @ rhs
         return cls(
             columns=columns,
             instruments=columns.rows.samples,

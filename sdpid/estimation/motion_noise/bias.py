@@ -23,6 +23,7 @@ from sdpid._common.seeds import generator
 from sdpid.errors import DataError
 from sdpid.estimation.compression.factor import compressed
 from sdpid.estimation.compression.rows import RowSource
+from sdpid.estimation.information import least_squares
 from sdpid.estimation.motion_noise.friction import friction_bias
 from sdpid.estimation.motion_noise.landings import (
     away_from_landings,
@@ -131,6 +132,4 @@ def _of(problem: Problem, rows: RowSource, samples: Samples) -> Problem:
 
 def _fit(problem: Problem) -> Array:
     """Return the least-squares solution (b,)."""
-    size = np.linalg.norm(problem.A, axis=0)
-    size = np.where(size > 0.0, size, 1.0)
-    return np.asarray(np.linalg.lstsq(problem.A / size, problem.rhs, rcond=None)[0] / size)
+    return least_squares(problem.A, problem.rhs)

@@ -17,7 +17,7 @@ from sdpid._common.arrays import Array
 from sdpid.estimation.compression.rows import RowSource
 from sdpid.estimation.compression.triangle import Triangle
 from sdpid.estimation.compression.whitening import apply, weights_of
-from sdpid.estimation.information import information_root
+from sdpid.estimation.information import Excitation
 from sdpid.estimation.motion_noise.landings import beyond
 from sdpid.estimation.problem import Problem
 from sdpid.robot.friction.term import JointwiseTerm
@@ -29,6 +29,9 @@ __all__ = ["friction_bias"]
 # a simulated A1 to where the true law has it, a third and three times alone half as far, and
 # further ones, to an eighth or 16 times, no farther.
 _SPEEDS = (0.25, 0.5, 2.0, 4.0)
+
+# A parameter of which more than this share lies where no row is has an infinite variance.
+_LOST = 1e-7
 
 
 def friction_bias(problem: Problem, rows: RowSource) -> Array | None:
@@ -79,8 +82,6 @@ def friction_bias(problem: Problem, rows: RowSource) -> Array | None:
 
 def _fit(A: Array, rhs: Array) -> tuple[Array, Array]:
     """Return the least-squares solution, and its variances where those of the rows are one."""
-    size = np.linalg.norm(A, axis=0)
-    size = np.where(size > 0.0, size, 1.0)
-    scaled = A / size
-    root = information_root(scaled.T @ scaled)
-    return root @ (root.T @ (scaled.T @ rhs)) / size, np.sum(root**2, axis=1) / size**2
+    found = Excitation.of(A, ())
+    root, lost = found.root, 1.0 - np.sum(found.root * found.inverse.T, axis=1) > _LOST
+    return root @ ((A @ root).T @ rhs), np.where(lost, np.inf, np.sum(root**2, axis=1))

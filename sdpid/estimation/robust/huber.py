@@ -35,6 +35,7 @@ from sdpid._common.arrays import Array, frozen
 from sdpid.errors import DataError
 from sdpid.estimation.duality.refine_multipliers import lower_bound
 from sdpid.estimation.estimate import Estimate
+from sdpid.estimation.information import information_root, least_squares
 from sdpid.estimation.problem import Problem
 from sdpid.estimation.robust.whitened_rows import WhitenedRows
 from sdpid.estimation.wls import solve_wls
@@ -133,19 +134,19 @@ class HuberLoss:
             sigma=frozen(self.rows.weighted_sigma(weights)),
         )
 
-    def curvature(self, base: Array) -> Array:
-        """Return half the second derivative of the cost, (b, b)."""
+    def curvature(self, base: Array, T: Array) -> Array:
+        """Return half the second derivative of the cost along the columns of T (b, r), (r, r)."""
         residuals = self.rows.residuals(base)
         size, t = self.rows.size(residuals), self.thresholds
         if not self.rows.together:
             # Rows beyond their threshold have none.
-            R = self.rows.compressed((size <= t).astype(float)).split()[0]
+            R = self.rows.compressed((size <= t).astype(float)).split()[0] @ T
             return np.asarray(R.T @ R)
         weights = t / np.maximum(size, t)
-        R = self.rows.compressed(weights).split()[0]
+        R = self.rows.compressed(weights).split()[0] @ T
         # A sample beyond it has none along its residual.
         along = np.where(size > t, residuals / np.maximum(size, t), 0.0)
-        r = self.rows.along(np.sqrt(weights) * along)
+        r = self.rows.along(np.sqrt(weights) * along) @ T
         return np.asarray(R.T @ R - r.T @ r)
 
     def bound(self, estimate: Estimate) -> float:
@@ -173,21 +174,16 @@ class HuberLoss:
 
     def _multipliers(self, problem: Problem, y: Array, target: Array) -> Array:
         """Return u (K, n) below the thresholds, with ``W^T u = target`` where there is room."""
-        from scipy.linalg import lstsq
-
         t, rows = self.thresholds, self.rows
-        scale = np.linalg.norm(problem.A, axis=0)
-        scale = np.where(scale > 0.0, scale, 1.0)
-        base = lstsq(problem.A / scale, y + problem.rhs)[0] / scale
+        base = least_squares(problem.A, y + problem.rhs)
         u = rows.clipped(rows.residuals(base), t)
         whole = 0
         for _ in range(_CORRECTIONS):
             missing = target - self.rows.pull(u)[:-1]
             room = (rows.size(u) < t * (1.0 - _ROOM)).astype(float)
             R = self.rows.compressed(room).split()[0]
-            size = np.linalg.norm(R, axis=0)
-            size = np.where(size > 0.0, size, 1.0)
-            step = lstsq(R / size, lstsq((R / size).T, missing / size)[0])[0] / size
+            root = information_root(R)
+            step = root @ (root.T @ missing)
             wanted = u + room * self.rows.times(np.append(step, 0.0))
             u = rows.clipped(wanted, t)
             whole += np.array_equal(u, wanted)

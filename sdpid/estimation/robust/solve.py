@@ -7,14 +7,10 @@ estimates certifies these. Rounds end when the weights belong to their own resul
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field, fields
-from functools import cached_property
+from dataclasses import dataclass, fields
 
-import numpy as np
-
-from sdpid._common.arrays import Array, frozen
+from sdpid._common.arrays import frozen
 from sdpid.errors import DataError, SolverError
-from sdpid.estimation.cluster_robust import covariance
 from sdpid.estimation.duality.bound import PROVEN, relative_gap
 from sdpid.estimation.estimate import Estimate
 from sdpid.estimation.information import require_excitation
@@ -48,8 +44,6 @@ class RobustEstimate(Estimate):
     robust_gap : float or None
         How far above the optimum of the Huber cost it can be, proven, relative to it; None where
         the weights have not settled.
-    curvature : ndarray, shape (b, b)
-        Half the second derivative of the Huber cost of the data.
 
     Examples
     --------
@@ -61,20 +55,6 @@ class RobustEstimate(Estimate):
     rounds: int
     robust_cost: float
     robust_gap: float | None
-    curvature: Array = field(repr=False)
-
-    @cached_property
-    def covariance(self) -> Array:
-        """Covariance of the base parameters, (b, b), as if no constraint were active.
-
-        The sandwich estimate of the weighted problem, with the curvature of the Huber cost
-        in place of the weighted least squares': rows beyond their threshold have none, samples
-        with contacts none along their residual.
-        """
-        plain = covariance(self.problem)
-        A = self.problem.A
-        turn = np.linalg.solve(self.curvature, A.T @ A)
-        return frozen(turn @ plain @ turn.T)
 
 
 def solve_robust(
@@ -154,11 +134,11 @@ def solve_robust(
                 "message": message,
                 "iterations": iterations,
                 "solve_time": seconds,
+                "curvature": frozen(loss.curvature(base, weighted.excitation.root)),
             },
             rounds=rounds,
             robust_cost=cost,
             robust_gap=gap,
-            curvature=frozen(loss.curvature(base)),
         )
         # What has no multipliers has nothing to prove with.
         if gap is not None and (found.multipliers is None or gap <= PROVEN):

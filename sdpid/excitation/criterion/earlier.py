@@ -128,8 +128,8 @@ def _identified(
 def _data_information(spectrum: NoiseSpectrum) -> Array:
     """Return J (b, b), the inverse of the covariance of a fit where the data determine it."""
     b = spectrum.base_count
-    H = spectrum.information.sum(axis=0) + np.diag(spectrum.known)
-    scores = np.einsum("g,gij->ij", spectrum.density, spectrum.information)
+    H = spectrum.information() + np.diag(spectrum.known)
+    scores = spectrum.information(spectrum.density)
     scores += float(spectrum.power.sum() / spectrum.room.sum()) * np.diag(spectrum.known)
     # J = H·M^(-1)·H; then what is known of the speeds that the data chose is marginalized.
     scale = 1.0 / np.sqrt(np.maximum(np.diag(scores), np.finfo(float).tiny))

@@ -14,6 +14,7 @@ from sdpid._common.threads import one_thread
 from sdpid.estimation.compression.rows import RowSource
 from sdpid.estimation.effects.bending import Bending
 from sdpid.estimation.estimate import Estimate
+from sdpid.estimation.information import information_rows
 from sdpid.estimation.posterior import Posterior
 from sdpid.estimation.prior.prior import Prior
 from sdpid.excitation.criterion.belief import information_of_rows
@@ -140,12 +141,13 @@ def expect(
     known = _posterior(run, errors)
     variance, share, _ = known.spread(base.matrix)
     theta_variance, theta_share, _ = known.spread(np.eye(run.problem.n_theta))
-    freedom = run.spectrum.freedom(base.matrix @ known.from_fit)
+    freedom = run.spectrum.freedom(base.matrix @ known.from_fit @ run.spectrum.root)
     freedom /= np.maximum(1.0 - share, np.finfo(float).eps) ** 2
     speeds, functions, slopes = _friction_functions(run)
     shape = len(speeds), len(run.problem.friction.joint_names)
-    moves = np.hstack([functions @ known.from_fit, slopes])
-    friction_variance = np.einsum("ki,ij,kj->k", moves, errors.whole_covariance, moves)
+    moves = functions @ known.from_errors + slopes @ errors.whole_root[base.count :]
+    friction_variance = np.einsum("ki,ij,kj->k", moves, errors.scores, moves)
+    friction_variance[known.lost(functions)] = np.inf
     friction_variance += np.sum((functions @ known.from_prior) ** 2, axis=1)
     covariance = known.covariance(base.matrix)
     value, half = base.matrix @ values, _quantile(freedom) * np.sqrt(variance)
@@ -243,10 +245,7 @@ def _again(
 
 def _posterior(run: Rehearsal, errors: RunErrors) -> Posterior:
     """Return the errors of the estimate that `identify` would make."""
-    information = errors.base_information
-    size = np.sqrt(np.maximum(np.diag(information), np.finfo(float).tiny))
-    values, vectors = np.linalg.eigh(information / np.outer(size, size))
-    A = np.sqrt(np.maximum(values, 0.0))[:, None] * vectors.T * size
+    A = information_rows(errors.base_information)
     base = run.problem.base_of(run.theta)
     problem = replace(run.problem, A=frozen(A), rhs=frozen(A @ base), floor=0.0)
     about: dict[str, Any] = {"method": "expected", "status": "expected", "iterations": 0}

@@ -8,7 +8,7 @@ from functools import cached_property
 import numpy as np
 
 from sdpid._common.arrays import Array, frozen
-from sdpid.estimation.information import information_root
+from sdpid.estimation.information import information_root, information_rows
 from sdpid.estimation.noise_spectrum import NoiseSpectrum
 
 
@@ -20,7 +20,7 @@ class RunErrors:
     ----------
     information : ndarray, shape (c, c)
         ``Σ H_g`` of the base parameters, and of speeds that the data would choose.
-    scores : ndarray, shape (c, c)
+    sums : ndarray, shape (c, c)
         ``Σ S_g·H_g``, the covariance of the scores.
     known : ndarray, shape (c,)
         What is known of the parameters beforehand, as the diagonal of an information.
@@ -29,7 +29,7 @@ class RunErrors:
     """
 
     information: Array
-    scores: Array
+    sums: Array
     known: Array
     base_count: int
 
@@ -37,8 +37,8 @@ class RunErrors:
     def of(cls, spectrum: NoiseSpectrum) -> RunErrors:
         """Gather the sums over a run's groups of rows."""
         return cls(
-            frozen(spectrum.information.sum(axis=0)),
-            frozen(np.einsum("g,gij->ij", spectrum.density, spectrum.information)),
+            frozen(spectrum.information()),
+            frozen(spectrum.information(spectrum.density)),
             spectrum.known,
             spectrum.base_count,
         )
@@ -48,7 +48,7 @@ class RunErrors:
         return replace(
             self,
             information=frozen(self.information + times * other.information),
-            scores=frozen(self.scores + times * other.scores),
+            sums=frozen(self.sums + times * other.sums),
         )
 
     def beyond(self, other: RunErrors) -> RunErrors:
@@ -56,14 +56,14 @@ class RunErrors:
         return replace(
             self,
             information=frozen(_positive(self.information - other.information)),
-            scores=frozen(_positive(self.scores - other.scores)),
+            sums=frozen(_positive(self.sums - other.sums)),
         )
 
     def with_earlier(self, information: Array) -> RunErrors:
         """Return the sums with those of earlier runs, from the inverse (b, b) of a covariance."""
         added = np.zeros_like(self.information)
         added[: self.base_count, : self.base_count] = information
-        return self.plus(replace(self, information=added, scores=added))
+        return self.plus(replace(self, information=added, sums=added))
 
     @property
     def base_information(self) -> Array:
@@ -71,19 +71,24 @@ class RunErrors:
         return self.information[: self.base_count, : self.base_count]
 
     @property
-    def covariance(self) -> Array:
-        """Covariance of the unconstrained fit, (b, b)."""
-        return self.whole_covariance[: self.base_count, : self.base_count]
+    def root(self) -> Array:
+        """T (b, r) of the fit alone: what rounding of the sums hides has no column."""
+        return self.whole_root[: self.base_count]
 
     @cached_property
-    def whole_covariance(self) -> Array:
-        """Covariance (c, c) of the fit and of the logarithms of speeds that the data choose."""
-        root = information_root(self.information + np.diag(self.known))
-        return np.asarray(root @ (root.T @ (self.scores + np.diag(self.known)) @ root) @ root.T)
+    def whole_root(self) -> Array:
+        """The same with the logarithms of speeds, (c, r)."""
+        return information_root(information_rows(self.information + np.diag(self.known)))
 
-    def freedom(self, functionals: Array) -> Array:
+    @cached_property
+    def scores(self) -> Array:
+        """Covariance of the fit in the coordinates of `root`, (r, r)."""
+        sums = self.sums + np.diag(self.known)
+        return np.asarray(self.whole_root.T @ sums @ self.whole_root)
+
+    def freedom(self, directions: Array) -> Array:
         """Return infinite degrees of freedom: the noise is believed, not estimated."""
-        return np.full(len(functionals), np.inf)
+        return np.full(len(directions), np.inf)
 
 
 def _positive(matrix: Array) -> Array:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from sdpid._common.tables import Table
+from sdpid._common.tables import Table, plain
 from sdpid.assurance.diagnostics.provenance import provenance
 from sdpid.errors import DataError, IdentifiabilityError
 from sdpid.estimation.estimate import Estimate
@@ -17,26 +17,29 @@ _ENDS = ("lower", "upper", "label")
 def base_table(
     estimate: Estimate, wls: Estimate | None = None, intervals: GivenIntervals | None = None
 ) -> Table:
-    """Return the table of base parameters, with the unconstrained fit, errors and intervals."""
+    """Return the table of base parameters, with errors, the unconstrained fit and intervals."""
     base = estimate.problem.base
-    header = ["parameter", "unit", "value"]
+    header = ["parameter", "unit", "value", "standard_error"]
     columns: list[Sequence[object]] = [base.names, base.units, estimate.base.tolist()]
+    columns.append(known_errors(estimate))
     if wls is not None:
-        header += ["unconstrained", "standard_error"]
-        errors: Sequence[float | None]
-        try:
-            errors = wls.standard_errors.tolist()
-        except (IdentifiabilityError, DataError):
-            # With a prior the data need not determine everything, or may be too few for blocks;
-            # then there is no such error.
-            errors = [None] * len(base.names)
-        columns += [wls.base.tolist(), errors]
+        header.append("unconstrained")
+        columns.append(wls.base.tolist())
     if intervals is not None:
         header += _ENDS
         columns += _end_columns(base.names, intervals)
     header.append("regrouping")
     columns.append([base.expression(name) for name in base.names])
     return Table(tuple(header), tuple(zip(*columns, strict=True)))
+
+
+def known_errors(estimate: Estimate) -> list[float | None]:
+    """Return the standard errors of the base parameters, None where there are none."""
+    try:
+        return list(plain(estimate.standard_errors))
+    except (IdentifiabilityError, DataError):
+        # Without rows there are none, nor where data without a prior leave something open.
+        return [None] * estimate.problem.base.count
 
 
 def theta_table(estimate: Estimate, intervals: GivenIntervals | None = None) -> Table:

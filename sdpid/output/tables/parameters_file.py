@@ -16,9 +16,10 @@ from sdpid._common.files import atomic_write_text
 from sdpid._common.tables import plain
 from sdpid.assurance.certificate.certificate import Certificate
 from sdpid.assurance.diagnostics.provenance import provenance
-from sdpid.errors import DataError, ExportError, IdentifiabilityError
+from sdpid.errors import DataError, ExportError
 from sdpid.estimation.estimate import Estimate
 from sdpid.output.tables.intervals_shown import GivenIntervals
+from sdpid.output.tables.parameter_tables import known_errors
 
 FORMAT = "sdpid parameters"
 VERSION = 1
@@ -116,12 +117,6 @@ def parameters_dict(
                 base.theta_names, plain(estimate.theta), base.theta_units, strict=True
             )
         }
-    errors: Sequence[float | None]
-    try:
-        errors = plain(estimate.standard_errors)
-    except (DataError, IdentifiabilityError):
-        # Too short a record for blocks, or data that leave something open.
-        errors = [None] * base.count
     robot = problem.robot
     return {
         "format": FORMAT,
@@ -154,7 +149,7 @@ def parameters_dict(
                 "expression": base.expression(name),
             }
             for name, value, unit, error in zip(
-                base.names, plain(estimate.base), base.units, errors, strict=True
+                base.names, plain(estimate.base), base.units, known_errors(estimate), strict=True
             )
         },
     }

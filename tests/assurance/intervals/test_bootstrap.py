@@ -69,7 +69,8 @@ def test_periods_scatter_as_their_mean() -> None:
     problem = build_problem(ARM, samples)
     fit = sdpid.solve_wls(problem)
     blocks = ScoreBlocks.of(problem, "periods")
-    np.testing.assert_allclose(blocks.fit, fit.base, rtol=1e-8, atol=1e-10)
+    found, _ = Refit.of(fit).solve(blocks.information.sum(axis=0), blocks.target.sum(axis=0))
+    np.testing.assert_allclose(found, fit.base, rtol=1e-8, atol=1e-10)
     # The covariance is that of the periods' own fits, over their number.
     single = [sdpid.solve_wls(build_problem(ARM, replace(samples, effort=e))).base for e in periods]
     expected = np.cov(np.array(single).T) / 12
@@ -133,7 +134,7 @@ def test_bounds_that_are_left_out_at_first_change_no_draw() -> None:
     blocks = ScoreBlocks.of(estimate.problem)
     rng = np.random.default_rng(8)
     again = Refit.of(estimate)
-    boxed = Refit(again.printed, again.programs[1:])
+    boxed = replace(again, programs=again.programs[1:])
     overstepped = 0
     for _ in range(20):
         drawn = rng.integers(0, blocks.count, blocks.count)
@@ -145,7 +146,7 @@ def test_bounds_that_are_left_out_at_first_change_no_draw() -> None:
         np.testing.assert_allclose(found, expected, atol=1e-5 * np.abs(expected).max())
         assert first > 0.0
         assert second > 0.0
-        alone = Refit(again.printed, again.programs[:1]).solve(*data)[0]
+        alone = replace(again, programs=again.programs[:1]).solve(*data)[0]
         overstepped += alone is None
     # Draws whose moments go beyond theta_max are among them, and draws whose do not.
     assert 0 < overstepped < 20

@@ -93,7 +93,7 @@ def test_the_level_inside_is_that_of_one_direction() -> None:
     covariance = problem.A @ errors.covariance @ problem.A.T
     for unit, function in zip(np.eye(problem.base.count), problem.base.matrix, strict=True):
         d = bounds.expected(unit)
-        freedom = errors.freedom((d @ problem.A)[None])[0]
+        freedom = errors.freedom((d @ problem.A)[None] @ errors.root)[0]
         one = t.ppf(0.975, freedom) ** 2 * (d @ covariance @ d) / (d @ d)
         assert bounds.minimum(function, d).rise == pytest.approx(one, rel=1e-6)
 

@@ -10,7 +10,6 @@ import pytest
 import sdpid
 from sdpid.assurance.intervals.friction_curve import friction_curve, joint_curve
 from sdpid.errors import DataError
-from sdpid.estimation.posterior import constrained_covariance
 from sdpid.estimation.problem import Problem, build_problem
 from tests.helpers.arm import ARM
 from tests.helpers.data import full_regressor, random_theta
@@ -68,7 +67,7 @@ def test_of_given_speeds_only_coefficients_are_uncertain() -> None:
     found = friction_curve(estimate, 0.2, level=0.6826894921370859)
     at = [problem.base.names.index(name) for name in ("Fsg1", "Fv1")]
     weights = np.array([np.tanh(0.5), 0.2])
-    own = constrained_covariance(estimate)[np.ix_(at, at)]
+    own = estimate.covariance[np.ix_(at, at)]
     assert found.friction[0, 0] == pytest.approx(weights @ estimate.base[at])
     # One standard error, and a little more since it is uncertain itself.
     error = float(np.sqrt(weights @ own @ weights))

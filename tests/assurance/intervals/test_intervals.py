@@ -123,7 +123,8 @@ def test_degrees_of_freedom_are_satterthwaites() -> None:
         )
     gamma = np.array(weights) @ np.array(weights).T
     expected = np.trace(gamma) ** 2 / np.sum(gamma**2)
-    assert ScoreBlocks.of(problem).freedom(c[None])[0] == pytest.approx(expected, rel=1e-6)
+    blocks = ScoreBlocks.of(problem)
+    assert blocks.freedom(c[None] @ blocks.root)[0] == pytest.approx(expected, rel=1e-6)
 
 
 def test_without_active_constraints_profile_bounds_are_gauss_markovs() -> None:
@@ -253,7 +254,8 @@ def test_gauss_markov_is_students_t_about_the_estimate() -> None:
     errors = NoiseSpectrum.of(estimate.problem)
     at = estimate.problem.base.names.index("Fv1")
     unit = np.eye(len(estimate.base))[at]
-    half = t.ppf(0.9, errors.freedom(unit[None])[0]) * np.sqrt(errors.covariance[at, at])
+    freedom = errors.freedom(unit[None] @ errors.root)[0]
+    half = t.ppf(0.9, freedom) * np.sqrt(errors.covariance[at, at])
     assert found.estimate[0] == pytest.approx(estimate.base[at])
     assert found.upper[0] - found.estimate[0] == pytest.approx(half)
 

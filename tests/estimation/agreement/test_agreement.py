@@ -15,7 +15,7 @@ from sdpid.errors import DataError
 from sdpid.estimation.agreement.agreement import Agreement
 from sdpid.estimation.agreement.shared import SharedParameters, beliefs_in_common
 from sdpid.estimation.estimate import Estimate
-from sdpid.estimation.posterior import constrained_covariance, prior_rows
+from sdpid.estimation.posterior import prior_rows
 from sdpid.estimation.problem import build_problem
 from tests.helpers.arm import ARM
 from tests.helpers.data import make_samples, random_links
@@ -72,7 +72,7 @@ def test_one_robot_agrees_and_a_heavier_link_does_not(prior: str, first: Estimat
 
 def test_without_a_prior_covariances_add_up(first: Estimate, other: Estimate) -> None:
     found = first.compare_to(other)
-    S = constrained_covariance(first) + constrained_covariance(other)
+    S = first.covariance + other.covariance
     d = other.base - first.base
     assert [each.name for each in found.differences] == list(first.problem.base.names)
     np.testing.assert_allclose([each.difference for each in found.differences], d)
@@ -159,7 +159,7 @@ def test_given_parameters_are_exact(first: Estimate) -> None:
     found = first.compare_to(given)
     assert found.agree
     sizes = [each.standard_error for each in found.differences]
-    expected = np.sqrt(np.diag(constrained_covariance(first)))
+    expected = np.sqrt(np.diag(first.covariance))
     np.testing.assert_allclose(sizes, expected, rtol=1e-6)
     far = Estimate.of_theta(first.problem, 1.3 * theta, method="given", status="given")
     assert first.compare_to(far).agree is False

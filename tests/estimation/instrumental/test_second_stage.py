@@ -11,6 +11,7 @@ from scipy.linalg import fractional_matrix_power
 import sdpid
 from sdpid._common.arrays import Array
 from sdpid.errors import DataError, IdentifiabilityError
+from sdpid.estimation.cluster_robust import ScoreBlocks
 from sdpid.estimation.compression.rows import RowSource
 from sdpid.estimation.compression.whitening import whiten
 from sdpid.estimation.instrumental.hausman import Contrast
@@ -72,7 +73,7 @@ def test_the_second_stage_is_two_stage_least_squares(problem: Problem, clean: Sa
     scores = (X * (y - W @ fit)[:, None]).reshape(-1, 40, X.shape[1]).sum(axis=1)
     inverse = np.linalg.inv(X.T @ X)
     plain = np.sqrt(np.diag(inverse @ scores.T @ scores @ inverse))
-    errors = sdpid.solve_wls(found).standard_errors
+    errors = np.sqrt(np.diag(ScoreBlocks.of(found).covariance))
     # Blocks of 20 samples; what is left over of the leverage correction is a few per cent.
     assert np.all((errors > 0.9 * plain) & (errors < 1.5 * plain))
     # Shea's partial R²: the variance of least squares over that with instruments.

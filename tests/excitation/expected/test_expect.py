@@ -16,7 +16,7 @@ import sdpid
 from sdpid._common.arrays import Array
 from sdpid.excitation.criterion.earlier import EarlierInformation
 from sdpid.excitation.criterion.noise import ExpectedNoise
-from sdpid.excitation.expected.expect import Known, expect
+from sdpid.excitation.expected.expect import Known, _posterior, expect
 from sdpid.excitation.expected.expected import Expected
 from sdpid.excitation.expected.rehearsal import rehearse
 from sdpid.excitation.expected.run_errors import RunErrors
@@ -73,7 +73,18 @@ def test_averaging_periods_divides_the_variance(times: int) -> None:
 def test_a_motion_run_twice_as_long_has_half_the_variance() -> None:
     run = rehearse(ARM, motion(), friction=TERMS, noise=0.1, prior=False)
     own = RunErrors.of(run.spectrum)
-    np.testing.assert_allclose(own.plus(own).covariance, own.covariance / 2.0, rtol=1e-6)
+    once, twice = (each.root @ each.scores @ each.root.T for each in (own, own.plus(own)))
+    np.testing.assert_allclose(twice, once / 2.0, rtol=1e-6)
+
+
+def test_what_the_sums_of_a_run_hide_is_not_promised() -> None:
+    run = rehearse(ARM, motion(), friction=TERMS, noise=0.1, prior=False)
+    own = RunErrors.of(run.spectrum)
+    alike = np.eye(len(own.information))
+    alike[:, 2] = alike[:, 1] + 1e-9 * alike[:, 2]
+    sums = {name: alike.T @ getattr(own, name) @ alike for name in ("information", "sums")}
+    variance = _posterior(run, replace(own, **sums)).spread(run.problem.base.matrix)[0]
+    np.testing.assert_array_equal(np.flatnonzero(np.isinf(variance)), [1, 2])
     found = expected(prior=False, repetitions=(1, 2, 4, 8))
     long = expected(4, prior=False)
     # What is extrapolated is what the longer run itself has.

@@ -85,13 +85,9 @@ def test_intervals_without_kinds(tmp_path: Path, estimate: Estimate) -> None:
     assert content["interval_method"] is None
 
 
-def test_errors_of_a_record_too_short(tmp_path: Path, estimate: Estimate) -> None:
-    samples = replace(estimate.problem.samples, block=150)
-    short = replace(
-        estimate,
-        problem=replace(estimate.problem, rows=replace(estimate.problem.rows, samples=samples)),
-    )
-    content = json.loads(write_parameters(short, tmp_path / "p.json").read_text())
+def test_errors_without_rows(tmp_path: Path, estimate: Estimate) -> None:
+    sent = replace(estimate, problem=estimate.problem.without_rows())
+    content = json.loads(write_parameters(sent, tmp_path / "p.json").read_text())
     assert {entry["standard_error"] for entry in content["base"].values()} == {None}
 
 

@@ -32,7 +32,7 @@ def values(result: Judged, intervals: GivenIntervals | None, draw: bool) -> dict
 def base_rows(result: Judged, ends: dict[str, Ends]) -> Iterator[dict[str, Any]]:
     """Yield the rows of the table of base parameters."""
     for row in base_table(result.estimate, result.wls).rows:
-        name, unit, value, free, error, regrouping = row
+        name, unit, value, error, free, regrouping = row
         if isinstance(error, float) and isinstance(value, float) and abs(value) < _NOTHING * error:
             value = 0.0
         yield {
