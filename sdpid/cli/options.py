@@ -225,7 +225,7 @@ class Reading:
 
     def files(self, logs: Iterable[Path], *others: PathLike | None) -> list[PathLike | None]:
         """Return the files that a command reads: logs, mappings, and others."""
-        from sdpid.experiment.readers.mapping import mapping_beside
+        from sdpid.experiment.recording.floating.columns import mapping_beside
 
         return [*logs, *map(mapping_beside, logs), self.mapping, self.gains, *others]
 

@@ -10,7 +10,6 @@ import typer
 
 import sdpid.cli.options as opt
 from sdpid._common.extras import require
-from sdpid._common.files import atomic_write_text
 from sdpid.cli.printing import Printing, listed
 from sdpid.errors import DataError, ExportError, SdpidError
 
@@ -165,11 +164,11 @@ def _legged(
     from sdpid.experiment.plant.legged.sensors import Sensors
     from sdpid.experiment.plant.legged.simulate import simulate_legged
     from sdpid.experiment.plant.legged.truth import changed_parameters
-    from sdpid.experiment.recording.floating.columns import base_mapping
+    from sdpid.experiment.recording.floating.columns import mapping_beside
     from sdpid.experiment.trajectory.whole_body import WholeBodyMotion
     from sdpid.robot.model.load import load_robot
 
-    beside = out.with_suffix(".toml")
+    beside = mapping_beside(out)
     opt.require_folder("--out", beside, [name, printing.config])
     if change is not None and not 0.0 <= change < 1.0:
         raise DataError(f"--change: is {change:g}, expected a share from 0 to less than 1.")
@@ -189,7 +188,6 @@ def _legged(
     log, files = run.recording, [str(out)]
     _write(log, out)
     if out.suffix.lower() == ".csv":
-        atomic_write_text(beside, base_mapping(log.base, log.contacts))
         files.append(str(beside))
     true, described = (
         float(bodies.reshape(-1, 10)[:, 0].sum())

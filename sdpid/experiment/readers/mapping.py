@@ -10,9 +10,10 @@ from typing import Any
 from sdpid._common.toml import load_toml
 from sdpid.errors import DataError
 from sdpid.experiment.readers.floating.quantities import SETTINGS, checked_settings
+from sdpid.experiment.recording.floating.columns import mapping_beside
 from sdpid.experiment.recording.motor_side import MotorSide
 
-__all__ = ["find_mapping", "mapping_beside", "read_mapping"]
+__all__ = ["find_mapping", "read_mapping"]
 
 _NUMBERS = ("period", "start", "periods", "rate_hz")
 _TEXTS = ("topic", "missing")
@@ -23,12 +24,6 @@ _KNOWN = (
 )
 # How TOML, which has no null, says that a quantity is not to be read.
 _NOTHING = (False, "none")
-
-
-def mapping_beside(log: Path) -> Path:
-    """Return where the mapping of a log lies: `run.toml` for `run.csv`, `run.csv.gz` or `run`."""
-    unpacked = log.with_suffix("") if log.suffix.lower() == ".gz" else log
-    return log.parent / f"{unpacked.stem}.toml"
 
 
 def find_mapping(log: Path) -> Path | None:

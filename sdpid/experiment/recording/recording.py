@@ -6,6 +6,7 @@ import os
 from collections.abc import Sequence
 from copy import copy
 from dataclasses import dataclass, field, replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -18,7 +19,11 @@ from sdpid._common.text import printable
 from sdpid.errors import DataError
 from sdpid.experiment.drive_gains.gains import DriveGains
 from sdpid.experiment.recording.floating.base import BaseMotion
-from sdpid.experiment.recording.floating.columns import base_columns, base_metadata
+from sdpid.experiment.recording.floating.columns import (
+    base_columns,
+    base_metadata,
+    write_mapping,
+)
 from sdpid.experiment.recording.floating.contacts import Contacts
 from sdpid.experiment.recording.stored import StoredArray
 from sdpid.experiment.recording.timestamps import Stamps
@@ -396,14 +401,16 @@ class Recording:
     def to_csv(self, path: str | os.PathLike[str]) -> None:
         """Write the recording to a CSV file with all digits, whole or not at all.
 
-        Columns are those of `to_parquet`. A CSV file has no place for the period of the motion,
-        nor for where an IMU sits and what kind of contacts there are: say it when it is read.
+        Columns are those of `to_parquet`. Where an IMU sits and what kind of contacts there are is
+        written to a mapping beside it, ``run.toml`` for ``run.csv``. A CSV file has no place for
+        the period of the motion: say it when it is read.
 
         Raises
         ------
         ExportError
-            When the file cannot be written.
+            When a file cannot be written, or another mapping lies beside it.
         """
+        write_mapping(Path(path), self.base, self.contacts)
         columns = self._columns()
         Table.of_columns({name: column.tolist() for name, column in columns.items()}).write(path)
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from sdpid.errors import DataError
+from sdpid.errors import DataError, ExportError
 from sdpid.experiment.readers.read import read_described, read_recording
 from sdpid.experiment.recording.recording import Recording
 from tests.experiment.recording.test_floating import log
@@ -49,10 +49,20 @@ def test_parquet_files_keep_everything(tmp_path: Path) -> None:
 def test_csv_files_keep_what_is_no_setting(tmp_path: Path) -> None:
     file = tmp_path / "run.csv"
     log().to_csv(file)
-    (tmp_path / "run.toml").write_text(
-        "[imu]\ntranslation = [0.1, 0, 0]\n[contacts]\noffset = [0, 0, -0.02]\n", encoding="utf-8"
-    )
     require_same(read_recording(file), log())
+    plain = Recording(time=T, position=log().position, effort=log().effort)
+    plain.with_held_base("trunk").to_csv(file)
+    contacts = read_recording(file).contacts
+    assert contacts is not None
+    assert (contacts.frames, contacts.kind) == (("trunk",), ("plane",))
+    # A mapping that was written with a log goes with it; one of other hands stays.
+    plain.to_csv(file)
+    assert read_recording(file).contacts is None
+    (tmp_path / "run.toml").write_text("[units]\nposition = 'deg'\n")
+    with pytest.raises(ExportError, match=r"run\.toml: is a mapping of another log"):
+        log().to_csv(file)
+    (tmp_path / "run.toml").unlink()
+    log().to_csv(file)
     turned = read_recording(file, contacts={"frames": ["right", "left"], "kind": "plane"})
     assert turned.contacts is not None
     assert turned.contacts.frames == ("right", "left")

@@ -4,16 +4,21 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from sdpid._common.arrays import Array
+from sdpid._common.files import atomic_write_text
+from sdpid.errors import ExportError
 from sdpid.experiment.recording.floating.base import BaseMotion
 from sdpid.experiment.recording.floating.contacts import Contacts
 
-__all__ = ["base_columns", "base_mapping", "base_metadata"]
+__all__ = ["base_columns", "base_metadata", "mapping_beside", "write_mapping"]
 
+# The first line of mappings that are written beside CSV files, and may be replaced.
+_MADE = "# What the columns of the log beside it cannot tell; written with it."
 _XYZ, _WRENCH = ("x", "y", "z"), ("fx", "fy", "fz", "mx", "my", "mz")
 
 
@@ -71,7 +76,33 @@ def base_metadata(base: BaseMotion | None, contacts: Contacts | None) -> Mapping
     return found
 
 
-def base_mapping(base: BaseMotion | None, contacts: Contacts | None) -> str:
+def mapping_beside(log: Path) -> Path:
+    """Return where the mapping of a log lies: `run.toml` for `run.csv`, `run.csv.gz` or `run`."""
+    unpacked = log.with_suffix("") if log.suffix.lower() == ".gz" else log
+    return log.parent / f"{unpacked.stem}.toml"
+
+
+def write_mapping(log: Path, base: BaseMotion | None, contacts: Contacts | None) -> None:
+    """Write beside a CSV file what its columns cannot tell, unless there is nothing.
+
+    Raises
+    ------
+    ExportError
+        When a mapping that was not written so lies there.
+    """
+    file, text = mapping_beside(log), _base_mapping(base, contacts)
+    there = file.read_text(encoding="utf-8", errors="replace") if file.is_file() else ""
+    ours = there.startswith(_MADE)
+    if text and there and not ours:
+        raise ExportError(
+            f"{file}: is a mapping of another log, and would tell how {log.name} is read; move it "
+            f"away, or write to another name than {log.name}."
+        )
+    if text or ours:
+        atomic_write_text(file, f"{_MADE}\n{text}")
+
+
+def _base_mapping(base: BaseMotion | None, contacts: Contacts | None) -> str:
     """Return the text of a mapping, which tells beside a CSV file what its columns cannot."""
     lines = []
     for table, content in base_metadata(base, contacts).items():
