@@ -10,7 +10,6 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from sdpid._common.arrays import Array, frozen
-from sdpid._common.extras import require
 from sdpid._common.tables import Table, facts_html
 from sdpid.errors import DataError
 from sdpid.estimation.agreement.agreement import Agreement
@@ -240,7 +239,7 @@ class Estimate:
         return Multipliers.of_cost(self.problem, y)
 
     def to_frame(self, parameters: Literal["base", "standard"] = "base") -> Any:
-        """Return parameters as a pandas DataFrame, one row each (extra ``io``).
+        """Return parameters as a pandas DataFrame, one row each.
 
         Parameters
         ----------
@@ -253,8 +252,6 @@ class Estimate:
         ------
         DataError
             For other words, or standard parameters of a method that has none.
-        MissingExtraError
-            When pandas is not installed (extra ``io``).
         """
         base = self.problem.base
         columns: dict[str, Any]
@@ -272,7 +269,8 @@ class Estimate:
             )
         else:
             raise DataError(f"to_frame: parameters is {parameters!r}: use 'base' or 'standard'.")
-        pandas = require("pandas", extra="io")
+        import pandas
+
         return pandas.DataFrame(columns, index=pandas.Index(names, name="name"))
 
     def compare_to(

@@ -118,10 +118,9 @@ class Comparison:
         return Table(tuple(shown.get(name, name) for name in names), rows, formats)
 
     def to_frame(self) -> Any:
-        """Return the rows as a pandas DataFrame (extra ``io``)."""
-        from sdpid._common.extras import require
+        """Return the rows as a pandas DataFrame."""
+        import pandas
 
-        pandas = require("pandas", extra="io")
         return pandas.DataFrame([vars(row) for row in self.rows], columns=list(_COLUMNS))
 
     def plot(

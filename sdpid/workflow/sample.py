@@ -14,7 +14,6 @@ from typing import Any
 import numpy as np
 
 from sdpid._common.arrays import Array, require_probability
-from sdpid._common.extras import require
 from sdpid._common.tables import Table, facts_html
 from sdpid.assurance.certificate.certificate import Certificate, certify
 from sdpid.assurance.sampling.draw import Draws, draw
@@ -229,8 +228,9 @@ class ParameterSamples:
             yield RobotDynamics(robot=problem.robot, terms=problem.friction, theta=theta)
 
     def to_frame(self) -> Any:
-        """Return the draws as a pandas DataFrame, one row each (extra ``io``)."""
-        pandas = require("pandas", extra="io")
+        """Return the draws as a pandas DataFrame, one row each."""
+        import pandas
+
         return pandas.DataFrame(self.theta, columns=list(self.estimate.problem.base.theta_names))
 
     def ranges(self, probability: float = PROBABILITY) -> Ranges:

@@ -9,7 +9,6 @@ from typing import Any, Literal
 import numpy as np
 
 from sdpid._common.arrays import Array, Indices, Mask
-from sdpid._common.extras import require
 from sdpid._common.tables import Table, facts_html, plain
 from sdpid.assurance.diagnostics.motion.light_joints import LightJoint
 from sdpid.assurance.rollouts.models import CLOSED_LOOP
@@ -207,12 +206,13 @@ class Rollout:
         )
 
     def to_frame(self) -> Any:
-        """Return a pandas DataFrame, one row a model, joint and horizon (extra ``io``).
+        """Return a pandas DataFrame, one row a model, joint and horizon.
 
         Columns are ``model``, ``joint``, ``horizon`` (s), ``median``, ``p90`` (rad or m, infinite
         for what ran away) and ``diverged`` (share).
         """
-        pandas = require("pandas", extra="io")
+        import pandas
+
         rows = [
             (name, joint, horizon, middle[k, j], high[k, j], gone[k, j])
             for name, errors in self.models.items()

@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import asdict, dataclass
 from typing import Any
 
-from sdpid._common.extras import require
 from sdpid._common.tables import Table, facts_html, plain
 
 
@@ -183,8 +182,10 @@ class Agreement:
         return f"{self._table().text()}\n\n{self.summary()}"
 
     def to_frame(self) -> Any:
-        """Return one row a parameter as a pandas DataFrame (extra ``io``)."""
-        frame = require("pandas", extra="io").DataFrame([asdict(d) for d in self.differences])
+        """Return one row a parameter as a pandas DataFrame."""
+        import pandas
+
+        frame = pandas.DataFrame([asdict(d) for d in self.differences])
         return frame.set_index("name") if len(frame) else frame
 
     def to_dict(self) -> dict[str, Any]:

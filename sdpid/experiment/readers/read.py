@@ -57,7 +57,7 @@ def read_recording(path: Readable, **how: Any) -> Recording: ...
 def read_recording(path: Any, **how: Any) -> Any:
     """Read a log, or several that were logged in the same way.
 
-    Formats: CSV (also ``.csv.gz``), Parquet, NPZ, MATLAB (``.mat``), HDF5, ROS bags with
+    Formats: CSV (also ``.csv.gz``), Parquet, Feather, NPZ, MATLAB (``.mat``), HDF5, ROS bags with
     ``sensor_msgs/JointState`` (``.db3``, ``.mcap``, ``.bag``, or the folder of a ROS 2 bag),
     folders of text matrices, and data frames of pandas or polars. Nothing is ever unpickled or run.
 

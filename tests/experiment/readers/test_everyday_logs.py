@@ -183,6 +183,25 @@ def test_dates(tmp_path: Path, zone: str, between: str):
     same(read_recording(tmp_path / "log.csv"))
 
 
+@pytest.mark.parametrize("zone", [None, "UTC", "Europe/Rome"])
+@pytest.mark.parametrize("suffix", ["index", "column", ".parquet", ".feather"])
+def test_stamps_with_time_zones(tmp_path: Path, zone: str | None, suffix: str):
+    # Clocks in Rome go forward on this night.
+    stamps = pd.date_range("2024-03-31T00:59:59.9", periods=N, freq="10ms", tz="UTC")
+    stamps = stamps.tz_localize(None) if zone is None else stamps.tz_convert(zone)
+    frame = pd.DataFrame({"q1": Q[:, 0], "q2": Q[:, 1], "tau1": TAU[:, 0], "tau2": TAU[:, 1]})
+    if suffix == "index":
+        frame.index = stamps
+    else:
+        frame["time"] = stamps
+    if not suffix.startswith("."):
+        same(read_recording(frame))
+        return
+    file = tmp_path / f"log{suffix}"
+    (frame.to_parquet if suffix == ".parquet" else frame.to_feather)(file)
+    same(read_recording(file))
+
+
 def test_names_in_a_comment_and_comments_between(tmp_path: Path):
     rows = np.column_stack([T, Q, TAU])
     file = tmp_path / "log.txt"

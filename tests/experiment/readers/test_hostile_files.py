@@ -103,6 +103,11 @@ def write_table(folder: Path, own: bool) -> Path:
     return file
 
 
+def write_feather(folder: Path) -> Path:
+    pd.read_csv(write_csv(folder)).to_feather(folder / "log.feather")
+    return folder / "log.feather"
+
+
 WRITERS = {
     "csv": write_csv,
     "toml": write_toml,
@@ -112,6 +117,7 @@ WRITERS = {
     "mat 5": lambda folder: write_mat(folder, "5"),
     "mat 7": lambda folder: write_mat(folder, "7"),
     "hdf5": write_h5,
+    "feather": write_feather,
     "parquet": lambda folder: write_table(folder, own=False),
     "own parquet": lambda folder: write_table(folder, own=True),
     "db3": lambda folder: write_bag(folder / "bag", "db3", T, Q, DQ, TAU),

@@ -191,7 +191,7 @@ def test_nothing_is_unpickled(tmp_path: Path):
 
 
 def test_csv_errors_name_the_row(tmp_path: Path):
-    with pytest.raises(DataError, match="row 1"):
+    with pytest.raises(DataError, match="line 3: 'q' holds 'oops', not a number"):
         read_recording(csv(tmp_path, "t,q,tau\n0,1,2\n1,oops,2\n"))
     with pytest.raises(DataError, match="first line must name the columns"):
         read_recording(csv(tmp_path, "0,1,2\n1,1,2\n"))

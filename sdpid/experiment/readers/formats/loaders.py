@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from sdpid._common.extras import require
 from sdpid.errors import DataError
 from sdpid.experiment.readers.formats.hdf5 import load_hdf5
 from sdpid.experiment.readers.formats.matlab import load_mat
@@ -84,15 +85,25 @@ def load_frame(frame: Any) -> Table:
         kind = getattr(getattr(index, "dtype", None), "kind", "")
         name = "time" if index.name is None and kind in "Mm" else index.name
         if name is not None:
-            arrays[str(name)] = partial(np.asarray, index)
+            arrays[str(name)] = partial(_frame_column, index, name)
     for name in frame.columns:
-        arrays[str(name)] = partial(_frame_column, frame, name)
+        arrays[str(name)] = partial(_frame_column, frame[name], name)
     return Table(arrays)
 
 
-def _frame_column(frame: Any, name: Any) -> NDArray[Any]:
+def load_feather(path: Path) -> Table:
+    """List the columns of an Arrow or Feather file."""
+    feather = require("pyarrow.feather", extra="io")
+    try:
+        return load_frame(feather.read_table(path).to_pandas())
+    except (*_DAMAGE, ValueError) as cause:
+        raise DataError(f"{path}: not a readable Feather file ({cause}).") from None
+
+
+def _frame_column(column: Any, name: Any) -> NDArray[Any]:
     """Return one column of a data frame."""
-    values = np.asarray(frame[name])
+    zoned = getattr(column.dtype, "tz", None) is not None
+    values = np.asarray(column, "datetime64[ns]" if zoned else None)
     if values.dtype.kind != "O":
         return values
     try:
@@ -110,6 +121,7 @@ LOADERS: dict[str, Callable[..., Table]] = {
     ".csv": load_text,
     ".csv.gz": load_text,
     ".db3": load_rosbag,
+    ".feather": load_feather,
     ".h5": load_hdf5,
     ".hdf5": load_hdf5,
     ".mat": load_mat,
@@ -122,4 +134,4 @@ LOADERS: dict[str, Callable[..., Table]] = {
     ".txt.gz": load_text,
 }
 # Formats whose libraries hang, crash or ask for all memory on some damaged files.
-SANDBOXED = (".bag", ".db3", ".h5", ".hdf5", ".mat", ".mcap")
+SANDBOXED = (".bag", ".db3", ".feather", ".h5", ".hdf5", ".mat", ".mcap")
