@@ -17,13 +17,11 @@ from weakref import WeakKeyDictionary
 import numpy as np
 
 from sdpid._common.arrays import Array, frozen
+from sdpid.estimation.compression.covariance import PRINTED
 from sdpid.estimation.compression.rows import RowSource
 from sdpid.estimation.compression.whitening import whiten_rows
 from sdpid.estimation.problem import Problem
 from sdpid.experiment.drive_gains.gains import DriveGains
-
-# Their cost is the norm of the normal equations' residual, so that these are the rows.
-PRINTED = ("eq9", "eq18")
 
 
 @dataclass(frozen=True, eq=False)
@@ -92,6 +90,7 @@ def _gather(problem: Problem) -> GainErrors:
         )
     exponent = 0.5 * problem.score_exponent
     target = np.sum(problem.rows.map(_targets, exponent, sigma=problem.sigma), axis=0)
+    # The normal equations are themselves the compressed rows of a printed weighting.
     rows = target
     if problem.weighting not in PRINTED:
         T = problem.excitation.root

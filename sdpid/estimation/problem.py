@@ -14,7 +14,7 @@ from sdpid._common.arrays import Array, frozen
 from sdpid._common.tables import facts_html
 from sdpid._common.threads import one_thread
 from sdpid.errors import DataError
-from sdpid.estimation.compression.covariance import WEIGHTINGS, Weighting, pooled
+from sdpid.estimation.compression.covariance import PRINTED, WEIGHTINGS, Weighting, pooled
 from sdpid.estimation.compression.factor import Factor, covariance
 from sdpid.estimation.compression.rows import Rows, RowSource, SamplesElsewhere
 from sdpid.estimation.compression.whitening import with_contact_forces
@@ -265,6 +265,27 @@ class Problem:
             )
         return rows
 
+    def require_plain(self, purpose: str) -> None:
+        """Raise where the cost is not the sum of squares of the measured motion's own rows.
+
+        Raises
+        ------
+        DataError
+            Where it is of normal equations, of weights that a robust loss chose, or of rows that
+            instruments or an iteration made.
+        """
+        if self.weighting in PRINTED:
+            raise DataError(
+                f"{purpose}: the cost of weighting {self.weighting!r} is that of normal equations, "
+                "no sum over rows; build the problem with 'residual', 'gls' or 'gls_per_sample'."
+            )
+        if self.meaning is not None or self.constant:
+            raise DataError(
+                f"{purpose}: the problem is not that of the measured samples "
+                f"({self.meaning or 'its rows are weighted by a robust loss'}); give the one that "
+                "was built of the recording."
+            )
+
     def without_rows(self) -> Problem:
         """Return the same cost and constraints without the rows: what solvers need, to send."""
         return replace(self, rows=None, sigma=frozen(pooled(self.sigma)))
@@ -388,7 +409,7 @@ def build_problem(
         raise DataError(f"weighting is {weighting!r}: use one of {', '.join(WEIGHTINGS)}.")
     if consistency not in CONSISTENCIES:
         raise DataError(f"consistency is {consistency!r}: use one of {', '.join(CONSISTENCIES)}.")
-    if prior is not None and weighting in ("eq9", "eq18"):
+    if prior is not None and weighting in PRINTED:
         raise DataError(
             f"prior: the cost of weighting {weighting!r} is no likelihood, so a strength in nats "
             "has no meaning beside it; use 'residual', 'gls' or 'gls_per_sample', or no prior."
@@ -401,7 +422,7 @@ def build_problem(
     elsewhere = samples if isinstance(samples, SamplesElsewhere) else None
     here = elsewhere.samples if elsewhere else all_samples(robot, samples, processing)
     _check_samples(robot, here)
-    if here.contacts is not None and weighting in ("eq9", "eq18"):
+    if here.contacts is not None and weighting in PRINTED:
         raise DataError(
             f"weighting: {weighting!r} takes powers of covariances, and samples with contacts have "
             "directions without one; use 'residual', 'gls' or 'gls_per_sample'."

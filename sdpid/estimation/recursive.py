@@ -35,8 +35,6 @@ from sdpid.experiment.processing.samples import Samples
 # What Clarabel adds to the diagonal of its linear systems: the first that `solve_sdp` tries.
 _REGULARIZATION = 1e-10
 
-_WEIGHTINGS = ("gls", "gls_per_sample", "residual")
-
 
 class RecursiveEstimator:
     """An estimator that takes samples while the robot works, and is solved at any time.
@@ -58,8 +56,8 @@ class RecursiveEstimator:
     Raises
     ------
     DataError
-        When a number makes no sense, or the weighting is ``eq9`` or ``eq18``, whose costs are not
-        sums over samples.
+        When a number makes no sense, or the problem's cost is no sum over measured samples:
+        weightings ``eq9`` and ``eq18``, robust weights, instruments.
 
     Examples
     --------
@@ -83,11 +81,7 @@ class RecursiveEstimator:
                 f"memory: is {memory} s with forgetting {forgetting}; give one of them, a time "
                 "above zero or a factor a sample."
             )
-        if start.weighting not in _WEIGHTINGS:
-            raise DataError(
-                f"recursive estimation: the cost of weighting {start.weighting!r} is no sum over "
-                f"samples; use one of {', '.join(_WEIGHTINGS)}."
-            )
+        start.require_plain("recursive estimation")
         self.forgetting, self.memory = forgetting, memory
         b = start.base.count
         factor = np.zeros((b + 1, b + 1))

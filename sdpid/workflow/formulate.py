@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from sdpid.errors import DataError
-from sdpid.estimation.compression.covariance import Weighting
+from sdpid.estimation.compression.covariance import PRINTED, Weighting
 from sdpid.estimation.constraints.constraints import Constraints
 from sdpid.estimation.constraints.mass import known_mass
 from sdpid.estimation.effects.kinds import EFFECTS
@@ -33,9 +33,6 @@ from sdpid.robot.model.model import RobotModel
 # Effects beside the friction terms: by the data ("auto"), none ("none"), or by name, in one string
 # too ("tilt,load").
 Effects = str | Iterable[str]
-
-# Their cost is no likelihood, so that a fall of it is no evidence.
-_NO_LIKELIHOOD = ("eq9", "eq18")
 
 
 def names_of_effects(effects: Effects) -> tuple[str, ...] | None:
@@ -161,6 +158,7 @@ def formulate(
     problem = build(given)
     if asked is not None:
         return with_effects(problem, given, asked, build)
-    if chosen in _NO_LIKELIHOOD:
+    if chosen in PRINTED:
+        # No likelihood: a fall of it is no evidence.
         return problem
     return with_chosen_effects(problem, given, prior, build)

@@ -11,6 +11,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+import sdpid
 import sdpid.estimation.compression.rows as rows_module
 from sdpid._common.arrays import Array
 from sdpid.errors import DataError, InfeasibleError, SdpidError
@@ -321,3 +322,11 @@ def test_a_single_condition_needs_no_tuple() -> None:
     assert Constraints(others=[total]).others == (total,)
     with pytest.raises(DataError, match="'mass' among the others is not a Condition"):
         Constraints(others="mass")  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("taken", [sdpid.solve_robust, sdpid.RecursiveEstimator])
+@pytest.mark.parametrize("fields", [{"constant": 1.0}, {"meaning": "a second stage"}])
+def test_costs_of_other_rows_are_refused(taken: Any, fields: dict[str, Any]) -> None:
+    problem = replace(build_problem(ARM, noisy_samples(0)[0]), **fields)
+    with pytest.raises(DataError, match="not that of the measured samples"):
+        taken(problem)

@@ -260,7 +260,7 @@ def test_what_does_not_fit_is_refused_and_changes_nothing() -> None:
     stream.update(measured(count=2, time=np.array([3.0, 3.01])))
     with pytest.raises(DataError, match="goes back"):
         stream.update(measured(count=2, time=np.array([3.0, 3.02])))
-    with pytest.raises(DataError, match="no sum over samples"):
+    with pytest.raises(DataError, match="no sum over rows"):
         RecursiveEstimator(build_problem(ARM, samples, weighting="eq9"))
     per_sample = build_problem(ARM, samples, weighting="gls_per_sample")
     with pytest.raises(DataError, match="no covariance"):

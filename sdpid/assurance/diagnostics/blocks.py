@@ -17,6 +17,7 @@ import numpy as np
 from sdpid._common.arrays import Array, Indices, Mask
 from sdpid._common.threads import one_thread
 from sdpid.errors import SdpidError
+from sdpid.estimation.compression.covariance import PRINTED
 from sdpid.estimation.compression.rows import RowSource
 from sdpid.estimation.compression.triangle import Triangle
 from sdpid.estimation.compression.whitening import whiten_rows, with_contact_forces
@@ -81,7 +82,7 @@ def held_out_blocks(problem: Problem, count: int = BLOCKS) -> tuple[Block, ...]:
         base parameters undetermined.
     """
     rows = problem.rows
-    if not isinstance(rows, RowSource) or problem.weighting in ("eq9", "eq18"):
+    if not isinstance(rows, RowSource) or problem.weighting in PRINTED:
         return ()
     guard = math.ceil(_GUARD * rows.samples.block)
     longest = max(p.stop - p.start for p in rows.samples.parts)

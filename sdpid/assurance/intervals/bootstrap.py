@@ -26,9 +26,10 @@ from sdpid._common.jobs import parallel
 from sdpid._common.seeds import generator
 from sdpid.errors import DataError, SolverError
 from sdpid.estimation.cluster_robust import Groups, ScoreBlocks
+from sdpid.estimation.compression.covariance import PRINTED
 from sdpid.estimation.conic.retry import Retried, solve_with_retries
 from sdpid.estimation.estimate import Estimate
-from sdpid.estimation.gain_errors import PRINTED, GainErrors
+from sdpid.estimation.gain_errors import GainErrors
 from sdpid.estimation.information import information_root, information_rows
 from sdpid.estimation.sdp.reusable import ReusableProgram, program_about
 

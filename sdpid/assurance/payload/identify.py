@@ -24,7 +24,7 @@ from sdpid.assurance.payload.rows import (
     rows_beside_recording,
 )
 from sdpid.errors import DataError, ModelError
-from sdpid.estimation.compression.covariance import Weighting
+from sdpid.estimation.compression.covariance import PRINTED, Weighting
 from sdpid.estimation.estimate import Estimate
 from sdpid.estimation.prior.prior import Prior
 from sdpid.estimation.problem import Problem, build_problem
@@ -355,7 +355,7 @@ def _problems(
     else:
         loaded = built(samples, friction=arm.friction.terms, base=arm.base)
     for problem in (loaded, arm):
-        if problem is not None and problem.weighting in ("eq9", "eq18"):
+        if problem is not None and problem.weighting in PRINTED:
             raise DataError(f"payload: weighting '{problem.weighting}' is no likelihood; use gls.")
     return loaded, arm
 

@@ -21,6 +21,9 @@ from sdpid.estimation.compression.triangle import Triangle
 Weighting = Literal["gls", "gls_per_sample", "eq9", "eq18", "residual"]
 WEIGHTINGS: tuple[Weighting, ...] = ("gls", "gls_per_sample", "eq9", "eq18", "residual")
 
+# Those whose cost is the norm of the normal equations' residual: no sum over rows, no likelihood.
+PRINTED: tuple[Weighting, ...] = ("eq9", "eq18")
+
 # A covariance whose reciprocal condition is below this is singular to working accuracy.
 SINGULAR = 1e-12
 

@@ -9,6 +9,7 @@ import numpy as np
 from sdpid._common.arrays import Array
 from sdpid.estimation.compression.contact_noise import contact_noise
 from sdpid.estimation.compression.covariance import (
+    PRINTED,
     JointRows,
     Weighting,
     pooled,
@@ -52,7 +53,7 @@ class Factor:
                 return cls.of_contacts(rows)
             return cls.of_joints(rows, JointRows.merged(rows.map(JointRows.of)))
         sigma = covariance(rows, weighting)
-        if weighting in ("eq9", "eq18"):
+        if weighting in PRINTED:
             # W^T·Sigma^e·W, as a product of equal factors.
             pairs = rows.map(_normal_equations, -0.25 if weighting == "eq9" else -0.5, sigma=sigma)
             H = np.sum([found for found, _ in pairs], axis=0)

@@ -65,31 +65,15 @@ def require_instrumentable(problem: Problem, purpose: str) -> None:
     ModelError
         When the robot has a floating base.
     DataError
-        When its rows were not kept or are elsewhere, are weighted by a robust loss, or its
-        weighting is no likelihood.
+        When its rows were not kept or are elsewhere, or it is not plain.
     """
-    if problem.weighting in ("eq9", "eq18"):
-        raise DataError(
-            f"{purpose}: weighting {problem.weighting!r} squares the normal equations, which have "
-            "no rows that instruments could stand beside; build the problem with 'gls', "
-            "'gls_per_sample' or 'residual'."
-        )
-    if problem.constant:
-        raise DataError(
-            f"{purpose}: the problem's rows are weighted by a robust loss; give the problem that "
-            "the robust estimate was made of."
-        )
+    problem.require_plain(purpose)
     rows = problem.require_rows_here(purpose)
     require_fixed_robot(problem.robot, purpose)
     if rows.samples.contacts is not None:
         raise DataError(
             f"{purpose}: contacts tie the rows of a sample together, and instruments are made for "
             "single rows; use solve_sdp."
-        )
-    if isinstance(rows, InstrumentalRows):
-        raise DataError(
-            f"{purpose}: the problem has instruments already; give the problem of the measured "
-            "samples."
         )
 
 

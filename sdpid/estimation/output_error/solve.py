@@ -195,17 +195,7 @@ def _check(
     for name, value in (("tolerance", tolerance), ("controller_tolerance", controller_tolerance)):
         if not value > 0.0:
             raise DataError(f"{name} is {value!r}; give a positive share, such as 0.025.")
-    if problem.weighting in ("eq9", "eq18"):
-        raise DataError(
-            f"output error: weighting {problem.weighting!r} has no rows of its own to simulate; "
-            "build the problem with 'residual', 'gls' or 'gls_per_sample'."
-        )
-    if problem.meaning is not None or problem.constant:
-        raise DataError(
-            "output error: the problem is not that of the measured samples "
-            f"({problem.meaning or 'its rows are weighted by a robust loss'}); give the one that "
-            "was built of the recording."
-        )
+    problem.require_plain("output error")
     require_fixed_robot(problem.robot, "output error")
     if method == "closed_loop":
         _require_smooth(problem)

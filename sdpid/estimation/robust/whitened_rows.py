@@ -8,7 +8,6 @@ from functools import cached_property
 import numpy as np
 
 from sdpid._common.arrays import Array, Mask
-from sdpid.errors import DataError
 from sdpid.estimation.compression.covariance import whitener
 from sdpid.estimation.compression.rows import CHUNK
 from sdpid.estimation.compression.triangle import Triangle
@@ -34,11 +33,7 @@ class WhitenedRows:
     """
 
     def __init__(self, problem: Problem) -> None:
-        if problem.weighting in ("eq9", "eq18"):
-            raise DataError(
-                f"a robust cost is a sum over rows; the weighting '{problem.weighting}' is one "
-                "over normal equations. Use 'gls', 'gls_per_sample' or 'residual'."
-            )
+        problem.require_plain("solve_robust")
         self.problem = problem
         self._kept: list[tuple[slice, Array, Mask]] = []
         self.rows = problem.require_rows_here("solve_robust")

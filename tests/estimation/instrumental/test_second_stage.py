@@ -213,7 +213,7 @@ def test_weak_instruments_are_named(problem: Problem, clean: Samples) -> None:
 @pytest.mark.parametrize("weighting", ["eq9", "eq18"])
 def test_problems_without_rows_are_refused(problem: Problem, weighting: str) -> None:
     normal = sdpid.build_problem(ARM, problem.samples, friction=FRICTION, weighting=weighting)
-    with pytest.raises(DataError, match=f"check_bias: weighting '{weighting}' squares"):
+    with pytest.raises(DataError, match=f"check_bias: the cost of weighting '{weighting}'"):
         sdpid.check_bias(normal, instruments=problem.samples)
 
 
@@ -221,7 +221,7 @@ def test_other_problems_are_refused_before_a_solve(problem: Problem, clean: Samp
     with pytest.raises(DataError, match="instruments: the rows of the 1000 samples"):
         require_instrumentable(problem.without_rows(), "instruments")
     second = sdpid.solve_instrumental(problem, instruments=clean)
-    with pytest.raises(DataError, match="has instruments already"):
+    with pytest.raises(DataError, match="not that of the measured samples"):
         sdpid.solve_instrumental(second.problem, instruments=clean)
     with pytest.raises(DataError, match="robust loss"):
         sdpid.solve_instrumental(sdpid.solve_robust(problem).problem, instruments=clean)
