@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -23,6 +23,7 @@ from sdpid.assurance.descriptions.link_shape import Shape
 from sdpid.assurance.descriptions.model_checks import check_copies, check_moving
 from sdpid.errors import ModelError
 from sdpid.robot.description.bodies import DescribedBody, read_urdf_bodies
+from sdpid.robot.description.xacro import expand_xacro
 from sdpid.robot.description.xml import is_mjcf, read_description
 from sdpid.robot.model.geometry import link_points
 
@@ -174,9 +175,14 @@ class UrdfAudit:
 
 
 def audit_urdf(
-    source: str | os.PathLike[str], *, package_dirs: Sequence[str | os.PathLike[str]] = ()
+    source: str | os.PathLike[str],
+    *,
+    package_dirs: Sequence[str | os.PathLike[str]] = (),
+    xacro_args: Mapping[str, str] | None = None,
 ) -> UrdfAudit:
     """Audit the inertias of a URDF, or of an MJCF file, link by link as written.
+
+    Of a xacro file the URDF is audited that it stands for.
 
     Errors are what no body can have, decided in exact arithmetic on the decimals of the file:
     tensors that violate the triangle inequality or are not positive, negative masses, inertia
@@ -190,6 +196,8 @@ def audit_urdf(
         The file, or its text. MJCF is read by MuJoCo (extra ``sim``), without its shapes.
     package_dirs : sequence of paths, optional
         Folders for ``package://`` names, besides the file's own and those above it.
+    xacro_args : mapping, optional
+        Values of the arguments of a xacro file.
 
     Returns
     -------
@@ -209,7 +217,7 @@ def audit_urdf(
     >>> print(audit.describe())
     identified.urdf: 7 links, 0 errors, 0 warnings, 0 notes
     """
-    found = read_description(source)
+    found = expand_xacro(read_description(source), xacro_args)
     text, path, what = found.text, found.path, found.what
     if is_mjcf(text, what):
         from sdpid.robot.description.mjcf_bodies import read_mjcf_bodies

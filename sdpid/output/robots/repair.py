@@ -30,6 +30,7 @@ from sdpid.robot.description.bodies import (
     exact_second_moment,
     read_urdf_bodies,
 )
+from sdpid.robot.description.xacro import expand_xacro
 from sdpid.robot.description.xml import encode_xml, is_mjcf, read_description
 from sdpid.robot.description.xml_edits import Document, Element
 from sdpid.robot.inertia import (
@@ -87,16 +88,20 @@ class RepairReport:
         Links that are wrong and were left so: their mass is negative, or a number is none.
     path : Path or None
         The file, where one was written.
+    expanded : bool
+        Whether the source is xacro: the text is the URDF that it stands for, without macros.
     """
 
     text: str = field(repr=False)
     bodies: tuple[RepairedBody, ...]
     left: tuple[str, ...]
     path: Path | None = None
+    expanded: bool = False
 
     def describe(self) -> str:
         """Return the report in words, one body a line."""
-        lines = [f"{len(self.bodies)} bodies repaired"]
+        where = " in the URDF that the xacro file stands for" if self.expanded else ""
+        lines = [f"{len(self.bodies)} bodies repaired{where}"]
         for body in self.bodies:
             before, after = (
                 " ".join(f"{x:.6g}" for x in m) for m in (body.moments, body.new_moments)
@@ -123,11 +128,15 @@ class RepairReport:
             "path": None if self.path is None else str(self.path),
             "bodies": [asdict(body) for body in self.bodies],
             "left": list(self.left),
+            "expanded": self.expanded,
         }
 
 
 def repair_urdf(
-    source: str | os.PathLike[str], *, target: str | os.PathLike[str] | None = None
+    source: str | os.PathLike[str],
+    *,
+    target: str | os.PathLike[str] | None = None,
+    xacro_args: Mapping[str, str] | None = None,
 ) -> RepairReport:
     """Replace every impossible inertia of a URDF by the nearest possible one.
 
@@ -142,8 +151,9 @@ def repair_urdf(
     * points that are moved by a joint with nothing else fixed to them: the same;
     * inertia without mass, and moving links with no mass at all: a token mass of 1e-6 kg.
 
-    All other bytes stay as they are. Negative masses and numbers that are none are left; they
-    can be had from nothing else in the file.
+    All other bytes stay as they are; of a xacro file, those of the URDF that it stands for.
+    Negative masses and numbers that are none are left; they can be had from nothing else in the
+    file.
 
     Parameters
     ----------
@@ -151,6 +161,8 @@ def repair_urdf(
         The URDF, or its text.
     target : str or path, optional
         File to write, whole or not at all.
+    xacro_args : mapping, optional
+        Values of the arguments of a xacro file.
 
     Returns
     -------
@@ -165,7 +177,8 @@ def repair_urdf(
     CertificateError
         When a repair cannot be proven nearest.
     """
-    found = read_description(source)
+    read = read_description(source)
+    found = expand_xacro(read, xacro_args)
     text, what = found.text, found.what
     if is_mjcf(text, what):
         raise ExportError(f"{what}: only URDF is repaired; correct the MJCF by hand.")
@@ -185,6 +198,7 @@ def repair_urdf(
         bodies=tuple(sorted(repair.done.values(), key=lambda b: order[b.link])),
         left=tuple(repair.left),
         path=None if target is None else Path(target),
+        expanded=found is not read,
     )
 
 

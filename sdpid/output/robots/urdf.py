@@ -32,6 +32,7 @@ from sdpid.output.robots.written_bodies import (
     standard_parameters,
 )
 from sdpid.robot.description.urdf import inertial_values, written_values
+from sdpid.robot.description.xacro import expand_xacro
 from sdpid.robot.description.xml import encode_xml, read_description
 from sdpid.robot.description.xml_edits import Document, Element
 from sdpid.robot.model.base_parameters import generic_states
@@ -217,7 +218,7 @@ def source_text(robot: RobotModel, source: str | os.PathLike[str] | None, what: 
             )
         return robot.urdf
     try:
-        return read_description(source).text
+        return expand_xacro(read_description(source)).text
     except ModelError as cause:
         raise ExportError(f"{what}: {cause}") from None
 

@@ -32,7 +32,7 @@ def is_xacro(found: Description) -> bool:
 
 
 def expand_xacro(found: Description, arguments: Mapping[str, str] | None = None) -> Description:
-    """Return the URDF that a xacro file stands for.
+    """Return the URDF that a xacro file stands for, and any other description as it is.
 
     xacro evaluates expressions of Python; the child process that does so has limits of memory and
     time, but reads and writes files as the user. Packages (``$(find …)``) are found above the
@@ -41,17 +41,21 @@ def expand_xacro(found: Description, arguments: Mapping[str, str] | None = None)
     Parameters
     ----------
     found : Description
-        The xacro.
+        What was read.
     arguments : mapping, optional
         Values of ``<xacro:arg>``.
 
     Raises
     ------
     ModelError
-        When it cannot be expanded.
+        When it cannot be expanded, or there are arguments for what is no xacro file.
     MissingExtraError
         When xacrodoc is not installed.
     """
+    if not is_xacro(found):
+        if arguments is not None:
+            raise ModelError(f"{found.what}: xacro_args are given, and it is no xacro file.")
+        return found
     path = None if found.path is None else str(found.path.resolve())
     values = {str(key): str(value) for key, value in (arguments or {}).items()}
     text = run_in_sandbox(

@@ -15,7 +15,7 @@ from sdpid.robot.description.dh_table import DhTable
 from sdpid.robot.description.loops import add_loops, urdf_closures, urdf_passive
 from sdpid.robot.description.mjcf import pinocchio_from_mjcf
 from sdpid.robot.description.urdf import parse_urdf, pinocchio_from_urdf
-from sdpid.robot.description.xacro import expand_xacro, is_xacro
+from sdpid.robot.description.xacro import expand_xacro
 from sdpid.robot.description.xml import Description, is_mjcf, is_xml, read_description
 from sdpid.robot.model.model import RobotModel
 
@@ -83,10 +83,7 @@ def load_robot(
         gravity = default_gravity
     origin = _origin(source, found, root, xacro_args)
     folder = None if found.path is None else found.path.parent
-    if is_xacro(found):
-        found = expand_xacro(found, xacro_args)
-    elif xacro_args is not None:
-        raise ModelError(f"{found.what}: xacro_args are given, and it is no xacro file.")
+    found = expand_xacro(found, xacro_args)
     if not is_mjcf(found.text, found.what):
         floating = root is not None
         model, mimics = pinocchio_from_urdf(found.text, found.what, floating=floating)

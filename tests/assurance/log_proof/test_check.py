@@ -164,7 +164,9 @@ def test_macros_in_a_folder_are_not_run(
     urdf = results / "identified.urdf"
     macro = '<xacro:property xmlns:xacro="http://ros.org/wiki/xacro" name="a" value="${1 + 1}"/>'
     urdf.write_text(urdf.read_text().replace("</robot>", f"{macro}</robot>"))
-    monkeypatch.setattr("sdpid.robot.model.load.expand_xacro", lambda *_: pytest.fail("was run"))
+    monkeypatch.setattr(
+        "sdpid.robot.description.xacro.run_in_sandbox", lambda *_, **__: pytest.fail("was run")
+    )
     assert states(check_log(results, run / "run.csv"))["robot"] == "not proven"
 
 

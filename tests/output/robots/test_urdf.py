@@ -369,6 +369,18 @@ def test_source_file_keeps_its_encoding(tmp_path: Path, arm: Problem, encoding: 
     assert (tmp_path / "own.urdf").read_bytes() == target.read_bytes()
 
 
+def test_macros_of_the_source_are_expanded(tmp_path: Path, arm: Problem) -> None:
+    pytest.importorskip("xacrodoc", reason="needs the extra xacro")
+    source, target = tmp_path / "arm.xacro", tmp_path / "out.urdf"
+    macro = '<xacro:macro xmlns:xacro="http://ros.org/wiki/xacro" name="a" params=""/>'
+    text = ARM.replace("package://a/b.stl", "b.stl")  # packages are looked up
+    source.write_text(text.replace("</robot>", f"{macro}</robot>"))
+    links = bodies(np.random.default_rng(0), 3)
+    write_urdf(estimate_of(arm, links), target=target, source=source)
+    assert "xacro" not in target.read_text()
+    assert_same_efforts(arm, links, target)
+
+
 def test_refusals(tmp_path: Path, arm: Problem) -> None:
     links = bodies(np.random.default_rng(0), 3)
     good = estimate_of(arm, links)
@@ -387,7 +399,7 @@ def test_refusals(tmp_path: Path, arm: Problem) -> None:
         write_urdf(good, target=target, source=ARM.replace("0 0.1 0", "0 0.2 0"))
     with pytest.raises(ExportError, match=r"cannot read .*absent"):
         write_urdf(good, target=target, source=tmp_path / "absent.urdf")
-    with pytest.raises(ModelError, match="document type"):
+    with pytest.raises(ExportError, match="document type"):
         write_urdf(good, target=target, source=ARM.replace("<!-- an", "<!DOCTYPE r><!-- an"))
     with pytest.raises(ModelError, match="link 'tool': value of <mass>"):
         write_urdf(good, target=target, source=ARM.replace('value="0.2"', 'value="heavy"'))

@@ -8,8 +8,11 @@ from types import ModuleType
 
 import pytest
 
+from sdpid.assurance.descriptions.audit import audit_urdf
 from sdpid.errors import ModelError
+from sdpid.output.robots.repair import repair_urdf
 from sdpid.robot.model.load import load_robot
+from tests.helpers.descriptions import chain
 from tests.helpers.robots import TREE
 
 pytest.importorskip("xacrodoc")
@@ -61,6 +64,25 @@ def test_what_cannot_be_expanded_is_refused(package: Path, monkeypatch: pytest.M
         load_robot(package / "loop.xacro")
     with pytest.raises(ModelError, match="no xacro file"):
         load_robot(TREE, xacro_args={"tool": "drill"})
+
+
+BODIES = """<robot name="a" xmlns:xacro="http://ros.org/wiki/xacro">
+<xacro:arg name="m" default="3"/><xacro:macro name="body" params="mass moment">
+<inertial><mass value="${mass}"/>
+<inertia ixx="1" iyy="1" izz="${moment}" ixy="0" ixz="0" iyz="0"/></inertial></xacro:macro>"""
+
+
+def test_what_macros_make_is_audited_and_repaired(tmp_path: Path) -> None:
+    path, out, arguments = tmp_path / "arm.xacro", tmp_path / "arm.urdf", {"m": "-3"}
+    links = ('<xacro:body mass="$(arg m)" moment="1"/>', '<xacro:body mass="2" moment="3"/>')
+    path.write_text(BODIES + chain(*links).partition('name="chain">')[2])
+    found = {each.link: each.kind for each in audit_urdf(path, xacro_args=arguments).errors}
+    assert found == {"link1": "negative_mass", "link2": "triangle"}
+    report = repair_urdf(path, target=out, xacro_args=arguments)
+    assert report.left == ("link1",)
+    assert "1 bodies repaired in the URDF that the xacro file stands for" in report.describe()
+    assert "xacro" not in out.read_text()
+    assert [each.link for each in audit_urdf(out).errors] == ["link1"]
 
 
 def test_names_of_robot_descriptions(
