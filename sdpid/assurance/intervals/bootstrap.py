@@ -15,7 +15,7 @@ scatters to one side only.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import chain
 from typing import Literal
 
@@ -31,7 +31,9 @@ from sdpid.estimation.conic.retry import Retried, solve_with_retries
 from sdpid.estimation.estimate import Estimate
 from sdpid.estimation.gain_errors import GainErrors
 from sdpid.estimation.information import information_root, information_rows
+from sdpid.estimation.problem import Problem
 from sdpid.estimation.sdp.reusable import ReusableProgram, program_about
+from sdpid.estimation.sdp.solve import solve_sdp
 
 Kind = Literal["percentile", "basic"]
 KINDS: tuple[Kind, ...] = ("percentile", "basic")
@@ -251,54 +253,56 @@ class Refit:
 
     Attributes
     ----------
-    printed : bool
-        Whether the cost is the norm of the normal equations' residual itself.
+    problem : Problem
+        Without its rows. Data are given in the coordinates of its excitation (see `ScoreBlocks`).
     programs : tuple of ReusableProgram
         What is solved: with the bounds that any data need, then with all of them; nothing where
         there is a closed form.
-    inverse : ndarray, shape (r, b)
-        Coordinates of base parameters, in which the data are given (see `ScoreBlocks`).
     """
 
-    inverse: Array
-    printed: bool
+    problem: Problem
     programs: tuple[ReusableProgram, ...]
 
     @classmethod
     def of(cls, estimate: Estimate) -> Refit:
         """Put the programs into solver form once."""
-        problem = estimate.problem
-        inverse, printed = problem.excitation.inverse, problem.weighting in PRINTED
+        problem = estimate.problem.without_rows()
         if estimate.method == "wls" or estimate.theta is None:
-            return cls(inverse, printed, ())
+            return cls(problem, ())
         theta, few = np.array(estimate.theta), problem.feasible.bounded
         programs = [
             program_about(problem, theta, estimate.cost, included)
             for included in (few, np.ones_like(few))
         ]
-        return cls(inverse, printed, tuple(ReusableProgram.of(program) for program in programs))
+        return cls(problem, tuple(ReusableProgram.of(program) for program in programs))
 
     def solve(self, information: Array, target: Array) -> tuple[Array | None, float]:
-        """Return the base parameters (b,) of some data, None without a solution, and seconds."""
-        if self.printed:
-            A, rhs = self.inverse.T @ information @ self.inverse, self.inverse.T @ target
+        """Return the base parameters (b,) of some data, None without a solution, and seconds.
+
+        Where both programs end short of a solution the problem is solved from scratch.
+        """
+        inverse, seconds = self.problem.excitation.inverse, 0.0
+        if self.problem.weighting in PRINTED:
+            A, rhs = inverse.T @ information @ inverse, inverse.T @ target
         else:
             X = information_rows(information)
             root = information_root(X)
-            A, rhs = X @ self.inverse, X @ root @ (root.T @ target)
+            A, rhs = X @ inverse, X @ root @ (root.T @ target)
         if not self.programs:
             root = information_root(A)
             seen = root.shape[1] == A.shape[1]
             return root @ ((A @ root).T @ rhs) if seen else None, 0.0
-        seconds = 0.0
         for program in self.programs:
             found = _solved(program, A, rhs)
             seconds += found.seconds
-            if found.value is None or not found.accepted:
-                continue
-            if np.all(program.inside(program.coordinates.theta(found.value))):
-                return np.asarray(program.origin + program.base @ found.value), seconds
-        return None, seconds
+            x = found.value if found.accepted else None
+            if x is not None and np.all(program.inside(program.coordinates.theta(x))):
+                return np.asarray(program.origin + program.base @ x), seconds
+        try:
+            again = solve_sdp(replace(self.problem, A=frozen(A), rhs=frozen(rhs)))
+        except SolverError:
+            return None, seconds
+        return again.base, seconds + again.solve_time
 
 
 def _solved(program: ReusableProgram, A: Array, rhs: Array) -> Retried[Array]:

@@ -9,10 +9,11 @@ import numpy as np
 import pytest
 
 import sdpid
+from sdpid.assurance.intervals import bootstrap
 from sdpid.assurance.intervals.bootstrap import Refit, resample
 from sdpid.errors import DataError
 from sdpid.estimation.cluster_robust import ScoreBlocks
-from sdpid.estimation.problem import build_problem
+from sdpid.estimation.problem import Problem, build_problem
 from tests.helpers.arm import ARM, LIGHT, arm_problem
 from tests.helpers.data import make_samples, random_theta
 
@@ -129,24 +130,26 @@ def test_too_few_draws_and_unknown_kinds_are_refused() -> None:
         )
 
 
-def test_bounds_that_are_left_out_at_first_change_no_draw() -> None:
+@pytest.mark.parametrize("accurate", [1e-8, 0.0])
+def test_draws_that_the_quick_programs_leave_are_solved_from_scratch(
+    accurate: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(bootstrap, "_ACCURATE", accurate)
+    anew: list[Problem] = []
+    monkeypatch.setattr(bootstrap, "solve_sdp", lambda p: anew.append(p) or sdpid.solve_sdp(p))
     estimate = sdpid.solve_sdp(arm_problem(LIGHT))
-    blocks = ScoreBlocks.of(estimate.problem)
+    blocks, again = ScoreBlocks.of(estimate.problem), Refit.of(estimate)
     rng = np.random.default_rng(8)
-    again = Refit.of(estimate)
-    boxed = replace(again, programs=again.programs[1:])
-    overstepped = 0
     for _ in range(20):
         drawn = rng.integers(0, blocks.count, blocks.count)
         times = np.bincount(drawn, minlength=blocks.count).astype(float)
-        data = np.tensordot(times, blocks.information, 1), times @ blocks.target
-        (found, first), (expected, second) = again.solve(*data), boxed.solve(*data)
+        H, c = np.tensordot(times, blocks.information, 1), times @ blocks.target
+        root = np.linalg.cholesky(H)
+        A = root.T @ estimate.problem.excitation.inverse
+        problem = replace(estimate.problem, A=A, rhs=np.linalg.solve(root, c))
+        expected = sdpid.solve_sdp(problem).base
+        found, seconds = again.solve(H, c)
         assert found is not None
-        assert expected is not None
         np.testing.assert_allclose(found, expected, atol=1e-5 * np.abs(expected).max())
-        assert first > 0.0
-        assert second > 0.0
-        alone = replace(again, programs=again.programs[:1]).solve(*data)[0]
-        overstepped += alone is None
-    # Draws whose moments go beyond theta_max are among them, and draws whose do not.
-    assert 0 < overstepped < 20
+        assert seconds > 0.0
+    assert len(anew) == (20 if accurate == 0.0 else 0)
