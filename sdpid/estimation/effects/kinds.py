@@ -1,15 +1,13 @@
 """The effects beside a robot's friction terms that the data may choose.
 
-Each is a small object: its term, whose parameters are the tail of theta and hold its belief (their
-deviation), its rule, and its words. `sdpid.estimation.selection` tries them.
+Each is a row of a table: its term, whose parameters are the tail of theta and hold its belief
+(their deviation), its rule, and its words. `sdpid.estimation.selection` tries them.
 """
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import ClassVar
 
 import numpy as np
 
@@ -23,7 +21,13 @@ from sdpid.robot.model.model import RobotModel
 _SEEN = 5.0
 
 
-class Effect(ABC):
+def _says_nothing(parameters: Mapping[str, float]) -> str:
+    """Return no words."""
+    return ""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Effect:
     """An effect that may be added to a model.
 
     Attributes
@@ -38,163 +42,77 @@ class Effect(ABC):
         What it says of the robot where it is chosen.
     kind : type
         Of its term.
+    made : callable
+        From a robot and its other terms to the term, or None where it has no place among them.
     place : str
         What a robot must have for it to have a place.
     beside : str or None
         Name of an effect that it is never without.
     bends_friction : bool
         Whether friction speeds that were chosen without it are chosen again with it.
+    size : callable
+        From its parameters by name to words how large it is; empty where that says little.
+    doubt : callable
+        From its parameters by name to words why that size is not believed; empty if it is.
     """
 
-    name: ClassVar[str]
-    title: ClassVar[str]
-    least_fall: ClassVar[float]
-    meaning: ClassVar[str]
-    kind: ClassVar[type[FrictionTerm]]
-    place: ClassVar[str] = "joints"
-    beside: ClassVar[str | None] = None
-    bends_friction: ClassVar[bool] = False
-
-    @abstractmethod
-    def term(self, robot: RobotModel, terms: Sequence[FrictionTerm]) -> FrictionTerm | None:
-        """Return the term to be added to others, or None where it has no place among them."""
+    name: str
+    title: str
+    least_fall: float
+    meaning: str
+    kind: type[FrictionTerm]
+    made: Callable[[RobotModel, Sequence[FrictionTerm]], FrictionTerm | None]
+    place: str = "joints"
+    beside: str | None = None
+    bends_friction: bool = False
+    size: Callable[[Mapping[str, float]], str] = _says_nothing
+    doubt: Callable[[Mapping[str, float]], str] = _says_nothing
 
     def held(self, terms: Sequence[FrictionTerm]) -> bool:
         """Whether terms hold it already."""
         return any(isinstance(term, self.kind) for term in terms)
 
-    def size(self, parameters: Mapping[str, float]) -> str:
-        """Return in words how large the estimated effect is; empty where that says little."""
+    def term(self, robot: RobotModel, terms: Sequence[FrictionTerm]) -> FrictionTerm | None:
+        """Return the term to be added to others, or None where it has no place among them."""
+        return None if self.held(terms) else self.made(robot, terms)
+
+
+def _angles(parameters: Mapping[str, float]) -> tuple[float, float]:
+    """Return the two angles of gravity in degrees."""
+    return float(np.degrees(parameters["Gx"])), float(np.degrees(parameters["Gy"]))
+
+
+def _size_of_tilt(parameters: Mapping[str, float]) -> str:
+    x, y = _angles(parameters)
+    return f"gravity is turned by {x:.2f}° about x and {y:.2f}° about y"
+
+
+def _doubt_of_tilt(parameters: Mapping[str, float]) -> str:
+    """Doubt angles that anybody would see."""
+    angle = float(np.hypot(*_angles(parameters)))
+    if angle <= _SEEN:
         return ""
-
-    def doubt(self, parameters: Mapping[str, float]) -> str:
-        """Return in words why an effect of the estimated size is not believed, empty if it is."""
-        return ""
-
-
-@dataclass(frozen=True)
-class TiltedBase(Effect):
-    """Gravity that is not quite where the description says."""
-
-    name: ClassVar[str] = "tilt"
-    title: ClassVar[str] = "a tilted base"
-    # 17 and 33 % for a tilt of 1.2 degrees on one arm. Falls of 2 and 3 %, for 0.2 and 0.3 degrees
-    # in the first 60 % of two arms' records, are 1.3 and 3.1 % in the whole of these records, with
-    # probabilities by chance of 0.020 and 0.015: more than is allowed.
-    least_fall: ClassVar[float] = 0.04
-    meaning: ClassVar[str] = "the base does not stand as described"
-    kind: ClassVar[type[FrictionTerm]] = Tilt
-    place: ClassVar[str] = "gravity and a base that does not float"
-
-    def term(self, robot: RobotModel, terms: Sequence[FrictionTerm]) -> FrictionTerm | None:
-        """Return the two angles of gravity."""
-        if robot.free_flyer or not np.any(robot.gravity) or self.held(terms):
-            return None
-        return Tilt()
-
-    def size(self, parameters: Mapping[str, float]) -> str:
-        """Return both angles in degrees."""
-        x, y = (np.degrees(parameters[name]) for name in ("Gx", "Gy"))
-        return f"gravity is turned by {x:.2f}° about x and {y:.2f}° about y"
-
-    def doubt(self, parameters: Mapping[str, float]) -> str:
-        """Doubt angles that anybody would see."""
-        angle = float(np.degrees(np.hypot(parameters["Gx"], parameters["Gy"])))
-        if angle <= _SEEN:
-            return ""
-        return (
-            f"at {angle:.1f}° it would be seen, so something else is wrong; if the base does stand "
-            "like that, say so (load_robot(gravity=...))"
-        )
+    return (
+        f"at {angle:.1f}° it would be seen, so something else is wrong; if the base does stand "
+        "like that, say so (load_robot(gravity=...))"
+    )
 
 
-@dataclass(frozen=True)
-class FrictionOfLoad(Effect):
-    """Coulomb friction that grows with the load of the gears."""
-
-    name: ClassVar[str] = "load"
-    title: ClassVar[str] = "friction of the load"
-    # 7 to 33 % on arms whose effort is a current, where it lowers held-out errors by a tenth to a
-    # third; at most 3 % on others.
-    least_fall: ClassVar[float] = 0.04
-    meaning: ClassVar[str] = "gears rub more where they carry more"
-    kind: ClassVar[type[FrictionTerm]] = LoadFriction
-    place: ClassVar[str] = "a base that does not float"
-
-    def term(self, robot: RobotModel, terms: Sequence[FrictionTerm]) -> FrictionTerm | None:
-        """Return friction in proportion to the links' efforts, with the Coulomb term's sign."""
-        if robot.free_flyer or self.held(terms):
-            return None
-        return LoadFriction(width=_width_of_sign(terms))
-
-    def size(self, parameters: Mapping[str, float]) -> str:
-        """Return the range of the joints' shares."""
-        shares = [100.0 * x for name, x in parameters.items() if name.startswith("Fl")]
-        return f"{min(shares):.1f} to {max(shares):.1f} % of the load"
+def _size_of_load(parameters: Mapping[str, float]) -> str:
+    shares = [100.0 * x for name, x in parameters.items() if name.startswith("Fl")]
+    return f"{min(shares):.1f} to {max(shares):.1f} % of the load"
 
 
-@dataclass(frozen=True)
-class RotorsInertia(Effect):
-    """Inertia of the motors' rotors, felt where the effort is measured at the motor."""
-
-    name: ClassVar[str] = "rotor_inertia"
-    title: ClassVar[str] = "rotor inertia"
-    # 61 to 83 % on arms whose effort is a current, 25 % at most on others, where it can double the
-    # held-out error: inertia that moves with a joint is what every description has wrong.
-    least_fall: ClassVar[float] = 0.45
-    meaning: ClassVar[str] = "efforts are on the motor side"
-    kind: ClassVar[type[FrictionTerm]] = RotorInertia
-
-    def term(self, robot: RobotModel, terms: Sequence[FrictionTerm]) -> FrictionTerm | None:
-        """Return an inertia a joint."""
-        return None if self.held(terms) else RotorInertia()
-
-
-@dataclass(frozen=True)
-class CoupledWrist(Effect):
-    """One motor that turns the last two joints together."""
-
-    name: ClassVar[str] = "coupling"
-    title: ClassVar[str] = "a coupled wrist"
-    # 13 and 74 % on the one arm with a coupled wrist, 0.1 % on others.
-    least_fall: ClassVar[float] = 0.05
-    meaning: ClassVar[str] = "one motor turns the last two joints together"
-    kind: ClassVar[type[FrictionTerm]] = Coupling
-    place: ClassVar[str] = "two joints or more"
-    # What the motor adds to both joints cannot be told from what it adds to each without that.
-    beside: ClassVar[str | None] = RotorsInertia.name
-
-    def term(self, robot: RobotModel, terms: Sequence[FrictionTerm]) -> FrictionTerm | None:
-        """Return the coupling of the last two joints."""
-        names = robot.joint_names[robot.n_base :]
-        rotors = any(isinstance(term, RotorInertia) for term in terms)
-        # The last two joints of a robot on legs are no wrist.
-        if len(names) < 2 or robot.free_flyer or self.held(terms) or not rotors:
-            return None
-        width = _width_of_sign(terms)
-        # A motor that turns two joints has one width, not one a joint.
-        one = width if isinstance(width, float) else 0.0
-        return Coupling(names[-2], names[-1], width=one)
-
-
-@dataclass(frozen=True)
-class FallingFriction(Effect):
-    """Friction that falls with speed before it rises (Stribeck)."""
-
-    name: ClassVar[str] = "falling"
-    title: ClassVar[str] = "falling friction"
-    # 50 to 99 % on simulated arms with a peak of half the Coulomb friction; at most 6 % on real
-    # arms, of which one predicts a tenth worse with it.
-    least_fall: ClassVar[float] = 0.35
-    meaning: ClassVar[str] = "friction falls with speed at first"
-    kind: ClassVar[type[FrictionTerm]] = Stribeck
-    bends_friction: ClassVar[bool] = True
-
-    def term(self, robot: RobotModel, terms: Sequence[FrictionTerm]) -> FrictionTerm | None:
-        """Return a peak of friction about standstill, whose speed the data choose."""
-        if self.held(terms):
-            return None
-        return Stribeck(width=_width_of_sign(terms))
+def _coupling(robot: RobotModel, terms: Sequence[FrictionTerm]) -> FrictionTerm | None:
+    """Return the coupling of the last two joints."""
+    names = robot.joint_names[robot.n_base :]
+    rotors = any(isinstance(term, RotorInertia) for term in terms)
+    # The last two joints of a robot on legs are no wrist.
+    if len(names) < 2 or robot.free_flyer or not rotors:
+        return None
+    width = _width_of_sign(terms)
+    # A motor that turns two joints has one width, not one a joint.
+    return Coupling(names[-2], names[-1], width=width if isinstance(width, float) else 0.0)
 
 
 def _width_of_sign(terms: Sequence[FrictionTerm]) -> float | tuple[float, ...]:
@@ -204,11 +122,72 @@ def _width_of_sign(terms: Sequence[FrictionTerm]) -> float | tuple[float, ...]:
 
 
 EFFECTS: tuple[Effect, ...] = (
-    TiltedBase(),
-    FrictionOfLoad(),
-    RotorsInertia(),
-    CoupledWrist(),
-    FallingFriction(),
+    # Gravity that is not quite where the description says.
+    Effect(
+        name="tilt",
+        title="a tilted base",
+        # 17 and 33 % for a tilt of 1.2 degrees on one arm. Falls of 2 and 3 %, for 0.2 and 0.3
+        # degrees in the first 60 % of two arms' records, are 1.3 and 3.1 % in the whole of these
+        # records, with probabilities by chance of 0.020 and 0.015: more than is allowed.
+        least_fall=0.04,
+        meaning="the base does not stand as described",
+        kind=Tilt,
+        made=lambda robot, _: None if robot.free_flyer or not np.any(robot.gravity) else Tilt(),
+        place="gravity and a base that does not float",
+        size=_size_of_tilt,
+        doubt=_doubt_of_tilt,
+    ),
+    # Coulomb friction that grows with the load of the gears.
+    Effect(
+        name="load",
+        title="friction of the load",
+        # 7 to 33 % on arms whose effort is a current, where it lowers held-out errors by a tenth
+        # to a third; at most 3 % on others.
+        least_fall=0.04,
+        meaning="gears rub more where they carry more",
+        kind=LoadFriction,
+        made=lambda robot, terms: (
+            None if robot.free_flyer else LoadFriction(width=_width_of_sign(terms))
+        ),
+        place="a base that does not float",
+        size=_size_of_load,
+    ),
+    # Inertia of the motors' rotors, felt where the effort is measured at the motor.
+    Effect(
+        name="rotor_inertia",
+        title="rotor inertia",
+        # 61 to 83 % on arms whose effort is a current, 25 % at most on others, where it can double
+        # the held-out error: inertia that moves with a joint is what every description has wrong.
+        least_fall=0.45,
+        meaning="efforts are on the motor side",
+        kind=RotorInertia,
+        made=lambda *_: RotorInertia(),
+    ),
+    # One motor that turns the last two joints together.
+    Effect(
+        name="coupling",
+        title="a coupled wrist",
+        # 13 and 74 % on the one arm with a coupled wrist, 0.1 % on others.
+        least_fall=0.05,
+        meaning="one motor turns the last two joints together",
+        kind=Coupling,
+        made=_coupling,
+        place="two joints or more",
+        # What the motor adds to both joints cannot be told from what it adds to each without that.
+        beside="rotor_inertia",
+    ),
+    # Friction that falls with speed before it rises (Stribeck); the data choose the speed.
+    Effect(
+        name="falling",
+        title="falling friction",
+        # 50 to 99 % on simulated arms with a peak of half the Coulomb friction; at most 6 % on
+        # real arms, of which one predicts a tenth worse with it.
+        least_fall=0.35,
+        meaning="friction falls with speed at first",
+        kind=Stribeck,
+        made=lambda _, terms: Stribeck(width=_width_of_sign(terms)),
+        bends_friction=True,
+    ),
 )
 
 

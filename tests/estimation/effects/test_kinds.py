@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from sdpid.estimation.effects.kinds import EFFECTS, FrictionOfLoad, at_estimate
+from sdpid.estimation.effects.kinds import EFFECTS, at_estimate
 from sdpid.robot.friction.posed import LoadFriction, Tilt
 from sdpid.robot.friction.terms import Coulomb, RotorInertia, SigmoidFriction, Viscous
 from tests.helpers.data import random_links
@@ -19,7 +19,7 @@ TERMS = (Coulomb(width=0.005), SigmoidFriction((0.1, 0.4)), Viscous())
 
 def test_the_load_rubs_where_the_joint_does() -> None:
     friction = {"Fs1": 3.0, "Fs2": 0.0, "Fsg1": 1.0, "Fsg2": 2.0, "Fv1": 1.0, "Fv2": 1.0}
-    term = FrictionOfLoad().term(ARM, TERMS)
+    term = next(each for each in EFFECTS if each.name == "load").term(ARM, TERMS)
     assert term == LoadFriction(width=0.005)
     assert at_estimate(term, LINKS, friction, TERMS) == LoadFriction(
         BODIES, width=0.005, share=(0.25, 1.0), velocity=(0.1, 0.4)

@@ -10,7 +10,7 @@ import pytest
 from sdpid._common.arrays import Array
 from sdpid.errors import DataError, SolverError
 from sdpid.estimation.compression.covariance import residual_covariance
-from sdpid.estimation.effects.kinds import EFFECTS, TiltedBase
+from sdpid.estimation.effects.kinds import EFFECTS
 from sdpid.estimation.estimate import Estimate
 from sdpid.estimation.prior.prior import Prior
 from sdpid.estimation.problem import Problem, build_problem, describe
@@ -112,7 +112,7 @@ def test_records_too_short_to_tell_choose_nothing() -> None:
 
 
 def test_a_tilt_that_would_be_seen_is_doubted() -> None:
-    effect = TiltedBase()
+    (effect,) = [each for each in EFFECTS if each.name == "tilt"]
     assert not effect.doubt({"Gx": np.radians(3.0), "Gy": 0.0})
     assert "load_robot(gravity" in effect.doubt({"Gx": np.radians(6.0), "Gy": 0.0})
     # And is not chosen, however much it explains.
