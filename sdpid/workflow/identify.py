@@ -113,6 +113,7 @@ def identify(
     without_effort : iterable of str, optional
         Joints whose effort was not measured, or is wrong. Only their motion is used; their
         friction comes from the prior, which is zero, and the verdict says that it is unknown.
+        Those whose effort the inspection finds to say nothing are among them, unless accepted.
     accept : str or iterable of str, optional
         Kinds of findings that make a recording worthless in general, but are as they should be
         here, such as ``"effort_sign"`` (see `inspect_recording`).

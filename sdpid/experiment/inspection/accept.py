@@ -8,9 +8,10 @@ from difflib import get_close_matches
 from sdpid.errors import DataError
 from sdpid.experiment.inspection.finding import Finding
 
-__all__ = ["REFUSED", "kinds_accepted", "require_accepted"]
+__all__ = ["REFUSED", "joints_left_out", "kinds_accepted", "require_accepted"]
 
-# Kinds of findings that may be of severity 'refuse', and that one may overrule. Any other that is
+# Kinds of findings that may be of severity 'refuse', or leave out a joint's effort, and that one
+# may overrule. Any other that is
 # refused stands in the way of processing the log as well, whatever is accepted.
 REFUSED = (
     "axis_sign",
@@ -20,6 +21,8 @@ REFUSED = (
     "effort_order",
     "effort_scale",
     "effort_sign",
+    "effort_silent",
+    "effort_small",
     "forces_missing",
     "gravity_direction",
     "joint_order",
@@ -30,6 +33,8 @@ REFUSED = (
     "position_zero",
     "time_unit",
 )
+# Those that leave out a joint's effort, unless they are accepted.
+_LEAVE_OUT = ("effort_silent", "effort_small")
 
 
 def kinds_accepted(accept: str | Iterable[str]) -> tuple[str, ...]:
@@ -55,6 +60,12 @@ def kinds_accepted(accept: str | Iterable[str]) -> tuple[str, ...]:
                 f"{', '.join(REFUSED)}."
             )
     return kinds
+
+
+def joints_left_out(findings: Iterable[Finding], accept: Iterable[str] = ()) -> tuple[str, ...]:
+    """Return the joints whose effort is left out, for findings that are not accepted."""
+    kinds = set(_LEAVE_OUT) - set(accept)
+    return tuple(dict.fromkeys(f.joint for f in findings if f.joint and f.kind in kinds))
 
 
 def require_accepted(findings: Sequence[Finding], accept: str | Iterable[str] = ()) -> None:

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
+from dataclasses import replace
 
 import numpy as np
 
 from sdpid.experiment.inspection.corrections import CorrectedLog, Correction, Step
 from sdpid.experiment.inspection.dynamics import described, misfit, placeholders
+from sdpid.experiment.inspection.effort_checks import left_out
 from sdpid.experiment.inspection.finding import Finding, Severity, Subject, check
 
 # Efforts beyond this many times the description's, either way, are in another unit: of six real
@@ -29,6 +31,41 @@ _UNLIKE = 0.6
 # Springs and actuators that are named.
 _NAMED = 3
 _CARRIES = 0.05
+
+
+def of_another_size(subject: Subject) -> Iterator[Finding]:
+    """Find joints whose effort is far below what the description's bodies need, mean included.
+
+    Such efforts need not follow the motion: a lift carries its load at a steady force. Not told
+    where half of the joints are such, where a joint's scale is known, or where what makes the
+    efforts follow from the motion makes them large enough.
+    """
+    log, rows = subject.corrected, subject.low_passed
+    if log is None or rows is None or subject.robot is None or placeholders(log.robot):
+        return
+    given = replace(log, rows=rows, gravity=subject.robot.gravity)
+    need, has = (np.sqrt(np.mean(each**2, axis=0)) for each in (given.rigid, rows.effort))
+    small = rows.usable & (need > _SCALE * has)
+    if not small.any() or 2 * small.sum() >= rows.usable.sum():
+        return
+    mended = np.mean(log.rigid**2, axis=0) <= _SCALE**2 * np.mean(log.rows.effort**2, axis=0)
+    told = {finding.joint for finding in scales(subject)}
+    for j in np.flatnonzero(small & ~mended):
+        name, unit = log.joint_names[j], "N" if log.robot.slides[j] else "N.m"
+        if told & {name, None}:
+            continue
+        yield Finding(
+            severity="warning",
+            kind="effort_small",
+            joint=name,
+            message=(
+                f"effort of {name} is {has[j]:.3g} {unit} (rms), and the description's bodies need "
+                f"{need[j]:.3g} {unit}, {need[j] / has[j]:.3g} times as much (limit {_SCALE:g}): "
+                "another unit, a counterweight or a spring"
+            ),
+            remedy=left_out("effort_small"),
+            numbers={"effort": has[j], "needed": need[j], "limit": _SCALE},
+        )
 
 
 @check

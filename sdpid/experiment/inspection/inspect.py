@@ -271,12 +271,17 @@ def _looked_at(
     subject = Subject(
         log=log, robot=fixed, without=without, floating=floating, total_mass=total_mass
     )
+    left_out = [*effort_checks.silent(subject)]
+    subject = replace(subject, without=without | {f.joint for f in left_out if f.joint})
     for each in CHECKS:
         if each not in _DROWNED:
             findings += each(subject)
     refused = {finding.kind for finding in findings if finding.severity == "refuse"}
     kinds = {finding.kind for finding in findings}
     if not (refused & set(_DROWNS) or kinds & set(_BEFORE_EFFORTS)):
+        small = [*dynamics_checks.of_another_size(subject)]
+        subject = replace(subject, without=subject.without | {f.joint for f in small if f.joint})
+        left_out += small
         for each in _DROWNED:
             findings += each(subject)
     if "position_in_degrees" in {finding.kind for finding in findings}:
@@ -297,7 +302,9 @@ def _looked_at(
     # Told by what stands still already, it is told once.
     findings = [finding for finding in findings if finding not in exchanged[1:]]
     findings = _without_repeats(findings)
-    kept = (f for f in findings if not (f.kind.startswith("effort") and f.joint in without))
+    known = subject.without
+    kept = [f for f in findings if not (f.kind.startswith("effort") and f.joint in known)]
+    kept += [f for f in left_out if f.joint not in without]
     ranks = ("refuse", "warning", "note")
     return subject, tuple(sorted(kept, key=lambda finding: ranks.index(finding.severity)))
 

@@ -8,7 +8,11 @@ from dataclasses import dataclass, replace
 from typing import Any, TypeAlias
 
 from sdpid.errors import DataError
-from sdpid.experiment.inspection.accept import kinds_accepted, require_accepted
+from sdpid.experiment.inspection.accept import (
+    joints_left_out,
+    kinds_accepted,
+    require_accepted,
+)
 from sdpid.experiment.inspection.finding import Finding
 from sdpid.experiment.inspection.inspect import inspect_recordings
 from sdpid.experiment.preparation.delays import with_delays
@@ -267,6 +271,7 @@ def prepare_recordings(
         require_torques(log)
         require_its_base(robot, log)
     findings = () if accept is None else inspected(robot, read, accept, without, name, total_mass)
+    without = tuple(dict.fromkeys((*without, *joints_left_out(findings, accept or ()))))
     chosen, why = chosen_processing(read, processing)
     if not isinstance(processing, Processing) and not without:
         chosen = with_delays(robot, read, chosen, processing)

@@ -18,6 +18,7 @@ from sdpid.experiment.inspection.dynamics_checks import OF_FLAGS
 from sdpid.experiment.inspection.finding import Finding
 from sdpid.experiment.inspection.inspect import inspect_recording, inspect_recordings
 from sdpid.experiment.inspection.time_checks import _read_as_seconds
+from sdpid.experiment.preparation.several import prepare_recordings
 from sdpid.experiment.recording.recording import Recording
 
 RATE = 100.0
@@ -275,6 +276,40 @@ def test_descriptions_without_masses_or_made_up_do_not_refuse(
     findings = inspect_recording(wrong, replace(robot, prior=alike)).findings
     assert "effort_scale" in {f.kind for f in findings}
     assert all(f.severity != "refuse" for f in findings if f.kind == "effort_scale")
+
+
+def dead_band(effort: np.ndarray) -> np.ndarray:
+    """Return efforts of which small ones, most of them, are zero."""
+    return np.where(np.abs(effort) < np.quantile(np.abs(effort), 0.85), 0.0, effort)
+
+
+def current(effort: np.ndarray) -> np.ndarray:
+    """Return currents of an unknown unit that say little but that the motor holds something."""
+    slow = np.cumsum(np.random.default_rng(0).standard_normal(len(effort)))
+    return 1.0 + 0.1 * slow / slow.std()
+
+
+@pytest.mark.parametrize(
+    ("joint", "change", "kind", "words"),
+    [
+        (4, dead_band, "effort_silent", "% of the rows in which it moves (limit 50 %)"),
+        (1, current, "effort_small", "times as much (limit 5): another unit, a counterweight"),
+    ],
+)
+def test_an_effort_that_says_nothing_is_left_out_and_accuses_no_other(
+    log: Recording, robot: sdpid.RobotModel, joint: int, change: Callable, kind: str, words: str
+):
+    effort, name = log.effort.copy(), robot.joint_names[joint]
+    effort[:, joint] = change(effort[:, joint])
+    wrong = replace(log, effort=effort)
+    (finding,) = inspect_recording(wrong, robot).findings
+    assert (finding.severity, finding.kind, finding.joint) == ("warning", kind, name)
+    assert words in finding.message
+    assert prepare_recordings(robot, wrong, accept=()).without_effort == (name,)
+    assert prepare_recordings(robot, wrong).without_effort == ()
+    assert prepare_recordings(robot, wrong, accept=(kind,)).without_effort == ()
+    assert f"--accept {kind}" in finding.remedy
+    assert not inspect_recordings([wrong], robot, without_effort=[name])
 
 
 def test_what_is_wrong_with_an_effort_that_is_not_used_does_not_matter(
