@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
 
@@ -22,8 +22,16 @@ from sdpid.estimation.compression.rows import RowSource
 from sdpid.estimation.compression.whitening import with_contact_forces
 from sdpid.estimation.estimate import Estimate
 from sdpid.estimation.problem import Problem
-from sdpid.experiment.preparation.several import joints_without, without_efforts
+from sdpid.experiment.inspection.accept import kinds_accepted
+from sdpid.experiment.preparation.several import (
+    Logs,
+    ProcessingOf,
+    joints_without,
+    prepare_recordings,
+    without_efforts,
+)
 from sdpid.experiment.processing.contacts.held import base_held
+from sdpid.experiment.processing.process import Processing
 from sdpid.experiment.processing.samples import Samples
 from sdpid.robot.model.base_parameters import structural_base
 from sdpid.robot.model.dynamics import RobotDynamics
@@ -309,7 +317,12 @@ class Validation(Errors):
 
 
 def validate(
-    estimate: Estimate, samples: Samples | None = None, *, without_effort: Iterable[str] = ()
+    estimate: Estimate,
+    samples: Samples | Logs | None = None,
+    *,
+    without_effort: Iterable[str] = (),
+    processing: ProcessingOf = None,
+    accept: str | Iterable[str] = (),
 ) -> Validation:
     """Predict efforts and compare them with measured ones.
 
@@ -317,10 +330,13 @@ def validate(
     ----------
     estimate : Estimate
         The parameters.
-    samples : Samples, optional
-        Measurements; by default those of the estimate's own problem.
+    samples : Samples, Recording or path, or a sequence of these, optional
+        Measurements; by default those of the estimate's own problem. Recordings and files are
+        inspected and processed as by `identify`.
     without_effort : iterable of str, optional
         Joints whose effort was not measured, or is wrong: it is predicted and not compared.
+    processing, accept
+        As of `identify`, for recordings and files.
 
     Returns
     -------
@@ -329,7 +345,8 @@ def validate(
     Raises
     ------
     DataError
-        When the samples' joints are not the robot's, or a joint without effort is not one.
+        When the samples' joints are not the robot's, a joint without effort is not one, or a
+        recording cannot be used.
 
     Examples
     --------
@@ -341,14 +358,30 @@ def validate(
     >>> errors.effort_predicted.shape
     (1000, 6)
     """
-    problem = estimate.problem
-    samples = problem.samples if samples is None else samples
+    problem, without = estimate.problem, joints_without(without_effort)
+    if samples is None:
+        samples = problem.samples
+    elif not isinstance(samples, Samples):
+        # Prediction needs no covariance: any number of periods will do.
+        if isinstance(processing, Processing):
+            processing = replace(processing, covariance=None)
+        else:
+            processing = {**(processing or {}), "covariance": None}
+        prepared = prepare_recordings(
+            problem.robot,
+            samples,
+            processing,
+            without_effort=without,
+            accept=kinds_accepted(accept),
+            name="validation",
+        )
+        samples = prepared.samples
     if samples.effort.shape[1] != problem.robot.n:
         raise DataError(
             f"validate: samples have {samples.effort.shape[1]} joints, the robot "
             f"'{problem.robot.name}' has {problem.robot.n}."
         )
-    if without := joints_without(without_effort):
+    if without:
         samples = without_efforts(samples, problem.robot, without)
     return Validation.of_prediction(
         problem.robot.joint_names,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -17,6 +18,7 @@ from sdpid.experiment.processing.contacts.contact_samples import ContactSamples
 from sdpid.experiment.processing.contacts.held import base_held
 from tests.helpers import legged
 from tests.helpers.identified import arm_theta, identified, moved
+from tests.helpers.runs import arm, recorded
 
 
 @pytest.mark.filterwarnings("error")
@@ -51,6 +53,26 @@ def test_beside_no_effort_no_share_is_told() -> None:
     # Where nothing is predicted either, nothing is missed.
     still = replace(fit, nrmse=np.zeros(len(fit.nrmse)))
     assert "no effort" not in errors_table({"training": still})
+
+
+def test_recordings_and_files_are_read_as_by_identify(tmp_path: Path) -> None:
+    log, other = recorded(0), recorded(1)
+    file = tmp_path / "other.npz"
+    names = np.array(other.joint_names)
+    np.savez(file, t=other.time, q=other.position, tau=other.effort, joint_names=names)
+    found = sdpid.identify(arm(), log, validation=other, intervals=False, effects="none")
+    processing = {"cutoff_hz": 5.0}
+    for given in (other, file, [str(file)]):
+        fit = sdpid.validate(found.estimate, given)
+        np.testing.assert_allclose(fit.relative, found.validation.relative, rtol=0.05)
+        slow = sdpid.validate(found.estimate, given, processing=processing, without_effort=["a"])
+        assert slow.rows[0] == 0 < slow.rows[1]
+    turned = replace(other, effort=-other.effort)
+    with pytest.raises(DataError, match=r"validation.*effort_sign"):
+        sdpid.validate(found.estimate, turned)
+    assert sdpid.validate(found.estimate, turned, accept="effort_sign").relative > 1.0
+    with pytest.raises(DataError, match="validation: is or holds int"):
+        sdpid.validate(found.estimate, 3)
 
 
 def test_a_description_on_legs_is_judged_beside_the_forces_that_suit_it() -> None:
