@@ -11,9 +11,12 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, TypeAlias
 
-from sdpid.errors import DataError, ExportError
+from sdpid.errors import DataError, ExportError, SdpidError
 
 PathLike: TypeAlias = "str | os.PathLike[str]"
+
+# Tables, settings and parameters have less: those of a hundred links some 300 kB.
+MAX_BYTES = 32 * 2**20
 
 # Bytes hashed at a time.
 _BLOCK = 1 << 20
@@ -23,6 +26,28 @@ def is_irregular(path: PathLike) -> bool:
     """Return whether a path is there and no regular file: a folder, or what may never end."""
     # os.path's, because they do not raise for a name that is too long to be one.
     return os.path.exists(path) and not os.path.isfile(path)  # noqa: PTH110, PTH113
+
+
+def read_regular(
+    path: PathLike, most: int = MAX_BYTES, error: type[SdpidError] = DataError
+) -> bytes:
+    """Return what is in a regular file; a device may never end, and a pipe never begin.
+
+    Raises
+    ------
+    SdpidError
+        When it is no regular file, cannot be read, or has more than `most` bytes.
+    """
+    if is_irregular(path):
+        raise error(f"cannot read {path}: it is no regular file.")
+    try:
+        with Path(path).open("rb") as file:
+            content = file.read(most + 1)
+    except (OSError, ValueError) as cause:
+        raise error(f"cannot read {path}: {getattr(cause, 'strerror', None) or cause}.") from None
+    if len(content) > most:
+        raise error(f"{path}: has more than {most} bytes, which are read at most.")
+    return content
 
 
 @contextlib.contextmanager

@@ -14,10 +14,16 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from sdpid._common.files import PathLike, atomic_path, hashed, require_other_files
+from sdpid._common.files import (
+    PathLike,
+    atomic_path,
+    hashed,
+    read_regular,
+    require_other_files,
+)
 from sdpid._common.signals import end_if_signaled
 from sdpid._common.tables import json_text
-from sdpid.errors import ExportError
+from sdpid.errors import DataError, ExportError
 
 # Beginning of the names of hidden folders in which files are prepared.
 _STAGE = ".sdpid-"
@@ -274,9 +280,9 @@ class RunFolder:
     def listed(self, folder: Path) -> dict[str, object]:
         """Return the digests of the files that an earlier run wrote, by name."""
         try:
-            listed = json.loads((folder / self.listing).read_text(encoding="utf-8"))["files"]
+            listed = json.loads(read_regular(folder / self.listing))["files"]
             return {name: listed[name]["sha256"] for name in self.names if name in listed}
-        except (OSError, ValueError, LookupError, TypeError, RecursionError):
+        except (DataError, ValueError, LookupError, TypeError, RecursionError):
             return {}  # no earlier run, or a file that none wrote
 
     def _stale(self, folder: Path, new: Sequence[str], note: Callable[[str], None]) -> list[str]:

@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import os
 import sys
-from pathlib import Path
 from typing import Any
 
-from sdpid._common.files import is_irregular
+from sdpid._common.files import read_regular
 from sdpid.errors import DataError
 
 if sys.version_info >= (3, 11):
@@ -24,12 +23,8 @@ def load_toml(path: str | os.PathLike[str]) -> dict[str, Any]:
     DataError
         When the file cannot be read or is not TOML.
     """
-    if is_irregular(path):
-        raise DataError(f"cannot read {path}: it is no regular file.")
+    content = read_regular(path)
     try:
-        with Path(path).open("rb") as file:
-            return dict(tomllib.load(file))
-    except OSError as cause:
-        raise DataError(f"cannot read {path}: {cause.strerror}.") from None
+        return dict(tomllib.loads(content.decode("utf-8")))
     except (ValueError, RecursionError) as cause:  # wrong, of endless digits, or nested endlessly
         raise DataError(f"{path}: not a TOML file ({cause}).") from None

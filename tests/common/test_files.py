@@ -3,12 +3,19 @@
 from __future__ import annotations
 
 import hashlib
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 
+import sdpid
 from sdpid._common.files import Source, unchanged
-from sdpid.errors import DataError
+from sdpid._common.toml import load_toml
+from sdpid.assurance.tables.csv_table import read_base_table
+from sdpid.errors import DataError, ModelError
+from sdpid.experiment.plant.simulate import true_parameters
+from sdpid.experiment.trajectory.whole_body import WholeBodyMotion
+from sdpid.robot.description.xml import read_description
 
 
 def test_a_file_has_the_digest_of_its_bytes(tmp_path: Path) -> None:
@@ -31,6 +38,35 @@ def test_a_folder_counts_the_names_and_bytes_of_its_files(tmp_path: Path) -> Non
     assert first.size == 3
     (tmp_path / "1" / "a.db3").rename(tmp_path / "1" / "c.db3")
     assert Source.of(tmp_path / "1").sha256 != first.sha256
+
+
+@pytest.mark.parametrize(
+    ("read", "error"),
+    [
+        (load_toml, DataError),
+        (sdpid.read_parameters, DataError),
+        (read_base_table, DataError),
+        (true_parameters, DataError),
+        (WholeBodyMotion.from_csv, DataError),
+        (read_description, ModelError),
+    ],
+)
+def test_files_are_read_up_to_a_size_and_devices_not_at_all(
+    tmp_path: Path, read: Callable[[Path], object], error: type[sdpid.errors.SdpidError]
+) -> None:
+    endless, large = tmp_path / "endless.json", tmp_path / "large.json"
+    endless.symlink_to("/dev/zero")
+    with large.open("wb") as file:
+        file.truncate(2**28 + 2)
+    if read is true_parameters:
+        for name in ("endless", "large"):
+            (tmp_path / name).mkdir()
+            (tmp_path / name / "true_parameters.csv").symlink_to(tmp_path / f"{name}.json")
+        endless, large = tmp_path / "endless", tmp_path / "large"
+    with pytest.raises(error, match="no regular file"):
+        read(endless)
+    with pytest.raises(error, match=r"has more than .* bytes, which are read at most"):
+        read(large)
 
 
 def test_a_file_that_grows_while_it_is_read_is_refused(tmp_path: Path) -> None:

@@ -9,9 +9,8 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from decimal import Decimal
 from fractions import Fraction
-from pathlib import Path
 
-from sdpid._common.files import is_irregular
+from sdpid._common.files import read_regular
 from sdpid._common.tables import Table
 from sdpid.assurance.tables.proof_file import TableFile
 from sdpid.assurance.tables.witness import exact_decimal
@@ -87,9 +86,7 @@ def read_base_table(
     DataError
         When it is no regular file, a column is missing, a name comes twice, or a number is none.
     """
-    if is_irregular(path):
-        raise DataError(f"{path}: is no regular file; give a CSV file.")
-    content = Path(path).read_bytes()
+    content = read_regular(path)
     try:
         text = content.decode("utf-8-sig")
     except UnicodeDecodeError:

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from sdpid._common.arrays import Array, real_array
+from sdpid._common.files import read_regular
 from sdpid._common.progress import progress as progress_bar
 from sdpid._common.seeds import generator
 from sdpid.errors import DataError, ModelError
@@ -39,11 +40,10 @@ def true_parameters(folder: str | os.PathLike[str]) -> Array:
         When the file is missing or its column ``value`` is not all numbers.
     """
     path = plant_folder(folder) / "true_parameters.csv"
+    content = read_regular(path)
     try:
-        with path.open(encoding="utf-8", newline="") as file:
-            values = [float(row["value"]) for row in csv.DictReader(file)]
-    except OSError as cause:
-        raise DataError(f"cannot read {path}: {cause.strerror}.") from None
+        rows = csv.DictReader(content.decode("utf-8").splitlines())
+        values = [float(row["value"]) for row in rows]
     except (KeyError, TypeError, ValueError) as cause:
         raise DataError(f"{path}: {cause!r}; it needs a column 'value' of numbers.") from None
     return np.array(values)

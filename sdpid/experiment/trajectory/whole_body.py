@@ -9,12 +9,16 @@ from pathlib import Path
 import numpy as np
 
 from sdpid._common.arrays import Array, Mask, frozen, frozen_view, real_array
+from sdpid._common.files import read_regular
 from sdpid._common.tables import Table, facts_html
 from sdpid.errors import DataError
 
 __all__ = ["WholeBodyMotion"]
 
 _XYZ = ("x", "y", "z")
+
+# Minutes of a humanoid's motion have less.
+_MOST_BYTES = 256 * 2**20
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
@@ -139,10 +143,9 @@ class WholeBodyMotion:
             When it cannot be read, or a column is missing.
         """
         try:
-            with Path(path).open(encoding="utf-8") as file:
-                names = file.readline().strip().split(",")
-                table = np.loadtxt(file, delimiter=",", ndmin=2)
-        except (OSError, ValueError) as cause:
+            header, *lines = read_regular(path, _MOST_BYTES).decode("utf-8").splitlines()
+            names, table = header.strip().split(","), np.loadtxt(lines, delimiter=",", ndmin=2)
+        except ValueError as cause:
             raise DataError(f"{path}: is no table of numbers ({cause}).") from None
         joints = [name[9:] for name in names if name.startswith("position_")]
         frames = [

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from sdpid._common.extras import require
-from sdpid._common.files import atomic_write_text
+from sdpid._common.files import atomic_write_text, read_regular
 from sdpid._common.tables import plain
 from sdpid.assurance.certificate.certificate import Certificate
 from sdpid.assurance.diagnostics.provenance import provenance
@@ -23,9 +23,6 @@ from sdpid.output.tables.parameter_tables import known_errors
 
 FORMAT = "sdpid parameters"
 VERSION = 1
-
-# A file of a hundred links has some 300 kB.
-_MAX_BYTES = 16 * 2**20
 
 
 def write_parameters(
@@ -216,10 +213,8 @@ def read_parameters(path: str | os.PathLike[str]) -> dict[str, float]:
 
 def _content(source: Path) -> Any:
     try:
-        if source.stat().st_size > _MAX_BYTES:
-            raise DataError(f"{source}: is larger than {_MAX_BYTES} bytes; not a parameter file.")
-        text = source.read_text(encoding="utf-8-sig")
-    except (OSError, UnicodeDecodeError) as cause:
+        text = read_regular(source).decode("utf-8-sig")
+    except UnicodeDecodeError as cause:
         raise DataError(f"{source}: cannot be read ({cause}).") from None
     if source.suffix.lower() == ".json":
         try:

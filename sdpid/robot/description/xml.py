@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from sdpid._common.files import Source
+from sdpid._common.files import Source, read_regular
 from sdpid.errors import ModelError
 
 # The largest robot description seen in the wild is below 1 MB; this bounds a hostile one.
@@ -64,15 +64,7 @@ def read_description(source: str | os.PathLike[str]) -> Description:
         origin = Source.of_bytes(source.encode("utf-8", "surrogatepass"), "")
         return Description(source, None, "description", origin)
     path = Path(source)
-    try:
-        if path.exists() and not path.is_file():
-            raise ModelError(f"cannot read {path}: it is not a file; give a URDF or MJCF file.")
-        with path.open("rb") as file:
-            data = file.read(MAX_BYTES + 1)
-    except (OSError, ValueError) as cause:
-        raise ModelError(f"cannot read {path}: {cause}.") from None
-    if len(data) > MAX_BYTES:
-        raise ModelError(f"{path}: more than the {MAX_BYTES} bytes of XML that are allowed.")
+    data = read_regular(path, MAX_BYTES, ModelError)
     origin = Source.of_bytes(data, path.name)
     return Description(decode_xml(data, path.name), path, path.name, origin)
 

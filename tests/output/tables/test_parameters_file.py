@@ -130,7 +130,7 @@ def test_other_refusals(
 ) -> None:
     with pytest.raises(ExportError, match=r"\.json, \.yaml or \.yml"):
         write_parameters(estimate, tmp_path / "p.toml")
-    with pytest.raises(DataError, match="cannot be read"):
+    with pytest.raises(DataError, match=r"cannot read .*absent"):
         read_parameters(tmp_path / "absent.json")
     (tmp_path / "p.yaml").write_text("a: [1\nb: }")
     with pytest.raises(DataError, match="not YAML"):

@@ -73,6 +73,19 @@ def edit(path: Path, change: Callable[[str], str]) -> None:
     path.write_text(after, encoding="utf-8")
 
 
+@pytest.mark.parametrize("sizes", [{"report.html": 2**29}, {"report.html": 2**28, "b": 2**28}])
+def test_files_of_any_size_are_not_hashed(copy: Path, sizes: dict[str, int]) -> None:
+    data = json.loads((copy / "manifest.json").read_text())
+    for name, size in sizes.items():
+        with (copy / name).open("wb") as file:
+            file.truncate(size)
+        data["files"][name] = {"bytes": size, "sha256": "0" * 64}
+    del data["sha256"]
+    (copy / "manifest.json").write_text(json.dumps(sealed(data)))
+    with pytest.raises(MalformedError, match=r"bytes, and less than|not an integer from 0"):
+        verified(copy)
+
+
 def test_what_was_written_holds(folder: Path) -> None:
     result = verified(folder)
     assert result.problems == ()
