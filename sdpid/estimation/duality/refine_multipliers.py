@@ -87,7 +87,8 @@ def lower_bound(
         at_residual = replace(multipliers, y=residual)
         trials += [replace(free, y=residual), at_residual]
     best = max((bound_of(problem, trial) for trial in trials), key=_value)
-    if theta is None or not multipliers.constrained:
+    # Without constraints y follows from theta, and with a log-det prior its multiplier W.
+    if theta is None or not (multipliers.constrained or len(problem.log_det.links)):
         return best
     if relative_gap(problem, cost, best.value) <= TARGET_GAP:
         return best

@@ -349,3 +349,6 @@ def test_least_squares_counts_a_log_det_prior(seed: int, strength: float, known:
     step = np.linalg.lstsq((rows / scale).T @ (rows / scale), slope / scale, rcond=None)[0] / scale
     assert abs(slope @ step) < 1e-10 * max(estimate.cost, float(problem.rhs @ problem.rhs))
     assert estimate.cost <= solve_sdp(problem).cost * (1.0 + 1e-9)
+    # The same optimum is proven where nothing but the prior keeps links bodies.
+    proven = solve_sdp(problem.constrained(consistency="none"))
+    assert proven.cost == pytest.approx(estimate.cost, rel=1e-5)
