@@ -50,7 +50,9 @@ def _bodies(text: str, path: str | None, what: str) -> list[dict[str, Any]]:
     """Return the bodies of a file as plain values, in a child process."""
     carriers: dict[str, _Place] = {}
     bodies = []
-    for number, body in enumerate(parsed(text, path, what).bodies):
+    # Bodies do not keep what owns them alive in MuJoCo 3.3.7.
+    spec = parsed(text, path, what)
+    for number, body in enumerate(spec.bodies):
         if number == 0:
             continue  # the world
         name = str(body.name or f"body {number}")
