@@ -27,10 +27,13 @@ REFUSED = (
     "gravity_direction",
     "joint_order",
     "payload_differs",
+    "position_frozen",
     "position_in_degrees",
     "position_jumps",
+    "position_lone",
     "position_sign",
     "position_zero",
+    "time_scale",
     "time_unit",
 )
 # Those that leave out a joint's effort, unless they are accepted.

@@ -1,4 +1,4 @@
-"""Checks of single efforts: channels without a signal, spikes, and clipped values."""
+"""Checks of single efforts: channels without a signal, and clipped values."""
 
 from __future__ import annotations
 
@@ -9,11 +9,8 @@ import numpy as np
 from sdpid._common.arrays import Array
 from sdpid.experiment.inspection.finding import Finding, Subject, check
 from sdpid.experiment.recording.rest import moving
-from sdpid.experiment.recording.stored import blocks, extremes
+from sdpid.experiment.recording.stored import extremes
 
-# A value this many times the 99th percentile of all deviations from the median stands alone.
-_SPIKE = 30.0
-_PERCENTILE = 99.0
 # A joint whose effort is exactly zero in more than this share of the rows in which it moves has no
 # signal there; of 30 real recordings at most 0.1 %. Of so many rows, those count whose step is
 # more than this share of its 90th percentile.
@@ -71,7 +68,7 @@ def silent(subject: Subject) -> Iterator[Finding]:
 
 @check
 def signals(subject: Subject) -> Iterator[Finding]:
-    """Find efforts that never change, and single values far beyond all others."""
+    """Find efforts that never change."""
     log = subject.log
     low, high = extremes(log.effort)
     for j, name in enumerate(log.names):
@@ -85,24 +82,6 @@ def signals(subject: Subject) -> Iterator[Finding]:
                 message=f"effort of {name} never changes: it is {low[j]:.4g} in every row",
                 remedy="if it was not measured, leave it out (without_effort)",
                 numbers={"value": low[j]},
-            )
-            continue
-        sample = np.asarray(log.effort[subject.rows])[:, j]
-        middle = float(np.median(sample))
-        usual = float(np.percentile(np.abs(sample - middle), _PERCENTILE))
-        largest = max(high[j] - middle, middle - low[j])
-        if largest > _SPIKE * usual > 0.0:
-            row = _row_of(log.effort[:, j], high[j] if high[j] - middle == largest else low[j])
-            yield Finding(
-                severity="warning",
-                kind="effort_spike",
-                joint=name,
-                message=(
-                    f"effort of {name} is {largest / usual:.3g} times as far from its median at "
-                    f"row {row} as in {_PERCENTILE:g} % of all rows (limit {_SPIKE:g}): an outlier"
-                ),
-                remedy="remove that sample",
-                numbers={"row": row, "ratio": largest / usual, "limit": _SPIKE},
             )
 
 
@@ -170,12 +149,3 @@ def _plateaus(values: Array, limit: float) -> int:
         if lengths.sum() < _LONGER * np.count_nonzero(values == nearest):
             return 0
     return int(lengths.sum())
-
-
-def _row_of(column: Array, value: float) -> int:
-    """Return the first row of a column that has a value, counted from 1."""
-    for begin, values in blocks(column):
-        rows = np.flatnonzero(values == value)
-        if rows.size:
-            return begin + int(rows[0]) + 1
-    return 1

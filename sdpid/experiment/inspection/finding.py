@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from types import MappingProxyType
 from typing import Any, Literal, TypeAlias
@@ -18,16 +18,13 @@ from sdpid.experiment.inspection.rows import Rows, low_passed
 from sdpid.experiment.processing.choose import RATE_OF_DIFFERENCES
 from sdpid.experiment.processing.samples import Samples
 from sdpid.experiment.recording.gaps import continuous
-from sdpid.experiment.recording.recording import Recording
+from sdpid.experiment.recording.recording import Recording, rows_of
 from sdpid.experiment.recording.stored import extremes
 from sdpid.robot.model.model import RobotModel
 
 __all__ = ["CHECKS", "Check", "Finding", "Severity", "Subject", "check"]
 
 Severity = Literal["refuse", "warning", "note"]
-
-# Rows on which single values are looked at: enough to tell, cheap on long records.
-_ROWS = 400
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -103,6 +100,8 @@ class Subject:
         The robot in place of `robot`, where the recording has a floating base.
     total_mass : float or None
         What the robot weighs, kg, where that is known.
+    left_out : tuple of slice
+        Rows in which a channel is wrong, as was told.
     """
 
     log: Recording
@@ -110,6 +109,7 @@ class Subject:
     without: frozenset[str] = frozenset()
     floating: RobotModel | None = None
     total_mass: float | None = None
+    left_out: tuple[slice, ...] = ()
 
     @cached_property
     def continued(self) -> tuple[tuple[Recording, ...], list[str]] | DataError:
@@ -121,14 +121,20 @@ class Subject:
 
     @cached_property
     def pieces(self) -> tuple[tuple[int, Recording], ...]:
-        """The parts between gaps, angles continued, each with its first row; empty if refused."""
+        """The parts between gaps and rows left out, angles continued, each with its first row.
+
+        Empty if refused.
+        """
         if isinstance(self.continued, DataError):
             return ()
         pieces, _ = self.continued
-        if pieces == (self.log,):
-            return ((0, self.log),)
-        time = np.asarray(self.log.time)
-        return tuple((int(np.searchsorted(time, piece.time[0])), piece) for piece in pieces)
+        found: tuple[tuple[int, Recording], ...] = ((0, self.log),)
+        if pieces != (self.log,):
+            time = np.asarray(self.log.time)
+            found = tuple((int(np.searchsorted(time, piece.time[0])), piece) for piece in pieces)
+        for rows in self.left_out:
+            found = tuple(part for first, piece in found for part in _beside(first, piece, rows))
+        return found
 
     @cached_property
     def longest(self) -> Recording:
@@ -137,19 +143,16 @@ class Subject:
 
     @cached_property
     def position_range(self) -> tuple[Array, Array]:
-        """Least and largest position of each joint, (n,) each."""
-        return extremes(self.log.position)
+        """Least and largest position of each joint, (n,) each, in rows that are not left out."""
+        position = self.log.position
+        if self.left_out:
+            position = np.delete(position, np.r_[self.left_out], axis=0)
+        return extremes(position)
 
     @property
     def about_velocity(self) -> Severity:
         """Severity of what is wrong with a velocity: a note where by default it is not used."""
         return "note" if self.log.rate_hz >= RATE_OF_DIFFERENCES else "warning"
-
-    @cached_property
-    def rows(self) -> Any:
-        """At most 400 rows, spread evenly, shape (rows,)."""
-        rows = np.linspace(0, self.log.n_samples - 1, _ROWS).astype(np.intp)
-        return np.unique(rows)
 
     @cached_property
     def low_passed(self) -> Rows | None:
@@ -185,6 +188,18 @@ class Subject:
         if self.robot is None or self.low_passed is None or self.closed:
             return None
         return corrected(self.robot, self.low_passed)
+
+
+def _beside(first: int, piece: Recording, rows: slice) -> Iterator[tuple[int, Recording]]:
+    """Yield what of a piece lies before and after some rows of the recording."""
+    start, stop = np.clip(np.array([rows.start, rows.stop]) - first, 0, piece.n_samples).tolist()
+    if start == stop:
+        yield first, piece
+        return
+    piece = replace(piece, period=None, start=None, periods=None)
+    for begin, end in ((0, start), (stop, piece.n_samples)):
+        if end - begin > 1:
+            yield first + begin, rows_of(piece, slice(begin, end))
 
 
 Check: TypeAlias = Callable[[Subject], Iterator[Finding]]

@@ -20,6 +20,7 @@ from sdpid.experiment.inspection import (
     reference_checks,
     time_checks,
 )
+from sdpid.experiment.inspection.channels import rules
 from sdpid.experiment.inspection.delays.find import LEAST
 from sdpid.experiment.inspection.finding import CHECKS, Finding, Subject
 from sdpid.experiment.inspection.floating import (
@@ -56,7 +57,7 @@ _FILES = (
 )
 
 # Wrong units of position or time make the dynamics meaningless: they are told alone.
-_DROWNS = ("position_in_degrees", "position_jumps", "time_unit")
+_DROWNS = ("position_in_degrees", "position_jumps", "time_unit", "time_scale")
 _OF_SPEED = (
     *("position_jumps", "velocity_scale", "velocity_late", "one_direction", "long_rest"),
     "reference_unlike",
@@ -71,7 +72,7 @@ _OF_BASE = (
 # What efforts are compared with, where the base is free, and what a wrong joint makes of feet.
 _BEFORE_EFFORTS = (
     *("base_orientation", "base_velocity", "imu_gyroscope", "imu_accelerometer"),
-    *("contacts_missing", "contact_frame"),
+    *("contacts_missing", "contact_frame", "position_coarse"),
 )
 _OF_JOINTS = ("joint_order", "position_sign", "axis_sign", "position_zero")
 _OF_FEET = ("foot_moves", "foot_high", "feet_exchanged", "contact_frame", "contact_point")
@@ -273,9 +274,15 @@ def _looked_at(
     )
     left_out = [*effort_checks.silent(subject)]
     subject = replace(subject, without=without | {f.joint for f in left_out if f.joint})
+    # What a wrong row makes of other channels, and of other joints, is not told.
+    wrong, subject = rules.wrong_channels(subject)
+    findings += wrong
     for each in CHECKS:
         if each not in _DROWNED:
             findings += each(subject)
+    # A channel that stays at its largest value is not clipped as well.
+    stays = {each.joint for each in wrong if each.kind.endswith("_frozen")}
+    findings = [f for f in findings if not (f.kind.endswith("_clipped") and f.joint in stays)]
     refused = {finding.kind for finding in findings if finding.severity == "refuse"}
     kinds = {finding.kind for finding in findings}
     if not (refused & set(_DROWNS) or kinds & set(_BEFORE_EFFORTS)):
@@ -288,7 +295,7 @@ def _looked_at(
         # Positions in degrees raise most of the other alarms as well.
         alone = ("position_in_degrees", "joints", "joints_unknown")
         findings = [finding for finding in findings if finding.kind in alone]
-    elif "time_unit" in refused:
+    elif refused & {"time_unit", "time_scale"}:
         findings = [finding for finding in findings if finding.kind not in _OF_SPEED]
     if "base_orientation" in refused:
         findings = [finding for finding in findings if finding.kind not in _OF_BASE]

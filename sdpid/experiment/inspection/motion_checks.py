@@ -16,6 +16,10 @@ from sdpid.experiment.recording.velocities import velocity_fit
 
 # No joint of an arm turns faster (rad/s); the fastest reach some 15.
 _FASTEST = 40.0
+# An encoder that is read late repeats its position for less than this (s), and then catches up; one
+# of few digits for any time, and then changes by a step of about its usual size. Either took the
+# time since the last change.
+_STALE, _ROUNDED = 0.1, 1.5
 # Two signals belong together when they correlate like this, and differ in their units when the
 # scale between them is off by this factor: filters explain less.
 _CORRELATED = 0.9
@@ -30,6 +34,9 @@ _FACTORS = {
     1.0 / (2.0 * math.pi): "turns instead of rad",
 }
 _FACTOR_SLACK = 0.1
+# Where this share of the joints agrees this well on a scale that is off by this factor, it is the
+# time stamps that are wrong: of sound recordings it is off by 2 % at most.
+_CLOCK, _CLOSE, _MOST = 1.1, 0.05, 0.6
 # A joint that moves less than this part of its way back moves in one direction.
 _BACK = 0.02
 # The whole robot rests below this speed (rad/s, or m/s). Rows at rest are masked by default, so a
@@ -136,21 +143,45 @@ def _fast_steps(first: int, piece: Recording) -> Iterator[tuple[int, float, floa
         durations = np.diff(piece.time[begin:stop])
         if max(steps.max(), -steps.min()) <= _FASTEST * durations.min():
             continue
-        speeds = np.abs(steps) / durations[:, None]
-        for j, k in enumerate(speeds.argmax(axis=0).tolist()):
-            yield j, float(speeds[k, j]), float(steps[k, j]), first + begin + k + 2
+        fast = (np.abs(steps) / durations[:, None]).max(axis=0) > _FASTEST
+        for j in np.flatnonzero(fast).tolist():
+            rows = np.flatnonzero(steps[:, j])
+            waited = np.diff(piece.time[begin + 1 + rows], prepend=piece.time[begin])
+            sizes = np.abs(steps[rows, j])
+            late = (waited < _STALE) | (sizes <= _ROUNDED * np.median(sizes))
+            speeds = sizes / np.where(late, waited, durations[rows])
+            k = int(speeds.argmax())
+            yield j, float(speeds[k]), float(steps[rows[k], j]), first + begin + int(rows[k]) + 2
 
 
 @check
 def velocities(subject: Subject) -> Iterator[Finding]:
-    """Find recorded velocities that are not the rate of the positions."""
+    """Find velocities that are not the rate of the positions, and stamps that run wrong."""
     if subject.log.velocity is None or not subject.pieces:
         return
-    _, longest = max(subject.pieces, key=lambda each: each[1].n_samples)
-    for j, name in enumerate(longest.names):
-        fit = velocity_fit(longest, j)
-        if fit is None or fit.correlation < _CORRELATED:
-            continue
+    found = ((name, velocity_fit(subject.longest, j)) for j, name in enumerate(subject.log.names))
+    fits = {name: fit for name, fit in found if fit and fit.correlation >= _CORRELATED}
+    scales = np.array([fit.scale for fit in fits.values()])
+    common = float(np.median(scales)) if len(scales) > 1 else 1.0
+    share = float(np.mean(np.abs(scales / common - 1.0) < _CLOSE)) if len(scales) else 0.0
+    wrong = common > 0.0 and not 1.0 / _CLOCK < common < _CLOCK
+    if wrong and share >= _MOST and not scale_in_words(common):
+        yield Finding(
+            severity="refuse",
+            kind="time_scale",
+            message=(
+                f"velocities of all joints are {common:.3g} times the rate of their positions, "
+                f"limit {1.0 / _CLOCK:.2g} to {_CLOCK:g}: the time stamps count {common:.3g} s for "
+                "every second"
+            ),
+            remedy=(
+                "give the stamps in s, or the true rate (rate_hz); where they are right, leave the "
+                "velocity out (velocity=none)"
+            ),
+            numbers={"scale": common, "share": share, "limit": _CLOCK},
+        )
+        return
+    for name, fit in fits.items():
         scale = fit.scale
         if scale < 0.0:
             message = f"velocity of {name} has the sign opposite to the rate of its position"

@@ -52,7 +52,7 @@ def references(subject: Subject) -> Iterator[Finding]:
     """Find references that the positions do not follow."""
     if subject.log.reference is None or not subject.pieces:
         return
-    _, longest = max(subject.pieces, key=lambda each: each[1].n_samples)
+    longest = subject.longest
     means = _means(longest)
     if means is None:
         return

@@ -145,14 +145,28 @@ def test_a_reference_of_one_joint_that_is_not_followed_is_named(
     assert finding.numbers["offset"] == pytest.approx(0.2, abs=1e-3)
 
 
-def test_one_sample_that_jumps_is_named_with_its_row(log: Recording):
+def test_a_position_that_jumps_is_named_with_its_row(log: Recording):
     position = log.position.copy()
-    position[700, 1] += 4.8
+    position[700:, 1] += 4.8
     (finding,) = inspect_recording(replace(log, position=position, velocity=None)).findings
     assert (finding.kind, finding.severity) == ("position_jumps", "refuse")
     assert finding.numbers["row"] == 701
     assert "changes by 4.8" in finding.message
     assert "at row 701," in finding.message
+
+
+def test_an_encoder_that_is_read_late_does_not_jump():
+    """As a dVRK's: it repeats its position, and what it then changes by took as long."""
+    position = 0.5 * np.sin(24.0 * T)[:, None] * np.ones(2)
+    for row in range(300, 2000, 300):
+        position[row : row + 5, 1] = position[row - 1, 1]
+    late = Recording(time=T, position=position, effort=position)
+    assert np.abs(np.diff(position, axis=0)).max() * RATE > 60.0
+    assert "position_jumps" not in dict(kinds(late))
+    t = np.arange(8000) / 4000.0
+    swing = 0.5 * np.sin(2.0 * np.pi * t)[:, None]
+    rounded = Recording(time=t, position=np.round(swing, 1), effort=swing)
+    assert kinds(rounded) == [("position_coarse", "1")]
 
 
 def test_one_effort_far_beyond_all_others_is_named(log: Recording):
@@ -280,6 +294,11 @@ ROBOTS = {
 
 # Three joints of the Gen3 turn one way only.
 TRUE_OF_THEM = {"kinova_gen3_dynamapp": {"one_direction"}}
+
+
+def test_a_record_whose_rows_repeat_is_not_refused(data_folder):
+    findings = inspect_recording(data_folder / "dvrk_mtm" / "one.npz").findings
+    assert {(each.severity, each.kind) for each in findings} == {("warning", "repeated_rows")}
 
 
 @pytest.mark.parametrize("name", ROBOTS)

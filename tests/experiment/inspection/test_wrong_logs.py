@@ -120,6 +120,21 @@ def jittering(log: Recording) -> Recording:
     return replace(log, time=T + np.random.default_rng(0).uniform(-0.3, 0.3, len(T)) / RATE)
 
 
+def changed_rows(quantity: str, rows: slice, value: Callable[[np.ndarray], object]) -> Change:
+    """Change one joint's values in some rows."""
+
+    def change(log: Recording) -> Recording:
+        values = getattr(log, quantity).copy()
+        values[rows, JOINT] = value(values[rows, JOINT])
+        return replace(log, **{quantity: values})
+
+    return change
+
+
+def stays(quantity: str, seconds: float = 1.0) -> Change:
+    return changed_rows(quantity, slice(500, 500 + int(seconds * RATE)), lambda values: values[0])
+
+
 REVERSED = list(range(5, -1, -1))
 CURRENTS = 1.0 / np.linspace(14.0, 9.0, 6)
 WRONG: dict[str, tuple[Change, str, str, str]] = {
@@ -168,6 +183,58 @@ WRONG: dict[str, tuple[Change, str, str, str]] = {
     "clipped velocity": (clipped("velocity"), "velocity_clipped", "note", "it is clipped"),
     "one way": (one_way, "one_direction", "warning", "shoulder_lift_joint moves in one direction"),
     "rest": (rested, "long_rest", "warning", "stands still in 49 %"),
+    **{
+        f"{quantity} for {seconds:g} s": (
+            stays(quantity, seconds),
+            f"{quantity}_frozen",
+            severity,
+            f"{quantity} of shoulder_lift_joint stays at",
+        )
+        for quantity, severity in (
+            ("effort", "warning"),
+            ("velocity", "note"),
+            ("position", "refuse"),
+        )
+        for seconds in (0.5, 1.0, 6.0)
+    },
+    **{
+        f"effort {size:g} N·m off": (
+            changed_rows("effort", slice(700, 701), lambda values, size=size: values + size),
+            "effort_spike",
+            "warning",
+            "at row 701",
+        )
+        for size in (400.0, 1e5)
+    },
+    **{
+        f"position {angle:g} rad off": (
+            changed_rows("position", slice(700, 701), lambda values, angle=angle: values + angle),
+            "position_lone",
+            "refuse",
+            f"shoulder_lift_joint is {angle:.3g} rad off those before and after it at row 701",
+        )
+        for angle in (0.05, 0.3, 30.0)
+    },
+    **{
+        f"rounded to {step:g} rad": (
+            changed_rows(
+                "position", slice(None), lambda values, step=step: step * np.rint(values / step)
+            ),
+            "position_coarse",
+            "warning",
+            "shoulder_lift_joint has",
+        )
+        for step in (0.03, 0.1)
+    },
+    **{
+        f"{factor:g} times the time": (
+            lambda log, factor=factor: replace(log, time=factor * log.time),
+            "time_scale",
+            "refuse",
+            f"the time stamps count {factor:g} s for every second",
+        )
+        for factor in (0.5, 1.25, 2.0)
+    },
     "lost": (losing, "lost_samples", "warning", "are missing"),
     "jitter": (jittering, "jitter", "note", "time stamps jitter by"),
 }
@@ -184,6 +251,26 @@ def test_what_is_wrong_is_found_and_named(log: Recording, robot: sdpid.RobotMode
     if severity == "refuse":
         assert kind in REFUSED
         assert next(iter(found.values())) is found[kind]
+
+
+OF_ONE_CHANNEL = ("_frozen", "_spike", "_lone", "_coarse", "time_scale")
+
+
+@pytest.mark.parametrize("name", [n for n, row in WRONG.items() if row[1].endswith(OF_ONE_CHANNEL)])
+def test_a_wrong_channel_accuses_no_other_joint_and_no_unit(
+    log: Recording, robot: sdpid.RobotModel, name: str
+):
+    change, kind, _, _ = WRONG[name]
+    (finding,) = inspect_recording(change(log), robot).findings
+    assert (finding.kind, finding.joint) in ((kind, robot.joint_names[JOINT]), ("time_scale", None))
+
+
+def test_what_else_is_wrong_beside_a_wrong_channel_is_told(log: Recording, robot: sdpid.RobotModel):
+    wrong = flipped("effort")(stays("effort", 6.0)(log))
+    assert {f.kind for f in inspect_recording(wrong, robot).findings} == {
+        "effort_frozen",
+        "effort_sign",
+    }
 
 
 @pytest.mark.parametrize("seed", range(4))

@@ -1,0 +1,1 @@
+"""Single channels of single joints: what no other joint and no description is needed for."""
