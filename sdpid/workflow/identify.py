@@ -52,6 +52,7 @@ from sdpid.workflow.formulate import (
     tuple_of_terms,
 )
 from sdpid.workflow.result import Identification
+from sdpid.workflow.spoiled import KIND, spoiling_effort
 
 if TYPE_CHECKING:
     from sdpid.assurance.rollouts.result import Rollout
@@ -250,7 +251,7 @@ def identify(
 
         moved = rollouts(estimate, fresh.logs[0], processing=prepared.processing)
     recipe, no_recipe = recipe_or_reason(problem, prepared)
-    return Identification(
+    result = Identification(
         problem=problem,
         wls=wls,
         estimate=estimate,
@@ -272,6 +273,23 @@ def identify(
         recipe=recipe,
         recipe_note=no_recipe,
     )
+    spoils = None if KIND in kinds else spoiling_effort(result)
+    if spoils is None or spoils.joint is None:
+        return result
+    again = identify(
+        robot,
+        log,
+        validation=validation,
+        processing=processing,
+        without_effort=(*prepared.without_effort, spoils.joint),
+        accept=kinds,
+        gains=known,
+        intervals=intervals,
+        folds=folds,
+        rollout=rollout,
+        **formulation,
+    )
+    return replace(again, findings=(spoils, *again.findings), notes=(str(spoils), *again.notes))
 
 
 def _intervals(estimate: Estimate, wanted: bool | Method) -> tuple[Intervals | None, str | None]:

@@ -84,3 +84,19 @@ LIFT = """<robot name="arm_on_a_lift"><link name="base"/>
   <axis xyz="0 0 1"/><limit effort="500" velocity="0.07" lower="0" upper="0.5"/></joint>
 <joint name="arm" type="revolute"><parent link="carriage"/><child link="arm"/>
   <axis xyz="0 1 0"/><limit effort="50" velocity="2" lower="-3" upper="3"/></joint></robot>"""
+
+# The same with two more joints, which carry each other.
+LIFTED = LIFT.replace(
+    "</robot>",
+    """
+<link name="forearm"><inertial><origin xyz="0.1 0 0"/><mass value="1.2"/>
+  <inertia ixx="0.004" iyy="0.005" izz="0.005" ixy="0" ixz="0" iyz="0"/></inertial></link>
+<link name="hand"><inertial><origin xyz="0.06 0 0.01"/><mass value="0.6"/>
+  <inertia ixx="0.001" iyy="0.001" izz="0.001" ixy="0" ixz="0" iyz="0"/></inertial></link>
+<joint name="elbow" type="revolute"><parent link="arm"/><child link="forearm"/>
+  <origin xyz="0.3 0 0"/><axis xyz="0 1 0"/>
+  <limit effort="30" velocity="3" lower="-3" upper="3"/></joint>
+<joint name="wrist" type="revolute"><parent link="forearm"/><child link="hand"/>
+  <origin xyz="0.2 0 0"/><axis xyz="0 1 0"/>
+  <limit effort="10" velocity="4" lower="-3" upper="3"/></joint></robot>""",
+)

@@ -39,6 +39,9 @@ FRICTION_FITTED = "description, friction fitted"
 LEAST_SQUARES = "least squares"
 OURS = "this estimate"
 
+# Another motion makes errors differ by some 20 % either way: beyond, a baseline is better.
+BEATEN = 1.2
+
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class HeldOut:
@@ -69,6 +72,16 @@ class HeldOut:
     def every(self) -> dict[str, Validation]:
         """The baselines, then the estimate, by name."""
         return {**self.baselines, OURS: self.fit}
+
+    @property
+    def beaten_by(self) -> str | None:
+        """What costs less and predicts clearly better in motion; None where nothing does."""
+        names = [n for n in (LEAST_SQUARES, FRICTION_FITTED) if n in self.baselines]
+        if not names or not self.fit.moving.rows.any():
+            return None
+        best = min(names, key=lambda name: self.baselines[name].moving.relative)
+        least = self.baselines[best].moving.relative
+        return best if self.fit.moving.relative > BEATEN * least else None
 
     def as_table(self) -> Table:
         """Return a row a model: relative residual in motion in %, RMSE in motion of each joint."""

@@ -23,6 +23,7 @@ REFUSED = (
     "effort_sign",
     "effort_silent",
     "effort_small",
+    "effort_spoils",
     "forces_missing",
     "gravity_direction",
     "joint_order",

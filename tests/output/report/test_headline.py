@@ -43,6 +43,17 @@ def test_other_motion_and_blocks_have_their_words(good: Identification) -> None:
     assert not any(line.startswith("beside") for line in nothing.lines)
 
 
+def test_an_estimate_that_costs_more_and_is_worse_is_not_to_be_used(good: Identification) -> None:
+    held_out = good.held_out
+    assert held_out is not None
+    assert held_out.beaten_by is None
+    swapped = {**held_out.baselines, "least squares": held_out.fit}
+    worse = replace(held_out, fit=held_out.baselines["description as it is"], baselines=swapped)
+    assert worse.beaten_by == "least squares"
+    step = headline(replace(good, held_out=worse)).step
+    assert step.startswith("do not use it: it is worse than least squares")
+
+
 def test_a_file_that_misses_more_than_the_estimate_is_not_recommended(
     good: Identification,
 ) -> None:
