@@ -57,7 +57,7 @@ _CLAIMS = ("lower_bound", "margins", "violation", "cost", "gap")
 # the unit of a row (N·m, kg·m), whose terms may be hundredths. The bound allows for them.
 TOLERANCE = Fraction(1e-7)
 
-# More links are not listed by name.
+# More links or conditions are not listed by name.
 _MOST_NAMES = 60
 
 # More rows than any log has.
@@ -253,37 +253,54 @@ def _described(data: dict[str, Any], proof: Proof) -> tuple[str, ...]:
     p, b, links = len(proof.c), len(proof.problem["rhs"]), proof.links
     names(origin["base_names"], b, "base_names")
     joints = names(origin["joints"], len(origin["joints"]), "joints")
-    of_links = ", ".join(proof.link_names[:_MOST_NAMES])
-    if (more := links - _MOST_NAMES) > 0:
-        of_links += f" and {more} more"
     loss = "" if origin["loss"] is None else f", loss {shown(text(origin['loss'], 'loss'))}"
     first = (
-        f"Robot {shown(text(origin['robot'], 'robot'))}: {links} links ({of_links}), "
-        f"{len(joints)} joints, {p} parameters, {p - 10 * links} of them friction and drives, "
-        f"{b} base parameters; weighting {shown(text(origin['weighting'], 'weighting'))}{loss}."
+        f"Robot {shown(text(origin['robot'], 'robot'))}: {links} links "
+        f"({_listed(proof.link_names)}), {len(joints)} joints, {p} parameters, "
+        f"{p - 10 * links} of them friction and drives, {b} base parameters; "
+        f"weighting {shown(text(origin['weighting'], 'weighting'))}{loss}."
     )
     touching = contacts(origin, _MOST)
-    return first, *touching, f"Feasible are parameters with {_constraints(proof)}."
+    open_ = (
+        f"The rows show {b} combinations of the {p} parameters, the base parameters, and no single "
+        "masses: these are what prior and constraints leave, and of equals those of a rule, which "
+        "only --data with --robot compares.",
+    )
+    feasible = f"Feasible are parameters with {_constraints(proof)}."
+    return first, *touching, feasible, *(open_ if b < p else ())
+
+
+def _listed(words: list[str]) -> str:
+    """Return words, of which only some are listed where there are many."""
+    more = f" and {len(words) - _MOST_NAMES} more" if len(words) > _MOST_NAMES else ""
+    return ", ".join(words[:_MOST_NAMES]) + more
 
 
 def _constraints(proof: Proof) -> str:
     """Return the constraints of the problem, in words."""
     links, problem = proof.links, proof.problem
     demands = []
-    if links:
-        masses = range(0, 10 * links, 10)
-        least, most = (
-            pick(ends[k] for k in masses) for pick, ends in ((min, proof.lower), (max, proof.upper))
-        )
-        demands.append(f"masses from {least!r} to {most!r} kg")
+    ends = list(zip(proof.lower, proof.upper, proof.names, strict=True))
+    if masses := ends[: 10 * links : 10]:
+        pairs = [each[:2] for each in masses]
+        least, most = usual = max(pairs, key=pairs.count)
+        others = [
+            f"{n} from {low!r} to {high!r}" for low, high, n in masses if (low, high) != usual
+        ]
+        but = f", but {_listed(others)}" if others else ""
+        demands.append(f"masses from {least!r} to {most!r} kg{but}")
     demands.append(_bounds(proof))
+    free = [name for low, _, name in ends[10 * links :] if low < 0.0]
+    if of := len(ends) - 10 * links:
+        demands.append(f"{len(free)} of {of} of friction and drives may be negative")
     if proof.consistency != "none":
         matrix = _MATRICES[proof.consistency]
         demands.append(f"a {matrix} with margin {float(proof.margin)!r} kg.m2 of each link")
     else:
         demands.append("no consistency of the links")
-    if problem["rows"] or problem["cones"]:
-        demands.append(f"{len(problem['rows'])} rows and {len(problem['cones'])} cones")
+    if further := [shown(each["name"]) for kind in ("rows", "cones") for each in problem[kind]]:
+        count = f"{len(problem['rows'])} rows and {len(problem['cones'])} cones"
+        demands.append(f"{count}, {_listed(further)}")
     prior = []
     if problem["prior_rhs"]:
         beliefs = in_words(problem, proof.link_names)

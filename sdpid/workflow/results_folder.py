@@ -17,7 +17,7 @@ from sdpid.assurance.log_proof.recipe import Recipe
 from sdpid.errors import ExportError, MissingExtraError, SdpidError
 from sdpid.output.report.judged import Judged
 from sdpid.output.tables.intervals_shown import GivenIntervals
-from sdpid.verifier.results.friction_files import NAMES as FRICTION_FILES
+from sdpid.verifier.results.friction_code import NAMES as FRICTION_FILES
 from sdpid.verifier.results.manifest import contents, sealed
 
 if TYPE_CHECKING:

@@ -17,7 +17,7 @@ from sdpid.verifier.reading import REFUSED, parse, read_bytes
 from sdpid.verifier.realizable import Question
 from sdpid.verifier.result import Result
 from sdpid.verifier.results import manifest
-from sdpid.verifier.results.folder import CERTIFICATE
+from sdpid.verifier.results.folder import CERTIFICATE, ELSEWHERE
 
 if TYPE_CHECKING:
     from sdpid.assurance.log_proof.chain.links import LogProof
@@ -102,9 +102,11 @@ def verify(
 ) -> Verification:
     """Check a proof in exact arithmetic, from the numbers in its files, or from the log on.
 
-    Without `data` the same as ``python sdpid/verifier FILE_OR_FOLDER`` with the stand-alone
-    checker. With it samples, rows and their compression are made of the logs again, as the folder's
-    recipe says, and every link from file to bound is proven or named.
+    Proofs and tables are checked as by ``python sdpid/verifier FILE_OR_FOLDER``, the stand-alone
+    checker; robots and friction of a folder are read and compared with the certified parameters.
+    With `data` samples, rows and their compression are made of the logs again, as the folder's
+    recipe says, every link from file to bound is proven or named, and robots are compared with the
+    one that was loaded.
 
     Parameters
     ----------
@@ -157,6 +159,13 @@ def verify(
         known = set(_covered(Path(path), log))
         left = tuple(each for each in result.unchecked if each not in known)
         result = Result(result.statements, result.problems, left) + log.result
+    if Path(path).is_dir():
+        from sdpid.workflow.written_files import check_files
+
+        given = log is not None and "robot" in log.roles
+        found = check_files(Path(path), None if log is None else log.problem, described=given)
+        left = tuple(each for each in result.unchecked if not each.endswith(ELSEWHERE))
+        result = Result(result.statements, result.problems, left) + found
     return Verification(
         passed=result.passed,
         statements=result.statements,

@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
 from typing import Any
+
+import numpy as np
 
 from sdpid._common.tables import plain
 from sdpid.estimation.constraints.condition import Condition
@@ -15,13 +18,25 @@ from sdpid.estimation.constraints.equalities import (
     MirrorPair,
     MirrorSymmetry,
 )
-from sdpid.estimation.constraints.mass import CenterOfMassInEllipsoid, MassInEllipsoid, TotalMass
+from sdpid.estimation.constraints.mass import (
+    CenterOfMassInBox,
+    CenterOfMassInEllipsoid,
+    CenterOfMassInHull,
+    MassInEllipsoid,
+    TotalMass,
+)
+from sdpid.robot.model.geometry import collision_points
+from sdpid.robot.model.model import RobotModel
 
-# Those that names and finite numbers say whole; a hull reads meshes, a box may have no end.
+# A box without an end has null there.
+_NO_END = {"lower": -np.inf, "upper": np.inf}
+
 _KINDS: dict[str, type[Condition]] = {
     kind.__name__: kind
     for kind in (
+        CenterOfMassInBox,
         CenterOfMassInEllipsoid,
+        CenterOfMassInHull,
         EqualFriction,
         EqualLinks,
         Fixed,
@@ -32,6 +47,14 @@ _KINDS: dict[str, type[Condition]] = {
         TotalMass,
     )
 }
+
+
+def explicit(condition: Condition, robot: RobotModel) -> Condition:
+    """Return a condition that holds the points that it reads from the robot's meshes."""
+    if not isinstance(condition, CenterOfMassInHull) or condition.points is not None:
+        return condition
+    points = collision_points(robot, condition.link, package_dirs=condition.package_dirs)
+    return replace(condition, points=points, package_dirs=())
 
 
 def can_be_stated(conditions: Iterable[Condition]) -> bool:
@@ -58,9 +81,11 @@ def conditions_from_list(given: Any) -> tuple[Condition, ...]:
     for each in given:
         if not isinstance(each, Mapping) or each.get("condition") not in _KINDS:
             raise ValueError(f"no condition is {each!r:.200}")
-        found.append(
-            _KINDS[each["condition"]](**{k: v for k, v in each.items() if k != "condition"})
-        )
+        values = {k: v for k, v in each.items() if k != "condition"}
+        if each["condition"] == CenterOfMassInBox.__name__:
+            for end, far in _NO_END.items():
+                values[end] = [far if x is None else x for x in values[end]]
+        found.append(_KINDS[each["condition"]](**values))
     return tuple(found)
 
 

@@ -11,6 +11,7 @@ from sdpid.assurance.log_proof.stated_conditions import (
     can_be_stated,
     conditions_from_list,
     conditions_to_list,
+    explicit,
 )
 from sdpid.estimation.constraints.constraints import Constraints
 from sdpid.estimation.prior.prior import Prior
@@ -59,6 +60,8 @@ class StatedProblem:
                 alike=source.alike,
                 within=source.within,
             )
+        others = tuple(explicit(each, problem.robot) for each in constraints.others)
+        constraints = constraints.replace(others=others)
         return cls(consistency=problem.consistency, constraints=constraints, prior=prior)
 
     def to_dict(self) -> dict[str, Any]:

@@ -105,6 +105,14 @@ def nearest_on_face(
     return again.value, found.seconds + again.seconds
 
 
+def distance_to_reference(problem: Problem, theta: Array) -> float:
+    """Return the distance of parameters from the reference."""
+    reference = Scaling.of(problem)
+    links = reference.bodies.size
+    basis = reference.basis()[:links, :links]
+    return float(np.linalg.norm(np.linalg.solve(basis, theta[:links] - reference.bodies.ravel())))
+
+
 def _unit_rows(rows: Array) -> Array:
     """Return rows of unit length; rows of zeros stay."""
     sizes = np.linalg.norm(rows, axis=1, keepdims=True)

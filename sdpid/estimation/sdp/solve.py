@@ -137,7 +137,8 @@ def solve_sdp(problem: Problem, *, verbose: bool = False) -> Estimate:
         search.try_once(attempt)
         if search.proven:
             break
-    return _settled(*search.result())
+    found, bound = search.result()
+    return settled(found, bound.value)
 
 
 @dataclass(eq=False)
@@ -325,7 +326,7 @@ def _described(problem: Problem, scaling: Scaling) -> Array:
     return np.concatenate([scaling.bodies.ravel(), fit[scaling.bodies.size :]])
 
 
-def _settled(estimate: Estimate, bound: Bound) -> Estimate:
+def settled(estimate: Estimate, bound: float) -> Estimate:
     """Move along the directions that cost nothing, to the point nearest to the description.
 
     What is found is kept only where it costs no more than the solver's own accuracy, and where
@@ -345,7 +346,7 @@ def _settled(estimate: Estimate, bound: Bound) -> Estimate:
             base=frozen(problem.base_of(theta)),
             message=f"{estimate.message}; nearest to the description on the optimal face",
         )
-        proven = relative_gap(problem, moved.cost, bound.value) <= PROVEN
+        proven = relative_gap(problem, moved.cost, bound) <= PROVEN
         return moved if moved.feasible and moved.cost <= allowed and proven else None
 
     moved, seconds = nearest_on_face(problem, np.array(estimate.theta), moved_to)

@@ -12,13 +12,14 @@ from sdpid._common.files import atomic_write_text
 from sdpid.assurance.certificate.certificate import Certificate
 from sdpid.errors import ExportError, ModelError
 from sdpid.estimation.estimate import Estimate
+from sdpid.robot.friction.model import FrictionModel
 from sdpid.robot.friction.posed import LoadFriction, Tilt
 from sdpid.robot.friction.stored import term_to_dict
 from sdpid.robot.friction.term import FrictionTerm
 from sdpid.robot.friction.terms import Coupling
 from sdpid.robot.model.dynamics import RobotDynamics
 from sdpid.verifier.results.friction_code import WRITERS
-from sdpid.verifier.results.friction_terms import KINDS, SCHEMA, VERSION, checked
+from sdpid.verifier.results.friction_terms import KINDS, SCHEMA, VERSION
 
 
 def write_friction(
@@ -82,28 +83,33 @@ def friction_data(
     """
     from sdpid import __version__
 
-    names, at = model.terms.joint_names, 10 * model.robot.n_links
-    terms, left_out = [], []
-    for term in model.terms.terms:
+    return {
+        "schema": SCHEMA,
+        "version": VERSION,
+        "software": f"sdpid {__version__}",
+        "certificate": None if certificate is None else certificate.to_dict()["sha256"],
+        "robot": model.robot.name,
+        **terms_data(model.terms, model.theta[10 * model.robot.n_links :].tolist()),
+    }
+
+
+def terms_data(model: FrictionModel, values: list[float]) -> dict[str, Any]:
+    """Return joints, terms with their parameters, and terms that are left out, as plain values.
+
+    Raises
+    ------
+    ExportError
+        For a term that the files have no form of.
+    """
+    names, terms, left_out, at = model.joint_names, [], [], 0
+    for term in model.terms:
         count = len(term.parameters(names))
-        values = model.theta[at : at + count].tolist()
-        at += count
         if type(term) is Tilt:
             left_out.append(type(term).__name__)
         else:
-            terms.append(_plain(term, names, values))
-    return checked(
-        {
-            "schema": SCHEMA,
-            "version": VERSION,
-            "software": f"sdpid {__version__}",
-            "certificate": None if certificate is None else certificate.to_dict()["sha256"],
-            "robot": model.robot.name,
-            "joints": list(names),
-            "terms": terms,
-            "left_out": left_out,
-        }
-    )
+            terms.append(_plain(term, names, values[at : at + count]))
+        at += count
+    return {"joints": list(names), "terms": terms, "left_out": left_out}
 
 
 def _plain(term: FrictionTerm, names: tuple[str, ...], values: list[float]) -> dict[str, Any]:

@@ -199,13 +199,14 @@ class LoadFriction(PosedTerm):
                 self._bodies(motion), motion.position, motion.velocity, motion.acceleration
             )
         )
-        sign = motion.filtered(self._sign, ("load", self.width, self.share, self.velocity))
+        sign = motion.filtered(self.sign, ("load", self.width, self.share, self.velocity))
         joints = np.arange(load.shape[1])
         columns = np.zeros((*load.shape, len(joints)))
         columns[:, joints, joints] = load * sign
         return columns
 
-    def _sign(self, velocity: Array, acceleration: Array) -> Array:
+    def sign(self, velocity: Array, acceleration: Array) -> Array:
+        """Return what the size of the load is multiplied by, (K, n)."""
         n = velocity.shape[1]
         sign = smooth_sign(velocity, joint_speeds(self, "width", n), 0.0)
         if not self.share:

@@ -13,16 +13,15 @@ from typing import Any
 from .. import certificate
 from ..reading import REFUSED, MalformedError, read_bytes, shown
 from ..result import Result
-from . import friction_files, manifest, mjcf, urdf
-from .joint_friction import Friction
+from . import friction_code, manifest
 from .parameters import Certified, check_parameters, check_result, check_table, exports
 
 CERTIFICATE, RESULT = "certificate.json", "result.json"
-_URDF, _MJCF = "identified.urdf", "identified.xml"
-_FRICTION = friction_files.NAMES
+URDF, MJCF = "identified.urdf", "identified.xml"
 
-# Descriptions of robots may be larger than proofs.
-_LARGEST = 64 * 2**20
+# What the package reads, and this checker does not.
+ROBOTS = (URDF, MJCF, *friction_code.NAMES)
+ELSEWHERE = "sealed; 'sdpid verify' of the whole package compares what they hold"
 
 
 def check(path: Any) -> tuple[Result, str, dict[str, float | None]]:
@@ -73,28 +72,14 @@ def _named(found: Sequence[tuple[str, Result]]) -> Result:
     return Result(merged("statements"), merged("problems"), merged("unchecked"))
 
 
-def _checks(
-    certified: Certified, holds: bool, refitted: Mapping[str, bool]
-) -> dict[str, Callable[[bytes], Result]]:
+def _checks(certified: Certified, holds: bool) -> dict[str, Callable[[bytes], Result]]:
     """Return the check of every file that repeats numbers of the certificate."""
-    consistency = certified.stated["consistency"]
-
-    def friction(name: str) -> Friction:
-        return Friction.of(certified.stated["joints"], certified.theta or {}, refitted[name])
-
     return {
         RESULT: lambda content: check_result(content, certified, holds),
         "parameters.json": lambda content: check_parameters(content, certified),
         "parameters.csv": lambda content: check_table(content, certified.theta),
         "base_parameters.csv": lambda content: check_table(content, certified.base),
-        _URDF: lambda content: urdf.check(content, certified.bodies, consistency, friction(_URDF)),
-        _MJCF: lambda content: mjcf.check(content, certified.bodies, friction(_MJCF)),
-        **{name: _friction_file(suffix, certified) for name, suffix in _FRICTION.items()},
     }
-
-
-def _friction_file(suffix: str, certified: Certified) -> Callable[[bytes], Result]:
-    return lambda content: friction_files.check(content, certified, suffix)
 
 
 def _files(
@@ -102,24 +87,22 @@ def _files(
 ) -> Iterator[tuple[str, Result]]:
     """Yield what was found in each file that repeats numbers of the certificate."""
     try:
-        refitted = exports(read_bytes(folder / RESULT))
+        written = exports(read_bytes(folder / RESULT))
     except (OSError, *REFUSED) as cause:
-        refitted = {}
+        written = []
         yield RESULT, Result(problems=(f"the robots it names cannot be read: {_reason(cause)}",))
-    for name, check_file in _checks(certified, holds, refitted).items():
-        written = name not in (_URDF, _MJCF) or name in refitted
-        needed = written and name not in _FRICTION
+    checks = _checks(certified, holds)
+    for name in (*checks, *ROBOTS):
         if name not in sealed["files"]:
-            if needed or (folder / name).exists():
+            if name in (*checks, *written) or (folder / name).exists():
                 yield name, Result(problems=("it is a result, and not sealed",))
-            continue
-        if not written:
+        elif name in (URDF, MJCF) and name not in written:
             yield name, Result(problems=(f"{RESULT} does not name it among what was written",))
-            continue
-        try:
-            yield name, check_file(read_bytes(folder / name, _LARGEST))
-        except (OSError, *REFUSED) as cause:
-            yield name, Result(problems=(f"cannot be read: {_reason(cause)}",))
+        elif name in checks:
+            try:
+                yield name, checks[name](read_bytes(folder / name))
+            except (OSError, *REFUSED) as cause:
+                yield name, Result(problems=(f"cannot be read: {_reason(cause)}",))
 
 
 def _reason(cause: BaseException) -> str:
@@ -132,8 +115,10 @@ def _reason(cause: BaseException) -> str:
 def _only_sealed(sealed: Mapping[str, Any]) -> tuple[str, ...]:
     """Return what nothing but its digest speaks for."""
     compared = {CERTIFICATE, RESULT, "parameters.json", "parameters.csv", "base_parameters.csv"}
-    others = sorted(sealed["files"].keys() - compared - {_URDF, _MJCF} - _FRICTION.keys())
-    said = [f"{manifest.listed(others)}: sealed, and not derivable"] if others else []
+    others = sorted(sealed["files"].keys() - compared - {*ROBOTS})
+    robots = [name for name in ROBOTS if name in sealed["files"]]
+    said = [f"{manifest.listed(robots)}: {ELSEWHERE}"] if robots else []
+    said += [f"{manifest.listed(others)}: sealed, and not derivable"] if others else []
     return (
         *said,
         f"that {manifest.NAME} is the one that the run wrote: compare its digest "

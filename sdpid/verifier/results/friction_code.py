@@ -13,7 +13,8 @@ import re
 from collections.abc import Callable, Mapping
 from typing import Any
 
-from .friction_terms import PARTS, Language, summands
+from ..reading import MalformedError, parse, require_schema
+from .friction_terms import PARTS, SCHEMA, VERSION, Language, summands
 
 _PYTHON = Language("_", "..., ")
 _CPP = Language("detail::", "")
@@ -138,6 +139,19 @@ _NAMES = dict(zip(PARTS, ("friction", "drive_inertia", "load_friction"), strict=
 _SHORT = {"velocity": "v", "acceleration": "a", "load": "load"}
 
 WRITERS: dict[str, Callable[[Mapping[str, Any]], str]] = {".py": python, ".hpp": cpp}
+NAMES = {f"identified_friction{suffix}": suffix for suffix in WRITERS}
+
+
+def described(content: bytes) -> dict[str, Any]:
+    """Return the object that stands in a line of a file as JSON, of which nothing is known."""
+    mark = MARK.encode("ascii")
+    marks = tuple(sign + mark for sign in (b"# ", b"// "))
+    lines = [line for line in content.splitlines() if line.startswith(marks)]
+    if len(lines) != 1:
+        raise MalformedError(f"{len(lines)} of its lines have its numbers, expected one")
+    data = parse(lines[0].partition(mark)[2])
+    require_schema(data, SCHEMA, VERSION)
+    return data
 
 
 def _plus(place: int) -> str:

@@ -11,16 +11,10 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
-from ..reading import MalformedError, index, items, names, numbers, require_keys, shown, text
-
 SCHEMA, VERSION = "sdpid-friction", 1
-KEYS = ("schema", "version", "software", "certificate", "robot", "joints", "terms", "left_out")
 
 # Parts of the effort: friction of the velocity, drives of the acceleration, friction of the load.
 PARTS = ("friction", "drives", "load")
-
-# Terms that belong to gravity, with their parameters: told, and left out.
-GRAVITY = {"Tilt": ("Gx", "Gy")}
 
 
 class Kind(NamedTuple):
@@ -28,7 +22,6 @@ class Kind(NamedTuple):
 
     symbols: tuple[str, ...]
     settings: tuple[str, ...] = ()
-    positive: tuple[str, ...] = ()
 
 
 COUPLING = "Coupling"
@@ -39,9 +32,9 @@ KINDS = {
     "Offset": Kind(("Fo",)),
     "RotorInertia": Kind(("Ia",)),
     "SquareRootFriction": Kind(("Fq",)),
-    "Stribeck": Kind(("Fst",), ("velocity", "exponent", "width"), ("velocity", "exponent")),
-    "SigmoidFriction": Kind(("Fsg",), ("velocity",), ("velocity",)),
-    "LoadFriction": Kind(("Fl",), ("width", "share", "velocity"), ("velocity",)),
+    "Stribeck": Kind(("Fst",), ("velocity", "exponent", "width")),
+    "SigmoidFriction": Kind(("Fsg",), ("velocity",)),
+    "LoadFriction": Kind(("Fl",), ("width", "share", "velocity")),
     COUPLING: Kind(("Ia", "Fv", "Fs"), ("width",)),
 }
 
@@ -87,40 +80,6 @@ def parameters(term: Mapping[str, Any], n: int) -> list[str]:
         i, j = term["joints"]
         return [f"{symbol}{i + 1}_{j + 1}" for symbol in symbols]
     return [f"{symbol}{k + 1}" for symbol in symbols for k in range(n)]
-
-
-def checked(data: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the numbers of a file as they must be; MalformedError where they make no sense."""
-    found = require_keys(dict(data), KEYS, "its description")
-    joints = names(found["joints"], len(items(found["joints"], "joints")), "joints")
-    for key in ("software", "robot"):
-        text(found[key], key)
-    if found["certificate"] is not None:
-        text(found["certificate"], "certificate")
-    if any(each not in GRAVITY for each in items(found["left_out"], "left_out")):
-        raise MalformedError("it leaves out what is not known")
-    return {**found, "terms": [_term(each, len(joints)) for each in items(found["terms"], "terms")]}
-
-
-def _term(term: Any, n: int) -> dict[str, Any]:
-    """Return a term whose settings and values are finite doubles."""
-    kind = KINDS.get(str(term.get("term")))
-    if kind is None:
-        raise MalformedError(f"no term is called {shown(str(term.get('term')))}")
-    coupled = term["term"] == COUPLING
-    own = ("joints",) if coupled else ()
-    require_keys(term, ("term", *own, *kind.settings, "values"), "a term")
-    count = 1 if coupled else n
-    found: dict[str, Any] = {"term": term["term"]}
-    if coupled:
-        found["joints"] = [index(each, n) for each in items(term["joints"], "joints of a term")]
-        if len(set(found["joints"])) != len(found["joints"]) or len(found["joints"]) != 2:
-            raise MalformedError("a coupling is not of two joints")
-    for key in kind.settings:
-        found[key] = numbers(term[key], count)
-        if any(x < 0.0 or (x == 0.0 and key in kind.positive) for x in found[key]):
-            raise MalformedError(f"{key} of {term['term']} is negative, or zero")
-    return {**found, "values": numbers(term["values"], count * len(kind.symbols))}
 
 
 def summands(data: Mapping[str, Any], language: Language) -> Iterator[Summand]:

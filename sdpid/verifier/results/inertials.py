@@ -9,7 +9,6 @@ refuse, moments about the center of mass are raised first (`inside`).
 from __future__ import annotations
 
 from collections.abc import Sequence
-from decimal import ROUND_CEILING, Context, Decimal
 from fractions import Fraction
 from typing import NamedTuple
 
@@ -128,12 +127,6 @@ def rounded(body: Body) -> Inertial:
         return NOTHING
     mass, com, moments = central(body)
     return Inertial(float(mass), tuple(map(float, com)), tuple(map(float, moments)))
-
-
-def at_most(value: Fraction) -> str:
-    """Return a rational in two digits, rounded up."""
-    context = Context(prec=2, rounding=ROUND_CEILING)
-    return str(context.divide(Decimal(value.numerator), Decimal(value.denominator)))
 
 
 def exists(mass: float, moments: Sequence[float], consistency: str) -> bool:

@@ -77,12 +77,6 @@ class Certified:
             scale=proof.scale,
         )
 
-    @property
-    def bodies(self) -> dict[str, list[float]]:
-        """The ten parameters of every link."""
-        values = list((self.theta or {}).values())
-        return {link: values[10 * k : 10 * k + 10] for k, link in enumerate(self.stated["links"])}
-
 
 def check_parameters(content: bytes, certified: Certified) -> Result:
     """Check parameters.json."""
@@ -120,14 +114,9 @@ def check_result(content: bytes, certified: Certified, holds: bool) -> Result:
     return _result(problems, "errors of prediction, intervals, findings and words")
 
 
-def exports(content: bytes) -> dict[str, bool]:
-    """Return the robots that result.json says were written, and whether friction was refitted."""
-    found = {}
-    for entry in items(parse(content)["exports"], "exports"):
-        if type(entry["friction_fitted"]) is not bool:
-            raise MalformedError("friction_fitted is neither true nor false")
-        found[entry["file"]] = entry["friction_fitted"]
-    return found
+def exports(content: bytes) -> list[str]:
+    """Return the robots that result.json says were written."""
+    return [entry["file"] for entry in items(parse(content)["exports"], "exports")]
 
 
 def check_table(content: bytes, values: Mapping[str, float] | None) -> Result:

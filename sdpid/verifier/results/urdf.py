@@ -1,27 +1,14 @@
-"""Compare a URDF with certified parameters: links with what is fixed to them, joints' friction.
-
-What moves with a joint is a link and the links fixed to it. A URDF holds the certified parameters
-where the link that the joint moves has, to the last digit, what they give less the links fixed to
-it (`sdpid.verifier.results.inertials`). The writer computes its numbers by the same functions.
-"""
+"""URDFs as strictly as their readers differ: links with what is fixed to them, joints."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from fractions import Fraction
 
 from ..reading import MalformedError, shown
-from ..result import Result
-from .inertials import MOMENTS, Inertial, at_most, body_of, exists, inside, less, moved, rounded
-from .joint_friction import Friction, compared
-from .manifest import listed
+from .inertials import MOMENTS, Inertial, body_of, less, moved
 from .markup import Node, by_name, parse
 from .placements import HERE, Placement, from_rpy
-
-# The attributes of <dynamics> and the parameters that they hold.
-PLACES = {"friction": "Fs", "damping": "Fv"}
-
-_PLAIN = ("link", "joint", "material", "transmission")
 
 # All that an <inertial> has. Others, such as quat_xyzw, turn or scale it for some readers only.
 _KNOWN: dict[str, set[str]] = {
@@ -38,10 +25,6 @@ _LOWER = {"iyx": "ixy", "izx": "ixz", "izy": "iyz"}
 _VERSIONS = ("", "1.0", "1.1", "1.2")
 
 
-# What nothing in the folder speaks for.
-DESCRIBED = "that joints (places, axes, limits), shapes and gravity are the description's"
-
-
 class Urdf:
     """Links and joints of a URDF; MalformedError where readers might see different ones."""
 
@@ -51,8 +34,6 @@ class Urdf:
             raise MalformedError(f"its root is <{shown(root.tag)}>, not <robot>")
         self.version = root.attributes.get("version", "")
         self.links, self.joints = (by_name(root.all(tag), f"{tag}s") for tag in ("link", "joint"))
-        self.others = sorted({child.tag for child in root.children} - set(_PLAIN))
-        self.movers: dict[str, Node] = {}
         self._fixed: dict[str, list[tuple[str, Placement]]] = {}
         self._fixing: dict[str, Node] = {}
         carried: dict[str, list[str]] = {link: [] for link in self.links}
@@ -64,8 +45,6 @@ class Urdf:
             if joint.attributes.get("type") == "fixed":
                 self._fixed.setdefault(parent, []).append((child, _origin(joint)))
                 self._fixing[child] = joint
-            else:
-                self.movers[child] = joint
         self.root = _root(carried)
 
     def attached(self, link: str) -> list[tuple[str, Placement]]:
@@ -88,6 +67,14 @@ class Urdf:
         found = [self.links[name].only("inertial") for name in (link, *fixed)]
         found += [self._fixing[child].only("origin") for child in fixed]
         return [node for node in found if node is not None]
+
+    def odd(self, links: Iterable[str]) -> Iterator[str]:
+        """Yield what readers may take differently of links and of those fixed to them."""
+        if self.version not in _VERSIONS:
+            yield f"its version is {shown(self.version)}"
+        for link in links:
+            for node in self.parts(link):
+                yield from (f"link {shown(link)}: {each}" for each in _odd(node))
 
     def inertial(self, link: str) -> tuple[Inertial, Placement] | None:
         """Return the inertial of a link and the axes of its moments; None without one."""
@@ -134,62 +121,6 @@ def _origin(node: Node) -> Placement:
     return HERE if origin is None else from_rpy(origin.triple("rpy"), origin.triple("xyz"))
 
 
-def check(
-    source: bytes,
-    bodies: Mapping[str, Sequence[float]],
-    consistency: str,
-    friction: Friction,
-) -> Result:
-    """Check a URDF against the ten parameters of every moving link, and against friction.
-
-    Parameters
-    ----------
-    source : bytes
-        The file.
-    bodies : mapping of str to sequence of float
-        The certified parameters of the links.
-    consistency : str
-        What every link must have.
-    friction : Friction
-        The certified parameters of the joints.
-    """
-    urdf = Urdf(source)
-    problems, raised = [], Fraction(0)
-    if urdf.version not in _VERSIONS:
-        problems.append(f"its version is {shown(urdf.version)}, which readers may take differently")
-    floating = {urdf.root} & bodies.keys()
-    for link in (urdf.movers.keys() | floating) ^ bodies.keys():
-        where = "the file" if link in bodies else "the certificate"
-        problems.append(f"link {shown(link)}: {where} has no such moving link")
-    for link in (name for name in bodies if name in urdf.links):
-        problems += [
-            f"link {shown(link)}: {odd}, which readers may take differently"
-            for node in urdf.parts(link)
-            for odd in _odd(node)
-        ]
-        rest = urdf.rest(link, bodies[link])
-        expected, found = inside(rest, consistency), urdf.inertial(link)
-        if expected is None:
-            fixed = [child for child, _ in urdf.attached(link)]
-            problems.append(f"link {shown(link)}: {leftover(rest, fixed)}")
-            continue
-        problems += _differences(link, expected, found)
-        raised = max(raised, expected[4] - rest[4])
-        if found is not None and not exists(found[0].mass, found[0].moments, consistency):
-            problems.append(f"link {shown(link)} is no body: {consistency} does not hold")
-    said = () if problems else (agreement(len(bodies), raised, consistency),)
-    result = Result(said, tuple(problems), _unchecked(urdf, bodies, consistency))
-    return result + compared(_values(urdf), friction, PLACES)
-
-
-def leftover(rest: Sequence[Fraction], fixed: Sequence[str]) -> str:
-    """Return that what is fixed to a link leaves no body of it, in words."""
-    return (
-        f"no body is what the links fixed to it ({listed(fixed)}) leave of its certified "
-        f"parameters, {float(rest[0])!r} kg"
-    )
-
-
 def _odd(node: Node) -> Iterator[str]:
     """Yield what in an <inertial> or <origin> is not what every reader takes the same way."""
     for element in (node, *node.children):
@@ -200,57 +131,3 @@ def _odd(node: Node) -> Iterator[str]:
             upper = _LOWER.get(key) if element.tag == "inertia" else None
             if upper is None or element.number(key) != element.number(upper):
                 yield f"{shown(key)} of <{element.tag}>"
-
-
-def agreement(count: int, raised: Fraction, consistency: str) -> str:
-    """Return that a file has the certified bodies, in words."""
-    off = f" (inertias raised by at most {at_most(raised)} kg.m2, off the edge)" if raised else ""
-    return (
-        f"{count} moving links, with what is fixed to them, have the certified parameters, "
-        f"rounded to doubles{off}, and each is a body: {consistency} holds exactly."
-    )
-
-
-def _differences(
-    link: str, expected: list[Fraction], found: tuple[Inertial, Placement] | None
-) -> list[str]:
-    """Return the numbers of a link that are not those of its parameters."""
-    if found is None:
-        return [f"link {shown(link)} has no inertial"]
-    inertial, axes = found
-    wrong = [] if axes.rotation == HERE.rotation else ["its axes are turned"]
-    for (name, value), wanted in zip(
-        inertial.named().items(), rounded(expected).named().values(), strict=True
-    ):
-        if value != wanted:
-            wrong.append(f"{name} is {value!r}, the certified parameters give {wanted!r}")
-    return [f"link {shown(link)}: {each}" for each in wrong]
-
-
-def _values(urdf: Urdf) -> dict[str, dict[str, float]]:
-    """Return the friction of every joint that moves by attribute."""
-    found = {}
-    for joint in urdf.movers.values():
-        node = joint.only("dynamics") or Node("dynamics", {})
-        found[joint.name] = {k: node.number(k) for k in PLACES if k in node.attributes}
-    return found
-
-
-def _unchecked(
-    urdf: Urdf, bodies: Mapping[str, Sequence[float]], consistency: str
-) -> tuple[str, ...]:
-    """Return what a URDF says beside the certified parameters."""
-    carried = {child for link in bodies if link in urdf.links for child, _ in urdf.attached(link)}
-    still = urdf.links.keys() - carried - bodies.keys()
-    said = [DESCRIBED]
-    for link in sorted(carried):
-        found = urdf.inertial(link)
-        if found is None or not any(found[0].named().values()):
-            continue
-        if not exists(found[0].mass, found[0].moments, consistency):
-            said.append(f"link {shown(link)}, fixed to another: it is no body, and not estimated")
-    if still:
-        said.append(f"that {len(still)} links which do not move have the description's inertials")
-    if urdf.others:
-        said.append(f"that its elements {listed(urdf.others)} are the description's")
-    return tuple(said)

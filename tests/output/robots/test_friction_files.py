@@ -120,7 +120,7 @@ def expected(model: RobotDynamics, v: Array, a: Array, load: Array) -> tuple[Arr
     for term in model.terms.terms:
         count = len(term.parameters(model.terms.joint_names))
         if isinstance(term, LoadFriction):
-            sign = term._sign(v[:, first:], a[:, first:])
+            sign = term.sign(v[:, first:], a[:, first:])
             held[:, first:] = values[at : at + count] * np.abs(load[:, first:]) * sign
         at += count
     return tuple(each[:, first:] for each in (model.friction(v), drives @ values, held))

@@ -20,7 +20,7 @@ from sdpid.robot.model.base_parameters import generic_states
 from sdpid.robot.model.load import load_robot
 from sdpid.robot.model.model import RobotModel
 from tests.helpers.robots import TREE, TREE_MIMIC
-from tests.helpers.verified import checked
+from tests.helpers.verified import differences
 from tests.output.robots.test_urdf import (
     ARM,
     CLOSE,
@@ -73,11 +73,11 @@ def test_round_trip_in_both_libraries(tmp_path: Path, source: str, points: int) 
     shaped = any(f"<{shape}" in str(problem.robot.urdf) for shape in ("visual", "collision"))
     assert ("shapes of the URDF" in report.describe()) == shaped
     assert_identified(problem, links, tmp_path / "out.xml")
-    assert checked(estimate, tmp_path / "out.xml").problems == ()
+    assert differences(estimate, tmp_path / "out.xml") == []
     # The URDF of the same estimate, in Pinocchio and in MuJoCo.
     urdf = write_urdf(estimate, target=tmp_path / "out.urdf")
     assert urdf.lumped == report.lumped
-    assert checked(estimate, tmp_path / "out.urdf", fitted=True).problems == ()
+    assert differences(estimate, tmp_path / "out.urdf") == []
     assert_same_efforts(problem, links, tmp_path / "out.urdf")
     states = generic_states(problem.robot, 20, 79)
     expected = problem.robot.inverse_dynamics(links, *states)
@@ -106,7 +106,7 @@ def test_lump_when_the_rest_is_no_body(tmp_path: Path) -> None:
     assert report.lumped == ("slide",)
     assert "tool" in report.links_changed
     assert_identified(problem, links, tmp_path / "out.xml")
-    assert checked(estimate_of(problem, links, NUMBER), tmp_path / "out.xml").problems == ()
+    assert differences(estimate_of(problem, links, NUMBER), tmp_path / "out.xml") == []
 
 
 def test_a_child_that_is_no_body_is_counted_in(tmp_path: Path) -> None:
@@ -137,7 +137,7 @@ def test_a_floating_base_called_world(tmp_path: Path) -> None:
     links = bodies(np.random.default_rng(2), 4)
     report = write_mjcf(estimate_of(problem, links, NUMBER), target=tmp_path / "out.xml")
     assert report.links_changed[0] == "world_link"
-    assert checked(estimate_of(problem, links, NUMBER), tmp_path / "out.xml").problems == ()
+    assert differences(estimate_of(problem, links, NUMBER), tmp_path / "out.xml") == []
 
 
 # The arm as a user may have it: on a table, with other frames, a shape, defaults and comments.

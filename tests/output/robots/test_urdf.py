@@ -24,7 +24,7 @@ from sdpid.robot.inertia import margin, point_masses
 from sdpid.robot.model.base_parameters import generic_states
 from sdpid.robot.model.load import load_robot
 from sdpid.robot.model.model import RobotModel
-from tests.helpers.verified import checked
+from tests.helpers.verified import differences
 
 # Efforts of the written robot, relative to the largest one.
 CLOSE = 1e-9
@@ -169,7 +169,7 @@ def test_round_trip_in_both_libraries(tmp_path: Path, text: str, points: int) ->
     target = tmp_path / "out.urdf"
     estimate = estimate_of(problem, links)
     report = write_urdf(estimate, target=target)
-    assert checked(estimate, target).problems == ()
+    assert differences(estimate, target) == []
     assert report.path == target
     assert report.triangle_violations == ()
     assert_same_efforts(problem, links, target)
@@ -186,7 +186,7 @@ def test_example_robot_with_fixed_hand(tmp_path: Path) -> None:
         links = bodies(rng, problem.robot.n_links, points)
         estimate = estimate_of(problem, links)
         report = write_urdf(estimate, target=tmp_path / "panda.urdf")
-        assert checked(estimate, tmp_path / "panda.urdf").problems == ()
+        assert differences(estimate, tmp_path / "panda.urdf") == []
         assert_same_efforts(problem, links, tmp_path / "panda.urdf")
         assert len(report.lumped) == (1 if points == 2 else 0)
 
@@ -239,8 +239,8 @@ def test_friction_of_followers_counts_at_their_source(tmp_path: Path) -> None:
     assert report.left_out == (LeftOut("Offset", ("Fo1", "Fo2")),)
     assert "no place in a URDF: Offset Fo1, Fo2" in report.describe()
     assert report.friction_fitted
-    found = checked(estimate_of(problem, links), tmp_path / "out.urdf", fitted=True)
-    assert found.problems == ()
+    found = differences(estimate_of(problem, links), tmp_path / "out.urdf")
+    assert found == []
 
 
 def test_lump_when_the_rest_is_no_body(tmp_path: Path, arm: Problem) -> None:
@@ -248,7 +248,7 @@ def test_lump_when_the_rest_is_no_body(tmp_path: Path, arm: Problem) -> None:
     links[1] *= 0.05  # lighter than the tool that is fixed to it
     estimate = estimate_of(arm, links)
     report = write_urdf(estimate, target=tmp_path / "out.urdf")
-    assert checked(estimate, tmp_path / "out.urdf").problems == ()
+    assert differences(estimate, tmp_path / "out.urdf") == []
     assert report.lumped == ("slide",)
     assert "tool" in report.links_changed
     assert "slide" in report.describe()
@@ -315,7 +315,7 @@ def test_spatial_consistency_may_violate_the_triangle(tmp_path: Path, arm: Probl
     links[0, 1:4] = 0.0
     report = write_urdf(estimate_of(problem, links), target=tmp_path / "out.urdf")
     assert report.triangle_violations == ("upper",)
-    assert checked(estimate_of(problem, links), tmp_path / "out.urdf").problems == ()
+    assert differences(estimate_of(problem, links), tmp_path / "out.urdf") == []
     assert_same_efforts(problem, links, tmp_path / "out.urdf")
     with pytest.raises(ExportError, match="'upper' is not consistent"):
         write_urdf(estimate_of(arm, links), target=tmp_path / "no.urdf")
@@ -327,7 +327,7 @@ def test_free_flyer_writes_its_root(tmp_path: Path) -> None:
     links = bodies(np.random.default_rng(2), 4)
     report = write_urdf(estimate_of(problem, links), target=tmp_path / "out.urdf")
     assert report.links_changed[0] == "base"
-    assert checked(estimate_of(problem, links), tmp_path / "out.urdf").problems == ()
+    assert differences(estimate_of(problem, links), tmp_path / "out.urdf") == []
     assert report.joints_changed == ("j1", "j2", "j3")
     assert_same_efforts(problem, links, tmp_path / "out.urdf")
 

@@ -19,9 +19,9 @@ from sdpid.assurance.certificate.compression import Compression, base_limit, enc
 from sdpid.assurance.certificate.rows_digest import samples_digest
 from sdpid.assurance.log_proof.chain.contacts import CONTACTS, touched
 from sdpid.assurance.log_proof.chain.links import Bounds, Link, LogProof, State
-from sdpid.assurance.log_proof.chain.robots import URDF, find_robot, robot_file
+from sdpid.assurance.log_proof.chain.robots import URDF, find_robot
 from sdpid.assurance.log_proof.chain.sealed import Sealed
-from sdpid.assurance.log_proof.chain.stated import stated_problem
+from sdpid.assurance.log_proof.chain.stated import feasible_set, stated_problem
 from sdpid.assurance.log_proof.chain.totals import Totals, of_rows, of_true_rows
 from sdpid.assurance.log_proof.inputs import log_entry, recording_digest
 from sdpid.assurance.log_proof.row_error import row_error
@@ -31,6 +31,8 @@ from sdpid.estimation.compression.rows import RowSource
 from sdpid.estimation.constraints.condition import Layout
 from sdpid.estimation.constraints.constraints import Constraints
 from sdpid.estimation.constraints.feasible_set import FeasibleSet
+from sdpid.estimation.prior.prior import prior_terms
+from sdpid.estimation.problem import Problem
 from sdpid.experiment.preparation.several import Logs, prepare_recordings
 from sdpid.experiment.processing.samples import Samples
 from sdpid.experiment.readers.read import is_frame, read_recording
@@ -147,6 +149,8 @@ class _Check:
     samples: Any = None
     source: Any = None
     sigma: Any = None
+    A: Any = None
+    rhs: Any = None
     compression: Compression | None = None
     row_error: float | None = None
     totals: Any = None
@@ -181,7 +185,7 @@ class _Check:
         if found["sha256"] == entry["sha256"]:
             how = self.sealed.recipe.reading[number]
             text = f"{name} has the SHA-256 of the manifest, {entry['sha256']}"
-            text += f"; read with {_options(how)}" if how else ""
+            text += f"; its columns are taken, scaled or left out by {_options(how)}" if how else ""
             if found["bytes"] != entry["bytes"]:
                 text += f"; but {found['bytes']} bytes, where the manifest has {entry['bytes']}"
             state: State = "proven" if found["bytes"] == entry["bytes"] else "not proven"
@@ -205,8 +209,6 @@ class _Check:
         if source is not None and not of_folder:
             self.roles = ("log", "robot")
         self.say(link.name, link.state, link.text, stop=self.robot is None)
-        if not of_folder and (written := robot_file(self.sealed)) is not None:
-            self.say(written.name, written.state, written.text)
 
     def process(self) -> None:
         """Process the logs as the recipe says."""
@@ -214,10 +216,13 @@ class _Check:
         samples: Samples = prepare_recordings(
             self.robot, self.logs, recipe.processing, without_effort=recipe.without_effort
         ).samples
-        rows = int(np.count_nonzero(samples.used))
-        text = f"{samples.n_samples} samples, {rows} rows, by {recipe.processing!r}"
+        rows, logged = int(np.count_nonzero(samples.used)), sum(len(log.time) for log in self.logs)
+        text = f"{samples.n_samples} of the {logged} samples of the logs are used, and of their "
+        text += f"{samples.used.size} efforts {rows} (rows), by {recipe.processing!r}"
         if recipe.without_effort:
             text += f", without the efforts of {', '.join(map(shown, recipe.without_effort))}"
+        if recipe.force_scale != 1.0:
+            text += f", with covariances of measured forces times {recipe.force_scale!r}"
         # Contacts take rows away: how many there are is told with them.
         rows = rows if samples.contacts is None else origin["rows"]
         if (samples.n_samples, rows) != (origin["samples"], origin["rows"]):
@@ -276,7 +281,9 @@ class _Check:
 
     def touch(self) -> None:
         """Compare contacts with those that the certificate names; nothing where there are none."""
-        self.sigma = self._sigma()
+        self.sigma, given = self._sigma(), self.sealed.data["problem"]
+        self.rhs = np.array(given["rhs"], dtype=np.float64)
+        self.A = np.array(given["A"], dtype=np.float64).reshape(len(self.rhs), -1)
         for link in touched(self.sealed, self.source, self.sigma):
             self.say(link.name, link.state, link.text)
 
@@ -302,8 +309,8 @@ class _Check:
             self.source,
             sigma,
             sealed.recipe.weighting,
-            A=np.array(problem["A"], dtype=np.float64).reshape(len(problem["rhs"]), -1),
-            rhs=np.array(problem["rhs"], dtype=np.float64),
+            A=self.A,
+            rhs=self.rhs,
             floor=float(problem["floor"]),
             base_limit=base_limit(self.source.base.matrix, *bounds),
         )
@@ -361,16 +368,15 @@ class _Check:
 
     def _near(self) -> Near | None:
         """Return the certificate's compressed cost, and base parameters that fit."""
-        problem, theta = self.sealed.data["problem"], self.sealed.found.theta
-        A = np.array(problem["A"], dtype=np.float64).reshape(len(problem["rhs"]), -1)
-        rhs = np.array(problem["rhs"], dtype=np.float64)
-        found = self.compression
+        theta, found = self.sealed.found.theta, self.compression
         if found is None or found.relative is None or found.absolute is None:
             return None
-        base = np.asarray(np.linalg.lstsq(A, rhs, rcond=None)[0], dtype=np.float64)
+        base = np.asarray(np.linalg.lstsq(self.A, self.rhs, rcond=None)[0], dtype=np.float64)
         if theta is not None:
             base = self.source.base.matrix @ np.array([float(each) for each in theta])
-        return Near(A=A, rhs=rhs, relative=found.relative, absolute=found.absolute, base=base)
+        return Near(
+            A=self.A, rhs=self.rhs, relative=found.relative, absolute=found.absolute, base=base
+        )
 
     def add_up(self) -> None:
         """Say what is proven of the rows of this log."""
@@ -388,10 +394,32 @@ class _Check:
             text = f"on the rows of the equations of motion {self.of_equations}"
             self.say("total", "proven", text)
 
+    def _problem(self) -> Problem | None:
+        """Return the problem with the certificate's cost and the recipe's feasible set."""
+        stated, given, source = self.sealed.recipe.problem, self.sealed.data, self.source
+        if self.compression is None or stated is None:
+            return None
+        return Problem(
+            robot=source.robot,
+            friction=source.friction,
+            base=source.base,
+            weighting=self.sealed.recipe.weighting,
+            sigma=self.sigma,
+            A=self.A,
+            rhs=self.rhs,
+            floor=float(given["problem"]["floor"]),
+            n_samples=source.samples.n_samples,
+            n_rows=given["origin"]["rows"],
+            feasible=feasible_set(stated, source),
+            prior=None if stated.prior is None else prior_terms(stated.prior, source),
+            rows=source,
+        )
+
     def proof(self) -> LogProof:
         """Return what was found."""
         found = self.compression
         return LogProof(
+            problem=self._problem(),
             links=tuple(self.links),
             roles=self.roles,
             relative=None if found is None else found.relative,

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 from sdpid.assurance.log_proof.chain.totals import Totals
+from sdpid.estimation.problem import Problem
 from sdpid.verifier.exact import above
 from sdpid.verifier.result import Result
 
@@ -89,6 +90,8 @@ class LogProof:
     roles : tuple of str
         Inputs of the run that were compared: the log, and the robot's description where it was at
         hand.
+    problem : Problem or None
+        The problem, made of the logs as the recipe says; None where that could not be.
     rows, equations : Bounds or None
         On the rows of this log as computed, and on those of the robot's equations of motion.
     """
@@ -98,6 +101,7 @@ class LogProof:
     relative: float | None = None
     absolute: float | None = None
     row_error: float | None = None
+    problem: Problem | None = None
     rows: Bounds | None = None
     equations: Bounds | None = None
 

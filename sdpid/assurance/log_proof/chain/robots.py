@@ -34,7 +34,11 @@ def find_robot(
         robot = given if isinstance(given, RobotModel) else load_robot(given, **recipe.arguments)
         return robot, _judged(sealed, robot, "the given robot" if loaded else shown(str(given)))
     if (ours := _of_folder(sealed)) is not None:
-        return ours, Link("robot", "proven", f"{_same(recipe)}; gravity {_gravity(recipe)} m/s²")
+        text = (
+            f"the kinematics of {URDF} in the folder are, number for number, those that the "
+            f"manifest names (SHA-256 {recipe.kinematics}){_taken(recipe)}"
+        )
+        return ours, Link("robot", "proven", text)
     if recipe.catalog and recipe.source is not None and _installed(recipe.source):
         robot = load_robot(recipe.source, **recipe.arguments)
         return robot, _judged(sealed, robot, shown(recipe.source))
@@ -42,24 +46,6 @@ def find_robot(
     how = "the model in Python (robot=)" if recipe.source is None else f"{named.strip()} (--robot)"
     text = f"the robot's description{named} is not in the folder: give {how}"
     return None, Link("robot", "not proven", text)
-
-
-def robot_file(sealed: Sealed) -> Link | None:
-    """Return whether identified.urdf has the kinematics of the run; None where there is none."""
-    recipe = sealed.recipe.robot
-    if recipe.kinematics is None or not (sealed.folder / URDF).is_file():
-        return None
-    if _of_folder(sealed) is not None:
-        return Link("robot", "proven", _same(recipe))
-    text = f"the kinematics of {URDF} are not those that the manifest names: {recipe.kinematics}"
-    return Link("robot", "not proven", text)
-
-
-def _same(recipe: RobotRecipe) -> str:
-    return (
-        f"the kinematics of {URDF} in the folder are, number for number, those that the manifest "
-        f"names (SHA-256 {recipe.kinematics})"
-    )
 
 
 def _of_folder(sealed: Sealed) -> RobotModel | None:
@@ -90,19 +76,24 @@ def _judged(sealed: Sealed, robot: RobotModel, name: str) -> Link:
     same = kinematics is not None and kinematics == recipe.kinematics
     sealed_text = None if entry is None or recipe.source is None else entry["sha256"]
     text = None if robot.source is None else robot.source.sha256
-    gravity = f"gravity {_gravity(recipe)} m/s²"
-    state: State = "proven"
-    if text is not None and text == sealed_text:
-        said = f"{name} has the SHA-256 of the manifest, {text}; {gravity}"
+    state: State = "not proven"
+    if kinematics is not None and recipe.kinematics is None:
+        said = f"the recipe names no kinematics, and {name} has some: SHA-256 {kinematics}"
+    elif text is not None and text == sealed_text:
+        state = "proven"
+        said = f"{name} has the SHA-256 of the manifest, {text}{_taken(recipe)}"
         if not same:
-            said += "; its kinematics differ from those of the run in the last digits"
+            said += (
+                "; its kinematics have another SHA-256 than the manifest names, as they have where "
+                "a processor rounds otherwise: rows and robots are compared with those read here"
+            )
     elif same:
+        state = "proven"
         said = (
             f"the kinematics of {name} are, number for number, those that the manifest names "
-            f"(SHA-256 {kinematics}); {gravity}"
+            f"(SHA-256 {kinematics}){_taken(recipe)}"
         )
     else:
-        state = "not proven"
         said = (
             f"{name} is another robot: SHA-256 {text or kinematics}, the manifest names "
             f"{shown(recipe.source or recipe.name)} with {sealed_text or recipe.kinematics}"
@@ -110,5 +101,9 @@ def _judged(sealed: Sealed, robot: RobotModel, name: str) -> Link:
     return Link("robot", state, said)
 
 
-def _gravity(recipe: RobotRecipe) -> str:
-    return "({:g}, {:g}, {:g})".format(*recipe.gravity)
+def _taken(recipe: RobotRecipe) -> str:
+    """Return what the recipe takes of the robot beside its description, in words."""
+    gravity = "({:g}, {:g}, {:g})".format(*recipe.gravity)
+    said = f"; gravity is taken to be {gravity} m/s² in the base"
+    given = ", ".join(f"{shown(k)}={shown(v)}" for k, v in sorted(recipe.xacro_args.items()))
+    return f"{said}; its macros are given {given}" if given else said

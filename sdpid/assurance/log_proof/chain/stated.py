@@ -36,22 +36,27 @@ def stated_problem(sealed: Sealed, source: RowSource) -> Link:
     stated, given = sealed.recipe.problem, sealed.data["problem"]
     if stated is None:
         text = (
-            "that bounds, margin, rows, cones and prior are what you would ask for: the recipe "
-            "cannot state such conditions or such a prior"
+            "the recipe does not state what was asked of the parameters, so that bounds, margin, "
+            "rows, cones and prior may be any: conditions of a class of your own stand in no file"
         )
-        return Link(NAME, "not checked", text)
+        return Link(NAME, "not proven", text)
     if wrong := list(_differences(stated, given, source)):
         return Link(NAME, "not proven", "; ".join(wrong))
     text = f"bounds, margin and prior are those of {_in_words(sealed, stated, source)}"
     return Link(NAME, "proven", text)
 
 
+def feasible_set(stated: StatedProblem, source: RowSource) -> FeasibleSet:
+    """Return the parameters that the recipe allows."""
+    layout = Layout(source.robot, source.friction)
+    return FeasibleSet.build(stated.constraints, stated.consistency, layout)
+
+
 def _differences(
     stated: StatedProblem, given: Mapping[str, Any], source: RowSource
 ) -> Iterator[str]:
     """Yield what of the certificate's problem is not as stated."""
-    layout = Layout(source.robot, source.friction)
-    feasible = FeasibleSet.build(stated.constraints, stated.consistency, layout)
+    feasible = feasible_set(stated, source)
     if given["consistency"] != stated.consistency:
         yield f"the consistency is {given['consistency']}, stated is {stated.consistency}"
     if given["margin"] != stated.constraints.margin:
@@ -138,6 +143,8 @@ def _in_words(sealed: Sealed, stated: StatedProblem, source: RowSource) -> str:
         f"{constraints.mass_min!r} to {constraints.mass_max!r} kg, parameters to "
         f"{constraints.theta_max!r}, of friction to {constraints.friction_max!r}"
     )
+    if not constraints.friction_nonnegative:
+        numbers += ", friction may be negative"
     default = with_friction_max(Constraints.of_size(robot), source)
     usual = described and constraints.replace(others=()) == default
     said = f"the recipe ({numbers}{', the defaults for this robot' if usual else ''}"

@@ -1,0 +1,42 @@
+"""Folders of results that were changed and sealed again, as any forger can."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from sdpid._common.staging import digest
+from sdpid.verifier.reading import digest as digest_of
+from sdpid.verifier.results.manifest import sealed
+
+
+def edit(path: Path, change: Callable[[str], str]) -> None:
+    """Change the text of a file."""
+    before = path.read_text(encoding="utf-8")
+    after = change(before)
+    assert after != before
+    path.write_text(after, encoding="utf-8")
+
+
+def edit_json(path: Path, change: Callable[[Any], object]) -> None:
+    """Change an object in a file."""
+    data = json.loads(path.read_text(encoding="utf-8"))
+    change(data)
+    path.write_text(json.dumps(data), encoding="utf-8")
+
+
+def reseal(folder: Path, *, without: str = "") -> None:
+    """Make every digest right, and list all files that are there but one."""
+    path, certificate = folder / "manifest.json", folder / "certificate.json"
+    manifest, proof = (json.loads(file.read_text(encoding="utf-8")) for file in (path, certificate))
+    edit_json(certificate, lambda data: data.update(sha256=digest_of(data)))
+    manifest["certificate"] = digest_of(proof)
+    manifest["files"] = {
+        file.name: {"bytes": file.stat().st_size, "sha256": digest(file)}
+        for file in sorted(folder.iterdir())
+        if file.name not in (path.name, without)
+    }
+    del manifest["sha256"]
+    path.write_text(json.dumps(sealed(manifest)), encoding="utf-8")
