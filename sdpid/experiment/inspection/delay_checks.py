@@ -115,7 +115,7 @@ def late_channels(subject: Subject) -> Iterator[Finding]:
         return  # With a wrong sign or order nothing can be said of delays.
     against = "the joints' positions"
     if robot is not None and robot.free_flyer:
-        found = {} if subject.without else channel_delays(robot, log)
+        found = channel_delays(robot, log, subject.without)
     else:
         found, against = gyroscope_delay(log), "the orientation of the base"
     for channel, delay in found.items():

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -24,6 +24,7 @@ def with_delays(
     logs: Sequence[Recording],
     processing: Processing,
     given: Mapping[str, Any] | None = None,
+    unused: Collection[str] = (),
 ) -> Processing:
     """Return a processing that takes late channels of recordings with a base on time.
 
@@ -37,6 +38,8 @@ def with_delays(
         Chosen for them.
     given : mapping, optional
         Settings that stand as they are.
+    unused : collection of str, optional
+        Joints whose efforts say nothing.
 
     Returns
     -------
@@ -46,7 +49,7 @@ def with_delays(
     own = [match_joints(robot, log) for log in logs if log.base is not None]
     if not robot.free_flyer or robot.loops or not own:
         return processing
-    each = [channel_delays(robot, log) for log in own]
+    each = [channel_delays(robot, log, unused) for log in own]
     changes: dict[str, Any] = {}
     reasons = []
     for channel, delay in pooled_delays(each).items():

@@ -273,8 +273,8 @@ def prepare_recordings(
     findings = () if accept is None else inspected(robot, read, accept, without, name, total_mass)
     without = tuple(dict.fromkeys((*without, *joints_left_out(findings, accept or ()))))
     chosen, why = chosen_processing(read, processing)
-    if not isinstance(processing, Processing) and not without:
-        chosen = with_delays(robot, read, chosen, processing)
+    if not isinstance(processing, Processing):
+        chosen = with_delays(robot, read, chosen, processing, without)
     samples = join_samples([prepare(robot, log, chosen) for log in read])
     if without:
         samples = without_efforts(samples, robot, without)

@@ -13,6 +13,7 @@ from sdpid import Recording
 from sdpid.experiment.inspection.delays.find import channel_delays
 from sdpid.experiment.inspection.delays.free_rows import FreeRows, first_scale
 from sdpid.experiment.inspection.delays.lag import lag
+from sdpid.experiment.inspection.inspect import inspect_recordings
 from sdpid.experiment.plant.legged.sensors import Sensors
 from sdpid.experiment.preparation.several import prepare_recordings
 from sdpid.experiment.processing.contacts.contact_samples import ContactSamples
@@ -46,6 +47,22 @@ def found(log: Recording) -> dict[str, float]:
 
 def test_each_channel_is_found_to_a_millisecond() -> None:
     assert found(recorded(late=True)) == pytest.approx({**LATE, "base": 0.0}, abs=1e-3)
+
+
+@pytest.mark.parametrize("names", [("FL_KFE",), ("FL_KFE", "HR_HFE")])
+def test_joints_without_effort_hide_no_delay(names: tuple[str, ...]) -> None:
+    log, own = recorded(late=True), robot().joint_names[robot().n_base :]
+    effort = np.array(log.effort)
+    noise = np.random.default_rng(0).standard_normal(len(effort))
+    for name in names:
+        effort[:, own.index(name)] = 5.0 * noise
+    log = replace(log, effort=effort)
+    delays = {name: each.value for name, each in channel_delays(robot(), log, names).items()}
+    assert delays == pytest.approx({**LATE, "base": 0.0}, abs=1e-3)
+    processing = prepare_recordings(robot(), log, without_effort=names).processing
+    assert processing.imu_delay_s == pytest.approx(LATE["imu"], abs=5e-4)
+    told = {each.kind for each in inspect_recordings([log], robot(), without_effort=names)}
+    assert {"imu_late", "contacts_late"} <= told
 
 
 def test_good_recordings_have_no_delay() -> None:

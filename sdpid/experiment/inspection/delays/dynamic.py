@@ -8,7 +8,7 @@ throughout: forces that flags deny look like delays, and rows without them need 
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -60,7 +60,9 @@ def is_held(robot: RobotModel, log: Recording) -> bool:
     return bool(holding.any()) and bool(contacts.down[:, holding].any(axis=1).all())
 
 
-def dynamic_delays(robot: RobotModel, log: Recording) -> dict[str, Delay]:
+def dynamic_delays(
+    robot: RobotModel, log: Recording, unused: Collection[str] = ()
+) -> dict[str, Delay]:
     """Return the delays of ``"effort"`` and ``"imu"`` that make the equation of motion hold best.
 
     Parameters
@@ -69,6 +71,8 @@ def dynamic_delays(robot: RobotModel, log: Recording) -> dict[str, Delay]:
         With a floating base.
     log : Recording
         Without gaps; its joints are the robot's.
+    unused : collection of str, optional
+        Joints whose efforts say nothing.
 
     Returns
     -------
@@ -84,7 +88,7 @@ def dynamic_delays(robot: RobotModel, log: Recording) -> dict[str, Delay]:
     for _ in range(_STEPS):
         rows = _Linearized.of(robot, log, processing, dict(zip(names, delays, strict=True)))
         if scale is None:
-            scale = first_scale(robot, rows.samples.effort)
+            scale = first_scale(robot, rows.samples.effort, unused)
         for _ in range(_WEIGHTINGS):
             free = FreeRows.of(robot, rows.samples, rows.picked, scale)
             solved = rows.solve(free)

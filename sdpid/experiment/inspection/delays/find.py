@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from dataclasses import replace
+from operator import is_not
 from typing import Any
 from weakref import WeakKeyDictionary
 
@@ -42,7 +44,7 @@ _LEAST_SAMPLES = 500
 
 # What was found is kept as long as the recording's base: inspection and processing both ask. The
 # robot and arrays that it was found with come first.
-_FOUND: WeakKeyDictionary[BaseMotion, tuple[tuple[Any, ...], dict[str, Delay]]]
+_FOUND: WeakKeyDictionary[BaseMotion, tuple[tuple[Any, ...], set[str], dict[str, Delay]]]
 _FOUND = WeakKeyDictionary()
 
 
@@ -64,7 +66,9 @@ def pooled_delays(found: list[dict[str, Delay]]) -> dict[str, Delay]:
     return result
 
 
-def channel_delays(robot: RobotModel, log: Recording) -> dict[str, Delay]:
+def channel_delays(
+    robot: RobotModel, log: Recording, unused: Collection[str] = ()
+) -> dict[str, Delay]:
     """Return how late each channel is against the joints' positions, by its name.
 
     Parameters
@@ -73,6 +77,8 @@ def channel_delays(robot: RobotModel, log: Recording) -> dict[str, Delay]:
         With a floating base.
     log : Recording
         With a base; its joints are the robot's.
+    unused : collection of str, optional
+        Joints whose efforts say nothing.
 
     Returns
     -------
@@ -84,10 +90,10 @@ def channel_delays(robot: RobotModel, log: Recording) -> dict[str, Delay]:
         return {}
     of = (robot, log.time, log.position, log.effort, log.contacts)
     known = _FOUND.get(log.base)
-    if known is None or any(a is not b for a, b in zip(known[0], of, strict=True)):
-        known = (of, _found(robot, log))
+    if known is None or known[1] != {*unused} or any(map(is_not, known[0], of)):
+        known = (of, {*unused}, _found(robot, log, unused))
         _FOUND[log.base] = known
-    return known[1]
+    return known[2]
 
 
 def gyroscope_delay(log: Recording) -> dict[str, Delay]:
@@ -108,7 +114,7 @@ def _piece(log: Recording) -> Recording | None:
     return rows_of(piece, slice(first, first + _READ)) if first else piece
 
 
-def _found(robot: RobotModel, log: Recording) -> dict[str, Delay]:
+def _found(robot: RobotModel, log: Recording, unused: Collection[str]) -> dict[str, Delay]:
     piece = _piece(log)
     if piece is None:
         return {}
@@ -122,7 +128,7 @@ def _found(robot: RobotModel, log: Recording) -> dict[str, Delay]:
         if not has_imu:
             piece = _corrected(piece, found)
         own = "effort" if has_imu or is_held(robot, piece) else "pose"
-        for name, delay in dynamic_delays(robot, piece).items():
+        for name, delay in dynamic_delays(robot, piece, unused).items():
             found[name] = delay.wider(beyond[own if name == "effort" else name])
         turned = imu_against_pose(piece)
         if turned is not None and "imu" in found:
@@ -131,7 +137,7 @@ def _found(robot: RobotModel, log: Recording) -> dict[str, Delay]:
         elif turned is not None and "base" in found:
             both = float(np.hypot(turned.error, found["base"].error))
             found["imu"] = Delay(value=found["base"].value + turned.value, error=both)
-        landed = contacts_delay(robot, _corrected(piece, found))
+        landed = contacts_delay(robot, _corrected(piece, found), unused)
         if landed is not None:
             found["contacts"] = landed.wider(beyond["contacts"])
     except SdpidError:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from dataclasses import dataclass
 
 import numpy as np
@@ -104,9 +105,14 @@ class FreeRows:
         return np.asarray(self.scale * np.sqrt(share))
 
 
-def first_scale(robot: RobotModel, effort: Array) -> Array:
-    """Return a scale of the efforts to begin with, of a robot with a floating base."""
+def first_scale(robot: RobotModel, effort: Array, unused: Collection[str] = ()) -> Array:
+    """Return a scale of the efforts to begin with, of a robot with a floating base.
+
+    Efforts of joints that are not used have an infinite one: their rows are zero.
+    """
     joints = np.maximum(effort[:, robot.n_base :].std(axis=0), 1e-9)
-    base = np.full(robot.n_base, joints.mean())
+    used = np.array([name not in unused for name in robot.joint_names[robot.n_base :]])
+    base = np.full(robot.n_base, joints[used].mean() if used.any() else 1.0)
     base[:3] /= max(robot.reach, 1e-3)
+    joints[~used] = np.inf
     return np.concatenate([base, joints])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from dataclasses import replace
 
 import numpy as np
@@ -31,7 +32,7 @@ _NORMAL, _OF_MEDIAN = 1.4826, 1.2533
 _UNLIKE = 0.5
 
 
-def contacts_delay(robot: RobotModel, log: Recording) -> Delay | None:
+def contacts_delay(robot: RobotModel, log: Recording, unused: Collection[str] = ()) -> Delay | None:
     """Return by how much contacts are late against efforts and joints that are on time.
 
     The forces that the description's bodies need, less the efforts, jump where a foot lands. Flags
@@ -66,7 +67,7 @@ def contacts_delay(robot: RobotModel, log: Recording) -> Delay | None:
     samples = process(log, processing, gravity=robot.gravity.tolist())
     q, v, a = samples.position, samples.velocity, samples.acceleration
     need = robot.inverse_dynamics(robot.prior, q, v, a) - samples.effort
-    scale = first_scale(robot, samples.effort)
+    scale = first_scale(robot, samples.effort, unused)
     J = contact_jacobians(robot, q, contacts.frames, contacts.offset)
     closed = np.concatenate([J[:, i, :rows] for i, rows in enumerate(wide)], axis=1) / scale
     normal = closed @ closed.transpose(0, 2, 1)
