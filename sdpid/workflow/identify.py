@@ -215,7 +215,8 @@ def identify(
         "prior": prior,
         "effects": "auto" if asked is None else asked,
     }
-    problem = formulate(model, prepared, **formulation)
+    with progress(1, "choosing the model and compressing its rows"):
+        problem = formulate(model, prepared, **formulation)
     if intervals is not False:
         problem, unknown = _with_motion_bias(problem, prepared)
         notes += unknown
@@ -244,7 +245,9 @@ def identify(
             without_effort=prepared.without_effort,
             **formulation,
         )
-    predicted = None if fresh is None else validate(estimate, fresh.samples)
+    with progress(1, "holding out blocks"):
+        predicted = None if fresh is None else validate(estimate, fresh.samples)
+        held_out = hold_out(estimate, wls, None if fresh is None else fresh.samples, predicted)
     moved: tuple[Rollout, ...] = ()
     if rollout and fresh is not None:
         from sdpid.assurance.rollouts.rollout import rollouts
@@ -260,7 +263,7 @@ def identify(
         training_wls=validate(wls),
         validation=predicted,
         validation_samples=None if fresh is None else fresh.samples,
-        held_out=hold_out(estimate, wls, None if fresh is None else fresh.samples, predicted),
+        held_out=held_out,
         intervals=confidence,
         cross_validation=cross_validation,
         rollouts=moved,

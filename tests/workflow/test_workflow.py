@@ -20,6 +20,7 @@ from sdpid.experiment.recording.joints import match_joints
 from sdpid.robot.model.model import RobotModel
 from sdpid.workflow.formulate import formulate
 from sdpid.workflow.result import Identification
+from tests.common.test_progress import Terminal
 from tests.helpers.arm_files import ARM_URDF
 from tests.helpers.runs import arm, recorded
 
@@ -117,6 +118,18 @@ def test_nothing_is_left_behind_when_saving_fails(
     (tmp_path / "file").write_text("")
     with pytest.raises(sdpid.errors.ExportError, match="name a folder"):
         result.save(tmp_path / "file", figures=False)
+
+
+def test_it_says_what_it_is_doing(
+    denso: RobotModel, log: sdpid.Recording, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("TERM", "xterm")
+    monkeypatch.delenv("JPY_PARENT_PID", raising=False)
+    monkeypatch.setattr("sys.stderr", terminal := Terminal())
+    sdpid.identify(denso, log, intervals=False)
+    told = terminal.getvalue()
+    stages = ("inspecting", "processing", "choosing the model", "estimating", "holding out")
+    assert [words for words in stages if words not in told] == []
 
 
 def test_few_periods_get_a_pooled_covariance(log: sdpid.Recording) -> None:

@@ -7,6 +7,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, TypeAlias
 
+from sdpid._common.progress import progress
 from sdpid.errors import DataError
 from sdpid.experiment.inspection.accept import (
     joints_left_out,
@@ -270,7 +271,10 @@ def prepare_recordings(
     for log in read:
         require_torques(log)
         require_its_base(robot, log)
-    findings = () if accept is None else inspected(robot, read, accept, without, name, total_mass)
+    findings: tuple[Finding, ...] = ()
+    if accept is not None:
+        with progress(1, f"inspecting the {name}"):
+            findings = inspected(robot, read, accept, without, name, total_mass)
     without = tuple(dict.fromkeys((*without, *joints_left_out(findings, accept or ()))))
     chosen, why = chosen_processing(read, processing)
     if not isinstance(processing, Processing):
