@@ -10,7 +10,6 @@ from sdpid._common.arrays import Array, frozen
 from sdpid._common.seeds import generator
 from sdpid.errors import DataError
 from sdpid.excitation.limits.joint_limits import DESCRIBED, JointLimits, unit_of
-from sdpid.robot.model.described_efforts import described_efforts
 from sdpid.robot.model.model import RobotModel
 
 # Gravity takes at most this share of the torque limits at rest, where such a position is found
@@ -79,7 +78,7 @@ def able_to_rest(robot: RobotModel, limits: JointLimits) -> JointLimits:
 def _load(robot: RobotModel, limits: JointLimits, positions: Array) -> Array:
     """Return what gravity needs at positions (K, n), in shares of the torque limits."""
     still = np.zeros_like(positions)
-    return np.asarray(np.abs(described_efforts(robot, positions, still, still)) / limits.torque)
+    return np.asarray(np.abs(robot.described_efforts(positions, still, still)) / limits.torque)
 
 
 def _of_torque(limits: JointLimits, joint: int, share: float = 1.0) -> str:

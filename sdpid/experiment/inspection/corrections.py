@@ -21,7 +21,6 @@ from sdpid.experiment.inspection.dynamics import (
     unexplained,
 )
 from sdpid.experiment.inspection.rows import Rows
-from sdpid.robot.model.described_efforts import described_efforts
 from sdpid.robot.model.model import RobotModel
 
 __all__ = ["CorrectedLog", "Correction", "Step", "corrected", "searched"]
@@ -154,8 +153,8 @@ class CorrectedLog:
     def rigid(self) -> Array:
         """Efforts of the description's bodies, (K, n)."""
         rows = self.rows
-        return described_efforts(
-            self.robot, rows.position, rows.velocity, rows.acceleration, gravity=self.gravity
+        return self.robot.described_efforts(
+            rows.position, rows.velocity, rows.acceleration, gravity=self.gravity
         )
 
     @cached_property

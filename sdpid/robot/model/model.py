@@ -548,6 +548,18 @@ class RobotModel:
             out[k] = pin.rnea(model, data, *state)
         return out @ self.expansion if self._mimics else out
 
+    def described_efforts(
+        self, q: ArrayLike, v: ArrayLike, a: ArrayLike, *, gravity: ArrayLike | None = None
+    ) -> Array:
+        """Return the efforts (K, n) of the description's bodies and rotors, without friction.
+
+        Arguments are those of `efforts_of_bodies`.
+        """
+        # A body without mass has no center of mass.
+        massive = np.where(self.prior[:, :1] > 0.0, self.prior, 0.0)
+        links = self.efforts_of_bodies(massive, q, v, a, gravity=gravity)
+        return np.asarray(links + np.asarray(a) * self.described_armature())
+
     def with_inertias(self, theta: ArrayLike) -> Any:
         """Return a copy of the Pinocchio model, without armature, whose links have parameters."""
         import pinocchio as pin

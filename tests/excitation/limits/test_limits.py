@@ -15,7 +15,6 @@ from hypothesis import strategies as st
 from sdpid.errors import DataError, ModelError
 from sdpid.excitation.limits.joint_limits import rest_to_rest
 from sdpid.excitation.limits.limits import Limits
-from sdpid.robot.model.described_efforts import described_efforts
 from sdpid.robot.model.load import load_robot
 from sdpid.robot.model.model import RobotModel
 from tests.helpers.robots import TREE, TREE_MIMIC, planar_arm
@@ -310,7 +309,7 @@ def test_rest_is_where_the_motors_hold_the_arm() -> None:
     found = Limits().of(arm(*TWO, limit=weak))
     assert np.any(found.rest != 0.0)
     still = np.zeros((1, 2))
-    assert np.all(np.abs(described_efforts(arm(*TWO), found.rest[None], still, still)) <= 21.0)
+    assert np.all(np.abs(arm(*TWO).described_efforts(found.rest[None], still, still)) <= 21.0)
     assert any("motors hold easily" in sentence for sentence in found.assumed)
     # A position that is asked for is kept.
     assert Limits().of(arm(*TWO, limit=weak), rest=[0.0, 0.0]).rest.tolist() == [0.0, 0.0]

@@ -23,7 +23,6 @@ from sdpid.experiment.inspection.floating.gain_fit import fitted, sensible_fit
 from sdpid.experiment.inspection.floating.leg_orders import MOST_LEGS, exchanges, leg_orders
 from sdpid.experiment.processing.contacts.contact_samples import TRANSMITS, ContactSamples
 from sdpid.robot.model.contacts.jacobians import contact_jacobians
-from sdpid.robot.model.described_efforts import described_efforts
 
 __all__ = ["FloatingLog"]
 
@@ -81,8 +80,7 @@ class FloatingLog(CorrectedLog):
     def rigid(self) -> Array:
         """Efforts of the description's bodies without contacts, (K, 6 + n)."""
         rows = self.rows
-        return described_efforts(
-            self.robot,
+        return self.robot.described_efforts(
             self.configuration,
             np.hstack([self.base_velocity, rows.velocity]),
             np.hstack([self.base_acceleration, rows.acceleration]),

@@ -10,7 +10,7 @@ from sdpid._common.arrays import Array
 from sdpid.experiment.recording.floating.base import BaseMotion
 
 __all__ = [
-    *("GRAVITY", "axes_in_words", "cross_matrices", "readings", "signed_axes", "turn_rates"),
+    *("GRAVITY", "axes_in_words", "readings", "signed_axes", "turn_rates"),
     *("unexplained", "window_means"),
 ]
 
@@ -77,12 +77,3 @@ def axes_in_words(matrix: Array) -> str:
         axis = int(np.abs(row).argmax())
         names.append(f"{'-' if row[axis] < 0.0 else ''}{'xyz'[axis]}")
     return f"x, y, z are {', '.join(names)}"
-
-
-def cross_matrices(vectors: Array) -> Array:
-    """Return the matrices of cross products with vectors, (K, 3, 3)."""
-    out = np.zeros((len(vectors), 3, 3))
-    out[:, 0, 1], out[:, 1, 0] = -vectors[:, 2], vectors[:, 2]
-    out[:, 0, 2], out[:, 2, 0] = vectors[:, 1], -vectors[:, 1]
-    out[:, 1, 2], out[:, 2, 1] = -vectors[:, 0], vectors[:, 0]
-    return out

@@ -18,7 +18,6 @@ from sdpid.experiment.inspection.places.block_fit import BlockFit, BlockSums
 from sdpid.experiment.processing.contacts.contact_samples import ContactSamples
 from sdpid.experiment.processing.samples import Samples
 from sdpid.robot.model.contacts.jacobians import contact_jacobians
-from sdpid.robot.model.described_efforts import described_efforts
 from sdpid.robot.model.model import RobotModel
 
 __all__ = ["FreeLeg", "FreeLegs", "free_legs"]
@@ -156,7 +155,7 @@ def free_legs(
     if not np.any(taken):
         return None
     Y = robot.regressor(q, v, a)
-    described = described_efforts(robot, q, v, a, gravity=robot.gravity)
+    described = robot.described_efforts(q, v, a)
     legs = []
     for contact in np.flatnonzero(taken).tolist():
         joints = robot.n_base + np.flatnonzero(moved[contact])

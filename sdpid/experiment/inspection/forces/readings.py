@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from sdpid._common.arrays import Array, Indices, rotation_matrices
-from sdpid.experiment.inspection.floating.turning import cross_matrices
 from sdpid.experiment.inspection.forces.free_legs import FreeLegs
+from sdpid.robot.inertia import skew
 from sdpid.robot.model.contacts.jacobians import frame_axes
 
 __all__ = ["BETTER", "Reading", "readings"]
@@ -110,7 +110,7 @@ def _compared(legs: FreeLegs, turns: Array) -> tuple[Array, Array, Array]:
         if legs.contacts.kind[foot] != "point":
             # Moments may be of another scale, or about another point: that is asked later.
             columns += [leg.by_moments(moments)]
-            columns += [leg.by_moments(turn @ forces) for turn in cross_matrices(np.eye(3))]
+            columns += [leg.by_moments(turn @ forces) for turn in skew(np.eye(3))]
         sums = leg.sums(np.concatenate(columns, axis=2), np.full(c * len(columns), _LARGEST))
         own = range(leg.own.shape[2])
         needs[foot] = max(sums.fit(own).left ** 2, 1e-300)

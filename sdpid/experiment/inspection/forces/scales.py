@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from sdpid._common.arrays import Array, Mask
-from sdpid.experiment.inspection.floating.turning import cross_matrices
 from sdpid.experiment.inspection.forces.free_legs import FreeLeg, FreeLegs
+from sdpid.robot.inertia import skew
 
 __all__ = ["FootScale", "common_scale", "foot_scales"]
 
@@ -78,7 +78,7 @@ def _scale(leg: FreeLeg, wrenches: Array, up: Mask, *, flat: bool) -> FootScale:
     forces, moments = wrenches[:, :3], wrenches[:, 3:]
     ones = np.broadcast_to(np.eye(3), (len(forces), 3, 3))
     # Less the cross product with the way there, a moment is about another point.
-    turned = -cross_matrices(forces)
+    turned = -skew(forces)
     parts = [
         (leg.by_forces(forces[:, :, None]), _SCALE),
         (leg.by_forces(ones), _OFFSET * float(np.abs(forces).max())),

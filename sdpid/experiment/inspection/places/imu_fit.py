@@ -10,7 +10,6 @@ import numpy as np
 from sdpid._common.arrays import Array
 from sdpid.experiment.inspection.delays.lag import filtered, lag
 from sdpid.experiment.inspection.floating.evidence import LEAST_RATE
-from sdpid.experiment.inspection.floating.turning import cross_matrices
 from sdpid.experiment.inspection.places.block_fit import SURE, BlockSums
 from sdpid.experiment.inspection.places.imu_search import Found, nearest_turn, searched
 from sdpid.experiment.processing.delays.on_time import on_time as shifted
@@ -19,6 +18,7 @@ from sdpid.experiment.processing.filters import ZeroPhaseFilter, low_pass
 from sdpid.experiment.processing.floating.rotations import body_rate, unit
 from sdpid.experiment.processing.settings import Processing
 from sdpid.experiment.recording.recording import Recording, rows_of
+from sdpid.robot.inertia import skew
 
 __all__ = ["RATE_BIAS", "SIZES", "ImuFit", "accelerometer_fit", "gyroscope_fit", "on_time"]
 
@@ -146,7 +146,7 @@ def gyroscope_fit(log: Recording) -> ImuFit | None:
         columns = [
             np.broadcast_to(np.eye(3), (len(turned), 3, 3)),
             turned[:, :, None],
-            cross_matrices(turned),
+            skew(turned),
             -(late @ turn.T)[:, :, None],
         ]
         return BlockSums.of(np.concatenate(columns, axis=2), turned - turning, _scales(_GYROSCOPE))
@@ -199,7 +199,7 @@ def accelerometer_fit(log: Recording, gravity: float, turn: Array) -> ImuFit | N
         sensed = stated @ turn.T
         force = chain.low(np.einsum("kij,kj->ki", R, sensed))
         late = np.gradient(force, log.step, axis=0)
-        turned = chain.low(np.einsum("kij,kjl->kil", R, cross_matrices(sensed)))
+        turned = chain.low(np.einsum("kij,kjl->kil", R, skew(sensed)))
         force, late, turned = chain.taken(force, late, turned)
         columns = [axes, force[:, :, None], turned, -late[:, :, None], swung]
         return BlockSums.of(

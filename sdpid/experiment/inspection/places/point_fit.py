@@ -9,9 +9,9 @@ import numpy as np
 
 from sdpid._common.arrays import Array, Indices
 from sdpid.experiment.inspection.delays.standing import Standing
-from sdpid.experiment.inspection.floating.turning import cross_matrices
 from sdpid.experiment.inspection.places.block_fit import BlockSums, sure_part
 from sdpid.experiment.recording.floating.contacts import Contacts
+from sdpid.robot.inertia import skew
 from sdpid.robot.model.contacts.jacobians import contact_jacobians, frame_axes
 from sdpid.robot.model.model import RobotModel
 
@@ -160,7 +160,7 @@ def _sums(standing: Standing, contacts: Contacts, i: int) -> BlockSums:
     every = np.arange(len(standing.rows))
     name, stands = contacts.frames[i], standing.stands[:, i]
     velocity, turning, late = _motion(standing, every, [name], contacts.offset[i])
-    across = cross_matrices(turning[:, 0])
+    across = skew(turning[:, 0])
     axes = frame_axes(standing.robot, standing.position, [name])[:, 0]
     columns = np.concatenate([across, across @ axes, late[:, 0, :, None]], axis=2)
     return BlockSums.of(

@@ -13,11 +13,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from sdpid._common.arrays import Array, Mask, real_array, rotation_matrices
+from sdpid._common.arrays import Array, Mask, real_array
 from sdpid.errors import DataError
+from sdpid.robot.inertia import skew
 from sdpid.robot.model.contacts import kernel
 from sdpid.robot.model.model import RobotModel
-from sdpid.robot.model.regressor_kernel import FLOATING, PRISMATIC, REVOLUTE, Tree
 
 
 def contact_jacobians(
@@ -63,7 +63,7 @@ def contact_jacobians(
     >>> contact_jacobians(robot, samples.position, ["link_6"]).shape
     (1000, 1, 6, 6)
     """
-    q = robot.configuration(position)
+    q = _configurations(robot, position)
     points = real_array(offset, "offset", ndim=np.ndim(offset) or 1)
     numbers = _frame_numbers(robot, frames)
     if points.shape not in ((3,), (len(numbers), 3)):
@@ -71,20 +71,14 @@ def contact_jacobians(
             f"offset: has shape {points.shape}, expected (3,) or {(len(numbers), 3)}: x, y, z in m."
         )
     points = np.broadcast_to(points, (len(numbers), 3))
-    tree = robot.tree
-    if tree is None:
-        return _by_pinocchio(robot, q, numbers, points)
-    found = [robot.pin_model.frames[number] for number in numbers]
-    at = np.array([frame.parentJoint - 1 for frame in found], dtype=np.intp)
-    places = np.array([frame.placement.translation for frame in found])
-    quick = kernel.jacobians(tree, at, places, np.ascontiguousarray(points), q, compiled)
-    if quick is not None:
-        return quick
-    out = np.zeros((len(q), len(numbers), 6, robot.n))
-    links = _Links(tree, q)
-    for i, (number, point) in enumerate(zip(numbers, points, strict=True)):
-        _fill(out[:, i], tree, links, robot.pin_model.frames[number], point)
-    return out
+    if robot.tree is not None:
+        found = [robot.pin_model.frames[number] for number in numbers]
+        at = np.array([frame.parentJoint - 1 for frame in found], dtype=np.intp)
+        places = np.array([frame.placement.translation for frame in found])
+        quick = kernel.jacobians(robot.tree, at, places, np.ascontiguousarray(points), q, compiled)
+        if quick is not None:
+            return quick
+    return _by_pinocchio(robot, q, numbers, points)
 
 
 def relative_jacobians(
@@ -140,26 +134,8 @@ def frame_offsets(
     robot: RobotModel, position: ArrayLike, frames: Sequence[str], others: Sequence[str]
 ) -> Array:
     """Return origins of frames less those of other ones, shape (K, c, 3), in m and world axes."""
-    q = robot.configuration(position)
-    numbers = [_frame_numbers(robot, names) for names in (frames, others)]
-    tree = robot.tree
-    if tree is None:
-        import pinocchio as pin
-
-        model: Any = robot.pin_model
-        data = model.createData()
-        out = np.empty((len(q), len(frames), 3))
-        for k, configuration in enumerate(q):
-            pin.framesForwardKinematics(model, data, configuration)
-            places = [np.array([data.oMf[i].translation for i in own]) for own in numbers]
-            out[k] = places[0] - places[1]
-        return out
-    links = _Links(tree, q)
-    own, other = (
-        np.stack([_place(links, robot.pin_model.frames[i]) for i in each], axis=1)
-        for each in numbers
-    )
-    return np.asarray(own - other)
+    places = _placements(robot, position, [*frames, *others])[..., 3]
+    return np.asarray(places[:, : len(frames)] - places[:, len(frames) :])
 
 
 def frame_places(robot: RobotModel, position: ArrayLike, frames: Sequence[str]) -> Array:
@@ -167,124 +143,32 @@ def frame_places(robot: RobotModel, position: ArrayLike, frames: Sequence[str]) 
 
     Of a floating base that is the base's origin.
     """
-    q = robot.configuration(position)
-    numbers = _frame_numbers(robot, frames)
-    tree = robot.tree
-    if tree is None:
-        import pinocchio as pin
-
-        model: Any = robot.pin_model
-        data = model.createData()
-        out = np.empty((len(q), len(numbers), 3))
-        for k, configuration in enumerate(q):
-            pin.framesForwardKinematics(model, data, configuration)
-            out[k] = [data.oMf[number].translation for number in numbers]
-        return out - q[:, None, :3] if robot.free_flyer else out
-    links = _Links(tree, q)
-    return np.stack([_place(links, robot.pin_model.frames[i]) for i in numbers], axis=1)
+    return _placements(robot, position, frames)[..., 3]
 
 
 def frame_axes(robot: RobotModel, position: ArrayLike, frames: Sequence[str]) -> Array:
     """Return the axes of frames in the world's, as columns, shape (K, c, 3, 3)."""
+    return np.ascontiguousarray(_placements(robot, position, frames)[..., :3])
+
+
+def _configurations(robot: RobotModel, position: ArrayLike) -> Array:
+    """Return Pinocchio's configurations (K, nq), a floating base in the origin."""
     q = robot.configuration(position)
-    numbers = _frame_numbers(robot, frames)
-    out = np.empty((len(q), len(numbers), 3, 3))
-    tree = robot.tree
-    if tree is None:
-        import pinocchio as pin
-
-        model: Any = robot.pin_model
-        data = model.createData()
-        for k, configuration in enumerate(q):
-            pin.framesForwardKinematics(model, data, configuration)
-            out[k] = [data.oMf[number].rotation for number in numbers]
-        return out
-    links = _Links(tree, q)
-    for i, number in enumerate(numbers):
-        frame = robot.pin_model.frames[number]
-        R = links.turned(frame.parentJoint - 1)
-        out[:, i] = R @ np.array(frame.placement.rotation)
-    return out
+    return np.hstack([np.zeros((len(q), 3)), q[:, 3:]]) if robot.free_flyer else q
 
 
-class _Links:
-    """How links are turned and where they are relative to the base, as far as it is asked for."""
+def _placements(robot: RobotModel, position: ArrayLike, frames: Sequence[str]) -> Array:
+    """Return axes and origins of frames, (K, c, 3, 4), a floating base in the origin."""
+    import pinocchio as pin
 
-    def __init__(self, tree: Tree, q: Array) -> None:
-        self._tree, self._q = tree, q
-        self._found: dict[int, tuple[Array, Array]] = {}
-
-    def turned(self, link: int) -> Array:
-        """Return the rotation of a link (K, 3, 3); the world for -1."""
-        return self._at(link)[0]
-
-    def place(self, link: int) -> Array:
-        """Return the origin of a link, (K, 3)."""
-        return self._at(link)[1]
-
-    def _at(self, link: int) -> tuple[Array, Array]:
-        if link not in self._found:
-            self._found[link] = self._moved(link)
-        return self._found[link]
-
-    def _moved(self, link: int) -> tuple[Array, Array]:
-        tree, q = self._tree, self._q
-        if link < 0:
-            return np.broadcast_to(np.eye(3), (len(q), 3, 3)), np.zeros((len(q), 3))
-        at = tree.first_q[link]
-        own, way = tree.turn[link], tree.place[link]
-        if tree.kind[link] == FLOATING:
-            return own[2] @ rotation_matrices(q[:, at + 3 : at + 7]), np.zeros((len(q), 3))
-        before, origin = self._at(int(tree.parent[link]))
-        if tree.kind[link] == PRISMATIC:
-            return before @ own[2], origin + (
-                before @ (way[0] + way[1] * q[:, at, None])[:, :, None]
-            )[:, :, 0]
-        unbounded = tree.unbounded[link]
-        x = q[:, at] if unbounded else np.cos(q[:, at])
-        y = q[:, at + 1] if unbounded else np.sin(q[:, at])
-        turn = own[0] * x[:, None, None] + own[1] * y[:, None, None] + own[2]
-        return before @ turn, origin + before @ way[0]
-
-
-def _fill(out: Array, tree: Tree, links: _Links, frame: Any, offset: Array) -> None:
-    """Write the Jacobian (K, 6, n) of a point; the columns that do not move it stay as they are."""
-    link = frame.parentJoint - 1
-    point = _place(links, frame) + offset
-    while link >= 0:
-        R, arm = links.turned(link), point - links.place(link)
-        first = int(tree.first_v[link])
-        if tree.kind[link] == FLOATING:
-            columns = tree.column[first : first + 6]
-            out[:, :3, columns[:3]] = R
-            out[:, 3:, columns[3:]] = R
-            for j in range(3):
-                out[:, :3, columns[3 + j]] = _cross(R[:, :, j], arm)
-        else:
-            axis = R @ tree.axis[link]
-            column, factor = tree.column[first], tree.factor[first]
-            if tree.kind[link] == REVOLUTE:
-                out[:, :3, column] += factor * _cross(axis, arm)
-                out[:, 3:, column] += factor * axis
-            else:
-                out[:, :3, column] += factor * axis
-        link = int(tree.parent[link])
-
-
-def _place(links: _Links, frame: Any) -> Array:
-    """Return the origin of a frame, (K, 3)."""
-    link = frame.parentJoint - 1
-    turned = links.turned(link) @ np.array(frame.placement.translation)
-    return np.asarray(turned + links.place(link))
-
-
-def _cross(a: Array, b: Array) -> Array:
-    """Return cross products (K, 3), several times as fast as NumPy's."""
-    out = np.empty_like(a)
-    (ax, ay, az), (bx, by, bz) = a.T, b.T
-    out[:, 0] = ay * bz - az * by
-    out[:, 1] = az * bx - ax * bz
-    out[:, 2] = ax * by - ay * bx
+    q = _configurations(robot, position)
+    model, numbers = robot.pin_model, _frame_numbers(robot, frames)
+    data = model.createData()
+    out = np.empty((len(q), len(numbers), 3, 4))
+    for k, configuration in enumerate(q):
+        pin.forwardKinematics(model, data, configuration)
+        for i, number in enumerate(numbers):
+            out[k, i] = pin.updateFramePlacement(model, data, number).homogeneous[:3]
     return out
 
 
@@ -308,27 +192,17 @@ def _frame_numbers(robot: RobotModel, frames: Sequence[str]) -> list[int]:
 
 
 def _by_pinocchio(robot: RobotModel, q: Array, numbers: Sequence[int], points: Array) -> Array:
-    """Return the same from Pinocchio, sample by sample, for joints that are not covered above."""
+    """Return the same from Pinocchio, sample by sample."""
     import pinocchio as pin
 
     model: Any = robot.pin_model
-    data = model.createData()
+    data, axes = model.createData(), pin.ReferenceFrame.LOCAL_WORLD_ALIGNED
     out = np.empty((len(q), len(numbers), 6, model.nv))
     for k, configuration in enumerate(q):
         pin.computeJointJacobians(model, data, configuration)
-        pin.updateFramePlacements(model, data)
         for i, number in enumerate(numbers):
-            out[k, i] = pin.getFrameJacobian(
-                model, data, number, pin.ReferenceFrame.LOCAL_WORLD_ALIGNED
-            )
-    out[:, :, :3] -= np.einsum("cij,kcjn->kcin", _skew(points), out[:, :, 3:])
+            pin.updateFramePlacement(model, data, number)
+            # With a single joint the binding drops the axis of length one.
+            out[k, i] = pin.getFrameJacobian(model, data, number, axes).reshape(6, -1)
+    out[:, :, :3] -= skew(points) @ out[:, :, 3:]
     return np.asarray(out @ robot.expansion)
-
-
-def _skew(vectors: Array) -> Array:
-    """Return the matrices of cross products, (c, 3, 3)."""
-    out = np.zeros((len(vectors), 3, 3))
-    out[:, 0, 1], out[:, 1, 0] = -vectors[:, 2], vectors[:, 2]
-    out[:, 2, 0], out[:, 0, 2] = -vectors[:, 1], vectors[:, 1]
-    out[:, 1, 2], out[:, 2, 1] = -vectors[:, 0], vectors[:, 0]
-    return out

@@ -1,6 +1,6 @@
 """Jacobians of contact points, compiled where Numba is installed.
 
-Sample by sample, they are what `jacobians` finds for all samples at once, but for rounding.
+Sample by sample, they are Pinocchio's but for rounding.
 """
 
 from __future__ import annotations
