@@ -13,6 +13,7 @@ from sdpid import Recording
 from sdpid.experiment.inspection.accept import require_accepted
 from sdpid.experiment.inspection.finding import Finding, Subject
 from sdpid.experiment.inspection.places import point_checks
+from sdpid.experiment.plant.legged import model
 
 pytest.importorskip("mujoco")
 LEGS = ("FL", "FR", "RL", "RR")
@@ -65,6 +66,15 @@ def test_frame_that_moves_is_refused(part: str) -> None:
     told = {each.kind for each in sdpid.inspect_recording(wrong, robot()).findings}
     assert "contact_frame" in told
     assert not told & {"contact_point", "foot_moves", "base_late"}
+
+
+def test_a_foot_that_slips_has_no_other_point(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(model, "_GRIP", 0.05)
+    solo = sdpid.load_robot("solo12", root="free_flyer")
+    slips = sdpid.simulate_legged(solo, "trot", seed=2, duration=10.0).recording
+    told = list(point_checks.points(Subject(log=slips, robot=None, floating=solo)))
+    assert {each.kind for each in told} == {"foot_moves"}
+    assert told[0].message.endswith(": it slips")
 
 
 def test_a_foot_that_is_in_the_air_shows_no_point() -> None:

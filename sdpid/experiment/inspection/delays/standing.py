@@ -11,6 +11,7 @@ from sdpid.experiment.inspection.delays.lag import filtered
 from sdpid.experiment.processing.derivatives import BAND_OVER_RATE, stencil
 from sdpid.experiment.processing.filters import low_pass
 from sdpid.experiment.processing.floating.feet import near
+from sdpid.experiment.processing.floating.quieter import angle_noise, white_noise
 from sdpid.experiment.processing.floating.rotations import body_rate, into_body, unit
 from sdpid.experiment.recording.recording import Recording
 from sdpid.robot.model.contacts.jacobians import contact_jacobians
@@ -45,6 +46,9 @@ class Standing:
         How fast the base turns, rad/s rms.
     step : float
         Of the recording, s.
+    noise : float
+        What noise of pose and joints makes of the speed of a foot that stands, along an axis, m/s
+        rms.
     """
 
     robot: RobotModel
@@ -55,6 +59,7 @@ class Standing:
     stands: Mask
     turning: float
     step: float
+    noise: float
 
     @classmethod
     def of(cls, robot: RobotModel, log: Recording) -> Standing | None:
@@ -77,6 +82,9 @@ class Standing:
         rows = np.unique(np.linspace(edge, log.n_samples - 1 - edge, _ROWS).astype(np.intp))
         stands = ~near(~np.asarray(contacts.down), smooth.reach + round(_SETTLED / step))[rows]
         places = filtered(np.asarray(base.position), smooth)
+        impulse = np.eye(4 * edge + 1)[:, 2 * edge :][:, :1]
+        gain = np.linalg.norm(filtered(np.gradient(impulse, step, axis=0), smooth))
+        angles = np.hypot(angle_noise(orientation), white_noise(joints))
         q = np.hstack([places, unit(filtered(orientation, smooth)), filtered(joints, smooth)])
         return cls(
             robot=robot,
@@ -88,6 +96,7 @@ class Standing:
             stands=stands & on_legs(robot, log),
             turning=float(np.sqrt(np.mean(turning**2))),
             step=step,
+            noise=float(gain * np.hypot(white_noise(base.position), robot.reach * angles)),
         )
 
 

@@ -20,6 +20,10 @@ from sdpid.experiment.inspection.places.point_fit import (
 from sdpid.experiment.inspection.places.words import vector
 from sdpid.experiment.recording.floating.contacts import Contacts
 
+# A point rests that is slower than so many times what noise makes, or than this (m/s): of
+# simulated quadrupeds right points have 1.25 times the noise at most.
+_NOISES, _RESTS = 1.5, 2e-3
+
 
 @check
 def points(subject: Subject) -> Iterator[Finding]:
@@ -37,8 +41,11 @@ def points(subject: Subject) -> Iterator[Finding]:
     if others:
         yield _other_frames(others)
         return
+    limit = max(_NOISES * standing.noise, _RESTS)
     for found in foot_points(standing, contacts):
-        yield _other_point(contacts, found)
+        yield (
+            _slips(contacts, found, limit) if found.left > limit else _other_point(contacts, found)
+        )
 
 
 def _other_frames(others: list[RestingFrame]) -> Finding:
@@ -56,6 +63,20 @@ def _other_frames(others: list[RestingFrame]) -> Finding:
         ),
         remedy=f"give the contacts' frames as {', '.join(each.resting for each in others)}",
         numbers={"speed": worst.speed, "resting": worst.least},
+    )
+
+
+def _slips(contacts: Contacts, found: FootPoint, limit: float) -> Finding:
+    names = ", ".join(contacts.frames[i] for i in found.feet)
+    return Finding(
+        severity="warning",
+        kind="foot_moves",
+        message=(
+            f"{names}: no point rests while a foot is said to be down; the slowest moves by "
+            f"{found.left:.2g} m/s (rms along an axis), limit {limit:.2g}: it slips"
+        ),
+        remedy="mark it as not down where it slips",
+        numbers={"speed": found.left, "limit": limit},
     )
 
 

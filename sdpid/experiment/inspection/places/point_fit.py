@@ -68,12 +68,15 @@ class FootPoint:
     in_link : bool
         Whether the point is one of the link rather than below it: `change` is then in the axes
         of the frame.
+    left : float
+        Speed of that point, along an axis, m/s rms.
     """
 
     feet: tuple[int, ...]
     change: Array
     error: float
     in_link: bool
+    left: float
 
 
 def resting_frames(standing: Standing, contacts: Contacts) -> list[RestingFrame]:
@@ -142,7 +145,7 @@ def _point(parts: dict[int, BlockSums], feet: tuple[int, ...]) -> FootPoint | No
     sure = sure_part(*best.of(columns[:3]), SIZE)
     if sure is None:
         return None
-    return FootPoint(feet=feet, change=sure[0], error=sure[1], in_link=in_link)
+    return FootPoint(feet=feet, change=sure[0], error=sure[1], in_link=in_link, left=best.left)
 
 
 def _agree(parts: dict[int, BlockSums], together: FootPoint) -> bool:
