@@ -33,7 +33,6 @@ from sdpid.experiment.inspection.finding import Finding
 from sdpid.experiment.inspection.inspect import inspect_recordings
 from sdpid.experiment.plant.simulate import true_parameters
 from sdpid.experiment.recording.joints import match_joints
-from sdpid.robot.model.described_efforts import described_efforts
 
 # N·m per ampere at the joints of arms of this size, from the first joint to the last.
 TORQUE_CONSTANTS = (14.0, 9.0)
@@ -173,7 +172,7 @@ def loaded(good: Good) -> tuple[list[sdpid.Recording], sdpid.RobotModel]:
     assert log.velocity is not None
     # Accelerations hardly matter: gravity bears the load.
     states = log.position, log.velocity, np.zeros_like(log.position)
-    load = described_efforts(replace(robot, prior=arm + both), *states)
+    load = replace(robot, prior=arm + both).described_efforts(*states)
     parts = [slice(0, half), slice(half, None)]
     efforts = [log.effort[parts[0]], (log.effort + load)[parts[1]]]
     return [
@@ -348,7 +347,7 @@ def good(name: str, robot: sdpid.RobotModel, log: sdpid.Recording) -> Good:
         log = replace(log, velocity=np.gradient(log.position, log.time, axis=0))
     rows = np.linspace(0, log.n_samples - 1, 200).astype(int)
     q = log.position[rows]
-    gravity = described_efforts(robot, q, np.zeros_like(q), np.zeros_like(q))
+    gravity = robot.described_efforts(q, np.zeros_like(q), np.zeros_like(q))
     return Good(name=name, robot=robot, log=log, joint=int(np.argmax(gravity.std(axis=0))))
 
 
