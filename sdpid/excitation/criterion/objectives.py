@@ -14,13 +14,15 @@ ObjectiveKind = Literal["mixed", "D", "A", "E", "V", "condition"]
 
 # What an objective is called, and what it depends on.
 WORDS: dict[str, str] = {
-    "mixed": "log det of what the data show, without the prior, and condition number in SI units",
+    "mixed": "log det of what the data show, without the prior, and condition number in SI units "
+    "(with sliding joints, in units of what moves the efforts as much)",
     "D": "volume of the uncertainty of all parameters, the prior's knowledge included (log det; in "
     "any units the same)",
     "A": "sum of the parameters' variances, each in units of what moves the efforts as much",
     "E": "largest variance of any combination of the parameters, in the same units",
     "V": "mean variance of the efforts, or of what the purpose asks for",
-    "condition": "condition number of the regressor, in SI units: it depends on the units",
+    "condition": "condition number of the regressor, in SI units (with sliding joints, in units of "
+    "what moves the efforts as much): it depends on the units",
 }
 
 # The extreme eigenvalues are replaced by power sums of this power: they differ by at most
@@ -46,6 +48,8 @@ class Objective:
         parameters themselves.
     scale : ndarray, shape (b,), optional
         Size of each base parameter for "A" and "E".
+    columns : ndarray, shape (b,), optional
+        Size of each base parameter for the condition number; by default 1 in SI units.
 
     Raises
     ------
@@ -56,6 +60,7 @@ class Objective:
     kind: ObjectiveKind = "mixed"
     functionals: Array | None = None
     scale: Array | None = None
+    columns: Array | None = None
 
     def __post_init__(self) -> None:
         if self.kind not in get_args(ObjectiveKind):
@@ -85,13 +90,19 @@ class Objective:
         """
         none = np.zeros_like(total)
         if self.kind == "condition":
-            value, by_plain = _log_condition(plain)
+            value, by_plain = self._condition(plain)
             return value, none, by_plain
         value, by_total = self._uncertainty(total)
         if self.kind != "mixed":
             return value, by_total, none
-        condition, by_plain = _log_condition(plain)
+        condition, by_plain = self._condition(plain)
         return value + _CONDITION * condition, by_total, _CONDITION * by_plain
+
+    def _condition(self, plain: Array) -> tuple[float, Array]:
+        """Return the log of the condition number in its units, and its derivative."""
+        units = 1.0 if self.columns is None else np.outer(self.columns, self.columns)
+        value, slope = _log_condition(plain * units)
+        return value, slope * units
 
     def _uncertainty(self, total: Array) -> tuple[float, Array]:
         """Return how uncertain the parameters are after the run, and its derivative."""

@@ -11,7 +11,7 @@ import numpy as np
 from sdpid._common.arrays import Array, Mask
 from sdpid.robot.friction.model import FrictionModel
 from sdpid.robot.friction.motion import Motion
-from sdpid.robot.friction.term import FrictionTerm
+from sdpid.robot.friction.term import FrictionTerm, JointwiseTerm
 from sdpid.robot.model.base_parameters import BaseParameters, structural_base
 from sdpid.robot.model.model import RobotModel
 
@@ -159,16 +159,19 @@ class BaseRows:
     ) -> tuple[Array, Array, Array]:
         n = q.shape[1]
         posed = any(term.posed for term in self.friction.terms)
+        # Of terms whose joints have nothing to do with each other, all joints are moved at once.
+        apart = all(isinstance(term, JointwiseTerm) for term in self.friction.terms)
         out = [np.zeros_like(q) for _ in range(3)]
         for order in range(0 if posed else 1, 3):
-            for j in range(n):
+            for j in [slice(None)] if apart else range(n):
                 sums = []
                 for sign in (1.0, -1.0):
                     state = [q, v, a]
                     state[order] = state[order].copy()
                     state[order][:, j] += sign * _FRICTION_STEP
-                    sums.append(np.einsum("kjb,kjb->k", C, self._friction(*state)))
-                out[order][:, j] = (sums[0] - sums[1]) / (2.0 * _FRICTION_STEP)
+                    sums.append(np.einsum("kjb,kjb->kj", C, self._friction(*state)))
+                slope = (sums[0] - sums[1]) / (2.0 * _FRICTION_STEP)
+                out[order][:, j] = slope if apart else slope.sum(axis=1)
         return out[0], out[1], out[2]
 
 

@@ -40,15 +40,14 @@ from sdpid.robot.model.model import RobotModel
 
 # Friction terms of a plan, where none are named: those that every joint has.
 FRICTION = ("coulomb", "viscous", "offset")
-# Starts of the search: condition numbers of single starts differ by up to a fifth (UR10e).
+# Starts of the search, and random motions of which the best is the first: condition numbers of
+# single starts differ by up to a fifth (UR10e).
 STARTS = 4
-# Of a time limit, what is kept for the check and for what the run will buy: seconds, and at most
-# this share.
-_KEPT_SECONDS, _KEPT_SHARE = 5.0, 0.4
+# Of a time limit, what is kept for the check and for what the run will buy: times what it took to
+# resolve the arguments on this machine, and at most this share.
+_KEPT, _KEPT_SHARE = 2.0, 0.4
 # States, times joints, that are enough for the compiled regressor to be worth its start.
 _STATES = 600
-# A search of fewer steps than this has hardly begun.
-_FEW_STEPS = 60
 # An eigenvalue of the information below this share of the largest is rounding.
 _ROUNDING = 1e-15
 # Instants a second of the regressor whose condition number is stated.
@@ -159,8 +158,9 @@ def design_excitation(
 
     Notes
     -----
-    A change of units changes the optimum of ``condition`` (here in SI units) and of ``A`` and
-    ``E`` (in units of what moves the efforts of usual motions by 1 N·m).
+    A change of units changes the optimum of ``condition``, ``A`` and ``E``. ``A`` and ``E`` are in
+    units of what moves the efforts of usual motions by 1 N·m, and so is ``condition`` where a joint
+    slides; else it is in SI units.
 
     Examples
     --------
@@ -207,21 +207,19 @@ def design_excitation(
     search = Search(
         space=task.space, criterion=task.criterion, limits=task.limits, start=task.start
     )
+    kept = 0.0
     if time_limit is not None:
-        deadline = began + time_limit - min(_KEPT_SECONDS, _KEPT_SHARE * time_limit)
-        search = replace(search, deadline=deadline)
+        kept = min(_KEPT * (time.monotonic() - began), _KEPT_SHARE * time_limit)
+        search = replace(search, deadline=began + time_limit - kept)
     inequalities = Inequalities(task)
     with counted_steps(most_steps(starts), began, search.deadline, progress) as step:
         count = starts if time_limit is None else None
         begun = itertools.islice(_starts(task, search, inequalities.rows(task.space), seed), count)
         found, stopped = search.run(begun, inequalities.rows, step=step)
-    task, search = replace(task, space=found[0].space), search.on(found[0].space)
-    if time_limit is not None:
-        deadline = began + time_limit - min(_KEPT_SECONDS, _KEPT_SHARE * time_limit) / 2.0
-        search = replace(search, deadline=deadline)
-    best, check = mend(task, search, found[0], inequalities)
+    search = replace(search, deadline=search.deadline + kept / 2.0)
+    best, check = mend(task, search, found, inequalities)
     notes = [*task.notes, *_notes(task, motion, found, stopped, time_limit)]
-    W = task.rows.rows(*_scored_states(task, best.x)).reshape(-1, task.rows.count)
+    W = task.rows.rows(*_scored_states(best)).reshape(-1, task.rows.count)
     information = W.T @ W / (len(W) / model.n)
     values = np.linalg.eigvalsh(information)
     shown = bool(values[0] > _ROUNDING * values[-1])
@@ -230,7 +228,7 @@ def design_excitation(
             "the motion alone does not show every base parameter: its condition number is "
             "infinite. What stays open is named."
         )
-    trajectory = task.trajectory(best.x)
+    trajectory = task.trajectory(best.space.curve(best.x))
     # Without earlier runs, which are about the plan's terms, the terms are those of `identify`.
     try:
         expected = expect(
@@ -288,14 +286,17 @@ def _starts(task: Task, search: Search, rows: Any, seed: int) -> Iterable[Array]
     def holds(x: Array) -> bool:
         return rows is None or bool(np.min(rows.values(x)) > 0.0)
 
-    for home in homes(task, rng):
-        yield random_start(task.space, search.linear, home, rng, holds)
+    drawn = (random_start(task.space, search.linear, home, rng, holds) for home in homes(task, rng))
+    # The best goes first: a search that ends at once is no worse than any of these.
+    first = itertools.islice(drawn, STARTS)
+    yield from sorted(first, key=lambda x: search.value_and_gradient(x)[0])
+    yield from drawn
 
 
-def _scored_states(task: Task, x: Array) -> tuple[Array, Array, Array]:
-    time = task.space.grid(rate=_SCORED_HZ)
-    c = task.space.coefficients(x)
-    q, v, a = (task.space.basis(time, order) @ c for order in range(3))
+def _scored_states(candidate: Candidate) -> tuple[Array, Array, Array]:
+    space = candidate.space
+    time, c = space.grid(rate=_SCORED_HZ), space.coefficients(candidate.x)
+    q, v, a = (space.basis(time, order) @ c for order in range(3))
     return q, v, a
 
 

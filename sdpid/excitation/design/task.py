@@ -34,9 +34,11 @@ from sdpid.excitation.limits.torque import TorqueModel
 from sdpid.excitation.search.linear import linear_limits
 from sdpid.excitation.search.space import FourierSpace, Space, SplineSpace
 from sdpid.excitation.search.starts import random_start
+from sdpid.experiment.trajectory.curve import Curve
 from sdpid.experiment.trajectory.trajectory import Trajectory
 from sdpid.robot.friction.term import FrictionTerm
 from sdpid.robot.model.contacts.open_chain import require_fixed_robot
+from sdpid.robot.model.coordinates import sliding
 from sdpid.robot.model.model import RobotModel
 
 Motion = Literal["spline", "fourier", "postures", "one_by_one"]
@@ -64,6 +66,9 @@ _HIGHEST_HZ, _FEWEST_HARMONICS = 0.6, 5
 CLEARANCE = 0.03
 # Share of the description's limits that is used where nothing else is said.
 _SHARE = 0.95
+# A free number of a joint stands for half of its range, rad (m), and for this at most: only what is
+# smaller, such as the fingers of a gripper, is not moved at all beside the rest.
+_LARGEST = 1.0
 # Random motions from which usual efforts are taken.
 _USUAL = 20
 
@@ -185,7 +190,9 @@ class Task:
             notes += collision.assumed
             if not collision.pairs:
                 notes.append("no pair of bodies can touch: distances are not limited.")
-        space = _space(robot.n, duration, motion, closed, harmonics)
+        half = 0.5 * (joints.upper - joints.lower)
+        sizes = np.where(half > 0.0, np.minimum(half, _LARGEST), _LARGEST)
+        space = _space(robot.n, duration, motion, closed, harmonics).sized(sizes)
         rows = BaseRows.of(robot, friction)
         usual = _usual_states(robot, joints, space, seed)
         bodies, assumed = nominal_bodies(robot)
@@ -231,12 +238,12 @@ class Task:
         """The distance that is kept between bodies, m."""
         return self.limits.clearance or 0.0
 
-    def trajectory(self, x: Array) -> Trajectory:
-        """Return the trajectory of free numbers x (N,)."""
-        limits, duration = self.limits, self.space.duration
+    def trajectory(self, curve: Curve) -> Trajectory:
+        """Return the trajectory of a motion."""
+        limits, duration = self.limits, curve.duration
         return Trajectory(
             joint_names=self.robot.joint_names,
-            series=self.space.curve(x),
+            series=curve,
             # Whole samples: the rate differs from the usual one by less than a sample a period.
             rate_hz=max(2, round(duration * RATE_HZ)) / duration,
             periods=self.periods,
@@ -300,13 +307,13 @@ def _usual_states(
     """Return states (K, n) of random motions within the limits: the efforts that are usual."""
     rng = generator(seed)
     linear = linear_limits(space, limits)
-    time = space.grid()
+    bases = [space.basis(space.grid(), order) for order in range(3)]
     parts = []
     for _ in range(_USUAL):
         share = rng.uniform(0.25, 0.75, robot.n)
         home = limits.lower + share * (limits.upper - limits.lower)
         c = space.coefficients(random_start(space, linear, home, rng, lambda x: True))
-        parts.append([space.basis(time, order) @ c for order in range(3)])
+        parts.append([basis @ c for basis in bases])
     q, v, a = (np.concatenate(part) for part in zip(*parts, strict=True))
     return q, v, a
 
@@ -321,7 +328,7 @@ def _criterion(
     usual: Sequence[Array],
 ) -> Criterion:
     """Return what is made small: by default what fits the purpose."""
-    smooth = rows.smooth()
+    smooth, names = rows.smooth(), rows.robot.joint_names
     whole = purpose.name == "all"
     kind = objective or ("mixed" if whole else "V" if purpose.kind == "sum" else "D")
     if kind == "mixed":
@@ -337,7 +344,13 @@ def _criterion(
         functionals = np.linalg.qr(weighted, mode="r") / np.sqrt(len(W))
     return Criterion(
         rows=smooth,
-        objective=Objective(kind=kind, functionals=functionals, scale=scale if whole else None),
+        objective=Objective(
+            kind=kind,
+            functionals=functionals,
+            scale=scale if whole else None,
+            # What moves a finger of 15 g is nothing beside an arm, in SI units.
+            columns=scale if whole and sliding(rows.robot.pin_model, names).any() else None,
+        ),
         rates=1.0 / noise.density,
         known=known,
         directions=None if whole else np.array(purpose.directions),

@@ -173,7 +173,7 @@ class CollisionModel:
 
     @cached_property
     def _soft(self) -> SoftMinimum:
-        return SoftMinimum(self._measure)
+        return SoftMinimum(self._measure, self.reach)
 
     def __getstate__(self) -> dict[str, Any]:
         """Return the state without Coal's objects, which cannot be pickled."""

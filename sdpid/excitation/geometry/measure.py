@@ -100,7 +100,7 @@ class Measure:
         for k, configuration in enumerate(self.robot.configuration(q)):
             jacobians[k] = self.place(configuration)
             pin.computeDistances(self._geometry, self._found)
-            found += [_copied(result) for result in self._nearest()]
+            found += [copied(result) for result in self._nearest()]
         distances, gradients = self.derivatives(
             found, jacobians, np.repeat(np.arange(K), P), np.tile(np.arange(P), K)
         )
@@ -123,11 +123,11 @@ class Measure:
         pin.updateGeometryPlacements(self._model, self._data, self._geometry, self._found)
         return np.reshape(self._data.J, (6, -1))
 
-    def part(self, part: int) -> Witness:
-        """Return the distance of one of the pairs of solids (`parts`) where they are placed."""
+    def part(self, part: int) -> Any:
+        """Return Coal's result of one of the pairs of solids (`parts`) where they are placed."""
         import pinocchio as pin
 
-        return _copied(pin.computeDistance(self._geometry, self._found, part))
+        return pin.computeDistance(self._geometry, self._found, part)
 
     def derivatives(
         self, found: Sequence[Witness], jacobians: Array, samples: Indices, pairs: Indices
@@ -159,10 +159,11 @@ class Measure:
         return distances, gradient @ self.robot.expansion
 
 
-def _copied(result: Any) -> Witness:
+def copied(result: Any) -> Witness:
+    """Return a result of Coal, whose memory is used again."""
     return (
         result.min_distance,
-        np.array(result.normal),  # its memory is used again
+        np.array(result.normal),
         result.getNearestPoint1(),
         result.getNearestPoint2(),
     )

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any, Protocol, TypeVar
 
@@ -21,7 +21,13 @@ _MEMORY = 20
 _PUSH = 1e-6
 # Rows that stand for nonlinear limits count as held when they are short by no more than this share
 # of a limit: the grid on which they are held is coarse, and another margin stands for that.
-_HELD = 1e-6
+_HELD = 1e-3
+# Where the barrier begins when the start is nearly the best: from its usual place a search first
+# leaves the limits at which the start lies, and takes dozens of steps to come back.
+_NEAR = {"ipopt.mu_strategy": "monotone", "ipopt.mu_init": 1e-4}
+# Shares of the way from the best point to the last one that are tried, where only the last steps
+# were beyond a nonlinear limit.
+_SHARES = (1.0, 0.75, 0.5, 0.25)
 # How a search ended that its user interrupted.
 INTERRUPTED = "Interrupted"
 
@@ -86,6 +92,7 @@ def minimize(
     *,
     most_steps: int,
     stop: Callable[[int, float], bool],
+    near: bool = False,
 ) -> Found:
     """Minimize a smooth function from a point that is within its limits.
 
@@ -105,6 +112,8 @@ def minimize(
         Largest number of steps.
     stop : callable
         Called after every step with its number and the best value; whether to stop.
+    near : bool, optional
+        Whether the start is nearly the best, such as one that another search found.
 
     Raises
     ------
@@ -136,27 +145,25 @@ def minimize(
             casadi,
             N,
             sparsity,
-            calls.guarded(rows.values),
-            # CasADi asks for it twice.
-            calls.guarded(_remembered(lambda x: rows.derivative(x)[r, c])),
+            # CasADi asks for both twice, and takes nonzeros from a list in half of the time.
+            calls.guarded(_remembered(rows.values)),
+            calls.guarded(_remembered(lambda x: rows.derivative(x)[r, c].tolist())),
             count,
         )
         limits.append(nonlinear(x))
     interrupts = Interrupts()
-    watch = _watch(
-        casadi,
-        N,
-        len(lower) + count,
+    watch = _Watch(
         len(lower),
         calls.guarded(lambda steps, value: stop(steps, value) or interrupts.came),
         lambda: calls.error is not None,
     )
+    each_step = watch.callback(casadi, N, len(lower) + count)
     solver = casadi.nlpsol(
         "search",
         "ipopt",
         {"x": x, "f": objective(x), "g": casadi.vertcat(*limits)},
         {
-            "iteration_callback": watch,
+            "iteration_callback": each_step,
             "print_time": False,
             "calc_lam_p": False,
             "error_on_fail": False,
@@ -177,6 +184,7 @@ def minimize(
             "ipopt.tol": _TOLERANCE,
             "ipopt.acceptable_tol": _ACCEPTABLE,
             "ipopt.max_iter": most_steps,
+            **(_NEAR if near else {}),
         },
     )
     watch.offer(start, calls.cached(start)[0])
@@ -200,6 +208,12 @@ def minimize(
         status, watch.stopped = INTERRUPTED, True
     elif calls.error is not None:
         raise calls.error
+    elif rows is not None:
+        way = watch.last - watch.best
+        for x in (watch.best + share * way for share in _SHARES):
+            if np.min(rows.values(x)) >= -_HELD:
+                watch.offer(x, function(x)[0])
+                break
     return Found(
         x=watch.best, value=watch.value, steps=watch.steps, status=status, stopped=watch.stopped
     )
@@ -254,102 +268,99 @@ def _callback(
     N: int,
     sparsity: Any,
     value: Callable[[Array], Array],
-    derivative: Callable[[Array], Array],
+    derivative: Callable[[Array], Sequence[float]],
     count: int = 1,
 ) -> Any:
     """Return a function of CasADi with `count` values and a derivative of a given sparsity."""
+    dense = casadi.Sparsity.dense
+    slope = _evaluated(
+        casadi,
+        "derivative",
+        [dense(N, 1), dense(count, 1)],
+        sparsity,
+        lambda x, _: casadi.DM(sparsity, derivative(np.array(x).ravel())),
+    )
+    arguments = [dense(N, 1)]
+    return _evaluated(
+        casadi, "value", arguments, dense(count, 1), lambda x: value(np.array(x).ravel()), slope
+    )
 
-    class Derivative(casadi.Callback):  # type: ignore[misc]
-        def __init__(self, name: str) -> None:
+
+def _evaluated(
+    casadi: Any,
+    name: str,
+    arguments: Sequence[Any],
+    result: Any,
+    function: Callable[..., Any],
+    derivative: Any = None,
+) -> Any:
+    """Return a function of CasADi that calls Python, from sparsities of arguments and result."""
+
+    class Evaluated(casadi.Callback):  # type: ignore[misc]
+        def __init__(self) -> None:
             super().__init__()
+            # CasADi keeps no reference to what Python made.
+            self.kept = derivative
             self.construct(name, {})
 
         def get_n_in(self) -> int:
-            return 2
+            return len(arguments)
 
         def get_n_out(self) -> int:
             return 1
 
         def get_sparsity_in(self, i: int) -> Any:
-            return casadi.Sparsity.dense(N if i == 0 else count, 1)
+            return arguments[i]
 
         def get_sparsity_out(self, i: int) -> Any:
-            return sparsity
+            return result
 
-        def eval(self, arguments: Any) -> Any:
-            return [casadi.DM(sparsity, derivative(np.array(arguments[0]).ravel()))]
-
-    class Value(casadi.Callback):  # type: ignore[misc]
-        def __init__(self) -> None:
-            super().__init__()
-            self.construct("value", {})
-
-        def get_n_in(self) -> int:
-            return 1
-
-        def get_n_out(self) -> int:
-            return 1
-
-        def get_sparsity_in(self, i: int) -> Any:
-            return casadi.Sparsity.dense(N, 1)
-
-        def get_sparsity_out(self, i: int) -> Any:
-            return casadi.Sparsity.dense(count, 1)
-
-        def eval(self, arguments: Any) -> Any:
-            return [value(np.array(arguments[0]).ravel())]
+        def eval(self, values: Any) -> Any:
+            return [function(*values)]
 
         def has_jacobian(self) -> bool:
-            return True
+            return self.kept is not None
 
-        def get_jacobian(self, name: str, *_: Any) -> Any:
-            # CasADi keeps no reference to what Python made.
-            self.kept = Derivative(name)
+        def get_jacobian(self, *_: Any) -> Any:
             return self.kept
 
-    return Value()
+    return Evaluated()
 
 
-def _watch(
-    casadi: Any,
-    N: int,
-    M: int,
-    linear: int,
-    stop: Callable[[int, float], bool],
-    failed: Callable[[], bool],
-) -> Any:
-    """Return what CasADi calls after every step: it keeps the best point, and may stop."""
-    sizes = {"x": N, "lam_x": N, "g": M, "lam_g": M, "f": 1}
+class _Watch:
+    """Called after every step: keeps the best point, the last one, and may stop."""
 
-    class Watch(casadi.Callback):  # type: ignore[misc]
-        def __init__(self) -> None:
-            super().__init__()
-            self.best, self.value, self.steps, self.stopped = np.zeros(N), np.inf, 0, False
-            self.construct("watch", {})
+    def __init__(
+        self, linear: int, stop: Callable[[int, float], bool], failed: Callable[[], bool]
+    ) -> None:
+        self.linear, self.stop, self.failed = linear, stop, failed
+        self.best, self.value, self.steps, self.stopped = np.zeros(0), np.inf, 0, False
+        self.last = self.best
 
-        def offer(self, x: Array, value: float) -> None:
-            if value < self.value:
-                self.best, self.value = x.copy(), value
+    def offer(self, x: Array, value: float) -> None:
+        """Keep a point within all limits if it is the best so far."""
+        if value < self.value:
+            self.best, self.value = x.copy(), value
+            self.last = self.best
 
-        def get_n_in(self) -> int:
-            return int(casadi.nlpsol_n_out())
+    def callback(self, casadi: Any, N: int, M: int) -> Any:
+        """Return what CasADi calls, with N free numbers and M limits."""
+        sizes = {"x": N, "lam_x": N, "g": M, "lam_g": M, "f": 1}
+        names = [casadi.nlpsol_out(i) for i in range(casadi.nlpsol_n_out())]
+        arguments = [casadi.Sparsity.dense(sizes.get(n, 0), int(n in sizes)) for n in names]
 
-        def get_n_out(self) -> int:
-            return 1
-
-        def get_sparsity_in(self, i: int) -> Any:
-            size = sizes.get(casadi.nlpsol_out(i), 0)
-            return casadi.Sparsity.dense(size, 1 if size else 0)
-
-        def eval(self, arguments: Any) -> Any:
-            if failed():
-                return [1]
-            by_name = {casadi.nlpsol_out(i): value for i, value in enumerate(arguments)}
-            shortfall = np.array(by_name["g"]).ravel()[linear:]
+        def step(*values: Any) -> int:
+            if self.failed():
+                return 1
+            by_name = dict(zip(names, values, strict=True))
+            shortfall = np.array(by_name["g"]).ravel()[self.linear :]
+            x, value = np.array(by_name["x"]).ravel(), float(by_name["f"])
             if np.min(shortfall, initial=0.0) >= -_HELD:
-                self.offer(np.array(by_name["x"]).ravel(), float(by_name["f"]))
+                self.offer(x, value)
+            elif value < self.value:
+                self.last = x
             self.steps += 1
-            self.stopped = stop(self.steps, self.value)
-            return [int(self.stopped or failed())]
+            self.stopped = self.stop(self.steps, self.value)
+            return int(self.stopped or self.failed())
 
-    return Watch()
+        return _evaluated(casadi, "watch", arguments, casadi.Sparsity.dense(1, 1), step)

@@ -17,13 +17,13 @@ from sdpid.excitation.search.ipopt import INTERRUPTED, Rows, minimize
 from sdpid.excitation.search.linear import linear_limits
 from sdpid.excitation.search.space import Space
 
-# Steps of one start: most end by themselves after 100 to 250 (UR10e, LWR 4+).
-MOST_STEPS = 250
-# The best motions go on with twice and four times the intervals: from 36 of them in 20 s, the
-# condition number of a UR10e falls by another tenth, in a third of the time of one start.
-_REFINED, _LEVELS, _REFINING_STEPS = 2, 2, 150
-# Share of the time after which starts end and the best are refined.
-_COARSE = 0.6
+# Steps of one start: what more of them bring, finer motions bring sooner.
+MOST_STEPS = 40
+# What is better than all starts before goes on with twice and four times the intervals. Deadlines
+# only end this: what a search finds in less time, it finds in more.
+_LEVELS, _REFINING_STEPS = 2, 60
+# Of several starts about as many are better than all before.
+_REFINED = 2
 
 
 def most_steps(starts: int) -> int:
@@ -116,6 +116,7 @@ class Search:
         number: int = 0,
         most_steps: int = MOST_STEPS,
         step: Callable[[], None] = lambda: None,
+        near: bool = False,
     ) -> tuple[Candidate, bool]:
         """Search from one start, and say whether the search was stopped.
 
@@ -131,6 +132,8 @@ class Search:
             Largest number of steps.
         step : callable, optional
             Called after every step.
+        near : bool, optional
+            Whether the start is nearly the best.
         """
         began = time.monotonic()
 
@@ -145,6 +148,7 @@ class Search:
             rows,
             most_steps=most_steps,
             stop=stop,
+            near=near,
         )
         candidate = Candidate(
             space=self.space,
@@ -164,7 +168,7 @@ class Search:
         *,
         step: Callable[[], None] = lambda: None,
     ) -> tuple[list[Candidate], bool]:
-        """Search from every start, refine the best, until the deadline or an interruption.
+        """Search from every start, refine what is better than all before, while there is time.
 
         Parameters
         ----------
@@ -202,30 +206,27 @@ class Search:
         rows_of: Callable[[Space], Rows | None],
         step: Callable[[], None],
     ) -> Iterator[tuple[Candidate, bool]]:
-        """Yield the best from every start, then refined; and whether each was stopped."""
-        now = time.monotonic()
-        coarse = replace(self, deadline=now + _COARSE * (self.deadline - now))
-        rows = rows_of(self.space)
-        found: list[Candidate] = []
+        """Yield the best from every start, and refined; and whether each was stopped."""
+        rows, best = rows_of(self.space), np.inf
         for number, start in enumerate(starts):
-            candidate, stopped = coarse.improve(start, rows, number=number, step=step)
-            found.append(candidate)
+            candidate, stopped = self.improve(start, rows, number=number, step=step)
             yield candidate, stopped
-            if stopped:
-                break
-        for candidate in sorted(found, key=_value)[:_REFINED]:
-            for _ in range(_LEVELS):
+            levels, best = _LEVELS if candidate.value < best else 0, min(candidate.value, best)
+            for _ in range(levels):
                 refined = candidate.space.refined(candidate.x)
-                if refined is None or time.monotonic() > self.deadline:
+                if stopped or refined is None:
                     break
                 candidate, stopped = self.on(refined[0]).improve(
                     refined[1],
                     rows_of(refined[0]),
-                    number=candidate.start,
+                    number=number,
                     most_steps=_REFINING_STEPS,
                     step=step,
+                    near=True,
                 )
                 yield candidate, stopped
+            if stopped:
+                break
 
 
 def _value(candidate: Candidate) -> float:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
@@ -42,11 +42,21 @@ class Space(ABC):
         Duration in s.
     expansions : tuple of ndarray, each of shape (m, f_j)
         The coefficients of each joint from its free numbers.
+    sizes : ndarray, shape (n,), or float
+        What a free number of each joint stands for, rad (m): searches that step in rad and in m
+        alike hardly move a gripper whose fingers have a centimeter.
     """
 
     n: int
     duration: float
     expansions: tuple[Array, ...]
+    sizes: Array | float = 1.0
+
+    def sized(self, sizes: Array) -> Space:
+        """Return the same motions as functions of numbers of other sizes (n,)."""
+        steps = sizes / self.sizes
+        expansions = tuple(E * step for E, step in zip(self.expansions, steps, strict=True))
+        return replace(self, expansions=expansions, sizes=sizes)
 
     @abstractmethod
     def basis(self, time: Array, derivative: int) -> Array:
@@ -93,12 +103,16 @@ class Space(ABC):
         count = max(fewest, round(rate * self.duration))
         return np.asarray((np.arange(count) + 0.5) * (self.duration / count), dtype=np.float64)
 
+    @cached_property
+    def first(self) -> Array:
+        """What each coefficient adds to the position at which the motion begins, (m,)."""
+        return np.asarray(self.basis(np.zeros(1), 0)[0])
+
     def standing(self, position: Array) -> Array:
         """Return the free numbers (N,) at which the arm stands still at a position (n,)."""
-        columns = np.asarray(self.basis(np.zeros(1), 0))[0]
         return np.concatenate(
             [
-                np.linalg.lstsq(E, self._constant(columns) * value, rcond=None)[0]
+                np.linalg.lstsq(E, self._constant(self.first) * value, rcond=None)[0]
                 for E, value in zip(self.expansions, position, strict=True)
             ]
         )
@@ -136,8 +150,8 @@ class SplineSpace(Space):
         m = len(self.expansions[0])
         finer = self.of(self.n, self.duration, closed=self.closed, intervals=2 * (m - 5))
         points = Spline.control_matrix(m, self.duration, 0, 1) @ self.coefficients(x)
-        numbers = np.linalg.lstsq(finer.expansions[0], points, rcond=None)[0]
-        return finer, numbers.ravel(order="F")
+        numbers = np.linalg.lstsq(finer.expansions[0], points, rcond=None)[0] / self.sizes
+        return finer.sized(self.sizes * np.ones(self.n)), numbers.ravel(order="F")
 
     @classmethod
     def postures(cls, n: int, duration: float) -> SplineSpace:

@@ -56,7 +56,7 @@ def random_start(
             drawn = 0.5 * (drawn + np.roll(drawn, 1))
         direction[own] = drawn
         # The start stays where it is: positions at the ends are those of home.
-        ends = space.basis(np.zeros(1), 0)[0] @ space.expansions[j]
+        ends = space.first @ space.expansions[j]
         direction[own] -= ends * (ends @ drawn) / (ends @ ends)
         x += _SHARE * min(largest_step(linear, still, direction), 1e3) * direction
     for shrink in _SHRINKS:

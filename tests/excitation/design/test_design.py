@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import sys
 from typing import Any
 
@@ -11,8 +12,11 @@ import pytest
 import sdpid
 from sdpid.errors import DataError, InfeasibleError, MissingExtraError, ModelError
 from sdpid.excitation.criterion.criterion import Criterion
+from sdpid.excitation.design import design
+from sdpid.excitation.design.repair import checked, mend
 from sdpid.excitation.geometry.obstacles import table
 from sdpid.excitation.plan.plan import Plan
+from sdpid.excitation.search.search import Search
 from tests.helpers.dense_check import dense_check
 
 QUICK: dict[str, Any] = {"duration": 6.0, "starts": 1, "seed": 1}
@@ -102,6 +106,46 @@ def test_an_interrupted_search_returns_the_best_so_far(monkeypatch: pytest.Monke
     found = sdpid.design_excitation("denso_vp6242", **QUICK)
     assert found.limits.ok
     assert any("interrupted" in note for note in found.notes)
+
+
+def test_what_is_delivered_is_hardly_worse_than_what_was_found(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    broken, worse = [], []
+
+    def mended(task: Any, search: Any, found: Any, inequalities: Any) -> Any:
+        broken.append(not checked(task, found[0])[1].ok)
+        best, check = mend(task, search, found, inequalities)
+        worse.append(best.value - found[0].value)
+        return best, check
+
+    monkeypatch.setattr(design, "mend", mended)
+    # The tool is too fast between the instants of the grid.
+    plan = sdpid.design_excitation(
+        "denso_vp6242", limits=sdpid.Limits(tool_speed=0.5), collisions=False, **QUICK
+    )
+    assert plan.limits.ok
+    assert broken == [True]
+    assert worse[0] <= 0.1
+
+
+def test_the_search_begins_with_the_best_of_its_random_motions(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    class SeenError(Exception):
+        pass
+
+    def seen(search: Search, starts: Any, *_: Any, **__: Any) -> Any:
+        values = [search.value_and_gradient(x)[0] for x in itertools.islice(starts, 4)]
+        assert values[0] == min(values)
+        # A finger that slides by centimeters is moved as much of its range as the arm.
+        np.testing.assert_allclose(search.space.sizes[:7], 1.0)
+        assert search.space.sizes[7] == pytest.approx(0.019)
+        raise SeenError
+
+    monkeypatch.setattr(Search, "run", seen)
+    with pytest.raises(SeenError):
+        sdpid.design_excitation("panda", collisions=False, seed=2)
 
 
 def test_a_payload_is_asked_for_by_name() -> None:

@@ -188,7 +188,7 @@ def test_capsules_around_the_solids_bound_the_distances_of_bodies(name: str) -> 
     below = measure.capsules.below(q)
     for k, configuration in enumerate(model.robot.configuration(q)):
         measure.place(configuration)
-        found = [measure.part(part)[0] for part in range(len(measure.parts))]
+        found = [measure.part(part).min_distance for part in range(len(measure.parts))]
         assert (below[k] <= np.array(found) + ACCURACY).all()
 
 

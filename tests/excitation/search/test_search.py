@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import itertools
 import os
 import signal
 from collections.abc import Iterator
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -78,6 +80,19 @@ def test_the_same_starts_give_the_same_motion() -> None:
         search.run(starts_of(search, 1))[0][0] for search in (search_of(), search_of())
     )
     np.testing.assert_array_equal(first.x, second.x)
+
+
+def test_more_time_never_finds_a_worse_motion(monkeypatch: pytest.MonkeyPatch) -> None:
+    values = []
+    for deadline in (2.0, 10.0, 30.0, 50.0, 90.0, 140.0, 200.0):
+        # A clock that counts how often it is asked.
+        clock = SimpleNamespace(monotonic=itertools.count().__next__)
+        monkeypatch.setattr(module, "time", clock)
+        search = search_of(deadline=deadline)
+        found, _ = search.run(starts_of(search, 3))
+        values.append(found[0].value)
+    assert values == sorted(values, reverse=True)
+    assert values[-1] < values[0]
 
 
 def test_after_the_deadline_there_is_still_a_motion() -> None:

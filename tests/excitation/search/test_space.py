@@ -13,12 +13,16 @@ from sdpid.excitation.search.linear import largest_step, linear_limits
 from sdpid.excitation.search.space import FourierSpace, Space, SplineSpace
 from sdpid.excitation.search.starts import random_start
 
+# Of joints that turn, and of a finger that slides by centimeters.
+SIZES = np.array([1.0, 0.01, 0.3])
+
 SPACES = {
     "spline": lambda: SplineSpace.of(3, 8.0),
     "open": lambda: SplineSpace.of(3, 8.0, closed=False),
     "postures": lambda: SplineSpace.postures(3, 20.0),
     "one_by_one": lambda: SplineSpace.one_by_one(3, 20.0),
     "fourier": lambda: FourierSpace.of(3, 8.0, 5),
+    "sized": lambda: SplineSpace.of(3, 8.0).sized(SIZES),
 }
 NAMES = tuple(SPACES)
 
@@ -133,14 +137,15 @@ def test_a_single_harmonic_is_refused() -> None:
         FourierSpace.of(3, 8.0, 1)
 
 
-@given(st.booleans(), st.integers(0, 1000))
-def test_refined_splines_hold_the_motion_and_its_limits(closed: bool, seed: int) -> None:
-    space = SplineSpace.of(3, 8.0, closed=closed)
+@given(st.sampled_from(["spline", "open", "sized"]), st.integers(0, 1000))
+def test_refined_splines_hold_the_motion_and_its_limits(name: str, seed: int) -> None:
+    space = SPACES[name]()
     x = drawn(space, seed)
     refined = space.refined(x)
     assert refined is not None
     finer, numbers = refined
     assert finer.size > 1.5 * space.size
+    np.testing.assert_array_equal(finer.sizes, space.sizes)
     time = np.linspace(0.0, 8.0, 301)
     for order in range(4):
         expected = space.curve(x).evaluate(time, derivative=order)
