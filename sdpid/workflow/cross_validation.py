@@ -16,6 +16,7 @@ from sdpid.assurance.diagnostics.validation import Validation, validate
 from sdpid.errors import DataError, IdentifiabilityError
 from sdpid.estimation.compression.covariance import Weighting
 from sdpid.estimation.constraints.constraints import Constraints
+from sdpid.estimation.effects.kinds import Effects, names_of_effects
 from sdpid.estimation.prior.prior import Prior
 from sdpid.estimation.sdp.solve import solve_sdp
 from sdpid.estimation.wls import solve_wls
@@ -34,7 +35,7 @@ from sdpid.experiment.recording.recording import Recording, rows_of
 from sdpid.robot.friction.term import FrictionTerm
 from sdpid.robot.inertia import Consistency
 from sdpid.robot.model.model import RobotModel
-from sdpid.workflow.formulate import Effects, formulate, names_of_effects, tuple_of_terms
+from sdpid.workflow.formulate import formulate, tuple_of_terms
 
 By = Literal["time", "recording"]
 

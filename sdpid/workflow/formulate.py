@@ -12,7 +12,7 @@ from sdpid.errors import DataError
 from sdpid.estimation.compression.covariance import PRINTED, Weighting
 from sdpid.estimation.constraints.constraints import Constraints
 from sdpid.estimation.constraints.mass import known_mass
-from sdpid.estimation.effects.kinds import EFFECTS
+from sdpid.estimation.effects.kinds import Effects, names_of_effects
 from sdpid.estimation.prior.prior import Prior
 from sdpid.estimation.problem import Problem, build_problem
 from sdpid.estimation.selection.choose import with_chosen_effects, with_effects
@@ -29,39 +29,6 @@ from sdpid.experiment.recording.floating.robots import robot_of
 from sdpid.robot.friction.term import FrictionTerm
 from sdpid.robot.inertia import Consistency
 from sdpid.robot.model.model import RobotModel
-
-# Effects beside the friction terms: by the data ("auto"), none ("none"), or by name, in one string
-# too ("tilt,load").
-Effects = str | Iterable[str]
-
-
-def names_of_effects(effects: Effects) -> tuple[str, ...] | None:
-    """Return the names of the effects that are asked for; None leaves the choice to the data.
-
-    Raises
-    ------
-    DataError
-        For an unknown name, and for what holds no names.
-    """
-    known = [effect.name for effect in EFFECTS]
-    try:
-        given = effects.split(",") if isinstance(effects, str) else tuple(effects)
-    except TypeError:
-        raise DataError(
-            f"effects: is {effects!r}; use 'auto', 'none' or some of {', '.join(known)}."
-        ) from None
-    names = tuple(name.strip() if isinstance(name, str) else name for name in given)
-    if names == ("auto",):
-        return None
-    if names == ("none",):
-        return ()
-    for name in names:
-        if name not in known:
-            raise DataError(
-                f"effects: no effect is called {name!r}; use 'auto', 'none' or some of "
-                f"{', '.join(known)}."
-            )
-    return names
 
 
 def tuple_of_terms(

@@ -23,6 +23,7 @@ from sdpid.errors import DataError, IdentifiabilityError, SdpidError, SolverErro
 from sdpid.estimation.compression.covariance import Weighting
 from sdpid.estimation.constraints.constraints import Constraints
 from sdpid.estimation.constraints.mass import known_mass
+from sdpid.estimation.effects.kinds import Effects, names_of_effects
 from sdpid.estimation.estimate import Estimate
 from sdpid.estimation.instrumental.bias import BiasTest, check_bias
 from sdpid.estimation.motion_noise.bias import with_motion_bias
@@ -44,15 +45,9 @@ from sdpid.robot.friction.term import FrictionTerm
 from sdpid.robot.inertia import Consistency
 from sdpid.robot.model.model import RobotModel
 from sdpid.workflow.cross_validation import cross_validate
-from sdpid.workflow.formulate import (
-    Effects,
-    check_kinds,
-    formulate,
-    names_of_effects,
-    tuple_of_terms,
-)
+from sdpid.workflow.formulate import check_kinds, formulate, tuple_of_terms
 from sdpid.workflow.result import Identification
-from sdpid.workflow.spoiled import KIND, spoiling_effort
+from sdpid.workflow.spoiled import spoiling_effort
 
 if TYPE_CHECKING:
     from sdpid.assurance.rollouts.result import Rollout
@@ -276,22 +271,15 @@ def identify(
         recipe=recipe,
         recipe_note=no_recipe,
     )
-    spoils = None if KIND in kinds else spoiling_effort(result)
+    if "effort_spoils" in kinds:
+        return result
+    spoils = spoiling_effort(result, prepared, formulation)
     if spoils is None or spoils.joint is None:
         return result
-    again = identify(
-        robot,
-        log,
-        validation=validation,
-        processing=processing,
-        without_effort=(*prepared.without_effort, spoils.joint),
-        accept=kinds,
-        gains=known,
-        intervals=intervals,
-        folds=folds,
-        rollout=rollout,
-        **formulation,
-    )
+    formulation |= {"without_effort": (*prepared.without_effort, spoils.joint), "accept": kinds}
+    more: dict[str, Any] = {"intervals": intervals, "folds": folds, "rollout": rollout}
+    more |= {"validation": validation, "processing": processing, "gains": known}
+    again = identify(robot, log, **formulation, **more)
     return replace(again, findings=(spoils, *again.findings), notes=(str(spoils), *again.notes))
 
 

@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import Any
+
 import numpy as np
 
 from sdpid.assurance.diagnostics.validation import validate
 from sdpid.errors import SdpidError
-from sdpid.estimation.problem import build_problem
 from sdpid.estimation.sdp.solve import solve_sdp
 from sdpid.experiment.inspection.effort_checks import left_out
 from sdpid.experiment.inspection.finding import Finding
-from sdpid.experiment.preparation.several import without_efforts
+from sdpid.experiment.preparation.several import Prepared, without_efforts
+from sdpid.workflow.formulate import formulate
 from sdpid.workflow.result import Identification
 
 # Links of good recordings keep at least 27 % of their described mass: below this share something
@@ -23,71 +27,53 @@ _LIGHT = 0.05
 _BETTER, _CLEARLY = 0.85, 0.9
 # With fewer joints there are no others to tell one from.
 _LEAST_JOINTS = 3
-_TINY = 1e-12  # N·m, in place of no error
-KIND = "effort_spoils"
+# Errors in place of none, N·m.
+_TINY = 1e-12
 
 
-def spoiling_effort(result: Identification) -> Finding | None:
+def spoiling_effort(
+    result: Identification, prepared: Prepared, formulation: Mapping[str, Any]
+) -> Finding | None:
     """Return the joint without whose effort all others are fitted better; None where all is well.
 
     Looked for, with a solve a joint, only where a link has lost its mass or the estimate is worse
     than cheaper ones on what was held out.
     """
-    problem, theta = result.problem, result.estimate.theta
-    robot, samples = problem.robot, problem.samples
-    joints = np.flatnonzero(samples.used.any(axis=0))
-    why = _suspicion(result)
-    if why is None or theta is None or robot.n_base or len(joints) < _LEAST_JOINTS:
+    why, robot, samples = _suspicion(result), prepared.robot, prepared.samples
+    joints = np.flatnonzero(samples.used.any(axis=0)).tolist()
+    if why is None or robot.n_base or len(joints) < _LEAST_JOINTS:
         return None
+    fixed = {**formulation, "friction": result.problem.friction.terms, "effects": "none"}
     shares = {}
-    for j in joints.tolist():
-        others = joints[joints != j]
+    for j in joints:
+        less = without_efforts(samples, robot, (robot.joint_names[j],))
         try:
-            refit = build_problem(
-                robot,
-                without_efforts(samples, robot, (robot.joint_names[j],)),
-                friction=problem.friction.terms,
-                weighting=problem.weighting,
-                consistency=problem.consistency,
-                constraints=problem.constraints,
-                prior=None if problem.prior is None else problem.prior.source,
-                check_excitation=False,
-            )
-            errors = validate(solve_sdp(refit), samples).rmse[others]
+            estimate = solve_sdp(formulate(robot, replace(prepared, samples=less), **fixed))
         except SdpidError:
             continue
-        change = np.log(np.maximum(errors, _TINY) / np.maximum(result.training.rmse[others], _TINY))
-        shares[j] = float(np.exp(np.mean(change)))
-    ranked = sorted(shares, key=lambda each: shares[each])
-    if len(ranked) < 2:
+        errors = np.array([result.training.rmse, validate(estimate, samples).rmse])
+        logs = np.log(np.maximum(errors[:, [k for k in joints if k != j]], _TINY))
+        shares[j] = float(np.exp(np.mean(logs[1] - logs[0])))
+    j, second, *_ = sorted(joints, key=lambda each: shares.get(each, np.inf))
+    share = shares.get(j, np.inf)
+    if share > min(_BETTER, _CLEARLY * shares.get(second, np.inf)):
         return None
-    j, second = ranked[:2]
-    if shares[j] > min(_BETTER, _CLEARLY * shares[second]):
-        return None
-    name = robot.joint_names[j]
-    return Finding(
-        severity="warning",
-        kind=KIND,
-        joint=name,
-        message=(
-            f"effort of {name} contradicts the others, whose error falls to {shares[j]:.2f} "
-            f"without it (limit {_BETTER:g}); with it {why}"
-        ),
-        remedy=left_out(KIND),
-        numbers={"share": shares[j], "limit": _BETTER},
+    message = (
+        f"contradicts the others, whose errors fall to {share:.2f} without it (limit {_BETTER:g}); "
+        f"with it {why}"
     )
+    return left_out("effort_spoils", robot.joint_names[j], message, share=share, limit=_BETTER)
 
 
 def _suspicion(result: Identification) -> str | None:
     """Return what looks wrong with an estimate, in words."""
-    bodies, theta = result.problem.robot.prior, result.estimate.theta
-    if theta is not None and result.problem.prior is not None:
-        masses = theta[: bodies.size : 10]
-        light = np.flatnonzero((bodies[:, 0] > 0.0) & (masses < _LIGHT * bodies[:, 0]))
-        if light.size:
-            i = int(light[0])
-            link = result.problem.robot.link_names[i]
-            return f"{link} has {masses[i]:.2g} kg of {bodies[i, 0]:.3g} kg described"
-    held_out = result.held_out
-    beaten = None if held_out is None else held_out.beaten_by
+    problem, theta = result.problem, result.estimate.theta
+    if theta is not None and problem.prior is not None:
+        described = problem.robot.prior[:, 0]
+        masses = theta[: 10 * len(described) : 10]
+        light = np.flatnonzero(masses < _LIGHT * described)
+        for i in light[:1]:
+            link = problem.robot.link_names[i]
+            return f"{link} has {masses[i]:.2g} kg of {described[i]:.3g} kg described"
+    beaten = None if result.held_out is None else result.held_out.beaten_by
     return None if beaten is None else f"the estimate is worse than {beaten} on what was held out"

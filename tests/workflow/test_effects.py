@@ -11,8 +11,9 @@ import pytest
 
 import sdpid
 from sdpid.errors import DataError
+from sdpid.estimation.effects.kinds import names_of_effects
 from sdpid.output.report.report import report_html
-from sdpid.workflow.formulate import formulate, names_of_effects
+from sdpid.workflow.formulate import formulate
 from tests.helpers.runs import arm, recorded
 
 

@@ -76,12 +76,11 @@ class HeldOut:
     @property
     def beaten_by(self) -> str | None:
         """What costs less and predicts clearly better in motion; None where nothing does."""
-        names = [n for n in (LEAST_SQUARES, FRICTION_FITTED) if n in self.baselines]
-        if not names or not self.fit.moving.rows.any():
-            return None
-        best = min(names, key=lambda name: self.baselines[name].moving.relative)
-        least = self.baselines[best].moving.relative
-        return best if self.fit.moving.relative > BEATEN * least else None
+        own = self.fit.moving
+        errors = {n: fit.moving.relative for n, fit in self.baselines.items() if n != DESCRIPTION}
+        best = min(errors, key=lambda name: errors[name], default="")
+        beaten = own.rows.any() and own.relative > BEATEN * errors.get(best, np.inf)
+        return best if beaten else None
 
     def as_table(self) -> Table:
         """Return a row a model: relative residual in motion in %, RMSE in motion of each joint."""

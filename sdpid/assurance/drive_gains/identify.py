@@ -16,7 +16,6 @@ from sdpid.assurance.drive_gains.consistent import Consistent
 from sdpid.assurance.drive_gains.errors import gain_errors
 from sdpid.assurance.drive_gains.load import Load
 from sdpid.assurance.drive_gains.model_choice import (
-    Effects,
     chosen_terms,
     first_terms,
     gain_processing,
@@ -26,6 +25,7 @@ from sdpid.assurance.drive_gains.rows import GainModel
 from sdpid.assurance.drive_gains.search import Search, Task
 from sdpid.assurance.drive_gains.words import basis_in_words, notes_on
 from sdpid.errors import DataError, ModelError
+from sdpid.estimation.effects.kinds import Effects
 from sdpid.experiment.drive_gains.gains import DriveGains
 from sdpid.experiment.inspection.accept import kinds_accepted
 from sdpid.experiment.inspection.finding import Finding

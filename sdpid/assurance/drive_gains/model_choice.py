@@ -10,7 +10,7 @@ import numpy as np
 from sdpid._common.arrays import Array
 from sdpid.errors import DataError
 from sdpid.estimation.constraints.constraints import Constraints
-from sdpid.estimation.effects.kinds import EFFECTS
+from sdpid.estimation.effects.kinds import Effects, names_of_effects
 from sdpid.estimation.prior.prior import Prior
 from sdpid.estimation.problem import Problem, build_problem
 from sdpid.estimation.selection.choose import with_chosen_effects, with_effects
@@ -24,8 +24,6 @@ from sdpid.robot.friction.posed import LoadFriction
 from sdpid.robot.friction.term import FrictionTerm
 from sdpid.robot.friction.terms import Coulomb
 from sdpid.robot.model.model import RobotModel
-
-Effects = str | Iterable[str]
 
 # Rows of slow motion are masked: there friction under load is least like any curve. Below this
 # speed, rad/s, or this share of the joints' usual speed, whichever is less, and within this time,
@@ -96,7 +94,7 @@ def chosen_terms(
     friction, effects
         As `identify_drive_gains` takes them.
     """
-    names = _names(effects)
+    names = names_of_effects(effects)
     given = friction_of(logs[0], friction)
     joined = Samples.join([replace(each, effort=each.effort * gains) for each in samples])
     described = bool(np.any(robot.prior[:, 0] > 0.0))
@@ -121,18 +119,3 @@ def chosen_terms(
         problem = with_effects(problem, given, names, build)
     terms = problem.friction.terms
     return terms, tuple(each.words for each in problem.effects if each.chosen)
-
-
-def _names(effects: Effects) -> tuple[str, ...] | None:
-    """Return names of effects; None leaves the choice to the data."""
-    known = [effect.name for effect in EFFECTS]
-    given = effects.split(",") if isinstance(effects, str) else list(effects)
-    names = tuple(str(name).strip() for name in given)
-    if names in (("auto",), ("none",)):
-        return None if names == ("auto",) else ()
-    if unknown := [name for name in names if name not in known]:
-        raise DataError(
-            f"effects: no effect is called {unknown[0]!r}; use 'auto', 'none' or some of "
-            f"{', '.join(known)}."
-        )
-    return names

@@ -6,16 +6,21 @@ Each is a row of a table: its term, whose parameters are the tail of theta and h
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from sdpid._common.arrays import Array
+from sdpid.errors import DataError
 from sdpid.robot.friction.posed import LoadFriction, PosedTerm, Tilt
 from sdpid.robot.friction.term import FrictionTerm
 from sdpid.robot.friction.terms import Coulomb, Coupling, RotorInertia, SigmoidFriction, Stribeck
 from sdpid.robot.model.model import RobotModel
+
+# Effects beside the friction terms: by the data ("auto"), none ("none"), or by name, in one string
+# too ("tilt,load").
+Effects = str | Iterable[str]
 
 # A base that stands askew by more than this is seen by eye, degrees.
 _SEEN = 5.0
@@ -223,3 +228,32 @@ def at_estimate(
     share = np.clip(parts[1] / total, 0.0, 1.0)
     speeds = sigmoids[0].speed("velocity", n)
     return replace(moved, share=tuple(share.tolist()), velocity=tuple(speeds.tolist()))
+
+
+def names_of_effects(effects: Effects) -> tuple[str, ...] | None:
+    """Return the names of the effects that are asked for; None leaves the choice to the data.
+
+    Raises
+    ------
+    DataError
+        For an unknown name, and for what holds no names.
+    """
+    known = [effect.name for effect in EFFECTS]
+    try:
+        given = effects.split(",") if isinstance(effects, str) else tuple(effects)
+    except TypeError:
+        raise DataError(
+            f"effects: is {effects!r}; use 'auto', 'none' or some of {', '.join(known)}."
+        ) from None
+    names = tuple(name.strip() if isinstance(name, str) else name for name in given)
+    if names == ("auto",):
+        return None
+    if names == ("none",):
+        return ()
+    for name in names:
+        if name not in known:
+            raise DataError(
+                f"effects: no effect is called {name!r}; use 'auto', 'none' or some of "
+                f"{', '.join(known)}."
+            )
+    return names

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from sdpid._common.arrays import Array
+from sdpid._common.arrays import Array, Mask
 from sdpid.estimation.compression.rows import CHUNK, Rows, RowSource
 from sdpid.estimation.constraints.constraints import Constraints
 from sdpid.robot.friction.terms import Offset
@@ -67,41 +67,36 @@ def _columns_and_efforts(rows: Rows) -> tuple[Array, Array, Array]:
     And what weighs a term (f,) whose column is zero throughout: as if that were one. Of a joint
     without rows all samples count, and the described efforts; it is not quieter than the others.
     """
-    friction = rows.friction
-    sums = zip(*rows.map(_squares), strict=True)
-    count, measured, described, terms, whole = (np.sum(each, axis=0) for each in sums)
-    unused = count == 0
-    described = np.sqrt(described / rows.n_samples)
-    effort = np.sqrt(measured / np.maximum(count, 1))
-    effort = np.maximum(effort, _SILENT * float(effort.max()) or 1.0)
+    friction, unused = rows.friction, ~rows.samples.used.any(axis=0)
+    sums = zip(*rows.map(_squares, unused), strict=True)
+    count, measured, described, terms = (np.sum(each, axis=0) for each in sums)
+    count = np.maximum(count, 1)
+    effort, described = np.sqrt(measured / count), np.sqrt(described / rows.n_samples)
+    effort = np.maximum(effort, _SILENT * float(effort[~unused].max(initial=0.0)) or 1.0)
     quietest = float(effort[~unused].min(initial=np.inf))
-    effort = np.where(unused, np.maximum(described, min(quietest, 1e300)), effort)
-    squares = np.where(unused[:, None], whole, terms)
-    columns = np.sqrt(squares / np.where(unused, rows.n_samples, count)[:, None])
+    effort[unused] = np.maximum(described[unused], min(quietest, 1e300))
     names, joints = friction.joint_names, [friction.first + p.joint for p in friction.parameters]
     offset = [isinstance(term, Offset) for term in friction.terms for _ in term.parameters(names)]
     own = np.where(offset, np.maximum(effort, _DESCRIBED * described)[:, None], effort[:, None])
-    return columns, own, 1.0 / effort[joints]
+    return np.sqrt(terms / count[:, None]), own, 1.0 / effort[joints]
 
 
-def _squares(rows: RowSource) -> tuple[Array, Array, Array, Array, Array]:
-    """Return rows used (n,), and sums of squares of efforts measured and described, and of terms.
+def _squares(rows: RowSource, unused: Mask) -> tuple[Array, Array, Array, Array]:
+    """Return rows used (n,), and sums of squares of efforts, described efforts and terms (n, f).
 
-    The last on the rows in use (n, f), and on all.
+    Of joints that are unused everywhere all rows count.
     """
     s, robot, n = rows.samples, rows.robot, rows.robot.n
     count, efforts = np.zeros(n), np.zeros(n)
-    terms, whole = np.zeros((2, n, len(rows.friction.parameters)))
+    terms = np.zeros((n, len(rows.friction.parameters)))
     for start in range(0, s.n_samples, CHUNK):
         part = slice(start, start + CHUNK)
-        columns = rows.friction.columns_in(rows.motion(part)) ** 2
-        mask = rows.mask(part)
+        columns = rows.friction.columns_in(rows.motion(part))
+        mask = rows.mask(part) | unused
         count += mask.sum(axis=0)
         efforts += (np.where(mask, s.effort[part], 0.0) ** 2).sum(axis=0)
-        terms += np.where(mask[:, :, None], columns, 0.0).sum(axis=0)
-        whole += columns.sum(axis=0)
+        terms += (np.where(mask[:, :, None], columns, 0.0) ** 2).sum(axis=0)
     some = slice(None, None, max(s.n_samples // _SAMPLES, 1))
-    bodies = np.where(robot.prior[:, :1] > 0.0, robot.prior, 0.0)
     states = (each[some] for each in (s.position, s.velocity, s.acceleration))
-    described = np.mean(robot.efforts_of_bodies(bodies, *states) ** 2, axis=0) * s.n_samples
-    return count, efforts, described, terms, whole
+    described = np.mean(robot.described_efforts(*states) ** 2, axis=0) * s.n_samples
+    return count, efforts, described, terms

@@ -33,39 +33,34 @@ _NAMED = 3
 _CARRIES = 0.05
 
 
-def of_another_size(subject: Subject) -> Iterator[Finding]:
+def of_another_size(subject: Subject) -> list[Finding]:
     """Find joints whose effort is far below what the description's bodies need, mean included.
 
     Such efforts need not follow the motion: a lift carries its load at a steady force. Not told
     where half of the joints are such, where a joint's scale is known, or where what makes the
     efforts follow from the motion makes them large enough.
     """
-    log, rows = subject.corrected, subject.low_passed
+    log, rows, found = subject.corrected, subject.low_passed, []
     if log is None or rows is None or subject.robot is None or placeholders(log.robot):
-        return
+        return []
     given = replace(log, rows=rows, gravity=subject.robot.gravity)
     need, has = (np.sqrt(np.mean(each**2, axis=0)) for each in (given.rigid, rows.effort))
     small = rows.usable & (need > _SCALE * has)
     if not small.any() or 2 * small.sum() >= rows.usable.sum():
-        return
+        return []
     mended = np.mean(log.rigid**2, axis=0) <= _SCALE**2 * np.mean(log.rows.effort**2, axis=0)
     told = {finding.joint for finding in scales(subject)}
     for j in np.flatnonzero(small & ~mended):
         name, unit = log.joint_names[j], "N" if log.robot.slides[j] else "N.m"
-        if told & {name, None}:
-            continue
-        yield Finding(
-            severity="warning",
-            kind="effort_small",
-            joint=name,
-            message=(
-                f"effort of {name} is {has[j]:.3g} {unit} (rms), and the description's bodies need "
-                f"{need[j]:.3g} {unit}, {need[j] / has[j]:.3g} times as much (limit {_SCALE:g}): "
-                "another unit, a counterweight or a spring"
-            ),
-            remedy=left_out("effort_small"),
-            numbers={"effort": has[j], "needed": need[j], "limit": _SCALE},
-        )
+        if not told & {name, None}:
+            message = (
+                f"is {has[j]:.3g} {unit} (rms), and the description's bodies need {need[j]:.3g} "
+                f"{unit}, {need[j] / has[j]:.3g} times as much (limit {_SCALE:g}): another unit, a "
+                "counterweight or a spring"
+            )
+            numbers = {"effort": has[j], "needed": need[j], "limit": _SCALE}
+            found.append(left_out("effort_small", name, message, **numbers))
+    return found
 
 
 @check

@@ -28,15 +28,23 @@ _LONGER = 3.0
 _COMPARED = 200_000
 
 
-def left_out(kind: str) -> str:
-    """Return what is done about a joint whose effort says nothing, and how to overrule it."""
-    return (
+def left_out(kind: str, joint: str, message: str, **numbers: float) -> Finding:
+    """Return the finding of a joint whose effort is left out, and how to overrule that."""
+    remedy = (
         f"identify leaves its effort out, as without_effort does; accept=['{kind}'] (--accept "
         f"{kind}) uses it as it is"
     )
+    return Finding(
+        severity="warning",
+        kind=kind,
+        joint=joint,
+        message=f"effort of {joint} {message}",
+        remedy=remedy,
+        numbers=numbers,
+    )
 
 
-def silent(subject: Subject) -> Iterator[Finding]:
+def silent(subject: Subject) -> list[Finding]:
     """Find joints whose effort is zero while they move; not where that is so of all that move."""
     log, found = subject.log, []
     low, high = subject.position_range
@@ -47,23 +55,12 @@ def silent(subject: Subject) -> Iterator[Finding]:
         fast = steps[:, j] > _FAST * np.percentile(steps[:, j], _MOST_STEPS)
         share = float(np.mean(log.effort[rows[fast], j] == 0.0)) if fast.any() else 0.0
         if share > _ZERO:
-            name = log.names[j]
             message = (
-                f"effort of {name} is exactly 0 in {100 * share:.3g} % of the rows in which it "
-                f"moves (limit {100 * _ZERO:g} %): it was not measured there"
+                f"is exactly 0 in {100 * share:.3g} % of the rows in which it moves (limit "
+                f"{100 * _ZERO:g} %): it was not measured there"
             )
-            found.append(
-                Finding(
-                    severity="warning",
-                    kind="effort_silent",
-                    joint=name,
-                    message=message,
-                    remedy=left_out("effort_silent"),
-                    numbers={"share": share, "limit": _ZERO},
-                )
-            )
-    if len(found) < np.count_nonzero(moves):
-        yield from found
+            found.append(left_out("effort_silent", log.names[j], message, share=share, limit=_ZERO))
+    return found if len(found) < np.count_nonzero(moves) else []
 
 
 @check

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import asdict
 from typing import Any
 
@@ -13,16 +12,13 @@ from sdpid.errors import DataError
 from sdpid.experiment.inspection.finding import Finding
 from sdpid.experiment.inspection.inspect import inspect_recording
 from sdpid.experiment.processing.choose import choose_processing
-from sdpid.experiment.processing.motion import joint_frequencies
+from sdpid.experiment.processing.motion import fourth_differences, joint_frequencies
 from sdpid.experiment.recording.joints import match_joints
 from sdpid.experiment.recording.recording import Recording
 from sdpid.robot.model.model import RobotModel
 
 __all__ = ["overview"]
 
-# A difference of order k multiplies the variance of white noise by binomial(2 k, k), and the
-# fourth all but removes a motion that is ten times slower than the samples.
-_ORDER = 4
 # A step longer than this many nominal ones is a gap; less is jitter.
 _GAP = 1.5
 
@@ -105,11 +101,8 @@ def noise(column: Array) -> float:
     From its differences of fourth order, in which a motion well below the sampling rate does not
     show; for a motion that is not, it is an upper bound.
     """
-    if column.size <= _ORDER:
-        return 0.0
-    differences = np.diff(column, n=_ORDER)
-    scale = math.comb(2 * _ORDER, _ORDER)
-    return float(np.sqrt(np.mean(differences * differences) / scale))
+    differences = fourth_differences(column)
+    return float(np.sqrt(np.mean(differences**2))) if differences.size else 0.0
 
 
 def gaps(recording: Recording) -> dict[str, Any]:

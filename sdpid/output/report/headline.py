@@ -144,11 +144,6 @@ def _steps(result: Judged, worst: Grade | None, causes: dict[str, Cause]) -> Ite
     for finding in result.findings:
         if finding.severity == "refuse" and finding.remedy:
             yield finding.remedy + (f" (for {finding.joint})" if finding.joint else "")
-    if result.held_out is not None and (better := result.held_out.beaten_by):
-        yield (
-            f"do not use it: it is worse than {better} on what was held out; find the joint whose "
-            "effort is wrong (--without-effort)"
-        )
     if worst is not None and not worst.moved:
         yield f"record {fit.joint_names[worst.joint]} moving"
     name = None if worst is None else fit.joint_names[worst.joint]
@@ -221,4 +216,6 @@ def _beside(result: Judged) -> str | None:
     errors = (
         f"{name} {percent(fit.moving.relative)}" for name, fit in result.held_out.every.items()
     )
-    return f"in motion: {'; '.join(errors)}"
+    better = result.held_out.beaten_by
+    worse = "" if better is None else f": worse than {better} on what was held out, do not use it"
+    return f"in motion: {'; '.join(errors)}{worse}"

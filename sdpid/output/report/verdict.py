@@ -232,7 +232,7 @@ def _without_rows(result: Judged) -> Iterator[Finding]:
     """Name joints of whose friction nothing is known, for none of their efforts was used."""
     problem = result.problem
     names, first = problem.robot.joint_names, problem.robot.n_base
-    unused = np.flatnonzero(~problem.samples.used.any(axis=0)[first:])
+    unused = np.flatnonzero(~problem.samples.used[:, first:].any(axis=0))
     if unused.size and problem.friction.parameters:
         yield Finding(
             "caution",
