@@ -117,6 +117,10 @@ def simulate(
         plan = read_trajectory(trajectory, model.joint_names)
         plan = between_rests(plan) if isinstance(plan.series, SampledCurve) else plan
         plan = plan if periods is None else plan.with_periods(periods)
+        import numpy as np
+
+        own, described = plan.velocity_limit, model.velocity_limits
+        plan = replace(plan, velocity_limit=np.where(np.isinf(own), described, own))
     elif bundled:
         plan = paper_excitation(robot, seed, periods=periods, period=period)
     else:

@@ -263,7 +263,8 @@ def test_simulate_along_samples(tmp_path: Path) -> None:
     np.savetxt(motion, np.column_stack([time, swing]), delimiter=",", header=header, comments="")
     made = run("simulate", "ur5_robot", "--out", out, "--trajectory", motion)
     assert made.exit_code == 0, made.output
-    assert "no limit" in made.stdout
+    assert "within the limit of 180.48 deg/s" in made.stdout
+    assert "no limit" not in made.stdout
     record = sdpid.read_recording(out)
     assert record.names == names
     assert record.duration == pytest.approx(8.0, abs=0.01)
@@ -872,6 +873,11 @@ def test_names_of_a_description_forge_no_line(folder_of_arm: Path, tmp_path: Pat
         for arguments in (("info", log, "--robot", urdf), ("audit", urdf)):
             refused(run(*arguments), 2, f"of a <{name}> has a line end")
     urdf.write_text(ARM_URDF.replace('joint name="a"', 'joint name="a&#x202e;b"'))
+    named = tmp_path / "named.npz"
+    np.savez(named, **np.load(log), joint_names=["a\u202eb", "b"])
+    for recorded in (log, named):
+        found = sdpid.identify(str(urdf), str(recorded), intervals=False, effects="none")
+        assert found.training.relative < 0.05
     done = run("validate", log, "--robot", urdf)
     assert done.exit_code == 0, done.output
     assert "a\ufffdb" in done.stdout

@@ -11,7 +11,7 @@ from sdpid.experiment.trajectory.trajectory import Trajectory
 from sdpid.robot.consistent import raise_second_moments
 from sdpid.robot.model.model import RobotModel
 
-__all__ = ["default_drives", "default_parameters"]
+__all__ = ["default_drives", "default_parameters", "follows"]
 
 # A link without mass in its description gets that of a screw (kg), and every link second moments
 # (kg·m²) that a simulation can divide by.
@@ -22,6 +22,8 @@ _FRICTION = 0.1
 # Poles of the velocity loop in 1/s, and of the position loop: far below what a step of 1 ms
 # allows, and slow against each other.
 _VELOCITY_POLE, _POSITION_POLE = 400.0, 8.0
+# An error of position that is half the way from end to end is as large as the motion itself.
+_MOST_LAG = 0.5
 # Encoder counts a turn of the joint, and noise of the effort as a share of its rms.
 _COUNTS, _NOISE = 2**19, 0.01
 # States of the motion at which efforts and inertias are looked at.
@@ -74,6 +76,17 @@ def default_drives(robot: RobotModel, theta: Array, trajectory: Trajectory) -> D
         encoder_counts=_COUNTS * ones,
         current_noise=_NOISE * effort,
     )
+
+
+def follows(robot: RobotModel, theta: Array, drives: Drives, trajectory: Trajectory) -> bool:
+    """Tell whether the drives can move every joint against its friction.
+
+    A light link with the friction that descriptions copy from heavy ones stays where it is.
+    """
+    coulomb, viscous = theta[10 * robot.n_links :].reshape(2, robot.n)
+    speed = np.sqrt(np.mean(trajectory.velocity_period**2, axis=0))
+    lag = (coulomb + viscous * speed) / (drives.velocity_gain * drives.proportional_gain)
+    return bool(np.all(lag <= _MOST_LAG * np.ptp(trajectory.position_period, axis=0)))
 
 
 def _states(trajectory: Trajectory) -> tuple[Array, Array, Array]:

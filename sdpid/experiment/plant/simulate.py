@@ -15,7 +15,7 @@ from sdpid._common.seeds import generator
 from sdpid.errors import DataError, ModelError
 from sdpid.experiment.plant.closed_loop import CHUNK, ClosedLoop, ExactMotion, fastest_pole
 from sdpid.experiment.plant.default_motion import default_motion
-from sdpid.experiment.plant.default_plant import default_drives, default_parameters
+from sdpid.experiment.plant.default_plant import default_drives, default_parameters, follows
 from sdpid.experiment.plant.drives import Drives, load_drives, plant_folder
 from sdpid.experiment.recording.recording import Recording
 from sdpid.experiment.trajectory.trajectory import Trajectory
@@ -130,7 +130,7 @@ def simulate(
     exact = exact or robot.expansion.shape != (robot.n, robot.n)
     if made_up and not exact:
         fastest, limit = fastest_pole(robot, trajectory, theta, drives)
-        exact = fastest >= limit
+        exact = fastest >= limit or not follows(robot, theta, drives, trajectory)
     kind = ExactMotion if exact else ClosedLoop
     plant: ClosedLoop | ExactMotion = kind(robot, trajectory, theta, drives, unmodeled)
     notes = ("simulated without a controller: the robot follows its motion exactly",)

@@ -64,13 +64,15 @@ class FourierSeries:
                 f"{amplitudes.shape} and phases {phases.shape} do not fit; give (n,) and three "
                 "times (n, H)."
             )
-        whole = np.rint(harmonics).astype(np.int64)
-        if np.any(whole != harmonics) or np.any(whole < 0):
+        whole = np.rint(harmonics)
+        # A double beyond that is whole, and no harmonic of anything.
+        if np.any(whole != harmonics) or np.any(whole < 0) or np.any(whole > 2**53):
             raise DataError("Fourier series: harmonics must be whole numbers of at least 0.")
         if np.any((whole == 0) & (amplitudes != 0.0)):
             raise DataError(
                 "Fourier series: harmonic 0 with an amplitude; put a constant into the center."
             )
+        whole = whole.astype(np.int64)
         whole.setflags(write=False)
         object.__setattr__(self, "period", float(self.period))
         object.__setattr__(self, "center", frozen(center))

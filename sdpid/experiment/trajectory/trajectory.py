@@ -230,7 +230,9 @@ class Trajectory:
                 speeds = f"{peak:.4g} m/s", f"{limit:.4g} m/s"
             else:
                 speeds = f"{np.degrees(peak):.2f} deg/s", f"{np.degrees(limit):.2f} deg/s"
-            told = f"{verdict} the limit of {speeds[1]} ({100.0 * peak / limit:.0f} %)"
+            # Of a limit next to zero no motion is a share worth telling.
+            share = f" ({100.0 * peak / limit:.0f} %)" if 1e-3 * peak < limit else ""
+            told = f"{verdict} the limit of {speeds[1]}{share}"
             told = told if np.isfinite(limit) else "no limit"
             lines.append(f"{name}: peak velocity {speeds[0]}, {told}")
         return tuple(lines)

@@ -34,6 +34,24 @@ TORQUE = 1e-3
 # Below this speed (rad/s) dry friction may stick.
 MOVING = 0.02
 
+# A light hand with the friction that descriptions copy from heavy links.
+STIFF = """<robot name="stiff"><link name="base"/>
+<link name="a"><inertial><mass value="5"/>
+  <inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial></link>
+<link name="b"><inertial><mass value="0.3"/>
+  <inertia ixx="1e-4" iyy="1e-4" izz="1e-4" ixy="0" ixz="0" iyz="0"/></inertial></link>
+<joint name="j" type="continuous"><parent link="base"/><child link="a"/><axis xyz="0 1 0"/></joint>
+<joint name="k" type="continuous"><parent link="a"/><child link="b"/><axis xyz="0 0 1"/>
+  <origin xyz="0 0 0.3"/><dynamics damping="10" friction="0.1"/></joint>
+</robot>"""
+
+
+def test_friction_does_not_hold_a_joint_that_is_told_to_move() -> None:
+    log = simulate(load_robot(STIFF), default_motion(load_robot(STIFF), 0, period=6.25, periods=1))
+    assert np.ptp(log.position, axis=0).min() > 0.5
+    assert log.notes == ("simulated without a controller: the robot follows its motion exactly",)
+
+
 TREE = """<robot name="tree">
 <link name="base"/><link name="a"/><link name="b"/><link name="c"/><link name="d"/>
 <joint name="lift" type="prismatic"><parent link="base"/><child link="a"/>

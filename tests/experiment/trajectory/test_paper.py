@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -99,6 +101,19 @@ def test_velocity_report(full: Trajectory) -> None:
     assert len(lines) == 6
     assert all("within the limit" in line for line in lines)
     assert all("deg/s" in line for line in lines)
+
+
+def test_harmonics_are_whole_numbers() -> None:
+    series = {"period": 1.0, "center": [0.0], "amplitudes": [[1.0]], "phases": [[0.0]]}
+    for harmonics in (np.nan, 1e300, 1.5, -1.0):
+        with pytest.raises(DataError, match="harmonics"):
+            FourierSeries(**series, harmonics=[[harmonics]])
+
+
+@pytest.mark.parametrize("limit", [0.0, 1e-308])
+def test_a_limit_of_next_to_nothing_is_no_share(full: Trajectory, limit: float) -> None:
+    slow = replace(full, velocity_limit=np.full(6, limit))
+    assert all(line.split(", ")[1].startswith("ABOVE the limit") for line in slow.velocity_report())
 
 
 def test_velocities_of_sliding_joints_are_in_meters(full: Trajectory) -> None:
