@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike
 
 from sdpid._common.arrays import Array, frozen
 from sdpid._common.tables import facts_html
+from sdpid._common.text import printable
 from sdpid._common.threads import one_thread
 from sdpid.errors import DataError
 from sdpid.estimation.compression.covariance import PRINTED, WEIGHTINGS, Weighting, pooled
@@ -421,7 +422,7 @@ def build_problem(
         )
     elsewhere = samples if isinstance(samples, SamplesElsewhere) else None
     here = elsewhere.samples if elsewhere else all_samples(robot, samples, processing)
-    _check_samples(robot, here)
+    check_samples(robot, here)
     if here.contacts is not None and weighting in PRINTED:
         raise DataError(
             f"weighting: {weighting!r} takes powers of covariances, and samples with contacts have "
@@ -468,7 +469,8 @@ def build_problem(
     return problem
 
 
-def _check_samples(robot: RobotModel, samples: Samples) -> None:
+def check_samples(robot: RobotModel, samples: Samples) -> None:
+    """Refuse samples of other joints than a robot's, or of contacts that it lacks."""
     n = samples.effort.shape[1]
     if n != robot.n:
         raise DataError(
@@ -477,10 +479,12 @@ def _check_samples(robot: RobotModel, samples: Samples) -> None:
         )
     if samples.contacts is not None:
         require_places(robot, samples.position, samples.contacts)
-    if samples.joint_names is not None and tuple(samples.joint_names) != robot.joint_names:
+    # Samples' names are without what a terminal would obey.
+    names = tuple(map(printable, robot.joint_names))
+    if samples.joint_names is not None and tuple(map(printable, samples.joint_names)) != names:
         raise DataError(
             f"samples name the joints {', '.join(samples.joint_names)}, the robot has "
-            f"{', '.join(robot.joint_names)}; rename or reorder the columns."
+            f"{', '.join(names)}; rename or reorder the columns."
         )
 
 

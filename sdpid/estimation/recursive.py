@@ -25,7 +25,7 @@ from sdpid.estimation.duality.bound import PROVEN, TINY_COST, relative_gap
 from sdpid.estimation.duality.refine_multipliers import lower_bound
 from sdpid.estimation.estimate import Estimate
 from sdpid.estimation.information import require_excitation
-from sdpid.estimation.problem import Problem
+from sdpid.estimation.problem import Problem, check_samples
 from sdpid.estimation.sdp.program import SdpProgram
 from sdpid.estimation.sdp.repair import repair
 from sdpid.estimation.sdp.reusable import ReusableProgram, program_about
@@ -125,7 +125,7 @@ class RecursiveEstimator:
             taken in then.
         """
         problem = self._problem
-        self._check(samples)
+        check_samples(self._problem.robot, samples)
         weights, kept, time = self._weights(samples)
         sigma = problem.sigma
         if problem.weighting == "gls_per_sample":
@@ -149,19 +149,6 @@ class RecursiveEstimator:
             n_samples=problem.n_samples + samples.n_samples,
             n_rows=problem.n_rows + samples.n_rows,
         )
-
-    def _check(self, samples: Samples) -> None:
-        robot = self._problem.robot
-        if samples.n != robot.n:
-            raise DataError(
-                f"samples have {samples.n} joints, the robot '{robot.name}' has {robot.n}: "
-                f"{', '.join(robot.joint_names)}."
-            )
-        if samples.joint_names is not None and samples.joint_names != robot.joint_names:
-            raise DataError(
-                f"samples name the joints {', '.join(samples.joint_names)}, the robot has "
-                f"{', '.join(robot.joint_names)}; rename or reorder the columns."
-            )
 
     def _weights(self, samples: Samples) -> tuple[Array, float, float | None]:
         """Return the samples' weights (K,), the factor for all before, and the time it is."""

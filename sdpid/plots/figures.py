@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
-from collections.abc import Iterable, Sequence
+import warnings
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final, cast
@@ -46,6 +48,14 @@ _GAP = 0.02
 _COMPRESSION = 4
 
 _FORMATS = (".png", ".svg", ".pdf")
+
+
+@contextlib.contextmanager
+def quiet_glyphs() -> Iterator[None]:
+    """Draw names in scripts that the fonts lack without a warning: their place shows it."""
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", message=r"Glyph .* missing from")
+        yield
 
 
 def new_figure(
@@ -368,7 +378,8 @@ def save_figure(drawn: Any, path: str | os.PathLike[str], *, dpi: float = 150.0)
     canvas = require("matplotlib.backends.backend_agg", extra="plot").FigureCanvasAgg
     undated = {".svg": {"Date": None}, ".pdf": {"CreationDate": None}}
     metadata = cast("dict[str, Any] | None", undated.get(suffix))
-    with atomic_path(target) as temporary, matplotlib.rc_context({"svg.hashsalt": "sdpid"}):
+    style = matplotlib.rc_context({"svg.hashsalt": "sdpid"})
+    with atomic_path(target) as temporary, style, quiet_glyphs():
         if suffix == ".png":
             own = figure.dpi
             figure.set_dpi(dpi)

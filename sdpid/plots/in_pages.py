@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from sdpid._common.extras import require
-from sdpid.plots.figures import figure_of
+from sdpid.plots.figures import figure_of, quiet_glyphs
 from sdpid.plots.schemes import in_both_schemes
 
 # Letters are written as letters, in a font of the reader's; matplotlib measures them in a wide one
@@ -56,7 +56,7 @@ def svg_text(drawn: Any) -> str:
     canvas = require("matplotlib.backends.backend_svg", extra="plot").FigureCanvasSVG
     out = io.StringIO()
     own = figure.dpi
-    with matplotlib.rc_context(_STYLE):
+    with matplotlib.rc_context(_STYLE), quiet_glyphs():
         # Drawn once: `savefig` draws twice, the first time to see where everything ends up.
         try:
             canvas(figure).print_svg(out, metadata={"Date": None})

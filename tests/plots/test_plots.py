@@ -270,6 +270,8 @@ def test_names_are_not_read_as_formulas(tmp_path: Path) -> None:
         plot_signals(time, {bad: time}, {bad: time}, units={bad: bad}, title=bad),
         plot_parameters([bad], [bad], {bad: [1.0]}, title=bad),
         convergence(label=bad, title=bad),
+        # No font of matplotlib has these.
+        plot_signals(time, {"关节一": time}, {"关节一": time}, title="关节一"),
     ]
     for k, figure in enumerate(figures):
         for suffix in (".png", ".svg"):

@@ -11,6 +11,7 @@ from sdpid import __version__
 from sdpid._common.staging import RunFolder
 from sdpid._common.tables import plain
 from sdpid.excitation.standing.plan import StandingPlan
+from sdpid.plots.figures import save_figure
 
 __all__ = ["plan_content", "require_writable", "write_standing"]
 
@@ -70,7 +71,7 @@ def write_standing(
         plan.motion.to_csv(stage.folder / _TRAJECTORY)
         stage.names.append(_TRAJECTORY)
         if draw:
-            plan.plot()[0].figure.savefig(stage.folder / _PLOT, dpi=150)
+            save_figure(plan.plot()[0], stage.folder / _PLOT)
             stage.names.append(_PLOT)
         if config is not None:
             (stage.folder / _CONFIG).write_text(config, encoding="utf-8")

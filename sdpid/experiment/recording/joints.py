@@ -8,6 +8,7 @@ from functools import partial
 from itertools import takewhile
 from typing import Any
 
+from sdpid._common.text import printable
 from sdpid.errors import DataError
 from sdpid.experiment.recording.loops.passive_joints import lacking, with_passive_joints
 from sdpid.experiment.recording.recording import Recording, channels, renamed
@@ -43,7 +44,8 @@ def match_joints(robot: RobotModel, log: Recording) -> Recording:
         When a joint of the robot has no column or could have several, or when there are no names
         and another number of columns.
     """
-    wanted = robot.joint_names[robot.n_base :]
+    # A recording's names are without what a terminal would obey; so are the robot's, to be matched.
+    wanted = tuple(map(printable, robot.joint_names[robot.n_base :]))
     if not robot.passive:
         return _picked(robot, log, wanted)
     missing = lacking(robot, log)
@@ -82,7 +84,7 @@ def joint_columns(
     DataError
         When a joint has no column, or could have several.
     """
-    wanted = robot.joint_names[robot.n_base :] if wanted is None else wanted
+    wanted = tuple(map(printable, robot.joint_names[robot.n_base :] if wanted is None else wanted))
     ways = ways_to_match(wanted, names)
     if len(ways) == 1:
         (way,) = ways
