@@ -20,7 +20,7 @@ def robot_and_logs(
     logs: Sequence[Path],
     reading: opt.Reading,
     periods: opt.Periods,
-    without_effort: tuple[str, ...],
+    without_effort: Sequence[str],
 ) -> tuple[RobotModel, list[Recording]]:
     """Return the robot, with a floating base where a log has one, and the recordings."""
     from sdpid.experiment.preparation.several import columns_without

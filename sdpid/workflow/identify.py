@@ -40,7 +40,7 @@ from sdpid.experiment.preparation.several import (
     ProcessingOf,
     prepare_recordings,
 )
-from sdpid.experiment.readers.arguments import as_gains
+from sdpid.experiment.readers.mapping import as_gains
 from sdpid.robot.friction.term import FrictionTerm
 from sdpid.robot.inertia import Consistency
 from sdpid.robot.model.model import RobotModel

@@ -39,7 +39,7 @@ from sdpid.experiment.preparation.several import (
 )
 from sdpid.experiment.processing.process import Processing
 from sdpid.experiment.processing.samples import Samples
-from sdpid.experiment.readers.arguments import as_gains
+from sdpid.experiment.readers.mapping import as_gains
 from sdpid.experiment.readers.read import read_recording
 from sdpid.experiment.readers.scaled import require_torques, scaled
 from sdpid.experiment.recording.floating.refusal import require_fixed_base

@@ -22,7 +22,7 @@ from sdpid.experiment.preparation.joined_contacts import join_samples
 from sdpid.experiment.processing.choose import with_changes
 from sdpid.experiment.processing.process import Processing
 from sdpid.experiment.processing.samples import Samples
-from sdpid.experiment.readers.arguments import as_gains
+from sdpid.experiment.readers.mapping import as_gains
 from sdpid.experiment.readers.read import is_frame, read_recording
 from sdpid.experiment.readers.scaled import require_torques, scaled
 from sdpid.experiment.recording.floating.robots import require_its_base, robot_of

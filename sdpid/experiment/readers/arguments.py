@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
 from pathlib import Path
@@ -13,14 +12,11 @@ import numpy as np
 from sdpid._common.tables import plain
 from sdpid.errors import DataError
 from sdpid.experiment.drive_gains.gains import DriveGains
-from sdpid.experiment.readers.column_names import CONVENTIONS
-from sdpid.experiment.readers.floating.quantities import HELD, SETTINGS, checked_settings
-from sdpid.experiment.readers.mapping import find_mapping, read_mapping
-from sdpid.experiment.readers.missing import MISSING
-from sdpid.experiment.readers.unit_names import UNITS
+from sdpid.experiment.readers.floating.quantities import HELD, SETTINGS
+from sdpid.experiment.readers.mapping import checked, find_mapping, read_mapping
 from sdpid.experiment.recording.motor_side import MotorSide
 
-__all__ = ["Arguments", "as_gains", "complete_arguments", "only_signs"]
+__all__ = ["Arguments", "complete_arguments", "only_signs"]
 
 
 @dataclass(kw_only=True)
@@ -113,55 +109,24 @@ def complete_arguments(
             f"read_recording: {', '.join(unknown)} is no argument; known are path, mapping, "
             f"stored, {', '.join(known)}."
         )
+    chosen = checked(how)
     beside = find_mapping(log) if log is not None and mapping in (None, True) else None
     if mapping is True and beside is None:
         raise DataError(f"{log}: there is no mapping beside it.")
-    stated: dict[str, Any] = {}
-    if beside is not None:
-        stated = read_mapping(beside)
-    elif mapping is not None and mapping is not False:
-        stated = read_mapping(mapping)
-        beside = None if isinstance(mapping, Mapping) else Path(mapping)
-    chosen = {name: value for name, value in how.items() if value is not None}
+    if beside is None and not isinstance(mapping, (bool, type(None), Mapping)):
+        beside = Path(mapping)
+    stated = read_mapping(beside or mapping) if beside or isinstance(mapping, Mapping) else {}
     # Either turns currents into torques: what is given wins over what the mapping says.
     if "gains" in chosen and not only_signs(stated.get("effort_scale")):
         stated.pop("effort_scale", None)
     if "effort_scale" in chosen and not only_signs(chosen["effort_scale"]):
         stated.pop("gains", None)
-    merged = {**stated, **chosen}
-    for name, allowed in (("columns", CONVENTIONS), ("units", UNITS)):
-        merged[name] = _known({**stated.get(name, {}), **(how.get(name) or {})}, allowed, name)
-    merged["columns"] = {q: _as_names(value) for q, value in merged["columns"].items()}
-    if isinstance(merged.get("motors"), Mapping):
-        merged["motors"] = MotorSide.from_mapping(merged["motors"])
-    if merged.get("gains") is not None:
-        merged["gains"] = as_gains(merged["gains"])
-    merged["joint_names"] = _tuple(merged.get("joint_names"))
-    for name in SETTINGS:
-        said = (stated.get(name), how.get(name))
-        tables = [checked_settings(name, each) for each in said if each is not None]
-        merged[name] = {key: value for table in tables for key, value in table.items()}
-    merged["rows"] = _range(merged.get("rows"))
-    merged["without_effort"] = _tuple(merged.get("without_effort"), "without_effort") or ()
-    arguments = Arguments(**merged)
-    if arguments.missing not in MISSING:
-        raise DataError(f"missing: is {arguments.missing!r}, expected one of {', '.join(MISSING)}.")
+    tables = ("columns", "units", *SETTINGS)
+    merged = {name: {**stated.get(name, {}), **chosen.get(name, {})} for name in tables}
+    arguments = Arguments(**{**stated, **chosen, **merged})
     if arguments.currents and arguments.gains is not None:
         raise DataError("gains: turn currents into torques, and currents=True asks for currents.")
     return arguments, None if beside is None else str(beside)
-
-
-def as_gains(given: Any) -> Any:
-    """Return gains that are given as such, by their file, by `DriveGains.to_dict`, or as numbers.
-
-    Raises
-    ------
-    DataError
-        When a file cannot be read, or a mapping is none of gains.
-    """
-    if isinstance(given, (str, os.PathLike)):
-        return DriveGains.from_toml(given)
-    return DriveGains.from_dict(given) if isinstance(given, Mapping) else given
 
 
 def only_signs(scale: Any) -> bool:
@@ -170,42 +135,3 @@ def only_signs(scale: Any) -> bool:
         return scale is not None and bool(np.all(np.abs(np.asarray(scale, dtype=float)) == 1.0))
     except (TypeError, ValueError):
         return False
-
-
-def _range(rows: Any) -> tuple[int, int] | None:
-    """Return the first and the last row to read, counted from 1."""
-    if rows is None:
-        return None
-    whole = isinstance(rows, (list, tuple)) and all(type(row) is int for row in rows)
-    if not whole or len(rows) != 2 or not 1 <= rows[0] < rows[1]:
-        raise DataError(
-            f"rows: is {rows!r:.80}, expected the first and the last row to read, counted from 1, "
-            "as in [1, 2000]."
-        )
-    return int(rows[0]), int(rows[1])
-
-
-def _as_names(value: Any) -> Any:
-    """Return the names of columns as texts; numbers stand for columns without names."""
-    if isinstance(value, (list, tuple)):
-        return [str(entry) for entry in value]
-    return value if value is None else str(value)
-
-
-def _tuple(names: Any, argument: str = "joint_names") -> tuple[str, ...] | None:
-    """Return joint names as a tuple of texts."""
-    if names is None:
-        return None
-    if isinstance(names, str) or not all(isinstance(name, str) for name in names):
-        raise DataError(f"{argument}: is {names!r}, expected a sequence of names.")
-    return tuple(names)
-
-
-def _known(given: Mapping[str, Any], allowed: Mapping[str, Any], what: str) -> dict[str, Any]:
-    """Return a mapping whose keys are all allowed."""
-    unknown = sorted(set(given) - set(allowed))
-    if unknown:
-        raise DataError(
-            f"{what}: {', '.join(unknown)} is not a quantity; known are {', '.join(allowed)}."
-        )
-    return dict(given)

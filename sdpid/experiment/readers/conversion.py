@@ -247,8 +247,9 @@ def _column_names(found: Selection, quantity: str, order: list[int] | None) -> l
     """Return a name for each column of a table, for messages."""
     used, count = list(found.used.get(quantity, [quantity])), found.tables[quantity].shape[1]
     if len(used) != count:
-        labels = found.labels
-        used = [f"{used[0]} of joint {labels[j] if labels else j + 1}" for j in range(count)]
+        # Of a table that is turned, there are more columns than joints.
+        labels = [*(found.labels or ()), *map(str, range(len(found.labels or ()) + 1, count + 1))]
+        used = [f"{used[0]} of joint {labels[j]}" for j in range(count)]
     return used if order is None else [used[j] for j in order]
 
 
@@ -319,6 +320,8 @@ def _time(
         return (time - time[:1]) / np.timedelta64(1, "ns") * 1e-9, {}
     if time.dtype.kind not in "fiu":
         raise DataError(f"{file}: time: holds {time.dtype}, expected numbers.")
+    if time.dtype.kind == "f":
+        time = time.astype(np.float64, copy=False)
     unit = arguments.units.get("time", found.units.get("time"))
     if unit is not None and unit not in UNITS["time"]:
         raise DataError(

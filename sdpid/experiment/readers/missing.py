@@ -20,6 +20,9 @@ MISSING = ("refuse", "drop", "interpolate")
 # Linear interpolation over more samples than this would invent motion.
 _LONGEST_GAP = 10
 
+# Of a type of its own, so that it is not cut to that of a table.
+_LARGEST = np.float64(LARGEST)
+
 _Tables = dict[str, NDArray[Any]]
 
 
@@ -64,7 +67,7 @@ def mend_missing(
     if all(sound(table) for table in columns.values()):
         return time, dict(tables), None
     for quantity, table in columns.items():
-        bad = np.isinf(table) | (np.abs(table) > LARGEST)
+        bad = np.isinf(table) | (np.abs(table) > _LARGEST)
         if bad.any():
             raise _bad_value(file, quantity, table, bad, names, place)
     lacking = {quantity: np.isnan(table) for quantity, table in columns.items()}
@@ -98,7 +101,7 @@ def sound(table: NDArray[Any]) -> bool:
     if not table.size or table.dtype.kind not in "fiu":
         return True
     # What is not a number is not below the limit either.
-    return bool(table.min() >= -LARGEST and table.max() <= LARGEST)
+    return bool(table.min() >= -_LARGEST and table.max() <= _LARGEST)
 
 
 def _bad_value(

@@ -230,6 +230,11 @@ def _numbers(text: str, path: str | None, folder: str | None, what: str) -> dict
         *("wrap_type", "wrap_objid", "wrap_prm", "jnt_stiffness", "tendon_stiffness"),
         *("body_gravcomp", "actuator_gainprm", "actuator_biasprm", "actuator_gear"),
     )
+    for name in (*arrays, "qpos0", "qpos_spring", *(f"dof_{key}" for key in _OF_TENDONS)):
+        if not np.isfinite(np.asarray(getattr(model, name), dtype=np.float64)).all():
+            raise ModelError(f"{what}: {name} is not finite in MuJoCo's model; repair the file.")
+    if not np.isfinite(model.opt.gravity).all():
+        raise ModelError(f"{what}: gravity is {model.opt.gravity}; give finite numbers, m/s².")
     found: dict[str, Any] = {name: np.asarray(getattr(model, name)).tolist() for name in arrays}
     found["ref"] = [float(model.qpos0[at]) for at in model.jnt_qposadr]
     found["springref"] = [float(model.qpos_spring[at]) for at in model.jnt_qposadr]

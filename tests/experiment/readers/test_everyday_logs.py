@@ -339,6 +339,21 @@ def test_every_line_has_as_many_fields_as_names(tmp_path: Path, quoted: str):
     same(read_recording(file))
 
 
+def test_half_precision_is_read_without_a_warning(tmp_path: Path):
+    halves = {"t": np.arange(N), "q": Q.astype(np.float16), "tau": TAU.astype(np.float16)}
+    log = read_recording(npz(tmp_path, **halves), units={"time": "ms"})
+    np.testing.assert_array_equal(log.position, halves["q"])
+    halves["q"][3] = np.inf
+    with pytest.raises(DataError, match=r"row 4: position: .* is inf, not finite"):
+        read_recording(npz(tmp_path, **halves))
+
+
+def test_a_table_that_is_turned_is_named(tmp_path: Path):
+    file = npz(tmp_path, t=T, q=Q, tau=TAU, dq=DQ.T, joint_names=["up", "down"])
+    with pytest.raises(DataError, match=r"velocity: has shape \(2, 40\), expected \(40, 2\)"):
+        read_recording(file)
+
+
 def test_names_cannot_reach_the_terminal(tmp_path: Path):
     evil = "el\x1b[2Jbow\u202e\u2028\nPROVEN."
     log = read_recording(npz(tmp_path, t=T, q=Q, tau=TAU, joint_names=[evil, "b"]))

@@ -170,6 +170,7 @@ def test_motors_that_cannot_be(tmp_path: Path, given: dict[str, Any], words: str
         ("joint_names = 'a'", "joint_names is 'a'"),
         ("period = 'x'", "period is 'x'"),
         ("topic = 3", "topic is 3"),
+        ("[units]\ntime = ['rad']", r"units.time is \['rad'\]"),
         ("[motors]\ngear = 3", "log.toml: motors: gear is not known"),
         ("x = ", "not a TOML file"),
     ],
@@ -193,6 +194,24 @@ def test_units_joint_by_joint_and_rates(tmp_path: Path):
     with pytest.raises(DataError, match="no mapping beside it"):
         read_recording(file, mapping=True)
     assert read_recording(file, mapping={"rate_hz": 4}).rate_hz == pytest.approx(4.0)
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [{"units": {"time": ["s"]}}, {"units": {"position": 3}}, {"units": {"position": [["rad"]]}}],
+)
+def test_arguments_are_checked_as_mappings_are(tmp_path: Path, arguments: dict[str, Any]):
+    np.savez(tmp_path / "log.npz", t=T, q=Q, tau=TAU)
+    for given in (arguments, {"mapping": arguments}):
+        with pytest.raises(DataError, match=r"units\.\w+ is .*, expected a text"):
+            read_recording(tmp_path / "log.npz", **given)
+
+
+def test_ranges_of_columns_without_names(tmp_path: Path):
+    file = tmp_path / "log.csv"
+    np.savetxt(file, np.column_stack([T, Q, TAU]), delimiter=",")
+    columns = {"time": 1, "position": "2:4", "effort": ["5:6", 7]}
+    np.testing.assert_array_equal(read_recording(file, columns=columns).effort, TAU)
 
 
 def test_csv_errors_name_line_and_column(tmp_path: Path):

@@ -153,6 +153,19 @@ def test_what_the_model_lacks_is_told() -> None:
     assert not load_robot(ARM).forces + load_robot(ARM).actuators
 
 
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (('gravity="1 -2 -9"', 'gravity="1 -2 inf"'), "gravity is"),
+        (('quat="0.9 ', 'quat="inf '), "body_quat is not finite"),
+        (('ref="0.4"', 'ref="nan"'), "qpos0 is not finite"),
+    ],
+)
+def test_numbers_that_are_none(change: tuple[str, str], words: str) -> None:
+    with pytest.raises(ModelError, match=words):
+        load_robot(ARM.replace(*change))
+
+
 def test_a_root_is_refused() -> None:
     with pytest.raises(ModelError, match="an MJCF says itself whether its base floats"):
         load_robot(ARM, root="free_flyer")
