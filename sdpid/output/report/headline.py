@@ -27,6 +27,7 @@ from sdpid.output.report.judged import (
     terms_of,
 )
 from sdpid.output.report.prediction_verdict import resting_share
+from sdpid.verifier.results.friction_terms import KINDS
 
 # Beside the two that have all terms in one.
 _CODE = ", or the links of identified.urdf with identified_friction.py (.hpp) for its friction"
@@ -204,8 +205,8 @@ def _file(result: Judged) -> str | None:
 
 
 def _whole(result: Judged) -> str:
-    """Return in words what has all terms: a tilted base is no friction, and in no code of it."""
-    code = "" if "Tilt" in terms_of(result) else _CODE
+    """Return in words what has all terms: no code has a tilted base, nor terms of one's own."""
+    code = _CODE if terms_of(result) <= KINDS.keys() else ""
     return f"estimate.model() or parameters.json{code}"
 
 

@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, ClassVar
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -46,6 +50,30 @@ def rubbing(seed: int) -> RobotDynamics:
     scale = [0.02 if isinstance(k, (terms.Tilt, terms.LoadFriction)) else 0.5 for k in kinds]
     values = rng.uniform(0.2, 1.0, sum(counts)) * np.repeat(scale, counts)
     return model_of(robot, kinds, values, bodies)
+
+
+@dataclass(frozen=True)
+class Own(terms.JointwiseTerm):
+    """A term of somebody's own, any function of the velocity."""
+
+    function: Callable[[Array], Array]
+    symbol: ClassVar[str] = "Fd"
+    unit: ClassVar[str] = "N.m"
+    nonnegative: ClassVar[bool] = True
+
+    def shape(self, velocity: Array, acceleration: Array) -> Array:
+        """Return the function's values."""
+        return np.asarray(self.function(velocity))
+
+
+@pytest.mark.parametrize("function", [lambda v: v * np.abs(v), lambda v: np.sign(v) + v, np.cos])
+def test_terms_of_ones_own_are_simulated(function: Callable[[Array], Array]) -> None:
+    links = random_links(np.random.default_rng(4), 3)
+    model = model_of(small_arm(3), ("viscous", Own(function)), np.linspace(0.2, 1.0, 6), links)
+    q, v, effort = np.random.default_rng(4).normal(size=(3, 20, 3))
+    expected = model.forward_dynamics(q, v, effort)
+    found = SimulatedArm.of(model).acceleration(q, v, effort)
+    np.testing.assert_allclose(found, expected, atol=5e-3 * np.abs(expected).max())
 
 
 @settings(max_examples=8)
@@ -111,8 +139,9 @@ def test_smooth_friction_converges_to_scipy_with_second_order() -> None:
     assert 3.5 < errors[1] / errors[2] < 4.5
 
 
-def test_a_sliding_mass_stops_where_it_must_and_sticks() -> None:
-    arm = SimulatedArm.of(slider(("coulomb",), [3.0]))
+@pytest.mark.parametrize("term", ["coulomb", Own(np.sign)])
+def test_a_sliding_mass_stops_where_it_must_and_sticks(term: Any) -> None:
+    arm = SimulatedArm.of(slider((term,), [3.0]))
     # Braked by 1.5 m/s² from 0.5 m/s; then pushed by less and by more than friction holds.
     push = np.concatenate([np.zeros(100), np.full(50, 2.99), np.full(50, 4.0)])[None, :, None]
     q, v, count = arm.run(np.zeros((1, 1)), np.full((1, 1), 0.5), push, 5e-3)
@@ -203,9 +232,9 @@ def test_what_cannot_be_simulated_is_refused_by_name() -> None:
         symbol, unit, nonnegative = "Fd", "N.m.s2/rad2", True
 
         def shape(self, velocity: Array, acceleration: Array) -> Array:
-            return velocity * np.abs(velocity)
+            return velocity * np.abs(acceleration)
 
-    with pytest.raises(ModelError, match="friction term Drag is not one of"):
+    with pytest.raises(ModelError, match="effort of Drag depends on the acceleration"):
         SimulatedArm.of(slider((Drag(),), [1.0]))
     robot = sdpid.load_robot(TREE, root="free_flyer")
     with pytest.raises(ModelError, match="floating base"):

@@ -69,6 +69,19 @@ def test_a_file_that_misses_more_than_the_estimate_is_not_recommended(
         in found.file
     )
     assert found.step.startswith("none: use estimate.model() or parameters.json")
+
+    class Bias(sdpid.friction.Offset):
+        """A term of one's own, whose code no file has."""
+
+    friction = good.problem.friction
+    kinds = tuple(
+        Bias() if type(term) is sdpid.friction.Offset else term for term in friction.terms
+    )
+    own = replace(good.problem, friction=replace(friction, terms=kinds))
+    advice = headline(replace(good, problem=own)).file
+    assert advice is not None
+    assert "estimate.model()" in advice
+    assert "identified_friction" not in advice
     theta = np.array(arm_theta())
     theta[[i for i, name in enumerate(good.estimate.named_theta()) if name.startswith("Fo")]] = 0.0
     without = headline(identified(moved(theta, 1), moved(theta, 2)))

@@ -8,7 +8,7 @@ from typing import Any
 from sdpid._common.arrays import Array
 
 # Kinds of smooth curves.
-TANH, ROOT, PEAK_REST, SMOOTH_PEAK = 0, 1, 2, 3
+TANH, ROOT, PEAK_REST, SMOOTH_PEAK, LINE = 0, 1, 2, 3, 4
 
 
 def sign_of(x: float) -> float:
@@ -33,6 +33,11 @@ def curve_at(kind: int, side: int, c: float, a: float, b: float, w: float, x: fl
     if kind == ROOT:
         root = math.sqrt(speed)
         return c * sign * root, 0.5 * c / max(root, 1e-3)
+    if kind == LINE:
+        # A slope between the speeds b and w, constant beyond.
+        if speed < b:
+            return 0.0, 0.0
+        return c * sign * (min(speed, w) - b), c if speed < w else 0.0
     ratio = min(speed / a, 1e3)
     power = math.exp(b * math.log(ratio)) if ratio > 0.0 else 0.0
     peak = math.exp(-min(power, 700.0))
