@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 import sdpid.cli.options as opt
-from sdpid._common.extras import require
+from sdpid._common.extras import installation, require
 from sdpid._common.files import Source
 from sdpid._common.text import printable
 from sdpid.cli.config import config_text
@@ -118,7 +118,7 @@ def identify(
     )
     files = [str(path) for path in saved]
     if figures is None and not draw:
-        notes.append("no figures: matplotlib is not installed (pip install 'sdpid[plot]')")
+        notes.append(f"no figures: matplotlib is not installed ({installation('plot')})")
     details = []
     if verbose:
         fits = {"constrained": result.training, "unconstrained": result.training_wls}

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
 
 from sdpid import __version__
+from sdpid._common.extras import installation
 from sdpid._common.progress import progress
 from sdpid._common.staging import RunFolder
 from sdpid._common.tables import json_text
@@ -180,7 +181,7 @@ class _Writer:
         try:
             exports.append(write_mjcf(estimate, target=mjcf))
         except MissingExtraError:
-            missing = "mujoco is not installed (pip install 'sdpid[sim]')"
+            missing = f"mujoco is not installed ({installation('sim')})"
         except Exception as reason:
             # It is optional, so nothing that MuJoCo does may cost the run, but a full disk does.
             if isinstance(reason.__cause__ or reason, OSError):
@@ -234,7 +235,7 @@ class _Writer:
 
     def _report(self, command: str | None, figures: bool) -> Iterator[Path]:
         if importlib.util.find_spec("jinja2") is None:
-            self.note("no report.html: jinja2 is not installed (pip install 'sdpid[report]')")
+            self.note(f"no report.html: jinja2 is not installed ({installation('report')})")
             return
         from sdpid.output.report.report import write_report
 

@@ -656,9 +656,11 @@ def test_an_interrupt_is_quiet(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) 
 def test_a_missing_extra_is_named_before_any_work(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
-    missing = sdpid.errors.MissingExtraError("pip install 'sdpid[plot]'")
+    missing = sdpid.errors.MissingExtraError("pip install 'matplotlib>=3.9'")
     monkeypatch.setattr(sys.modules["sdpid.cli.identify"], "require", raising(missing))
-    refused(run("identify", tmp_path / "x.npz", "--robot", ROBOT, "--figures"), 2, "sdpid[plot]")
+    refused(
+        run("identify", tmp_path / "x.npz", "--robot", ROBOT, "--figures"), 2, "matplotlib>=3.9"
+    )
 
 
 def test_out_must_not_be_a_file(tmp_path: Path) -> None:

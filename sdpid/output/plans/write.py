@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 
 from sdpid import __version__
+from sdpid._common.extras import installation
 from sdpid._common.progress import progress
 from sdpid._common.staging import RunFolder
 from sdpid._common.tables import plain
@@ -191,7 +192,7 @@ class _Writer:
         write_motion_csv(motion, self.folder / "trajectory.csv")
         yield "trajectory.csv"
         if importlib.util.find_spec("pyarrow") is None:
-            self.note("no trajectory.parquet: pyarrow is not installed (pip install 'sdpid[io]')")
+            self.note(f"no trajectory.parquet: pyarrow is not installed ({installation('io')})")
         else:
             write_motion_parquet(motion, self.folder / "trajectory.parquet")
             yield "trajectory.parquet"
@@ -223,7 +224,7 @@ class _Writer:
 
     def _page(self, figures: bool | None, command: str | None, names: list[str]) -> Iterator[str]:
         if importlib.util.find_spec("jinja2") is None:
-            self.note("no report.html: jinja2 is not installed (pip install 'sdpid[report]')")
+            self.note(f"no report.html: jinja2 is not installed ({installation('report')})")
             return
         from sdpid.output.plans.page import plan_html
 

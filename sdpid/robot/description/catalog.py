@@ -8,6 +8,7 @@ import importlib.metadata
 from functools import cache
 from pathlib import Path
 
+from sdpid._common.extras import installation
 from sdpid._common.files import is_irregular
 from sdpid.errors import ModelError
 
@@ -129,7 +130,7 @@ def find_robot(name: str) -> Path:
         shown = name if len(name) <= 80 else name[:77] + "..."
         more = ""
         if name.endswith("_description") and not downloadable_robots():
-            more = "; for names of robot_descriptions: pip install 'sdpid[descriptions]'"
+            more = f"; for names of robot_descriptions: {installation('descriptions')}"
         raise ModelError(
             f"no robot {shown!r}: not a file, and not a known name; {_near(name)}{more}."
         )
