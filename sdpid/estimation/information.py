@@ -112,11 +112,12 @@ def information_rows(H: Array) -> Array:
 
     What rounding of H hides, directions below about 1e-7, X does not determine.
     """
-    scale = np.sqrt(np.maximum(np.diagonal(H), 0.0))
-    scale = np.where(scale > 0.0, scale, 1.0)
+    size = np.sqrt(np.maximum(np.diagonal(H), 0.0))
+    scale = np.where(size > 0.0, size, 1.0)
     values, vectors = np.linalg.eigh(H / np.outer(scale, scale))
     kept = values > len(H) * np.finfo(float).eps * values[-1]
-    return np.asarray(np.sqrt(np.where(kept, values, 0.0))[:, None] * vectors.T * scale)
+    # A column of nothing stays one: rounding of the vectors is no information.
+    return np.asarray(np.sqrt(np.where(kept, values, 0.0))[:, None] * vectors.T * size)
 
 
 def require_excitation(excitation: Excitation) -> None:
