@@ -94,7 +94,6 @@ def late_efforts(subject: Subject) -> Iterator[Finding]:
         return
     delay, error = found
     yield Finding(
-        severity="warning",
         kind="effort_late",
         message=(
             f"efforts are {_late(delay)} by {1e3 * abs(delay):.2g} ms or more against the motion, "
@@ -123,7 +122,6 @@ def late_channels(subject: Subject) -> Iterator[Finding]:
             continue
         limit = max(LEAST[channel], DEVIATIONS * delay.error)
         yield Finding(
-            severity="warning",
             kind=dict(
                 zip(
                     CHANNELS,

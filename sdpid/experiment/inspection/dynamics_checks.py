@@ -96,7 +96,6 @@ def left_out_of_the_model(subject: Subject) -> Iterator[Finding]:
         return
     if robot.forces:
         yield Finding(
-            severity="warning",
             kind="forces_ignored",
             message=(
                 f"the description has forces on joints that are not in the model: "
@@ -204,7 +203,6 @@ def unlike_the_description(subject: Subject) -> Iterator[Finding]:
             continue
         share = min(float(log.left[j]), 1.0)
         yield Finding(
-            severity="warning",
             kind="effort_unlike_description",
             joint=name,
             message=(

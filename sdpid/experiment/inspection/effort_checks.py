@@ -35,7 +35,6 @@ def left_out(kind: str, joint: str, message: str, **numbers: float) -> Finding:
         f"{kind}) uses it as it is"
     )
     return Finding(
-        severity="warning",
         kind=kind,
         joint=joint,
         message=f"effort of {joint} {message}",
@@ -73,7 +72,6 @@ def signals(subject: Subject) -> Iterator[Finding]:
             continue  # Without a motor it has none.
         if not high[j] > low[j]:
             yield Finding(
-                severity="warning",
                 kind="effort_constant",
                 joint=name,
                 message=f"effort of {name} never changes: it is {low[j]:.4g} in every row",

@@ -33,13 +33,13 @@ class Finding:
 
     Attributes
     ----------
-    severity : {"refuse", "warning", "note"}
-        What is to be refused makes a result meaningless; a warning may make it wrong; a note does
-        not.
     kind : str
         Name of the kind of defect, such as ``"effort_sign"``.
     message : str
         The defect, its place, and its number against a limit.
+    severity : {"refuse", "warning", "note"}
+        What is to be refused makes a result meaningless; a warning may make it wrong; a note does
+        not.
     remedy : str
         What to do next; may be empty.
     joint : str or None
@@ -57,9 +57,9 @@ class Finding:
     {'range': 0.0, 'limit': 0.001}
     """
 
-    severity: Severity
     kind: str
     message: str
+    severity: Severity = "warning"
     remedy: str = ""
     joint: str | None = None
     numbers: Mapping[str, float] = field(default_factory=dict)

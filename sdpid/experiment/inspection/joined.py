@@ -7,6 +7,7 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from sdpid._common.arrays import Array
+from sdpid.experiment.inspection.delays.lag import block_error
 from sdpid.experiment.inspection.dynamics import described
 from sdpid.experiment.inspection.finding import Finding, Severity, Subject
 from sdpid.experiment.inspection.rows import Rows
@@ -130,5 +131,4 @@ def _error_of_mass(A: Array, residual: Array, weights: Array, pull: Array) -> fl
     flat = weighted.reshape(-1, A.shape[2])
     direction = np.linalg.solve(flat.T @ flat + np.diag(pull**2), np.eye(A.shape[2])[-_LOAD])
     scores = np.einsum("kju,u,kj->k", weighted, direction, residual * weights)
-    blocks = np.array([part.sum() for part in np.array_split(scores, 2 * _BLOCKS)])
-    return float(np.sqrt(blocks @ blocks))
+    return block_error(scores, 1.0, 2 * _BLOCKS)

@@ -74,7 +74,6 @@ def rest_and_jumps(subject: Subject) -> Iterator[Finding]:
         if reach[j] < AT_REST and name not in subject.passive:
             moved = "never moves" if reach[j] == 0.0 else f"moves by {reach[j]:.3g} rad only"
             yield Finding(
-                severity="warning",
                 kind="joint_at_rest",
                 joint=name,
                 message=f"{name} {moved} (limit {AT_REST:g} rad)",
@@ -111,7 +110,6 @@ def directions_and_rest(subject: Subject) -> Iterator[Finding]:
         share = float(shares[one_way].max())
         moves, most = ("moves", "") if len(one_way) == 1 else ("move", "of each at most ")
         yield Finding(
-            severity="warning",
             kind="one_direction",
             joint=names[one_way[0]] if len(one_way) == 1 else None,
             message=(
@@ -124,7 +122,6 @@ def directions_and_rest(subject: Subject) -> Iterator[Finding]:
     resting = float(np.mean(np.abs(rows.velocity).max(axis=1) < _RESTING))
     if resting > _LONGEST_REST:
         yield Finding(
-            severity="warning",
             kind="long_rest",
             message=(
                 f"the robot stands still in {100 * resting:.2g} % of the recording (no joint "

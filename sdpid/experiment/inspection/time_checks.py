@@ -124,7 +124,6 @@ def jitter_and_losses(subject: Subject) -> Iterator[Finding]:
     lost = missing / (steps.size + missing)
     if lost > _LOST:
         yield Finding(
-            severity="warning",
             kind="lost_samples",
             message=(
                 f"{missing} of {steps.size + missing} samples ({100 * lost:.3g} %) are missing "
@@ -148,7 +147,6 @@ def repeated_rows(subject: Subject) -> Iterator[Finding]:
     share = repeats / len(values)
     if share > _SHARE:
         yield Finding(
-            severity="warning",
             kind="repeated_rows",
             message=(
                 f"{repeats} of {len(values)} rows ({100 * share:.3g} %) repeat the row before "

@@ -49,12 +49,15 @@ def _smooth_sign(width: float, speed: Array, _rate: Array) -> Array:
     return np.asarray(np.tanh(speed / width))
 
 
-def orthonormal(columns: Array) -> tuple[Array, Array]:
-    """Return an orthonormal basis of columns, and the way from it to their weights."""
+def orthonormal(columns: Array, rank: float = _RANK) -> tuple[Array, Array]:
+    """Return an orthonormal basis of columns, and the way from it to their weights.
+
+    Directions with less than a share `rank` of the largest singular value are noise.
+    """
     size = np.linalg.norm(columns, axis=0)
     inverse = np.where(size > 0.0, 1.0 / np.where(size > 0.0, size, 1.0), 0.0)
     scaled = columns * inverse
     values, vectors = np.linalg.eigh(scaled.T @ scaled)
-    kept = values > _RANK**2 * values[-1]
+    kept = values > rank**2 * values[-1]
     back = vectors[:, kept] / np.sqrt(values[kept])
     return np.asarray(scaled @ back), np.asarray(inverse[:, None] * back)

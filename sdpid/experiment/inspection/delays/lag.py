@@ -47,9 +47,9 @@ def filtered(values: Array, low_pass: ZeroPhaseFilter) -> Array:
     return low_pass.apply(padded)[reach : reach + len(values)]
 
 
-def block_error(scores: Array, power: float) -> float:
+def block_error(scores: Array, power: float, blocks: int = _BLOCKS) -> float:
     """Return the standard error of sum(scores) / power, by blocks of the (N,) scores."""
-    sums = np.array([part.sum() for part in np.array_split(scores, _BLOCKS)])
+    sums = np.array([part.sum() for part in np.array_split(scores, blocks)])
     return float(np.sqrt(sums @ sums)) / power
 
 

@@ -136,7 +136,6 @@ def gyroscope(subject: Subject) -> Iterator[Finding]:
         found += ["it is in deg/s"] if scale == _DEGREES else []
         words = f"; {100 * left:.2g} % where {' and '.join(found)}"
     yield Finding(
-        severity="warning",
         kind="imu_gyroscope",
         message=(
             f"gyroscope of the base leaves {100 * own:.3g} % of the orientation's turning "
@@ -190,7 +189,6 @@ def accelerometer(subject: Subject) -> Iterator[Finding]:
         elif best > math.cos(_RIGHT_TILT):
             what += f"; upright where {named} measured, among others"
     yield Finding(
-        severity="warning",
         kind="imu_accelerometer",
         message=f"accelerometer of the base: {what}",
         remedy=remedy,
@@ -206,7 +204,6 @@ def _not_measured(sensor: str, values: Array) -> Finding:
     """Return the finding of a sensor that shows the same in every row."""
     shown = ", ".join(f"{value + 0.0:.4g}" for value in values[0])
     return Finding(
-        severity="warning",
         kind=f"imu_{sensor}",
         message=f"{sensor} of the base never changes: it is ({shown}) in every row",
         remedy="if it was not measured, leave it out",
@@ -255,7 +252,6 @@ def base_velocities(subject: Subject) -> Iterator[Finding]:
         pose = "position" if name == "linear_velocity" else "orientation"
         better = f"; {100 * left:.2g} % where they are the {other}'s" if fits else ""
         yield Finding(
-            severity="warning",
             kind="base_velocity",
             message=(
                 f"{name.replace('_', ' ')} of the base, said to be in {base.velocity_frame} axes, "

@@ -13,7 +13,7 @@ from sdpid.experiment.inspection.floating.turning import (
     window_means,
 )
 from sdpid.experiment.recording.recording import Recording
-from sdpid.robot.model.contacts.jacobians import contact_jacobians
+from sdpid.robot.model.contacts.jacobians import frame_places
 from sdpid.robot.model.model import RobotModel
 
 __all__ = ["LEAST_RATE", "Evidence", "feet_in_base"]
@@ -89,14 +89,11 @@ def feet_in_base(log: Recording, robot: RobotModel | None) -> Array | None:
     if q.shape[1] != 7 + log.n:
         return None
     q[:, 7:] = log.position[rows]
-    J = contact_jacobians(robot, q, contacts.frames)
-    # With the base unturned a turn of it moves a point by the cross product with its place.
-    ways = np.stack([J[:, :, 1, 5], J[:, :, 2, 3], J[:, :, 0, 4]], axis=-1)
     down = contacts.down[rows]
     if not down.any():
         return None
     numbers = np.broadcast_to(rows[:, None], down.shape)[down]
-    return np.column_stack([numbers, ways[down]])
+    return np.column_stack([numbers, frame_places(robot, q, contacts.frames)[down]])
 
 
 def _rates(measured: Array, wanted: Array, step: float) -> float | None:

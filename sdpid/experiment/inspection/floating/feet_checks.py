@@ -11,7 +11,7 @@ import numpy as np
 from sdpid._common.arrays import Array, Mask
 from sdpid.experiment.inspection.finding import Finding, Subject, check
 from sdpid.experiment.inspection.floating.turning import window_means
-from sdpid.robot.model.contacts.jacobians import contact_jacobians
+from sdpid.robot.model.contacts.jacobians import frame_places
 
 # A foot that is down and moves faster than this on average (m/s) is not down, or slips. Feet of
 # simulated robots roll and slip by less than a tenth of it.
@@ -63,20 +63,7 @@ def feet_of(subject: Subject) -> Feet | None:
     q[:, 3:7] /= np.linalg.norm(q[:, 3:7], axis=1, keepdims=True)
     if len(q) < 3:
         return None
-    J = contact_jacobians(robot, q, contacts.frames, contacts.offset)
-    # The base's turning moves a point by the cross product with the way to it, which is thus read.
-    x, y, z, w = q[:, 3:7].T
-    turn = np.stack(
-        [
-            np.stack([1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)], -1),
-            np.stack([2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)], -1),
-            np.stack([2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)], -1),
-        ],
-        axis=1,
-    )
-    cross = -np.einsum("kcij,klj->kcil", J[:, :, :3, 3:6], turn)
-    way = np.stack([cross[:, :, 2, 1], cross[:, :, 0, 2], cross[:, :, 1, 0]], axis=-1)
-    place = q[:, None, :3] + way
+    place = q[:, None, :3] + frame_places(robot, q, contacts.frames) + contacts.offset
     step = log.step * max(1, (log.n_samples - 1) // len(q))
     speed = np.linalg.norm(np.gradient(place, step, axis=0), axis=-1)
     always = window_means(contacts.down.astype(np.float64), log.step) > 1.0 - 1e-9
@@ -117,7 +104,6 @@ def feet(subject: Subject) -> Iterator[Finding]:
             if i != j
         ]
         yield Finding(
-            severity="warning",
             kind="feet_exchanged",
             message=(
                 f"flags of contacts are of other feet: {', '.join(pairs)}; feet that are down "
@@ -130,7 +116,6 @@ def feet(subject: Subject) -> Iterator[Finding]:
         return
     for i in np.flatnonzero(seen & (own > _SLIPS)).tolist():
         yield Finding(
-            severity="warning",
             kind="foot_moves",
             message=(
                 f"{found.names[i]} moves by {own[i]:.3g} m/s (rms) while it is said to be down, "
@@ -156,7 +141,6 @@ def _high(found: Feet, seen: Mask) -> Iterator[Finding]:
             continue
         height = float(np.median(above))
         yield Finding(
-            severity="warning",
             kind="foot_high",
             message=(
                 f"{found.names[i]} is {height:.3g} m above the other feet while it is said to be "

@@ -60,7 +60,6 @@ def total_mass(subject: Subject) -> Iterator[Finding]:
     if abs(share - 1.0) < max(limit, _SURE * error):
         return
     yield Finding(
-        severity="warning",
         kind="total_mass",
         message=(
             f"torques carry {share * mass:.4g} kg (standard error {error * mass:.2g} kg), "
@@ -102,7 +101,6 @@ def flags_and_forces(subject: Subject) -> Iterator[Finding]:
     if up is None or up < _UP_SHARE:
         return
     yield Finding(
-        severity="warning",
         kind="flags_unlike_forces",
         message=(
             f"{100 * up:.3g} % of all measured contact force acts on feet that are said to be up, "

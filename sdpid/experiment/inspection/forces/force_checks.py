@@ -41,7 +41,6 @@ def forces(subject: Subject) -> Iterator[Finding]:
     given, best = readings(legs)
     if best.left > _UNLIKE:
         yield Finding(
-            severity="warning",
             kind="forces_unlike_motion",
             message=(
                 f"contact forces are not those of this motion: {100 * best.left:.3g} % of what the "
@@ -74,7 +73,6 @@ def _misread(subject: Subject, legs: FreeLegs, given: Reading, best: Reading) ->
             f"those of {names[j]} are of {names[i]}" for i, j in enumerate(best.order) if i != j
         ]
         yield Finding(
-            severity="warning",
             kind="forces_exchanged",
             message=(
                 f"contact forces{', and flags with them,' if both else ''} are of other feet: "
@@ -88,7 +86,6 @@ def _misread(subject: Subject, legs: FreeLegs, given: Reading, best: Reading) ->
     if best.axes != given.axes:
         own = "the base" if best.axes == "base" else "each foot's frame"
         yield Finding(
-            severity="warning",
             kind="forces_axes",
             message=f"contact forces are in the axes of {own}, not in the world's: {better}",
             remedy="turn them into the world's axes: R @ force, R the rotation from those axes",
@@ -98,7 +95,6 @@ def _misread(subject: Subject, legs: FreeLegs, given: Reading, best: Reading) ->
     if wrong:
         of = "" if len(wrong) == len(names) else f" of {', '.join(wrong)}"
         yield Finding(
-            severity="warning",
             kind="forces_axes",
             message=f"contact forces{of} have the wrong sign: they are those on the ground",
             remedy="flip their signs: forces are those on the robot",
@@ -128,7 +124,6 @@ def _scales(
                 f"{mass:.4g} kg, so that the {likely} are likelier wrong"
             )
         yield Finding(
-            severity="warning",
             kind="forces_scale",
             message=(
                 f"contact forces are {ratio:.4g} times (standard error {error:.2g}) those that the "
@@ -146,7 +141,6 @@ def _scales(
         if abs(against - 1.0) <= limit:
             continue
         yield Finding(
-            severity="warning",
             kind="forces_scale",
             message=(
                 f"contact forces of {name} are {against:.3g} times those of the other feet, by "
@@ -175,7 +169,6 @@ def _offsets(legs: FreeLegs, scales: list[FootScale]) -> Iterator[Finding]:
         axis = int(np.argmax(np.where(told, size, 0.0)))
         limit = max(least, _SURE * float(scale.offset_errors[axis]))
         yield Finding(
-            severity="warning",
             kind="forces_offset",
             message=(
                 f"contact forces of {name} are off by {vector(scale.offset)} N in x, y, z "
@@ -202,7 +195,6 @@ def _moments(legs: FreeLegs, scales: list[FootScale]) -> Iterator[Finding]:
         if abs(ratio - 1.0) > limit:
             sign = ": they have the wrong sign" if abs(ratio + 1.0) < limit else ""
             yield Finding(
-                severity="warning",
                 kind="wrenches_moments",
                 message=(
                     f"moments of {name} are {ratio:.3g} times those that the legs' torques show, "
@@ -215,7 +207,6 @@ def _moments(legs: FreeLegs, scales: list[FootScale]) -> Iterator[Finding]:
         if not np.any(np.abs(found.point) > limits):
             continue
         yield Finding(
-            severity="warning",
             kind="wrenches_point",
             message=(
                 f"moments of {name} are about a point {vector(found.point)} m from its frame's "

@@ -70,7 +70,6 @@ def _axes(sensor: str, imu: Imu, fit: ImuFit, found: Found) -> Finding:
     matrix = (fit.turn @ imu.rotation).round(4)
     rows = ", ".join(f"[{', '.join(f'{x:.4f}' for x in row)}]" for row in matrix + 0.0)
     return Finding(
-        severity="warning",
         kind="imu_axes",
         message=(
             f"axes of the {sensor} are turned by {np.degrees(angle):.3g}° about "
@@ -87,7 +86,6 @@ def _mirrored(imu: Imu, fit: ImuFit) -> Finding:
     matrix = imu.rotation.T @ fit.turn @ imu.rotation
     nearest = max(signed_axes(), key=lambda axes: float(np.sum(axes * matrix)))
     return Finding(
-        severity="warning",
         kind="imu_axes",
         message=(
             "axes of the gyroscope are mirrored: no rotation makes it the pose's turning, and "
@@ -101,7 +99,6 @@ def _mirrored(imu: Imu, fit: ImuFit) -> Finding:
 def _place(sensor: str, imu: Imu, fit: ImuFit, found: Found) -> Finding:
     away = float(np.linalg.norm(found.value))
     return Finding(
-        severity="warning",
         kind="imu_place",
         message=(
             f"the {sensor} sits at {vector(imu.translation + found.value)} m in the base's frame, "
@@ -117,7 +114,6 @@ def _bias(sensor: str, imu: Imu, fit: ImuFit, found: Found) -> Finding:
     unit, limit = ("rad/s", RATE_BIAS) if sensor == "gyroscope" else ("m/s²", SIZES["bias"])
     value = (fit.turn @ imu.rotation).T @ found.value
     return Finding(
-        severity="warning",
         kind="imu_bias",
         message=(
             f"the {sensor} shows {vector(value)} {unit} too much along its axes, as the pose "
@@ -131,7 +127,6 @@ def _bias(sensor: str, imu: Imu, fit: ImuFit, found: Found) -> Finding:
 def _scale(sensor: str, imu: Imu, fit: ImuFit, found: Found) -> Finding:
     factor = 1.0 / (1.0 - float(found.value[0]))
     return Finding(
-        severity="warning",
         kind="imu_scale",
         message=(
             f"the {sensor} shows {factor:.4g} times what the pose does (standard error "

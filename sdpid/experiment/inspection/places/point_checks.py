@@ -69,7 +69,6 @@ def _other_frames(others: list[RestingFrame]) -> Finding:
 def _slips(contacts: Contacts, found: FootPoint, limit: float) -> Finding:
     names = ", ".join(contacts.frames[i] for i in found.feet)
     return Finding(
-        severity="warning",
         kind="foot_moves",
         message=(
             f"{names}: no point rests while a foot is said to be down; the slowest moves by "
@@ -99,7 +98,6 @@ def _other_point(contacts: Contacts, found: FootPoint) -> Finding:
         )
         remedy = f"give the contacts' offset={vector(stated + found.change)}"
     return Finding(
-        severity="warning",
         kind="contact_point",
         message=message,
         remedy=remedy,
