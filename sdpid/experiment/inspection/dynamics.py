@@ -13,7 +13,7 @@ from sdpid.robot.model.model import RobotModel
 
 __all__ = [
     *("GAINS", "LEAST_MISFIT", "Gains"),
-    *("described", "gains", "misfit", "placeholders", "unexplained"),
+    *("described", "friction", "gains", "misfit", "placeholders", "unexplained"),
 ]
 
 # Efforts of real arms are this many times those of the description's bodies, friction taken away:
@@ -79,7 +79,7 @@ def gains(rows: Rows, rigid: Array) -> Gains:
     n = rigid.shape[1]
     gain, correlation = np.zeros(n), np.zeros(n)
     for j in np.flatnonzero(rows.usable).tolist():
-        others = np.column_stack([*_friction(rows, j), np.ones(len(rigid))])
+        others = np.column_stack([*friction(rows, j), np.ones(len(rigid))])
         basis, _ = np.linalg.qr(others)
         x, y = (each - basis @ (basis.T @ each) for each in (rigid[:, j], rows.effort[:, j]))
         xx, yy, xy = float(x @ x), float(y @ y), float(x @ y)
@@ -105,7 +105,7 @@ def unexplained(rows: Rows, rigid: Array, scale: float = 1.0) -> Array:
         power = float(effort @ effort)
         if power == 0.0:
             continue
-        columns = np.column_stack([rigid[:, j], *_friction(rows, j)])
+        columns = np.column_stack([rigid[:, j], *friction(rows, j)])
         columns -= columns.mean(axis=0)
         size = np.linalg.norm(columns, axis=0)
         size[size == 0.0] = 1.0
@@ -129,6 +129,6 @@ def misfit(shares: Array) -> float:
     return float(np.sum(np.log(shares + _FLOOR)))
 
 
-def _friction(rows: Rows, j: int) -> tuple[Array, Array, Array]:
+def friction(rows: Rows, j: int) -> tuple[Array, Array, Array]:
     """Return the columns of Coulomb and viscous friction and of a rotor's inertia of a joint."""
     return rows.sign[:, j], rows.velocity[:, j], rows.acceleration[:, j]

@@ -42,18 +42,9 @@ __all__ = ["Inspection", "inspect_recording", "inspect_recordings"]
 
 # Importing a file of checks adds them to the list. A new check is a function in one of these.
 _FILES = (
-    *(time_checks, motion_checks, reference_checks, effort_checks, dynamics_checks),
-    *(
-        delay_checks,
-        base_checks,
-        imu_checks,
-        feet_checks,
-        point_checks,
-        flight_checks,
-        missing_checks,
-        flag_checks,
-        force_checks,
-    ),
+    *(time_checks, motion_checks, reference_checks, effort_checks, dynamics_checks, delay_checks),
+    *(base_checks, imu_checks, feet_checks, point_checks, flight_checks),
+    *(missing_checks, flag_checks, force_checks),
 )
 
 # Wrong units of position or time make the dynamics meaningless: they are told alone.
@@ -101,7 +92,6 @@ _DROWNED = (
     dynamics_checks.wrong_channels,
     dynamics_checks.scales,
     dynamics_checks.unlike_the_description,
-    delay_checks.late_efforts,
     delay_checks.late_channels,
     flag_checks.total_mass,
     force_checks.forces,
@@ -286,9 +276,10 @@ def _looked_at(
     refused = {finding.kind for finding in findings if finding.severity == "refuse"}
     kinds = {finding.kind for finding in findings}
     if not (refused & set(_DROWNS) or kinds & set(_BEFORE_EFFORTS)):
-        small = [*dynamics_checks.of_another_size(subject)]
-        subject = replace(subject, without=subject.without | {f.joint for f in small if f.joint})
-        left_out += small
+        told = [*dynamics_checks.of_another_size(subject), *delay_checks.late_efforts(subject)]
+        own = {finding.joint for finding in told if finding.joint}
+        subject = replace(subject, without=subject.without | own) if own else subject
+        left_out += told
         for each in _DROWNED:
             findings += each(subject)
     if "position_in_degrees" in {finding.kind for finding in findings}:

@@ -14,6 +14,7 @@ import pytest
 import sdpid
 from sdpid.errors import DataError
 from sdpid.experiment.inspection.accept import REFUSED, kinds_accepted, require_accepted
+from sdpid.experiment.inspection.channels.rules import RULES
 from sdpid.experiment.inspection.dynamics_checks import OF_FLAGS
 from sdpid.experiment.inspection.finding import Finding
 from sdpid.experiment.inspection.inspect import inspect_recording, inspect_recordings
@@ -227,6 +228,17 @@ WRONG: dict[str, tuple[Change, str, str, str]] = {
         for step in (0.03, 0.1)
     },
     **{
+        f"effort {seconds:g} s late": (
+            changed_rows(
+                "effort", slice(None), lambda values, late=seconds: np.interp(T - late, T, values)
+            ),
+            "effort_late",
+            "warning",
+            "effort of shoulder_lift_joint alone is late by",
+        )
+        for seconds in (0.04, 0.1)
+    },
+    **{
         f"{factor:g} times the time": (
             lambda log, factor=factor: replace(log, time=factor * log.time),
             "time_scale",
@@ -254,9 +266,10 @@ def test_what_is_wrong_is_found_and_named(log: Recording, robot: sdpid.RobotMode
 
 
 OF_ONE_CHANNEL = ("_frozen", "_spike", "_lone", "_coarse", "time_scale")
+CHANNELS = [n for n, row in WRONG.items() if row[1].endswith(OF_ONE_CHANNEL) or "alone" in row[3]]
 
 
-@pytest.mark.parametrize("name", [n for n, row in WRONG.items() if row[1].endswith(OF_ONE_CHANNEL)])
+@pytest.mark.parametrize("name", CHANNELS)
 def test_a_wrong_channel_accuses_no_other_joint_and_no_unit(
     log: Recording, robot: sdpid.RobotModel, name: str
 ):
@@ -440,12 +453,14 @@ def test_findings_are_overruled_by_name():
 
 def kinds_refused() -> Iterator[str]:
     """Yield every kind of finding, and of a correction, that the code may give to refuse a log."""
+    yield from (rule.kind for rule in RULES if rule.severity == "refuse")
     for path in Path(sdpid.__file__).parent.joinpath("experiment").rglob("*.py"):
         for node in ast.walk(ast.parse(path.read_text("utf-8"))):
             if isinstance(node, ast.Call) and ast.unparse(node.func) in ("Finding", "Correction"):
                 given = {each.arg: ast.unparse(each.value).strip("'") for each in node.keywords}
                 mild = ("warning", "note", "subject.about_velocity")
-                if given.get("severity") not in mild and given["kind"].isidentifier():
+                usual = "warning" if ast.unparse(node.func) == "Finding" else "refuse"
+                if given.get("severity", usual) not in mild and given["kind"].isidentifier():
                     yield given["kind"]
 
 
