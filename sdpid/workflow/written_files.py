@@ -30,7 +30,7 @@ from sdpid.robot.friction.model import FrictionModel
 from sdpid.robot.friction.posed import LoadFriction
 from sdpid.robot.friction.stored import term_from_dict
 from sdpid.robot.friction.terms import Coulomb, RotorInertia, Viscous
-from sdpid.robot.model.digest import close, kinematics_digest, other_kinematics
+from sdpid.robot.model.digest import close, other_kinematics
 from sdpid.robot.model.load import load_robot
 from sdpid.robot.model.model import RobotModel
 from sdpid.verifier import certificate
@@ -240,8 +240,6 @@ def robot_differences(
     if problem is None:
         return
     robot = problem.robot
-    if kinematics_digest(robot) is None:
-        raise ModelError("the robot's joints have no plain form")
     other = list(other_kinematics(robot, file, _SAME, loops=not compiled))
     yield from other
     if not other:

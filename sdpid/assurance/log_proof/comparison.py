@@ -17,7 +17,6 @@ from sdpid.assurance.log_proof.joints import Joint
 from sdpid.assurance.log_proof.regressor import motion, regressor
 from sdpid.assurance.log_proof.weights import diagonal_weights, lesser_weights
 from sdpid.estimation.compression.rows import RowSource
-from sdpid.robot.model.regressor_kernel import Tree, flatten
 
 # Samples of a chunk: its arrays stay in a second-level cache, and a call costs little beside them.
 CHUNK = 1024
@@ -83,10 +82,8 @@ class _Comparison:
 
     def __init__(self, source: RowSource, box: Box, printed: bool) -> None:
         self.source, self.box, self.printed = source, box, printed
-        tree = flatten(source.robot.pin_model, source.robot.expansion)
-        assert tree is not None  # the caller has looked
-        self.tree: Tree = tree
-        self.joints = [Joint.of(tree, i) for i in range(len(tree.kind))]
+        self.tree = source.robot.tree
+        self.joints = [Joint.of(self.tree, i) for i in range(len(self.tree.kind))]
         matrix = source.base.matrix
         unit = (np.count_nonzero(matrix, axis=0) == 1) & (matrix.max(axis=0, initial=0.0) == 1.0)
         # Columns that are one of the base regressor's, and those that are combinations.

@@ -26,12 +26,10 @@ def input_files(
     What came from no file has neither name nor bytes; its SHA-256 is that of its numbers
     (`recording_digest`, `kinematics_digest`).
     """
-    described = _entry("robot", robot.source, kinematics_digest(robot))
     return [
         *(log_entry(log, "log") for log in logs),
         *(log_entry(log, "validation") for log in validation),
-        # A model in memory whose joints have no plain form is known by nothing.
-        *([] if described["sha256"] is None else [described]),
+        _entry("robot", robot.source, kinematics_digest(robot)),
         *_gains((*logs, *validation)),
     ]
 

@@ -22,7 +22,6 @@ from sdpid.assurance.log_proof.weights import diagonal_weights, lesser_weights
 from sdpid.estimation.compression.covariance import Weighting
 from sdpid.estimation.compression.rows import Rows
 from sdpid.estimation.constraints.feasible_set import FeasibleSet
-from sdpid.robot.model.regressor_kernel import flatten
 
 
 @dataclass(frozen=True)
@@ -112,8 +111,8 @@ def row_error(
     feasible: FeasibleSet,
     *,
     near: Near | None = None,
-) -> RowError | None:
-    """Return how far rows are from those of the robot's equations, None for other joints.
+) -> RowError:
+    """Return how far rows are from those of the robot's equations.
 
     The regressor is enclosed at the samples' own positions, velocities and accelerations, from the
     placements, axes and gravity as stored (`sdpid.robot.model.regressor_kernel.Tree`), and compared
@@ -137,12 +136,8 @@ def row_error(
 
     Returns
     -------
-    RowError or None
-        None where joints are neither revolute, prismatic nor a floating base.
+    RowError
     """
-    tree = flatten(rows.robot.pin_model, rows.robot.expansion)
-    if tree is None:
-        return None
     box = Box.of(feasible)
     exponent = -0.5 if weighting == "eq9" else -1.0
     printed = weighting in ("eq9", "eq18")

@@ -181,8 +181,6 @@ class RowSource:
     def branches(self) -> Branches:
         """Which columns of `rows` the rows of branches have, none of a single chain."""
         tree, friction = self.robot.tree, self.friction
-        if tree is None:
-            return NO_BRANCHES
         standard = np.repeat(moved(tree), 10, axis=1)
         for term in friction.terms:
             names = friction.joint_names

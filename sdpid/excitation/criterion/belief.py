@@ -11,6 +11,7 @@ from sdpid.excitation.criterion.marginal import marginal
 from sdpid.experiment.processing.samples import Samples
 from sdpid.robot.friction.model import FrictionModel
 from sdpid.robot.model.base_parameters import BaseParameters
+from sdpid.robot.model.geometry import neutral
 from sdpid.robot.model.model import RobotModel
 
 # Rms speed of a usual motion, as a share of the speed limit; without a limit, rad/s.
@@ -63,7 +64,7 @@ def prior_information(
     phase = (np.arange(_STATES) + 0.5) * 2.0 * np.pi / _STATES
     wave = np.sqrt(2.0) * np.sin(phase)[:, None]
     samples = Samples(
-        position=np.broadcast_to(_still(robot), (_STATES, len(_still(robot)))),
+        position=np.tile(neutral(robot), (_STATES, 1)),
         velocity=speed * wave,
         acceleration=speed * np.roll(wave, _STATES // 4, axis=0),
         effort=np.asarray(effort_rms) * wave,
@@ -73,15 +74,6 @@ def prior_information(
     theta[: robot.prior.size] = _bodies(found, robot).ravel()
     R = np.vstack([term.curvature_rows(theta) for term in terms])
     return information_of_rows(R, base.matrix)
-
-
-def _still(robot: RobotModel) -> Array:
-    """Return a position, or with a floating base a configuration, in which joints are at zero."""
-    import pinocchio as pin
-
-    if not robot.free_flyer:
-        return np.zeros(robot.n)
-    return np.asarray(pin.neutral(robot.pin_model))
 
 
 def information_of_rows(R: Array, B: Array) -> Array:

@@ -9,14 +9,13 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from sdpid._common.arrays import Array, real_array
-from sdpid.errors import DataError, ModelError
+from sdpid.errors import DataError
 from sdpid.experiment.simulation.kernels.friction_arrays import FrictionArrays
 from sdpid.experiment.simulation.kernels.layout import Robot, memory_for
 from sdpid.experiment.simulation.kernels.linked import entries
 from sdpid.robot.friction.posed import LoadFriction, PosedTerm, Tilt
 from sdpid.robot.model.contacts.open_chain import require_fixed_robot, require_open_chain
 from sdpid.robot.model.dynamics import RobotDynamics
-from sdpid.robot.model.regressor_kernel import flatten
 
 # Numba compiles for writable C-contiguous arrays of doubles.
 _COMPILED_FOR: tuple[Literal["C", "A", "W"], ...] = ("C", "A", "W")
@@ -52,17 +51,13 @@ class SimulatedArm:
         Raises
         ------
         ModelError
-            When the base floats, loops close, a joint is neither revolute nor prismatic or has no
-            motor, or a friction term is not one of `sdpid.friction`.
+            When the base floats, loops close, a joint has no motor, or a friction term is not one
+            of `sdpid.friction`.
         """
         robot, terms = model.robot, model.terms
         require_fixed_robot(robot, "simulation")
         require_open_chain(robot, "simulation")
-        tree = flatten(robot.pin_model, robot.expansion)
-        if tree is None:
-            raise ModelError(
-                f"simulation: '{robot.name}' has a joint that is neither revolute nor prismatic."
-            )
+        tree = robot.tree
         bodies = np.array(model.theta[: 10 * robot.n_links]).reshape(-1, 10)
         friction, at = FrictionArrays(robot.n), 10 * robot.n_links
         gravity, none = np.array(robot.gravity), np.zeros((0, 10))

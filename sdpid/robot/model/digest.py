@@ -9,21 +9,16 @@ import numpy as np
 
 from sdpid._common.arrays import Array
 from sdpid.robot.model.model import RobotModel
-from sdpid.robot.model.regressor_kernel import flatten
 from sdpid.verifier.reading import shown
 
 
-def kinematics_digest(robot: RobotModel) -> str | None:
+def kinematics_digest(robot: RobotModel) -> str:
     """Return the SHA-256 of a robot's joints, placements, axes, mimic joints, loops and gravity.
 
-    Inertias, limits and shapes do not count. Robots of equal digest have the same regressor. None
-    for joints that have no plain form (see `flatten`).
+    Inertias, limits and shapes do not count. Robots of equal digest have the same regressor.
     """
-    tree = flatten(robot.pin_model, robot.expansion)
-    if tree is None:
-        return None
     digest = hashlib.sha256("\n".join(robot.joint_names).encode("utf-8", "surrogatepass"))
-    for values in (*tree.arrays, robot.expansion, robot.offset):
+    for values in (*robot.tree.arrays, robot.expansion, robot.offset):
         # Adding zero makes one of the two zeros.
         array = np.ascontiguousarray(np.asarray(values, dtype="<f8") + 0.0)
         digest.update(f"\n{array.shape}\n".encode())
@@ -42,7 +37,7 @@ def other_kinematics(
     Parameters
     ----------
     robot, other : RobotModel
-        Robots whose joints may come in another order, all of plain form (see `flatten`).
+        Robots whose joints may come in another order.
     within : float
         By how much numbers may differ, relative to their size, at least one.
     loops : bool, optional
@@ -92,14 +87,13 @@ def _loops(robot: RobotModel) -> Iterator[tuple[str, Array]]:
 
 
 def _joints(robot: RobotModel) -> dict[str, dict[str, Array | str]]:
-    """Return type, parent, place, axis and gear of every joint; none where one has no plain form.
+    """Return type, parent, place, axis and gear of every joint.
 
     A joint's row of the gear is its velocity's share in each coordinate, by name, and its offset.
     """
-    model, tree = robot.pin_model, flatten(robot.pin_model, robot.expansion)
+    model, tree = robot.pin_model, robot.tree
     order, found = np.argsort(robot.joint_names), {}
-    for i in range(0 if tree is None else model.njoints - 1):
-        assert tree is not None
+    for i in range(model.njoints - 1):
         joint = model.joints[i + 1]
         rows = slice(joint.idx_v, joint.idx_v + joint.nv)
         found[str(model.names[i + 1])] = {

@@ -87,10 +87,7 @@ def _configurations(robot: RobotModel, q: ArrayLike) -> Array:
     """Return Pinocchio's configurations, a floating base at rest in the origin."""
     if not robot.free_flyer:
         return robot.configuration(q)
-    import pinocchio as pin
-
     positions = real_array(q, "q", ndim=2)
-    model: Any = robot.pin_model
     n = robot.n - robot.n_base
     if positions.shape[1] != n:
         raise DataError(
@@ -98,12 +95,4 @@ def _configurations(robot: RobotModel, q: ArrayLike) -> Array:
             "floating base."
         )
     full = np.hstack([np.zeros((len(positions), robot.n_base)), positions])
-    angles = full @ robot.expansion.T + robot.offset
-    out = np.tile(pin.neutral(model), (len(positions), 1))
-    for joint in list(model.joints)[2:]:
-        if joint.nq == 2:
-            out[:, joint.idx_q] = np.cos(angles[:, joint.idx_v])
-            out[:, joint.idx_q + 1] = np.sin(angles[:, joint.idx_v])
-        else:
-            out[:, joint.idx_q] = angles[:, joint.idx_v]
-    return out
+    return robot.configuration_of(full @ robot.expansion.T + robot.offset)

@@ -204,6 +204,7 @@ class RobotModel:
                     f"robot '{model.name}': link '{link}': the mass is {body[0]:g} kg, the least "
                     "is 0; give the true mass."
                 )
+        kernels.flatten(model, expansion)  # refuses joints of other kinds
         return cls(
             name=model.name,
             pin_model=model,
@@ -352,11 +353,22 @@ class RobotModel:
                 f"position: {position.shape[1]} columns, the robot '{self.name}' has {wanted}: "
                 f"{', '.join(self.joint_names)}."
             )
-        angles = self._expand(position) + self.offset if self._mimics else position.copy()
+        return self.configuration_of(
+            self._expand(position) + self.offset if self._mimics else position.copy()
+        )
+
+    def configuration_of(self, angles: Array) -> Array:
+        """Return Pinocchio's configurations (K, nq) of its joints' angles or ways (K, nv).
+
+        A floating base is at rest in the origin.
+        """
+        import pinocchio as pin
+
+        model = self.pin_model
         if model.nq == model.nv:
             return np.ascontiguousarray(angles)
-        q = np.empty((len(angles), model.nq))
-        for joint in list(model.joints)[1:]:
+        q = np.tile(pin.neutral(model), (len(angles), 1))
+        for joint in list(model.joints)[1 + self.free_flyer :]:
             if joint.nq == 2:
                 q[:, joint.idx_q] = np.cos(angles[:, joint.idx_v])
                 q[:, joint.idx_q + 1] = np.sin(angles[:, joint.idx_v])
@@ -416,11 +428,8 @@ class RobotModel:
         q, v, a = self._states(q, v, a)
         if out is not None:
             _check_out(out, (len(q), self.n, 10 * self.n_links))
-        if self.tree is not None:
-            found = kernels.regressor(self.tree, q, v, a, out=out)
-            if found is not None:
-                return found
-        return self._pinocchio_regressor(q, v, a, out)
+        found = kernels.regressor(self.tree, q, v, a, out=out)
+        return found if found is not None else self._pinocchio_regressor(q, v, a, out)
 
     def regressor_columns(
         self,
@@ -466,12 +475,11 @@ class RobotModel:
                 f"places: {len(places)} entries up to {np.max(places, initial=-1)}; expected one "
                 f"for each of {10 * self.n_links} parameters, below {out.shape[2]} columns."
             )
-        if self.tree is not None:
-            found = kernels.regressor(
-                self.tree, q, v, a, out=out, places=places, worth=compiled, entries=entries
-            )
-            if found is not None:
-                return found
+        found = kernels.regressor(
+            self.tree, q, v, a, out=out, places=places, worth=compiled, entries=entries
+        )
+        if found is not None:
+            return found
         wanted = np.flatnonzero(places >= 0)
         out[:] = 0.0
         out[:, :, places[wanted]] = self._pinocchio_regressor(q, v, a)[:, :, wanted]
@@ -481,8 +489,8 @@ class RobotModel:
         return out
 
     @functools.cached_property
-    def tree(self) -> kernels.Tree | None:
-        """The kinematics as plain arrays; None where a joint is of a kind they do not cover."""
+    def tree(self) -> kernels.Tree:
+        """The kinematics as plain arrays."""
         return kernels.flatten(self.pin_model, self.expansion)
 
     @functools.cached_property

@@ -20,6 +20,7 @@ from typing import Any, Literal
 import numpy as np
 
 from sdpid._common.arrays import Array, Indices
+from sdpid.errors import ModelError
 
 # Kinds of joints.
 REVOLUTE, PRISMATIC, FLOATING = 0, 1, 2
@@ -106,8 +107,8 @@ class Tree:
         return tuple(getattr(self, name) for name in names.split())
 
 
-def flatten(model: Any, expansion: Array) -> Tree | None:
-    """Return the plain arrays of a Pinocchio model, None when a joint is not covered.
+def flatten(model: Any, expansion: Array) -> Tree:
+    """Return the plain arrays of a Pinocchio model.
 
     Parameters
     ----------
@@ -116,14 +117,15 @@ def flatten(model: Any, expansion: Array) -> Tree | None:
     expansion : ndarray, shape (nv, n)
         Velocities of Pinocchio's joints from the robot's coordinates.
 
-    Returns
-    -------
-    Tree or None
+    Raises
+    ------
+    ModelError
+        When a joint neither turns nor slides, as a screw does, or gravity turns.
     """
     import pinocchio as pin
 
-    if (np.count_nonzero(expansion, axis=1) > 1).any() or model.gravity.angular.any():
-        return None
+    if model.gravity.angular.any():
+        raise ModelError(f"robot '{model.name}': gravity has an angular part; give a linear one.")
     links = model.njoints - 1
     kind = np.zeros(links, dtype=np.intp)
     turn, place, axis = np.zeros((links, 3, 3, 3)), np.zeros((links, 2, 3)), np.zeros((links, 3))
@@ -135,8 +137,6 @@ def flatten(model: Any, expansion: Array) -> Tree | None:
         if i == 0 and joint.nv == 6 and joint.nq == 7:
             kind[i], turn[i, 2] = FLOATING, R
             continue
-        if joint.nv != 1:
-            return None
         data = joint.createData()
         joint.calc(data, neutral)
         linear, angular = np.split(np.array(data.S).ravel(), 2)
@@ -150,7 +150,10 @@ def flatten(model: Any, expansion: Array) -> Tree | None:
         elif np.abs(angular).max() < _PURE:
             kind[i], axis[i], turn[i, 2], place[i, 1] = PRISMATIC, linear, R, R @ linear
         else:
-            return None
+            raise ModelError(
+                f"joint '{model.names[i + 1]}' is a {joint.shortname()}, which is not supported; "
+                "supported are revolute, continuous and prismatic joints."
+            )
     joints = list(model.joints)[1:]
     column = np.argmax(expansion != 0.0, axis=1)
     return Tree(

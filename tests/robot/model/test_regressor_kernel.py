@@ -16,7 +16,7 @@ import pytest
 from hypothesis import given
 
 from sdpid._common.arrays import Array
-from sdpid.errors import DataError, SdpidError
+from sdpid.errors import DataError, ModelError, SdpidError
 from sdpid.robot.description.catalog import example_robots
 from sdpid.robot.model import regressor_kernel as kernels
 from sdpid.robot.model.load import load_robot
@@ -224,11 +224,16 @@ def test_without_a_folder_for_the_cache_it_is_compiled_again(
     check(pendulum(), 8)
 
 
-def test_a_joint_that_is_not_covered_is_pinocchios() -> None:
+def test_joints_that_screw_and_gravity_that_turns_are_refused() -> None:
     model = pin.Model()
     model.addJoint(0, pin.JointModelHelicalUnaligned(np.eye(3)[0], 0.1), pin.SE3.Identity(), "x")
-    assert kernels.flatten(model, np.eye(1)) is None
-    assert kernels.flatten(pin.buildSampleModelHumanoid(), np.eye(32)) is not None
+    with pytest.raises(ModelError, match="'x' is a JointModelHelical"):
+        RobotModel.from_pinocchio(model)
+    turning = pin.buildSampleModelHumanoid()
+    RobotModel.from_pinocchio(turning)
+    turning.gravity.angular = np.ones(3)
+    with pytest.raises(ModelError, match="angular"):
+        RobotModel.from_pinocchio(turning)
 
 
 def test_long_compilation_is_announced(

@@ -339,10 +339,10 @@ class _Check:
             replace(feasible, lower=lower, upper=upper),
             near=self._near(),
         )
-        if found is None or not np.isfinite([found.total, found.share]).all():
+        if not np.isfinite([found.total, found.share]).all():
             text = (
-                "how far they are from the equations of motion is not bounded for these joints, or "
-                "for measured forces whose errors depend on each other"
+                "how far they are from the equations of motion is not bounded for measured forces "
+                "whose errors depend on each other"
             )
             self.say("rows", "not checked", text)
             return

@@ -27,7 +27,6 @@ from sdpid.assurance.log_proof.touching.jacobians import JacobianErrors
 from sdpid.assurance.log_proof.weights import diagonal_weights
 from sdpid.estimation.compression.rows import Rows, RowSource
 from sdpid.robot.model.contacts.jacobians import relative_jacobians
-from sdpid.robot.model.regressor_kernel import flatten
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -80,12 +79,8 @@ def contact_error(rows: Rows, sigma: Array) -> ContactError:
 
 def _piece(source: RowSource, sigma: Array) -> ContactError:
     """Return what errors do to the rows of a piece."""
-    contacts, tree = (
-        source.samples.contacts,
-        flatten(source.robot.pin_model, source.robot.expansion),
-    )
+    contacts, tree = source.samples.contacts, source.robot.tree
     assert contacts is not None
-    assert tree is not None  # the caller has looked
     R = contacts.force_covariance
     correlated = R is not None and np.any(R - _diagonal(R))
     count = source.base.count

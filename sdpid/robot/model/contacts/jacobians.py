@@ -71,14 +71,11 @@ def contact_jacobians(
             f"offset: has shape {points.shape}, expected (3,) or {(len(numbers), 3)}: x, y, z in m."
         )
     points = np.broadcast_to(points, (len(numbers), 3))
-    if robot.tree is not None:
-        found = [robot.pin_model.frames[number] for number in numbers]
-        at = np.array([frame.parentJoint - 1 for frame in found], dtype=np.intp)
-        places = np.array([frame.placement.translation for frame in found])
-        quick = kernel.jacobians(robot.tree, at, places, np.ascontiguousarray(points), q, compiled)
-        if quick is not None:
-            return quick
-    return _by_pinocchio(robot, q, numbers, points)
+    found = [robot.pin_model.frames[number] for number in numbers]
+    at = np.array([frame.parentJoint - 1 for frame in found], dtype=np.intp)
+    places = np.array([frame.placement.translation for frame in found])
+    quick = kernel.jacobians(robot.tree, at, places, np.ascontiguousarray(points), q, compiled)
+    return quick if quick is not None else _by_pinocchio(robot, q, numbers, points)
 
 
 def relative_jacobians(
