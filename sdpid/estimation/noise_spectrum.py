@@ -205,12 +205,7 @@ class NoiseSpectrum:
     @property
     def covariance(self) -> Array:
         """Covariance of the unconstrained fit, (b, b)."""
-        return self.whole_covariance[: self.base_count, : self.base_count]
-
-    @property
-    def whole_covariance(self) -> Array:
-        """Covariance (c, c) of the fit and of the logarithms of speeds that the data chose."""
-        return np.asarray(self.whole_root @ self.scores @ self.whole_root.T)
+        return np.asarray(self.root @ self.scores @ self.root.T)
 
     def freedom(self, directions: Array) -> Array:
         """Return the degrees of freedom of variances along directions (k, r) of `root`."""

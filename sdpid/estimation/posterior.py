@@ -252,15 +252,15 @@ class Posterior:
 
     def bias_share(self, functions: Array, bias: Array) -> Array:
         """Return the share (k,) of one of the fit's biases (b,) in the variances of functions."""
-        variance, _, _ = self.spread(functions)
-        own = ((functions @ self.from_fit) @ bias) ** 2
-        return np.asarray(np.where(np.isfinite(variance), _share(own, variance, 0.0), 0.0))
+        return self._share(functions, ((functions @ self.from_fit) @ bias) ** 2)
 
     def gains_share(self, functions: Array) -> Array:
         """Return the share (k,) of the gains' errors in the variances of functions (k, p)."""
+        return self._share(functions, self.gains.variance(functions @ self.from_gains))
+
+    def _share(self, functions: Array, own: Array) -> Array:
         variance, _, _ = self.spread(functions)
-        of_gains = self.gains.variance(functions @ self.from_gains)
-        return np.asarray(np.where(np.isfinite(variance), _share(of_gains, variance, 0.0), 0.0))
+        return np.asarray(np.where(np.isfinite(variance), _share(own, variance, 0.0), 0.0))
 
 
 def _share(part: Array, total: Array, otherwise: float) -> Array:

@@ -77,14 +77,14 @@ class ParameterFunctions:
         size = np.linalg.norm(base.matrix * scale, axis=1)
         size = np.where(size > 0.0, size, 1.0)
         rows = base.matrix * scale / size[:, None]
-        norms = problem.excitation.column_norms * size
-        _, singular, axes = np.linalg.svd(problem.A * size / np.where(norms > 0.0, norms, 1.0))
-        lost = axes[singular <= UNDETERMINED * singular.max(initial=0.0)]
+        excitation = problem.excitation
+        norms = np.where(excitation.column_norms > 0.0, excitation.column_norms * size, 1.0)
+        lost = excitation.directions[excitation.singular_values < UNDETERMINED]
         goal = functions[kept] * scale
         found = np.linalg.lstsq(rows.T, goal.T, rcond=None)[0].T
         missing = np.linalg.norm(goal - found @ rows, axis=1) > _OPEN * np.linalg.norm(goal, axis=1)
-        blind = np.linalg.norm(found / np.where(norms > 0.0, norms, 1.0) @ lost.T, axis=1)
-        blind_limit = _OPEN * np.linalg.norm(found / np.where(norms > 0.0, norms, 1.0), axis=1)
+        blind = np.linalg.norm(found / norms @ lost.T, axis=1)
+        blind_limit = _OPEN * np.linalg.norm(found / norms, axis=1)
         return cls(
             names=tuple(names[i] for i in kept),
             kind=tuple(kind[i] for i in kept),

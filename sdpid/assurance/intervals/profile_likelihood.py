@@ -344,7 +344,6 @@ class ProfileLikelihood:
         count = problem.base.count
         # Multipliers that hold next to nothing have no source.
         counts = float(np.linalg.norm(u)) * self.unit > _RESTS * width
-        prior_share = float(u[count:] @ u[count:]) / float(u @ u) if counts else 0.0
         end = End(
             found=float(c @ theta),
             u=u,
@@ -353,9 +352,7 @@ class ProfileLikelihood:
             rise=rise,
             solved=rise,
             rests=(wide >= _RESTS * width, mass >= _RESTS * width),
-            prior_share=prior_share
-            if float(np.linalg.norm(u)) * self.unit > _RESTS * width
-            else 0.0,
+            prior_share=float(u[count:] @ u[count:]) / float(u @ u) if counts else 0.0,
         )
         return end, moved
 
