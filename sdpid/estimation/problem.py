@@ -294,8 +294,8 @@ class Problem:
     def predict(self, base: ArrayLike, samples: Samples | None = None) -> Array:
         """Return the efforts (K, n) that base parameters give on samples, by default its own.
 
-        Where samples have contacts, together with the contact forces: as they were measured, or
-        those that leave the least weighted error.
+        Where samples have contacts, together with those contact forces, measured or not, that
+        leave the least weighted error (see `Samples.judged`).
         """
         values = np.asarray(base, dtype=np.float64)
         chosen = self.samples if samples is None else samples
@@ -306,9 +306,9 @@ class Problem:
         return np.concatenate(found)
 
     def rows_of(self, samples: Samples) -> RowSource:
-        """Return the rows of other samples, with the covariances of this problem's forces."""
+        """Return the rows of other samples, on which this problem's parameters are judged."""
         scale = self.rows.force_scale if isinstance(self.rows, RowSource) else 1.0
-        rows = RowSource(self.robot, self.friction, self.base, samples)
+        rows = RowSource(self.robot, self.friction, self.base, samples.judged)
         return rows.with_force_scale(scale)
 
     @property

@@ -105,7 +105,7 @@ def contact_whiteners(
         Rows that are used.
     """
     own = sigma if touching.covariance is None else sigma + touching.covariance
-    powers, index = weights(own, mask)
+    powers, index = touching.roots(*weights(sigma, mask))
     for some, A, P, used in _groups(touching, powers[index], mask):
         each = own[some] if own.ndim == 3 else own[None]
         lower = np.tril(each)

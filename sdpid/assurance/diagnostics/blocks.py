@@ -125,7 +125,7 @@ def predicted_by(
     ways : mapping of str to callable
         By name, functions that return the base parameters to predict with, of a block's estimate.
     """
-    rows = problem.require_rows_here("blocks")
+    rows = problem.rows_of(problem.require_rows_here("blocks").samples)
     values = {
         name: np.stack([way(block.estimate) for block in blocks], axis=1)
         for name, way in ways.items()

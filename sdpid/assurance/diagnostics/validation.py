@@ -433,7 +433,8 @@ def validate_dynamics(
     robot, predicted = model.robot, predicted_efforts(model, samples)
     if samples.contacts is not None:
         if problem is None:
-            rows = RowSource(robot, model.terms, structural_base(robot, model.terms), samples)
+            base = structural_base(robot, model.terms)
+            rows = RowSource(robot, model.terms, base, samples.judged)
             sigma = np.diag(prediction_noise(rows, predicted))
         else:
             rows, sigma = problem.rows_of(samples), pooled(problem.sigma)

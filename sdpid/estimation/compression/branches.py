@@ -89,9 +89,3 @@ def moved(tree: Tree) -> Mask:
             found[:, i] = found[:, tree.parent[i]]
         found[tree.column[tree.first_v[i] : ends[i]], i] = True
     return found
-
-
-def fold(triangles: Sequence[Triangle], pieces: Sequence[Array]) -> None:
-    """Add the rows of each branch to its triangle."""
-    for triangle, rows in zip(triangles, pieces, strict=True):
-        triangle.add(rows)

@@ -4,25 +4,27 @@ Forces that nobody measured tie the rows of a sample together, so that joints ca
 one by one. The variances are those of which the residuals r are most likely, found by iteration:
 ``s_j ← s_j·Σ_k (Omega·r)_j² / Σ_k Omega_jj``. The base has no motor; what its six rows are off by
 are errors of motion and model: one variance for its three forces in N², one for its three torques
-in (N·m)². They are never pooled with each other or with joints.
+in (N·m)². They are never pooled with each other or with joints. The covariance of measured forces
+has one factor, found likewise.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from sdpid._common.arrays import Array, Indices
 from sdpid.errors import DataError
+from sdpid.estimation.compression.contact_rows import with_spread
 from sdpid.estimation.compression.covariance import (
     EFFORT_SHARE,
     LEAST_NOISE,
     ROUNDS,
-    SILENT,
     LaggedSums,
     integrated_time,
+    least_variance,
 )
 from sdpid.estimation.compression.rows import CHUNK, CHUNK_BYTES, Rows, RowSource
 from sdpid.estimation.compression.triangle import Triangle
@@ -47,11 +49,42 @@ _NO_SHARE = 1e-12
 _INNER = 4
 
 
-def contact_noise(rows: Rows) -> tuple[Array, float]:
-    """Return the variance of every effort's errors (n,), and their correlation time in samples.
+@dataclass(frozen=True, eq=False)
+class ContactNoise:
+    """Errors of rows in contact, as the residuals of a fit show them.
 
-    Variances are of the size of the residuals; see
-    `sdpid.estimation.compression.covariance.residual_noise`.
+    Attributes
+    ----------
+    variance : ndarray, shape (n,)
+        Of every effort, of the size of the residuals (see
+        `sdpid.estimation.compression.covariance.residual_noise`).
+    time : float
+        Their correlation time in samples: so many are worth one independent one.
+    force : float
+        Factor of the covariance of measured forces that suits the residuals; 1 without forces.
+    """
+
+    variance: Array
+    time: float
+    force: float
+
+    @property
+    def sigma(self) -> Array:
+        """Covariance of efforts (n, n) with which a sample counts as an independent one."""
+        return np.diag(self.variance * self.time)
+
+    @property
+    def force_scale(self) -> float:
+        """What the covariance of forces is then multiplied by.
+
+        Residuals only raise it: a fit follows forces that are wrong alike, as by a gain, and hardly
+        shows it.
+        """
+        return self.time * max(self.force, 1.0)
+
+
+def contact_noise(rows: Rows) -> ContactNoise:
+    """Return the errors of rows in contact that the residuals make most likely.
 
     Raises
     ------
@@ -61,30 +94,36 @@ def contact_noise(rows: Rows) -> tuple[Array, float]:
     samples = rows.samples
     thin = RowSource(rows.robot, rows.friction, rows.base, samples.thinned(_MOST_SAMPLES))
     groups = _groups(rows)
-    variance, least = _beginning(thin)
+    sizes, least = _beginning(thin)
     left = _Left(thin)
     kept, force = left.rows(thin)
     for _ in range(ROUNDS):
-        base, rank, count = _fitted(left, kept, variance)
+        base, rank, count = _fitted(left, kept, sizes)
         if rows.robot.n_base:
             _bound_base(least, force @ base, thin)
         residual = _missed(kept, base)
         freedom = count / max(count - rank, 1.0)
-        before = variance
+        before = sizes
         for _ in range(_INNER):
-            variance = np.maximum(_updated(left, variance, residual, groups, freedom), least)
-        if np.allclose(variance, before, rtol=_SETTLED):
+            sizes = np.maximum(_updated(left, sizes, residual, groups, freedom), least)
+        if np.allclose(sizes, before, rtol=_SETTLED):
             break
-    base, rank, count = _fitted(left, kept, variance)
-    last = zip(_missed(kept, base), left.weights(variance), strict=True)
-    power = sum(float(np.sum(each * (M @ each))) for each, M in last)
-    variance *= max(power / max(count - rank, 1.0), LEAST_NOISE)
-    sums = LaggedSums.merged(rows.map(_lagged, base, sigma=np.diag(variance)))
+    base, rank, count = _fitted(left, kept, sizes)
+    residual, freedom = _missed(kept, base), count / max(count - rank, 1.0)
+    # One factor for all efforts, which were bounded one by one, beside that of forces.
+    alike = np.append(np.zeros(rows.robot.n, dtype=np.intp), 1)
+    least = np.append(LEAST_NOISE * sizes[:-1], 1.0)
+    sizes = _settled(left, sizes, residual, alike, freedom, least)
+    shown = 1.0
+    if left.measured:
+        shown = float(_settled(left, sizes, residual, alike, freedom, 0.0 * least)[-1])
+    variance, scaled = sizes[:-1], rows.with_force_scale(float(sizes[-1]))
+    sums = LaggedSums.merged(scaled.map(_lagged, base, sigma=np.diag(variance)))
     said = sums.products[:, 0]
     if not said.any():
-        return variance, 1.0
+        return ContactNoise(variance, 1.0, shown)
     times = np.array([integrated_time(each) for each in sums.correlation])
-    return variance, float(np.average(times, weights=said))
+    return ContactNoise(variance, float(np.average(times, weights=said)), shown)
 
 
 def prediction_noise(rows: RowSource, predicted: Array) -> Array:
@@ -101,23 +140,22 @@ def prediction_noise(rows: RowSource, predicted: Array) -> Array:
         Efforts without those of forces.
     """
     samples, groups = rows.samples, np.minimum(_groups(rows), rows.robot.n_base)
+    groups[-1] += 1
     missed = replace(samples, effort=samples.effort - predicted)
     thin = rows.on(missed.thinned(_MOST_SAMPLES))
     left = _Left(thin)
     residual = left.of(np.concatenate([thin.effort(part) for part in thin.parts()]))
-    variance, least = _beginning(rows)
+    sizes, least = _beginning(rows)
     if rows.robot.n_base:
         _bound_base(least, predicted[:, :3], rows)
-    for _ in range(ROUNDS * _INNER):
-        before = variance
-        variance = np.maximum(_updated(left, variance, residual, groups, 1.0), least)
-        if np.allclose(variance, before, rtol=_SETTLED):
-            break
-    return variance
+    return _settled(left, sizes, residual, groups, 1.0, least, ROUNDS * _INNER)[:-1]
 
 
 def _beginning(rows: RowSource) -> tuple[Array, Array]:
-    """Return variances to begin with, (n,), and the least that joints may have."""
+    """Return sizes to begin with, and the least of them, those of the base aside, (n + 1,).
+
+    They are variances of efforts and, last, the factor of the covariance of forces.
+    """
     mask, n_base = rows.samples.used, rows.robot.n_base
     square = np.where(mask, rows.samples.effort, 0.0)[:, n_base:] ** 2
     used = int(np.count_nonzero(mask[:, n_base:]))
@@ -135,7 +173,7 @@ def _beginning(rows: RowSource) -> tuple[Array, Array]:
         )
     variance = np.full(rows.robot.n, EFFORT_SHARE**2 * effort)
     variance[: min(3, n_base)] /= _reach(rows) ** 2
-    return variance, _least(rows, effort, square)
+    return np.append(variance, 1.0), np.append(_least(rows, effort, square), 1.0)
 
 
 def _bound_base(least: Array, weight: Array, rows: RowSource) -> None:
@@ -149,22 +187,19 @@ def _reach(rows: RowSource) -> float:
 
 
 def _groups(rows: Rows) -> Indices:
-    """Return which rows share a variance, (n,)."""
+    """Return which rows share a variance, and that the factor of forces is alone, (n + 1,)."""
     n_base = rows.robot.n_base
-    own = np.arange(rows.robot.n)
+    own = np.arange(rows.robot.n + 1)
     return np.asarray(np.where(own < n_base, own // 3, own), dtype=np.intp)
 
 
 def _least(rows: RowSource, effort: float, square: Array) -> Array:
     """Return the least variances (n,): those of joints as in `JointRows.least_variance`."""
     n_base, mask = rows.robot.n_base, rows.samples.used
-    found = np.zeros(rows.robot.n)
     used = np.maximum(np.count_nonzero(mask[:, n_base:], axis=0), 1)
     signed = np.where(mask, rows.samples.effort, 0.0)[:, n_base:]
     own = square.sum(axis=0) / used - (signed.sum(axis=0) / used) ** 2
-    overall = EFFORT_SHARE**2 * effort
-    found[n_base:] = np.where(own <= SILENT * effort, overall, np.minimum(overall, own))
-    return found
+    return np.append(np.zeros(n_base), least_variance(own, effort))
 
 
 class _Left:
@@ -179,17 +214,24 @@ class _Left:
             touching = rows.contacts(part)
             assert touching is not None
             for some, N in touching.unforced(rows.mask(part)):
-                known = np.zeros((len(N), N.shape[2], N.shape[2]))
-                if touching.covariance is not None:
-                    known = np.swapaxes(N, 1, 2) @ touching.covariance[some] @ N
-                pieces.setdefault(N.shape[2], []).append((part.start + some, N, known))
+                spread = np.zeros((len(N), N.shape[2], 0))
+                if touching.spread is not None:
+                    spread = np.swapaxes(N, 1, 2) @ touching.spread[some]
+                pieces.setdefault(N.shape[2], []).append((part.start + some, N, spread))
         alike = (zip(*each, strict=True) for each in pieces.values())
         self.pieces = [tuple(np.concatenate(each) for each in piece) for piece in alike]
 
-    def weights(self, variance: Array) -> Iterator[Array]:
-        """Yield M (s, r, r) of ``Omega = N·M·N^T``, the weight of what is left."""
-        for _, N, known in self.pieces:
-            yield np.linalg.inv(np.swapaxes(N, 1, 2) @ (variance[:, None] * N) + known)
+    @property
+    def measured(self) -> bool:
+        """Whether there are measured forces."""
+        return any(spread.size for _, _, spread in self.pieces)
+
+    def roots(self, sizes: Array) -> Iterator[Array]:
+        """Yield G (s, r, r) of ``Omega = N·G^T·G·N^T``, the weight of what is left."""
+        for _, N, spread in self.pieces:
+            C = np.swapaxes(N, 1, 2) @ (sizes[:-1, None] * N)
+            P = np.linalg.inv(np.linalg.cholesky(C))
+            yield with_spread(P, np.sqrt(sizes[-1]) * spread)
 
     def of(self, residual: Array) -> list[Array]:
         """Return what is left (s, r, 1) of residuals (k, n)."""
@@ -209,8 +251,8 @@ class _Left:
         return found, np.concatenate(force)
 
 
-def _fitted(left: _Left, kept: list[Array], variance: Array) -> tuple[Array, int, int]:
-    """Return the base parameters that fit best under variances, their rank, and the rows."""
+def _fitted(left: _Left, kept: list[Array], sizes: Array) -> tuple[Array, int, int]:
+    """Return the base parameters that fit best under sizes, their rank, and the rows."""
     count = sum(X.shape[0] * X.shape[1] for X in kept)
     if count < 1:
         raise DataError(
@@ -218,8 +260,7 @@ def _fitted(left: _Left, kept: list[Array], variance: Array) -> tuple[Array, int
             "the mask and the contacts (flags, kinds), or give measured forces."
         )
     triangle = Triangle(kept[0].shape[2])
-    for X, M in zip(kept, left.weights(variance), strict=True):
-        root = np.swapaxes(np.linalg.cholesky(M), 1, 2)
+    for X, root in zip(kept, left.roots(sizes), strict=True):
         size = max(1, CHUNK_BYTES // max(8 * X.shape[1] * X.shape[2], 1))
         for start in range(0, len(X), size):
             own = slice(start, start + size)
@@ -234,21 +275,36 @@ def _missed(kept: list[Array], base: Array) -> list[Array]:
     return [X[:, :, -1:] - X[:, :, :-1] @ base[:, None] for X in kept]
 
 
+def _settled(
+    left: _Left, sizes: Array, residual: list[Array], groups: Indices, freedom: float, least: Array,
+    rounds: int = ROUNDS,
+) -> Array:  # fmt: skip
+    """Return the most likely sizes under residuals that stay as they are."""
+    for _ in range(rounds):
+        before = sizes
+        sizes = np.maximum(_updated(left, sizes, residual, groups, freedom), least)
+        if np.allclose(sizes, before, rtol=_SETTLED):
+            break
+    return sizes
+
+
 def _updated(
-    left: _Left, variance: Array, residual: list[Array], groups: Indices, freedom: float
+    left: _Left, sizes: Array, residual: list[Array], groups: Indices, freedom: float
 ) -> Array:
-    """Return more likely variances."""
-    scores, information = np.zeros(len(variance)), np.zeros(len(variance))
-    weights = left.weights(variance)
-    for (_, N, _), own, M in zip(left.pieces, residual, weights, strict=True):
-        lifted = N @ M
-        scores += np.sum((lifted @ own)[:, :, 0] ** 2, axis=0)
-        information += np.einsum("kir,kir->i", lifted, N)
-    said: Array = np.asarray(np.bincount(groups, scores)[groups])
-    known: Array = np.asarray(np.bincount(groups, information)[groups])
-    # What contacts hide altogether keeps its variance.
+    """Return more likely sizes."""
+    scores, information = np.zeros((2, len(sizes)))
+    for (_, N, spread), own, G in zip(left.pieces, residual, left.roots(sizes), strict=True):
+        whitened = G @ own
+        of_rows, of_forces = N @ np.swapaxes(G, 1, 2), np.swapaxes(G @ spread, 1, 2)
+        scores[:-1] += np.sum((of_rows @ whitened)[:, :, 0] ** 2, axis=0)
+        scores[-1] += np.sum((of_forces @ whitened) ** 2)
+        information[:-1] += np.einsum("kir,kir->i", of_rows, of_rows)
+        information[-1] += np.sum(of_forces**2)
+    said: Array = np.asarray(np.bincount(groups, sizes * scores)[groups])
+    known: Array = np.asarray(np.bincount(groups, sizes * information)[groups])
+    # What contacts hide altogether keeps its size.
     ratio = np.where(known > 0.0, said / np.where(known > 0.0, known, 1.0), 1.0)
-    return np.asarray(variance * ratio * freedom)
+    return np.asarray(sizes * ratio * freedom)
 
 
 def _lagged(rows: RowSource, sigma: Array, base: Array) -> LaggedSums:
@@ -259,6 +315,6 @@ def _lagged(rows: RowSource, sigma: Array, base: Array) -> LaggedSums:
         whitened.append((T[index] @ (effort - W @ base)[:, :, None])[:, :, 0])
         shares.append(share)
     found, share = np.concatenate(whitened), np.concatenate(shares)
-    mean = found.sum(axis=0) / np.maximum(share.sum(axis=0), 1.0)
     counts = share > _NO_SHARE
+    mean = found.sum(axis=0) / np.maximum(counts.sum(axis=0), 1)
     return LaggedSums.of(np.where(counts, found - mean, 0.0), counts, rows.samples.parts)

@@ -1,12 +1,12 @@
 """Rows of samples in contact: forces that nobody measured are eliminated, measured ones added.
 
 The equations of a sample are ``Y @ theta = effort + J^T·f`` with errors of the covariance S in the
-efforts and R in the forces, so that the covariance of ``effort + J^T·f`` is ``C = S + J^T·R·J``. A
-force that was not measured has an infinite R: its directions carry no information, and what is left
-is ``Omega = C^-1 − C^-1·A·(A^T·C^-1·A)^-1·A^T·C^-1``, the columns of A being those of J^T. With a
-root P of C^-1 and an orthonormal basis Q of the columns of P·A it is ``T^T·T`` with
-``T = (E − Q·Q^T)·P``, of which n − rank(A) rows are independent: N^T·P, N being a basis of what Q
-leaves. A row that is masked is a direction of infinite variance, too: zero in P.
+efforts and R in the forces of closed contacts, so that the covariance of ``effort + J^T·f`` is
+``C = S + J^T·R·J``. A force that was not measured has an infinite R: its directions carry no
+information, and what is left is, the columns of A being those of J^T,
+``Omega = C^-1 − C^-1·A·(A^T·C^-1·A)^-1·A^T·C^-1``. With a root P of C^-1 and an orthonormal basis N
+of what the columns of P·A leave it is ``T^T·T`` with ``T = N·N^T·P``, of which the n − rank(A) rows
+N^T·P are independent. A row that is masked is a direction of infinite variance, too: zero in P.
 """
 
 from __future__ import annotations
@@ -50,8 +50,9 @@ class ContactRows:
         Whether there may be one.
     effort : ndarray, shape (k, n), or None
         Efforts of measured forces.
-    covariance : ndarray, shape (k, n, n), or None
-        Their covariance.
+    spread : ndarray, shape (k, n, s), or None
+        Efforts of independent errors of measured forces, each of one standard deviation: L, so that
+        their covariance is L·L^T.
     compiled : bool
         Whether to use compiled loops.
     """
@@ -59,8 +60,13 @@ class ContactRows:
     directions: Array
     active: Mask
     effort: Array | None
-    covariance: Array | None
+    spread: Array | None
     compiled: bool = False
+
+    @property
+    def covariance(self) -> Array | None:
+        """The covariance of the efforts of measured forces, (k, n, n)."""
+        return None if self.spread is None else self.spread @ np.swapaxes(self.spread, 1, 2)
 
     @classmethod
     def of(
@@ -92,9 +98,7 @@ class ContactRows:
         active: list[Array] = []
         axes = None
         for i, kind in enumerate(contacts.kind):
-            own = J[:, i, :3]
-            if not infinite[i, :3].all():
-                own = own[:, infinite[i, :3]]
+            own = J[:, i, :3][:, infinite[i, :3]]
             moments = infinite[i, 3:]
             if kind == "line" and moments.all():
                 # An edge transmits no moment about itself, the frame's y axis.
@@ -113,13 +117,16 @@ class ContactRows:
             active = [np.concatenate(active, axis=1) & acts]
         if known is None or contacts.forces is None:
             return cls(directions, np.concatenate(active, axis=1), None, None, compiled)
-        R = scale * np.where(np.isinf(known), 0.0, known)
+        values, vectors = np.linalg.eigh(scale * np.where(np.isinf(known), 0.0, known))
+        root = vectors * np.sqrt(np.maximum(values, 0.0))[:, None, :]
         f = np.where(infinite, 0.0, contacts.forces[part])
+        # A foot in the air has no force, and no error of one, whatever its sensor shows.
+        J = np.where(down[:, :, None, None], J, 0.0)
         return cls(
             directions,
             np.concatenate(active, axis=1),
             np.einsum("kcin,kci->kn", J, f),
-            np.einsum("kcin,cij,kcjm->knm", J, R, J, optimize=True),
+            np.einsum("kcin,cij->kncj", J, root)[:, :, root.any(axis=1)],
             compiled,
         )
 
@@ -150,6 +157,12 @@ class ContactRows:
                     N[:, rows] = kept
                     yield alike[few], N
 
+    def roots(self, powers: Array, index: Indices) -> tuple[Array, Indices]:
+        """Return roots and which each sample has, errors of measured forces added to efforts'."""
+        if self.spread is None:
+            return powers, index
+        return with_spread(powers[index], self.spread), np.arange(len(index))
+
     def eliminated(self, powers: Array, index: Indices, mask: Mask) -> tuple[Array, Array]:
         """Return weights T (k, n, n) from roots P, and how much of each row is left, (k, n).
 
@@ -159,10 +172,10 @@ class ContactRows:
         shares = mask.astype(np.float64)
         for some, own in self.pattern_of(np.arange(len(self.active))):
             P = powers[index[some]]
-            Q = orthonormal(P @ self.directions[some][:, :, own])
-            found[some] = P - Q @ (np.swapaxes(Q, 1, 2) @ P)
-            shares[some] -= np.einsum("knr,knr->kn", Q, Q)
-        return found, np.maximum(shares, 0.0)
+            for few, N, _ in complements(P @ self.directions[some][:, :, own]):
+                found[some[few]] = N @ (np.swapaxes(N, 1, 2) @ P[few])
+                shares[some[few]] *= np.einsum("knr,knr->kn", N, N)
+        return found, shares
 
     def independent(
         self, powers: Array, index: Indices, rows: Array, branches: Branches = NO_BRANCHES
@@ -211,26 +224,22 @@ class ContactRows:
             left = r - A @ (np.linalg.pinv(P @ A, rcond=RANK) @ (P @ r))
             out[some] = left
             weighted[some] = np.swapaxes(P, 1, 2) @ (P @ left)
-        return out if self.covariance is None else out - self.covariance @ weighted
+        if self.spread is None:
+            return out
+        return out - self.spread @ (np.swapaxes(self.spread, 1, 2) @ weighted)
 
 
-def orthonormal(A: Array) -> Array:
-    """Return orthonormal bases (s, n, r) of the columns of matrices (s, n, m).
+def with_spread(P: Array, L: Array) -> Array:
+    """Return roots of ``(C + L·L^T)^-1`` from roots P (k, m, n) of C^-1 and L (k, n, s).
 
-    Where columns repeat each other, the columns of a basis that are too many are zero.
+    P·L is large where forces are hardly known and small where they are known well: from its
+    singular values, and no square of them, roots are exact from one limit to the other.
     """
-    if not A.shape[2]:
-        return A
-    A, close = _scaled(A)
-    if close is None:
-        U, s, _ = np.linalg.svd(A, full_matrices=False)
-        return np.asarray(U * (s > RANK * s[:, :1])[:, None, :])
-    Q, R = close
-    doubtful = _doubtful(R)
-    if len(doubtful):
-        U, s, _ = np.linalg.svd(A[doubtful], full_matrices=False)
-        Q[doubtful] = U * (s > RANK * s[:, :1])[:, None, :]
-    return Q
+    if not L.shape[2]:
+        return P
+    U, s, _ = np.linalg.svd(P @ L, full_matrices=False)
+    lost = 1.0 - 1.0 / np.sqrt(1.0 + s**2)
+    return np.asarray(P - (U * lost[:, None, :]) @ (np.swapaxes(U, 1, 2) @ P))
 
 
 def complements(A: Array) -> Iterator[tuple[Indices, Array, int]]:
@@ -239,7 +248,7 @@ def complements(A: Array) -> Iterator[tuple[Indices, Array, int]]:
     if not m:
         yield np.arange(len(A)), np.broadcast_to(np.eye(n), (len(A), n, n)), 0
         return
-    A, close = _scaled(A, complete=True)
+    A, close = _scaled(A)
     doubtful = np.arange(len(A))
     if close is not None:
         Q, R = close
@@ -256,13 +265,13 @@ def complements(A: Array) -> Iterator[tuple[Indices, Array, int]]:
         yield doubtful[some], U[some][:, :, rank:n], rank
 
 
-def _scaled(A: Array, *, complete: bool = False) -> tuple[Array, tuple[Array, Array] | None]:
+def _scaled(A: Array) -> tuple[Array, tuple[Array, Array] | None]:
     """Return A with columns of unit length, and its QR; None where it is wider than high."""
     length = np.sqrt(np.einsum("snm,snm->sm", A, A))
     A = A / np.where(length > 0.0, length, 1.0)[:, None, :]
     if A.shape[2] > A.shape[1]:
         return A, None
-    return A, np.linalg.qr(A, mode="complete" if complete else "reduced")
+    return A, np.linalg.qr(A, mode="complete")
 
 
 def _doubtful(R: Array) -> Indices:

@@ -197,34 +197,34 @@ class JointRows:
         Each joint gives up degrees of freedom in proportion to its rows, and gets a small share
         of the overall effort added.
         """
-        return self._residual_variance(base, rank) + self.least_variance
+        return self.residual_variance(base, rank) + self.least_variance
 
-    def _residual_variance(self, base: Array, rank: int) -> Array:
+    def residual_variance(self, base: Array, rank: int) -> Array:
+        """Return `variance` without that share."""
         residual = self.squared_residuals(base)
         freedom = np.maximum(self.used * (1.0 - rank / self.used.sum()), 1.0)
         return np.asarray(residual / freedom)
 
-    def noise_share(self, base: Array, rank: int, variance: Array) -> float:
-        """Return how large squared residuals are beside given variances (n,), on average.
+    def share_of_noise(self, noise: Array, variance: Array) -> float:
+        """Return how large variances of noise (n,) are beside given ones, on average over rows.
 
         Variances that include a share of the effort give joints their weights; multiplied by this
-        number they have the size of the residuals too.
+        number they have the size of the noise too.
         """
-        return self.share_of_noise(self._residual_variance(base, rank), variance)
-
-    def share_of_noise(self, noise: Array, variance: Array) -> float:
-        """Return how large variances of noise (n,) are beside given ones, on average over rows."""
         return max(float((noise / variance) @ self.used / self.used.sum()), LEAST_NOISE)
 
     @property
     def least_variance(self) -> Array:
         """Added to the variance of each joint's residuals, (n,)."""
         used = np.maximum(self.used, 1.0)
-        own = self.squares / used - (self.sums[:, -1] / used) ** 2
-        overall = EFFORT_SHARE**2 * self.effort
-        # An effort that does not vary at all, but for rounding, was not measured.
-        silent = own <= SILENT * self.effort
-        return np.where(silent, overall, np.minimum(overall, own))
+        return least_variance(self.squares / used - (self.sums[:, -1] / used) ** 2, self.effort)
+
+
+def least_variance(own: Array, effort: float) -> Array:
+    """Return the least variance of efforts with variances of their own and a mean square."""
+    overall = EFFORT_SHARE**2 * effort
+    # An effort that does not vary at all, but for rounding, was not measured.
+    return np.where(own <= SILENT * effort, overall, np.minimum(overall, own))
 
 
 def residual_covariance(rows: Rows, joints: JointRows | None = None) -> Array:
@@ -276,7 +276,7 @@ def residual_noise(rows: Rows, joints: JointRows) -> tuple[Array, float]:
         variance = updated
         if settled:
             break
-    variance *= joints.noise_share(base, rank, variance)
+    variance *= joints.share_of_noise(joints.residual_variance(base, rank), variance)
     return variance, correlation_time(rows, base, joints)
 
 

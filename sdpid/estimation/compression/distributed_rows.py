@@ -11,6 +11,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from itertools import chain
+from operator import attrgetter, methodcaller
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from sdpid._common.arrays import Array
@@ -105,9 +106,15 @@ class DistributedSamples:
         futures = tuple(
             client.submit(samples_of, there, piece, processing, pure=False) for piece in given
         )
-        counts = tuple(_gathered(client, [client.submit(_count, f, pure=False) for f in futures]))
+        counts = tuple(
+            _gathered(
+                client, [client.submit(attrgetter("n_samples"), f, pure=False) for f in futures]
+            )
+        )
         step = max(sum(counts) // _BROUGHT, 1)
-        found = _gathered(client, [client.submit(_thinned, f, step, pure=False) for f in futures])
+        found = _gathered(
+            client, [client.submit(methodcaller("every", step), f, pure=False) for f in futures]
+        )
         thin = Samples.join(found)
         if thin.covariance is not None and thin.covariance.ndim == 3:
             raise DataError(
@@ -191,14 +198,6 @@ def _choice(piece: Piece) -> Processing | None:
     if isinstance(piece, Samples):
         return None
     return default_processing(piece if isinstance(piece, Recording) else read_recording(piece))
-
-
-def _count(samples: Samples) -> int:
-    return samples.n_samples
-
-
-def _thinned(samples: Samples, step: int) -> Samples:
-    return samples.every(step)
 
 
 def _mapped(

@@ -14,6 +14,7 @@ from sdpid.estimation.compression.covariance import (
     Weighting,
     pooled,
     residual_covariance,
+    residual_noise,
 )
 from sdpid.estimation.compression.rows import Rows, RowSource
 from sdpid.estimation.compression.triangle import Triangle
@@ -34,8 +35,10 @@ class Factor:
     used : int
         Independent rows that are not masked.
     force_scale : float
-        What covariances of measured contact forces were multiplied by, as `sigma` was: samples that
-        make one independent one.
+        What covariances of measured contact forces were multiplied by: samples that make one
+        independent one, as of `sigma`, and a factor above 1 where residuals ask for it.
+    time : float
+        Samples that make one independent one, where weights are from residuals.
     """
 
     sigma: Array
@@ -44,6 +47,7 @@ class Factor:
     floor: float
     used: int
     force_scale: float = 1.0
+    time: float = 1.0
 
     @classmethod
     def of(cls, rows: Rows, weighting: Weighting) -> Factor:
@@ -64,18 +68,18 @@ class Factor:
     @classmethod
     def of_contacts(cls, rows: Rows) -> Factor:
         """Weight rows with contacts by one variance a joint and two of the base, from residuals."""
-        variance, time = contact_noise(rows)
-        sigma = np.diag(variance * time)
-        triangle, used = compressed(rows.with_force_scale(time), sigma)
-        return cls(sigma, *triangle.split(), used, force_scale=time)
+        noise = contact_noise(rows)
+        triangle, used = compressed(rows.with_force_scale(noise.force_scale), noise.sigma)
+        return cls(noise.sigma, *triangle.split(), used, noise.force_scale, noise.time)
 
     @classmethod
     def of_joints(cls, rows: Rows, joints: JointRows) -> Factor:
         """Weight rows that are compressed already with one variance a joint, from residuals."""
-        sigma = residual_covariance(rows, joints)
+        variance, time = residual_noise(rows, joints)
         triangle = Triangle(rows.base.count + 1)
-        triangle.add(joints.joined(np.diagonal(sigma)))
-        return cls(sigma, *triangle.split(), int(joints.used.sum()))
+        triangle.add(joints.joined(variance * time))
+        used = int(joints.used.sum())
+        return cls(np.diag(variance * time), *triangle.split(), used, time=time)
 
 
 def compressed(rows: Rows, sigma: Array) -> tuple[Triangle, int]:
@@ -91,8 +95,7 @@ def covariance(rows: Rows, weighting: Weighting) -> Array:
     """Return the covariance that a weighting uses, (n, n) or (K, n, n)."""
     if weighting == "residual":
         if rows.samples.contacts is not None:
-            variance, time = contact_noise(rows)
-            return np.diag(variance * time)
+            return contact_noise(rows).sigma
         return residual_covariance(rows)
     given = rows.samples.covariance
     if given is None:

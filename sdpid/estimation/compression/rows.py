@@ -142,9 +142,7 @@ class RowSource:
 
     def on(self, samples: Samples) -> RowSource:
         """Return the rows of other samples."""
-        return RowSource(
-            self.robot, self.friction, self.base, samples, force_scale=self.force_scale
-        )
+        return replace(self, samples=samples)
 
     def with_force_scale(self, scale: float) -> RowSource:
         """Return the same rows with other covariances of measured contact forces."""

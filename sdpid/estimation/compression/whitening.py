@@ -14,7 +14,6 @@ import numpy as np
 from sdpid._common.arrays import Array, Indices, Mask
 from sdpid.errors import DataError
 from sdpid.estimation.compression.ahead import one_ahead
-from sdpid.estimation.compression.branches import fold
 from sdpid.estimation.compression.contact_rows import ContactRows
 from sdpid.estimation.compression.covariance import masked_covariance, power, whitener
 from sdpid.estimation.compression.rows import RowSource
@@ -152,10 +151,8 @@ def _roots(
     rows: RowSource, part: slice, sigma: Array, exponent: float, touching: ContactRows | None
 ) -> tuple[Array, Indices]:
     """Return the powers of the covariance of effort and measured forces, as `weights`."""
-    own = sigma if sigma.ndim == 2 else sigma[part]
-    if touching is not None and touching.covariance is not None:
-        own = own + touching.covariance
-    return weights(own, rows.mask(part), exponent)
+    powers, index = weights(sigma if sigma.ndim == 2 else sigma[part], rows.mask(part), exponent)
+    return (powers, index) if touching is None else touching.roots(powers, index)
 
 
 def apply(powers: Array, index: Indices, rows: Array, out: Array | None = None) -> Array:
@@ -189,7 +186,9 @@ def whitened_chunks(
     """
     memory = None if keep else _memory(rows, size)
     for part in rows.parts(size):
-        yield part, *_whitened(rows, part, sigma, exponent, memory)
+        block = rows.rows(part, None if memory is None else memory[0])
+        out = None if memory is None else memory[1][: len(block)]
+        yield part, whiten_rows(rows, part, block, sigma, exponent, out), rows.mask(part)
 
 
 def compress(rows: RowSource, sigma: Array) -> tuple[Triangle, int]:
@@ -232,8 +231,8 @@ def compress(rows: RowSource, sigma: Array) -> tuple[Triangle, int]:
     for found, few, own in one_ahead(made, chunks, ahead=ahead):
         triangle.add(found)
         # Rows that weights mix stand with all columns, those of branches too.
-        if few:
-            fold(apart, few)
+        for own_triangle, rows_apart in zip(apart, few, strict=False):
+            own_triangle.add(rows_apart)
         used += own
     branches.join(triangle, apart)
     return triangle, used
@@ -275,11 +274,3 @@ def _memory(rows: RowSource, size: int = 0) -> tuple[Array, Array]:
     size = min(size or rows.chunk_size, len(rows.samples.effort))
     shape = (size, rows.robot.n, rows.base.count + 1)
     return np.empty(shape), np.empty(shape)
-
-
-def _whitened(
-    rows: RowSource, part: slice, sigma: Array, exponent: float, memory: tuple[Array, Array] | None
-) -> tuple[Array, Mask]:
-    block = rows.rows(part, None if memory is None else memory[0])
-    out = None if memory is None else memory[1][: len(block)]
-    return whiten_rows(rows, part, block, sigma, exponent, out), rows.mask(part)

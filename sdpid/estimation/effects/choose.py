@@ -92,7 +92,7 @@ def close_terms(
     tuple of Profiled
         What was chosen.
     """
-    thin = samples.thinned(_MOST_SAMPLES)
+    thin = samples.judged.thinned(_MOST_SAMPLES)
     opened = _opened(friction, _speeds(thin, friction.first))
     if not opened:
         return friction, ()

@@ -8,9 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from sdpid._common.arrays import Array, Indices, frozen
-from sdpid.estimation.compression.contact_noise import contact_noise
-from sdpid.estimation.compression.covariance import JointRows, residual_noise
-from sdpid.estimation.compression.factor import compressed
+from sdpid.estimation.compression.factor import Factor
 from sdpid.estimation.compression.rows import RowSource
 from sdpid.estimation.compression.triangle import Triangle
 from sdpid.estimation.constraints.condition import Layout
@@ -59,29 +57,23 @@ class Trials:
             terms, problem.robot.joint_names, first=problem.robot.n_base
         )
         base = _with_every_column(problem.base, problem.robot.n_links, friction)
-        samples = problem.require_rows_here("choice of effects").samples.thinned(_MOST_SAMPLES)
+        samples = problem.require_rows_here("choice of effects").samples.judged
+        samples = samples.thinned(_MOST_SAMPLES)
         rows = RowSource(problem.robot, friction, base, samples)
-        if samples.contacts is None:
-            joints = JointRows.merged(rows.map(JointRows.of))
-            variance, time = residual_noise(rows, joints)
-            triangle = Triangle(base.count + 1)
-            triangle.add(joints.joined(variance * time))
-            _, rank = joints.fit(variance)
-            used = int(joints.used.sum())
-        else:
-            variance, time = contact_noise(rows)
-            rows = rows.with_force_scale(time)
-            triangle, used = compressed(rows, np.diag(variance * time))
-            rank = int(np.linalg.lstsq(triangle.R[:, :-1], triangle.R[:, -1], rcond=None)[2])
+        found = Factor.of(rows, "residual")
+        rows = rows.with_force_scale(found.force_scale)
+        triangle = np.zeros((base.count + 1, base.count + 1))
+        triangle[:-1] = np.column_stack([found.A, found.rhs])
+        triangle[-1, -1] = np.sqrt(found.floor)
         belief = None
         if prior is not None:
             assert problem.prior is not None
             prior = replace(prior, kind="pullback", strength=problem.prior.strength)
-            (found,) = prior_terms(prior, rows).terms
-            assert isinstance(found, SquaredTerm)
-            belief = found
-        independent = used / time - rank
-        return cls(problem, rows, triangle.R, independent, belief)
+            (term,) = prior_terms(prior, rows).terms
+            assert isinstance(term, SquaredTerm)
+            belief = term
+        independent = found.used / found.time - np.linalg.matrix_rank(found.A)
+        return cls(problem, rows, triangle, float(independent), belief)
 
     def with_terms(self, terms: Sequence[FrictionTerm]) -> Problem:
         """Return the problem with some of the terms."""

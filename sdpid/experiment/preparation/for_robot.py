@@ -7,6 +7,7 @@ from dataclasses import replace
 
 from sdpid.experiment.processing.choose import default_processing
 from sdpid.experiment.processing.contacts.loops import with_loops
+from sdpid.experiment.processing.floating.feet import carried
 from sdpid.experiment.processing.process import Processing, process
 from sdpid.experiment.processing.samples import Samples
 from sdpid.experiment.recording.floating.robots import require_its_base
@@ -80,6 +81,9 @@ def prepare(robot: RobotModel, log: Recording, processing: Processing | None = N
     """
     require_its_base(robot, log)
     named = match_joints(robot, log)
+    if processing is not None and processing.contact_force_std is not None and named.contacts:
+        reach = round(processing.contact_margin_s / named.step)
+        named = replace(named, contacts=carried(named.contacts, reach))
     limits = robot.position_limits[robot.n_base :]
     samples = process(named, processing, position_limits=limits, gravity=robot.gravity.tolist())
     if robot.n_base:

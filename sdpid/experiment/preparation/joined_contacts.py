@@ -75,11 +75,7 @@ def _covariance(contacts: ContactSamples, i: int) -> Array:
     """Return the covariance of a contact's forces, infinite where they are eliminated."""
     if contacts.force_covariance is not None:
         return np.asarray(contacts.force_covariance[i])
-    unknown = np.zeros((6, 6))
-    np.fill_diagonal(unknown, np.inf)
-    if contacts.kind[i] == "point":
-        unknown[3:] = 0.0
-    return unknown
+    return np.diag([np.inf] * 3 + [0.0 if contacts.kind[i] == "point" else np.inf] * 3)
 
 
 def _widened(

@@ -206,6 +206,8 @@ class Prepared:
             As for `prepare_recordings`.
         """
         chosen = replace(processing or self.processing, covariance=None)
+        if self.samples.judged is not self.samples:
+            chosen = replace(chosen, contact_force_std=None)
         found = prepare_recordings(
             self.robot,
             logs,
@@ -279,7 +281,15 @@ def prepare_recordings(
     chosen, why = chosen_processing(read, processing)
     if not isinstance(processing, Processing):
         chosen = with_delays(robot, read, chosen, processing, without)
-    samples = join_samples([prepare(robot, log, chosen) for log in read])
+    pieces = []
+    for number, log in enumerate(read, 1):
+        try:
+            pieces.append(prepare(robot, log, chosen))
+        except DataError as error:
+            if len(read) == 1:
+                raise
+            raise DataError(f"recording {number} of {len(read)}: {error}") from None
+    samples = join_samples(pieces)
     if without:
         samples = without_efforts(samples, robot, without)
     return Prepared(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Hashable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import Any
 
@@ -14,7 +14,7 @@ from sdpid._common.arrays import Array, frozen_view, real_array
 from sdpid._common.tables import Table, facts_html
 from sdpid.errors import DataError
 from sdpid.experiment.drive_gains.gains import DriveGains
-from sdpid.experiment.processing.contacts.contact_samples import ContactSamples
+from sdpid.experiment.processing.contacts.contact_samples import TRANSMITS, ContactSamples
 from sdpid.experiment.processing.wide_velocity import WideVelocity
 from sdpid.experiment.recording.recording import checked_names
 
@@ -382,6 +382,22 @@ class Samples:
     def used(self) -> NDArray[np.bool_]:
         """Which rows (K, n) are in use: the mask, or all of them."""
         return np.ones(self.effort.shape, dtype=np.bool_) if self.mask is None else self.mask
+
+    @property
+    def judged(self) -> Samples:
+        """The samples as fits are compared on them: measured contact forces are eliminated.
+
+        Forces explain what a fit misses as far as their stated errors go, so that it would look the
+        better the larger these are. They stay measurements where no joint's effort is used, or
+        unknown forces take every row.
+        """
+        contacts = self.contacts
+        if contacts is None or not contacts.measured or not self.used[:, 6:].any():
+            return self
+        taken = contacts.down @ [TRANSMITS[kind] for kind in contacts.kind]
+        if np.all(taken >= self.used.sum(axis=1)):
+            return self
+        return replace(self, contacts=replace(contacts, forces=None, force_covariance=None))
 
     @property
     def n_rows(self) -> int:

@@ -133,9 +133,10 @@ class Processing(Settings):
         What accelerations of a floating base are from; ``"auto"`` takes the IMU, else what has
         the less noise of recorded velocities and pose.
     contact_force_std, contact_moment_std : float, optional
-        Standard deviations of recorded contact forces, N, and moments, N·m. By default forces of
-        contacts are unknowns, which are eliminated, recorded or not; with the first they are
-        measurements, and with the second moments are.
+        Standard deviations of recorded contact forces, N, and moments, N·m, after the filter, bias
+        included: of forces about 1 % of the robot's weight. By default forces of contacts are
+        unknowns, which are eliminated, recorded or not; with the first they are measurements, and
+        with the second moments are.
     contact_margin_s : float
         By how much flags of contacts may be late or early, s: a contact counts as closed within
         this time, and the filter's memory, of a closed one.

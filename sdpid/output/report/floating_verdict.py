@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from weakref import WeakKeyDictionary
 
 import numpy as np
 
 from sdpid._common.arrays import Array
 from sdpid.assurance.diagnostics.motion.told import directions_told
 from sdpid.assurance.diagnostics.provenance import provenance
+from sdpid.estimation.compression.contact_noise import contact_noise
+from sdpid.estimation.problem import Problem
 from sdpid.output.report.finding import Finding, listed, percent
 from sdpid.output.report.judged import Judged, judged
 
@@ -23,12 +26,19 @@ _TOLD = 0.5
 _PARTS = {"mass": slice(0, 1), "center of mass": slice(1, 4), "inertia": slice(4, 10)}
 _AXES = {"roll": 4, "pitch": 6, "yaw": 9}
 
+# Errors of forces above this many stated deviations are more than a guess of these is off by.
+_STATED = 2.0
+
+# By how much residuals would scale the covariance of forces, of problems that are still in use.
+_FACTORS: WeakKeyDictionary[Problem, float] = WeakKeyDictionary()
+
 
 def floating_findings(result: Judged) -> Iterator[Finding]:
     """Yield what the base's equations miss, and what the recordings tell of the links."""
     if not result.problem.robot.free_flyer or result.estimate.theta is None:
         return
     yield from _base(result, result.estimate.theta)
+    yield from _forces(result.problem)
     yield from _shown(result, result.estimate.theta)
 
 
@@ -49,6 +59,33 @@ def _base(result: Judged, theta: Array) -> Iterator[Finding]:
         f"{trust} the force on the base: {errors.force:.3g} N rms are missed, {percent(share)} of "
         f"the weight of {mass:.4g} kg (limit {percent(_FORCE)}), and {errors.torque:.3g} N.m. "
         "Forces of contacts that were not measured are those that suit it best.",
+    )
+
+
+def _forces(problem: Problem) -> Iterator[Finding]:
+    """Say by how much measured forces are off as residuals show, beside what was stated."""
+    rows = problem.require_rows("verdict")
+    contacts = rows.samples.contacts
+    if contacts is None or contacts.force_covariance is None or problem.weighting != "residual":
+        return
+    variance = np.diagonal(contacts.force_covariance, axis1=1, axis2=2)[:, :3]
+    known = variance[np.isfinite(variance)]
+    if not known.any():
+        return
+    stated = float(np.sqrt(known.mean()))
+    if problem not in _FACTORS:
+        _FACTORS[problem] = contact_noise(rows.with_force_scale(1.0)).force
+    found = float(np.sqrt(_FACTORS[problem]))
+    counts = "The residuals' number counts."
+    if found <= 1.0:
+        counts = (
+            "The stated one counts: an error that all forces have alike, as of their scale, hardly "
+            "shows in residuals."
+        )
+    yield Finding(
+        "caution" if found > _STATED else "good",
+        f"Measured contact forces are off by {found * stated:.2g} N as the residuals show, "
+        f"{stated:.2g} N are stated (contact_force_std). {counts}",
     )
 
 

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pinocchio as pin
 import pytest
 from scipy.linalg import null_space
 
@@ -15,6 +16,7 @@ from sdpid import Samples
 from sdpid._common.arrays import Array
 from sdpid.assurance.certificate.rows_digest import samples_digest
 from sdpid.assurance.diagnostics.bands import _left_open, parameter_root
+from sdpid.assurance.diagnostics.blocks import Block, predicted_by
 from sdpid.errors import DataError
 from sdpid.estimation.compression.contact_noise import contact_noise
 from sdpid.estimation.compression.contact_rows import ContactRows
@@ -28,6 +30,7 @@ from sdpid.estimation.compression.whitening import (
 from sdpid.estimation.problem import Problem
 from sdpid.experiment.preparation.several import without_efforts
 from sdpid.experiment.processing.contacts.contact_samples import ContactSamples
+from sdpid.output.report.floating_verdict import _forces
 from sdpid.robot.model.contacts.jacobians import contact_jacobians, frame_axes
 from tests.helpers.legged import FEET, NOISE, RADIUS, gait, quadruped
 
@@ -163,24 +166,93 @@ def test_rounding_decides_no_correlation_time() -> None:
     rows = problem(replace(samples, mask=mask)).rows
     assert isinstance(rows, RowSource)
     others = rows.on(replace(rows.samples, contacts=turned))
-    (variance, time), (same, alike) = contact_noise(rows), contact_noise(others)
-    np.testing.assert_allclose(same, variance, rtol=1e-9)
-    assert alike == pytest.approx(time, rel=1e-9)
+    found, same = contact_noise(rows), contact_noise(others)
+    np.testing.assert_allclose(same.variance, found.variance, rtol=1e-9)
+    assert same.time == pytest.approx(found.time, rel=1e-9)
+
+
+@pytest.mark.parametrize("std", [0.05, 0.5, 2.0, 20.0, 1000.0])
+def test_measured_forces_are_generalized_least_squares(std: float) -> None:
+    """Forces are unknowns of a dense least squares beside their measurements, then eliminated."""
+    made = gait(12, seed=5)
+    rng = np.random.default_rng(1)
+    felt = made.forces + std * rng.normal(size=made.forces.shape)
+    samples = replace(made.measured(std**2 * np.eye(6), felt), covariance=SIGMA)
+    samples = replace(samples, effort=made.noisy().effort, mask=rng.random((12, 18)) < 0.9)
+    found, model = problem(samples), made.robot.pin_model
+    data, rows, columns = model.createData(), [], 12 * 12
+    for k, (down, used) in enumerate(zip(samples.contacts.down, samples.used, strict=True)):  # type: ignore[union-attr]
+        state = (each[k] for each in (samples.position, samples.velocity, samples.acceleration))
+        Y = pin.computeJointTorqueRegressor(model, data, *state)[:, found.base.kept]
+        pin.computeJointJacobians(model, data, samples.position[k])
+        pin.updateFramePlacements(model, data)
+        own = np.zeros((18 + 12, columns + found.base.count + 1))
+        own[:18, columns:] = np.column_stack([Y, samples.effort[k]]) / NOISE[:, None]
+        for i in np.flatnonzero(down):
+            frame = model.getFrameId(FEET[i])
+            J = pin.getFrameJacobian(model, data, frame, pin.ReferenceFrame.LOCAL_WORLD_ALIGNED)
+            J = J[:3] - pin.skew(np.array(RADIUS)) @ J[3:]
+            at = slice(12 * k + 3 * i, 12 * k + 3 * i + 3)
+            own[:18, at] = -J.T / NOISE[:, None]
+            own[18 + 3 * i : 21 + 3 * i, at] = np.eye(3) / std
+            own[18 + 3 * i : 21 + 3 * i, -1] = felt[k, i] / std
+        rows.append(np.vstack([own[:18][used], own[18:]]))
+    forces, others = np.split(np.vstack(rows), [columns], axis=1)
+    U, s, _ = np.linalg.svd(forces, full_matrices=True)
+    left = U[:, np.count_nonzero(s > 1e-12 * s[0]) :].T @ others
+    size = np.linalg.norm(left, axis=0)
+    np.testing.assert_allclose(gram(found), left.T @ left, atol=1e-10 * np.outer(size, size).max())
+
+
+def test_a_constant_error_beside_eliminated_forces_is_no_correlation() -> None:
+    made, rng = gait(600, seed=3), np.random.default_rng(6)
+    poses = [
+        pin.integrate(made.robot.pin_model, pin.neutral(made.robot.pin_model), step)
+        for step in 0.05 * rng.normal(size=(600, 18))
+    ]
+    stand = replace(made.samples, position=np.array(poses), velocity=np.zeros((600, 18)))
+    stand = changed(stand, down=np.ones((600, 4), dtype=bool))
+    found = problem(stand)
+    offset = NOISE * np.array([1.0] + [0.0] * 5 + [1.0, -1.0, 1.0] * 4)
+    effort = found.rows.regressor(slice(None)) @ found.base_of(made.theta)  # type: ignore[union-attr]
+    effort = effort + offset + NOISE * rng.normal(size=(600, 18))
+    assert contact_noise(problem(replace(stand, effort=effort)).rows).time < 1.5  # type: ignore[arg-type]
 
 
 def test_forces_that_are_hardly_known_are_eliminated() -> None:
     made = gait()
     plain = problem(replace(made.noisy(), covariance=SIGMA))
-    # Of feet that are in the air, flags know that there is no force.
-    known = made.measured(np.diag([1e6] * 3 + [0.0] * 3))
-    always = changed(known, down=np.ones((240, 4), dtype=bool))
-    vague = problem(replace(always, effort=made.noisy().effort, covariance=SIGMA))
-    nothing = {"forces": None, "force_covariance": None}
-    closed = problem(
-        changed(replace(always, effort=made.noisy().effort, covariance=SIGMA), **nothing)
+    for std in (1e3, 1e6):
+        felt = made.measured(std**2 * np.eye(6))
+        vague = problem(replace(felt, effort=made.noisy().effort, covariance=SIGMA))
+        assert_alike(vague, plain, 1e-6)
+        assert vague.n_rows == 240 * 18 > plain.n_rows
+
+
+def test_what_a_sensor_shows_of_a_foot_in_the_air_changes_nothing() -> None:
+    made = gait(60)
+    contacts = made.samples.contacts
+    assert contacts is not None
+    shown = np.where(contacts.down[:, :, None], made.forces, [3.0, -2.0, 5.0])
+    known, offset = (problem(made.measured(0.01 * np.eye(6), f)) for f in (made.forces, shown))
+    assert np.array_equal(gram(known), gram(offset))
+
+
+def test_fits_are_compared_with_forces_eliminated() -> None:
+    made = gait(60)
+    felt = replace(made.measured(4.0 * np.eye(6), 1.3 * made.forces), covariance=SIGMA)
+    found = problem(replace(felt, effort=made.noisy().effort))
+    base, fresh = found.base_of(made.theta), made.noisy(3)
+    alike = found.predict(base, replace(felt, effort=fresh.effort)), found.predict(base, fresh)
+    assert np.array_equal(*alike)
+    blocks = tuple(
+        Block(slices=(slice(a, a + 20),), estimate=sdpid.solve_wls(found)) for a in (0, 20, 40)
     )
-    assert_alike(vague, closed, 1e-6)
-    assert vague.n_rows == 240 * 18 > plain.n_rows > closed.n_rows
+    predicted = predicted_by(blocks, found, {"": lambda _: base})[""]
+    np.testing.assert_allclose(predicted, found.predict(base, made.noisy()), atol=1e-9)
+    # Without efforts, eliminated forces would leave nothing to compare.
+    alone = without_efforts(felt, made.robot, made.robot.joint_names[6:])
+    assert alone.judged is alone
 
 
 def test_forces_that_are_not_measured_along_an_axis_are_eliminated_there() -> None:
@@ -249,14 +321,24 @@ def test_variances_of_joints_base_forces_and_torques_are_found() -> None:
     assert sdpid.certify(estimate).passed
     mass = [estimate.theta[0:130:10].sum(), made.theta[0::10].sum()]  # type: ignore[index]
     assert mass[0] == pytest.approx(mass[1], rel=0.01)
+
+
+@pytest.mark.parametrize("stated", [0.01, 0.1, 2.0, 1000.0])
+def test_errors_of_forces_are_found_beside_those_of_efforts(stated: float) -> None:
+    made = gait(900, seed=3)
     felt = made.forces + 0.1 * np.random.default_rng(5).normal(size=made.forces.shape)
-    fused = problem(
-        replace(made.measured(0.01 * np.eye(6), felt), effort=made.noisy(4).effort),
-        weighting="residual",
-        prior=sdpid.Prior(),
-    )
-    ratio = np.sqrt(np.diagonal(fused.sigma)) / NOISE
+    fused = replace(made.measured(stated**2 * np.eye(6), felt), effort=made.noisy(4).effort)
+    found = problem(fused, weighting="residual", prior=sdpid.Prior())
+    ratio = np.sqrt(np.diagonal(found.sigma)) / NOISE
     assert 0.9 < ratio.min() < ratio.max() < 1.2
+    assert isinstance(found.rows, RowSource)
+    noise = contact_noise(found.rows.with_force_scale(1.0))
+    assert stated * np.sqrt(noise.force) == pytest.approx(0.1, rel=0.05)
+    # Smaller errors than stated are told, and not used.
+    assert found.rows.force_scale == pytest.approx(noise.time * max(noise.force, 1.0))
+    (told,) = _forces(found)
+    assert f"are off by {stated * np.sqrt(noise.force):.2g} N" in told.text
+    assert told.level == ("caution" if stated < 0.05 else "good")
 
 
 def test_the_six_rows_of_the_base_alone_need_no_efforts() -> None:

@@ -29,8 +29,8 @@ class ContactSamples:
     """Contacts of K samples: which are closed, and what is known of their forces.
 
     What a contact transmits and no sensor measures is eliminated from the equations of motion while
-    it is closed. What is measured is added to the efforts whether the contact is said to be closed
-    or not, with its covariance.
+    it is closed. What is measured is added to the efforts with its covariance while the contact is
+    closed; an open one has no force, whatever its sensor shows.
 
     Parameters
     ----------

@@ -17,7 +17,7 @@ def base_held(robot: RobotModel, samples: Samples) -> Mask:
     The base's six equations then hold for any parameters: their errors are rounding alone.
     """
     held: Mask = np.zeros(len(samples.effort), dtype=np.bool_)
-    contacts, model = samples.contacts, robot.pin_model
+    contacts, model = samples.judged.contacts, robot.pin_model
     if contacts is None or not robot.free_flyer:
         return held
     known = contacts.force_covariance

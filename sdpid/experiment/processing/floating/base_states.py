@@ -16,12 +16,7 @@ from sdpid._common.arrays import Array
 from sdpid.errors import DataError
 from sdpid.experiment.processing.derivatives import Weights
 from sdpid.experiment.processing.floating.on_grid import OnGrid
-from sdpid.experiment.processing.floating.quieter import (
-    Quieter,
-    angle_noise,
-    quieter,
-    white_noise,
-)
+from sdpid.experiment.processing.floating.quieter import angle_noise, quieter, white_noise
 from sdpid.experiment.processing.floating.rotations import body_rate, into_body, unit
 from sdpid.experiment.processing.settings import BaseSource
 from sdpid.experiment.recording.floating.base import BaseMotion
@@ -102,10 +97,10 @@ def _angular(
     told = ""
     if wanted in ("auto", "imu", "twist") and base.angular_velocity is not None:
         rate = on_grid.read(base.angular_velocity)
-        chosen = Quieter.VELOCITY
+        chosen = True
         if wanted != "twist":
             chosen, told = quieter(on_grid, rate, angle_noise(raw), "rad/s²")
-        if chosen is Quieter.VELOCITY:
+        if chosen:
             if base.velocity_frame == "world":
                 rate = into_body(raw, rate)
             return f"the recorded angular velocity{told}", rate
@@ -142,11 +137,11 @@ def _specific_force(
     told = ""
     if wanted in ("auto", "twist") and base.linear_velocity is not None:
         velocity = on_grid.read(base.linear_velocity)
-        chosen = Quieter.VELOCITY
+        chosen = True
         if wanted == "auto" and base.position is not None:
             place = white_noise(on_grid.read(base.position))
             chosen, told = quieter(on_grid, velocity, place, "m/s²")
-        if chosen is Quieter.VELOCITY:
+        if chosen:
             source = f"the recorded linear velocity{told}"
             if base.velocity_frame == "base":
                 own = on_grid.rate(velocity) + np.cross(rate, velocity)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -13,7 +13,7 @@ from sdpid.experiment.processing.floating.on_grid import OnGrid
 from sdpid.experiment.processing.settings import Processing
 from sdpid.experiment.recording.floating.contacts import Contacts
 
-__all__ = ["Feet", "feet_of", "landing_share", "near"]
+__all__ = ["Feet", "carried", "feet_of", "landing_share", "near"]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -64,7 +64,9 @@ def feet_of(contacts: Contacts, on_grid: OnGrid, processing: Processing) -> Feet
     wide = near(down, reach + round(margin_s / step))
     kept_down = on_grid.kept(wide)
     filtered = covariance = None
-    if processing.contact_force_std is not None:
+    # What holds a base without a sensor is eliminated beside forces that are measured.
+    held = contacts.kind == ("plane",) and bool(on_ground.all())
+    if processing.contact_force_std is not None and (wrench is not None or not held):
         if wrench is None:
             raise DataError(
                 "contact_force_std: the recording has no contact forces; leave it out, and they "
@@ -108,6 +110,16 @@ def feet_of(contacts: Contacts, on_grid: OnGrid, processing: Processing) -> Feet
     )
 
 
+def carried(contacts: Contacts, reach: int) -> Contacts:
+    """Return contacts that carry nothing while they are open, but for `reach` samples.
+
+    The sensor of a foot in the air shows its offset, which a filter would take to the ground.
+    """
+    acting = near(contacts.closed, reach)[:, :, None]
+    felt = {"forces": contacts.forces, "wrenches": contacts.wrenches}
+    return replace(contacts, **{k: v * acting for k, v in felt.items() if v is not None})
+
+
 def landing_share(contacts: Contacts, reach: int) -> float:
     """Return the share of a recording's samples that are at most `reach` ones from a landing."""
     return float(near(_landings(contacts.closed), reach).mean())
@@ -145,9 +157,7 @@ def _covariance(contacts: Contacts, processing: Processing) -> Array:
     moment = processing.contact_moment_std if contacts.wrenches is not None else None
     variance = np.full(6, np.inf if moment is None else moment**2)
     variance[:3] = (processing.contact_force_std or 0.0) ** 2
-    covariance = np.zeros((6, 6))
-    np.fill_diagonal(covariance, variance)
-    return covariance
+    return np.diag(variance)
 
 
 def _share_note(contacts: Contacts, raw: Mask, wide: Mask, memory_s: float) -> str:

@@ -7,8 +7,6 @@ velocity once, so that the worse sensor may still be the better source.
 
 from __future__ import annotations
 
-import enum
-
 import numpy as np
 
 from sdpid._common.arrays import Array
@@ -16,20 +14,13 @@ from sdpid.experiment.processing.floating.on_grid import OnGrid
 from sdpid.experiment.processing.motion import fourth_differences
 from sdpid.experiment.recording.floating.base import BaseMotion
 
-__all__ = ["Quieter", "angle_noise", "base_limit", "quieter", "white_noise"]
+__all__ = ["angle_noise", "base_limit", "quieter", "white_noise"]
 
 _GRAVITY = 9.81
 
 
-class Quieter(enum.Enum):
-    """What has less noise."""
-
-    VELOCITY = "velocity"
-    POSE = "pose"
-
-
-def quieter(on_grid: OnGrid, velocity: Array, pose_noise: float, unit: str) -> tuple[Quieter, str]:
-    """Return what tells accelerations with less noise, and both noises in words.
+def quieter(on_grid: OnGrid, velocity: Array, pose_noise: float, unit: str) -> tuple[bool, str]:
+    """Return whether the velocity tells accelerations with less noise, and both noises in words.
 
     Parameters
     ----------
@@ -51,9 +42,9 @@ def quieter(on_grid: OnGrid, velocity: Array, pose_noise: float, unit: str) -> t
         for each in (on_grid.rate(impulse), on_grid.second(impulse))
     )
     of_velocity, of_pose = white_noise(velocity) * once, pose_noise * twice
-    chosen = Quieter.VELOCITY if of_velocity < of_pose else Quieter.POSE
+    chosen = of_velocity < of_pose
     less, more = sorted((of_velocity, of_pose))
-    other = "the pose" if chosen is Quieter.VELOCITY else "the recorded velocity"
+    other = "the pose" if chosen else "the recorded velocity"
     return chosen, f" (noise of {less:.2g} {unit}, from {other} {more:.2g})"
 
 

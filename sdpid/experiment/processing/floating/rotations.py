@@ -6,7 +6,7 @@ import numpy as np
 
 from sdpid._common.arrays import Array
 
-__all__ = ["body_rate", "into_body", "into_world", "unit"]
+__all__ = ["body_rate", "into_body", "unit"]
 
 # Below this sine of half an angle its logarithm is taken from the series.
 _SMALL = 1e-6
@@ -17,14 +17,11 @@ def unit(quaternions: Array) -> Array:
     return np.asarray(quaternions / np.linalg.norm(quaternions, axis=1, keepdims=True))
 
 
-def into_world(quaternions: Array, vectors: Array) -> Array:
-    """Return vectors (M, 3) in world axes, given in body axes."""
-    return _turned(quaternions, vectors, 1.0)
-
-
 def into_body(quaternions: Array, vectors: Array) -> Array:
     """Return vectors (M, 3) or (3,) in body axes, given in world axes."""
-    return _turned(quaternions, np.broadcast_to(vectors, (len(quaternions), 3)), -1.0)
+    axis, w = -quaternions[:, :3], quaternions[:, 3:]
+    twice = 2.0 * np.cross(axis, vectors)
+    return np.asarray(vectors + w * twice + np.cross(axis, twice))
 
 
 def body_rate(quaternions: Array, weights: Array, step: float) -> Array:
@@ -51,12 +48,6 @@ def body_rate(quaternions: Array, weights: Array, step: float) -> Array:
         after = quaternions[margin + lag : margin + lag + inner]
         rate += weights[margin + lag] * _logarithm(_between(before, after))
     return np.pad(rate / step, ((margin, margin), (0, 0)), mode="edge")
-
-
-def _turned(q: Array, vectors: Array, sign: float) -> Array:
-    axis, w = sign * q[:, :3], q[:, 3:]
-    twice = 2.0 * np.cross(axis, vectors)
-    return np.asarray(vectors + w * twice + np.cross(axis, twice))
 
 
 def _between(a: Array, b: Array) -> Array:

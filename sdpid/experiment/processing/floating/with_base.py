@@ -111,15 +111,14 @@ def with_base(
             for each in joints.wide
         )
     names = None if joints.joint_names is None else (*BASE_NAMES, *joints.joint_names)
-    return Samples(
+    return replace(
+        joints,
         position=np.hstack([base.position, joints.position]),
         velocity=np.hstack([base.velocity, joints.velocity]),
         acceleration=np.hstack([base.acceleration, joints.acceleration]),
         effort=np.hstack([nothing, joints.effort]),
         mask=mask,
-        time=joints.time,
         joint_names=names,
-        block=joints.block,
         notes=tuple(notes),
         wide=wide,
         contacts=contacts,

@@ -13,6 +13,7 @@ from sdpid._common.arrays import Array
 from sdpid.errors import DataError
 from sdpid.experiment.preparation.for_robot import prepare
 from sdpid.experiment.preparation.joined_contacts import join_samples
+from sdpid.experiment.preparation.several import prepare_recordings
 from sdpid.experiment.processing.choose import choose_processing
 from sdpid.experiment.processing.filters import low_pass
 from sdpid.experiment.processing.floating.rotations import body_rate, unit
@@ -104,6 +105,19 @@ def test_wrenches_are_moved_to_the_contact_point() -> None:
     assert np.mean(told.down == plain.down) > 0.95
 
 
+def test_what_a_sensor_shows_of_a_foot_in_the_air_is_left_out() -> None:
+    walk = crawl()
+    processing = sdpid.Processing(filter="finite", contact_force_std=0.2)
+    shown = np.where(walk.down[:, :, None], walk.forces, [3.0, -2.0, 5.0])
+    plain, offset = (
+        prepare(walk.robot, walk.log(forces=each), processing).contacts
+        for each in (walk.forces, shown)
+    )
+    assert plain is not None
+    assert offset is not None
+    assert np.array_equal(plain.forces, offset.forces)  # type: ignore[arg-type]
+
+
 def test_a_time_around_landings_is_left_out() -> None:
     walk = crawl()
     samples = sdpid.process(walk.log(), {**SETTINGS, "impact_s": 0.01})
@@ -128,11 +142,9 @@ def test_recordings_with_other_contacts_are_put_together() -> None:
     log = walk.log()
     held = sdpid.Contacts(frames=["base_link"], kind="plane", down=np.ones((len(walk.time), 1)))
     for settings in ({}, {"contact_force_std": 2.0}):
-        standing = prepare(walk.robot, log, sdpid.Processing(filter="finite", **settings))
-        hanging = prepare(
-            walk.robot, replace(log, contacts=held), sdpid.Processing(filter="finite")
-        )
-        flying = prepare(walk.robot, replace(log, contacts=None), sdpid.Processing(filter="finite"))
+        processing = sdpid.Processing(filter="finite", **settings)
+        logs = [log, replace(log, contacts=held), replace(log, contacts=None)]
+        standing, hanging, flying = (prepare(walk.robot, each, processing) for each in logs)
         both = join_samples([standing, hanging, flying]).contacts
         assert both is not None
         assert both.frames == (*FEET, "base_link")
@@ -156,6 +168,16 @@ def test_what_does_not_fit_is_refused() -> None:
         sdpid.process(log, {"base_motion": "twist"})
     with pytest.raises(DataError, match="no contact forces"):
         sdpid.process(walk.log(forces=None), {"contact_force_std": 1.0})
+    fused = sdpid.Processing(filter="finite", contact_force_std=0.2)
+    without = walk.log("pose", forces=None)
+    with pytest.raises(
+        DataError, match="recording 2 of 2: contact_force_std: the recording has no"
+    ):
+        prepare_recordings(walk.robot, [log, without], fused)
+    # What is predicted needs no forces.
+    predicted = prepare_recordings(walk.robot, log, fused).others(without).samples
+    assert predicted.contacts is not None
+    assert not predicted.contacts.measured
     with pytest.raises(DataError, match=r"fixed to the ground.*root='free_flyer'"):
         prepare(sdpid.load_robot("solo12"), log)
     with pytest.raises(DataError, match="no motion of the base"):
