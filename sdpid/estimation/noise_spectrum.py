@@ -141,6 +141,8 @@ class NoiseSpectrum:
             residual[place] = R[:, -1] @ R[:, -1]
         # A weighted row's variance, about one unless weights are no variances.
         size = residual.sum() / max(count.sum() - problem.base.count, 1.0)
+        if believed is not None:
+            size = np.average(believed(_MIDDLES), weights=count + _NOTHING)
         least = np.maximum(bending.deviations, _LEAST_DEVIATION)
         known = np.concatenate([np.zeros(problem.base.count), size / least**2])
         root = information_root(_rows(bands.values(), known))
@@ -173,6 +175,11 @@ class NoiseSpectrum:
         return np.asarray(self.power / self.room)
 
     @property
+    def size(self) -> float:
+        """Variance of a weighted row."""
+        return float(self.power.sum() / self.room.sum())
+
+    @property
     def densities(self) -> Array:
         """Variance of each joint's Fourier coefficients where its information lies, (n,)."""
         weight = [np.sum((R[:, :-1] @ self.whole_root[own]) ** 2) for own, R in self.groups]
@@ -195,11 +202,10 @@ class NoiseSpectrum:
     @cached_property
     def scores(self) -> Array:
         """Covariance of the fit in the coordinates of `root`, (r, r)."""
-        # What is known beforehand is as uncertain as stated.
-        size = float(self.power.sum() / self.room.sum())
         weights = np.sqrt(self.density)
         weighted = ((own, w * R) for w, (own, R) in zip(weights, self.groups, strict=True))
-        turned = _rows(weighted, size * self.known) @ self.whole_root
+        # What is known beforehand is as uncertain as stated.
+        turned = _rows(weighted, self.size * self.known) @ self.whole_root
         return np.asarray(turned.T @ turned)
 
     @property

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from sdpid._common.arrays import Array, frozen
+from sdpid._common.seeds import generator
 from sdpid._common.threads import one_thread
 from sdpid.estimation.compression.rows import RowSource
 from sdpid.estimation.effects.bending import Bending
@@ -49,6 +50,10 @@ _STATES, _RANDOM = 300, 0
 
 # Degrees of freedom beyond which Student's t is normal.
 _ENDLESS = 1e9
+
+# Errors that are drawn to see what limits take off, and how many deviations away limits take off
+# nothing; what is added to their correlations, which come near one.
+_DRAWN, _FAR, _RIDGE = 200, 4.0, 1e-9
 
 # Directions whose information is below this, beside the largest, are open, and functions with more
 # than this share in them.
@@ -152,6 +157,7 @@ def expect(
     covariance = known.covariance(base.matrix)
     value, half = base.matrix @ values, _quantile(freedom) * np.sqrt(variance)
     least, most = run.problem.feasible.limits_of(base.matrix)
+    kept = _kept_above(least - value, covariance)
     return Expected(
         names=base.names,
         units=base.units,
@@ -176,7 +182,7 @@ def expect(
             Band(
                 motion=name,
                 effort=frozen(np.sqrt(np.mean((W @ value) ** 2, axis=0))),
-                half_width=frozen(_half_width(W, covariance)),
+                half_width=frozen(_half_width(W, kept)),
                 before=frozen(_half_width_before(W, before)),
             )
             for name, W in rows.items()
@@ -276,6 +282,29 @@ def _rows(run: Rehearsal, states: States) -> Array:
     return np.concatenate([W for _, W, _, _ in rows.chunks()])
 
 
+def _kept_above(least: Array, covariance: Array) -> Array:
+    """Return the covariance (b, b) of estimates whose errors are kept above limits (b,).
+
+    Columns of friction that tell only their sum leave each part uncertain by many times the sum,
+    but none can be negative. Drawn errors are moved to the nearest ones within the limits, and
+    those of the other parameters with them, as a fit with limits does.
+    """
+    from scipy.optimize import nnls
+
+    size = np.sqrt(np.diag(covariance))
+    near = np.flatnonzero(np.isfinite(size) & (least > -_FAR * size))
+    if not near.size:
+        return covariance
+    size, limit = size[near], least[near] / size[near]
+    own = covariance[np.ix_(near, near)] / np.outer(size, size)
+    root = np.linalg.cholesky(own + _RIDGE * np.eye(len(near)))
+    whiten = np.linalg.inv(root)
+    drawn = generator(_RANDOM).standard_normal((_DRAWN, len(near)))
+    moved = np.array([nnls(whiten, each - whiten @ limit)[0] for each in drawn]) + limit
+    gain = (covariance[:, near] / size) @ whiten.T @ whiten
+    return np.asarray(covariance + gain @ (moved.T @ moved / _DRAWN - own) @ gain.T)
+
+
 def _half_width(W: Array, covariance: Array) -> Array:
     """Return the rms half width (n,) of the band of predicted efforts."""
     variance = np.einsum("kjb,bc,kjc->j", W, covariance, W, optimize=True) / len(W)
@@ -294,9 +323,10 @@ def _duration(
     """Return what is known after `times` repetitions."""
     known = _posterior(run, errors)
     base, links = run.problem.base, run.problem.robot.n_links
-    covariance = known.covariance(base.matrix)
-    masses = np.eye(run.problem.n_theta)[: 10 * links : 10]
     values = base.matrix @ run.theta
+    least, _ = run.problem.feasible.limits_of(base.matrix)
+    covariance = _kept_above(least - values, known.covariance(base.matrix))
+    masses = np.eye(run.problem.n_theta)[: 10 * links : 10]
     shares = []
     for W in rows.values():
         effort = float(np.linalg.norm(W @ values)) / np.sqrt(len(W))

@@ -24,6 +24,8 @@ class RunErrors:
         ``Σ S_g·H_g``, the covariance of the scores.
     known : ndarray, shape (c,)
         What is known of the parameters beforehand, as the diagonal of an information.
+    size : float
+        Variance of a weighted row: what is known beforehand is as uncertain as stated.
     base_count : int
         b.
     """
@@ -31,6 +33,7 @@ class RunErrors:
     information: Array
     sums: Array
     known: Array
+    size: float
     base_count: int
 
     @classmethod
@@ -40,6 +43,7 @@ class RunErrors:
             frozen(spectrum.information()),
             frozen(spectrum.information(spectrum.density)),
             spectrum.known,
+            spectrum.size,
             spectrum.base_count,
         )
 
@@ -83,7 +87,7 @@ class RunErrors:
     @cached_property
     def scores(self) -> Array:
         """Covariance of the fit in the coordinates of `root`, (r, r)."""
-        sums = self.sums + np.diag(self.known)
+        sums = self.sums + self.size * np.diag(self.known)
         return np.asarray(self.whole_root.T @ sums @ self.whole_root)
 
     def freedom(self, directions: Array) -> Array:

@@ -16,6 +16,7 @@ import sdpid
 from sdpid._common.arrays import Array
 from sdpid.excitation.criterion.earlier import EarlierInformation
 from sdpid.excitation.criterion.noise import ExpectedNoise
+from sdpid.excitation.criterion.rows import BaseRows
 from sdpid.excitation.expected.expect import Known, _posterior, expect
 from sdpid.excitation.expected.expected import Expected
 from sdpid.excitation.expected.rehearsal import rehearse
@@ -162,6 +163,42 @@ def test_it_is_what_simulated_runs_of_noise_scatter() -> None:
     ratio = scatter / np.sqrt(np.diag(run.spectrum.covariance))
     assert 0.85 < np.median(ratio) < 1.15
     assert np.all((ratio > 0.7) & (ratio < 1.35))
+
+
+def test_sums_over_a_run_have_the_errors_of_its_spectrum() -> None:
+    """What is known of open speeds counts as stated, although a rehearsal leaves no residual."""
+    run = rehearse(ARM, motion(), noise=0.1)
+    b, weights = run.problem.base.count, run.spectrum.known
+    assert len(weights) > b
+    assert np.all(weights[b:] > 1e-2 * run.spectrum.size)
+    errors = RunErrors.of(run.spectrum)
+    root = errors.root
+    np.testing.assert_allclose(
+        np.diag(root @ errors.scores @ root.T), np.diag(run.spectrum.covariance), rtol=1e-5
+    )
+
+
+def test_bands_are_as_wide_as_those_of_simulated_identifications() -> None:
+    """Also where two columns of friction tell only their sum, which limits keep from drifting."""
+    terms = (sdpid.friction.Coulomb(), sdpid.friction.SigmoidFriction(velocity=0.01), "viscous")
+    given = {"friction": terms, "noise": 0.5, "prior": PRIOR}
+    run, found = rehearse(ARM, motion(), **given), expected(**given)
+    base = run.problem.base
+    W = BaseRows(robot=ARM, friction=run.problem.friction, base=base).rows(*motion().sample())
+    value = run.problem.base_of(run.theta)
+    errors = []
+    for seed in range(20):
+        drawn = 0.5 * np.random.default_rng(seed).standard_normal(run.log.effort.shape)
+        noisy = replace(run.log, effort=run.log.effort + drawn)
+        samples = sdpid.process(noisy, run.processing, progress=False)
+        covariance = run.problem.samples.covariance
+        problem = sdpid.build_problem(
+            ARM, replace(samples, covariance=covariance), friction=terms, prior=PRIOR
+        )
+        errors.append(W @ (sdpid.solve_sdp(problem).base - value))
+    simulated = 1.96 * np.sqrt(np.mean(np.square(errors), axis=(0, 1)))
+    ratio = found.bands[0].half_width / simulated
+    assert np.all((ratio > 0.8) & (ratio < 1.5)), ratio
 
 
 def test_what_is_known_of_open_directions_is_nothing() -> None:
