@@ -212,3 +212,23 @@ def test_a_robot_that_stands(tmp_path: Path) -> None:
         done = run("excite", "solo12", *wrong, "--out", out)
         assert done.exit_code == 2
         assert told in done.output
+
+
+def test_a_time_limit_is_that_of_the_whole_command(
+    folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    given = []
+
+    def design(*_: Any, time_limit: float, **__: Any) -> Any:
+        given.append(time_limit)
+        raise sdpid.errors.DataError("seen")
+
+    monkeypatch.setattr("sdpid.excitation.design.design.design_excitation", design)
+    monkeypatch.setattr("time.process_time", lambda: 1.5)
+    for limit in (60, 10, -1):
+        run("excite", folder / "arm.urdf", "--out", folder / "other", "--time-limit", limit)
+    long, short, wrong = given
+    # Starting and the plan's files take some of it.
+    assert 20.0 < long <= 60.0 - 3.5
+    assert 2.0 <= short <= 10.0 - 3.5
+    assert wrong == -1.0

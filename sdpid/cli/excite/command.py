@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import functools
 import importlib.util
+import time
 from collections.abc import Iterable
 from enum import Enum
 from pathlib import Path
@@ -60,6 +61,10 @@ class Purpose(str, Enum):
 _purpose = functools.partial(typer.Option, rich_help_panel="What the run is for")
 _motion = functools.partial(typer.Option, rich_help_panel="Motion and search")
 
+
+# Of a time limit, s, what starting takes at most and what is kept for the plan's files; and the
+# least share of it that is searched.
+_STARTING, _WRITING, _SHARE = 5.0, 2.0, 0.2
 
 # Broken limits that the last line names.
 _FEW = 4
@@ -146,7 +151,11 @@ def excite(
         int | None, _motion(metavar="N", min=1, help="Starts of the search. Default: 4.")
     ] = None,
     time_limit: Annotated[
-        float | None, _motion(metavar="S", help="Time for search and check, s.")
+        float | None,
+        _motion(
+            metavar="S",
+            help="Time for the whole command, s; of a robot that stands for search and check.",
+        ),
     ] = None,
     seed: Annotated[int, _motion(min=0, help="Random seed of the search.")] = 0,
     figures: Annotated[
@@ -156,6 +165,8 @@ def excite(
     """Design a motion to run: safe at every instant, and with what it will buy told before."""
     from sdpid.robot.model.load import load_robot
 
+    # Time of the processor is what the command took to start, unless another program calls it.
+    began = time.monotonic() - min(time.process_time(), _STARTING)
     standing.require_stand()
     if standing.stand:
         draw = importlib.util.find_spec("matplotlib") is not None if figures is None else figures
@@ -217,7 +228,7 @@ def excite(
         "previous": _logs(previous or ()) or None,
         "harmonics": harmonics,
         "starts": starts,
-        "time_limit": time_limit,
+        "time_limit": time_limit and _left(time_limit, time.monotonic() - began),
     }
     with keyboard_interrupts():
         plan = design_excitation(
@@ -244,6 +255,13 @@ def excite(
     )
     content = {**plan_content(plan), "notes": [*plan.notes, *notes], "files": map(str, files)}
     printing.show(content, _printed(plan, out, [file.name for file in files], notes))
+
+
+def _left(time_limit: float, used: float) -> float:
+    """Return what is left of a time limit for search and check."""
+    if not time_limit > 0.0:
+        return time_limit
+    return max(time_limit - used - min(_WRITING, _SHARE * time_limit), _SHARE * time_limit)
 
 
 def _one_or_more(values: list[float]) -> float | list[float]:

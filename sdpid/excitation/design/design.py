@@ -315,7 +315,7 @@ def _notes(
     if stopped and (time_limit is None or any(each.status == INTERRUPTED for each in found)):
         notes.append("the search was interrupted: this is the best motion that it had found.")
     elif stopped:
-        notes.append(f"the search ended at its time limit of {time_limit:g} s.")
+        notes.append("the search ended at its time limit.")
     return notes
 
 

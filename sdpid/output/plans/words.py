@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 
-from sdpid.excitation.limits.check import LimitCheck
+from sdpid.excitation.limits.check import LimitCheck, LimitRow
 from sdpid.excitation.plan.plan import Plan
 from sdpid.output.report.page import number
 
@@ -84,8 +84,15 @@ def safe_sentence(check: LimitCheck) -> str:
     if not check.ok:
         return f"Not every limit is proven to hold: {' '.join(check.sentences()[:_FEW])}"
     least = [row for kind in KINDS if (row := check.least(kind)) is not None]
-    slacks = "; ".join(f"{r.kind} {r.slack:.3g} {r.unit} ({r.subject})" for r in least)
+    slacks = "; ".join(f"{r.kind} {_slack(r)} ({r.subject})" for r in least)
     return f"Every limit holds at every instant. Least slack: {slacks}.{_closer(check)}"
+
+
+def _slack(row: LimitRow) -> str:
+    """Return what is left to a limit; of a distance, what is kept and what of it was asked for."""
+    if row.kind != "distance":
+        return f"{row.slack:.3g} {row.unit}"
+    return f"{1e3 * row.worst:.3g} mm kept of {1e3 * row.limit:.3g} mm asked for"
 
 
 def _closer(check: LimitCheck) -> str:

@@ -65,6 +65,7 @@ def test_it_tells_the_plan(page: str) -> None:
     plan, shown = small_plan(), words(page)
     for text in (
         "Every limit holds at every instant",
+        "mm kept of 20 mm asked for",
         number(plan.condition_number),
         EVIL,
         "<b>box",
