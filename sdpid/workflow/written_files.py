@@ -39,9 +39,8 @@ from sdpid.verifier.result import Result
 from sdpid.verifier.results import manifest
 from sdpid.verifier.results.folder import CERTIFICATE, ROBOTS
 from sdpid.verifier.results.friction_code import NAMES, WRITERS, described
-from sdpid.verifier.results.inertials import exists
-from sdpid.verifier.results.markup import parse
-from sdpid.verifier.results.mjcf import RENAMED, Mjcf
+from sdpid.verifier.results.markup import Node, parse
+from sdpid.verifier.results.mjcf import RENAMED, ours
 from sdpid.verifier.results.urdf import Urdf
 
 # Descriptions of robots may be larger than proofs.
@@ -213,7 +212,7 @@ def robot_differences(
     bodies = dict(zip(links, theta[: 10 * len(links)].reshape(-1, 10), strict=True))
     content, description = read_bytes(path, _LARGEST), read_description(path)
     if compiled := path.suffix == ".xml":
-        exact = Mjcf(content)  # MuJoCo reads more, such as other files
+        exact = ours(content)  # MuJoCo reads more, such as other files
         file = load_robot(description.text)
         bodies = {RENAMED.get(link, link): body for link, body in bodies.items()}
     else:
@@ -228,8 +227,7 @@ def robot_differences(
             f"{odd}, which readers may take differently" for odd in urdf.odd(file.link_names)
         )
         for link in file.link_names:
-            own = urdf.inertial(link)
-            if own is None or not exists(own[0].mass, own[0].moments, consistency):
+            if not urdf.is_body(link, consistency):
                 yield f"link {shown(link)} is no body: {consistency} does not hold"
     for link in sorted(bodies.keys() ^ {*file.link_names}):
         where = "the file" if link in bodies else "the certificate"
@@ -247,7 +245,7 @@ def robot_differences(
 
 
 def _other_attributes(
-    problem: Problem, theta: Array, file: RobotModel, exact: Mjcf | None
+    problem: Problem, theta: Array, file: RobotModel, exact: Node | None
 ) -> Iterator[str]:
     """Yield limits and friction of joints that are not those of the robot and of the rows."""
     robot, order = problem.robot, [file.joint_names.index(x) for x in problem.robot.joint_names]
@@ -275,7 +273,7 @@ def _other_attributes(
                 yield f"joint {shown(joint)}: {attribute} is {value:.9g}, not {given:.9g}"
     if exact is not None:
         tendons = parse(tendons_markup(own.tendons)) if own.tendons else None
-        if exact.root.only("tendon") != tendons:
+        if exact.only("tendon") != tendons:
             yield "its tendons are not those of the parameters"
 
 

@@ -24,7 +24,6 @@ from sdpid.output.robots.written_bodies import (
     SEED,
     STATES,
     possible_body,
-    readable,
     require_consistent,
     require_same_efforts,
     rest_of,
@@ -39,7 +38,6 @@ from sdpid.robot.inertia import transform
 from sdpid.robot.model.base_parameters import generic_states
 from sdpid.robot.model.geometry import link_placements, neutral
 from sdpid.robot.model.model import RobotModel
-from sdpid.verifier.results.mjcf import Mjcf
 
 # The attributes that an MJCF has for friction and rotor inertia.
 PLACES: dict[Kind, str] = {
@@ -111,7 +109,7 @@ def write_mjcf(
     # MuJoCo loads no other bodies, whatever consistency the problem has.
     require_consistent(robot, bodies, "pseudo_inertia", what)
     patch, notes = open_source(robot, source, what)
-    friction = joint_attributes(problem, theta, PLACES, what, tendons=patch.exact is not None)
+    friction = joint_attributes(problem, theta, PLACES, what, tendons=patch.ours)
     written = friction.values
     notes = friction.notes + notes
     for link, body in enumerate(bodies):
@@ -309,7 +307,7 @@ class Patch(Compiled):
         parse_xml(text, what)  # refuses document types, so that nothing is expanded below
         super().__init__(robot, text, what, folder=folder, ours=ours)
         self.document = Document(text)
-        self.exact = readable(Mjcf, text, what) if ours else None
+        self.ours = ours
         self.elements = self._elements()
         for k in self.carriers:
             if self.carriers.count(k) > 1:
@@ -338,19 +336,15 @@ class Patch(Compiled):
     def body(self, link: int, identified: Array) -> None:
         """Write the body of a link, given in its joint frame."""
         carrier, T = self.carriers[link], self.frame(link)
-        body = transform(identified, T[:3, :3], T[:3, 3])
+        # In a text of our own, frames are those of the links.
+        body = identified if self.ours else transform(identified, T[:3, :3], T[:3, 3])
         children = self.children(carrier)
         rest, name = rest_of(body, list(children.values()), "pseudo_inertia"), self.name(carrier)
         if rest is None:
             self.lumped.append(name)
             for number in children:
                 self.write(number, inertial_markup([Fraction(0)] * 10))
-        # In a text of our own, frames are those of the links.
-        whole = body if self.exact is None else identified
-        if rest is not None and self.exact is not None:
-            exact = self.exact.rest(name, identified.tolist())
-        else:
-            exact = [Fraction(x) for x in (whole if rest is None else rest).tolist()]
+        exact = [Fraction(x) for x in (body if rest is None else rest).tolist()]
         possible = possible_body(exact, "pseudo_inertia", name, self.what)
         self.write(carrier, inertial_markup(possible))
 

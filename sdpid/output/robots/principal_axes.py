@@ -10,7 +10,8 @@ import numpy as np
 
 from sdpid.robot.description.mjcf import quaternion_of
 from sdpid.verifier.results.inertials import tensor
-from sdpid.verifier.results.placements import Matrix, from_quaternion, matmul
+
+Matrix = list[list[Fraction]]
 
 # Off-diagonal entries end below this share of the trace, far below what a double resolves.
 _SMALL = Fraction(1, 2**120)
@@ -39,7 +40,7 @@ def principal_axes(moments: Sequence[Fraction]) -> tuple[tuple[float, ...], tupl
     _, axes = np.linalg.eigh(np.array(given, dtype=np.float64))
     axes[:, 0] *= np.sign(np.linalg.det(axes))
     quaternion = [Fraction(x) for x in quaternion_of(axes).tolist()]
-    turned = _along(given, quaternion)
+    turned = along(given, rotation(quaternion))
     small = _SMALL * sum(abs(given[i][i]) for i in range(3))
     for i, j, k in _PAIRS * _SWEEPS:
         if abs(turned[i][j]) <= small:
@@ -48,7 +49,7 @@ def principal_axes(moments: Sequence[Fraction]) -> tuple[tuple[float, ...], tupl
         tangent = math.copysign(1.0, slope) / (abs(slope) + math.hypot(1.0, slope))
         half = Fraction(tangent / (1.0 + math.hypot(1.0, tangent)))
         quaternion = [Fraction(round(x * _UNIT), _UNIT) for x in _turned(quaternion, k, -half)]
-        turned = _along(given, quaternion)
+        turned = along(given, rotation(quaternion))
     size = Fraction(math.isqrt(math.floor(sum(x * x for x in quaternion) * _UNIT**2)), _UNIT)
     return (
         tuple(float(x / size) for x in quaternion),
@@ -68,7 +69,24 @@ def _turned(q: Sequence[Fraction], axis: int, half: Fraction) -> list[Fraction]:
     return out
 
 
-def _along(given: Matrix, quaternion: Sequence[Fraction]) -> Matrix:
-    """Return a tensor along the axes of a quaternion."""
-    R = from_quaternion(quaternion, (0.0, 0.0, 0.0)).rotation
-    return matmul(matmul([list(row) for row in zip(*R, strict=True)], given), R)
+def rotation(quaternion: Sequence[Fraction]) -> Matrix:
+    """Return the rotation of a quaternion (w, x, y, z) of any length but zero, exactly."""
+    w, x, y, z = quaternion
+    square = w * w + x * x + y * y + z * z
+    rows = [
+        [w * w + x * x - y * y - z * z, 2 * (x * y - w * z), 2 * (x * z + w * y)],
+        [2 * (x * y + w * z), w * w - x * x + y * y - z * z, 2 * (y * z - w * x)],
+        [2 * (x * z - w * y), 2 * (y * z + w * x), w * w - x * x - y * y + z * z],
+    ]
+    return [[entry / square for entry in row] for row in rows]
+
+
+def along(given: Matrix, R: Matrix) -> Matrix:
+    """Return a tensor along the columns of a rotation, exactly."""
+    return [
+        [
+            sum((R[k][i] * given[k][m] * R[m][j] for k in range(3) for m in range(3)), Fraction(0))
+            for j in range(3)
+        ]
+        for i in range(3)
+    ]

@@ -111,6 +111,7 @@ def write_urdf(
     changed: list[str] = []
     lumped: list[str] = []
     flat: list[str] = []
+    rests: list[Array] = []
     families = {link: _asked(tree.fixed_children(link), fixed) for link in links}
     _require_known(fixed, [child.name for family in families.values() for child in family])
     for link, body in zip(links, bodies, strict=True):
@@ -135,10 +136,10 @@ def write_urdf(
             for child in children:
                 write_inertial(document, tree.links[child.name], inertial_values(np.zeros(10)))
                 changed.append(child.name)
-    # What is fixed to others is as it stays, and the moving links take the exact rest.
-    rests = readable(lambda text: _rests(text, links, bodies), document.text(), what)
-    for link, rest_exactly in zip(links, rests, strict=True):
-        written = rounded(possible_body(rest_exactly, consistency, link, what))
+        rests.append(body if rest is None else rest)
+    readable(lambda text: list(Urdf(text).odd(links)), document.text(), what)
+    for link, own in zip(links, rests, strict=True):
+        written = rounded(possible_body([*map(Fraction, own.tolist())], consistency, link, what))
         if not exists(written.mass, written.moments, "pseudo_inertia"):
             flat.append(link)
         write_inertial(document, tree.links[link], written_values(written))
@@ -161,12 +162,6 @@ def write_urdf(
         training=file.errors(),
         _written=file,
     )
-
-
-def _rests(text: str, links: Sequence[str], bodies: Array) -> list[list[Fraction]]:
-    """Return the bodies of moving links, without those that a text has fixed to them."""
-    exact = Urdf(text)
-    return [exact.rest(link, body) for link, body in zip(links, bodies.tolist(), strict=True)]
 
 
 def _asked(children: Sequence[FixedChild], fixed: Fixed) -> list[FixedChild]:

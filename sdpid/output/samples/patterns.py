@@ -133,7 +133,7 @@ class MjcfPattern(Pattern):
         self._what = f"MJCF of '{self.robot.name}'"
         self._patch, self.notes = open_source(self.robot, source, self._what)
         links = range(self.robot.n_links)
-        self._ours = self._patch.exact is not None
+        self._ours = self._patch.ours
         self.names = [self._patch.name(k) for k in self._patch.carriers]
         # In a text of our own, frames are those of the links.
         self.frames = np.array([np.eye(4) if self._ours else self._patch.frame(k) for k in links])

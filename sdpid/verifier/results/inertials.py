@@ -12,9 +12,8 @@ from collections.abc import Sequence
 from fractions import Fraction
 from typing import NamedTuple
 
-from ..bodies import has_margin, link_matrix
+from ..bodies import has_margin
 from ..exact import positive_semidefinite
-from .placements import Placement, matmul
 
 # Readers reject a body that rounding has put on the edge (MuJoCo: principal moments below 1e-14
 # kg·m², or a triangle inequality missed by one bit). Written bodies are this far inside, kg·m²,
@@ -56,56 +55,12 @@ def central(body: Sequence[float | Fraction]) -> tuple[Fraction, list[Fraction],
     """Return mass, center of mass and moments about it, exactly; the mass must not be zero."""
     mass, *others = (Fraction(x) for x in body)
     com = [h / mass for h in others[:3]]
-    return mass, com, _shifted(others[3:], -mass, com)
-
-
-def about_origin(
-    mass: float | Fraction, com: Sequence[Fraction], moments: Sequence[Fraction]
-) -> list[Fraction]:
-    """Return the ten parameters of a mass, a center of mass and moments about it, exactly."""
-    mass = Fraction(mass)
-    return [mass, *(mass * c for c in com), *_shifted(moments, mass, com)]
-
-
-def _shifted(
-    moments: Sequence[Fraction], mass: Fraction, com: Sequence[Fraction]
-) -> list[Fraction]:
-    """Return moments plus those of a mass at a point."""
     square = sum(c * c for c in com)
-    return [
-        value + mass * ((square if i == j else 0) - com[i] * com[j])
-        for value, (i, j) in zip(moments, MOMENTS.values(), strict=True)
+    moments = [
+        value - mass * ((square if i == j else 0) - com[i] * com[j])
+        for value, (i, j) in zip(others[3:], MOMENTS.values(), strict=True)
     ]
-
-
-def body_of(inertial: Inertial, axes: Placement | None = None) -> list[Fraction]:
-    """Return the ten parameters of an inertial, whose moments may be along other axes."""
-    moments = [Fraction(x) for x in inertial.moments]
-    if axes is not None:
-        R = axes.rotation
-        turned = matmul(matmul(R, tensor(moments)), [list(row) for row in zip(*R, strict=True)])
-        moments = [turned[i][j] for i, j in MOMENTS.values()]
-    return about_origin(inertial.mass, [Fraction(x) for x in inertial.com], moments)
-
-
-def moved(body: Body, placement: Placement) -> list[Fraction]:
-    """Return a body, given in a frame, in the frame that this one is placed in.
-
-    The pseudo-inertia J becomes T·J·T^T, T being the placement's 4×4 matrix.
-    """
-    T = [[*row, t] for row, t in zip(*placement, strict=True)]
-    T.append([Fraction(0)] * 3 + [Fraction(1)])
-    J = matmul(
-        matmul(T, link_matrix(body, "pseudo_inertia")), [list(c) for c in zip(*T, strict=True)]
-    )
-    trace = J[0][0] + J[1][1] + J[2][2]
-    moments = [(trace if i == j else 0) - J[i][j] for i, j in MOMENTS.values()]
-    return [J[3][3], J[0][3], J[1][3], J[2][3], *moments]
-
-
-def less(body: Body, others: Sequence[Body]) -> list[Fraction]:
-    """Return a body without others that are part of it."""
-    return [x - sum(parts) for x, *parts in zip(body, *others, strict=True)]
+    return mass, com, moments
 
 
 def inside(body: Body, consistency: str) -> list[Fraction] | None:

@@ -1,20 +1,12 @@
-"""MJCF as sdpid writes it: bodies with what is fixed to them, and nothing else."""
+"""MJCF as sdpid writes it, and nothing else."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from fractions import Fraction
-
 from ..reading import MalformedError, shown
-from .inertials import Inertial, body_of, less, moved
-from .markup import Node, by_name, parse
-from .placements import HERE, Placement, from_quaternion
+from .markup import Node, parse
 
 # The attributes of <joint> for friction and rotor inertia.
 _FRICTION = {"frictionloss", "damping", "armature"}
-
-# Rounding the four entries of a unit quaternion changes the square of its length by less.
-_UNIT = Fraction(1, 2**50)
 
 # All that such a file holds: the children and the attributes of its elements. Others could change
 # what the numbers mean.
@@ -47,26 +39,13 @@ _COMPILER = {"angle": "radian", "autolimits": "true", "inertiafromgeom": "false"
 RENAMED = {"world": "world_link"}
 
 
-class Mjcf:
-    """Bodies of an MJCF; MalformedError where it holds what sdpid does not write."""
-
-    def __init__(self, source: str | bytes) -> None:
-        self.root = parse(source)
-        if self.root.tag != "mujoco":
-            raise MalformedError(f"its root is <{shown(self.root.tag)}>, not <mujoco>")
-        _require_known(self.root)
-        world = self.root.only("worldbody")
-        self.bodies = by_name([] if world is None else list(_bodies(world)), "bodies")
-
-        self.moving = {name: body for name, body in self.bodies.items() if _joint(body)}
-
-    def rest(self, name: str, body: Sequence[float]) -> list[Fraction]:
-        """Return the parameters of a moving body without those of what is fixed to it."""
-        parts = []
-        for child, place in _attached(self.moving[name], HERE):
-            if (found := inertial(child)) is not None:
-                parts.append(moved(body_of(*found), place))
-        return less([Fraction(x) for x in body], parts)
+def ours(source: str | bytes) -> Node:
+    """Return the root of an MJCF; MalformedError where it holds what sdpid does not write."""
+    root = parse(source)
+    if root.tag != "mujoco":
+        raise MalformedError(f"its root is <{shown(root.tag)}>, not <mujoco>")
+    _require_known(root)
+    return root
 
 
 def _require_known(root: Node) -> None:
@@ -87,45 +66,3 @@ def _require_known(root: Node) -> None:
     compiler = root.only("compiler")
     if compiler is None or compiler.attributes != _COMPILER:
         raise MalformedError("its <compiler> is not the one that sdpid writes")
-
-
-def _bodies(node: Node) -> Iterator[Node]:
-    for body in node.all("body"):
-        yield body
-        yield from _bodies(body)
-
-
-def _joint(body: Node) -> Node | None:
-    """Return the joint that moves a body; it has one at most."""
-    joint, free = body.only("joint"), body.only("freejoint")
-    if joint is not None and free is not None:
-        raise MalformedError(f"body {shown(body.name)} has several joints")
-    return joint or free
-
-
-def _attached(body: Node, place: Placement) -> Iterator[tuple[Node, Placement]]:
-    """Yield the bodies that are fixed to a body, directly or through others."""
-    for child in body.all("body"):
-        if _joint(child) is None:
-            own = _place(child)
-            there = own if place is HERE else place.then(own)
-            yield child, there
-            yield from _attached(child, there)
-
-
-def _place(node: Node) -> Placement:
-    quaternion = node.numbers("quat", "1 0 0 0")
-    square = sum((Fraction(entry) ** 2 for entry in quaternion), Fraction(0))
-    if len(quaternion) != 4 or abs(square - 1) > _UNIT:
-        raise MalformedError(f"quat of <{shown(node.tag)}> is no quaternion of length 1")
-    return from_quaternion(quaternion, node.triple("pos"))
-
-
-def inertial(body: Node) -> tuple[Inertial, Placement] | None:
-    """Return the inertial of a body and the axes of its moments; None without one."""
-    node = body.only("inertial")
-    if node is None:
-        return None
-    xx, yy, zz = node.triple("diaginertia")
-    moments = (xx, 0.0, yy, 0.0, 0.0, zz)
-    return Inertial(node.number("mass"), tuple(node.triple("pos")), moments), _place(node)

@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from fractions import Fraction
 
 from ..reading import MalformedError, shown
-from .inertials import MOMENTS, Inertial, body_of, less, moved
+from .inertials import MOMENTS, exists
 from .markup import Node, by_name, parse
-from .placements import HERE, Placement, from_rpy
 
 # All that an <inertial> has. Others, such as quat_xyzw, turn or scale it for some readers only.
 _KNOWN: dict[str, set[str]] = {
@@ -17,6 +15,9 @@ _KNOWN: dict[str, set[str]] = {
     "mass": {"value"},
     "inertia": {*MOMENTS},
 }
+
+# What a joint has once; of two, readers might take either.
+_OF_JOINTS = ("origin", "axis", "limit", "dynamics", "mimic")
 
 # URDF reads the upper triangle of a tensor; some files write the lower one, too.
 _LOWER = {"iyx": "ixy", "izx": "ixz", "izy": "iyz"}
@@ -34,38 +35,28 @@ class Urdf:
             raise MalformedError(f"its root is <{shown(root.tag)}>, not <robot>")
         self.version = root.attributes.get("version", "")
         self.links, self.joints = (by_name(root.all(tag), f"{tag}s") for tag in ("link", "joint"))
-        self._fixed: dict[str, list[tuple[str, Placement]]] = {}
+        self._fixed: dict[str, list[str]] = {}
         self._fixing: dict[str, Node] = {}
         carried: dict[str, list[str]] = {link: [] for link in self.links}
         for joint in self.joints.values():
+            for tag in _OF_JOINTS:
+                joint.only(tag)
             parent, child = (_end(joint, end) for end in ("parent", "child"))
             if not {parent, child} <= self.links.keys():
                 raise MalformedError(f"joint {shown(joint.name)} is of no links")
             carried[parent].append(child)
             if joint.attributes.get("type") == "fixed":
-                self._fixed.setdefault(parent, []).append((child, _origin(joint)))
+                self._fixed.setdefault(parent, []).append(child)
                 self._fixing[child] = joint
         self.root = _root(carried)
 
-    def attached(self, link: str) -> list[tuple[str, Placement]]:
-        """Return the links that are fixed to a link, directly or through others.
-
-        They are finitely many, since links make a tree.
-        """
-        found, waiting = [], [(link, HERE)]
-        while waiting:
-            name, place = waiting.pop()
-            for child, own in self._fixed.get(name, ()):
-                there = own if place is HERE else place.then(own)
-                found.append((child, there))
-                waiting.append((child, there))
-        return found
-
-    def parts(self, link: str) -> list[Node]:
+    def _parts(self, link: str) -> list[Node]:
         """Return the inertials of a link and of those fixed to it, and where these are."""
-        fixed = [child for child, _ in self.attached(link)]
-        found = [self.links[name].only("inertial") for name in (link, *fixed)]
-        found += [self._fixing[child].only("origin") for child in fixed]
+        family = [link]
+        for each in family:  # finitely many, since links make a tree
+            family += self._fixed.get(each, ())
+        found = [self.links[name].only("inertial") for name in family]
+        found += [self._fixing[child].only("origin") for child in family[1:]]
         return [node for node in found if node is not None]
 
     def odd(self, links: Iterable[str]) -> Iterator[str]:
@@ -73,28 +64,16 @@ class Urdf:
         if self.version not in _VERSIONS:
             yield f"its version is {shown(self.version)}"
         for link in links:
-            for node in self.parts(link):
+            for node in self._parts(link):
                 yield from (f"link {shown(link)}: {each}" for each in _odd(node))
 
-    def inertial(self, link: str) -> tuple[Inertial, Placement] | None:
-        """Return the inertial of a link and the axes of its moments; None without one."""
+    def is_body(self, link: str, consistency: str) -> bool:
+        """Return whether a link has an inertial of a body that can exist."""
         node = self.links[link].only("inertial")
-        if node is None:
-            return None
-        mass, inertia, place = node.only("mass"), node.only("inertia"), _origin(node)
+        mass, inertia = (None,) * 2 if node is None else (node.only("mass"), node.only("inertia"))
         if mass is None or inertia is None:
-            raise MalformedError(f"link {shown(link)} has an <inertial> without mass or inertia")
-        com = tuple(map(float, place.translation))
-        moments = tuple(inertia.number(key) for key in MOMENTS)
-        return Inertial(mass.number("value"), com, moments), place
-
-    def rest(self, link: str, body: Sequence[float]) -> list[Fraction]:
-        """Return the body of a link without those of the links that are fixed to it."""
-        parts = []
-        for child, place in self.attached(link):
-            if (found := self.inertial(child)) is not None:
-                parts.append(moved(body_of(*found), place))
-        return less([Fraction(x) for x in body], parts)
+            return False
+        return exists(mass.number("value"), [inertia.number(key) for key in MOMENTS], consistency)
 
 
 def _root(carried: Mapping[str, Sequence[str]]) -> str:
@@ -115,15 +94,9 @@ def _end(joint: Node, end: str) -> str:
     return "" if node is None else node.attributes.get("link", "")
 
 
-def _origin(node: Node) -> Placement:
-    """Return the placement that an element's <origin> gives it."""
-    origin = node.only("origin")
-    return HERE if origin is None else from_rpy(origin.triple("rpy"), origin.triple("xyz"))
-
-
 def _odd(node: Node) -> Iterator[str]:
     """Yield what in an <inertial> or <origin> is not what every reader takes the same way."""
-    for element in (node, *node.children):
+    for element in (node, *filter(None, (node.only(child.tag) for child in node.children))):
         if (known := _KNOWN.get(element.tag)) is None:
             yield f"<{shown(element.tag)}>"
             continue

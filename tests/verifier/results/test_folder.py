@@ -203,6 +203,18 @@ FORGERIES = {
         lambda text: text.replace("</inertial>", "</inertial><inertial/>"),
         "has several <inertial>",
     ),
+    "two axes of a joint": (
+        "identified.urdf",
+        lambda text: text.replace(
+            '<axis xyz="0 0 1"/>', '<axis xyz="0 0 1"/><axis xyz="0 1 0"/>', 1
+        ),
+        "has several <axis>",
+    ),
+    "two masses": (
+        "identified.urdf",
+        lambda text: text.replace("<mass ", '<mass value="9"/><mass '),
+        "has several <mass>",
+    ),
     "two links of a name": (
         "identified.urdf",
         lambda text: text.replace("</robot>", '<link name="upper"/></robot>'),

@@ -1,99 +1,49 @@
-"""Bodies and placements without rounding: their laws, and libraries in floating point."""
+"""Bodies without rounding: their laws, and libraries in floating point."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from fractions import Fraction
 
 import numpy as np
 import pytest
-from hypothesis import example, given
-from hypothesis import strategies as st
+from hypothesis import given
 
-from sdpid.output.robots.principal_axes import principal_axes
-from sdpid.robot.description.origin import rpy_matrix
-from sdpid.robot.inertia import physical_parameters, transform
+from sdpid.output.robots.principal_axes import along, principal_axes, rotation
+from sdpid.robot.inertia import physical_parameters
 from sdpid.verifier.reading import MalformedError
-from sdpid.verifier.results.inertials import (
-    Inertial,
-    about_origin,
-    body_of,
-    central,
-    exists,
-    inside,
-    less,
-    moved,
-    rounded,
-)
+from sdpid.verifier.results.inertials import central, exists, inside, rounded, tensor
 from sdpid.verifier.results.markup import Node, parse
-from sdpid.verifier.results.placements import (
-    HERE,
-    Placement,
-    from_quaternion,
-    from_rpy,
-    sine_and_cosine,
-)
-from tests.helpers.strategies import bodies, reals
+from tests.helpers.strategies import bodies
 
-ANGLES = st.tuples(*[reals(-7.0, 7.0)] * 3)
-POINTS = st.tuples(*[reals(-2.0, 2.0)] * 3)
+
+def about_origin(
+    mass: Fraction, com: Sequence[Fraction], moments: Sequence[Fraction]
+) -> list[Fraction]:
+    """Return the ten parameters of a mass, a center of mass and moments about it, exactly."""
+    square = sum(c * c for c in com)
+    places = ((0, 0), (0, 1), (1, 1), (0, 2), (1, 2), (2, 2))
+    return [mass, *(mass * c for c in com)] + [
+        value + mass * ((square if i == j else 0) - com[i] * com[j])
+        for value, (i, j) in zip(moments, places, strict=True)
+    ]
 
 
 def exactly(body: np.ndarray) -> list[Fraction]:
     return [Fraction(x) for x in body.tolist()]
 
 
-@given(st.floats(-1e12, 1e12))
-@example(math.pi / 2)
-def test_sines(angle: float) -> None:
-    """The identity holds to the digits that are promised, and libm agrees."""
-    sine, cosine = sine_and_cosine(angle)
-    assert abs(sine**2 + cosine**2 - 1) < Fraction(1, 2**250)
-    assert float(sine) == pytest.approx(math.sin(angle), rel=1e-15, abs=2.0**-250)
-    assert float(cosine) == pytest.approx(math.cos(angle), rel=1e-15, abs=2.0**-250)
-    turned = sine_and_cosine(-angle)
-    assert max(abs(turned[0] + sine), abs(turned[1] - cosine)) < Fraction(1, 2**250)
-
-
-def test_no_angle_is_no_rotation() -> None:
-    assert from_rpy((0.0, 0.0, 0.0), (0.0, 0.0, 0.0)) == HERE
-    assert from_quaternion((1.0, 0.0, 0.0, 0.0), (0.0, 0.0, 0.0)) == HERE
-
-
-@given(bodies(), ANGLES, POINTS)
-def test_moved_as_in_floating_point(
-    body: np.ndarray, rpy: tuple[float, ...], at: tuple[float, ...]
-) -> None:
-    found = moved(exactly(body), from_rpy(rpy, at))
-    expected = transform(body, rpy_matrix(rpy), at)
-    assert np.abs(np.array(found, dtype=float) - expected).max() <= 1e-13 * np.abs(expected).max()
-
-
-@given(bodies(), POINTS, POINTS, st.tuples(*[st.integers(-5, 5)] * 4).filter(any))
-def test_moving_twice_is_moving_once(
-    body: np.ndarray, one: tuple[float, ...], two: tuple[float, ...], q: tuple[int, ...]
-) -> None:
-    """Exactly, but for the last of 256 binary places."""
-    first, second = from_quaternion(q, one), Placement(HERE.rotation, [Fraction(x) for x in two])
-    there = moved(moved(exactly(body), second), first)
-    once = moved(exactly(body), first.then(second))
-    assert max(abs(a - b) for a, b in zip(there, once, strict=True)) < Fraction(1, 2**240)
-
-
 @given(bodies())
 def test_about_the_center_and_back(body: np.ndarray) -> None:
     exact = exactly(body)
     assert about_origin(*central(exact)) == exact
-    assert less(exact, [exact]) == [0] * 10
     mass, com, inertia = physical_parameters(body)
     written = rounded(exact)
     assert written.mass == mass
     assert written.com == tuple(com)
-    size = np.abs(body[4:]).max()
-    assert (
-        np.abs(np.array(written.moments) - inertia[[0, 0, 1, 0, 1, 2], [0, 1, 1, 2, 2, 2]]).max()
-        <= 1e-14 * size
-    )
+    found = np.array(written.moments) - inertia[[0, 0, 1, 0, 1, 2], [0, 1, 1, 2, 2, 2]]
+    assert np.abs(found).max() <= 1e-14 * np.abs(body[4:]).max()
 
 
 @given(bodies())
@@ -132,11 +82,12 @@ def test_the_edge(consistency: str) -> None:
 def test_principal_axes(body: np.ndarray) -> None:
     """Moments and quaternion give the tensor back to its rounding."""
     exact = central(exactly(body))[2]
-    quaternion, (xx, yy, zz) = principal_axes(exact)
-    written = Inertial(1.0, (0.0,) * 3, (xx, 0.0, yy, 0.0, 0.0, zz))
-    axes = from_quaternion(quaternion, (0.0,) * 3)
+    quaternion, moments = principal_axes(exact)
+    R = rotation([Fraction(x) for x in quaternion])
+    diagonal = np.diag([Fraction(x) for x in moments]).tolist()
+    turned, wanted = along(diagonal, np.transpose(R).tolist()), tensor(exact)
     limit = Fraction(1e-14) * max(map(abs, exact))
-    assert all(abs(a - b) <= limit for a, b in zip(body_of(written, axes)[4:], exact, strict=True))
+    assert all(abs(turned[i][j] - wanted[i][j]) <= limit for i in range(3) for j in range(3))
 
 
 @pytest.mark.parametrize(
