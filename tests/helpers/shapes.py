@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+import numpy as np
+
+from sdpid._common.arrays import Array
+from sdpid.excitation.geometry.collision import CollisionModel
 from sdpid.robot.model.load import load_robot
 from sdpid.robot.model.model import RobotModel
 
@@ -38,3 +42,12 @@ def shaped_arm(
             '<limit lower="-2" upper="2" effort="9" velocity="3"/></joint>'
         )
     return load_robot(f'<robot name="chain">{"".join(links + joints)}{more}</robot>')
+
+
+def distances_and_gradients(model: CollisionModel, q: Array) -> tuple[Array, Array]:
+    """Return the distances (K, P) and derivatives (K, P, n) that the search takes of each pair."""
+    pairs = [model.only([p]) for p in range(len(model.pairs))]
+    # Sharp enough to be the least distance itself.
+    found = [pair.soft_minimum(q, 1e7, horizon=1e3) for pair in pairs]
+    values, gradients = (np.stack(each, axis=1) for each in zip(*found, strict=True))
+    return values, gradients

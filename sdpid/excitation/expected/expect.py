@@ -157,7 +157,7 @@ def expect(
     covariance = known.covariance(base.matrix)
     value, half = base.matrix @ values, _quantile(freedom) * np.sqrt(variance)
     least, most = run.problem.feasible.limits_of(base.matrix)
-    kept = _kept_above(least - value, covariance)
+    kept = partial(_kept_above, least - value)
     return Expected(
         names=base.names,
         units=base.units,
@@ -182,7 +182,7 @@ def expect(
             Band(
                 motion=name,
                 effort=frozen(np.sqrt(np.mean((W @ value) ** 2, axis=0))),
-                half_width=frozen(_half_width(W, kept)),
+                half_width=frozen(_half_width(W, kept(covariance))),
                 before=frozen(_half_width_before(W, before)),
             )
             for name, W in rows.items()
@@ -191,6 +191,7 @@ def expect(
             _duration(
                 run,
                 own.plus(again, times - trajectory.periods).with_earlier(told),
+                kept,
                 times,
                 trajectory.duration + (times - trajectory.periods) * trajectory.period,
                 rows,
@@ -318,14 +319,17 @@ def _half_width_before(W: Array, before: Known) -> Array:
 
 
 def _duration(
-    run: Rehearsal, errors: RunErrors, times: int, seconds: float, rows: Mapping[str, Array]
+    run: Rehearsal,
+    errors: RunErrors,
+    kept: Callable[[Array], Array],
+    times: int,
+    seconds: float,
+    rows: Mapping[str, Array],
 ) -> Duration:
     """Return what is known after `times` repetitions."""
     known = _posterior(run, errors)
     base, links = run.problem.base, run.problem.robot.n_links
-    values = base.matrix @ run.theta
-    least, _ = run.problem.feasible.limits_of(base.matrix)
-    covariance = _kept_above(least - values, known.covariance(base.matrix))
+    covariance, values = kept(known.covariance(base.matrix)), base.matrix @ run.theta
     masses = np.eye(run.problem.n_theta)[: 10 * links : 10]
     shares = []
     for W in rows.values():

@@ -196,13 +196,6 @@ class CollisionModel:
         """
         return self._measure.distances(real_array(q, "q", ndim=2))
 
-    def distances_and_gradients(self, q: ArrayLike) -> tuple[Array, Array]:
-        """Return the distances (K, P) and their derivatives by the positions (K, P, n).
-
-        Where a distance has a kink, the derivative is one of those at its sides.
-        """
-        return self._measure.gradients(real_array(q, "q", ndim=2))
-
     def clearances(self, clearance: float, beyond: float = 0.0) -> Array:
         """Return the distance that is asked of each pair (P,) for a wanted clearance, m.
 

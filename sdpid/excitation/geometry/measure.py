@@ -88,33 +88,6 @@ class Measure:
         _check(found)
         return np.minimum.reduceat(found, self._starts, axis=1)
 
-    def gradients(self, q: Array) -> tuple[Array, Array]:
-        """Return the distances (K, P) and their derivatives (K, P, n)."""
-        import pinocchio as pin
-
-        K, P = len(q), self._count
-        if not P:
-            return np.empty((K, 0)), np.empty((K, 0, self.robot.n))
-        jacobians = np.empty((K, 6, self._model.nv))
-        found: list[Witness] = []
-        for k, configuration in enumerate(self.robot.configuration(q)):
-            jacobians[k] = self.place(configuration)
-            pin.computeDistances(self._geometry, self._found)
-            found += [copied(result) for result in self._nearest()]
-        distances, gradients = self.derivatives(
-            found, jacobians, np.repeat(np.arange(K), P), np.tile(np.arange(P), K)
-        )
-        return distances.reshape(K, P), gradients.reshape(K, P, -1)
-
-    def _nearest(self) -> list[Any]:
-        """Return the result of the nearest solids of each pair of bodies."""
-        found = [result.min_distance for result in self._results]
-        ends = [*self._starts[1:], len(found)]
-        return [
-            self._results[min(range(start, end), key=found.__getitem__)]
-            for start, end in zip(self._starts, ends, strict=True)
-        ]
-
     def place(self, configuration: Array) -> Array:
         """Put everything in its place at a configuration (nq,); return the Jacobian (6, nv)."""
         import pinocchio as pin

@@ -20,7 +20,7 @@ from sdpid.robot.description.catalog import find_robot
 from sdpid.robot.model.load import load_robot
 from sdpid.robot.model.model import RobotModel
 from tests.helpers.robots import TREE, TREE_MIMIC
-from tests.helpers.shapes import BALL, ROD, shaped_arm
+from tests.helpers.shapes import BALL, ROD, distances_and_gradients, shaped_arm
 from tests.helpers.strategies import SEEDS
 
 # Coal's distances between convex shapes, m.
@@ -107,7 +107,7 @@ def test_gradients_are_those_of_differences(name: str) -> None:
     model = ROBOTS[name]
     robot, step = model.robot, 1e-3
     q = positions(robot, 2, 20)
-    distances, gradients = model.distances_and_gradients(q)
+    distances, gradients = distances_and_gradients(model, q)
     np.testing.assert_allclose(distances, model.distances(q), atol=ACCURACY)
     differences = np.stack(
         [
@@ -139,7 +139,7 @@ def test_distances_change_no_faster_than_the_reach_allows(
 @pytest.mark.parametrize("name", ROBOTS)
 def test_the_reach_is_attained_within_a_factor(name: str) -> None:
     model = ROBOTS[name]
-    _, gradients = model.distances_and_gradients(positions(model.robot, 3, 300))
+    _, gradients = distances_and_gradients(model, positions(model.robot, 3, 300))
     steepest = np.abs(gradients).max(axis=0)
     assert (steepest <= model.reach + 1e-9).all()
     moving = model.reach > 0
@@ -261,7 +261,7 @@ def test_a_single_joint_is_enough() -> None:
     wall = Box(size=(0.1, 2.0, 2.0), translation=(0.0, 1.2, 0.0))
     arm = shaped_arm("", '<box size="2.0 0.1 0.1"/>')
     model = CollisionModel.of(arm, [wall])
-    distances, gradients = model.distances_and_gradients([[0.5], [2.0]])
+    distances, gradients = distances_and_gradients(model, np.array([[0.5], [2.0]]))
     assert gradients.shape == (2, 1, 1)
     assert (np.abs(gradients[:, 0]) <= model.reach[0]).all()
     assert (distances[:, 0] < 1.2).all()

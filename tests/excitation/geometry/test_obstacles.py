@@ -21,7 +21,7 @@ from sdpid.excitation.geometry.obstacles import (
     table,
     wall,
 )
-from tests.helpers.shapes import BALL, shaped_arm
+from tests.helpers.shapes import BALL, distances_and_gradients, shaped_arm
 
 
 def box_file(path: Path, size: float, *, scale: float = 1.0, open_top: bool = False) -> Path:
@@ -63,7 +63,7 @@ def test_boxes_and_meshes_of_boxes_agree(tmp_path: Path, convex: bool) -> None:
         for obstacle in (box, mesh)
     ]
     q = np.random.default_rng(1).uniform(-2, 2, (100, 3))
-    (first, one), (second, other) = (model.distances_and_gradients(q) for model in models)
+    (first, one), (second, other) = (distances_and_gradients(model, q) for model in models)
     free = (first > 0.0).all(axis=1)
     np.testing.assert_allclose(second[free], first[free], atol=1e-5)
     np.testing.assert_allclose(other[free], one[free], atol=1e-2)
