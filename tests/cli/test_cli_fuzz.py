@@ -24,7 +24,7 @@ from typer.testing import CliRunner
 
 from sdpid import cli
 from tests.helpers.arm_files import ARM_URDF, arm_log
-from tests.helpers.damage import damaged, misspelt
+from tests.helpers.damage import damaged, misspelt, spoiled
 
 # Damaged files of each kind.
 COUNT = int(os.environ.get("SDPID_FUZZ", "12"))
@@ -76,6 +76,16 @@ def sound(tmp_path_factory: pytest.TempPathFactory) -> Path:
     shutil.copy(folder / "out" / "certificate.json", folder)
     shutil.copy(folder / "out" / "base_parameters.csv", folder / "table.csv")
     return folder
+
+
+ARM_XML = """<mujoco><compiler angle="radian"/><option gravity="0 0 -9.81"/><worldbody>
+<body name="upper" pos="0 0 0.3" quat="0.70710678 0.70710678 0 0">
+<joint name="a" type="hinge" axis="0 0 1" range="-3 3" damping="0.4" frictionloss="0.3"/>
+<inertial pos="0.1 0 0.02" mass="3" diaginertia="0.02 0.03 0.03"/>
+<body name="fore" pos="0.4 0 0"><joint name="b" type="hinge" axis="0 0 1" armature="0.01"/>
+<inertial pos="0.15 0.01 0" mass="1.5" fullinertia="0.005 0.012 0.012 0 0 0"/></body></body>
+</worldbody></mujoco>
+"""
 
 
 def run(*arguments: Any) -> Any:
@@ -210,6 +220,77 @@ def test_a_damaged_header_of_an_array(sound: Path, tmp_path: Path) -> None:
     done = run("info", tmp_path / "log.npz")
     assert done.exit_code == 2
     assert "is damaged" in done.stderr
+
+
+ONE_JOINT = ARM_URDF.replace('name="b" type="continuous"', 'name="b" type="fixed"')
+
+
+def written(channels: dict[str, np.ndarray], path: Path) -> None:
+    """Write a log; a table of columns where they are of one length."""
+    if path.suffix == ".npz":
+        np.savez(path, **channels)
+        return
+    rows = min(len(each) for each in channels.values())
+    columns = [each[:rows].reshape(rows, -1) for each in channels.values()]
+    names = [
+        f"{name}{j + 1}" if name != "t" else name
+        for name, each in zip(channels, columns, strict=True)
+        for j in range(each.shape[1])
+    ]
+    np.savetxt(path, np.hstack(columns), delimiter=",", header=",".join(names), comments="")
+
+
+@pytest.mark.parametrize("joints", [1, 2])
+@pytest.mark.parametrize("suffix", ["csv", "npz"])
+def test_logs_that_sensors_spoil_end_well(joints: int, suffix: str, tmp_path: Path) -> None:
+    urdf = tmp_path / "arm.urdf"
+    urdf.write_text(ONE_JOINT if joints == 1 else ARM_URDF)
+    (tmp_path / "two.urdf").write_text(ARM_URDF)
+    t, q, tau = (each[..., :joints] for each in arm_log(tmp_path / "two.urdf"))
+    t = np.arange(len(q)) / 50.0
+    channels = {"t": t, "q": q, "dq": np.gradient(q, t, axis=0), "tau": tau}
+    rng = np.random.default_rng([COUNT, joints, *suffix.encode()])
+    wrong = []
+    for case in range(COUNT):
+        folder = tmp_path / f"case{case}"
+        folder.mkdir()
+        log, out = folder / f"log.{suffix}", folder / "out"
+        written(spoiled(channels, rng), log)
+        command: list[Any] = ["info", log, "--robot", urdf]
+        if case % WHOLE_WAY == 0:
+            command = ["identify", log, "--robot", urdf, "--out", out, "--no-figures"]
+        with patience(PATIENCE):
+            problem = complaint(run(*command), folder)
+        if problem:
+            wrong.append(f"case {case}, {command[0]}: {problem}")
+    assert not wrong, "\n".join(wrong)
+
+
+@pytest.mark.parametrize("kind", ["motion.toml", "arm.xml"])
+def test_motions_and_mjcf_of_wrong_numbers_end_well(kind: str, sound: Path, tmp_path: Path) -> None:
+    if kind == "arm.xml":
+        pytest.importorskip("mujoco")
+        (tmp_path / kind).write_text(ARM_XML)
+        commands = [
+            ("audit", tmp_path / kind),
+            ("info", sound / "log.npz", "--robot", tmp_path / kind),
+        ]
+    else:
+        motion, drawn = tmp_path / kind, ("--seed", "0", "--period", "8", "--periods", "1")
+        out = ("--out", tmp_path / "run.csv")
+        done = run("simulate", sound / "arm.urdf", *drawn, *out, "--write-trajectory", motion)
+        assert done.exit_code == 0, done.output
+        commands = [("simulate", sound / "arm.urdf", *out, "--trajectory", motion)]
+    content = (tmp_path / kind).read_bytes()
+    rng = np.random.default_rng([COUNT, *kind.encode()])
+    wrong = []
+    for case in range(COUNT):
+        (tmp_path / kind).write_bytes(misspelt(content, rng))
+        with patience(PATIENCE):
+            problem = complaint(run(*commands[case % len(commands)]), tmp_path)
+        if problem:
+            wrong.append(f"case {case}: {problem}")
+    assert not wrong, "\n".join(wrong)
 
 
 def undamaged(done: Any, kind: str) -> str | None:

@@ -6,6 +6,8 @@ import re
 
 import numpy as np
 
+from sdpid._common.arrays import Array
+
 _WORDS = (b"nan", b"-1", b"1e308", b'"', b"\n", b",", b"[", b"=", b"\x00")
 _EXTREMES = (b"\xff" * 4, b"\xff" * 8, b"\x00\xe1\xf5\x05", b"\x00" * 8, b"\xff\xff\xff\x7f")
 _NUMBER = re.compile(rb"-?\d+(?:\.\d+)?(?:[eE][-+]?\d+)?")
@@ -67,6 +69,31 @@ def misspelt(content: bytes, rng: np.random.Generator) -> bytes:
         return b"".join(lines)
     deep = _OPENING[int(rng.integers(len(_OPENING)))] * int(10 ** rng.uniform(0.0, 5.0))
     return _swapped(content, _NUMBER, deep, rng)
+
+
+def spoiled(channels: dict[str, Array], rng: np.random.Generator) -> dict[str, Array]:
+    """Return a log's channels ``t``, ``q``, ``dq``, ``tau`` as sensors and loggers spoil them."""
+    result = {name: values.copy() for name, values in channels.items()}
+    name = str(rng.choice(["q", "dq", "tau"]))
+    column, rows = result[name][:, rng.integers(result[name].shape[1])], len(result["t"])
+    first, length = int(rng.integers(rows)), int(2 ** rng.uniform(0.0, np.log2(rows)))
+    how = int(rng.integers(7))
+    if how == 0:
+        column[first : first + length] = column[first]
+    elif how == 1:
+        column[first] += 10.0 ** rng.uniform(-3.0, 12.0) * rng.choice([-1.0, 1.0])
+    elif how == 2:
+        column[:] = column.round(int(rng.integers(-2, 3)))
+    elif how == 3:
+        result["t"] *= 10.0 ** rng.uniform(-6.0, 6.0)
+    elif how == 4:
+        shift = int(rng.integers(1, rows))
+        column[:] = np.r_[np.full(shift, column[0]), column[:-shift]]
+    elif how == 5:
+        result[name] = result[name].T if rng.random() < 0.5 else result[name][: rows // 2]
+    else:
+        column[first] = rng.choice([np.nan, np.inf, -np.inf, 0.0])
+    return result
 
 
 def _swapped(

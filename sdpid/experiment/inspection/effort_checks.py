@@ -15,6 +15,8 @@ from sdpid.experiment.recording.stored import extremes
 # signal there; of 30 real recordings at most 0.1 %. Of so many rows, those count whose step is
 # more than this share of its 90th percentile.
 _ZERO, _SOME, _FAST, _MOST_STEPS = 0.5, 2000, 0.1, 90.0
+# Steps are taken from the row before to the row behind.
+_FEWEST = 3
 # A channel is clipped where it stays at its very largest value for this many samples in a row,
 # this many times or once for so many samples, and in this share of all rows.
 _PLATEAU, _PLATEAUS, _LONG, _CLIPPED = 5, 2, 20, 0.002
@@ -47,6 +49,8 @@ def silent(subject: Subject) -> list[Finding]:
     """Find joints whose effort is zero while they move; not where that is so of all that move."""
     log, found = subject.log, []
     low, high = subject.position_range
+    if log.n_samples < _FEWEST:
+        return []
     rows = np.unique(np.linspace(1, log.n_samples - 2, _SOME).astype(np.intp))
     steps = np.abs(log.position[rows + 1] - log.position[rows - 1])
     moves = moving(low, high) & [name not in subject.passive for name in log.names]

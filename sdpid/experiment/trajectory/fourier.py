@@ -16,6 +16,9 @@ from sdpid.experiment.trajectory.pieces import ROUNDING
 # bound is then 1e-3 of its amplitude too wide; others' are closer.
 _TURN = 0.1
 
+# No joint moves as far (rad, or m).
+_LARGEST = 1e9
+
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class FourierSeries:
@@ -63,6 +66,10 @@ class FourierSeries:
                 f"Fourier series: center {center.shape}, harmonics {harmonics.shape}, amplitudes "
                 f"{amplitudes.shape} and phases {phases.shape} do not fit; give (n,) and three "
                 "times (n, H)."
+            )
+        if max(np.abs(each).max(initial=0.0) for each in (center, amplitudes)) > _LARGEST:
+            raise DataError(
+                f"Fourier series: center and amplitudes pass {_LARGEST:g} rad, which no joint does."
             )
         whole = np.rint(harmonics)
         # A double beyond that is whole, and no harmonic of anything.

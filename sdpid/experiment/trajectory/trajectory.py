@@ -24,6 +24,8 @@ from sdpid.experiment.trajectory.spline import Spline
 # A duration counts as a whole number of samples when it is this close to one, in samples: far
 # above the rounding of the product, far below any intended timing.
 _WHOLE = 1e-6
+# No motion has as many samples, or periods, nor a controller such a rate (Hz).
+_LARGEST = 1e9
 # Entries of a trajectory's file.
 _DURATIONS = ("rate_hz", "rest", "connection")
 
@@ -110,20 +112,26 @@ class Trajectory:
                 f"trajectory: {n} joints in the series, {len(self.joint_names)} names, "
                 f"position_range {ranges.shape}, velocity_limit {limits.shape}; give {n} of each."
             )
-        if not (np.isfinite(self.rate_hz) and self.rate_hz > 0.0):
-            raise DataError(f"trajectory: rate_hz is {self.rate_hz}; give a positive rate.")
-        if int(self.periods) != self.periods or self.periods < 1:
-            raise DataError(f"trajectory: periods is {self.periods}; give a whole number from 1.")
+        if not 0.0 < self.rate_hz <= _LARGEST:
+            raise DataError(
+                f"trajectory: rate_hz is {self.rate_hz:.6g}; give a positive rate, at most "
+                f"{_LARGEST:g} Hz."
+            )
+        if not 1 <= self.periods <= _LARGEST or int(self.periods) != self.periods:
+            raise DataError(
+                f"trajectory: periods is {self.periods:.6g}; give a whole number from 1 to "
+                f"{_LARGEST:g}."
+            )
         for name, seconds, least in (
             ("period", self.period, 2),
             ("rest", self.rest, 0),
             ("connection", self.connection, 0),
         ):
             count = seconds * self.rate_hz
-            if not np.isfinite(count) or abs(count - round(count)) > _WHOLE or count < least:
+            if not least <= count <= _LARGEST or abs(count - round(count)) > _WHOLE:
                 raise DataError(
-                    f"trajectory: {name} of {seconds} s is {count:.6g} samples at "
-                    f"{self.rate_hz:g} Hz; give a whole number of at least {least}."
+                    f"trajectory: {name} of {seconds:.6g} s is {count:.6g} samples at "
+                    f"{self.rate_hz:g} Hz; give a whole number from {least} to {_LARGEST:g}."
                 )
         if self.periods > 1 and not self.closed:
             raise DataError(
@@ -134,6 +142,7 @@ class Trajectory:
             raise DataError(
                 "trajectory: the motion does not start and end at rest; give a connection."
             )
+        object.__setattr__(self, "periods", int(self.periods))
         object.__setattr__(self, "position_range", frozen(ranges))
         object.__setattr__(self, "velocity_limit", frozen(limits))
 
@@ -281,7 +290,7 @@ class Trajectory:
                 notes=tuple(table.get("notes", ())),
                 **{name: table[name] for name in _DURATIONS},
             )
-        except (KeyError, TypeError, ValueError) as cause:
+        except (KeyError, TypeError, ValueError, OverflowError) as cause:
             raise DataError(
                 f"{path}: {cause!r}: an entry of the trajectory is missing or of another type."
             ) from None
