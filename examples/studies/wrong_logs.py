@@ -332,7 +332,7 @@ KINDS = (
     ),
     Wrong(
         words="one position off by 2 rad",
-        kinds=("position_jumps",),
+        kinds=("position_lone", "position_jumps"),
         spoiled=lambda g: spiked(g, "position", 2.0),
         of_joint=True,
     ),

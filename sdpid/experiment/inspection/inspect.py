@@ -53,26 +53,28 @@ _OF_SPEED = (
     *("position_jumps", "velocity_scale", "velocity_late", "one_direction", "long_rest"),
     "reference_unlike",
 )
-# A wrong orientation makes all of these.
+# A wrong orientation makes all of these; a wrong joint what feet do.
+_OF_FEET = ("foot_moves", "foot_high", "feet_exchanged", "contact_frame", "contact_point")
 _OF_BASE = (
     *("base_velocity", "imu_gyroscope", "imu_accelerometer"),
-    *("imu_axes", "imu_place", "imu_bias", "imu_scale"),
-    *("foot_moves", "foot_high", "feet_exchanged", "contact_frame", "contact_point"),
+    *("imu_axes", "imu_place", "imu_bias", "imu_scale", *_OF_FEET),
     *(f"{channel}_late" for channel in LEAST),
 )
-# What efforts are compared with, where the base is free, and what a wrong joint makes of feet.
+# What efforts are compared with, where the base is free.
 _BEFORE_EFFORTS = (
     *("base_orientation", "base_velocity", "imu_gyroscope", "imu_accelerometer"),
     *("contacts_missing", "contact_frame", "position_coarse"),
 )
-_OF_JOINTS = ("joint_order", "position_sign", "axis_sign", "position_zero")
-_OF_FEET = ("foot_moves", "foot_high", "feet_exchanged", "contact_frame", "contact_point")
 # What one mistake makes of other channels.
 _OF_FORCES = (
     *("forces_exchanged", "forces_axes", "forces_scale", "forces_offset"),
     *("forces_unlike_motion", "wrenches_moments", "wrenches_point"),
 )
 _MAKES = {
+    **dict.fromkeys(("time_unit", "time_scale"), _OF_SPEED),
+    "base_orientation": _OF_BASE,
+    "contact_frame": ("foot_moves", "foot_high"),
+    **dict.fromkeys(("joint_order", "position_sign", "axis_sign", "position_zero"), _OF_FEET),
     **dict.fromkeys(("effort_scale", "effort_unlike_description"), _OF_FORCES),
     "feet_exchanged": ("flags_unlike_forces", "flags_unlike_motion"),
     "forces_exchanged": ("flags_unlike_forces", "flags_unlike_motion"),
@@ -286,16 +288,6 @@ def _looked_at(
         # Positions in degrees raise most of the other alarms as well.
         alone = ("position_in_degrees", "joints", "joints_unknown")
         findings = [finding for finding in findings if finding.kind in alone]
-    elif refused & {"time_unit", "time_scale"}:
-        findings = [finding for finding in findings if finding.kind not in _OF_SPEED]
-    if "base_orientation" in refused:
-        findings = [finding for finding in findings if finding.kind not in _OF_BASE]
-    if "contact_frame" in refused:
-        findings = [
-            finding for finding in findings if finding.kind not in ("foot_moves", "foot_high")
-        ]
-    if {finding.kind for finding in findings} & set(_OF_JOINTS):
-        findings = [finding for finding in findings if finding.kind not in _OF_FEET]
     exchanged = [finding for finding in findings if finding.kind == "feet_exchanged"]
     # Told by what stands still already, it is told once.
     findings = [finding for finding in findings if finding not in exchanged[1:]]
@@ -309,7 +301,7 @@ def _looked_at(
 
 def _without_repeats(findings: list[Finding]) -> list[Finding]:
     """Leave out what other findings explain."""
-    kinds = {finding.kind for finding in findings}
+    kinds = {finding.kind for finding in findings if finding.severity != "note"}
     drowned = {kind for cause, made in _MAKES.items() if cause in kinds for kind in made}
     if any(f.kind == "forces_exchanged" and f.numbers["flags"] for f in findings):
         drowned |= {"feet_exchanged"}

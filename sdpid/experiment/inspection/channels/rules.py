@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
-from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -94,10 +93,10 @@ class Rule(NamedTuple):
 
 
 def _frozen(
-    joint: Joint, values: Array | None, limit: float, way: Callable[[slice], float]
+    joint: Joint, values: Array, limit: float, way: Callable[[slice], float]
 ) -> Iterator[Seen]:
     """Yield runs of equal values of a joint that moves, by how far it goes meanwhile."""
-    if values is None or not joint.moves:
+    if not joint.moves:
         return
     time, limit = joint.time, limit * joint.reach
     edges = np.flatnonzero((np.diff(values) != 0.0) | ~joint.near(1)) + 1
@@ -136,8 +135,7 @@ def _velocity_frozen(joint: Joint) -> Iterator[Seen]:
     speeds = joint.velocity
     if speeds is None:
         return iter(())
-    way = partial(_off_line, joint)
-    return _frozen(joint, speeds, _OFF_LINE, lambda rows: way(rows, float(speeds[rows.start])))
+    return _frozen(joint, speeds, _OFF_LINE, lambda run: _off_line(joint, run, speeds[run.start]))
 
 
 def _position_frozen(joint: Joint) -> Iterator[Seen]:
