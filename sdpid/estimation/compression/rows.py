@@ -141,8 +141,10 @@ class RowSource:
         return found
 
     def on(self, samples: Samples) -> RowSource:
-        """Return the rows of other samples."""
-        return replace(self, samples=samples)
+        """Return the ordinary rows of other samples, of whatever kind these rows are."""
+        return RowSource(
+            self.robot, self.friction, self.base, samples, force_scale=self.force_scale
+        )
 
     def with_force_scale(self, scale: float) -> RowSource:
         """Return the same rows with other covariances of measured contact forces."""

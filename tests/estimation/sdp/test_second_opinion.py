@@ -78,7 +78,9 @@ def test_a_real_recording(data_folder: Path, kind: PriorKind | None) -> None:
     problem = formulate(
         robot,
         sdpid.read_recording(folder / "ur10_exciting.npz"),
-        constraints=Constraints(mass_max=30.0, theta_max=100.0, others=conditions),
+        constraints=Constraints(
+            mass_max=30.0, theta_max=100.0, friction_max=100.0, others=conditions
+        ),
         prior=False if prior is None else prior,
     )
     ours = solve_sdp(problem)

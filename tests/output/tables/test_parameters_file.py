@@ -136,6 +136,6 @@ def test_other_refusals(
     with pytest.raises(DataError, match="not YAML"):
         read_parameters(tmp_path / "p.yaml")
     monkeypatch.setitem(sys.modules, "yaml", None)
-    with pytest.raises(MissingExtraError, match=r"sdpid\[yaml\]"):
+    with pytest.raises(MissingExtraError, match=r"pip install .pyyaml"):
         write_parameters(estimate, tmp_path / "q.yaml")
     assert not (tmp_path / "q.yaml").exists()
