@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
+import pytest
 
 import sdpid
 from sdpid._common.arrays import Array
@@ -75,3 +76,7 @@ SMALL = {
         _urdf("without_effort", *((*joint, _ENDS) for joint in _TWO)), ("high",)
     ),
 }
+
+# For laws that hold of any description, by names that tests show.
+URDFS = [pytest.param(small.urdf, id=name) for name, small in SMALL.items()]
+MODELS = {name: small.model for name, small in SMALL.items()}

@@ -118,5 +118,6 @@ class ToolSpeedWithin:
                 speeds[k, c] = np.linalg.norm(velocity)
                 if derivatives:
                     by = pin.getFrameVelocityDerivatives(model, data, frame, own)
-                    slopes[:, k, c] = [velocity @ part[:3] @ E for part in by]
+                    # With a single joint the binding drops the axis of length one.
+                    slopes[:, k, c] = [velocity @ part.reshape(6, -1)[:3] @ E for part in by]
         return speeds, slopes[0], slopes[1]

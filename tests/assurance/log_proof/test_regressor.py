@@ -20,6 +20,7 @@ from sdpid.robot.model.load import load_robot
 from sdpid.robot.model.model import RobotModel
 from tests.assurance.log_proof.equations import DIGITS, exact_regressor
 from tests.helpers.robots import TREE, TREE_MIMIC, pendulum
+from tests.helpers.small_robots import URDFS
 from tests.helpers.strategies import SEEDS, dh_tables
 
 # What is left open beside the largest entry, in units of rounding: some hundred operations one
@@ -70,7 +71,7 @@ def test_serial_arms(table: Any, seed: int) -> None:
     check(RobotModel.from_mdh(table), seed)
 
 
-@pytest.mark.parametrize("text", [TREE, TREE_MIMIC])
+@pytest.mark.parametrize("text", [TREE, TREE_MIMIC, *URDFS])
 def test_trees_and_mimics(text: str) -> None:
     check(load_robot(text), 3)
 
@@ -84,7 +85,7 @@ def test_a_pendulum() -> None:
     check(pendulum(), 1)
 
 
-@pytest.mark.parametrize("text", [TREE, "ur5_robot"])
+@pytest.mark.parametrize("text", [TREE, "ur5_robot", *URDFS])
 def test_a_floating_base(text: str) -> None:
     check(load_robot(text, root="free_flyer"), 2, count=1)
 

@@ -59,9 +59,10 @@ from sdpid.robot.inertia import (
 )
 from tests.helpers.data import flat_links, make_samples, random_theta
 from tests.helpers.robots import planar_arm, small_arm
+from tests.helpers.small_robots import MODELS
 from tests.helpers.strategies import SEEDS
 
-ROBOTS = {"planar": planar_arm(), "arm2": small_arm(2)}
+ROBOTS = {"planar": planar_arm(), "arm2": small_arm(2), **MODELS}
 BOTH: tuple[Consistency, ...] = ("pseudo_inertia", "spatial_inertia")
 MARGINS = (0.0, 0.01)
 # Rounding of costs and of the products in (*), as a share of the squared efforts.

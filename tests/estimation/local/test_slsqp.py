@@ -31,6 +31,7 @@ from sdpid.robot.inertia import Consistency, physical_parameters
 from sdpid.robot.model.model import RobotModel
 from tests.helpers.data import flat_links, make_samples, random_links, random_theta
 from tests.helpers.robots import planar_arm, small_arm
+from tests.helpers.small_robots import MODELS
 from tests.helpers.strategies import SEEDS
 from tests.helpers.tolerances import LOCAL_COST
 
@@ -69,7 +70,7 @@ def conditions(robot: RobotModel) -> tuple[Condition, ...]:
     )
 
 
-@pytest.mark.parametrize("robot", [planar_arm(), small_arm(3)], ids=["planar", "arm3"])
+@pytest.mark.parametrize("robot", [planar_arm(), small_arm(3), MODELS["hinge"], MODELS["slider"]])
 @pytest.mark.parametrize("consistency", BOTH)
 @pytest.mark.parametrize("more", ["alone", "conditions", "entropic"])
 def test_derivatives(robot: RobotModel, consistency: Consistency, more: str) -> None:

@@ -34,11 +34,12 @@ from tests.helpers.data import (
     raw_rows,
 )
 from tests.helpers.robots import planar_arm, small_arm
+from tests.helpers.small_robots import MODELS
 from tests.helpers.strategies import SEEDS
 from tests.helpers.tolerances import COST, SAME_OPTIMUM
 
 BOTH: tuple[Consistency, ...] = ("pseudo_inertia", "spatial_inertia")
-ROBOTS = {"planar": planar_arm(), "arm2": small_arm(2)}
+ROBOTS = {"planar": planar_arm(), "arm2": small_arm(2), **MODELS}
 ARM3 = small_arm(3)
 COUNT = 200
 

@@ -17,6 +17,7 @@ from sdpid.excitation.criterion.marginal import marginal
 from sdpid.robot.friction.model import FrictionModel
 from sdpid.robot.model.base_parameters import structural_base
 from tests.helpers.arm import ARM
+from tests.helpers.small_robots import URDFS
 
 seeds = st.integers(0, 2**32 - 1)
 
@@ -68,7 +69,7 @@ def test_a_prior_says_nothing_of_what_it_does_not_believe() -> None:
     assert not prior_information(ARM, friction, base, False, rms).any()
 
 
-@pytest.mark.parametrize("name", ["ur10_robot", "denso_vp6242"])
+@pytest.mark.parametrize("name", ["ur10_robot", "denso_vp6242", *URDFS])
 def test_the_default_is_that_of_identify(name: str) -> None:
     robot = sdpid.load_robot(name)
     described = bool(np.any(robot.prior[:, 0] > 0.0))

@@ -30,9 +30,10 @@ from sdpid.experiment.trajectory.spline import Spline
 from sdpid.robot.model.load import load_robot
 from sdpid.robot.model.model import RobotModel
 from tests.helpers.robots import TREE, TREE_MIMIC
+from tests.helpers.small_robots import URDFS
 from tests.helpers.strategies import SEEDS
 
-ROBOTS = [TREE, TREE_MIMIC]
+ROBOTS = [TREE, TREE_MIMIC, *URDFS]
 
 
 def spline(n: int, seed: int, *, duration: float = 3.0, size: float = 0.5) -> Spline:
@@ -71,7 +72,7 @@ def tool_speeds(robot: RobotModel, frame: int, q: Array, v: Array) -> Array:
     out = []
     for configuration, velocity in zip(robot.configuration(q), v @ robot.expansion.T, strict=True):
         J = pin.computeFrameJacobian(model, data, configuration, frame, where)
-        out.append(np.linalg.norm((J @ velocity)[:3]))
+        out.append(np.linalg.norm((J.reshape(6, -1) @ velocity)[:3]))
     return np.array(out)
 
 

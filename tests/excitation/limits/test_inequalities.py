@@ -13,6 +13,7 @@ from sdpid.excitation.limits.limits import Limits
 from sdpid.excitation.limits.torque import TorqueModel
 from sdpid.robot.model.load import load_robot
 from tests.helpers.robots import TREE, TREE_MIMIC
+from tests.helpers.small_robots import URDFS
 
 
 def differences(inequality: Any, state: list[Array], which: int) -> Array:
@@ -28,7 +29,7 @@ def differences(inequality: Any, state: list[Array], which: int) -> Array:
     return np.stack(columns, axis=2)
 
 
-@pytest.mark.parametrize("source", [TREE, TREE_MIMIC])
+@pytest.mark.parametrize("source", [TREE, TREE_MIMIC, *URDFS])
 @pytest.mark.parametrize("kind", ["torque", "tool"])
 def test_derivatives(source: str, kind: str) -> None:
     robot = load_robot(source)

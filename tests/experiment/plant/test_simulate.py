@@ -27,6 +27,7 @@ from sdpid.robot.inertia import theta_from_physical
 from sdpid.robot.model.load import load_robot
 from sdpid.robot.model.model import RobotModel
 from tests.helpers.plant import PlantLog, run_plant
+from tests.helpers.small_robots import URDFS
 
 NAME = "denso_vp6242"
 # The agreed accuracy of the plant's torques, N·m.
@@ -336,7 +337,7 @@ def test_drives_are_checked() -> None:
 
 
 @pytest.mark.parametrize(
-    "name", ["ur_description/ur5_robot", "panda_description/panda", "double_pendulum"]
+    "name", ["ur_description/ur5_robot", "panda_description/panda", "double_pendulum", *URDFS]
 )
 def test_any_robot_is_simulated_and_found_again(name: str) -> None:
     """Defaults for everything: the Panda has mimic fingers, the pendulum no limits."""

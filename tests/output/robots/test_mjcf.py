@@ -20,6 +20,7 @@ from sdpid.robot.model.base_parameters import generic_states
 from sdpid.robot.model.load import load_robot
 from sdpid.robot.model.model import RobotModel
 from tests.helpers.robots import TREE, TREE_MIMIC
+from tests.helpers.small_robots import URDFS
 from tests.helpers.verified import differences
 from tests.output.robots.test_urdf import (
     ARM,
@@ -61,7 +62,8 @@ def assert_identified(problem: Problem, links: np.ndarray, path: Path) -> None:
 
 @pytest.mark.parametrize("points", [8, 3])
 @pytest.mark.parametrize(
-    "source", [ARM, MIMIC, TREE, TREE_MIMIC, "denso_vp6242", "panda_description/panda", "ur5_robot"]
+    "source",
+    [ARM, MIMIC, TREE, TREE_MIMIC, "denso_vp6242", "panda_description/panda", "ur5_robot", *URDFS],
 )
 def test_round_trip_in_both_libraries(tmp_path: Path, source: str, points: int) -> None:
     problem = problem_of(load_robot(source), friction=FRICTION)

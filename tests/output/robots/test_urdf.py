@@ -24,6 +24,7 @@ from sdpid.robot.inertia import margin, point_masses
 from sdpid.robot.model.base_parameters import generic_states
 from sdpid.robot.model.load import load_robot
 from sdpid.robot.model.model import RobotModel
+from tests.helpers.small_robots import URDFS
 from tests.helpers.verified import differences
 
 # Efforts of the written robot, relative to the largest one.
@@ -162,7 +163,7 @@ def mujoco_efforts(path: Path, robot: RobotModel, states: tuple[np.ndarray, ...]
 
 
 @pytest.mark.parametrize("points", [8, 3, 2])
-@pytest.mark.parametrize("text", [ARM, MIMIC], ids=["arm", "mimic"])
+@pytest.mark.parametrize("text", [ARM, MIMIC, *URDFS])
 def test_round_trip_in_both_libraries(tmp_path: Path, text: str, points: int) -> None:
     problem = problem_of(load_robot(text))
     links = bodies(np.random.default_rng(points), problem.robot.n_links, points)

@@ -17,6 +17,7 @@ from sdpid.robot.model.load import load_robot
 from sdpid.robot.model.model import RobotModel
 from tests.helpers.data import random_links
 from tests.helpers.robots import TREE, TREE_MIMIC, small_arm
+from tests.helpers.small_robots import MODELS
 from tests.helpers.strategies import random_states
 
 ARM = small_arm(4)
@@ -71,7 +72,7 @@ def test_the_axes_of_an_upright_base_are_its_own() -> None:
         horizontal_axes(np.zeros(3))
 
 
-@pytest.mark.parametrize("robot", [ARM, load_robot(TREE_MIMIC)], ids=["arm", "mimic"])
+@pytest.mark.parametrize("robot", [ARM, load_robot(TREE_MIMIC), *MODELS.values()])
 def test_friction_of_the_load_is_a_share_of_the_efforts(robot: RobotModel) -> None:
     motion, bodies = motion_of(robot, 1), bodies_of(robot, 1)
     columns = LoadFriction(bodies).columns_in(motion, robot.joint_names)

@@ -26,6 +26,7 @@ from sdpid.robot.model.dynamics import RobotDynamics
 from sdpid.robot.model.model import RobotModel
 from tests.helpers.data import friction_model, full_regressor, make_samples, random_theta
 from tests.helpers.robots import TREE, TREE_MIMIC, pendulum, small_arm
+from tests.helpers.small_robots import MODELS
 from tests.helpers.strategies import SEEDS, random_states
 from tests.helpers.tolerances import DYNAMICS
 
@@ -41,6 +42,7 @@ ROBOTS = {
     "arm": small_arm(4),
     "tree": sdpid.load_robot(TREE),
     "mimic": sdpid.load_robot(TREE_MIMIC),
+    **MODELS,
 }
 
 
@@ -56,7 +58,7 @@ def assert_same(actual: Array, expected: Array) -> None:
     np.testing.assert_allclose(actual, expected, rtol=0, atol=DYNAMICS * scale)
 
 
-@given(SEEDS, st.sampled_from(["pendulum", "arm", "tree"]))
+@given(SEEDS, st.sampled_from([name for name in ROBOTS if name != "mimic"]))
 def test_it_is_pinocchio_plus_friction(seed: int, name: str) -> None:
     robot = ROBOTS[name]
     model = dynamics(robot, seed)

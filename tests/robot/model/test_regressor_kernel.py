@@ -22,6 +22,7 @@ from sdpid.robot.model import regressor_kernel as kernels
 from sdpid.robot.model.load import load_robot
 from sdpid.robot.model.model import RobotModel
 from tests.helpers.robots import TREE, TREE_MIMIC, TREE_MIMIC_NO_OFFSET, pendulum
+from tests.helpers.small_robots import URDFS
 from tests.helpers.strategies import SEEDS, dh_tables
 from tests.helpers.tolerances import DYNAMICS
 
@@ -62,7 +63,7 @@ def test_serial_arms(table: Any, seed: int) -> None:
 
 
 @pytest.mark.parametrize("root", [None, "free_flyer"])
-@pytest.mark.parametrize("text", [TREE, TREE_MIMIC, TREE_MIMIC_NO_OFFSET])
+@pytest.mark.parametrize("text", [TREE, TREE_MIMIC, TREE_MIMIC_NO_OFFSET, *URDFS])
 @given(seed=SEEDS)
 def test_trees(text: str, root: Any, seed: int) -> None:
     if not (text is TREE_MIMIC and root):  # an offset does not go with a floating base
@@ -96,7 +97,7 @@ def test_every_robot_of_example_robot_data(name: str) -> None:
 
 
 @pytest.mark.parametrize("threads", [1, 3])
-@pytest.mark.parametrize("text", [TREE, TREE_MIMIC])
+@pytest.mark.parametrize("text", [TREE, TREE_MIMIC, *URDFS])
 def test_small_new_and_used_memory_are_filled_the_same(
     text: str, threads: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
